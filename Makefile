@@ -31,6 +31,7 @@ quick: .venv/test
 lint: .venv/test
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m ruff format --check --line-length 80 README.md CONTRIBUTING.md docs/*.md docs/*/*.md
 
 # warnings are errors; needs no network once the packages are installed
 docs: .venv/docs

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import certigym as cg
+from certigym.synthesis.certificates import rounded_down, rounded_up
 
 BEFORE = {
     "building-automation-v0": 0.2597,
@@ -57,9 +58,9 @@ LONGER: dict[str, list[dict[str, Any]]] = {
 HEAD = """# What the defaults certify
 
 Every problem of the suite with its id and no options (`certigym run ID`), beside version 0.1. Bounds are certified
-lower bounds, checked by `certigym check`; rollouts are the share of 100,000 episodes that satisfied the task, an
-estimate with a standard error of up to .0016; "any policy" is an upper bound on what any policy of the continuous
-system attains. Seconds are CPU seconds. Made by `python benchmarks/defaults.py`.
+lower bounds, rounded down, checked by `certigym check`; rollouts are the share of 100,000 episodes that satisfied the
+task, an estimate with a standard error of up to .0016; "any policy" is an upper bound, rounded up, on what any policy
+of the continuous system attains. Seconds are CPU seconds. Made by `python benchmarks/defaults.py`.
 
 What is tried, in which order, and where that ends is [one table](how-to/choose_cells.md#the-default), by work that is
 counted and not measured. A path is kept where its bound is .99 or more and it was cheaper than grids, or where every
@@ -133,8 +134,8 @@ def longer(name: str) -> list[dict[str, Any]]:
 def row(name: str, found: dict[str, Any]) -> str:
     """Return the row of the table."""
     before = f"{BEFORE[name]:.4f}" if name in BEFORE else "-"
-    most = "none" if found["any policy"] is None else f"{found['any policy']:.4f}"
-    numbers = f"{before} | {found['certified']:.4f} | {found['rollouts']:.4f} | {most}"
+    most = "none" if found["any policy"] is None else rounded_up(found["any policy"], 4)
+    numbers = f"{before} | {rounded_down(found['certified'], 4)} | {found['rollouts']:.4f} | {most}"
     rest = " | ".join(str(found[key]) for key in ("relation", "cells", "rank", "seconds", "check"))
     return f"| {name} | {numbers} | {rest} |"
 
@@ -144,7 +145,8 @@ def page(kept: dict[str, Any]) -> str:
     names = [name for name in cg.problem_ids() if name in kept]
     rows = "\n".join(row(name, kept[name]) for name in names)
     slow = [
-        f"| {name} | {kept[name]['certified']:.4f} | {one['settings']} | {one['certified']:.4f} | {one['seconds']} |"
+        f"| {name} | {rounded_down(kept[name]['certified'], 4)} | {one['settings']} | "
+        f"{rounded_down(one['certified'], 4)} | {one['seconds']} |"
         for name in names
         for one in kept[name].get("longer", [])
     ]

@@ -31,9 +31,8 @@ EPISODES, PANELS, NAMES = 6, 2, 5
 COLORS = 40
 """Colours of a file."""
 
-CROWDED, FAINT, FEWER = 1.0, 0.45, 2
-"""Areas of regions, in panels, from which on a card is crowded; how much of their colour is left then, without hatches,
-and how many episodes are drawn."""
+FAINT, FEWER = 0.45, 2
+"""Of crowded panels: how much of the colour of regions is left, without hatches, and how many episodes are drawn."""
 
 
 def card(id: str) -> Any:
@@ -45,7 +44,7 @@ def card(id: str) -> Any:
     figure, plots = new_figure(*INCHES, rows=len(shown) // side, columns=side)
     for panel, plot in zip(shown, plots, strict=True):
         _regions(plot, panel, claim.problem.horizon)
-        few = FEWER if _covered(panel, claim.problem.horizon) > CROWDED else EPISODES
+        few = FEWER if panel.is_crowded(claim.problem.horizon) else EPISODES
         _episodes(plot, panel, states[:, :few], success[:few])
         _axes(plot, panel, claim.problem.horizon)
     figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02)
@@ -77,8 +76,7 @@ def _few() -> Any:
 
 def _regions(plot: Any, panel: Panel, horizon: int) -> None:
     """Draw the regions in the looks of their roles, with names where there are few."""
-    # Where regions cover hardly less than everything their hatches would hide the episodes.
-    faint = FAINT if _covered(panel, horizon) > CROWDED else 1.0
+    faint = FAINT if panel.is_crowded(horizon) else 1.0
     for region in panel.drawn:
         look, (corner, size) = LOOKS[region.role], _box(panel, region, horizon)
         plot.add_patch(Rectangle(corner, *size, facecolor=look.color, alpha=0.2 * faint, linewidth=0, zorder=0.5))
@@ -97,13 +95,6 @@ def _regions(plot: Any, panel: Panel, horizon: int) -> None:
         plot.text(middle, y + 0.5 * height, region.name, ha=align, va="center", bbox=box, **place)
 
 
-def _covered(panel: Panel, horizon: int) -> float:
-    """Return the areas of all regions, as a share of the panel."""
-    width = panel.high[0] - panel.low[0] if panel.is_map else horizon
-    sizes = [_box(panel, region, horizon)[1] for region in panel.drawn]
-    return float(sum(a * b for a, b in sizes) / (width * (panel.high[-1] - panel.low[-1])))
-
-
 def _box(panel: Panel, region: Region, horizon: int) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the corner and the size of a region on the axes of its panel."""
     if panel.is_map:
@@ -114,7 +105,7 @@ def _box(panel: Panel, region: Region, horizon: int) -> tuple[tuple[float, float
 
 
 def _episodes(plot: Any, panel: Panel, states: Any, success: Any) -> None:
-    """Draw whole episodes: a ring where they begin, a dot where they end, a cross where they fail."""
+    """Draw whole episodes: a ring where they begin, a dot or an arrow where they end, a cross where they fail."""
     many = len(panel.curves) > 6
     for curve in panel.curves:
         track, color = states @ curve.rows.T, agent_color(curve.number)
@@ -122,8 +113,10 @@ def _episodes(plot: Any, panel: Panel, states: Any, success: Any) -> None:
             here = track[~np.isnan(track[:, m]).any(axis=1), m]
             x = here[:, 0] if panel.is_map else np.arange(len(here))
             plot.plot(x, here[:, -1], color=color, linewidth=0.9, alpha=0.75, zorder=3)
-            end: dict[str, Any] = {"marker": "o", "ms": 3.6, "color": color} if success[m] else {"marker": "X", "ms": 6}
-            plot.plot(x[-1:], here[-1:, -1], mec="white", mew=0.4, zorder=5, **({"color": FAILURE} | end))
+            arrow = curve.arrow(states[len(here) - 1, m])
+            mark: Any = {"marker": "o", "ms": 3.6} if arrow is None else {"marker": arrow.tolist(), "ms": 8}
+            end: dict[str, Any] = mark | {"color": color} if success[m] else {"marker": "X", "ms": 6, "color": FAILURE}
+            plot.plot(x[-1:], here[-1:, -1], mec="white", mew=0.4, zorder=5, **end)
             plot.plot(x[:1], here[:1, -1], marker="o", ms=4.2, mfc="white", mec=color, mew=1.1, zorder=4)
 
 

@@ -15,6 +15,7 @@ from certigym.envs.pictures import AGENTS
 from certigym.validation.figures import certificate_figures as figures
 from certigym.validation.figures import figure_scenes
 from certigym.validation.figures.figure_style import SOFT, new_figure
+from certigym.validation.policies.tier_rule import ALONE
 
 FOLDER = Path(__file__).parent / "figures"
 
@@ -61,25 +62,34 @@ def automaton() -> Any:
     return figure_scenes.automaton_figure(cg.make_problem("meeting-v0"))
 
 
+TIERS = {
+    "solved": "Solved: a learner alone is there",
+    "open": "Open: half of the way, or more",
+    "hard": "Hard: less than half of the way",
+    "unrated": "Unrated: no learner was judged",
+}
+"""What the figure of the suite says of each tier."""
+
+
 def suite() -> Any:
-    """Success on every problem of the suite, by domain, from the leaderboard; wide enough for a phone."""
+    """Success on every problem of the suite, by tier; narrow, so that a phone shows its words large."""
     rates = _rates()
     kinds = {
         "random": ("x", SOFT, "random inputs"),
-        "ppo": ("D", AGENTS[4], "PPO without help"),
-        "warm-ppo": ("s", AGENTS[5], "PPO from a certified clone"),
+        "alone": ("D", AGENTS[4], "best learner alone"),
+        "warm-ppo": ("s", AGENTS[5], "PPO from a clone"),
         "certified": ("o", AGENTS[0], "certified controllers"),
     }
-    # From the top: the name of a domain, its problems, a gap.
+    # From the top: what a tier is, its problems, from those that learners reach to those that they do not, a gap.
     heights, names, y = {}, [], 0.0
-    for domain, (title, _, _) in environment_pages.DOMAINS.items():
+    for tier, title in TIERS.items():
         names.append((y, title))
-        for id in [id for id in environment_pages.members(domain) if id in rates]:
+        for id in sorted(cg.problem_ids(tier), key=lambda id: (-rates[id].get("alone", 0.0), id)):
             y -= 1.0
             heights[id] = y
         y -= 1.7
     order = list(heights)
-    figure, (plot,) = new_figure(5.2, 0.2 * -y + 1.1)
+    figure, (plot,) = new_figure(4.4, 0.2 * -y + 1.1)
     for policy, (mark, color, name) in kinds.items():
         points = [(rates[id][policy], heights[id]) for id in order if policy in rates[id]]
         face = color if mark in "ox" else "white"
@@ -90,24 +100,43 @@ def suite() -> Any:
     plot.barh(places, lengths, height=0.7, color="#cfe0f4", label="certified bound", zorder=0)
     plot.set_yticks(places, [id.removesuffix("-v0") for id in order], fontsize=9.5)
     for height, title in names:
-        plot.text(-0.01, height, title, fontsize=9.5, fontweight="bold", va="center", ha="left")
+        # Over names and bars: the words of a tier begin at the left edge of the figure.
+        plot.annotate(
+            title, (0, height), (3, 0), ("figure points", "data"), "offset points",
+            fontsize=9.5, fontweight="bold", va="center", ha="left", annotation_clip=False,
+            bbox={"boxstyle": "square,pad=0.25", "facecolor": "white", "edgecolor": "none"},
+        )  # fmt: skip
     plot.set_ylim(y + 1.1, 0.8)
-    plot.set_xlim(-0.02, 1.02)
+    plot.set_xlim(-0.03, 1.03)
+    plot.set_xticks([0.0, 0.5, 1.0], ["0", ".5", "1"])
     plot.set_xlabel("probability of success")
     plot.grid(axis="y", visible=False)
-    figure.legend(loc="outside upper center", ncols=2, fontsize=9, frameon=False)
+    words: dict[str, Any] = {"fontsize": 9.5, "columnspacing": 1.0, "handletextpad": 0.3}
+    figure.legend(loc="outside upper center", ncols=2, frameon=False, **words)
     return figure
 
 
 def _rates() -> dict[str, dict[str, float]]:
-    """Return by problem the success rates of its policies, and the bound that is certified."""
+    """Return by problem the success rates of its policies, and the bound that is certified.
+
+    They are those of the leaderboard; of problems that it does not have, those on their pages. Of learners without
+    help the best one counts (``alone``), as in the rule of tiers.
+    """
     rows = json.loads((FOLDER.parent / "leaderboard.json").read_text(encoding="utf-8"))["rows"]
     rates: dict[str, dict[str, float]] = {}
     for row in rows:
         here = rates.setdefault(row["problem"], {})
-        here[row["policy"]] = sum(row["successes"]) / (row["episodes"] * max(1, len(row["successes"])))
+        rate = sum(row["successes"]) / (row["episodes"] * max(1, len(row["successes"])))
+        here[row["policy"]] = rate
+        if row["policy"] in ALONE:
+            here["alone"] = max(rate, here.get("alone", 0.0))
         if row["policy"] == "certified":
             here["bound"] = row["lower_bound"]
+    for id, found in json.loads(environment_pages.MEASURED.read_text(encoding="utf-8")).items():
+        if id not in rates:
+            runs = {"random": found["random"], "certified": found["certificate"]["rollouts"]}
+            rates[id] = {policy: run["successes"] / run["episodes"] for policy, run in runs.items()}
+            rates[id]["bound"] = found["certificate"]["lower_bound"]
     return rates
 
 

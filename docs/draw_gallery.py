@@ -22,6 +22,9 @@ FIGURES = Path(__file__).parent / "figures"
 WAIT, HOLD = 250, 1500
 """Milliseconds for which each picture stays, and the last one."""
 
+SMALLER, RIM = 0.75, 8
+"""Size of a film by that of its frames, and pixels of a frame that are left around panels."""
+
 COLORS = 48
 """Of a film, twice: flat colours need no more, and every colour costs bytes."""
 
@@ -57,13 +60,22 @@ def write(frames: list[np.ndarray], path: Path, width: int, height: int) -> None
     print(f"{path.name}: {path.stat().st_size // 1024} KiB", flush=True)
 
 
+def _panels(frames: list[np.ndarray]) -> list[np.ndarray]:
+    """Return what pages show of frames: the panels, without the column of words and the paper around them."""
+    panels = [frame[:, : WIDTH - SIDE] for frame in frames]
+    # Maps are in scale, and so may leave paper below or beside them. What never changes reaches as far as any agent.
+    rows, columns = (np.flatnonzero((panels[0] < 255).any(axis=axes)) for axes in ((1, 2), (0, 2)))
+    return [panel[: rows[-1] + RIM, : columns[-1] + RIM] for panel in panels]
+
+
 def main(ids: list[str]) -> None:
     """Draw the films of some environments, or of all, and with ``door-formation-v0`` that of the README."""
     for id in ids or cg.problem_ids():
         claim = certificate(id)
         frames, _ = film(claim.problem, Player.of("certified", claim), seed=1)
-        # The gallery shows the panels alone, without the column of words.
-        write([frame[:, : WIDTH - SIDE] for frame in frames], FOLDER / f"{id}.gif", 272, 256)
+        panels = _panels(frames)
+        high, wide = (round(SMALLER * pixels) for pixels in panels[0].shape[:2])
+        write(panels, FOLDER / f"{id}.gif", wide, high)
         if id == "door-formation-v0":
             write(frames, FIGURES / "door.gif", WIDTH, frames[0].shape[0])
 

@@ -123,13 +123,28 @@ DOMAINS = {
 }
 """Environments by domain: title, sentence, ids without their versions, in the order in which they are read."""
 
+TIERS = {
+    "solved": ("Solved", "A learner without help comes as far as is known to be possible."),
+    "open": (
+        "Open",
+        "A learner without help comes half of the way or more, and not as far as is known to be possible.",
+    ),
+    "hard": ("Hard", "No learner without help comes half of the way to what is known to be possible."),
+    "unrated": ("Unrated", "No learner was judged on these problems so far."),
+}
+"""Tiers: title, and what is left to learn on their problems."""
+
 USE = """```python
 import certigym as cg
 
-env = cg.parallel_env("meeting-v0", render_mode="rgb_array")  # PettingZoo; also `cg.aec_env`
-env = cg.central_env("meeting-v0", reward="shaped")  # Gymnasium: one learner moves all agents
-envs = cg.vector_env("meeting-v0", 1000, autoreset_mode="SameStep")  # Gymnasium, in one batch
-env = cg.parallel_env("my-task.toml")  # or a `cg.Problem`: all three take an id, a file or a problem
+# PettingZoo; also `cg.aec_env`
+env = cg.parallel_env("meeting-v0", render_mode="rgb_array")
+# Gymnasium: one learner moves all agents
+env = cg.central_env("meeting-v0", reward="shaped")
+# Gymnasium, in one batch
+envs = cg.vector_env("meeting-v0", 1000, autoreset_mode="SameStep")
+# or a `cg.Problem`: all three take an id, a file or a problem
+env = cg.parallel_env("my-task.toml")
 ```
 
 Ids are registered with PettingZoo and Gymnasium when `certigym` is imported. Pictures need `pip install certigym[viz]`,
@@ -143,6 +158,7 @@ def pages() -> dict[str, str]:
     measured = json.loads(MEASURED.read_text(encoding="utf-8")) if MEASURED.exists() else {}
     result = {"README.md": _index(measured)}
     result |= {f"{domain}.md": _domain(domain, measured) for domain in DOMAINS}
+    result |= {f"{tier}.md": _tier(tier, measured) for tier in TIERS}
     for id in cg.problem_ids():
         problem = cg.make_problem(id)
         drawn = edges(problem)
@@ -545,7 +561,7 @@ def _index(measured: dict[str, Any]) -> str:
 PALETTE = """In every picture of the package **green** with rising lines is what has to be reached, **vermilion** with
 crosses what has to be avoided, **blue** with level lines what has to be kept, and **yellow** with upright lines what is
 one at some times and another at others: the task automaton says which. Agents have colours of their own. Episodes begin
-at a ring and end at a dot; one that fails ends in a cross.
+at a ring, and end at a dot, or at an arrow where agents have a heading; one that fails ends in a cross.
 """
 
 
@@ -561,6 +577,15 @@ def _domain(domain: str, measured: dict[str, Any]) -> str:
     lines = [f"# {title}\n", f"{about}\n", "## Cards\n", *_cards(members(domain), measured)]
     lines += [f"\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n", "*Written by `python docs/environment_pages.py`.*\n"]
     return "\n".join(lines)
+
+
+def _tier(tier: str, measured: dict[str, Any]) -> str:
+    """Return the page of a tier: what it means, and its cards."""
+    title, about = TIERS[tier]
+    ids = [id for domain in DOMAINS for id in members(domain) if tier_of_id(id) == tier]
+    rule = "By the rule of the [leaderboard](../leaderboard.md), which has the numbers."
+    lines = [f"# {title}\n", f"{about} {rule}\n", "## Cards\n", *_cards(ids, measured)]
+    return "\n".join([*lines, "\n*Written by `python docs/environment_pages.py`.*\n"])
 
 
 def _cards(ids: list[str], measured: dict[str, Any]) -> list[str]:

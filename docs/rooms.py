@@ -15,6 +15,8 @@ ORDER = {
     "validation": "statistics simulation verdicts audits shields policies figures reports studio paper",
 }
 """The rooms of each wing, in the order in which a problem passes through them."""
+WIDTH = 80
+"""Columns of the drawing: as many as pages show without wrapping."""
 BEGIN, END = "<!-- rooms -->\n", "<!-- end of rooms -->"
 
 
@@ -46,9 +48,10 @@ def drawing() -> str:
         if hall:
             entries.append(("(hall)", "The verbs.", hall))
         for name, what, modules in entries:
-            wrapped = textwrap.wrap(" ".join(modules), 92)
-            lines.append(f"    {name:<14}{what}")
-            lines += [f"    {'':<14}    {line}" for line in wrapped]
+            first, *more = textwrap.wrap(what, WIDTH - 18)
+            lines.append(f"    {name:<14}{first}")
+            lines += [f"    {'':<14}{line}" for line in more]
+            lines += [f"    {'':<14}    {line}" for line in textwrap.wrap(" ".join(modules), WIDTH - 22)]
         lines.append("")
     return "```text\n" + "\n".join(lines).rstrip() + "\n```\n"
 

@@ -90,10 +90,10 @@ def synthesize(
         finer cells. Cells are made finer until the first of the two is reached; ``stats["cells"]`` says how they were
         chosen (see ``refine``).
     effort : float, optional
-        Work that may be spent, in units of about a second on one core (default: 80, of each independent task). It is
-        estimated before anything is computed, and not taken from a clock: the same problem and effort give the same
-        certificate on every machine. Ways to certify the task are tried as long as it lasts, the cheapest first (see
-        ``best_of``); ``stats["tried"]`` says what each gave, and what was left out.
+        Work that may be spent, in core seconds: what one core of 2024 does in about a second (default: 80, of each
+        independent task). It is estimated before anything is computed, and not taken from a clock: the same problem and
+        effort give the same certificate on every machine. Ways to certify the task are tried as long as it
+        lasts, the cheapest first (see ``best_of``); ``stats["tried"]`` says what each gave, and what was left out.
     seconds : float, optional
         Seconds of the clock after which the best certificate so far is returned, or the first one, if that takes
         longer. It depends on the machine what they are enough for. Work is then limited only by ``effort``, if given.

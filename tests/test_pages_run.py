@@ -40,7 +40,9 @@ def blocks(page: Path) -> list[tuple[str, str]]:
 
 def commands(text: str, prompt: str) -> list[tuple[list[str], int]]:
     """Words of the `certigym` lines of a block, without the program itself, and their exit status."""
-    lines = [line.removeprefix(prompt) for line in text.splitlines() if line.startswith(prompt + "certigym ")]
+    # A backslash at the end of a line goes on in the next one.
+    joined = re.sub(r"\\\n +", "", text)
+    lines = [line.removeprefix(prompt) for line in joined.splitlines() if line.startswith(prompt + "certigym ")]
     return [(shlex.split(line, comments=True)[1:], int("# exit status 1" in line)) for line in lines]
 
 
@@ -113,6 +115,18 @@ def test_no_block_has_an_unknown_language_and_none_is_indented() -> None:
             line for line in outside.splitlines() if line.startswith("    ") and line.strip().startswith("certigym ")
         ]
         assert not indented, (page.name, indented)
+
+
+COLUMNS = 80
+"""What pages show of code without wrapping it; what programs print may be wider."""
+
+
+def test_code_is_not_wider_than_a_page() -> None:
+    for page in PAGES:
+        for language, block in blocks(page):
+            lines = [line for line in block.splitlines() if language != "console" or line.startswith(("$ ", "    -"))]
+            wide = [line for line in lines if len(line) > COLUMNS and language in ("python", "sh", "toml", "console")]
+            assert not wide, (page.name, wide)
 
 
 def test_every_command_is_on_its_page() -> None:

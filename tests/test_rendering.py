@@ -80,6 +80,17 @@ def test_scalar_agents_are_tracks_and_planar_ones_share_a_map() -> None:
     assert lost[0].low == (-10.0, -20.0) and lost[0].high == (-5.0, 5.0)
 
 
+def test_regions_that_cover_everything_have_no_hatches() -> None:
+    """Bands over bands on the map of a delivery: between their rims there is one tint, and the robots can be seen."""
+    assert not any(panel.is_crowded(12) for panel in panels(cg.make_problem("door-formation-v0")))
+    problem = cg.make_problem("package-delivery-v0")
+    assert all(panel.is_crowded(problem.horizon) for panel in panels(problem))
+    env = cg.parallel_env(problem, render_mode="rgb_array")
+    env.reset(seed=0)
+    frame = np.asarray(env.render())
+    assert len(np.unique(frame[410:430, 300:325].reshape(-1, 3), axis=0)) == 1
+
+
 def test_the_marker_of_an_agent_is_where_the_agent_is() -> None:
     env = cg.parallel_env("car-park-planar-v0", render_mode="rgb_array", initial_state=[0.0, 0.0])
     env.reset(seed=0)

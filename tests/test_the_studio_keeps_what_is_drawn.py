@@ -10,11 +10,14 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import certigym as cg
+from certigym.envs.problem import problem_from_dict
+from certigym.validation.policies.rollout_policies import RandomController
 from certigym.validation.studio import certifying, work
 from certigym.validation.studio.carets import mark
 from certigym.validation.studio.folder import place
@@ -591,6 +594,58 @@ def test_edges_cones_and_parts_follow_the_pointer(browser: Chromium, tmp_path: P
         assert tab.run("studio.link.state.seen.error") is None
     finally:
         page.stop()
+
+
+def test_changes_that_follow_at_once_are_all_kept(browser: Chromium, tmp_path: Path) -> None:
+    """Two regions moved before the first change is answered: both stand in the text, each can be taken back."""
+    (tmp_path / "ship.toml").write_text(PARTS)
+    page = Studio(tmp_path, "ship.toml").start()
+    try:
+        tab = browser.open(page.address)
+        tab.until(f"{SEEN} && document.querySelectorAll('#panels .body').length === 4")
+        first, second = '["propositions", "light", "cone", "tip"]', '["propositions", "shore", "halfspace", "offset"]'
+        edits = [
+            f"{{set: [[{first}, {tip}]], more: {more}}}" for tip, more in (("[8, 4]", "false"), ("[8, 5]", "true"))
+        ]
+        edits += [f"{{set: [[{second}, {offset}]], more: false}}" for offset in (2, 3)]
+        tab.run(f"Promise.all([{', '.join(f'studio.link.edit({edit})' for edit in edits)}]).then(() => null)")
+        assert "tip = [8, 5]" in tab.run("studio.link.text") and "offset = 3" in tab.run("studio.link.text")
+        for undone in ("offset = 2", "offset = 1", "tip = [9, 4]"):
+            tab.click("#undo")
+            assert undone in tab.run("studio.link.text"), undone
+    finally:
+        page.stop()
+
+
+def test_agents_with_a_heading_are_arrows(browser: Chromium, tmp_path: Path) -> None:
+    """At the start, and along episodes: the tip, which is the first corner, points to where the robot does."""
+    turned = UNICYCLE.replace("initial_state = [1.0, 1.0, 0.0]", "initial_state = [1.0, 1.5, 1.5707963]")
+    assert turned != UNICYCLE
+    (tmp_path / "u.toml").write_text(turned, encoding="utf-8")
+    page = Studio(tmp_path, "u.toml").start()
+    corners = "e => e.getAttribute('points').split(' ').map(c => c.split(',').map(Number))"
+    try:
+        tab = browser.open(page.address)
+        tab.until(f"{SEEN} && document.querySelector('polygon.start')")
+        (x, y), (u, v), _, (w, _) = tab.run(f"({corners})(document.querySelector('polygon.start'))")
+        assert y < v and min(u, w) < x < max(u, w)
+        paths = "{color: 0, paths: [[[1, 1], [2, 1]], [[1, 1], [2, 1]]], headings: [[0, 3.1415927], [0, 0]]}"
+        tab.run(f"studio.picture.episodes({{panels: [[{paths}]], success: [true, false]}}, 1)")
+        (back,) = tab.run(f"[...document.querySelectorAll('#panels polygon.now')].map({corners})")
+        assert back[0][0] < back[2][0] < back[1][0] and abs(back[0][1] - back[2][1]) < 0.2
+        assert tab.run("wrong") == []
+    finally:
+        page.stop()
+
+
+def test_what_is_played_tells_headings() -> None:
+    problem = problem_from_dict(tomllib.loads(UNICYCLE))
+    desk = certifying.Certifier(lambda _: None)
+    desk._certificate = SimpleNamespace(problem=problem, controller=RandomController())
+    told = desk.play({"seed": 0})
+    (curve,) = told["panels"][0]
+    assert [len(one) for one in curve["headings"]] == [len(path) for path in curve["paths"]] == told["lengths"]
+    assert {one[0] for one in curve["headings"]} == {0.0}
 
 
 @pytest.mark.slow

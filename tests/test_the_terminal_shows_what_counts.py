@@ -82,7 +82,7 @@ def test_the_bar_shows_the_bound_before_what_a_narrow_terminal_cuts_off() -> Non
     text = io.StringIO()
     with tqdm(bar_format=BAR, file=text, ncols=60, mininterval=0.0) as bar:
         told = shown_on(bar)
-        told("way: linear, 160 cells, at most 0.9141 for anyone, effort 0 of 80", 0.9046089)
+        told("way: linear, 160 cells, at most 0.9141 for anyone, effort 0 of 80 core seconds", 0.9046089)
         bar.refresh()
     last = [line for line in text.getvalue().split("\r") if "linear" in line][-1]
     assert "] P >= 0.904608 so far; linear, 160 cells" in last and len(last.rstrip()) <= 60

@@ -32,6 +32,8 @@ function each(list){for(var k=0;k<99;k++){key("ArrowLeft");key("ArrowDown")}
 for(var i=0;i<SIDE;i++){for(var j=0;j<DEPTH;j++){list.push(said());if(j<DEPTH-1)key("ArrowUp")}
 for(j=0;j<99;j++)key("ArrowDown");for(j=0;j<=i;j++)key(FLAT?"none":"ArrowRight");if(!FLAT){for(j=0;j<99;j++)key("ArrowLeft");
 for(j=0;j<=i;j++)key("ArrowRight")}}}
+out.ends=[...document.querySelectorAll(".x-paths :is(circle,polygon)")].map(function(e){
+return e.tagName+(e.getAttribute("transform")||"").replace(/^.*rotate/,"")});
 each(out.read);
 out.paths=document.querySelectorAll(".x-paths .x-path").length;
 function touch(kind,x,y){map.dispatchEvent(new PointerEvent(kind,{clientX:x,clientY:y,pointerId:7,pointerType:"touch",
@@ -190,3 +192,22 @@ def test_the_explorer_of_one_start_says_what_it_is_about(tmp_path: Path) -> None
         else:
             assert units == UNKNOWN and text == "No bound is known"
     assert {point for point, *_ in seen["read"]} == set(range(len(shown.bounds)))
+
+
+CAR = Path(__file__).parents[1] / "examples" / "own" / "heading.toml"
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_episodes_of_agents_with_a_heading_end_in_arrows(tmp_path: Path) -> None:
+    """At the start where the ring is first: each successful episode has an arrow, turned to where the car points."""
+    certificate: Any = cg.synthesize(CAR, relation="path").certificate
+    page = tmp_path / "r.html"
+    shown = cg.report(certificate, page, 200).explored
+    assert shown is not None and shown.own is not None
+    seen = dragged(page, tmp_path, shown.shape)
+    told = []
+    for r in range(shown.own, len(shown.success), len(shown.starts)):
+        if shown.success[r]:
+            heading = shown.states[~np.isnan(shown.states[:, r]).any(axis=1), r, 2][-1]
+            told.append(f"polygon({round(-np.degrees(heading)) % 360})")
+    assert seen["errors"] == [] and seen["ends"] == told and told

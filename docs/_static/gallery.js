@@ -17,7 +17,8 @@ document.addEventListener("DOMContentLoaded", function () {
     dynamics: { any: all, linear: function (c) { return c.dynamics === "linear"; },
                 nonlinear: function (c) { return c.dynamics === "nonlinear"; } },
     "left to learn": { any: all, open: function (c) { return c.tier === "open"; },
-                       hard: function (c) { return c.tier === "hard"; }, solved: function (c) { return c.tier === "solved"; } },
+                       hard: function (c) { return c.tier === "hard"; }, solved: function (c) { return c.tier === "solved"; },
+                       unrated: function (c) { return c.tier === "unrated"; } },
     "certified": { any: all, "above .99": function (c) { return c.bound > .99; },
                    ".5 to .99": within("bound", .5, .99), "below .5": function (c) { return !(c.bound >= .5); } }
   };

@@ -16,6 +16,7 @@ from .checks import (
 )
 from .declared_names import MOST_OUTPUTS, MOST_STATES
 from .expression_agent import Agent
+from .headings import heading_of
 from .labeling import MOVING_REFUSAL, Labeling, contains, inside
 from .laws import Gaussian, Law, Uniform
 from .majorants import Majorant, Tail
@@ -64,6 +65,7 @@ __all__ = [
     "contains",
     "counted",
     "float_array",
+    "heading_of",
     "holds",
     "inside",
     "linear",

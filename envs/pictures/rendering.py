@@ -27,8 +27,8 @@ _INK, _PALE, _PAPER = (34, 40, 49), (150, 156, 166), (255, 255, 255)
 
 _VERDICTS = {"satisfied": (34, 130, 60), "failed": (190, 40, 40), "not satisfied": (190, 40, 40)}
 _VALUE = (61, 122, 186)
-_TINT, _LINES, _SPACING = 46, 120, 8
-"""Opacity of regions and of the lines of their hatch, of 255, and pixels from line to line."""
+_TINT, _FAINT, _LINES, _SPACING = 46, 21, 120, 8
+"""Opacity of regions, of those of crowded panels, and of the lines of a hatch, of 255; and pixels from line to line."""
 
 _TRAIL = 6
 """Steps for which a way is drawn strongly: what moved last is seen at once."""
@@ -196,8 +196,10 @@ class Picture:
             self._draw(place).polygon(self._points(panel, cell, fill), fill=255)
         if not has_shape:
             self._draw(place).rectangle((x0, y0, x1, y1), fill=255)
-        image.paste(look.rgb, mask=place.point([v * _TINT // 255 for v in range(256)]))
-        image.paste(look.rgb, mask=self._multiply(place, self._hatches[look.hatch]))
+        tint = _FAINT if (crowded := panel.is_crowded(self._problem.horizon)) else _TINT
+        image.paste(look.rgb, mask=place.point([v * tint // 255 for v in range(256)]))
+        if not crowded:
+            image.paste(look.rgb, mask=self._multiply(place, self._hatches[look.hatch]))
         for edge in edges:
             self._draw(image).line(self._points(panel, cell, np.concatenate([edge, edge[:1]])), fill=look.rgb)
         if not has_shape and (panel.is_map or region.time is None):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..agents import Agent, AnyAgent, Box, LinearAgent, Pair, Proposition
+from ..agents import AnyAgent, Box, LinearAgent, Pair, Proposition, heading_of
 from ..logic import Formula
 from ..problem import Problem
 from .outlines import Drawer, Outline
@@ -122,6 +122,15 @@ class Panel:
         shown = {times[round(k)] for k in np.linspace(0, len(times) - 1, MOST_PLACES)}
         return tuple(region for region in self.regions if region.time is None or region.time in shown)
 
+    def is_crowded(self, horizon: int) -> bool:
+        """Whether the regions, one by one, cover more than the panel: their hatches would hide the curves."""
+        across = self.high[0] - self.low[0] if self.is_map else float(horizon)
+        whole, areas = across * (self.high[-1] - self.low[-1]), 0.0
+        for region in self.drawn:
+            first, last = (region.low[0], region.high[0]) if self.is_map else region.span(horizon)
+            areas += (last - first) * (region.high[-1] - region.low[-1])
+        return areas > whole
+
     @property
     def named(self) -> tuple[Region, ...]:
         """The regions whose names are written: of one that moves only the first."""
@@ -164,13 +173,18 @@ def panels(problem: Problem) -> tuple[Panel, ...]:
 
 
 def _pointing(problem: Problem, i: int, item: _Shown) -> _Shown:
-    """Return an agent with its heading: on a map of other states, the one state that is an angle."""
-    agent, first = problem.agents[i], problem.columns[i].start
-    names = agent.states if isinstance(agent, Agent) else ()
-    angles = [first + k for k, name in enumerate(names) if name in agent.angles]
-    if len(item.box.low) != 2 or len(angles) != 1 or np.any(item.curve.rows[:, angles[0]]):
+    """Return an agent with its heading, if it is on a map of other states."""
+    if len(item.box.low) != 2:
         return item
-    return replace(item, curve=replace(item.curve, heading=angles[0]))
+    columns = problem.columns[i]
+    own = item.curve.rows[:, columns]
+    across, up = (int(np.argmax(row)) if np.count_nonzero(row) == 1 and row.max() == 1.0 else None for row in own)
+    regions = [p for p in problem.written.values() if isinstance(p, Proposition)]
+    shapes = [p.shape for p in regions if p.agent == problem.agents[i].name and p.shape is not None]
+    heading = heading_of(problem.agents[i], across, up, shapes)
+    if heading is None or np.any(own[:, heading]):
+        return item
+    return replace(item, curve=replace(item.curve, heading=columns.start + heading))
 
 
 def _with_pairs(problem: Problem, groups: list[list[_Shown]]) -> list[list[_Shown]]:

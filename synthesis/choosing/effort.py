@@ -1,7 +1,8 @@
 """How much may be spent on a task: work, which is counted and the same everywhere, or seconds of the clock.
 
-Work is estimated from sizes before anything is computed, in units of about a second on one core of 2024. No clock
-decides what is tried, unless the caller gives ``seconds``: the same command gives the same certificate on any machine.
+Work is estimated from sizes before anything is computed, in core seconds: what one core of 2024 does in about a second.
+No clock decides what is tried, unless the caller gives ``seconds``: the same command gives the same certificate on any
+machine.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from ..certificates import rounded_up
 from ..search import BEGINS
 
 EFFORT = 80.0
-"""Work that a task may take by default: about a minute on one core, of what pays; the rest is for comparisons."""
+"""Core seconds that a task may take by default: a minute on one core, of what pays; the rest is for comparisons."""
 
 SHARE_OF_LEVELS = 0.75
 """Share of the effort that cells of one kind may take, however fine they become: something is left to compare with."""
@@ -40,7 +41,8 @@ class Effort:
     Parameters
     ----------
     work : float, optional
-        Work in all (see the module's text). The default is ``EFFORT``, or no limit where ``seconds`` are given.
+        Work in all, in core seconds (see the module's text). The default is ``EFFORT``, or no limit where ``seconds``
+        are given.
     seconds : float, optional
         Seconds of the clock, from now on. Ways that would take longer are left out, and those that are under way are
         given up, as soon as there is a certificate.
@@ -68,7 +70,7 @@ class Effort:
     """What was not begun for want of effort, by name, and why."""
 
     def __post_init__(self) -> None:
-        for name, value, what in (("effort", self.work, "of work"), ("seconds", self.seconds, "of the clock")):
+        for name, value, what in (("effort", self.work, "of core seconds"), ("seconds", self.seconds, "of the clock")):
             number = isinstance(value, int | float) and not isinstance(value, bool)
             if value is not None and not (number and value > 0):
                 raise ValueError(f"`{name}`: expected a positive number ({what}), got {value!r}; leave it out")
@@ -101,7 +103,7 @@ class Effort:
         """What was spent, of how much, in words; every task has as much."""
         if self.seconds is not None:
             return f", {self.elapsed:.0f} of {self.seconds:.0f} s"
-        return f", effort {min(self.spent, self.limit):.0f} of {self.limit:.0f}"
+        return f", effort {min(self.spent, self.limit):.0f} of {self.limit:.0f} core seconds"
 
     @contextmanager
     def until_broken_off(self) -> Iterator[None]:
@@ -145,7 +147,7 @@ class Effort:
         """Return that work is more than is left, in words."""
         option = "effort" if self.seconds is None else "seconds"
         left = max(0.0, left)
-        return f"not computed: about {work:.3g} core seconds of work, {left:.3g} left; ask for more `{option}`"
+        return f"not computed: about {work:.3g} core seconds, {left:.3g} left; ask for more `{option}`"
 
     def heeding(self, progress: Callable[[str, float], None] | None) -> Callable[[str, float], None] | None:
         """Return what is told after each sweep: it gives up when the seconds are over and there is a certificate."""

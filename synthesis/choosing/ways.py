@@ -43,7 +43,7 @@ class Way:
     run : callable
         Its synthesis, given the results so far; raises RelationRefused if it does not apply.
     work : float
-        Estimate of what it takes at least, in units of ``Effort``.
+        Estimate of what it takes at least, in core seconds (see ``Effort``).
     enough : float
         Bound of others from which it is not tried.
     ends : float

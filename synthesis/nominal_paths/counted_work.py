@@ -1,4 +1,4 @@
-"""Work of a search along paths: counted from sizes, never taken from a clock, in units of about a second on one core.
+"""Work of a search along paths: counted from sizes, never taken from a clock, in core seconds (see ``Effort``).
 
 A search asks before each piece of work whether it may still be done. What was found first is always handed over: work
 decides how long it is improved. The same problem and effort give the same certificate on every machine.

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.pictures import AGENTS, Panel, coordinate_name, panels
+from ...envs.pictures import AGENTS, Curve, Panel, coordinate_name, panels
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
     Certificate,
@@ -223,8 +223,23 @@ def _curves(panel: Panel, content: Explored, horizon: int) -> list[dict[str, Any
         points = np.stack([x, y], axis=-1)
         whole = np.where(np.isnan(points).any(axis=-1, keepdims=True), -1, np.nan_to_num(np.round(10 * points)))
         # Episode by episode, so that the script reads what it draws in one piece.
-        curves.append({"role": f"agent{curve.number % len(AGENTS)}", "points": _packed(whole.swapaxes(0, 1), "<i2")})
+        curves.append(
+            {
+                "role": f"agent{curve.number % len(AGENTS)}",
+                "points": _packed(whole.swapaxes(0, 1), "<i2"),
+                "turns": _turns(curve, content.states),
+            }
+        )
     return curves
+
+
+def _turns(curve: Curve, states: NDArray[Any]) -> str | None:
+    """Return where an agent with a heading points at the end of every episode, in whole degrees, clockwise."""
+    if curve.heading is None:
+        return None
+    lengths = (~np.isnan(states).any(axis=2)).sum(axis=0)
+    angles = states[np.maximum(lengths - 1, 0), np.arange(len(lengths)), curve.heading]
+    return _packed(np.round(-np.degrees(np.nan_to_num(angles))) % 360, "<i2")
 
 
 def _down(bounds: NDArray[Any]) -> NDArray[Any]:

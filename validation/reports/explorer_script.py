@@ -26,7 +26,8 @@ for(var k=0;k<raw.length;k++)out[k]=raw.charCodeAt(k);return out.buffer}
 var bounds=new Uint32Array(bytes(d.bounds)),values=new Uint32Array(bytes(d.values)),
 nx=d.grid[0].length,ny=flat?1:d.grid[1].length,count=nx*ny,at=d.own===null?[d.middle[0],flat?0:d.middle[1]]:[Math.floor(d.own/(flat?1:d.grid[1].length)),
 d.own%(flat?1:d.grid[1].length)];
-d.panels.forEach(function(p){p.forEach(function(c){c.xy=new Int16Array(bytes(c.points))})});
+d.panels.forEach(function(p){p.forEach(function(c){c.xy=new Int16Array(bytes(c.points));
+c.to=c.turns===null?null:new Int16Array(bytes(c.turns))})});
 function make(g,name,set,text){var e=document.createElementNS(ns,name);for(var k in set)e.setAttribute(k,set[k]);
 if(text!==undefined)e.textContent=text;g.appendChild(e);return e}
 var B={left:46,top:12,width:304,height:flat?70:270};
@@ -71,7 +72,9 @@ g.textContent="";if(later())return;
 curves.forEach(function(c){for(var e=0;e<n;e++){var r=e*count+p,s=[],t=0,b=r*d.length*2,lx,ly;
 for(;t<d.length&&c.xy[b+2*t]>=0;t++){lx=c.xy[b+2*t]/10;ly=c.xy[b+2*t+1]/10;s.push(lx+","+ly)}
 make(g,"polyline",{"class":"x-path "+c.role+(d.success[r]?"":" lost"),points:s.join(" ")});
-if(t){if(d.success[r])make(g,"circle",{"class":c.role,cx:lx,cy:ly,r:2.2});
+if(t){if(d.success[r]){if(c.to)make(g,"polygon",{"class":c.role,points:"6.5,0 -4.5,4 -2.6,0 -4.5,-4",
+transform:"translate("+lx+" "+ly+") rotate("+c.to[r]+")"});
+else make(g,"circle",{"class":c.role,cx:lx,cy:ly,r:2.2})}
 else make(g,"path",{"class":"x-lost",d:"M"+(lx-3)+" "+(ly-3)+"l6 6m0 -6l-6 6"})}}})});
 var spot=d.names.map(function(name,k){return name+" = "+(+d.grid[k][at[k]].toPrecision(5))}).join(", ");
 read.innerHTML="";var big=document.createElement("b"),value=digits(whole(p));

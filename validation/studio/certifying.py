@@ -70,8 +70,16 @@ class Certifier:
         counted = rollout(problem, controller, COUNTED, seed=job["seed"] + 1)
         shown = []
         for panel in panels(problem)[:MOST_PANELS]:
-            tracks = [(c.number % len(AGENTS), states @ c.rows.T) for c in panel.curves[:MOST_CURVES]]
-            shown.append([{"color": color, "paths": _lists(track)} for color, track in tracks])
+            shown.append(
+                [
+                    {
+                        "color": curve.number % len(AGENTS),
+                        "paths": _lists(states @ curve.rows.T),
+                        "headings": None if curve.heading is None else _lists(states[:, :, curve.heading]),
+                    }
+                    for curve in panel.curves[:MOST_CURVES]
+                ]
+            )
         return {
             "panels": shown,
             "success": success.tolist(),
@@ -111,8 +119,8 @@ class _Telling:
 
 
 def _lists(track: np.ndarray) -> list[list[Any]]:
-    """Return the paths (T + 1, M, k) episode by episode, each up to its decision."""
-    ends = (~np.isnan(track[:, :, 0])).sum(axis=0)
+    """Return the paths (T + 1, M, k), or numbers (T + 1, M), episode by episode, each up to its decision."""
+    ends = (~np.isnan(track.reshape(*track.shape[:2], -1)[:, :, 0])).sum(axis=0)
     return [np.round(track[: ends[m], m], 5).tolist() for m in range(track.shape[1])]
 
 

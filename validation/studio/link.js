@@ -7,7 +7,7 @@ export class Link {
   /** Takes what shows a state, what asks a question, and what says how the link stands. */
   constructor(show, ask, told) {
     Object.assign(this, {show, ask, told, state: null, text: "", base: -1, synced: "", dirty: false, away: false});
-    Object.assign(this, {past: [], future: [], timer: null, sending: null, edits: null, root: location.pathname});
+    Object.assign(this, {past: [], future: [], timer: null, sending: null, edits: [], editing: null, root: location.pathname});
     this.others = new Set();
     this.me = Math.random().toString(36).slice(2);
   }
@@ -194,20 +194,25 @@ export class Link {
     else if (answer.status) this.ask("text", answer.error, ["Well", () => {}]);
   }
 
-  /** Sends a change of the picture; of those that come while one is under way the last counts. */
-  async edit(edit) {
-    if (this.edits) { this.edits.next = edit; return; }
-    if (this.dirty) await this.send();
-    if (!edit.more) this.push(this.text);
-    this.edits = {next: edit};
-    while (this.edits.next) {
-      const {more, ...change} = this.edits.next;
-      this.edits.next = null;
+  /** Sends a change of the picture, and is done when none is left to send; of those of one drag that wait the last counts. */
+  edit(edit) {
+    const waits = this.edits.at(-1), goes = waits && (edit.more || ("formula" in edit && "formula" in waits));
+    if (goes) this.edits[this.edits.length - 1] = {...edit, more: waits.more};
+    else this.edits.push(edit);
+    this.editing = this.editing || this.sendEdits();
+    return this.editing;
+  }
+
+  async sendEdits() {
+    while (this.edits.length) {
+      if (this.dirty) await this.send();
+      const {more, ...change} = this.edits.shift();
+      if (!more) this.push(this.text);
       const answer = await this.post("edit", {edit: change, base: this.base});
       if (answer.ok) { this.adoptEdit(answer.state); this.ask(""); }
       else if (answer.status) this.ask("edit", answer.error, ["Well", () => {}]);
     }
-    this.edits = null;
+    this.editing = null;
   }
 
   adoptEdit(state) {

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...envs.agents import LinearAgent, Proposition
-from ...envs.pictures import AGENTS, Panel, Region, panels
+from ...envs.pictures import AGENTS, Curve, Panel, Region, panels
 from ...envs.problem import Problem, problem_from_dict, problem_from_toml
 from .carets import line_and_column, mark
 from .toml_edits import formula_of
@@ -140,7 +140,7 @@ def _panels(problem: Problem, data: Mapping[str, Any]) -> Iterator[dict[str, Any
             "names": _names(problem, axes[0]),
             "regions": [_drawn(panel, region) for region in panel.drawn if region.name != WHOLE],
             "curves": [{"name": curve.name, "color": curve.number % len(AGENTS)} for curve in panel.curves],
-            "starts": [s for curve, on in zip(panel.curves, axes) for s in _starts(problem, data, curve.number, on)],
+            "starts": [s for curve, on in zip(panel.curves, axes) for s in _starts(problem, data, curve, on)],
             "shapes": list(_shapes(problem, data, panel, axes)),
             "new": _new(problem, axes),
         }
@@ -201,7 +201,7 @@ def _source(problem: Problem, data: Mapping[str, Any], i: int) -> tuple[tuple[st
     raise AssertionError(f"agent {name} comes from nowhere")
 
 
-def _starts(problem: Problem, data: Mapping[str, Any], number: int, axes: list[Axis]) -> Iterator[dict[str, Any]]:
+def _starts(problem: Problem, data: Mapping[str, Any], curve: Curve, axes: list[Axis]) -> Iterator[dict[str, Any]]:
     """Yield the start of a curve, and the values of the text that put it there."""
     if any(axis is None for axis in axes):
         return
@@ -225,12 +225,21 @@ def _starts(problem: Problem, data: Mapping[str, Any], number: int, axes: list[A
     tables = ["/".join(map(str, _source(problem, data, i)[0])) for i, _ in known]
     yield {
         "agent": problem.agents[known[0][0]].name,
-        "color": number % len(AGENTS),
+        "color": curve.number % len(AGENTS),
+        "heading": _first_heading(problem, known[0][0], curve),
         "low": ends[0],
         "high": ends[1],
         "axes": [[table, s] for table, (_, s) in zip(tables, known)],
         "tables": values,
     }
+
+
+def _first_heading(problem: Problem, i: int, curve: Curve) -> float | None:
+    """Return where an agent points at its start, or in the middle of its box of starts; None if it has no heading."""
+    if curve.heading is None:
+        return None
+    start, state = problem.agents[i].initial, curve.heading - problem.columns[i].start
+    return 0.5 * float(start.low[state] + start.high[state])
 
 
 def _numbers(value: Any) -> bool:

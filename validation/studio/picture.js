@@ -4,8 +4,17 @@
 const NS = "http://www.w3.org/2000/svg", WIDE = 640, NARROW = 400, LEFT = 46, TOP = 10, RIGHT = 12, BOTTOM = 34;
 const CORNERS = 6, WORDS = {reached: "goal", avoided: "rock", kept: "safe", free: "region"};
 
+// Corners of an arrow along the first axis, as in frames and reports.
+const ARROW = [[1, 0], [-0.7, 0.6], [-0.4, 0], [-0.7, -0.6]];
+
 // How many units a picture is wide: fewer where it is shown small, so that its words can be read.
 let WIDTH = WIDE;
+
+/** Corners of an arrow at a place, so many units from its middle to its tip, that points to an angle of the task. */
+function pointing(x, y, size, angle) {
+  const [c, s] = [size * Math.cos(angle), size * Math.sin(angle)];
+  return ARROW.map(([a, b]) => (x + c * a - s * b).toFixed(1) + "," + (y - s * a - c * b).toFixed(1)).join(" ");
+}
 
 const copy = value => JSON.parse(JSON.stringify(value));
 const at = id => document.getElementById(id);
@@ -276,7 +285,8 @@ export class Picture {
       make(above, "rect", {class: "area agent" + s.color, x: a[0], y: a[1], width: Math.max(4, b[0] - a[0]), height: Math.max(4, b[1] - a[1])})
         .style.fill = "currentColor";
     }
-    const dot = make(above, "circle", {...set, cx: x, cy: y, r: 8});
+    const dot = s.heading === null ? make(above, "circle", {...set, cx: x, cy: y, r: 8}) :
+      make(above, "polygon", {...set, points: pointing(x, y, 14, s.heading)});
     dot.classList.add("start");
     make(dot, "title", {}, "start of " + s.agent);
     dot.addEventListener("pointerdown", event => this.hold(event, p, s, "start"));
@@ -347,6 +357,7 @@ export class Picture {
   /** Sends a change; `more` says that it goes on with the one before. */
   send(set, more) {
     this.waits = Number.MAX_SAFE_INTEGER;
+    // Until the last change is answered, what the server saw is older than what is drawn.
     this.edit({set, more: Boolean(more)}).then(() => { this.waits = 1; this.key = ""; });
   }
 
@@ -551,6 +562,8 @@ export class Picture {
         make(ways, "polyline", {class: "way agent" + curve.color + (good ? "" : " lost"), points});
         const [x, y] = shown[shown.length - 1], px = axes.x(x), py = axes.y(y);
         if (over && !good) make(ways, "path", {class: "over", d: "M" + (px - 5) + " " + (py - 5) + "l10 10m0 -10l-10 10"});
+        else if (curve.headings) make(ways, "polygon", {class: "now agent" + curve.color,
+          points: pointing(px, py, 9, curve.headings[m][Math.min(time, path.length - 1)])});
         else make(ways, "circle", {class: "now agent" + curve.color, cx: px, cy: py, r: 4.5});
       });
     });

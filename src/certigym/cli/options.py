@@ -69,7 +69,7 @@ def add_search(parser: argparse.ArgumentParser) -> None:
         "--effort",
         type=float,
         metavar="W",
-        help="work for ways to certify the task, counted and not measured, in about seconds on one core (default: 80)",
+        help="core seconds for ways to certify the task: work that is counted, not measured (default: 80)",
     )
     parser.add_argument(
         "--seconds", type=float, metavar="S", help="the best certificate that the clock leaves time for (no default)"

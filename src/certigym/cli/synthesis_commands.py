@@ -80,7 +80,7 @@ def _ways(problem: Problem) -> list[str]:
         of = "" if task is problem else f" of task {task.name}"
         open_ways = [way for way in ways if not way.refusal]
         for number, way in enumerate(open_ways, start=1):
-            work = f", about {way.work:.2g} of work at first" if way.work >= 0.1 else ""
+            work = f", about {way.work:.2g} core seconds at first" if way.work >= 0.1 else ""
             lines.append(f"way {number}{of}: {WAY_WORDS.get(way.name, way.name)}{work}")
         lines += [f"not{of} {WAY_WORDS.get(way.name, way.name)}: {way.refusal}" for way in ways if way.refusal]
     return lines
