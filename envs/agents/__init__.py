@@ -16,7 +16,7 @@ from .checks import (
 )
 from .declared_names import MOST_OUTPUTS, MOST_STATES
 from .expression_agent import Agent
-from .labeling import MOVING_REFUSAL, Labeling, contains, inside
+from .labeling import MOVING_REFUSAL, Labeling, contains, inside, of_hint
 from .laws import Gaussian, Law, Uniform
 from .majorants import Majorant, Tail
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
@@ -69,6 +69,7 @@ __all__ = [
     "linear",
     "names_text",
     "neighbour",
+    "of_hint",
     "place_of",
     "read_only",
     "row_times",

@@ -435,6 +435,16 @@ class Agent(AnyAgent):
         """Number of output components p."""
         return len(self.output_expressions)
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states."""
+        return self.states
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Outputs as they are written, those that were added for shapes left out."""
+        return self.output_expressions[: self.n_outputs - self.added_outputs]
+
     @cached_property
     def has_identity_output(self) -> bool:
         """Whether y = x exactly."""

@@ -354,13 +354,22 @@ class Labeling:
         return result
 
 
+def of_hint(agent: AnyAgent, count: int) -> str:
+    """Return what to do where corners have fewer numbers than an agent has outputs, for the end of a message."""
+    if count >= agent.n_outputs - agent.added_outputs:
+        return ""
+    names = agent.state_names[:count] or range(min(count, agent.n_states))
+    listed = ", ".join(f'"{name}"' if isinstance(name, str) else str(name) for name in names)
+    return f"; say which states they are about, such as `of = [{listed}]`"
+
+
 def _check_region(name: str, proposition: Proposition, agents: Mapping[str, AnyAgent]) -> None:
     """Raise ValueError unless the region has the outputs' dimension and meets the workspace of its agent."""
     agent = agents[proposition.agent]
     if proposition.size != agent.n_outputs:
         raise ValueError(
             f"`propositions.{name}`: expected corners of length {agent.n_outputs} (outputs of agent {agent.name}), "
-            f"got length {proposition.size}"
+            f"got length {proposition.size}{of_hint(agent, proposition.size)}"
         )
     for k in agent.angle_outputs:
         _check_angle(name, proposition, agent, k)

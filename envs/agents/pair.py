@@ -18,7 +18,7 @@ import numpy as np
 
 from .any_agent import AnyAgent
 from .box import Box
-from .checks import float_array, read_only, shown
+from .checks import checked_states, float_array, read_only, shown
 from .pieces import Frame
 from .printing import box_text
 
@@ -192,13 +192,10 @@ def _checked_distance(distance: Any) -> float:
 
 
 def _checked_states(of: Any, length: int | None) -> tuple[str | int, ...]:
-    entries = [of] if isinstance(of, str | int) else list(of) if isinstance(of, Sequence) else []
-    good = all(isinstance(entry, str | int) and not isinstance(entry, bool) for entry in entries)
-    if not entries or not good or len({*entries}) < len(entries):
-        raise ValueError(f"`of`: expected different names or numbers of states, got {shown(of)}")
-    if len(entries) != (length or len(entries)):
+    states = checked_states(of)
+    if len(states) != (length or len(states)):
         raise ValueError(f"`of`: expected {length} states, as `low` has entries, got {shown(of)}")
-    return tuple(entries)
+    return states
 
 
 def _checked_names(agents: Any) -> tuple[str, str] | str:
@@ -398,7 +395,7 @@ def _compared(
 def _outputs_of(name: str, agent: AnyAgent, states: Sequence[str | int]) -> tuple[int, ...]:
     """Return the outputs of an agent that are some of its states, by name or number."""
     axes = [agent.output_axis(k) for k in range(agent.n_outputs - agent.added_outputs)]
-    frame = Frame(getattr(agent, "states", ()), tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()))
+    frame = Frame(agent.state_names, tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()))
     try:
         numbers = frame.states(states, len(states))
     except ValueError as error:

@@ -9,7 +9,7 @@ outputs to their agents, so that a piece is a box like any other (docs/theory/re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from fractions import Fraction
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..expressions import Number, computed, names_in, read_expression
-from .checks import float_array, shown
+from .checks import checked_states, float_array, shown
 from .pieces import TURN, Combined, End, Form, Frame, Limit, all_of, either, face, face_through, moving_piece, piece_of
 
 MOST_FACES = 60
@@ -66,12 +66,27 @@ class Shape:
         """The shape in words, for people."""
         return _words(self.key, self.data)
 
+    @property
+    def tables(self) -> tuple[Mapping[str, Any], ...]:
+        """The tables of the shapes that it consists of, which may say what they are about (`of`)."""
+        return tuple(_tables(self.key, self.data))
+
     def combined(self, frame: Frame) -> Combined:
         """Return the shape as a combination of pieces; ValueError if it does not suit the agent."""
         try:
             return self._make(frame)
         except ValueError as error:
             raise ValueError(f"`{self.key}`: {error}") from None
+
+
+def _tables(key: str, data: Any) -> Iterator[Mapping[str, Any]]:
+    """Yield the tables of shapes that are not made of others."""
+    if isinstance(data, Mapping) and key != "complement":
+        yield data
+        return
+    for part in data if isinstance(data, list) else [data]:
+        for word, inner in part.items() if isinstance(part, Mapping) else ():
+            yield from _tables(word, inner)
 
 
 def read_shape(table: Any) -> Shape:
@@ -227,15 +242,7 @@ def _still(value: Any, name: str) -> float:
 def _of(data: Mapping[str, Any]) -> tuple[int | str, ...] | None:
     """Return the states that a shape names; None for the first ones."""
     of = data.get("of")
-    if of is None:
-        return None
-    entries = [of] if isinstance(of, str | int) else of
-    good = isinstance(entries, list) and all(
-        isinstance(entry, str | int) and not isinstance(entry, bool) for entry in entries
-    )
-    if not good or not entries:
-        raise ValueError(f"`of`: expected names or numbers of states, got {shown(of)}")
-    return tuple(entries)
+    return None if of is None else checked_states(of)
 
 
 # The shapes.
@@ -403,9 +410,9 @@ def _round_cone(tip: tuple[float, ...], axis: tuple[float, ...], angle: float, o
 
 
 def _heading(data: Any) -> Maker:
-    table = _fields(data, ("of", "from", "to"), ())
+    table = _fields(data, ("from", "to"))
     of, first, last = _of(table), _still(table["from"], "from"), _still(table["to"], "to")
-    if of is None or len(of) != 1:
+    if of is not None and len(of) != 1:
         raise ValueError(f"`of`: expected one state, got {shown(table['of'])}")
     if first == last or abs(last - first) >= TURN:
         raise ValueError(f"`to`: expected an angle less than a turn from `from`, and another one, got {last:g}")
@@ -413,6 +420,8 @@ def _heading(data: Any) -> Maker:
     width = last - first if last > first else last - first + TURN
 
     def make(frame: Frame) -> Combined:
+        if of is None and frame.of is None:
+            raise ValueError("`of`: expected the state that is the angle, got none")
         (state,) = frame.states(of, 1)
         form = Form(tuple(np.eye(len(frame.low))[state].tolist()))
         low, high = frame.low[state], frame.high[state]

@@ -19,24 +19,24 @@ from ..logic import RESERVED
 
 AnyProposition = Proposition | Pair
 
-KEYS = (("agent", "low", "high"), ("agents", "low", "high"), ("outputs", "pairs", "of"))
-"""Keys of a proposition of one agent, of one about pairs, and those that the latter may have besides."""
+OF_AGENT, OF_PAIR = ("agent", "low", "high"), ("agents", "low", "high")
+"""Keys that a proposition of one agent, and one about pairs, must have where they are boxes."""
+
+BESIDES_AGENT, BESIDES_PAIR = ("of",), ("outputs", "pairs", "of")
+"""Keys that they may have besides."""
 
 
-def keys_of_pair(value: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the keys that a table about pairs must have, and those that it may have besides."""
-    return (("agents", "distance"), KEYS[2]) if "distance" in value else KEYS[1:]
+def keys_of(value: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the keys that the table of a proposition must have, and those that it may have besides."""
+    if about_pairs(value):
+        return ("agents", "distance") if "distance" in value else OF_PAIR, BESIDES_PAIR
+    words = [key for key in value if key in SHAPES] if isinstance(value, Mapping) else []
+    return ("agent", words[0]) if words and not {"low", "high"} & {*value} else OF_AGENT, BESIDES_AGENT
 
 
 def about_pairs(value: Any) -> bool:
     """Return whether a table of a proposition is about pairs."""
     return isinstance(value, Mapping) and "agents" in value
-
-
-def keys_of_shape(value: Any) -> tuple[str, ...]:
-    """Return the keys of a proposition that is a shape: its agent, and the word of the shape; nothing for others."""
-    words = [key for key in value if key in SHAPES] if isinstance(value, Mapping) else []
-    return ("agent", words[0]) if words else ()
 
 
 def refuse_shape(value: Mapping[str, Any], where: str) -> None:
@@ -65,14 +65,11 @@ def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
         if name in RESERVED:
             raise ValueError(f"`propositions.{name}`: expected a name, got a word of the formula language; rename it")
         # A dict of the arguments stands for a proposition, as in problem files.
-        of_agent, of_pair, besides = ({*keys} for keys in KEYS)
         if about_pairs(value):
             refuse_shape(value, f"`propositions.{name}`")
-            of_pair, besides = ({*keys} for keys in keys_of_pair(value))
-        if isinstance(value, Mapping) and set(value) in (of_agent, {*keys_of_shape(value)}):
-            value = Proposition(**value)
-        elif isinstance(value, Mapping) and of_pair <= set(value) <= of_pair | besides:
-            value = Pair(**value)
+        required, besides = ({*keys} for keys in keys_of(value))
+        if isinstance(value, Mapping) and required <= set(value) <= required | besides:
+            value = (Pair if about_pairs(value) else Proposition)(**value)
         if not isinstance(value, AnyProposition):
             raise ValueError(
                 f"`propositions.{name}`: expected a Proposition, a Pair, or a dict with agent (or agents), low and "

@@ -25,8 +25,10 @@ from ..agents import (
     Pair,
     Piece,
     Proposition,
+    of_hint,
     shown,
 )
+from ..expressions import Name
 from ..logic import Formula
 from .families import AnyProposition
 
@@ -77,9 +79,7 @@ def regions_of(
     shaped = {p.agent for p in written.values() if isinstance(p, Proposition) and p.shape is not None}
     if not shaped:
         return Regions(tuple(agents), dict(written))
-    reader = _Reader(
-        written, families, {agent.name: _frame(agent, horizon) for agent in agents if agent.name in shaped}
-    )
+    reader = _Reader(written, families, {agent.name: agent for agent in agents if agent.name in shaped}, horizon)
     for name, proposition in written.items():
         if isinstance(proposition, Proposition) and proposition.shape is not None:
             reader.read(name)
@@ -96,10 +96,23 @@ def regions_of(
     return Regions(members, boxes, reader.meanings, reader.pieces)
 
 
-def _frame(agent: AnyAgent, horizon: int) -> Frame:
-    names = agent.states if isinstance(agent, Agent) else ()
+def _frame(agent: AnyAgent, proposition: Proposition, horizon: int) -> Frame:
+    """Return what a proposition is a region of: the states of its agent, and outputs if it names some."""
     angles = frozenset(np.flatnonzero(agent.wrapped_axes).tolist())
-    return Frame(names, tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()), angles, horizon + 1)
+    low, high = tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist())
+    frame = Frame(agent.state_names, low, high, angles, horizon + 1, proposition.of_states)
+    named = {*proposition.named_states} - {*agent.state_names}
+    others = _other_outputs(agent)
+    if not named & {agent.output_names[k] for k in others}:
+        return frame
+    ends = [end[list(others)].tolist() for end in agent.output_ends]
+    return frame.with_outputs([agent.output_names[k] for k in others], *ends)
+
+
+def _other_outputs(agent: AnyAgent) -> tuple[int, ...]:
+    """Return which outputs have names, and are no states: shapes that name some have them behind the states."""
+    axes = [agent.output_axis(k) for k in range(len(agent.output_names))]
+    return tuple(k for k, axis in enumerate(axes) if axis is None or axis[1] != 1.0)
 
 
 class _Reader:
@@ -109,9 +122,11 @@ class _Reader:
         self,
         written: Mapping[str, AnyProposition],
         families: Mapping[str, tuple[str, ...]],
-        frames: Mapping[str, Frame],
+        agents: Mapping[str, AnyAgent],
+        horizon: int,
     ) -> None:
-        self._written, self._families, self._frames = written, families, frames
+        self._written, self._families = written, families
+        self._agents, self._horizon = agents, horizon
         self._taken = {*written, *families}
         self._open: list[str] = []
         self._known: dict[str, Formula] = {}
@@ -135,7 +150,7 @@ class _Reader:
         if name not in self._known:
             self._open.append(name)
             try:
-                whole = proposition.shape.combined(self._frames[proposition.agent])
+                whole = proposition.shape.combined(_frame(self._agents[proposition.agent], proposition, self._horizon))
                 meaning = self._formula(name, whole, whole)
             except ValueError as error:
                 raise ValueError(_of(name, error)) from None
@@ -223,7 +238,7 @@ class _Fitted:
         if count not in (own, self.n_given):
             raise ValueError(
                 f"`propositions.{name}`: expected corners of length {own} (outputs of agent {self.agent.name}), got "
-                f"length {count}"
+                f"length {count}{of_hint(self.agent, count)}"
             )
         low, high = (region.low.tolist(), region.high.tolist()) if region.corners is None else region.corners
         return Proposition(region.agent, [*low, *self.ends[0][count:]], [*high, *self.ends[1][count:]])
@@ -264,13 +279,17 @@ def _with_rows(agent: LinearAgent, forms: Sequence[Form]) -> tuple[LinearAgent, 
 def _with_texts(agent: Agent, forms: Sequence[Form]) -> tuple[Agent, dict[Form, int]]:
     """Return an agent with expressions for forms."""
     texts = list(agent.output_expressions)
-    known = [repr(tree) for tree in agent.output_trees]
-    own = len(texts)
+    own, others = len(texts), _other_outputs(agent)
+    names = (*agent.states, *(f"({texts[k]})" for k in others))
+    # What outputs are that the agent has: states, and others that have their expressions as names.
+    known = {f"({texts[k]})": k for k in others}
+    for k in reversed(range(own)):
+        known |= {axis: k for axis in agent.states if agent.output_trees[k] == Name(axis)}
     places: dict[Form, int] = {}
     for form in forms:
-        text = form.text(agent.states)
-        if text in agent.states and (single := f"Name(name={text!r})") in known:
-            places[form] = known.index(single)
+        text = form.text(names[: form.size])
+        if text in known:
+            places[form] = known[text]
             continue
         if text not in texts[own:]:
             texts.append(text)
