@@ -20,13 +20,14 @@ from .labeling import MOVING_REFUSAL, Labeling, contains, inside, of_hint
 from .laws import Gaussian, Law, Uniform
 from .majorants import Majorant, Tail
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
-from .pair import REFUSAL, Pair, PairRegion, holds
+from .pair import REFUSAL, Pair, PairRegion, ball_box, holds
 from .pieces import TURN, Combined, Form, Frame, Limit, Piece
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
-from .proposition import DECIMALS, TIME, Proposition
+from .proposition import Proposition
 from .saving import write_bytes, write_json, write_text
 from .shapes import SHAPES
+from .timed_corners import DECIMALS, TIME, values_over
 
 __all__ = [
     "Agent",
@@ -58,6 +59,7 @@ __all__ = [
     "Tail",
     "Uniform",
     "UnknownArgument",
+    "ball_box",
     "box_text",
     "checked_count",
     "checked_name",
@@ -80,6 +82,7 @@ __all__ = [
     "tied",
     "tree_text",
     "unknown_argument",
+    "values_over",
     "wrapped",
     "write_bytes",
     "write_json",

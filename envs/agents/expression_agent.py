@@ -34,7 +34,7 @@ from .neighbours import neighbour, states_of_others, with_numbers
 from .noise import laws_of
 from .pieces import TURN
 from .printing import counted, names_text, shortened, tree_text
-from .proposition import TIME
+from .timed_corners import TIME
 
 MOST_TIMES = 4096
 """Steps for which the agent is remembered as it moves then: beyond them the memory starts afresh."""

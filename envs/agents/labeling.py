@@ -158,24 +158,26 @@ class Labeling:
 
     @property
     def moves(self) -> bool:
-        """Whether a region moves with the time."""
-        return bool(self.moving)
+        """Whether a region, or a pair, moves with the time."""
+        return bool(self.moving) or any(pair.moves for pair in self.pairs)
 
     def at(self, time: int) -> Labeling:
-        """Return the labelling with the regions of a time; itself if all of them stand still.
+        """Return the labelling with the regions and pairs of a time; itself if all of them stand still.
 
         Raises
         ------
         ValueError
             If a corner is not finite at this time.
         """
-        if not self.moving:
+        if not self.moves:
             return self
         if time not in self._known:
             if len(self._known) >= MOST_TIMES:
                 self._known.clear()
             still = {name: proposition.at(time) for name, proposition in self.moving.items()}
-            self._known[time] = replace(Labeling._of(self.agents, still), names=self.names, pairs=self.pairs)
+            here = Labeling._of(self.agents, still) if still else self
+            pairs = tuple(pair.at(time) for pair in self.pairs)
+            self._known[time] = replace(here, names=self.names, pairs=pairs, _known={})
         return self._known[time]
 
     def corners_over(self, agent: int, n_times: int) -> tuple[np.ndarray, np.ndarray]:

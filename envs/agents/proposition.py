@@ -8,26 +8,17 @@ the region is empty at that time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..expressions import Number, Tree, computed, names_in, read_expression
-from .box import Box
-from .checks import checked_states, float_array, read_only, shown
+from ..expressions import Tree
+from .checks import checked_states, read_only, shown
 from .printing import box_text
 from .shapes import SHAPES, Shape, read_shape
-
-TIME = "t"
-"""Name of the time in expressions, unless a state, input, parameter or disturbance has this name."""
-
-DECIMALS = 12
-"""Decimals to which corners that move are rounded."""
-
-Corner = tuple[float | str, ...]
-"""Numbers and expressions in `t`, one for each output."""
+from .timed_corners import Corner, read_corners, values_over
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -100,7 +91,7 @@ class Proposition:
         for value, name in ((low, "low"), (high, "high")):
             if value is None:
                 raise ValueError(f"`{name}`: expected `low` and `high`, or a shape: {', '.join(SHAPES)}")
-        region = _corners(low, high)
+        region = read_corners(low, high)
         if states is None:
             self._keep(agent=agent, shape=None, of_states=None, **region)
         else:
@@ -208,11 +199,7 @@ class Proposition:
         if self.corners is None:
             low, high = (np.repeat(corner[:, None], len(times), axis=1) for corner in (self.low, self.high))
             return low, high
-        values = {TIME: np.asarray(times, dtype=float)}
-        low, high = (
-            np.round(np.array([np.broadcast_to(row, len(times)) for row in computed(own, values)]), DECIMALS)
-            for own in self.trees
-        )
+        low, high = (values_over(own, times) for own in self.trees)
         wrong = ~(np.isfinite(low) & np.isfinite(high)).all(axis=0)
         if wrong.any():
             raise ValueError(
@@ -263,44 +250,3 @@ def _box_about(region: Mapping[str, Any], of_states: tuple[str | int, ...]) -> S
     if len(ends[0]) != len(of_states):
         raise ValueError(f"`of`: expected {len(ends[0])} states, as `low` has entries, got {shown(list(of_states))}")
     return read_shape({"box": {"low": ends[0], "high": ends[1]}})
-
-
-def _corners(low: Any, high: Any) -> dict[str, Any]:
-    """Return what a region keeps of its corners: numbers, or expressions in the time and their trees."""
-    if not (_is_written(low) or _is_written(high)):
-        box = Box(low, high)
-        return {"low": box.low, "high": box.high, "corners": None}
-    corners = _corner(low, "low"), _corner(high, "high")
-    if len(corners[0]) != len(corners[1]):
-        raise ValueError(f"`high`: expected {len(corners[0])} entries, as `low` has, got {len(corners[1])}")
-    trees = tuple(_trees(corner, name) for corner, name in zip(corners, ("low", "high"), strict=True))
-    if any(names_in(tree) for own in trees for tree in own):
-        return {"corners": corners, "trees": trees}
-    # Expressions of numbers alone are numbers.
-    box = Box(*(np.concatenate(computed(own, {})) for own in trees))
-    return {"low": box.low, "high": box.high, "corners": None}
-
-
-def _is_written(value: Any) -> bool:
-    """Return whether a corner has expressions."""
-    return isinstance(value, str) or (isinstance(value, Sequence) and any(isinstance(entry, str) for entry in value))
-
-
-def _corner(value: Any, name: str) -> Corner:
-    """Return numbers and expressions, as they are."""
-    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or not len(value):
-        raise ValueError(f"`{name}`: expected a list of numbers and expressions in `t`, got {shown(value)}")
-    return tuple(
-        entry if isinstance(entry, str) else float(float_array([entry], f"{name}[{k}]", (1,), "0.0")[0])
-        for k, entry in enumerate(value)
-    )
-
-
-def _trees(corner: Corner, name: str) -> tuple[Tree, ...]:
-    trees = []
-    for k, entry in enumerate(corner):
-        try:
-            trees.append(read_expression(entry, (TIME,)) if isinstance(entry, str) else Number(entry))
-        except ValueError as error:
-            raise ValueError(f"`{name}[{k}]`: {error}") from None
-    return tuple(trees)

@@ -233,8 +233,8 @@ def _still(value: Any, name: str) -> float:
     end = _end(value, name)
     if isinstance(end, str):
         raise ValueError(
-            f"`{name}`: expected a number, got {shown(value)}, which names the time; angles of shapes stand still: let "
-            "the state be the angle less what moves, in dynamics that name `t`"
+            f"`{name}`: expected a number, got {shown(value)}, which names the time; the opening of a cone stands "
+            "still, its tip and axis may move"
         )
     return end
 
@@ -411,25 +411,22 @@ def _round_cone(tip: tuple[float, ...], axis: tuple[float, ...], angle: float, o
 
 def _heading(data: Any) -> Maker:
     table = _fields(data, ("from", "to"))
-    of, first, last = _of(table), _still(table["from"], "from"), _still(table["to"], "to")
+    of, first, last = _of(table), _end(table["from"], "from"), _end(table["to"], "to")
     if of is not None and len(of) != 1:
         raise ValueError(f"`of`: expected one state, got {shown(table['of'])}")
+    if isinstance(first, str) or isinstance(last, str):
+        return _moving_heading(first, last, of)
     if first == last or abs(last - first) >= TURN:
         raise ValueError(f"`to`: expected an angle less than a turn from `from`, and another one, got {last:g}")
     # From `from` on to the left until `to`, through pi where that is on the way.
     width = last - first if last > first else last - first + TURN
 
     def make(frame: Frame) -> Combined:
-        if of is None and frame.of is None:
-            raise ValueError("`of`: expected the state that is the angle, got none")
-        (state,) = frame.states(of, 1)
-        form = Form(tuple(np.eye(len(frame.low))[state].tolist()))
+        state, form = _angle(frame, of)
         low, high = frame.low[state], frame.high[state]
         if state in frame.angles:
             return _arc(form, _into(first, low, high), _into(last, low, high), (low, high))
-        turns = range(math.floor((low - first - width) / TURN), math.ceil((high - first) / TURN) + 1)
-        if len(turns) > MOST_TURNS:
-            raise ValueError(f"`of`: expected a state of at most {MOST_TURNS} turns, got a workspace of {len(turns)}")
+        turns = _turns(low - first - width, high - first)
         starts = [first + TURN * k for k in turns]
         here = [start for start in starts if start <= high and start + width > low]
         if not here:
@@ -437,6 +434,68 @@ def _heading(data: Any) -> Maker:
         return either([piece_of([Limit(form, start, start + width)]) for start in here])
 
     return make
+
+
+def _angle(frame: Frame, of: Sequence[int | str] | None) -> tuple[int, Form]:
+    """Return the state that a heading is about, and the form that it is."""
+    if of is None and frame.of is None:
+        raise ValueError("`of`: expected the state that is the angle, got none")
+    (state,) = frame.states(of, 1)
+    return state, Form(tuple(np.eye(len(frame.low))[state].tolist()))
+
+
+def _turns(low: float, high: float) -> range:
+    """Return the whole turns from one angle to another, and one more on either side."""
+    turns = range(math.floor(low / TURN), math.ceil(high / TURN) + 1)
+    if len(turns) > MOST_TURNS:
+        raise ValueError(f"`of`: expected a state of at most {MOST_TURNS} turns, got a workspace of {len(turns)}")
+    return turns
+
+
+def _moving_heading(first: End, last: End, of: Sequence[int | str] | None) -> Maker:
+    """Return a heading whose ends name the time: an interval that moves for each turn of the workspace."""
+
+    def make(frame: Frame) -> Combined:
+        state, form = _angle(frame, of)
+        if state in frame.angles:
+            raise ValueError(
+                "expected `from` and `to` that stand still where the state wraps, got some that name the time; give "
+                "the agent the `outputs` `cos` and `sin` of the angle, and a region of these"
+            )
+        times = np.arange(max(frame.times, 1), dtype=float)
+        start, stop = (_over(end, times) for end in (first, last))
+        width = stop - start
+        # From `from` on to the left until `to`, through pi where that is on the way: at all times, or at none.
+        is_through = bool(np.all(width < 0.0))
+        if not (is_through or np.all(width > 0.0)) or not np.all(np.abs(width) < TURN):
+            raise ValueError(
+                "`to`: expected an angle less than a turn from `from`, and on the same side of it at all times; add "
+                "`2*pi` to one of them where it would pass the other"
+            )
+        low, high, turn = frame.low[state], frame.high[state], TURN * is_through
+        limits = []
+        for k in _turns(low - float(start.max()) - TURN, high - float(start.min())):
+            if np.any((start + TURN * k <= high) & (stop + turn + TURN * k > low)):
+                limits.append(Limit(form, _plus(first, TURN * k), _plus(last, TURN * k + turn)))
+        if not limits:
+            raise ValueError(f"expected a heading that the workspace has at some time, from {low:g} to {high:g}")
+        return either([piece_of([limit]) for limit in limits])
+
+    return make
+
+
+def _over(end: End, times: np.ndarray) -> np.ndarray:
+    """Return an end (n,) at times (n,)."""
+    if not isinstance(end, str):
+        return np.full(len(times), end)
+    values = np.broadcast_to(computed([read_expression(end, ("t",))], {"t": times})[0], times.shape)
+    if not np.all(np.isfinite(values)):
+        raise ValueError(f"expected angles that are finite at all times, got {shown(end)}")
+    return values
+
+
+def _plus(end: End, more: float) -> End:
+    return f"({end}) + ({more!r})" if isinstance(end, str) else end + more
 
 
 def _into(angle: float, low: float, high: float) -> float:
