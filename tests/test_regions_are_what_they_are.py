@@ -550,7 +550,7 @@ def test_pairs_compare_what_agents_have_without_shapes() -> None:
 def test_shapes_of_pairs_are_refused_in_words() -> None:
     data = problem_of([linear(), linear("second")], p=DISC).to_dict()
     data["propositions"]["near"] = {"agents": ["robot", "second"], **DISC}
-    with pytest.raises(ValueError, match="or a `distance`, got `disc`"):
+    with pytest.raises(ValueError, match=r"a shape with flat faces .*, got `disc`"):
         problem_from_dict(data)
 
 

@@ -153,7 +153,8 @@ def test_headings_move_through_pi_and_in_every_turn() -> None:
 def test_a_heading_that_moves_is_met_and_no_other_one(certified: Any) -> None:
     agent = cg.Agent(
         name="robot", states=["x", "y"], inputs=["u", "v"], dynamics=["x + u", "y + v"],
-        noise_covariance=0.0025 * np.eye(2), state_low=[-5, -7], state_high=[5, 7], input_low=[-1, -1], input_high=[1, 1], initial_state=[0, 0],
+        noise_covariance=0.0025 * np.eye(2), state_low=[-5, -7], state_high=[5, 7],
+        input_low=[-1, -1], input_high=[1, 1], initial_state=[0, 0],
     )  # fmt: skip
 
     def turning(rate: float) -> cg.Problem:

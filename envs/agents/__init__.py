@@ -20,7 +20,7 @@ from .labeling import MOVING_REFUSAL, Labeling, contains, inside, of_hint
 from .laws import Gaussian, Law, Uniform
 from .majorants import Majorant, Tail
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
-from .pair import REFUSAL, Pair, PairRegion, ball_box, holds
+from .pair import FLAT, REFUSAL, Pair, PairRegion, ball_box, holds
 from .pieces import TURN, Combined, Form, Frame, Limit, Piece
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
@@ -35,6 +35,7 @@ __all__ = [
     "Box",
     "Combined",
     "DECIMALS",
+    "FLAT",
     "Form",
     "Frame",
     "Gaussian",

@@ -21,6 +21,7 @@ from .any_agent import AnyAgent
 from .checks import checked_states, float_array, read_only, shown
 from .pieces import Frame
 from .printing import box_text
+from .shapes import Shape, read_shape
 from .timed_corners import TIME, Corner, read_corners, values_over
 
 PAIRS = ("all", "neighbours")
@@ -61,6 +62,9 @@ class Pair:
         is below this number, which is above 0; or below that of an expression in `t`, and nowhere where that is not.
     of : str, int, or sequence of them, optional
         In the place of `outputs`: the states that are compared, by name or number, the same of both agents.
+    **shape
+        In the place of corners: a flat shape by its word, `polygon`, `polytope`, `halfspace` or `cone`, with the same
+        table as for one agent, that the difference of the states is in: of the first ones unless `of` names others.
 
     Raises
     ------
@@ -85,6 +89,7 @@ class Pair:
     corners: tuple[Corner, Corner] | None
     trees: tuple[tuple[Tree, ...], ...]
     """Of a pair that moves: its corners, or its distance, as expressions in `t`; else nothing."""
+    shape: Shape | None
 
     def __init__(
         self,
@@ -95,11 +100,21 @@ class Pair:
         pairs: str = "all",
         distance: Any = None,
         of: Any = None,
+        **shape: Any,
     ) -> None:
-        if (distance is None) == (low is None and high is None):
-            raise ValueError("`distance`: expected either a distance, or `low` and `high`; give one of the two")
-        region = read_corners(low, high) if distance is None else _read_distance(distance)
-        length = None if distance is not None else len((region["corners"] or (region["low"],))[0])
+        if (distance is None) + (low is None and high is None) + (not shape) != 2 or len(shape) > 1:
+            raise ValueError(
+                "`distance`: expected either a distance, or `low` and `high`, or one shape; give one of them"
+            )
+        region: dict[str, Any]
+        length = None
+        if shape:
+            region = {"shape": _flat(read_shape(shape), outputs)}
+        elif distance is not None:
+            region = _read_distance(distance)
+        else:
+            region = read_corners(low, high)
+            length = len((region["corners"] or (region["low"],))[0])
         if pairs not in PAIRS:
             raise ValueError(f"`pairs`: expected {' or '.join(map(repr, PAIRS))}, got {shown(pairs)}")
         if pairs != "all" and not isinstance(agents, str):
@@ -116,6 +131,7 @@ class Pair:
             "distance": None,
             "corners": None,
             "trees": (),
+            "shape": None,
         }
         values |= region
         for key, value in values.items():
@@ -142,17 +158,8 @@ class Pair:
         raise ValueError(REFUSAL)
 
     # Rebuilt from its arguments: a pickled array would come back writable.
-    def __reduce__(self) -> tuple[type[Pair], tuple[Any, ...]]:
-        return Pair, (self.agents, *self._rest(self.pairs))
-
-    def _rest(self, pairs: str) -> tuple[Any, ...]:
-        return (
-            *((None, None) if self.distance is not None else self.corners or (self.low, self.high)),
-            self.outputs,
-            pairs,
-            self.distance,
-            self.of_states,
-        )
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self.to_dict(),)
 
     def __repr__(self) -> str:
         more = "" if self.outputs is None else f", outputs {self.outputs}"
@@ -166,8 +173,10 @@ class Pair:
 
     @property
     def text(self) -> str:
-        """The box or the distance, for people; what moves as it is written."""
-        if self.corners is not None:
+        """The box, the distance or the shape, for people; what moves as it is written."""
+        if self.shape is not None:
+            what = self.shape.text
+        elif self.corners is not None:
             ends = (", ".join(e if isinstance(e, str) else f"{e:g}" for e in corner) for corner in self.corners)
             what = "[{}] to [{}]".format(*ends)
         elif self.distance is None:
@@ -179,7 +188,9 @@ class Pair:
     def to_dict(self) -> dict[str, Any]:
         """Return the proposition as plain values, keyed as in problem files (exact)."""
         data: dict[str, Any] = {"agents": self.agents if isinstance(self.agents, str) else list(self.agents)}
-        if self.corners is not None:
+        if self.shape is not None:
+            data[self.shape.key] = self.shape.data
+        elif self.corners is not None:
             data |= {"low": list(self.corners[0]), "high": list(self.corners[1])}
         elif self.distance is None:
             data |= {"low": self.low.tolist(), "high": self.high.tolist()}
@@ -195,7 +206,12 @@ class Pair:
 
     def of(self, first: str, second: str) -> Pair:
         """Return the member of a family that is about two agents."""
-        return Pair((first, second), *self._rest("all"))
+        return Pair(**{**self.to_dict(), "agents": (first, second), "pairs": "all"})
+
+
+def _rebuilt(data: dict[str, Any]) -> Pair:
+    """Return the pair of its arguments (for pickling)."""
+    return Pair(**data)
 
 
 def _read_distance(distance: Any) -> dict[str, Any]:
@@ -209,6 +225,22 @@ def _read_distance(distance: Any) -> dict[str, Any]:
     if names_in(tree):
         return {"distance": distance, "trees": ((tree,),)}
     return {"distance": _checked_distance(float(np.concatenate(computed([tree], {}))[0]))}
+
+
+FLAT = ("polygon", "polytope", "halfspace", "cone")
+"""Shapes that a difference may be in: an intersection of half-spaces is one of forms that both agents have."""
+
+
+def _flat(shape: Shape, outputs: Any) -> Shape:
+    """Return a shape; raise ValueError unless the difference of two agents may be in it."""
+    if shape.key not in FLAT:
+        raise ValueError(
+            f"`{shape.key}`: expected a box, a distance, or one of {', '.join(FLAT)} that the difference of two agents "
+            "is in; say of one agent where it is with `agent`"
+        )
+    if outputs is not None or "of" in shape.data:
+        raise ValueError(f"`{shape.key}`: expected `of` beside the shape, to say which states of both it is about")
+    return shape
 
 
 def _checked_distance(distance: Any) -> float:
@@ -425,13 +457,15 @@ def pair_region(name: str, pair: Pair, agents: Sequence[AnyAgent]) -> PairRegion
     """Return a pair in terms of the agents; raise ValueError if its dimensions do not fit, or it can never hold."""
     places: Mapping[str, int] = {agent.name: i for i, agent in enumerate(agents)}
     i, j = (places[agent] for agent in pair.agents)
-    # Those that were added for shapes are not compared.
+    # Those that were added for shapes are compared only where they are named, as problems name them.
     sizes = tuple(agents[k].n_outputs - agents[k].added_outputs for k in (i, j))
     names = agents[i].name, agents[j].name
     outputs = _compared(name, pair, (agents[i], agents[j]), sizes)
-    for agent, size, axes in zip(names, sizes, outputs):
-        if max(axes) >= size:
-            raise ValueError(f"`propositions.{name}`: expected outputs of {agent} below {size}, got {max(axes)}")
+    for agent, axes in zip((agents[i], agents[j]), outputs):
+        if max(axes) >= agent.n_outputs:
+            raise ValueError(
+                f"`propositions.{name}`: expected outputs of {agent.name} below {agent.n_outputs}, got {max(axes)}"
+            )
     for member, axes in zip((agents[i], agents[j]), outputs):
         if {*axes} & {*member.angle_outputs}:
             raise ValueError(

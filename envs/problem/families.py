@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-from ..agents import SHAPES, Pair, Proposition, checked_name, shown
+from ..agents import FLAT, SHAPES, Pair, Proposition, checked_name, shown
 from ..logic import RESERVED
 
 AnyProposition = Proposition | Pair
@@ -28,9 +28,10 @@ BESIDES_AGENT, BESIDES_PAIR = ("of",), ("outputs", "pairs", "of")
 
 def keys_of(value: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the keys that the table of a proposition must have, and those that it may have besides."""
-    if about_pairs(value):
-        return ("agents", "distance") if "distance" in value else OF_PAIR, BESIDES_PAIR
     words = [key for key in value if key in SHAPES] if isinstance(value, Mapping) else []
+    if about_pairs(value):
+        other = "distance" if "distance" in value else words[0] if words else ""
+        return ("agents", other) if other else OF_PAIR, BESIDES_PAIR
     return ("agent", words[0]) if words and not {"low", "high"} & {*value} else OF_AGENT, BESIDES_AGENT
 
 
@@ -40,12 +41,13 @@ def about_pairs(value: Any) -> bool:
 
 
 def refuse_shape(value: Mapping[str, Any], where: str) -> None:
-    """Raise ValueError if a proposition about pairs is written as a shape."""
-    words = [key for key in value if key in SHAPES]
+    """Raise ValueError if a proposition about pairs is written as a shape that no difference can be in."""
+    words = [key for key in value if key in SHAPES and key not in FLAT]
     if words:
         raise ValueError(
-            f"{where}: expected `low` and `high` of a difference, or a `distance`, got `{words[0]}`; a shape is about "
-            "one agent (`agent`); take a box around it where a pair keeps apart, or one within it where it is to hold"
+            f"{where}: expected `low` and `high` of a difference, a `distance`, or a shape with flat faces "
+            f"({', '.join(FLAT)}), got `{words[0]}`; other shapes are about one agent (`agent`); take one around it "
+            "where a pair keeps apart, or one within it where it is to hold"
         )
 
 
