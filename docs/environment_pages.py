@@ -374,7 +374,7 @@ def _names(names: list[str]) -> str:
 
 
 def _of_pair(pair: Pair) -> str:
-    if pair.distance is not None:
+    if pair.distance is not None or pair.moves:
         return pair.text
     return "difference in " + " x ".join(f"[{low:g}, {high:g})" for low, high in zip(pair.low, pair.high))
 

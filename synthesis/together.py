@@ -96,6 +96,9 @@ def ways_together(
     # Without a grid of its own a joint agent is one more path.
     after = along if problem.n_states > MOST_GRID_STATES else subtracted
     ways = [subtracted, Way("joint", joint, 1.0 + after.work, ENOUGH, ENOUGH), along, mixed_way(problem, cells, plan)]
+    if any(pair.moves for pair in problem.labeling.pairs):
+        why = RelationRefused("grids know pairs that stand still, got some whose box or distance names the time `t`")
+        ways = [way if way.name == "path" else refused(way.name, why) for way in ways]
     return [way for way in ways if relation in ("auto", way.name)]
 
 

@@ -293,9 +293,3 @@ def test_rewards_know_how_far_is_left() -> None:
     ]
     assert gaps[0] == 0.0 and 0.0 < gaps[1] < gaps[2]
     assert gaps[1] == pytest.approx((0.9 * math.sqrt(2) - 1.0) / math.sqrt(2) / 10.0)
-
-
-def test_what_pairs_keep_is_the_same_at_all_times_and_says_so() -> None:
-    for changes in ({"low": ["-1 - t"], "high": [1]}, {"distance": "1 + 0.1*t"}):
-        with pytest.raises(ValueError, match="the same at all times: take the widest box"):
-            cg.Pair(["a", "b"], **changes)

@@ -509,7 +509,7 @@ def test_every_shape_is_drawn_where_it_holds(name: str) -> None:
         ({"disc": {"centre": [0, 0]}}, "`radius` is missing"),
         ({"disk": {"centre": [0, 0], "radius": 1}}, "did you mean `disc`?"),
         ({"disc": {"centre": [0, 0], "radius": 1, "of": ["x", "yy"]}}, "did you mean 'y'?"),
-        ({"disc": {"centre": [0, 0], "radius": 1, "of": ["x", "x"]}}, "expected different states"),
+        ({"disc": {"centre": [0, 0], "radius": 1, "of": ["x", "x"]}}, "expected different names"),
         ({"ball": {"centre": [0, 0, 0], "radius": 1}}, "expected a shape of at most 2 dimensions"),
         ({"disc": {"centre": [20, 0], "radius": 1}}, "expected a region that meets the workspace"),
         ({"cone": {"tip": [0, 0], "axis": [1, 0], "angle": 4}}, "`angle`: expected the whole opening"),
@@ -550,7 +550,7 @@ def test_pairs_compare_what_agents_have_without_shapes() -> None:
 def test_shapes_of_pairs_are_refused_in_words() -> None:
     data = problem_of([linear(), linear("second")], p=DISC).to_dict()
     data["propositions"]["near"] = {"agents": ["robot", "second"], **DISC}
-    with pytest.raises(ValueError, match="or a `distance`, got `disc`"):
+    with pytest.raises(ValueError, match=r"a shape with flat faces .*, got `disc`"):
         problem_from_dict(data)
 
 

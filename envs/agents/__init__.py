@@ -17,17 +17,18 @@ from .checks import (
 from .declared_names import MOST_OUTPUTS, MOST_STATES
 from .expression_agent import Agent
 from .headings import heading_of
-from .labeling import MOVING_REFUSAL, Labeling, contains, inside
+from .labeling import MOVING_REFUSAL, Labeling, contains, inside, of_hint
 from .laws import Gaussian, Law, Uniform
 from .majorants import Majorant, Tail
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
-from .pair import REFUSAL, Pair, PairRegion, holds
+from .pair import FLAT, REFUSAL, Pair, PairRegion, ball_box, holds
 from .pieces import TURN, Combined, Form, Frame, Limit, Piece
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
-from .proposition import DECIMALS, TIME, Proposition
+from .proposition import Proposition
 from .saving import write_bytes, write_json, write_text
 from .shapes import SHAPES
+from .timed_corners import DECIMALS, TIME, values_over
 
 __all__ = [
     "Agent",
@@ -35,6 +36,7 @@ __all__ = [
     "Box",
     "Combined",
     "DECIMALS",
+    "FLAT",
     "Form",
     "Frame",
     "Gaussian",
@@ -59,6 +61,7 @@ __all__ = [
     "Tail",
     "Uniform",
     "UnknownArgument",
+    "ball_box",
     "box_text",
     "checked_count",
     "checked_name",
@@ -71,6 +74,7 @@ __all__ = [
     "linear",
     "names_text",
     "neighbour",
+    "of_hint",
     "place_of",
     "read_only",
     "row_times",
@@ -81,6 +85,7 @@ __all__ = [
     "tied",
     "tree_text",
     "unknown_argument",
+    "values_over",
     "wrapped",
     "write_bytes",
     "write_json",

@@ -81,6 +81,16 @@ class AnyAgent(ABC):
     added_outputs: int = 0
     """How many of the last outputs are there for shapes alone; the others are those that the agent has without them."""
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states; empty where they have numbers alone, as those of linear agents."""
+        return ()
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Outputs as they are written, those that were added for shapes left out; empty where matrices say them."""
+        return ()
+
     angles: tuple[str, ...] = ()
     """Names of the states that are angles: points of a circle, which workspaces hold once."""
 

@@ -5,7 +5,7 @@ Every array that enters a problem passes through `float_array`, whether it comes
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from itertools import accumulate, pairwise
 from numbers import Real
@@ -102,6 +102,15 @@ def checked_count(value: Any, argument: str, least: int = 1, most: int | None = 
         counted = f" ({unit})" if unit else ""
         raise ValueError(f"`{argument}`: expected a whole number {span}{counted}, got {shown(value)}")
     return int(value)
+
+
+def checked_states(of: Any) -> tuple[str | int, ...]:
+    """Return the states that `of` names, by name or number; raise ValueError if they are malformed."""
+    entries = [of] if isinstance(of, str | int) else list(of) if isinstance(of, Sequence) else []
+    good = all(isinstance(entry, str | int) and not isinstance(entry, bool) for entry in entries)
+    if not entries or not good or len({*entries}) < len(entries):
+        raise ValueError(f"`of`: expected different names or numbers of states, got {shown(of)}")
+    return tuple(entries)
 
 
 def slices_of(lengths: Iterable[int]) -> tuple[slice, ...]:

@@ -34,7 +34,7 @@ from .neighbours import neighbour, states_of_others, with_numbers
 from .noise import laws_of
 from .pieces import TURN
 from .printing import counted, names_text, shortened, tree_text
-from .proposition import TIME
+from .timed_corners import TIME
 
 MOST_TIMES = 4096
 """Steps for which the agent is remembered as it moves then: beyond them the memory starts afresh."""
@@ -434,6 +434,16 @@ class Agent(AnyAgent):
     def n_outputs(self) -> int:
         """Number of output components p."""
         return len(self.output_expressions)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states."""
+        return self.states
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Outputs as they are written, those that were added for shapes left out."""
+        return self.output_expressions[: self.n_outputs - self.added_outputs]
 
     @cached_property
     def has_identity_output(self) -> bool:

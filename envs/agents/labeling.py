@@ -158,24 +158,26 @@ class Labeling:
 
     @property
     def moves(self) -> bool:
-        """Whether a region moves with the time."""
-        return bool(self.moving)
+        """Whether a region, or a pair, moves with the time."""
+        return bool(self.moving) or any(pair.moves for pair in self.pairs)
 
     def at(self, time: int) -> Labeling:
-        """Return the labelling with the regions of a time; itself if all of them stand still.
+        """Return the labelling with the regions and pairs of a time; itself if all of them stand still.
 
         Raises
         ------
         ValueError
             If a corner is not finite at this time.
         """
-        if not self.moving:
+        if not self.moves:
             return self
         if time not in self._known:
             if len(self._known) >= MOST_TIMES:
                 self._known.clear()
             still = {name: proposition.at(time) for name, proposition in self.moving.items()}
-            self._known[time] = replace(Labeling._of(self.agents, still), names=self.names, pairs=self.pairs)
+            here = Labeling._of(self.agents, still) if still else self
+            pairs = tuple(pair.at(time) for pair in self.pairs)
+            self._known[time] = replace(here, names=self.names, pairs=pairs, _known={})
         return self._known[time]
 
     def corners_over(self, agent: int, n_times: int) -> tuple[np.ndarray, np.ndarray]:
@@ -354,13 +356,22 @@ class Labeling:
         return result
 
 
+def of_hint(agent: AnyAgent, count: int) -> str:
+    """Return what to do where corners have fewer numbers than an agent has outputs, for the end of a message."""
+    if count >= agent.n_outputs - agent.added_outputs:
+        return ""
+    names = agent.state_names[:count] or range(min(count, agent.n_states))
+    listed = ", ".join(f'"{name}"' if isinstance(name, str) else str(name) for name in names)
+    return f"; say which states they are about, such as `of = [{listed}]`"
+
+
 def _check_region(name: str, proposition: Proposition, agents: Mapping[str, AnyAgent]) -> None:
     """Raise ValueError unless the region has the outputs' dimension and meets the workspace of its agent."""
     agent = agents[proposition.agent]
     if proposition.size != agent.n_outputs:
         raise ValueError(
             f"`propositions.{name}`: expected corners of length {agent.n_outputs} (outputs of agent {agent.name}), "
-            f"got length {proposition.size}"
+            f"got length {proposition.size}{of_hint(agent, proposition.size)}"
         )
     for k in agent.angle_outputs:
         _check_angle(name, proposition, agent, k)

@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
+from ..expressions import Tree, computed, names_in, read_expression
 from .any_agent import AnyAgent
-from .box import Box
-from .checks import float_array, read_only, shown
+from .checks import checked_states, float_array, read_only, shown
 from .pieces import Frame
 from .printing import box_text
+from .shapes import Shape, read_shape
+from .timed_corners import TIME, Corner, read_corners, values_over
 
 PAIRS = ("all", "neighbours")
 """Which pairs of the agents that a pattern matches: each with each later one, or each with the next one."""
@@ -47,18 +49,22 @@ class Pair:
     agents : pair of str, or str
         Names of the agents a and b. A name with one `*` in place of one of them makes a family, one member per agent
         that matches. A single text with one `*` makes a family of the agents that match: see `pairs`.
-    low, high : array_like, shape (p,)
-        Corners, finite, `low < high`, in units of the outputs.
+    low, high : array_like, shape (p,), or sequences of numbers and strings
+        Corners, finite, `low < high`, in units of the outputs. Strings are expressions in the time `t`: then the box
+        moves, and holds nothing at times at which `low < high` does not hold.
     outputs : pair of sequences of int, optional
         Which outputs of a and which of b are compared, in order; default: all of them.
     pairs : "all" or "neighbours"
         Of the agents that a single pattern matches, in the order of the problem: each with each later one, or each
         with the next one.
-    distance : float, optional
+    distance : float or str, optional
         In the place of `low` and `high`: the pair holds where the Euclidean distance of the outputs that are compared
-        is below this number, which is above 0.
+        is below this number, which is above 0; or below that of an expression in `t`, and nowhere where that is not.
     of : str, int, or sequence of them, optional
         In the place of `outputs`: the states that are compared, by name or number, the same of both agents.
+    **shape
+        In the place of corners: a flat shape by its word, `polygon`, `polytope`, `halfspace` or `cone`, with the same
+        table as for one agent, that the difference of the states is in: of the first ones unless `of` names others.
 
     Raises
     ------
@@ -78,14 +84,12 @@ class Pair:
     high: np.ndarray
     outputs: tuple[tuple[int, ...], tuple[int, ...]] | None
     pairs: str
-    distance: float | None
+    distance: float | str | None
     of_states: tuple[str | int, ...] | None
-
-    moves = False
-
-    def at(self, time: int) -> Pair:
-        """Return the proposition at a time: itself, as regions of differences stand still."""
-        return self
+    corners: tuple[Corner, Corner] | None
+    trees: tuple[tuple[Tree, ...], ...]
+    """Of a pair that moves: its corners, or its distance, as expressions in `t`; else nothing."""
+    shape: Shape | None
 
     def __init__(
         self,
@@ -96,12 +100,21 @@ class Pair:
         pairs: str = "all",
         distance: Any = None,
         of: Any = None,
+        **shape: Any,
     ) -> None:
-        if (distance is None) == (low is None and high is None):
-            raise ValueError("`distance`: expected either a distance, or `low` and `high`; give one of the two")
-        for value, name in ((low, "low"), (high, "high"), (distance, "distance")):
-            _refuse_texts(value, name)
-        box = Box(low, high) if distance is None else None
+        if (distance is None) + (low is None and high is None) + (not shape) != 2 or len(shape) > 1:
+            raise ValueError(
+                "`distance`: expected either a distance, or `low` and `high`, or one shape; give one of them"
+            )
+        region: dict[str, Any]
+        length = None
+        if shape:
+            region = {"shape": _flat(read_shape(shape), outputs)}
+        elif distance is not None:
+            region = _read_distance(distance)
+        else:
+            region = read_corners(low, high)
+            length = len((region["corners"] or (region["low"],))[0])
         if pairs not in PAIRS:
             raise ValueError(f"`pairs`: expected {' or '.join(map(repr, PAIRS))}, got {shown(pairs)}")
         if pairs != "all" and not isinstance(agents, str):
@@ -112,13 +125,15 @@ class Pair:
             raise ValueError("`of`: expected either states, or the `outputs` that are compared; give one of the two")
         values: dict[str, Any] = {
             "agents": _checked_names(agents),
-            "outputs": None if outputs is None else _checked_outputs(outputs, None if box is None else box.low.size),
+            "outputs": None if outputs is None else _checked_outputs(outputs, length),
             "pairs": pairs,
-            "distance": None if distance is None else _checked_distance(distance),
-            "of_states": None if of is None else _checked_states(of, None if box is None else box.low.size),
+            "of_states": None if of is None else _checked_states(of, length),
+            "distance": None,
+            "corners": None,
+            "trees": (),
+            "shape": None,
         }
-        if box is not None:
-            values |= {"low": box.low, "high": box.high}
+        values |= region
         for key, value in values.items():
             object.__setattr__(self, key, value)
 
@@ -126,8 +141,16 @@ class Pair:
         # Asked for corners that it has not: whoever reads boxes must not go on with any.
         def __getattr__(self, name: str) -> Any:
             if name in ("low", "high"):
-                raise ValueError(f"`proposition`: expected a box, got {self!r}; ask for `problem.labeling`")
+                raise ValueError(
+                    f"`proposition`: expected a box that stands still, got {self!r}; ask for `problem.labeling`"
+                )
             raise AttributeError(name)
+
+    def at(self, time: int) -> Pair:
+        """Return the proposition itself, which stands still; pairs that move are boxes in `problem.labeling` alone."""
+        if self.moves:
+            raise ValueError(f"`proposition`: expected a pair that stands still, got {self!r}; ask `labeling.at(time)`")
+        return self
 
     @property
     def agent(self) -> NoReturn:
@@ -135,12 +158,8 @@ class Pair:
         raise ValueError(REFUSAL)
 
     # Rebuilt from its arguments: a pickled array would come back writable.
-    def __reduce__(self) -> tuple[type[Pair], tuple[Any, ...]]:
-        return Pair, (self.agents, *self._rest(self.pairs))
-
-    def _rest(self, pairs: str) -> tuple[Any, ...]:
-        corners = (self.low, self.high) if self.distance is None else (None, None)
-        return *corners, self.outputs, pairs, self.distance, self.of_states
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self.to_dict(),)
 
     def __repr__(self) -> str:
         more = "" if self.outputs is None else f", outputs {self.outputs}"
@@ -148,15 +167,32 @@ class Pair:
         return f"Pair({self.agents!r}, {self.text}{more})"
 
     @property
+    def moves(self) -> bool:
+        """Whether a corner, or the distance, names the time."""
+        return bool(self.trees)
+
+    @property
     def text(self) -> str:
-        """The box or the distance, for people."""
-        what = box_text(self.low, self.high, closed=False) if self.distance is None else f"distance < {self.distance:g}"
+        """The box, the distance or the shape, for people; what moves as it is written."""
+        if self.shape is not None:
+            what = self.shape.text
+        elif self.corners is not None:
+            ends = (", ".join(e if isinstance(e, str) else f"{e:g}" for e in corner) for corner in self.corners)
+            what = "[{}] to [{}]".format(*ends)
+        elif self.distance is None:
+            what = box_text(self.low, self.high, closed=False)
+        else:
+            what = f"distance < {self.distance if isinstance(self.distance, str) else format(self.distance, 'g')}"
         return what + ("" if self.of_states is None else f" of ({', '.join(map(str, self.of_states))})")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the proposition as plain values, keyed as in problem files (exact)."""
         data: dict[str, Any] = {"agents": self.agents if isinstance(self.agents, str) else list(self.agents)}
-        if self.distance is None:
+        if self.shape is not None:
+            data[self.shape.key] = self.shape.data
+        elif self.corners is not None:
+            data |= {"low": list(self.corners[0]), "high": list(self.corners[1])}
+        elif self.distance is None:
             data |= {"low": self.low.tolist(), "high": self.high.tolist()}
         else:
             data["distance"] = self.distance
@@ -170,17 +206,41 @@ class Pair:
 
     def of(self, first: str, second: str) -> Pair:
         """Return the member of a family that is about two agents."""
-        return Pair((first, second), *self._rest("all"))
+        return Pair(**{**self.to_dict(), "agents": (first, second), "pairs": "all"})
 
 
-def _refuse_texts(value: Any, name: str) -> None:
-    """Raise ValueError if a corner or a distance names the time."""
-    entries = [value] if isinstance(value, str) else value if isinstance(value, list | tuple) else []
-    if any(isinstance(entry, str) for entry in entries):
+def _rebuilt(data: dict[str, Any]) -> Pair:
+    """Return the pair of its arguments (for pickling)."""
+    return Pair(**data)
+
+
+def _read_distance(distance: Any) -> dict[str, Any]:
+    """Return what a pair keeps of its distance: a number, or an expression in the time and its tree."""
+    if not isinstance(distance, str):
+        return {"distance": _checked_distance(distance)}
+    try:
+        tree = read_expression(distance, (TIME,))
+    except ValueError as error:
+        raise ValueError(f"`distance`: {error}") from None
+    if names_in(tree):
+        return {"distance": distance, "trees": ((tree,),)}
+    return {"distance": _checked_distance(float(np.concatenate(computed([tree], {}))[0]))}
+
+
+FLAT = ("polygon", "polytope", "halfspace", "cone")
+"""Shapes that a difference may be in: an intersection of half-spaces is one of forms that both agents have."""
+
+
+def _flat(shape: Shape, outputs: Any) -> Shape:
+    """Return a shape; raise ValueError unless the difference of two agents may be in it."""
+    if shape.key not in FLAT:
         raise ValueError(
-            f"`{name}`: expected numbers, got {shown(value)}; what two agents keep between them is the same at all "
-            "times: take the widest box, or the largest distance, that is asked for at any"
+            f"`{shape.key}`: expected a box, a distance, or one of {', '.join(FLAT)} that the difference of two agents "
+            "is in; say of one agent where it is with `agent`"
         )
+    if outputs is not None or "of" in shape.data:
+        raise ValueError(f"`{shape.key}`: expected `of` beside the shape, to say which states of both it is about")
+    return shape
 
 
 def _checked_distance(distance: Any) -> float:
@@ -192,13 +252,10 @@ def _checked_distance(distance: Any) -> float:
 
 
 def _checked_states(of: Any, length: int | None) -> tuple[str | int, ...]:
-    entries = [of] if isinstance(of, str | int) else list(of) if isinstance(of, Sequence) else []
-    good = all(isinstance(entry, str | int) and not isinstance(entry, bool) for entry in entries)
-    if not entries or not good or len({*entries}) < len(entries):
-        raise ValueError(f"`of`: expected different names or numbers of states, got {shown(of)}")
-    if len(entries) != (length or len(entries)):
+    states = checked_states(of)
+    if len(states) != (length or len(states)):
         raise ValueError(f"`of`: expected {length} states, as `low` has entries, got {shown(of)}")
-    return tuple(entries)
+    return states
 
 
 def _checked_names(agents: Any) -> tuple[str, str] | str:
@@ -247,9 +304,11 @@ class PairRegion:
     outputs : pair of tuple of int
         Outputs of a and of b that are compared.
     low, high : np.ndarray, shape (p,)
-        Corners of the box; of a distance, a box around the whole ball.
+        Corners of the box; of a distance, a box around the whole ball. They are not in order where it is empty.
     radius : float
         Infinite where the box alone decides.
+
+    One that moves has no box and no radius (ValueError): `at` a time there are.
     """
 
     first: int
@@ -257,16 +316,77 @@ class PairRegion:
     outputs: tuple[tuple[int, ...], tuple[int, ...]]
     low: np.ndarray
     high: np.ndarray
-    radius: float = math.inf
+    radius: float
+
+    if not TYPE_CHECKING:  # types are those of the attributes
+        # Asked for what it has not: whoever reads a box without a time must not go on with any.
+        def __getattr__(self, name: str) -> Any:
+            if name in ("low", "high", "radius"):
+                raise ValueError(
+                    "`problem`: expected pairs that stand still, got some whose box or distance names the time `t`, "
+                    'which are certified along paths alone (`relation="path"`)'
+                )
+            raise AttributeError(name)
 
     def __repr__(self) -> str:
+        if self.moving is not None:
+            return f"PairRegion({self.first} less {self.second}, {self.moving.text})"
         what = f"shorter than {self.radius:g}" if self.is_round else box_text(self.low, self.high, closed=False)
         return f"PairRegion({self.first} less {self.second}, {what})"
 
     @property
+    def size(self) -> int:
+        """How many outputs are compared."""
+        return len(self.outputs[0])
+
+    @property
     def is_round(self) -> bool:
         """Whether it is a ball, and no box."""
+        if self.moving is not None:
+            return self.moving.distance is not None and self.size > 1
         return self.radius < math.inf
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it holds nowhere, as it may at a time where it moves."""
+        return bool(np.any(self.low >= self.high))
+
+    moving: Pair | None = None
+    """What says where it is at each time; None where it stands still."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is another one at other times."""
+        return self.moving is not None
+
+    def at(self, time: int) -> PairRegion:
+        """Return the region at a time; itself if it stands still."""
+        if self.moving is None:
+            return self
+        low, high, radius = self.over(np.array([float(time)]))
+        return PairRegion(self.first, self.second, self.outputs, low[:, 0], high[:, 0], float(radius[0]))
+
+    def over(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return both corners (p, n) and radii (n,) at times (n,).
+
+        Raises
+        ------
+        ValueError
+            If one of them is not finite at one of the times.
+        """
+        if self.moving is None:
+            low, high = (np.repeat(corner[:, None], len(times), axis=1) for corner in (self.low, self.high))
+            return low, high, np.full(len(times), self.radius)
+        values = [values_over(own, times) for own in self.moving.trees]
+        wrong = ~np.all([np.isfinite(own).all(axis=0) for own in values], axis=0)
+        if wrong.any():
+            raise ValueError(
+                f"expected finite numbers at every time, got {self.moving.text}, which is not finite at t = "
+                f"{times[int(np.argmax(wrong))]:g}"
+            )
+        if len(values) == 2:
+            return values[0], values[1], np.full(len(times), math.inf)
+        return ball_box(values[0][0], self.size)
 
     def difference(self, first: Any, second: Any) -> list[Any]:
         """Return the differences of the outputs compared, one per axis: numbers, or arrays of one shape."""
@@ -277,6 +397,8 @@ class PairRegion:
 
         A superset: where the boxes reach a face by rounding alone, both are.
         """
+        if self.is_empty:
+            return (False,)
         places = [(k, m) for k, m in zip(*self.outputs)]
         ends = np.array([[first[0][k] - second[1][m], first[1][k] - second[0][m]] for k, m in places], dtype=float).T
         if not np.all(np.isfinite(ends)):
@@ -335,27 +457,28 @@ def pair_region(name: str, pair: Pair, agents: Sequence[AnyAgent]) -> PairRegion
     """Return a pair in terms of the agents; raise ValueError if its dimensions do not fit, or it can never hold."""
     places: Mapping[str, int] = {agent.name: i for i, agent in enumerate(agents)}
     i, j = (places[agent] for agent in pair.agents)
-    # Those that were added for shapes are not compared.
+    # Those that were added for shapes are compared only where they are named, as problems name them.
     sizes = tuple(agents[k].n_outputs - agents[k].added_outputs for k in (i, j))
     names = agents[i].name, agents[j].name
     outputs = _compared(name, pair, (agents[i], agents[j]), sizes)
-    for agent, size, axes in zip(names, sizes, outputs):
-        if max(axes) >= size:
-            raise ValueError(f"`propositions.{name}`: expected outputs of {agent} below {size}, got {max(axes)}")
+    for agent, axes in zip((agents[i], agents[j]), outputs):
+        if max(axes) >= agent.n_outputs:
+            raise ValueError(
+                f"`propositions.{name}`: expected outputs of {agent.name} below {agent.n_outputs}, got {max(axes)}"
+            )
     for member, axes in zip((agents[i], agents[j]), outputs):
         if {*axes} & {*member.angle_outputs}:
             raise ValueError(
                 f"`propositions.{name}`: expected outputs that are numbers, got the angle {member.angles[0]!r} of "
                 f"{member.name}, whose differences wrap; compare other states (`of`), or `outputs` such as `cos` of it"
             )
-    if pair.distance is None:
-        region = PairRegion(i, j, outputs, pair.low, pair.high)
+    if pair.moves:
+        return _moving(i, j, outputs, pair)
+    if isinstance(pair.distance, float):
+        low, high, radii = ball_box(np.array([pair.distance]), len(outputs[0]))
+        region = PairRegion(i, j, outputs, read_only(low[:, 0]), read_only(high[:, 0]), float(radii[0]))
     else:
-        # Half-open boxes have their lower faces, which are as far away as the distance: the next number has not.
-        count = len(outputs[0])
-        low = np.full(count, math.nextafter(-pair.distance, 0.0))
-        radius = pair.distance if count > 1 else math.inf
-        region = PairRegion(i, j, outputs, read_only(low), read_only(np.full(count, pair.distance)), radius)
+        region = PairRegion(i, j, outputs, pair.low, pair.high, math.inf)
     # The difference lies between the outputs' extremes over both workspaces.
     (low_a, high_a), (low_b, high_b) = (agents[k].output_ends for k in (i, j))
     least = np.array(region.difference(low_a, high_b))
@@ -371,6 +494,26 @@ def pair_region(name: str, pair: Pair, agents: Sequence[AnyAgent]) -> PairRegion
     return region
 
 
+def ball_box(radii: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the boxes (p, n) around balls of radii (n,) in p dimensions, and these radii; empty where one is none."""
+    # Half-open boxes have their lower faces, which are as far away as the distance: the next number has not.
+    there = radii >= LEAST_DISTANCE
+    high = np.where(there, radii, np.minimum(radii, 0.0))
+    low = np.where(there, np.nextafter(-high, 0.0), -high)
+    # On a line the box alone decides.
+    shape = (count, len(radii))
+    radius = np.maximum(high, 0.0) if count > 1 else np.full(len(radii), np.inf)
+    return np.broadcast_to(low, shape), np.broadcast_to(high, shape), radius
+
+
+def _moving(i: int, j: int, outputs: tuple[tuple[int, ...], tuple[int, ...]], pair: Pair) -> PairRegion:
+    """Return a region that moves: it has no box and no radius of its own."""
+    region = object.__new__(PairRegion)
+    for key, value in (("first", i), ("second", j), ("outputs", outputs), ("moving", pair)):
+        object.__setattr__(region, key, value)
+    return region
+
+
 def _compared(
     name: str, pair: Pair, agents: tuple[AnyAgent, AnyAgent], sizes: Sequence[int]
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -380,7 +523,10 @@ def _compared(
     if pair.of_states is not None:
         first, second = (_outputs_of(name, agent, pair.of_states) for agent in agents)
         return first, second
-    length, most = (sizes[0], MOST_BY_DEFAULT) if pair.distance is not None else (pair.low.size, pair.low.size)
+    length = most = len(pair.corners[0]) if pair.corners is not None else sizes[0]
+    if pair.corners is None and pair.distance is None:
+        length = most = pair.low.size
+    most = MOST_BY_DEFAULT if pair.distance is not None else most
     if pair.distance is not None:
         what, got = f"as many outputs of both agents, up to {MOST_BY_DEFAULT}", ""
         remedy = 'say which to compare with `of = ["x", "y"]`, or with `outputs`'
@@ -398,7 +544,7 @@ def _compared(
 def _outputs_of(name: str, agent: AnyAgent, states: Sequence[str | int]) -> tuple[int, ...]:
     """Return the outputs of an agent that are some of its states, by name or number."""
     axes = [agent.output_axis(k) for k in range(agent.n_outputs - agent.added_outputs)]
-    frame = Frame(getattr(agent, "states", ()), tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()))
+    frame = Frame(agent.state_names, tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()))
     try:
         numbers = frame.states(states, len(states))
     except ValueError as error:

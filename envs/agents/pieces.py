@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from fractions import Fraction
 
@@ -37,6 +37,11 @@ class Form:
 
     row: tuple[float, ...] = ()
     squares: tuple[tuple[float, tuple[float, ...], float], ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients: the states, and other outputs behind them where a shape names some."""
+        return len(self.row or self.squares[0][1])
 
     def text(self, names: Sequence[str]) -> str:
         """Return the form as an expression in the names of the states, as a function of real numbers (exact)."""
@@ -124,18 +129,20 @@ class Combined:
 
 @dataclass(frozen=True)
 class Frame:
-    """What shapes are asked to be regions of: the states of an agent.
+    """What shapes are asked to be regions of: the states of an agent, and other outputs behind them if they are named.
 
     Attributes
     ----------
     names : tuple of str
-        Names of the states; empty where they have none, as those of linear agents.
+        Names of the states, and outputs as they are written; empty where states have none, as those of linear agents.
     low, high : tuple of float
-        Workspace.
+        Workspace, and bounds of outputs in it.
     angles : frozenset of int
         States that are angles.
     times : int
         How many times there are, the start among them; 0 where they are not known.
+    of : tuple of int or str, or None
+        States of shapes that name none themselves; None for the first ones.
     """
 
     names: tuple[str, ...]
@@ -143,10 +150,16 @@ class Frame:
     high: tuple[float, ...]
     angles: frozenset[int] = frozenset()
     times: int = 0
+    of: tuple[int | str, ...] | None = None
+
+    def with_outputs(self, names: Sequence[str], low: Sequence[float], high: Sequence[float]) -> Frame:
+        """Return the frame of shapes that name outputs, which stand behind the states."""
+        return replace(self, names=(*self.names, *names), low=(*self.low, *low), high=(*self.high, *high))
 
     def states(self, of: Sequence[int | str] | None, count: int) -> tuple[int, ...]:
         """Return the numbers of the states that a shape is over: those that it names, or the first ones."""
         d = len(self.low)
+        of = self.of if of is None else of
         if of is None:
             if count > d:
                 raise ValueError(f"expected a shape of at most {d} dimensions, as the agent has states, got {count}")

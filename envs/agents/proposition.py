@@ -8,26 +8,17 @@ the region is empty at that time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..expressions import Number, Tree, computed, names_in, read_expression
-from .box import Box
-from .checks import float_array, read_only, shown
+from ..expressions import Tree
+from .checks import checked_states, read_only, shown
 from .printing import box_text
 from .shapes import SHAPES, Shape, read_shape
-
-TIME = "t"
-"""Name of the time in expressions, unless a state, input, parameter or disturbance has this name."""
-
-DECIMALS = 12
-"""Decimals to which corners that move are rounded."""
-
-Corner = tuple[float | str, ...]
-"""Numbers and expressions in `t`, one for each output."""
+from .timed_corners import Corner, read_corners, values_over
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -41,6 +32,9 @@ class Proposition:
     low, high : array_like, shape (p,), or sequences of numbers and strings
         Corners, finite, `low < high`. They may lie beyond the workspace. Strings are expressions in the time `t`, such
         as `"2*sin(0.4*t) - 0.5"`: then the region moves, and is empty at times at which `low < high` does not hold.
+    of : str, int, or sequence of them, optional
+        What corners, or a shape, are about, in order: states by name or number, or outputs as they are written. Without
+        it corners are about all outputs, and shapes about the first states.
     **shape
         In the place of corners, one shape by its word: `disc`, `ball`, `box`, `polygon`, `polytope`, `halfspace`,
         `cone`, `heading`, `union`, `intersection` or `complement`, with the same table as in problem files
@@ -50,9 +44,11 @@ class Proposition:
     ----------
     low, high : np.ndarray, shape (p,)
         Corners of a region that stands still; ValueError for one that moves, which has them `at` each time, and for a
-        shape, which has them in a problem alone (`problem.propositions`).
+        shape or a box `of` some states, which have them in a problem alone (`problem.propositions`).
     shape : Shape or None
-        The shape as it is written.
+        The shape as it is written; that of a box where `of` says what its corners are about.
+    of_states : tuple of str or int, or None
+        What `of` names.
 
     Raises
     ------
@@ -66,6 +62,8 @@ class Proposition:
     (True, Proposition('robot', [-0.5, 0.5)))
     >>> Proposition("ship", disc={"centre": [1, 2], "radius": 0.5})
     Proposition('ship', disc(centre=(1, 2), radius=0.5))
+    >>> Proposition("craft", [5, 1], [7, 3], of=["x", "y"])
+    Proposition('craft', [5, 1] to [7, 3] of (x, y))
     """
 
     agent: str
@@ -73,43 +71,34 @@ class Proposition:
     high: np.ndarray
     corners: tuple[Corner, Corner] | None
     shape: Shape | None
+    of_states: tuple[str | int, ...] | None
 
-    def __init__(self, agent: str, low: Any = None, high: Any = None, **shape: Any) -> None:
+    trees: tuple[tuple[Tree, ...], tuple[Tree, ...]]
+    """Corners of a region that moves, as expressions in `t`."""
+
+    def __init__(self, agent: str, low: Any = None, high: Any = None, of: Any = None, **shape: Any) -> None:
         if not isinstance(agent, str) or agent.count("*") > 1:
             raise ValueError(f"`agent`: expected a name with at most one `*`, got {shown(agent)}")
-        object.__setattr__(self, "agent", agent)
-        object.__setattr__(self, "shape", None)
+        states = None if of is None else checked_states(of)
         if shape:
             if len(shape) > 1 or low is not None or high is not None:
                 raise ValueError(
                     f"`{next(iter(shape))}`: expected one shape, or `low` and `high`, got more; unite them in a "
                     "`union` or an `intersection`"
                 )
-            object.__setattr__(self, "corners", None)
-            object.__setattr__(self, "shape", read_shape(shape))
+            self._keep(agent=agent, corners=None, shape=_shape_about(read_shape(shape), states), of_states=states)
             return
         for value, name in ((low, "low"), (high, "high")):
             if value is None:
                 raise ValueError(f"`{name}`: expected `low` and `high`, or a shape: {', '.join(SHAPES)}")
-        if not (_is_written(low) or _is_written(high)):
-            self._stand(Box(low, high))
-            return
-        corners = _corner(low, "low"), _corner(high, "high")
-        if len(corners[0]) != len(corners[1]):
-            raise ValueError(f"`high`: expected {len(corners[0])} entries, as `low` has, got {len(corners[1])}")
-        trees = tuple(_trees(corner, name) for corner, name in zip(corners, ("low", "high"), strict=True))
-        if not any(names_in(tree) for own in trees for tree in own):
-            # Expressions of numbers alone are numbers.
-            self._stand(Box(*(np.concatenate(computed(own, {})) for own in trees)))
-            return
-        object.__setattr__(self, "corners", corners)
-        object.__setattr__(self, "trees", trees)
+        region = read_corners(low, high)
+        if states is None:
+            self._keep(agent=agent, shape=None, of_states=None, **region)
+        else:
+            self._keep(agent=agent, corners=None, shape=_box_about(region, states), of_states=states)
 
-    trees: tuple[tuple[Tree, ...], tuple[Tree, ...]]
-    """Corners of a region that moves, as expressions in `t`."""
-
-    def _stand(self, box: Box) -> None:
-        for key, value in (("low", box.low), ("high", box.high), ("corners", None)):
+    def _keep(self, **values: Any) -> None:
+        for key, value in values.items():
             object.__setattr__(self, key, value)
 
     if not TYPE_CHECKING:  # types are those of the attributes
@@ -124,7 +113,7 @@ class Proposition:
     # Rebuilt from its arguments: a pickled array would come back writable.
     def __reduce__(self) -> tuple[Any, ...]:
         if self.shape is not None:
-            return _shaped, (self.agent, self.shape)
+            return _shaped, (self.agent, self.shape, self.of_states)
         if self.corners is not None:
             return Proposition, (self.agent, *self.corners)
         return _standing, (self.agent, self.low, self.high)
@@ -149,18 +138,39 @@ class Proposition:
     @property
     def text(self) -> str:
         """The corners, or the shape, as they are written, for people."""
-        if self.shape is not None:
-            return self.shape.text
-        low, high = (self.low.tolist(), self.high.tolist()) if self.corners is None else self.corners
+        of = "" if self.of_states is None else f" of ({', '.join(map(str, self.of_states))})"
+        if self.shape is not None and not self._is_box:
+            return self.shape.text + of
+        low, high = self._written_corners
         shown_low, shown_high = (
             ", ".join(entry if isinstance(entry, str) else f"{entry:g}" for entry in corner) for corner in (low, high)
         )
-        return f"[{shown_low}] to [{shown_high}]"
+        return f"[{shown_low}] to [{shown_high}]{of}"
+
+    @property
+    def named_states(self) -> tuple[str | int, ...]:
+        """Names and numbers of states, and outputs, that it says it is about."""
+        tables = () if self.shape is None else self.shape.tables
+        inner = [checked_states(table["of"]) for table in tables if "of" in table]
+        return (*(self.of_states or ()), *(state for own in inner for state in own))
+
+    @property
+    def _is_box(self) -> bool:
+        """Whether it is a box of states that `of` names: it has a shape, and is written with corners."""
+        return self.shape is not None and self.of_states is not None and self.shape.key == "box"
+
+    @property
+    def _written_corners(self) -> tuple[list[float | str], list[float | str]]:
+        if self.shape is not None:
+            return self.shape.data["low"], self.shape.data["high"]
+        if self.corners is not None:
+            return list(self.corners[0]), list(self.corners[1])
+        return self.low.tolist(), self.high.tolist()
 
     def of(self, agent: str) -> Proposition:
         """Return the same region for another agent, which has its own outputs."""
         if self.shape is not None:
-            return _shaped(agent, self.shape)
+            return _shaped(agent, self.shape, self.of_states)
         if self.corners is not None:
             return Proposition(agent, *self.corners)
         return _standing(agent, self.low, self.high)
@@ -189,11 +199,7 @@ class Proposition:
         if self.corners is None:
             low, high = (np.repeat(corner[:, None], len(times), axis=1) for corner in (self.low, self.high))
             return low, high
-        values = {TIME: np.asarray(times, dtype=float)}
-        low, high = (
-            np.round(np.array([np.broadcast_to(row, len(times)) for row in computed(own, values)]), DECIMALS)
-            for own in self.trees
-        )
+        low, high = (values_over(own, times) for own in self.trees)
         wrong = ~(np.isfinite(low) & np.isfinite(high)).all(axis=0)
         if wrong.any():
             raise ValueError(
@@ -204,49 +210,43 @@ class Proposition:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the proposition as plain values, keyed as in problem files (exact)."""
-        if self.shape is not None:
-            return {"agent": self.agent, self.shape.key: self.shape.data}
-        low, high = (self.low.tolist(), self.high.tolist()) if self.corners is None else map(list, self.corners)
-        return {"agent": self.agent, "low": low, "high": high}
+        data: dict[str, Any] = {"agent": self.agent}
+        if self.of_states is not None:
+            data["of"] = list(self.of_states)
+        if self.shape is not None and not self._is_box:
+            return data | {self.shape.key: self.shape.data}
+        low, high = self._written_corners
+        return data | {"low": low, "high": high}
 
 
 def _standing(agent: str, low: np.ndarray, high: np.ndarray) -> Proposition:
     """Return a region that stands still, and may be empty."""
     region = object.__new__(Proposition)
-    values = {"agent": agent, "low": read_only(low), "high": read_only(high), "corners": None, "shape": None}
-    for key, value in values.items():
-        object.__setattr__(region, key, value)
+    values = {"low": read_only(low), "high": read_only(high), "corners": None, "shape": None, "of_states": None}
+    region._keep(agent=agent, **values)
     return region
 
 
-def _shaped(agent: str, shape: Shape) -> Proposition:
+def _shaped(agent: str, shape: Shape, of_states: tuple[str | int, ...] | None) -> Proposition:
     """Return a region of a shape that has been read."""
     region = object.__new__(Proposition)
-    for key, value in {"agent": agent, "corners": None, "shape": shape}.items():
-        object.__setattr__(region, key, value)
+    region._keep(agent=agent, corners=None, shape=shape, of_states=of_states)
     return region
 
 
-def _is_written(value: Any) -> bool:
-    """Return whether a corner has expressions."""
-    return isinstance(value, str) or (isinstance(value, Sequence) and any(isinstance(entry, str) for entry in value))
+def _shape_about(shape: Shape, of_states: tuple[str | int, ...] | None) -> Shape:
+    """Return a shape; raise ValueError if `of` says beside it what each of its parts says itself."""
+    if of_states is not None and all("of" in table for table in shape.tables):
+        raise ValueError(
+            "`of`: expected a shape that does not say itself which states it is about, got one that does, or one that "
+            "consists of names; leave `of` out"
+        )
+    return shape
 
 
-def _corner(value: Any, name: str) -> Corner:
-    """Return numbers and expressions, as they are."""
-    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or not len(value):
-        raise ValueError(f"`{name}`: expected a list of numbers and expressions in `t`, got {shown(value)}")
-    return tuple(
-        entry if isinstance(entry, str) else float(float_array([entry], f"{name}[{k}]", (1,), "0.0")[0])
-        for k, entry in enumerate(value)
-    )
-
-
-def _trees(corner: Corner, name: str) -> tuple[Tree, ...]:
-    trees = []
-    for k, entry in enumerate(corner):
-        try:
-            trees.append(read_expression(entry, (TIME,)) if isinstance(entry, str) else Number(entry))
-        except ValueError as error:
-            raise ValueError(f"`{name}[{k}]`: {error}") from None
-    return tuple(trees)
+def _box_about(region: Mapping[str, Any], of_states: tuple[str | int, ...]) -> Shape:
+    """Return a box of some states as a shape: problems say which outputs they are."""
+    ends = region["corners"] or (region["low"], region["high"])
+    if len(ends[0]) != len(of_states):
+        raise ValueError(f"`of`: expected {len(ends[0])} states, as `low` has entries, got {shown(list(of_states))}")
+    return read_shape({"box": {"low": ends[0], "high": ends[1]}})

@@ -9,7 +9,7 @@ outputs to their agents, so that a piece is a box like any other (docs/theory/re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from fractions import Fraction
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..expressions import Number, computed, names_in, read_expression
-from .checks import float_array, shown
+from .checks import checked_states, float_array, shown
 from .pieces import TURN, Combined, End, Form, Frame, Limit, all_of, either, face, face_through, moving_piece, piece_of
 
 MOST_FACES = 60
@@ -66,12 +66,27 @@ class Shape:
         """The shape in words, for people."""
         return _words(self.key, self.data)
 
+    @property
+    def tables(self) -> tuple[Mapping[str, Any], ...]:
+        """The tables of the shapes that it consists of, which may say what they are about (`of`)."""
+        return tuple(_tables(self.key, self.data))
+
     def combined(self, frame: Frame) -> Combined:
         """Return the shape as a combination of pieces; ValueError if it does not suit the agent."""
         try:
             return self._make(frame)
         except ValueError as error:
             raise ValueError(f"`{self.key}`: {error}") from None
+
+
+def _tables(key: str, data: Any) -> Iterator[Mapping[str, Any]]:
+    """Yield the tables of shapes that are not made of others."""
+    if isinstance(data, Mapping) and key != "complement":
+        yield data
+        return
+    for part in data if isinstance(data, list) else [data]:
+        for word, inner in part.items() if isinstance(part, Mapping) else ():
+            yield from _tables(word, inner)
 
 
 def read_shape(table: Any) -> Shape:
@@ -218,8 +233,8 @@ def _still(value: Any, name: str) -> float:
     end = _end(value, name)
     if isinstance(end, str):
         raise ValueError(
-            f"`{name}`: expected a number, got {shown(value)}, which names the time; angles of shapes stand still: let "
-            "the state be the angle less what moves, in dynamics that name `t`"
+            f"`{name}`: expected a number, got {shown(value)}, which names the time; the opening of a cone stands "
+            "still, its tip and axis may move"
         )
     return end
 
@@ -227,15 +242,7 @@ def _still(value: Any, name: str) -> float:
 def _of(data: Mapping[str, Any]) -> tuple[int | str, ...] | None:
     """Return the states that a shape names; None for the first ones."""
     of = data.get("of")
-    if of is None:
-        return None
-    entries = [of] if isinstance(of, str | int) else of
-    good = isinstance(entries, list) and all(
-        isinstance(entry, str | int) and not isinstance(entry, bool) for entry in entries
-    )
-    if not good or not entries:
-        raise ValueError(f"`of`: expected names or numbers of states, got {shown(of)}")
-    return tuple(entries)
+    return None if of is None else checked_states(of)
 
 
 # The shapes.
@@ -403,24 +410,23 @@ def _round_cone(tip: tuple[float, ...], axis: tuple[float, ...], angle: float, o
 
 
 def _heading(data: Any) -> Maker:
-    table = _fields(data, ("of", "from", "to"), ())
-    of, first, last = _of(table), _still(table["from"], "from"), _still(table["to"], "to")
-    if of is None or len(of) != 1:
+    table = _fields(data, ("from", "to"))
+    of, first, last = _of(table), _end(table["from"], "from"), _end(table["to"], "to")
+    if of is not None and len(of) != 1:
         raise ValueError(f"`of`: expected one state, got {shown(table['of'])}")
+    if isinstance(first, str) or isinstance(last, str):
+        return _moving_heading(first, last, of)
     if first == last or abs(last - first) >= TURN:
         raise ValueError(f"`to`: expected an angle less than a turn from `from`, and another one, got {last:g}")
     # From `from` on to the left until `to`, through pi where that is on the way.
     width = last - first if last > first else last - first + TURN
 
     def make(frame: Frame) -> Combined:
-        (state,) = frame.states(of, 1)
-        form = Form(tuple(np.eye(len(frame.low))[state].tolist()))
+        state, form = _angle(frame, of)
         low, high = frame.low[state], frame.high[state]
         if state in frame.angles:
             return _arc(form, _into(first, low, high), _into(last, low, high), (low, high))
-        turns = range(math.floor((low - first - width) / TURN), math.ceil((high - first) / TURN) + 1)
-        if len(turns) > MOST_TURNS:
-            raise ValueError(f"`of`: expected a state of at most {MOST_TURNS} turns, got a workspace of {len(turns)}")
+        turns = _turns(low - first - width, high - first)
         starts = [first + TURN * k for k in turns]
         here = [start for start in starts if start <= high and start + width > low]
         if not here:
@@ -428,6 +434,68 @@ def _heading(data: Any) -> Maker:
         return either([piece_of([Limit(form, start, start + width)]) for start in here])
 
     return make
+
+
+def _angle(frame: Frame, of: Sequence[int | str] | None) -> tuple[int, Form]:
+    """Return the state that a heading is about, and the form that it is."""
+    if of is None and frame.of is None:
+        raise ValueError("`of`: expected the state that is the angle, got none")
+    (state,) = frame.states(of, 1)
+    return state, Form(tuple(np.eye(len(frame.low))[state].tolist()))
+
+
+def _turns(low: float, high: float) -> range:
+    """Return the whole turns from one angle to another, and one more on either side."""
+    turns = range(math.floor(low / TURN), math.ceil(high / TURN) + 1)
+    if len(turns) > MOST_TURNS:
+        raise ValueError(f"`of`: expected a state of at most {MOST_TURNS} turns, got a workspace of {len(turns)}")
+    return turns
+
+
+def _moving_heading(first: End, last: End, of: Sequence[int | str] | None) -> Maker:
+    """Return a heading whose ends name the time: an interval that moves for each turn of the workspace."""
+
+    def make(frame: Frame) -> Combined:
+        state, form = _angle(frame, of)
+        if state in frame.angles:
+            raise ValueError(
+                "expected `from` and `to` that stand still where the state wraps, got some that name the time; give "
+                "the agent the `outputs` `cos` and `sin` of the angle, and a region of these"
+            )
+        times = np.arange(max(frame.times, 1), dtype=float)
+        start, stop = (_over(end, times) for end in (first, last))
+        width = stop - start
+        # From `from` on to the left until `to`, through pi where that is on the way: at all times, or at none.
+        is_through = bool(np.all(width < 0.0))
+        if not (is_through or np.all(width > 0.0)) or not np.all(np.abs(width) < TURN):
+            raise ValueError(
+                "`to`: expected an angle less than a turn from `from`, and on the same side of it at all times; add "
+                "`2*pi` to one of them where it would pass the other"
+            )
+        low, high, turn = frame.low[state], frame.high[state], TURN * is_through
+        limits = []
+        for k in _turns(low - float(start.max()) - TURN, high - float(start.min())):
+            if np.any((start + TURN * k <= high) & (stop + turn + TURN * k > low)):
+                limits.append(Limit(form, _plus(first, TURN * k), _plus(last, TURN * k + turn)))
+        if not limits:
+            raise ValueError(f"expected a heading that the workspace has at some time, from {low:g} to {high:g}")
+        return either([piece_of([limit]) for limit in limits])
+
+    return make
+
+
+def _over(end: End, times: np.ndarray) -> np.ndarray:
+    """Return an end (n,) at times (n,)."""
+    if not isinstance(end, str):
+        return np.full(len(times), end)
+    values = np.broadcast_to(computed([read_expression(end, ("t",))], {"t": times})[0], times.shape)
+    if not np.all(np.isfinite(values)):
+        raise ValueError(f"expected angles that are finite at all times, got {shown(end)}")
+    return values
+
+
+def _plus(end: End, more: float) -> End:
+    return f"({end}) + ({more!r})" if isinstance(end, str) else end + more
 
 
 def _into(angle: float, low: float, high: float) -> float:

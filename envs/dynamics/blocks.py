@@ -9,7 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import MOVING_REFUSAL, TIME, Agent, AnyAgent, LinearAgent, counted, linear, neighbour, place_of, read_only
+from ..agents import (
+    MOVING_REFUSAL,
+    TIME,
+    Agent,
+    AnyAgent,
+    LinearAgent,
+    PairRegion,
+    counted,
+    linear,
+    neighbour,
+    place_of,
+    read_only,
+)
 from ..arrays import double, is_host, namespace
 from ..expressions import Compiled
 from ..problem import Problem
@@ -276,6 +288,8 @@ class PairBlock:
     low, high : np.ndarray, shape (p, k, 1)
     radius : np.ndarray, shape (k, 1)
         Infinite where the box alone decides.
+
+    Where a pair moves, boxes and radii have an axis of times in front.
     """
 
     blocks: tuple[int, int]
@@ -289,12 +303,24 @@ class PairBlock:
     def __repr__(self) -> str:
         return f"PairBlock({counted(len(self.propositions), 'pair')} of blocks {self.blocks[0]} and {self.blocks[1]})"
 
+    def regions(self, time: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return boxes (p, k, 1) and radii (k, 1) at a time, or with an axis (M) last at a time for each world."""
+        if self.low.ndim == 3:
+            return self.low, self.high, self.radius
+        if time is None:
+            raise ValueError(MOVING_REFUSAL)
+        if np.ndim(time) == 0:
+            return self.low[time], self.high[time], self.radius[time]
+        xp = namespace(self.low)
+        low, high, radius = (xp.moveaxis(part[time][..., 0], 0, -1) for part in (self.low, self.high, self.radius))
+        return low, high, radius
+
 
 def pair_blocks(problem: Problem, position: Sequence[tuple[int, int]]) -> tuple[PairBlock, ...]:
     """Return the propositions about pairs of a problem, stacked; `position` is block and place of each agent."""
     labeling, alike = problem.labeling, dict[object, list[int]]()
     for k, pair in enumerate(labeling.pairs):
-        key = (position[pair.first][0], position[pair.second][0], pair.outputs)
+        key = (position[pair.first][0], position[pair.second][0], pair.outputs, pair.moves)
         alike.setdefault(key, []).append(k)
     result = []
     for numbers in alike.values():
@@ -302,18 +328,29 @@ def pair_blocks(problem: Problem, position: Sequence[tuple[int, int]]) -> tuple[
         first, second = (
             np.array([position[i] for i in agents]) for agents in zip(*((p.first, p.second) for p in pairs))
         )
+        low, high, radius = _of_pairs(pairs, problem.horizon)
         result.append(
             PairBlock(
                 blocks=(int(first[0, 0]), int(second[0, 0])),
                 places=(read_only(first[:, 1].copy()), read_only(second[:, 1].copy())),
                 outputs=(np.array(pairs[0].outputs[0]), np.array(pairs[0].outputs[1])),
                 propositions=read_only(labeling.first_pair + np.array(numbers)),
-                low=read_only(np.stack([pair.low for pair in pairs], axis=1)[..., None]),
-                high=read_only(np.stack([pair.high for pair in pairs], axis=1)[..., None]),
-                radius=read_only(np.array([[pair.radius] for pair in pairs])),
+                low=read_only(low),
+                high=read_only(high),
+                radius=read_only(radius),
             )
         )
     return tuple(result)
+
+
+def _of_pairs(pairs: Sequence[PairRegion], horizon: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return boxes and radii of pairs that all stand still, or all move, as a `PairBlock` has them."""
+    if not pairs[0].moves:
+        low, high = (np.stack([getattr(pair, end) for pair in pairs], axis=1)[..., None] for end in ("low", "high"))
+        return low, high, np.array([[pair.radius] for pair in pairs])
+    low, high, radius = zip(*(pair.over(np.arange(horizon + 1, dtype=float)) for pair in pairs), strict=True)
+    first, last = (np.stack(ends, axis=1).transpose(2, 0, 1)[..., None] for ends in (low, high))
+    return first, last, np.stack(radius, axis=1)[..., None]
 
 
 def block_of(problem: Problem, group: list[int]) -> Block:
@@ -328,7 +365,7 @@ def block_of(problem: Problem, group: list[int]) -> Block:
     # Propositions of all agents of the block stand side by side; `owners` says which agent each belongs to.
     # Regions that move have an axis of times in front.
     corners = [
-        labeling.corners_over(i, problem.horizon + 1) if labeling.moves else (labeling.low[i], labeling.high[i])
+        labeling.corners_over(i, problem.horizon + 1) if labeling.moving else (labeling.low[i], labeling.high[i])
         for i in group
     ]
     regions_low, regions_high = (np.concatenate([own[side] for own in corners], axis=-1) for side in (0, 1))

@@ -337,7 +337,8 @@ class OneWorld:
                 if contains(y, low, high):
                     letter |= bit
         labeling = self.dynamics.problem.labeling
-        for p, pair in enumerate(labeling.pairs, start=labeling.first_pair):
+        pairs = labeling.at(time).pairs if labeling.pairs else ()
+        for p, pair in enumerate(pairs, start=labeling.first_pair):
             between = pair.difference(outputs[pair.first], outputs[pair.second])
             if holds(between, pair.low, pair.high, pair.radius):
                 letter |= 1 << p

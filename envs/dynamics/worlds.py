@@ -475,7 +475,7 @@ def letters(dynamics: Dynamics, states: Sequence[np.ndarray], time: Any = None) 
             rows.append(contains(y, *block.regions(time)))
     for pairs in dynamics.pairs:
         with np.errstate(over="ignore", invalid="ignore"):
-            rows.append(holds(difference(pairs, outputs), pairs.low, pairs.high, pairs.radius))
+            rows.append(holds(difference(pairs, outputs), *pairs.regions(time)))
     if not rows:
         return dynamics.put(np.zeros((0, states[0].shape[-1]), dtype=bool))
     return concatenated(rows)[dynamics.proposition_rows]

@@ -208,7 +208,8 @@ class Potential:
                 )
                 width = first + second  # how far a difference can be from another
                 d = core.difference(pairs, outputs)
-                rows.append(_joined(d, pairs.low, pairs.high, width, joined, pairs.radius))
+                low, high, radius = pairs.regions(worlds.time)
+                rows.append(_joined(d, low, high, width, joined, radius))
         return rows
 
 

@@ -291,7 +291,7 @@ def _restricted_states(problem: Problem, i: int) -> list[int]:
         if name in problem.pieces:
             for limit in problem.pieces[name].limits:
                 rows = [limit.form.row] if limit.form.row else [row for _, row, _ in limit.form.squares]
-                states |= {k for row in rows for k, entry in enumerate(row) if entry}
+                states |= {k for row in rows for k, entry in enumerate(row[: agent.n_states]) if entry}
             continue
         for _, least, most in _places(region, problem.horizon):
             for k in range(agent.n_outputs):

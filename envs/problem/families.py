@@ -14,18 +14,25 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-from ..agents import SHAPES, Pair, Proposition, checked_name, shown
+from ..agents import FLAT, SHAPES, Pair, Proposition, checked_name, shown
 from ..logic import RESERVED
 
 AnyProposition = Proposition | Pair
 
-KEYS = (("agent", "low", "high"), ("agents", "low", "high"), ("outputs", "pairs", "of"))
-"""Keys of a proposition of one agent, of one about pairs, and those that the latter may have besides."""
+OF_AGENT, OF_PAIR = ("agent", "low", "high"), ("agents", "low", "high")
+"""Keys that a proposition of one agent, and one about pairs, must have where they are boxes."""
+
+BESIDES_AGENT, BESIDES_PAIR = ("of",), ("outputs", "pairs", "of")
+"""Keys that they may have besides."""
 
 
-def keys_of_pair(value: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the keys that a table about pairs must have, and those that it may have besides."""
-    return (("agents", "distance"), KEYS[2]) if "distance" in value else KEYS[1:]
+def keys_of(value: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the keys that the table of a proposition must have, and those that it may have besides."""
+    words = [key for key in value if key in SHAPES] if isinstance(value, Mapping) else []
+    if about_pairs(value):
+        other = "distance" if "distance" in value else words[0] if words else ""
+        return ("agents", other) if other else OF_PAIR, BESIDES_PAIR
+    return ("agent", words[0]) if words and not {"low", "high"} & {*value} else OF_AGENT, BESIDES_AGENT
 
 
 def about_pairs(value: Any) -> bool:
@@ -33,19 +40,14 @@ def about_pairs(value: Any) -> bool:
     return isinstance(value, Mapping) and "agents" in value
 
 
-def keys_of_shape(value: Any) -> tuple[str, ...]:
-    """Return the keys of a proposition that is a shape: its agent, and the word of the shape; nothing for others."""
-    words = [key for key in value if key in SHAPES] if isinstance(value, Mapping) else []
-    return ("agent", words[0]) if words else ()
-
-
 def refuse_shape(value: Mapping[str, Any], where: str) -> None:
-    """Raise ValueError if a proposition about pairs is written as a shape."""
-    words = [key for key in value if key in SHAPES]
+    """Raise ValueError if a proposition about pairs is written as a shape that no difference can be in."""
+    words = [key for key in value if key in SHAPES and key not in FLAT]
     if words:
         raise ValueError(
-            f"{where}: expected `low` and `high` of a difference, or a `distance`, got `{words[0]}`; a shape is about "
-            "one agent (`agent`); take a box around it where a pair keeps apart, or one within it where it is to hold"
+            f"{where}: expected `low` and `high` of a difference, a `distance`, or a shape with flat faces "
+            f"({', '.join(FLAT)}), got `{words[0]}`; other shapes are about one agent (`agent`); take one around it "
+            "where a pair keeps apart, or one within it where it is to hold"
         )
 
 
@@ -65,14 +67,11 @@ def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
         if name in RESERVED:
             raise ValueError(f"`propositions.{name}`: expected a name, got a word of the formula language; rename it")
         # A dict of the arguments stands for a proposition, as in problem files.
-        of_agent, of_pair, besides = ({*keys} for keys in KEYS)
         if about_pairs(value):
             refuse_shape(value, f"`propositions.{name}`")
-            of_pair, besides = ({*keys} for keys in keys_of_pair(value))
-        if isinstance(value, Mapping) and set(value) in (of_agent, {*keys_of_shape(value)}):
-            value = Proposition(**value)
-        elif isinstance(value, Mapping) and of_pair <= set(value) <= of_pair | besides:
-            value = Pair(**value)
+        required, besides = ({*keys} for keys in keys_of(value))
+        if isinstance(value, Mapping) and required <= set(value) <= required | besides:
+            value = (Pair if about_pairs(value) else Proposition)(**value)
         if not isinstance(value, AnyProposition):
             raise ValueError(
                 f"`propositions.{name}`: expected a Proposition, a Pair, or a dict with agent (or agents), low and "

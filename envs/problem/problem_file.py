@@ -54,16 +54,7 @@ from ..logic import (
     automaton_from_transitions,
     parse_formula,
 )
-from .families import (
-    KEYS,
-    AnyProposition,
-    about_pairs,
-    checked_propositions,
-    expand,
-    keys_of_pair,
-    keys_of_shape,
-    refuse_shape,
-)
+from .families import AnyProposition, about_pairs, checked_propositions, expand, keys_of, refuse_shape
 from .record import Problem
 from .specification import Specification
 from .spelling import spelled_out, starts_of_copies
@@ -212,20 +203,17 @@ def _keys(kind: type[AnyAgent]) -> tuple[list[str], list[str]]:
 def _propositions(table: Any) -> dict[str, AnyProposition]:
     if not isinstance(table, Mapping):
         raise ValueError(f"[propositions]: expected a table, got {shown(table)}")
-    of_agent = KEYS[0]
     result = {}
     for name, value in table.items():
         where = f"[propositions] {shown(name)}"
         if about_pairs(value):
             refuse_shape(value, where)
-            _check_keys(value, where, *keys_of_pair(value))
+            _check_keys(value, where, *keys_of(value))
             result[name] = _prefixed(where, lambda value=value: Pair(**value))
             continue
-        if isinstance(value, Mapping) and ("low" not in value and "high" not in value):
-            keys = keys_of_shape(value) or of_agent
-            _check_keys(value, where, keys, () if keys != of_agent else SHAPES)
-        else:
-            _check_keys(value, where, of_agent)
+        required, besides = keys_of(value)
+        is_open = isinstance(value, Mapping) and not {"low", "high", *SHAPES} & {*value}
+        _check_keys(value, where, required, (*besides, *SHAPES) if is_open else besides)
         result[name] = _prefixed(where, lambda value=value: Proposition(**value))
     return checked_propositions(result)
 

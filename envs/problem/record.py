@@ -22,6 +22,7 @@ import numpy as np
 from ..agents import (
     AnyAgent,
     Labeling,
+    PairRegion,
     Piece,
     Proposition,
     checked_count,
@@ -295,7 +296,7 @@ class Problem:
 
     @property
     def names_time(self) -> bool:
-        """Whether dynamics, scales of noise or regions name the time `t`: the steps of such a problem differ."""
+        """Whether dynamics, scales of noise, regions or pairs name the time `t`: the steps of such a problem differ."""
         return self.labeling.moves or any(agent.names_time for agent in self.agents)
 
     @property
@@ -572,6 +573,25 @@ def _check_corners(labeling: Labeling, horizon: int) -> None:
                 f"`propositions.{name}`: expected a region that meets the workspace of agent {agent.name} at some time "
                 f"from 0 to {horizon}, got {region.text}; correct the region or the workspace"
             )
+    for name, pair in zip(labeling.names[labeling.first_pair :], labeling.pairs, strict=True):
+        if pair.moving is not None:
+            _check_pair(name, pair, pair.moving.text, labeling.agents, times)
+
+
+def _check_pair(name: str, pair: PairRegion, text: str, agents: Sequence[AnyAgent], times: np.ndarray) -> None:
+    """Raise ValueError unless a pair that moves is finite at all times, and may hold at one."""
+    try:
+        low, high, _ = pair.over(times)
+    except ValueError as error:
+        raise ValueError(f"`propositions.{name}`: {error}") from None
+    (low_a, high_a), (low_b, high_b) = agents[pair.first].output_ends, agents[pair.second].output_ends
+    least = np.array(pair.difference(low_a, high_b))[:, None]
+    most = np.array(pair.difference(high_a, low_b))[:, None]
+    if not ((low <= most) & (high > least) & (low < high)).all(axis=0).any():
+        raise ValueError(
+            f"`propositions.{name}`: expected a box, or a distance, that differences of {agents[pair.first].name} and "
+            f"{agents[pair.second].name} can meet at some time from 0 to {int(times[-1])}, got {text}; correct it"
+        )
 
 
 def _groups(

@@ -25,8 +25,10 @@ from ..agents import (
     Pair,
     Piece,
     Proposition,
+    of_hint,
     shown,
 )
+from ..expressions import Name
 from ..logic import Formula
 from .families import AnyProposition
 
@@ -74,32 +76,121 @@ def regions_of(
     ValueError
         If a shape does not suit its agent, names what is not there, or goes round in a circle.
     """
+    by_name = {agent.name: agent for agent in agents}
+    _check_compared(written, by_name)
     shaped = {p.agent for p in written.values() if isinstance(p, Proposition) and p.shape is not None}
+    between = {
+        name: _Between.of(name, pair, by_name, horizon)
+        for name, pair in written.items()
+        if isinstance(pair, Pair) and pair.shape is not None
+    }
+    shaped |= {agent for one in between.values() for agent in one.agents}
     if not shaped:
         return Regions(tuple(agents), dict(written))
-    reader = _Reader(
-        written, families, {agent.name: _frame(agent, horizon) for agent in agents if agent.name in shaped}
-    )
+    reader = _Reader(written, families, {agent.name: agent for agent in agents if agent.name in shaped}, horizon)
     for name, proposition in written.items():
         if isinstance(proposition, Proposition) and proposition.shape is not None:
             reader.read(name)
-    made = {agent.name: _with_forms(agent, reader.forms(agent.name)) for agent in agents if agent.name in shaped}
+    made = {}
+    for agent in (agent for agent in agents if agent.name in shaped):
+        compared = [form for one in between.values() for form in one.forms(agent.name)]
+        made[agent.name] = _with_forms(agent, list(dict.fromkeys([*reader.forms(agent.name), *compared])))
     boxes: dict[str, AnyProposition] = {}
     for name, proposition in written.items():
-        if isinstance(proposition, Pair) or proposition.agent not in made:
+        if name in between:
+            boxes[name] = between[name].box(name, made)
+        elif isinstance(proposition, Pair) or proposition.agent not in made:
             boxes[name] = proposition
         elif proposition.shape is None:
             boxes[name] = made[proposition.agent].widened(name, proposition)
         for part in reader.parts.get(name, ()):
+            assert isinstance(proposition, Proposition)
             boxes[part] = made[proposition.agent].box(part, reader.pieces[part])
     members = tuple(made[agent.name].agent if agent.name in made else agent for agent in agents)
     return Regions(members, boxes, reader.meanings, reader.pieces)
 
 
-def _frame(agent: AnyAgent, horizon: int) -> Frame:
-    names = agent.states if isinstance(agent, Agent) else ()
+def _check_compared(written: Mapping[str, AnyProposition], agents: Mapping[str, AnyAgent]) -> None:
+    """Raise ValueError if a pair names outputs by numbers that its agents have not."""
+    for name, pair in written.items():
+        if isinstance(pair, Pair) and pair.outputs is not None:
+            for agent, axes in zip((agents[str(own)] for own in pair.agents), pair.outputs, strict=True):
+                if max(axes) >= agent.n_outputs:
+                    wanted = f"outputs of {agent.name} below {agent.n_outputs}"
+                    raise ValueError(f"`propositions.{name}`: expected {wanted}, got {max(axes)}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Between:
+    """A flat shape that the difference of two agents is in: the limits, and the form of either agent for each.
+
+    The difference of a linear form of both is that form of the difference, so that the shape is a box like others.
+    """
+
+    agents: tuple[str, str]
+    limits: tuple[Limit, ...]
+    sides: tuple[tuple[Form, ...], tuple[Form, ...]]
+
+    @classmethod
+    def of(cls, name: str, pair: Pair, agents: Mapping[str, AnyAgent], horizon: int) -> _Between:
+        """Read the shape of a pair; ValueError if it does not suit the agents."""
+        assert pair.shape is not None and isinstance(pair.agents, tuple)
+        first, second = (agents[agent] for agent in pair.agents)
+        count = len(pair.of_states or range(min(first.n_states, second.n_states)))
+        try:
+            states = []
+            for agent in (first, second):
+                low, high = tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist())
+                states.append(Frame(agent.state_names, low, high).states(pair.of_states, count))
+            (a, b) = (list(own) for own in states)
+            least, most = first.state_low[a] - second.state_high[b], first.state_high[a] - second.state_low[b]
+            piece = pair.shape.combined(Frame((), tuple(least.tolist()), tuple(most.tolist()), times=horizon + 1)).piece
+            if piece is None or not all(limit.form.row for limit in piece.limits):
+                raise ValueError("expected a shape with flat faces, got one that is round, or wider than half a turn")
+        except ValueError as error:
+            raise ValueError(_of(name, error)) from None
+        frames = [Frame((), (0.0,) * agent.n_states, (0.0,) * agent.n_states) for agent in (first, second)]
+        rows = [limit.form.row for limit in piece.limits]
+        forms = [tuple(Form(frame.row(own, row)) for row in rows) for frame, own in zip(frames, states, strict=True)]
+        return cls(pair.agents, piece.limits, (forms[0], forms[1]))
+
+    def forms(self, agent: str) -> tuple[Form, ...]:
+        """Return the forms of an agent that are compared."""
+        return self.sides[self.agents.index(agent)] if agent in self.agents else ()
+
+    def box(self, name: str, made: Mapping[str, _Fitted]) -> Pair:
+        """Return the pair as a box in outputs of both agents."""
+        first, second = (made[agent] for agent in self.agents)
+        places = [[own.places[form] for form in forms] for own, forms in zip((first, second), self.sides, strict=True)]
+        low: list[float | str] = []
+        high: list[float | str] = []
+        for limit, k, m in zip(self.limits, *places, strict=True):
+            # Ends that restrict nothing lie beyond all differences.
+            low.append(first.ends[0][k] - second.ends[1][m] if limit.low is None else limit.low)
+            high.append(first.ends[1][k] - second.ends[0][m] if limit.high is None else limit.high)
+        try:
+            return Pair(self.agents, low, high, outputs=places)
+        except ValueError as error:
+            raise ValueError(f"`propositions.{name}`: {error}") from None
+
+
+def _frame(agent: AnyAgent, proposition: Proposition, horizon: int) -> Frame:
+    """Return what a proposition is a region of: the states of its agent, and outputs if it names some."""
     angles = frozenset(np.flatnonzero(agent.wrapped_axes).tolist())
-    return Frame(names, tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()), angles, horizon + 1)
+    low, high = tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist())
+    frame = Frame(agent.state_names, low, high, angles, horizon + 1, proposition.of_states)
+    named = {*proposition.named_states} - {*agent.state_names}
+    others = _other_outputs(agent)
+    if not named & {agent.output_names[k] for k in others}:
+        return frame
+    ends = [end[list(others)].tolist() for end in agent.output_ends]
+    return frame.with_outputs([agent.output_names[k] for k in others], *ends)
+
+
+def _other_outputs(agent: AnyAgent) -> tuple[int, ...]:
+    """Return which outputs have names, and are no states: shapes that name some have them behind the states."""
+    axes = [agent.output_axis(k) for k in range(len(agent.output_names))]
+    return tuple(k for k, axis in enumerate(axes) if axis is None or axis[1] != 1.0)
 
 
 class _Reader:
@@ -109,9 +200,11 @@ class _Reader:
         self,
         written: Mapping[str, AnyProposition],
         families: Mapping[str, tuple[str, ...]],
-        frames: Mapping[str, Frame],
+        agents: Mapping[str, AnyAgent],
+        horizon: int,
     ) -> None:
-        self._written, self._families, self._frames = written, families, frames
+        self._written, self._families = written, families
+        self._agents, self._horizon = agents, horizon
         self._taken = {*written, *families}
         self._open: list[str] = []
         self._known: dict[str, Formula] = {}
@@ -135,7 +228,7 @@ class _Reader:
         if name not in self._known:
             self._open.append(name)
             try:
-                whole = proposition.shape.combined(self._frames[proposition.agent])
+                whole = proposition.shape.combined(_frame(self._agents[proposition.agent], proposition, self._horizon))
                 meaning = self._formula(name, whole, whole)
             except ValueError as error:
                 raise ValueError(_of(name, error)) from None
@@ -223,7 +316,7 @@ class _Fitted:
         if count not in (own, self.n_given):
             raise ValueError(
                 f"`propositions.{name}`: expected corners of length {own} (outputs of agent {self.agent.name}), got "
-                f"length {count}"
+                f"length {count}{of_hint(self.agent, count)}"
             )
         low, high = (region.low.tolist(), region.high.tolist()) if region.corners is None else region.corners
         return Proposition(region.agent, [*low, *self.ends[0][count:]], [*high, *self.ends[1][count:]])
@@ -264,13 +357,17 @@ def _with_rows(agent: LinearAgent, forms: Sequence[Form]) -> tuple[LinearAgent, 
 def _with_texts(agent: Agent, forms: Sequence[Form]) -> tuple[Agent, dict[Form, int]]:
     """Return an agent with expressions for forms."""
     texts = list(agent.output_expressions)
-    known = [repr(tree) for tree in agent.output_trees]
-    own = len(texts)
+    own, others = len(texts), _other_outputs(agent)
+    names = (*agent.states, *(f"({texts[k]})" for k in others))
+    # What outputs are that the agent has: states, and others that have their expressions as names.
+    known = {f"({texts[k]})": k for k in others}
+    for k in reversed(range(own)):
+        known |= {axis: k for axis in agent.states if agent.output_trees[k] == Name(axis)}
     places: dict[Form, int] = {}
     for form in forms:
-        text = form.text(agent.states)
-        if text in agent.states and (single := f"Name(name={text!r})") in known:
-            places[form] = known.index(single)
+        text = form.text(names[: form.size])
+        if text in known:
+            places[form] = known[text]
             continue
         if text not in texts[own:]:
             texts.append(text)

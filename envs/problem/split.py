@@ -66,12 +66,7 @@ def split_axes(problem: Problem) -> Problem:
     blocks = [_blocks(agent) for agent in problem.agents]
     if all(len(agent_blocks) == 1 for agent_blocks in blocks):
         return problem
-    if problem.pieces or problem.meanings:
-        shaped = next(name for name, p in problem.written.items() if isinstance(p, Proposition) and p.shape)
-        raise ValueError(
-            f"`problem`: expected regions with `low` and `high` alone, got the shape `{shaped}`; write boxes, or leave "
-            "the agents whole"
-        )
+    _refuse_shapes(problem)
     # Agents of several blocks are replaced by one agent per block.
     taken = set(problem.agent_names)
     agents: list[AnyAgent] = []
@@ -100,6 +95,18 @@ def split_axes(problem: Problem) -> Problem:
         propositions=propositions,
         specification=_substituted(problem.specification, problem.families, side_names),
     )
+
+
+def _refuse_shapes(problem: Problem) -> None:
+    """Raise ValueError if a region is no box of states or outputs that its agent has."""
+    changed = {own.name for own, was in zip(problem.agents, problem.written_agents, strict=True) if own is not was}
+    for name, region in problem.written.items():
+        about = region.agent if isinstance(region, Proposition) and region.shape else None
+        if about is not None and (about in changed or name in problem.meanings or problem.pieces[name].by_time):
+            raise ValueError(
+                f"`problem`: expected regions with `low` and `high` alone, got the shape `{name}`; write boxes, or "
+                "leave the agents whole"
+            )
 
 
 def axis_order(problem: Problem) -> tuple[np.ndarray, np.ndarray]:

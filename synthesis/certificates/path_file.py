@@ -73,6 +73,6 @@ def _normals(
     if not pairs:
         return None
     normals = np.asarray(arrays[str(int(entry["normals"]))], dtype=float)
-    if normals.shape != (times, sum(len(pair.low) for pair in pairs)) or not np.all(np.isfinite(normals)):
+    if normals.shape != (times, sum(pair.size for pair in pairs)) or not np.all(np.isfinite(normals)):
         raise ValueError("its directions of pairs do not fit")
     return normals

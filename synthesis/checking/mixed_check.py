@@ -85,6 +85,8 @@ def _wrong_parts(certificate: MixedCertificate, problem: Problem) -> list[str]:
         return ["what it takes its pairs to be does not fit the problem"]
     if sorted([*parts[0].agent_names, *parts[1].agent_names]) != sorted(names):
         return ["its agents are not those of the problem, each in one part"]
+    if any(pair.moves for pair in problem.labeling.pairs):
+        return ["a pair moves with the time, of which mixed teams know nothing"]
     if any(agent.angles for agent in problem.agents):
         return ["an agent has an angle, and nothing is known of how near angles of a mixed team are"]
     if problem.groups or any(part.groups for part in parts):

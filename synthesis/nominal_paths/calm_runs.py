@@ -86,5 +86,6 @@ def _outputs_and_corners(
     pair = labeling.pairs[q - labeling.first_pair]
     by_agent = dict(zip(owners, outputs, strict=True))
     values = np.asarray(pair.difference(by_agent[pair.first].T, by_agent[pair.second].T)).T
-    low, high = (np.broadcast_to(corner, values.shape) for corner in pair.inner_box)
+    boxes = [pair.at(t).inner_box for t in range(len(values))]
+    low, high = (np.array([box[side] for box in boxes]) for side in (0, 1))
     return values, low, high, f"the difference of {whose}"

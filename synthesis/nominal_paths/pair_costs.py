@@ -12,9 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import PairRegion
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from .soft_costs import soft_costs
+
+EMPTY = 1e-9
+"""By how much a box that moves is empty where its check sees that it is, far beyond the rounding of its corners."""
+
+LEAST_WIDTH = 1e-12
+"""Least width of the box of a pair: one that moves may be empty at all times that a plan has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +35,13 @@ class PairLimits:
     agents : (2, K) int array
     outputs, places : (2, K, p) int arrays
         Outputs that are compared, of the agents, and among the outputs of all agents together.
-    low, high : (K, p) arrays
-    radius : (K,) array
+    low, high : (S + 1, K, p) arrays
+        At each time: pairs may move.
+    radius : (S + 1, K) array
         Infinite for boxes.
     faces : (k, p) array
         Forms whose limits say that a pair holds.
-    face_low, face_high : (K, k) arrays
+    face_low, face_high : (S + 1, K, k) arrays
     asked : (S + 1, K) int array
         1 where a pair is to hold, -1 where it is not; 0 at time 0.
     columns : (K, p) int array
@@ -53,6 +61,11 @@ class PairLimits:
     asked: NDArray[np.int8]
     columns: NDArray[np.int64]
 
+    @property
+    def widths(self) -> FloatArray:
+        """Largest widths (K, p) of the boxes at any time, above 0: a pair that moves may be empty at times."""
+        return np.maximum(np.max(self.high - self.low, axis=0), LEAST_WIDTH)
+
     def differences(self, outputs: FloatArray) -> FloatArray:
         """Return differences (S + 1, K, p, ..) of outputs (S + 1, P, ..) of all agents together."""
         return outputs[:, self.places[0]] - outputs[:, self.places[1]]
@@ -65,7 +78,7 @@ class PairLimits:
         if np.all(self.radius < np.inf):
             return self._out_of_balls(differences, scale)
         unit = scale[..., None]
-        low, high, z = self.low[None, :, :, None] / unit, self.high[None, :, :, None] / unit, differences / unit
+        low, high, z = self.low[..., None] / unit, self.high[..., None] / unit, differences / unit
         away = z - np.clip(z, low, high)
         distance = np.sqrt((away**2).sum(axis=2))
         # Inside, the way to the nearest face.
@@ -85,7 +98,7 @@ class PairLimits:
         normal = np.where(length > 0.0, differences / np.where(length > 0.0, length, 1.0), first)
         direction = normal * scale[..., None]
         size = np.sqrt((direction**2).sum(axis=2, keepdims=True))
-        distance = (length[:, :, 0] - self.radius[:, None]) / size[:, :, 0]
+        distance = (length[:, :, 0] - self.radius[..., None]) / size[:, :, 0]
         return distance, direction / size
 
 
@@ -93,26 +106,40 @@ def pair_limits(problem: Problem, letters: NDArray[np.int8]) -> list[PairLimits]
     """Return what letters (S + 1, P) ask of pairs after time 0, by the number of outputs that are compared."""
     labeling = problem.labeling
     first_output = np.concatenate([[0], np.cumsum([agent.n_outputs for agent in problem.agents])])
-    columns = np.concatenate([[0], np.cumsum([len(pair.low) for pair in labeling.pairs])]).astype(int)
+    columns = np.concatenate([[0], np.cumsum([pair.size for pair in labeling.pairs])]).astype(int)
     asked = letters[:, labeling.first_pair :].copy()
     asked[0] = 0
     here = [k for k in range(len(labeling.pairs)) if asked[:, k].any()]
     result = []
-    kinds = [(len(pair.low), pair.is_round) for pair in labeling.pairs]
+    kinds = [(pair.size, pair.is_round) for pair in labeling.pairs]
     for p, is_round in sorted({kinds[k] for k in here}):
         numbers = np.array([k for k in here if kinds[k] == (p, is_round)])
         pairs = [labeling.pairs[k] for k in numbers]
         agents = np.array([[pair.first for pair in pairs], [pair.second for pair in pairs]])
         outputs = np.array([[pair.outputs[side] for pair in pairs] for side in (0, 1)])
-        low, high = np.array([pair.low for pair in pairs]), np.array([pair.high for pair in pairs])
         places = outputs + first_output[agents][:, :, None]
-        faces = [pair.inner_faces for pair in pairs]
-        least, most = (np.array([own[side] for own in faces]) for side in (1, 2))
+        ends = [_at_times(pair, len(letters)) for pair in pairs]
+        low, high, radius, least, most = (np.stack([own[k] for own in ends], axis=1) for k in range(5))
+        # What is surely empty at a time asks for nothing then.
+        is_empty = np.any(low >= high + EMPTY, axis=2)
+        here_asked = np.where((asked[:, numbers] < 0) & is_empty, 0, asked[:, numbers])
         result.append(
-            PairLimits(numbers, agents, outputs, places, low, high, np.array([pair.radius for pair in pairs]),
-                       faces[0][0], least, most, asked[:, numbers], columns[numbers][:, None] + np.arange(p))
+            PairLimits(numbers, agents, outputs, places, low, high, radius, pairs[0].at(0).inner_faces[0], least, most,
+                       here_asked, columns[numbers][:, None] + np.arange(p))
         )  # fmt: skip
     return result
+
+
+def _at_times(pair: PairRegion, times: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return corners (S + 1, p), radii (S + 1,), and limits of inner faces (S + 1, k), of a pair at all times."""
+    if not pair.moves:
+        ends = (pair.low, pair.high, np.float64(pair.radius), *pair.inner_faces[1:])
+        low, high, radius, least, most = (np.broadcast_to(end, (times, *np.shape(end))) for end in ends)
+        return low, high, radius, least, most
+    here = [pair.at(t) for t in range(times)]
+    faces = [own.inner_faces for own in here]
+    low, high, radius = (np.array([getattr(own, name) for own in here]) for name in ("low", "high", "radius"))
+    return low, high, radius, np.array([own[1] for own in faces]), np.array([own[2] for own in faces])
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +183,8 @@ class PairAim:
             yield cost, slope, bend, direction / self.sharp[..., None]
         if np.any(limits.asked > 0):
             for k, face in enumerate(limits.faces):
-                low = np.where(limits.asked > 0, limits.face_low[:, k], -np.inf)
-                high = np.where(limits.asked > 0, limits.face_high[:, k], np.inf)
+                low = np.where(limits.asked > 0, limits.face_low[..., k], -np.inf)
+                high = np.where(limits.asked > 0, limits.face_high[..., k], np.inf)
                 sharp, drift = np.sqrt((self.sharp * face) ** 2 @ np.ones(len(face))), self.drift @ np.abs(face)
                 direction = np.broadcast_to(face[:, None], z.shape)
                 yield *soft_costs(np.einsum("stpn,p->stn", z, face), (low, high), sharp, drift), direction

@@ -104,17 +104,17 @@ def pair_rows(
         direction = direction / np.linalg.norm(direction, axis=2, keepdims=True)
         size = np.abs(y[:, group.places[0]]) + np.abs(y[:, group.places[1]])
         for t, k in zip(*np.nonzero(group.asked), strict=True):
-            box, value, spare = (group.low[k], group.high[k]), z[t, k], INWARD * (size[t, k] + 1e-3)
+            box, value, spare = (group.low[t, k], group.high[t, k]), z[t, k], INWARD * (size[t, k] + 1e-3)
             if group.asked[t, k] < 0:
                 normal = direction[t, k]
                 normals[t, group.columns[k]] = normal
                 corner = np.maximum(normal * box[0], normal * box[1]).sum()
                 corner += INWARD * np.abs(normal) @ np.maximum(np.abs(box[0]), np.abs(box[1]))
-                corner = min(corner, (1.0 + INWARD) * group.radius[k] * float(np.linalg.norm(normal)))
+                corner = min(corner, (1.0 + INWARD) * group.radius[t, k] * float(np.linalg.norm(normal)))
                 asked = [(normal, float(normal @ value - np.abs(normal) @ spare - corner), np.inf)]
             else:
                 at, off = group.faces @ value, np.abs(group.faces) @ spare
-                ends = at - group.face_low[k] - off, group.face_high[k] - at - off
+                ends = at - group.face_low[t, k] - off, group.face_high[t, k] - at - off
                 asked = [(face, float(a), float(b)) for face, a, b in zip(group.faces, *ends, strict=True)]
             for form, below, above in asked:
                 row = len(low.setdefault(t, []))
@@ -139,5 +139,4 @@ def max_0(values: FloatArray) -> FloatArray:
 
 def deviations_of(group: PairLimits, sd: FloatArray) -> FloatArray:
     """Return deviations (S + 1, K, p) of differences for those (S + 1, P) of all outputs."""
-    widths = group.high - group.low
-    return np.maximum(np.hypot(sd[:, group.places[0]], sd[:, group.places[1]]), 1e-4 * widths)
+    return np.maximum(np.hypot(sd[:, group.places[0]], sd[:, group.places[1]]), 1e-4 * group.widths)

@@ -25,7 +25,7 @@ from .path_limits import corners_along, without_far_ends
 from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .some_paths import Whereabouts, paths_of_some
-from .words import Plan, Way, letters_of, ways_of, without_needless
+from .words import Cube, Plan, Way, letters_of, ways_of, without_needless
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
 """Costs of inputs, against states, of the feedbacks that are tried."""
@@ -160,13 +160,15 @@ def _possible(problem: Problem, drifts: Drifts, way: Way, times: tuple[int, ...]
 
 
 def _nearest_times(problem: Problem, way: Way, times: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the times nearest to those of jumps at which regions that are to hold do not pass or close; or fewer."""
+    """Return the times nearest to those of jumps at which what they ask for does not pass or close; or fewer."""
     found: list[int] = []
     for cube, wanted in zip(way.jumps, times, strict=True):
         possible = np.ones(problem.horizon + 1, dtype=bool)
         for p, holds in cube:
             if holds and p < problem.labeling.first_pair:
                 possible &= _holds_somewhere(problem, problem.automaton.propositions[p])
+            elif p >= problem.labeling.first_pair:
+                possible &= _may_be_read(problem, cube, p, holds)
         later = np.flatnonzero(possible)
         later = later[later > (found[-1] if found else 0)]
         if not len(later):
@@ -181,6 +183,28 @@ def _holds_somewhere(problem: Problem, name: str) -> NDArray[np.bool_]:
     low, high = corners_along(problem, name, problem.horizon + 1)
     bottom, top = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
     return np.asarray(np.all((low < high) & (low < top) & (bottom < high), axis=1))
+
+
+def _may_be_read(problem: Problem, cube: Cube, p: int, holds: bool) -> NDArray[np.bool_]:
+    """Return at which times (T + 1,) a pair may hold, or not, where its agents are in the regions that a cube asks for.
+
+    What is asked is all known where the pair stands still.
+    """
+    labeling, times = problem.labeling, problem.horizon + 1
+    pair = labeling.pairs[p - labeling.first_pair]
+    if not pair.moves:
+        return np.ones(times, dtype=bool)
+    ends = []
+    for i in (pair.first, pair.second):
+        low, high = (np.tile(end, (times, 1)) for end in problem.agents[i].output_ends)
+        for k in (k for k, wanted in cube if wanted and k in labeling.agent_propositions[i]):
+            corners = corners_along(problem, problem.automaton.propositions[k], times)
+            low, high = np.maximum(low, corners[0]), np.minimum(high, corners[1])
+        ends.append((low, high))
+    (low_a, high_a), (low_b, high_b) = ends
+    return np.array([
+        holds in pair.at(t).possible((low_a[t], high_a[t]), (low_b[t], high_b[t])) for t in range(times)
+    ])  # fmt: skip
 
 
 def _with_better_times(finder: _Finder, best: tuple[float, Plan, Any]) -> tuple[float, Plan, Any]:

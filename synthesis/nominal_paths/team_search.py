@@ -71,7 +71,7 @@ class TeamSearch:
         self.problem, self.work = problem, work
         self.searches = [NonlinearSearch(problem, i, work) for i in range(problem.n_agents)]
         self.model: Any = TeamModel([search.model for search in self.searches])
-        self.columns = sum(len(pair.low) for pair in problem.labeling.pairs)
+        self.columns = sum(pair.size for pair in problem.labeling.pairs)
 
     @property
     def tried(self) -> int:
@@ -170,7 +170,7 @@ class TeamSearch:
         ]
         pairs = []
         for group in limits:
-            widths = np.minimum(0.02 * np.minimum(*spans[group.places]), NARROW * (group.high - group.low))
+            widths = np.minimum(0.02 * np.minimum(*spans[group.places]), NARROW * group.widths)
             full = np.broadcast_to(widths, (steps + 1, *widths.shape))
             pairs.append(PairAim(group, full, np.zeros(full.shape)))
         faces = self._sides(letters, guess, [search.spans for search in self.searches])

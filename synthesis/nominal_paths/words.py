@@ -233,6 +233,10 @@ def without_implied(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.i
         if np.any(letters[empty, p] > 0):
             return None
         letters[empty, p] = 0
+    for p, pair in enumerate(problem.labeling.pairs, start=problem.labeling.first_pair):
+        low, high, _ = pair.over(times)
+        if np.any(letters[1:, p][np.any(high <= low, axis=0)[1:]] > 0):
+            return None
     # Pairs are compared with nothing; regions with those of the same agent.
     for p, q in ((p, q) for own in problem.labeling.agent_propositions for p in own for q in own if p != q):
         first, second = problem.propositions[names[p]], problem.propositions[names[q]]

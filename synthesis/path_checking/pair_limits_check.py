@@ -3,7 +3,8 @@
 The deviations of all agents are one recursion with block-diagonal matrices, so that the difference of two agents is a
 row like any other. Where a pair is not to hold, the certificate names a direction n for the time: the half-space
 ``n.(y_i - y_j) > max over the box of n.z`` does not meet the closed box. The maximum is computed here. Where a pair is
-to hold, there are two limits for each output that is compared. With the Jacobians C of outputs,
+to hold, there are two limits for each output that is compared. Pairs that move are enclosed at the time: to be near is
+asked of the least region that they may be, to keep apart of the largest. With the Jacobians C of outputs,
 
     variance   n' (C_i S_i C_i' + C_j S_j C_j') n,      drift   D_i(n'C_i) + D_j(n'C_j) + |n|'(off_i + off_j),
     shift      the sum of those of both rows,
@@ -24,6 +25,7 @@ from ..cells import FloatArray
 from ..certificates import PathCertificate
 from .gaussian_inequalities import Inequalities
 from .nonlinear_check import Moment, NothingKnownError, moments, shortened
+from .own_regions import pair_spans
 from .roundings import TAIL, UNIT
 
 LEAST_SIZE = 1e-6
@@ -48,11 +50,11 @@ def wrong_normals(certificate: PathCertificate) -> list[str]:
         return [] if normals is None else ["it has directions of pairs, and its problem has no pairs"]
     if any(path.states is None for path in certificate.paths):
         return ["a task about pairs of agents asks for nominal states of all agents"]
-    shape = (certificate.n_steps + 1, sum(len(pair.low) for pair in pairs))
+    shape = (certificate.n_steps + 1, sum(pair.size for pair in pairs))
     if normals is None or normals.shape != shape or not np.all(np.isfinite(normals)):
         return ["its directions of pairs do not fit, or are no numbers"]
     # Any multiple of a direction says the same, but tiny ones underflow, and ask for nothing then.
-    first = np.concatenate([[0], np.cumsum([len(pair.low) for pair in pairs])])[:-1]
+    first = np.concatenate([[0], np.cumsum([pair.size for pair in pairs])])[:-1]
     sizes = np.maximum.reduceat(np.abs(normals), first, axis=1)
     if np.any((sizes != 0.0) & ((sizes < LEAST_SIZE) | (sizes > 1.0 / LEAST_SIZE))):
         return ["a direction of a pair is far from a unit vector"]
@@ -80,21 +82,24 @@ def _forms(certificate: PathCertificate, t: int) -> list[Form]:
     labeling, forms, at = certificate.problem.labeling, list[Form](), 0
     assert certificate.normals is not None
     for p, pair in enumerate(labeling.pairs, start=labeling.first_pair):
-        normal = certificate.normals[t, at : at + len(pair.low)]
-        at += len(pair.low)
+        normal = certificate.normals[t, at : at + pair.size]
+        at += pair.size
         value = int(certificate.letters[t, p])
+        if not value:
+            continue
+        inner, outer = pair_spans(pair, t)
         if value > 0:
-            faces, low, high = pair.inner_faces
+            faces, low, high = inner.inner_faces
             forms += [Form(pair, *each) for each in zip(faces, low.tolist(), high.tolist(), strict=True)]
-        elif value < 0:
+        elif not outer.is_empty:
             if not np.any(normal):
                 raise NothingKnownError(f"pair `{labeling.names[p]}` is kept apart in no direction at step {t}")
             # The largest value of the form on the closed box, or on the closed ball, rounded up.
-            corner = np.maximum(normal * pair.low, normal * pair.high)
+            corner = np.maximum(normal * outer.low, normal * outer.high)
             largest = float(np.sum(corner)) + (len(normal) + 2.0) * UNIT * float(np.sum(np.abs(corner)))
-            if pair.is_round:
+            if outer.is_round:
                 length = float(np.sqrt(np.sum(normal * normal)))
-                largest = pair.radius * length * (1.0 + (len(normal) + 8.0) * UNIT)
+                largest = outer.radius * length * (1.0 + (len(normal) + 8.0) * UNIT)
             forms.append(Form(pair, normal, largest, np.inf))
     return forms
 

@@ -262,7 +262,7 @@ def _shapes(
         i = problem.agent_names.index(member.agent)
         if i not in shown:
             continue
-        for found in _written_shapes(problem.agents[i], i, table, shown[i][0]):
+        for found in _written_shapes(problem.agents[i], i, table, shown[i][0], table.get("of")):
             if found["kind"] == "box" or None not in found["axes"]:
                 yield {"name": name, "id": "/".join([name, *map(str, found["at"][:-1])]), **found}
 
@@ -277,12 +277,15 @@ _MOVED = {
 """Shapes that can be moved, and the numbers that say where they are."""
 
 
-def _written_shapes(agent: Any, i: int, table: Mapping[str, Any], axes: list[Axis]) -> Iterator[dict[str, Any]]:
+def _written_shapes(
+    agent: Any, i: int, table: Mapping[str, Any], axes: list[Axis], of: Any
+) -> Iterator[dict[str, Any]]:
     """Yield the shape of a table, or those of the parts of which it is a union, intersection or complement.
 
-    ``at`` leads from the proposition to the numbers of a shape; ``part`` says whether it is one of several.
+    ``of`` names the states of parts that name none; ``at`` leads from the proposition to the numbers of a shape;
+    ``part`` says whether it is one of several.
     """
-    found = _shape(agent, i, table, axes)
+    found = _shape(agent, i, table, axes, of)
     if found is not None:
         yield {**found, "part": False}
         return
@@ -292,14 +295,15 @@ def _written_shapes(agent: Any, i: int, table: Mapping[str, Any], axes: list[Axi
     inner += [(("complement",), table["complement"])] if "complement" in table else []
     for path, part in inner:
         if isinstance(part, Mapping):
-            for shape in _written_shapes(agent, i, part, axes):
+            for shape in _written_shapes(agent, i, part, axes, of):
                 yield {**shape, "at": [*path, *shape["at"]], "part": True}
 
 
-def _shape(agent: Any, i: int, table: Mapping[str, Any], axes: list[Axis]) -> dict[str, Any] | None:
+def _shape(agent: Any, i: int, table: Mapping[str, Any], axes: list[Axis], of: Any) -> dict[str, Any] | None:
     """Return kind, numbers and axes of one shape; None if it is not made of numbers that can be moved."""
     if _numbers(table.get("low")) and _numbers(table.get("high")):
-        outputs = [_output(agent, axis, i) for axis in axes]
+        states = None if of is None else _of(agent, of, "box", table)
+        outputs = [_output(agent, axis, i) if states is None else _place(states, axis, i) for axis in axes]
         box = {"low": table["low"], "high": table["high"], "at": []}
         return {"kind": "box", "axes": outputs, **box} if any(k is not None for k in outputs) else None
     for kind, keys in _MOVED.items():
@@ -307,10 +311,8 @@ def _shape(agent: Any, i: int, table: Mapping[str, Any], axes: list[Axis]) -> di
         if isinstance(shape, Mapping) and all(_numbers(shape.get(key)) for key in keys):
             if len(shape.get("normal", shape.get("tip", "xy"))) != 2:
                 return None  # in space its edge on a panel is not known
-            of = _of(agent, shape.get("of"), kind, shape)
-            shown = [
-                of.index(axis[1]) if axis is not None and axis[0] == i and axis[1] in of else None for axis in axes
-            ]
+            states = _of(agent, shape.get("of", of), kind, shape)
+            shown = [_place(states, axis, i) for axis in axes]
             numbers = {key: shape[key] for key in keys}
             return {"kind": kind, "axes": shown, **numbers, "at": [kind]} if any(k is not None for k in shown) else None
     return None
@@ -320,10 +322,17 @@ def _of(agent: Any, of: Any, kind: str, shape: Mapping[str, Any]) -> list[int]:
     """Return the states that a shape is about: the first ones unless it names others."""
     if of is None:
         return list(range(len(shape["low"]) if kind == "box" else 2))
-    names = _state_names(agent)
+    names = list(_state_names(agent))
+    # Outputs that are no states are on no axis of a picture.
     return [
-        names.index(state) if isinstance(state, str) else int(state) for state in (of if isinstance(of, list) else [of])
+        (names.index(state) if state in names else -1) if isinstance(state, str) else int(state)
+        for state in (of if isinstance(of, list) else [of])
     ]
+
+
+def _place(states: list[int], axis: Axis, i: int) -> int | None:
+    """Return which of the states that a shape is about is that of an axis."""
+    return states.index(axis[1]) if axis is not None and axis[0] == i and axis[1] in states else None
 
 
 def _output(agent: Any, axis: Axis, i: int) -> int | None:

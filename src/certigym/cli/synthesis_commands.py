@@ -279,7 +279,8 @@ def _subject(region: Proposition | Pair) -> str:
 
 def _box(region: Proposition | Pair) -> str:
     """Return the corners of a region; where it moves, as they are written."""
-    is_box = region.distance is None if isinstance(region, Pair) else not (region.moves or region.shape)
+    is_box = region.distance is None if isinstance(region, Pair) else not region.shape
+    is_box = is_box and not region.moves
     return f"[{_vector(region.low)}, {_vector(region.high)})" if is_box else region.text
 
 
