@@ -396,7 +396,7 @@ def test_drift_and_variance_are_those_of_all_products() -> None:
     assert np.all(np.abs(found_shift - shift) <= found_drift - drift) and np.any(np.abs(shift) > 0.1)
 
 
-CURVES = ("x*x - 2*y", "x*u", "sqrt(3 + x)*u + x*y", "cos(x + u) - y*v*w", "exp(u)*v + w*x")
+CURVES = ("x*x - 2*y", "x*u", "x*v", "sqrt(3 + x)*u + x*y", "cos(x + u) - y*v*w", "exp(u)*v + w*x")
 """Expressions of states x and y, inputs u and v that follow them, and a disturbance w."""
 
 
