@@ -118,3 +118,24 @@ def simulated(problem: cg.Problem, controller: Any, n: int, seed: int) -> int:
                 moved.append(agent.A @ x + agent.B @ u + agent.offset[:, None] + noise)
             states = moved
     return int((automaton.accepting[q] & ~failed).sum())
+
+
+def judged_by_hand(states: Any, wanted: Any, formula: str) -> Any:
+    """Return which runs (T + 1, n, 4) of two agents in the plane satisfy `!near U there` or `F (near & there)`.
+
+    The first agent is there on [3, 5) x [-1, 1); they are near where `wanted` says so of their difference and the time.
+    """
+    verdicts = []
+    for run in np.moveaxis(states, 1, 0):
+        verdict = False
+        for t, x in enumerate(run):
+            if np.isnan(x).any():
+                break
+            there, is_near = bool(3 <= x[0] < 5 and -1 <= x[1] < 1), bool(wanted(x[:2] - x[2:], t))
+            if there and (is_near or formula.startswith("!")):
+                verdict = True
+                break
+            if is_near and formula.startswith("!"):
+                break
+        verdicts.append(verdict)
+    return np.array(verdicts)

@@ -16,7 +16,7 @@ from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.certificates import AgentPath, PathCertificate
 from certigym.synthesis.nominal_paths.limit_rows import Worth
 from certigym.synthesis.nominal_paths.pair_rows import PairRows
-from certigym.synthesis.nominal_paths.words import is_accepted, ways_of
+from certigym.synthesis.nominal_paths.words import Way, is_accepted, ways_of
 from test_nonlinear_paths_are_certified import path_of
 
 FALSE_ALARM = 1e-6
@@ -329,3 +329,26 @@ def test_the_first_letter_of_pairs_is_known_where_all_starts_agree(low: float, h
                         (cg.Pair(["first", "second"], distance=0.5), state)):  # fmt: skip
         problem = problem_of([first, walker("second", [0.0], 0.1)], {"near": pair}, "near | F G near", 3)
         assert (problem.initial_q is not None) == there
+
+
+def test_jumps_without_a_stay_follow_at_once() -> None:
+    """Two steps together, and then to the shop: one cannot stay where the second step is waited for."""
+    regions = {
+        "depot": cg.Proposition("first", [-4.0, 2.0], [-2.0, 4.0]),
+        "shop": cg.Proposition("second", [2.0, 2.0], [4.0, 4.0]),
+        "meet": cg.Pair(["first", "second"], distance=0.9),
+    }
+    agents = [walker("first", [-3.0, -2.0], 0.05), walker("second", [3.0, -2.0], 0.05)]
+    certificate = path_of(problem_of(agents, regions, "F (depot & F (meet & X meet & F shop))", 16))
+    assert certificate.lower_bound > 0.999 and cg.check(certificate)
+    together = certificate.letters[:, certificate.problem.automaton.propositions.index("meet")] > 0
+    assert np.any(together[1:] & together[:-1])
+
+
+def test_ways_spread_their_jumps_evenly_and_together() -> None:
+    stay: Any = ((0, False),)
+    way = Way((stay, stay, None, stay, ()), (stay, stay, stay, stay))
+    assert [[*group] for group in way.groups] == [[0], [1, 2], [3]]
+    assert way.spread(13) == (4, 8, 9, 13) and way.spread(4) == (1, 2, 3, 4)
+    assert way.moved((4, 8, 9, 13), range(1, 3), 2) == (4, 10, 11, 13)
+    assert Way((stay,), ()).spread(5) == ()

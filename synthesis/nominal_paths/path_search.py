@@ -135,8 +135,7 @@ def _timed(problem: Problem, drifts: Drifts, way: Way) -> Iterator[Plan]:
     if n > problem.horizon or (n == 0 and problem.automaton.is_co_safe):
         return
     for share in (1.0, 0.6, 0.8):
-        groups = len(way.groups)
-        times = way.spread([1.0 / groups] * groups, max(n, round(share * problem.horizon))) if n else ()
+        times = way.spread(max(n, round(share * problem.horizon)))
         if problem.labeling.moves:
             times = _nearest_times(problem, way, times)
         if len(times) == n and times not in seen and all(a < b for a, b in zip(times, times[1:])):

@@ -7,7 +7,7 @@ read, and leaves it at a time of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import product
@@ -51,13 +51,12 @@ class Way:
         firsts = [k for k in range(len(self.jumps)) if k == 0 or self.stays[k] is not None]
         return [range(a, b) for a, b in zip(firsts, [*firsts[1:], len(self.jumps)])]
 
-    def spread(self, shares: Sequence[float], last: int) -> tuple[int, ...]:
-        """Return times of the jumps: groups begin after shares of the time up to the last jump, which sum up to 1."""
+    def spread(self, last: int) -> tuple[int, ...]:
+        """Return times of the jumps, up to a last one: groups begin evenly spread."""
         groups, times = self.groups, list[int]()
-        free, passed = last - (len(self.jumps) - len(groups)), 0.0
-        for share, group in zip(shares, groups, strict=True):
-            passed += share
-            first = max(len(times) + 1, round(passed * free) + len(times) - groups.index(group))
+        free = last - (len(self.jumps) - len(groups))
+        for number, group in enumerate(groups):
+            first = max(len(times) + 1, round((number + 1) * free / len(groups)) + len(times) - number)
             times += range(first, first + len(group))
         return tuple(times)
 
