@@ -19,7 +19,7 @@ from cell_forgeries import forgeries_of
 from certigym.synthesis.certificates import AgentPath, PathCertificate, StartHull
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import Network
-from certigym.synthesis.upper_ends import bound_above, wrong_upper_end
+from certigym.synthesis.upper_ends import bound_above
 from certigym.validation.policies.actors import SharedActor
 from deployed import Deployed, Followed, Networked, Permitted, problem_of
 from independent import successes
@@ -193,9 +193,10 @@ def _of_upper_end(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     if isinstance(certificate, cg.ProductCertificate):
         raise ValueError("of independent tasks")
     end = bound_above(certificate)
+    report = cg.check(end)
     failing = {**spec, "fails": True}
     claims: Claims = [(failing, lambda n, seed: Deployed(certificate, n, seed), 1.0 - end.upper_bound)]
-    return claims, "; ".join(wrong_upper_end(end, certificate))
+    return claims, "; ".join(report.failures)
 
 
 CLAIMS: dict[str, Callable[[cg.Problem, Spec], tuple[Claims, str]]] = {

@@ -25,10 +25,9 @@ lasting = cg.safety_rate(safe)
 print("safe for k steps:", lasting, lasting.at([1, 100, 10_000]))
 
 # The other end: how often these controllers succeed at most, under any relation with cells.
-parked = cg.synthesize(parking).certificate
-above = cg.bound_above(parked)
-print(f"the controllers park with a probability of {parked.lower_bound} at least, {above.upper_bound} at most")
-assert parked.lower_bound <= above.upper_bound
+parked = cg.synthesize(parking, above=True).certificate
+print(f"the controllers park with a probability of {parked.lower_bound} at least, {parked.upper_bound} at most")
+assert parked.lower_bound <= parked.upper_bound and cg.check(parked)
 
 # Along a path: starts from all of which a probability is kept, as a convex set that the check takes, too.
 along = cg.synthesize("integrator-chain-v0", relation="path")

@@ -50,6 +50,7 @@ from .pairs import NearMass, joint_problem, relevant_pairs, usual_values, withou
 from .raw_networks import certify_network
 from .search import FINAL, Limits, Search, Sweep, sweep
 from .together import joint_cells
+from .upper_ends import synthesis_above
 
 WORTHWHILE = 1e-7
 """Relative gain below which ``improve`` stops: far above rounding, and too little for the cost of another sweep."""
@@ -65,6 +66,7 @@ def certify(
     *,
     relation: Relations = "auto",
     raw: bool = False,
+    above: bool = False,
     **settings: Any,
 ) -> Synthesis:
     """Compute a certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
@@ -83,6 +85,8 @@ def certify(
         As for ``abstract``; ``exact`` or ``joint`` for tasks about pairs. Relations are not compared.
     raw : bool
         Whether to certify a trained actor as it is, not wrapped: the relation is ``linear`` or ``boxes`` then.
+    above : bool
+        Whether to bound it from above, too (``upper_bound`` of the certificate; see ``bound_above``).
     **settings
         Further settings of the relation, passed to ``abstract``.
 
@@ -97,6 +101,8 @@ def certify(
     ValueError
         If the policy has an unknown form or returns inputs that are not finite, or the relation does not apply.
     """
+    if above:
+        return synthesis_above(certify(problem, policy, cells, relation=relation, raw=raw, **settings))
     if raw:
         if not isinstance(relation, str):
             raise ValueError("`relation`: expected one for all agents with `raw`, got a mapping; leave it out")

@@ -30,7 +30,7 @@ from .models import (
     network_tables,
     start_of,
 )
-from .relations import NetworkPolicy
+from .relations import NetworkPolicy, network_policy
 from .search import FINAL, Limits, Stage, sweep
 from .values import to_host
 
@@ -264,6 +264,23 @@ def _certified(
     seconds = {"abstract": began[1] - began[0], "synthesize": time.perf_counter() - began[1]}
     stats = {"seconds": seconds, "rank": certificate.rank, "dropped": best.dropped, **facts}
     return Synthesis(certificate, certificate.controller, stats)
+
+
+def evaluated_again(problem: Problem, certificate: Certificate) -> Certificate:
+    """Return the certificate of the networks of another one, on the same cells, for another task of their agents."""
+    began = time.perf_counter()
+    pairs = zip(problem.agents, certificate.agents, strict=True)
+    policies = [network_policy(part.relation["network"], agent) for agent, part in pairs]
+    cells = dict(zip(problem.agent_names, (part.grid.shape for part in certificate.agents), strict=True))
+    kind, targets = certificate.agents[0].relation["kind"], certificate.settings.get("targets_per_cell")
+    modes = [policy.n_modes for policy in policies]
+    repaired = any(np.any(part.policy >= n) for part, n in zip(certificate.agents, modes, strict=True))
+    abstraction = network_abstraction(problem, policies, cells, targets, kind, with_menu=repaired)
+    tables = tuple(part.policy for part in certificate.agents)
+    names = [name for name in ("share", "repaired") if name in certificate.settings]
+    facts: dict[str, Any] = {name: certificate.settings[name] for name in names}
+    found = _certified(problem, abstraction, tables, "networks as they are", facts, (began, time.perf_counter()))
+    return found.certificate
 
 
 def differences(certificate: Certificate, actor: Any) -> list[str]:

@@ -20,7 +20,7 @@ from .models import (
     check_settings,
     relations_of,
 )
-from .on_cells import Plan, plain
+from .on_cells import Plan, continued
 from .parts import synthesize_parts
 from .search import Limits, Search, sweep_bar
 from .task_ways import (
@@ -34,10 +34,11 @@ from .task_ways import (
     ways_within,
 )
 from .together import ways_together
+from .upper_ends import synthesis_above
 from .values import HOST, device_put
 
 
-# Fifteen parameters, because this is the door of the package: its options are flat, as users and the command line have
+# Sixteen parameters, because this is the door of the package: its options are flat, as users and the command line have
 # them, and become records (`Plan`) at once.
 def synthesize(
     problem: Any,
@@ -56,6 +57,7 @@ def synthesize(
     restarts: int = 0,
     start: Certificate | None = None,
     stationary: bool = False,
+    above: bool = False,
     **settings: Any,
 ) -> Synthesis:
     """Compute per-agent controllers for ``problem`` and a certified lower bound on its satisfaction probability.
@@ -109,6 +111,9 @@ def synthesize(
         own. Its policies are evaluated anew, and nothing that it claims is trusted.
     stationary : bool
         Whether policies must not depend on the time, for tasks without a deadline (see ``without_deadline``).
+    above : bool
+        Whether the certificate is to say, too, how often its controllers succeed at most (``upper_bound``; see
+        ``bound_above``). Relations in which nothing is lost say so in any case.
     **settings
         Further settings of the relation (see ``Settings``).
 
@@ -136,7 +141,8 @@ def synthesize(
         settings = {**_settings_of_start(problem, relation, start), **settings}
     plan = Plan(Settings(**settings), search, budget, spending)
     try:
-        return _of_problem(problem, cells, relation, plan, start)
+        found = _of_problem(problem, cells, relation, plan, start)
+        return synthesis_above(found) if above else found
     except RelationRefused as refusal:
         raise RelationRefused(to_who_asked_for_none(refusal) if cells is None else str(refusal)) from None
 
@@ -186,7 +192,7 @@ def _of_task(
     kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
     if start is not None:
         _refuse_beside(start, relation, plan)
-        return _continued(problem, cells, kinds, plan, start)
+        return continued(problem, cells, kinds, plan, start)
     if plan.budget is None:
         return best_of(ways_of(problem, cells, kinds, plan), plan.effort)
     if cells is not None:
@@ -275,19 +281,6 @@ def _of_joint_agent(start: Any) -> Certificate:
         f"`start`: expected the certificate of a joint agent for a task about pairs, got {type(start).__name__}; other "
         "ways begin anew; leave it out"
     )
-
-
-def _continued(problem: Problem, cells: CellCounts, kinds: list[str], plan: Plan, start: Certificate) -> Synthesis:
-    """Synthesize from the policies of a certificate; cells and relations default to those of the certificate."""
-    start_kinds = [part.relation["kind"] for part in checked_certificate(start, "start").agents]
-    if cells is None and len(start_kinds) == problem.n_agents:
-        cells = dict(zip(problem.agent_names, (part.grid.shape for part in start.agents), strict=True))
-    if plan.settings.common is None and any("common" in part.relation for part in start.agents):
-        plan = replace(plan, settings=replace(plan.settings, common=True))
-    if len(start_kinds) == len(kinds) and "auto" in kinds:
-        kinds = [from_start if kind == "auto" else kind for kind, from_start in zip(kinds, start_kinds, strict=True)]
-        plan = replace(plan, settings=plan.settings.of_kinds(kinds))
-    return plain(problem, cells, kinds, plan, start)
 
 
 def _settings_of_start(problem: Problem, relation: Relations, start: Certificate) -> dict[str, Any]:

@@ -7,146 +7,63 @@ relation, search and check are those of all certificates (docs/theory/bounds.md,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from ..envs.agents import tree_text
-from ..envs.problem import Problem, Specification, refuse_joint_noise
-from ..envs.suite import as_problem
-from .bridges import certifiable
-from .cells import CellCounts
-from .certificates import Certificate, PairsCertificate, TeamCertificate, rounded_up
-from .checking import check, other_controllers, wrong_opposite, wrong_team
-from .raw_networks import certify_network, differences
-from .synthesize import synthesize
+from ..envs.problem import opposite_of
+from .certificates import EXACT_GAP, Certificate, Synthesis, any_certificate
+from .choosing import Effort, settings_of
+from .models import Settings
+from .on_cells import Plan, continued
+from .raw_networks import evaluated_again
+from .search import Search
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class UpperEnd:
-    """An upper bound on the success probability of certified controllers, or of networks as they are deployed.
+def bound_above(certificate: Any) -> Any:
+    """Return a certificate with a certified upper bound on how often its controllers satisfy its task.
 
-    Parameters
-    ----------
-    problem : Problem
-    opposite : Certificate
-        About the same controllers, or networks, and the opposite task.
-    """
+    It is for all certificates on cells, and for what is put together of them; others are returned as they are, and
+    those that have an upper end already. It takes about as long as an evaluation of the policies. Runs that leave the
+    workspaces count as if they might have succeeded: the end is too large by as much as leaves.
 
-    problem: Problem
-    opposite: Certificate
-
-    @property
-    def upper_bound(self) -> float:
-        """Upper bound on the probability that the task is satisfied, from the problem's start."""
-        return min(1.0, float(np.nextafter(1.0 - self.opposite.lower_bound, 2.0)))
-
-    def __repr__(self) -> str:
-        rows = [("bound", f"P <= {rounded_up(self.upper_bound, 6)}"), ("method", self.opposite.method)]
-        return tree_text(f"UpperEnd of {self.problem.name!r}", rows)
-
-
-def opposite_of(problem: Problem) -> Problem:
-    """Return the problem whose task is judged at the horizon, and satisfied where the one of ``problem`` is not."""
-    refuse_joint_noise(problem)
-    automaton = replace(problem.automaton, semantics="finite-trace", accepting=~problem.automaton.accepting)
-    return Problem(
-        name=f"not {problem.name}",
-        horizon=problem.horizon,
-        agents=problem.written_agents,
-        propositions=problem.declared,
-        specification=Specification(automaton=automaton),
-    )
-
-
-def bound_above(certificate: Any) -> UpperEnd:
-    """Compute a certified upper bound on how often the controllers of a certificate satisfy its task.
-
-    It is for all relations with cells, ``linear`` and ``boxes`` among them, whose certificates have no other upper
-    end; it takes about as long as an evaluation. Runs that leave the workspaces count as if they might have succeeded.
-
-    Of the certificate its policies, cells, relations and their settings are taken, and evaluated anew;
-    ``wrong_upper_end`` verifies what comes out by the code of the check.
+    The end becomes part of the certificate (``opposite``, ``gap``, ``upper_bound``): it is saved with it, verified by
+    ``check``, and compared with rollouts by ``validate``.
 
     Parameters
     ----------
-    certificate : Certificate or TeamCertificate
-        About one task. For a joint agent on a grid the end is about the problem of the joint agent, which is the team.
+    certificate : Synthesis, certificate of any kind, or path
+        Its policies, cells, relations and their settings are taken, and evaluated anew for the opposite task.
 
     Raises
     ------
     ValueError
-        If it is of another kind, or about networks (``bound_network_above``).
+        If its policies cannot be evaluated.
     """
-    if isinstance(certificate, TeamCertificate) and isinstance(certificate.base, Certificate):
-        if wrong := wrong_team(certificate.problem, certificate.base.problem):
-            raise ValueError(f"`certificate`: expected a joint agent that is the team, got another: {wrong[0]}")
-        certificate = certificate.base
-    if isinstance(certificate, PairsCertificate):
-        raise ValueError(
-            "`certificate`: expected one whose policies were evaluated on the whole task, got one by subtraction: what "
-            "is subtracted for pairs of agents bounds no success from above beyond its `gap`"
-        )
-    if not isinstance(certificate, Certificate) or any("network" in part.relation for part in certificate.agents):
-        raise ValueError(
-            "`certificate`: expected one of a single task on cells, of controllers and not of networks, got another "
-            "kind; independent tasks have one for each part, networks `bound_network_above`"
-        )
+    return any_certificate(certificate).with_claims(_with_end)
+
+
+def synthesis_above(synthesis: Synthesis) -> Synthesis:
+    """Return a synthesis whose certificate has an upper end, if it can have one."""
+    certificate = bound_above(synthesis.certificate)
+    return replace(synthesis, certificate=certificate, controller=certificate.controller)
+
+
+def _with_end(certificate: Certificate) -> Certificate:
+    """Return the certificate of one task with an upper end."""
+    if certificate.gap is not None:
+        return certificate
+    opposite = opposite_of(certificate.problem)
     try:
-        found = synthesize(opposite_of(certificate.problem), start=certificate, max_sweeps=0)
+        if any("network" in part.relation for part in certificate.agents):
+            found = evaluated_again(opposite, certificate)
+        else:
+            kinds = [part.relation["kind"] for part in certificate.agents]
+            plan = Plan(Settings(**settings_of(certificate, kinds)), Search(max_sweeps=0), None, Effort())
+            found = continued(opposite, None, kinds, plan, certificate).certificate
     except ValueError as error:
         raise ValueError(f"`certificate`: its policies cannot be evaluated for the opposite task: {error}") from error
-    assert isinstance(found.certificate, Certificate)
-    end = UpperEnd(certificate.problem, found.certificate)
-    failures = other_controllers(certificate, end.opposite)
-    if failures:
-        raise ValueError(f"`certificate`: its controllers could not be kept for the opposite task: {failures[0]}")
-    return end
-
-
-def bound_network_above(
-    problem: Any, actor: Any, cells: CellCounts = None, *, relation: str = "auto", targets_per_cell: int | None = None
-) -> UpperEnd:
-    """Compute a certified upper bound on the satisfaction probability of networks as they are deployed.
-
-    Runs that leave the workspaces count as if they might have succeeded.
-
-    Parameters
-    ----------
-    problem, actor, cells, relation, targets_per_cell
-        As for ``certify_network``.
-
-    Raises
-    ------
-    ValueError
-        As for ``certify_network``.
-    """
-    problem = as_problem(problem)
-    actor = certifiable(problem, actor)
-    found = certify_network(opposite_of(problem), actor, cells, relation=relation, targets_per_cell=targets_per_cell)
-    assert isinstance(found.certificate, Certificate)
-    return UpperEnd(problem, found.certificate)
-
-
-def wrong_upper_end(end: UpperEnd, of: Any = None) -> list[str]:
-    """Return why an upper end does not hold; empty if it was verified by the code of the check.
-
-    The opposite task is compared with the problem, and its certificate is checked like any other. With ``of``, a
-    certificate or an actor, its controllers or networks are compared with those of the upper end. Without it, the end
-    is verified for the controllers in ``end.opposite``, whosever they are.
-    """
-    failures = wrong_opposite(end.problem, end.opposite.problem)
-    if not failures:
-        failures = list(check(end.opposite).failures)
-    if not failures and isinstance(of, TeamCertificate) and isinstance(of.base, Certificate):
-        failures, of = wrong_team(of.problem, of.base.problem), of.base
-    if not failures and isinstance(of, Certificate):
-        # Which states are undecided depends on the task: controllers of another one may differ where it matters here.
-        is_same = of.problem.fingerprint == end.problem.fingerprint
-        failures = (
-            other_controllers(of, end.opposite) if is_same else ["it is for another problem than the certificate"]
-        )
-    elif not failures and of is not None:
-        failures = differences(end.opposite, of)
-    return failures
+    above = min(1.0, math.nextafter(1.0 - found.lower_bound, 2.0))
+    # Rounded up: the sum of bound and gap must not be below the end.
+    gap = max(0.0, math.nextafter(above - certificate.lower_bound, 2.0))
+    return replace(certificate, opposite=found, gap=gap, exact=gap <= EXACT_GAP)

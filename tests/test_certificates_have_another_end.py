@@ -1,15 +1,17 @@
-"""Upper ends by the opposite task: for relations without one, of the very controllers of a certificate."""
+"""Upper ends by the opposite task: part of certificates, saved, checked, and met by rollouts."""
 
 from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.upper_ends import UpperEnd, bound_above, opposite_of, wrong_upper_end
+from certigym.envs.problem import opposite_of
 from problems import two_agents
 from written_problems import oscillator_reach
 
@@ -18,70 +20,101 @@ FALSE_ALARM = 1e-6
 
 
 @cache
-def parked(cells: int, relation: str = "linear") -> cg.Synthesis:
-    return cg.synthesize("car-park-v0", cells, relation=relation)
+def parked(cells: int, relation: str = "linear") -> Any:
+    """The controllers that park, with both ends."""
+    return cg.synthesize("car-park-v0", cells, relation=relation, above=True).certificate
 
 
 MADE = {
     "linear": lambda: parked(60),
     "boxes": lambda: parked(100, "boxes"),
-    "expressions": lambda: cg.synthesize(oscillator_reach(8), 30, relation="linear"),
-    "two agents": lambda: cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, relation="linear"),
+    "expressions": lambda: cg.synthesize(oscillator_reach(8), 30, relation="linear", above=True).certificate,
+    "two agents": lambda: (
+        cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, relation="linear", above=True).certificate
+    ),
 }
 
 
 @pytest.mark.parametrize("kind", MADE)
 def test_rollouts_lie_between_both_ends(kind: str) -> None:
-    certificate = MADE[kind]().certificate
-    assert isinstance(certificate, cg.Certificate)
-    end = bound_above(certificate)
-    assert 0.05 < certificate.lower_bound <= end.upper_bound and wrong_upper_end(end, certificate) == []
-    episodes = 20_000
-    successes = round(cg.validate(certificate, episodes, seed=4).estimate * episodes)
-    assert binom.sf(successes - 1, episodes, end.upper_bound) > FALSE_ALARM
-    assert binom.cdf(successes, episodes, certificate.lower_bound) > FALSE_ALARM
+    certificate = MADE[kind]()
+    report = cg.check(certificate)
+    assert report and 0.05 < certificate.lower_bound <= report.above <= certificate.upper_bound
+    validation = cg.validate(certificate, 20_000, seed=4, confidence=1.0 - FALSE_ALARM)
+    assert not validation.refuted and validation.gap == certificate.gap
+    successes = round(validation.estimate * 20_000)
+    assert binom.sf(successes - 1, 20_000, certificate.upper_bound) > FALSE_ALARM
+
+
+def test_a_claim_whose_upper_end_is_too_small_is_refuted_by_rollouts() -> None:
+    good = parked(60)
+    low = dataclasses.replace(good, lower_bound=0.5, bounds={good.bound: 0.5}, gap=0.2)
+    assert cg.validate(low, 20_000, seed=4, confidence=1.0 - FALSE_ALARM).refuted and not cg.check(low)
 
 
 def test_the_upper_end_is_near_that_of_exact_claims() -> None:
     """Claims of `exact` have an upper end of their own; that by the opposite task adds what leaves the workspace."""
     certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 60, relation="exact").certificate
-    assert isinstance(certificate, cg.Certificate)
-    assert 0.0 <= bound_above(certificate).upper_bound - certificate.lower_bound < 0.1
+    assert cg.bound_above(certificate) is certificate
+    bare = dataclasses.replace(certificate, gap=None, exact=False)
+    end = cg.bound_above(bare)
+    assert cg.check(end) and certificate.upper_bound - 1e-9 <= end.upper_bound < certificate.upper_bound + 0.1
 
 
 def test_other_controllers_are_refused() -> None:
     """The upper end of better or worse controllers says nothing about these."""
-    good = parked(60).certificate
-    assert isinstance(good, cg.Certificate)
+    good = parked(60)
     # Controllers made for the opposite task avoid what these reach, so that 1 - L' is far below the truth.
     worst = cg.synthesize(opposite_of(good.problem), 60, relation="linear").certificate
-    assert isinstance(worst, cg.Certificate)
-    end = UpperEnd(good.problem, worst)
-    assert end.upper_bound < good.lower_bound and wrong_upper_end(end) == []
-    assert "does not act as it does" in wrong_upper_end(end, good)[0]
+    above = 1.0 - worst.lower_bound
+    assert cg.check(worst) and above < good.lower_bound
+    for opposite in (worst, parked(40).opposite):
+        assert "does not act as it does" in cg.check(dataclasses.replace(good, opposite=opposite)).failures[0]
     (part,) = good.agents
-    coarse = parked(40).certificate
-    assert isinstance(coarse, cg.Certificate)
-    assert wrong_upper_end(bound_above(coarse), good) != []
     changed = part.policy.copy()
     changed[0, 0] = (changed[0, 0] + 1) % 2
-    assert wrong_upper_end(
-        bound_above(good), dataclasses.replace(good, agents=(dataclasses.replace(part, policy=changed),))
-    )
+    assert not cg.check(dataclasses.replace(good, agents=(dataclasses.replace(part, policy=changed),)))
 
 
-def test_an_end_of_another_problem_is_refused() -> None:
-    """Its controllers may be the same; what they are promised is not."""
-    first = parked(40).certificate
-    assert isinstance(first, cg.Certificate)
-    shorter = first.problem.replace(horizon=first.problem.horizon - 1)
-    other = cg.synthesize(shorter, 40, relation="linear").certificate
-    assert isinstance(other, cg.Certificate)
-    assert wrong_upper_end(bound_above(other), first) == ["it is for another problem than the certificate"]
+def forgeries() -> dict[str, Any]:
+    """Upper ends that do not hold, by what is wrong with them."""
+    good = parked(60)
+    larger = good.opposite.lower_bound + 0.01
+    stated = dataclasses.replace(good.opposite, lower_bound=larger, bounds={good.opposite.bound: larger})
+    shorter = cg.synthesize(good.problem.replace(horizon=good.problem.horizon - 1), 60, relation="linear", above=True)
+    return {
+        "exceeds the recomputed": dataclasses.replace(good, opposite=stated),
+        "says that the probability is at most": dataclasses.replace(good, gap=0.5 * good.gap),
+        "do not fit together|does not act": dataclasses.replace(good, opposite=shorter.certificate.opposite),
+        "names a vertex that is not there|recomputed": dataclasses.replace(
+            good, opposite=dataclasses.replace(good, opposite=None, gap=None)
+        ),
+        "an upper end again": dataclasses.replace(good, opposite=dataclasses.replace(good.opposite, opposite=good)),
+        "says nothing of an upper end": dataclasses.replace(good, gap=None),
+        "are not additive": dataclasses.replace(good, opposite=None),
+    }
 
 
-def test_what_has_no_single_certificate_is_refused_in_words() -> None:
-    along = cg.synthesize("integrator-chain-v0", relation="path").certificate
-    assert not isinstance(along, cg.Certificate)
-    with pytest.raises(ValueError, match="expected one of a single task on cells"):
-        bound_above(along)
+@pytest.mark.parametrize("said", range(7))
+def test_upper_ends_that_do_not_hold_are_refused(said: int) -> None:
+    pattern, forged = list(forgeries().items())[said]
+    report = cg.check(forged)
+    assert not report
+    assert any(word in " ".join(report.failures) for word in pattern.split("|")), report.failures
+
+
+def test_both_ends_are_saved_and_products_have_them(tmp_path: Path) -> None:
+    certificate = parked(60)
+    cg.save_certificate(certificate, tmp_path / "both.npz")
+    loaded: Any = cg.load_certificate(tmp_path / "both.npz")
+    assert loaded.upper_bound == certificate.upper_bound and cg.check(loaded)
+    apart = two_agents("G !a & G !c", "finite-trace", horizon=4)
+    both = cg.synthesize(apart, 30, relation="linear", above=True).certificate
+    assert cg.check(both) and both.lower_bound <= both.upper_bound < 1.0
+    cg.save_certificate(both, tmp_path / "both.npz")
+    assert cg.load_certificate(tmp_path / "both.npz").upper_bound == both.upper_bound
+
+
+def test_paths_have_no_upper_end() -> None:
+    along: Any = cg.synthesize("integrator-chain-v0", relation="path", above=True).certificate
+    assert along.gap is None and along.upper_bound == 1.0

@@ -35,7 +35,7 @@ CANNOT: dict[str, dict[str, str]] = {
     # Trains round sums of factors: a step must take sums to sums, which least values over boxes and corners do not.
     "train": dict.fromkeys(BOXES + LINEAR, "expected 'auto' or 'tree'"),
     "own upper end": {"path": "no upper end", "path in time": "no upper end"},
-    "opposite end": {"path": "another kind", "path in time": "another kind", "subtraction": NO_VALUES_BY_SUBTRACTION},
+    "opposite end": {"path": "no upper end", "path in time": "no upper end"},
     # What may be lost at every step cannot be promised; an abstract state is not the state that a shield sees; inputs
     # that others rely on cannot be left to a learner.
     "shield": {
@@ -91,16 +91,11 @@ CANNOT: dict[str, dict[str, str]] = {
 WRITTEN_OUT = "it is about the problem written out alone"
 
 MISSING: dict[str, dict[str, str]] = {
-    "opposite end": dict.fromkeys(TIMED, WRITTEN_OUT),
     "certify": dict.fromkeys(TIMED, "given policies are not written out"),
     "values in time": dict.fromkeys(TIMED, WRITTEN_OUT),
     "audit": dict.fromkeys(TIMED, WRITTEN_OUT),
     "field": dict.fromkeys(TIMED, WRITTEN_OUT),
     "train": {"subtraction": "tasks about pairs do not ask for trains"},
-    "own upper end": dict.fromkeys(
-        ["exact correlated", "tube", "ellipsoid", "ellipsoid with delta", "paper", "joint", *LINEAR, *BOXES],
-        "the end of the opposite task is no part of certificates",
-    ),
     "shield": {
         "train": "values in time of trains are not read",
         **dict.fromkeys(TIMED, WRITTEN_OUT),

@@ -1,6 +1,7 @@
 """A problem: agents, propositions, specification and horizon, checked once; problem files; independent tasks."""
 
 from .joint_noise import JOINT_NOISE_REFUSAL, refuse_joint_noise
+from .opposite import opposite_of
 from .problem_file import load_problem, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification
@@ -16,6 +17,7 @@ __all__ = [
     "Unrolled",
     "checked_problem",
     "load_problem",
+    "opposite_of",
     "problem_from_dict",
     "problem_from_toml",
     "refuse_joint_noise",

@@ -27,6 +27,7 @@ from .start_hull import StartHull
 from .stated import Statement, noted, state
 from .team_certificate import TeamCertificate
 from .timed_certificate import TimedCertificate
+from .two_ended import TwoEnded
 
 __all__ = [
     "AgentPart",
@@ -47,6 +48,7 @@ __all__ = [
     "TeamCertificate",
     "TimedCertificate",
     "Tube",
+    "TwoEnded",
     "UNREADABLE",
     "any_certificate",
     "as_certificate",

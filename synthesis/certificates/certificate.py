@@ -8,9 +8,10 @@ can be asked for: at every state the value there is a lower bound, too (docs/the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from .claim import Claim, with_early_acceptance
 from .part import AgentPart
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .summaries import certificate_facts, certificate_html
+from .two_ended import TwoEnded
 
 CORRECTION_INFLATION = 1 + 1e-9
 """Factor on what lost relations may cost, far above its rounding."""
@@ -47,7 +49,7 @@ def checked_certificate(value: Any, argument: str = "certificate") -> Certificat
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Certificate:
+class Certificate(TwoEnded):
     """A certified lower bound on the satisfaction probability of the continuous closed loop.
 
     Parameters
@@ -90,6 +92,8 @@ class Certificate:
         Every setting of abstraction and policy search.
     rounding : Rounding or None
         How tensor trains were rounded; None for a value tree.
+    opposite : Certificate or None
+        Of the same controllers and the opposite task, if ``gap`` rests on one (see ``bound_above``).
     """
 
     problem: Problem
@@ -112,6 +116,7 @@ class Certificate:
     rank: int
     settings: dict[str, Any]
     rounding: Rounding | None = None
+    opposite: Certificate | None = None
 
     def __repr__(self) -> str:
         return tree_text(f"Certificate of {self.problem.name!r}", certificate_facts(self))
@@ -124,10 +129,10 @@ class Certificate:
         """Whether it is about cells of workspaces."""
         return True
 
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the problem."""
-        return self.problem.fingerprint
+    def with_claims(self, change: Callable[[Any], Any]) -> Self:
+        """Return what a function makes of it."""
+        made: Self = change(self)
+        return made
 
     @property
     def stationary(self) -> bool:

@@ -15,7 +15,7 @@ import json
 import math
 import zipfile
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +147,8 @@ def _packed(
         "terms": None if terms is None else _put_terms(pool, terms),
         "rounding": None if rounding is None else _put_rounding(pool, rounding),
     }
+    if certificate.opposite is not None:
+        header["opposite"] = pool.put(np.frombuffer(_packed(certificate.opposite), np.uint8))
     return _archived(header, pool)
 
 
@@ -199,7 +201,7 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
             return timed_in(header, arrays, lambda raw: certificate_in(raw, max_bytes))  # type: ignore[return-value]
         if "team" in header:
             return team_in(header, arrays, lambda raw: _single(raw, max_bytes))  # type: ignore[return-value]
-        return CertificateReader(header, arrays).certificate()
+        return _read(header, arrays, max_bytes)
     except UNREADABLE as error:
         message = str(error) or type(error).__name__
         raise ValueError(
@@ -214,8 +216,7 @@ def certificate_bytes(certificate: Certificate) -> bytes:
 
 def certificate_in(raw: bytes, max_bytes: int = MAX_BYTES) -> Certificate:
     """Return the certificate of one task in the bytes of a file; raise one of ``UNREADABLE`` if there is none."""
-    header, arrays = _unarchived(raw, max_bytes)
-    return CertificateReader(header, arrays).certificate()
+    return _read(*_unarchived(raw, max_bytes), max_bytes)
 
 
 def _part_of_team(raw: bytes, max_bytes: int) -> Certificate | PathCertificate | PairsCertificate:
@@ -223,13 +224,13 @@ def _part_of_team(raw: bytes, max_bytes: int) -> Certificate | PathCertificate |
     header, arrays = _unarchived(raw, max_bytes)
     if "without_pairs" in header:
         return pairs_in(header, arrays, lambda inner: certificate_in(inner, max_bytes))
-    return path_in(header, arrays) if "path" in header else CertificateReader(header, arrays).certificate()
+    return path_in(header, arrays) if "path" in header else _read(header, arrays, max_bytes)
 
 
 def _single(raw: bytes, max_bytes: int) -> Certificate | PathCertificate:
     """Return the certificate of one task, on grids or along a path, in the bytes of a file."""
     header, arrays = _unarchived(raw, max_bytes)
-    return path_in(header, arrays) if "path" in header else CertificateReader(header, arrays).certificate()
+    return path_in(header, arrays) if "path" in header else _read(header, arrays, max_bytes)
 
 
 def _unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, NDArray]]:
@@ -268,12 +269,18 @@ def _part(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int) ->
     """Return the certificate of one of several independent tasks."""
     if "written_out" in header:
         return timed_in(header, arrays, lambda raw: certificate_in(raw, max_bytes))
-    return path_in(header, arrays) if "path" in header else _read(header, arrays)
+    return path_in(header, arrays) if "path" in header else _read(header, arrays, max_bytes)
 
 
-def _read(header: dict[str, Any], arrays: dict[str, NDArray]) -> Certificate:
-    """Return the certificate on grids that a header describes."""
-    return CertificateReader(header, arrays).certificate()
+def _read(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int) -> Certificate:
+    """Return the certificate on grids that a header describes, with that of the opposite task if it has one."""
+    certificate = CertificateReader(header, arrays).certificate()
+    if "opposite" not in header:
+        return certificate
+    inner, own = _unarchived(arrays[str(int(header["opposite"]))].astype(np.uint8).tobytes(), max_bytes)
+    if "opposite" in inner:
+        raise ValueError("the opposite of its task has an opposite again")
+    return replace(certificate, opposite=_read(inner, own, max_bytes))
 
 
 def _check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:

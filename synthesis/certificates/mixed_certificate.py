@@ -30,10 +30,11 @@ from .mixed_states import known_letters, reached_states
 from .pairs_certificate import PairsCertificate
 from .part import AgentPart
 from .path_certificate import PathCertificate
+from .two_ended import TwoEnded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MixedCertificate:
+class MixedCertificate(TwoEnded):
     """A certified lower bound for a team of which some agents are on grids and the others along paths.
 
     Parameters
@@ -99,11 +100,6 @@ class MixedCertificate:
     def agents(self) -> tuple[AgentPart, ...]:
         """Refuse: not all agents have cells (ValueError)."""
         raise ValueError("`certificate`: expected one on grids, got one of a mixed team; take its `.grids`")
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the problem."""
-        return self.problem.fingerprint
 
     @cached_property
     def states(self) -> NDArray[np.int64]:

@@ -13,9 +13,10 @@ Reference: docs/theory/pairs.md, "Subtraction".
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Self
 
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
@@ -25,10 +26,11 @@ from .certificate import Certificate
 from .digits import EXACT_GAP
 from .part import AgentPart
 from .summaries import certificate_facts, certificate_html
+from .two_ended import TwoEnded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PairsCertificate:
+class PairsCertificate(TwoEnded):
     """A certified lower bound for a task with propositions about pairs: that without them, less what pairs may spoil.
 
     Parameters
@@ -78,6 +80,10 @@ class PairsCertificate:
         most = (self.base.lower_bound + self.base.gap + self.near) * (1.0 + 8.0 * UNIT)
         return min(1.0, most) - self.lower_bound
 
+    def with_claims(self, change: Callable[[Any], Any]) -> Self:
+        """Return the same claim, with what a function makes of its base."""
+        return replace(self, base=self.base.with_claims(change))
+
     @property
     def exact(self) -> bool:
         """Whether the probability is known to ``EXACT_GAP``."""
@@ -102,11 +108,6 @@ class PairsCertificate:
     def agents(self) -> tuple[AgentPart, ...]:
         """What is stored of each agent."""
         return self.base.agents
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the problem."""
-        return self.problem.fingerprint
 
     def at(self, states: Any) -> NoReturn:
         """Refuse: the certificate speaks of the problem's start alone (ValueError)."""

@@ -13,6 +13,9 @@ from ...envs.agents import AnyAgent, tree_text
 from ..cells import FloatArray, Grid, hats, shape_text, spread
 from ..relations import Relation, relation_from
 
+ENCLOSING = ("parts", "cuts", "reach")
+"""Numbers of relations by which means around a state are enclosed: into how many parts, and how far differences go."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AgentPart:
@@ -59,6 +62,12 @@ class AgentPart:
     def relation_of(self, agent: AnyAgent) -> Relation:
         """Return the relation of ``agent`` that is described, its numbers computed anew."""
         return relation_from(self.relation, agent, self.grid, self.coordinates)
+
+    @property
+    def acting(self) -> dict[str, Any]:
+        """What the relation says of inputs: without the numbers by which means are enclosed, on which none depends."""
+        enclosing = ENCLOSING if self.relation["kind"] in ("boxes", "linear") else ()
+        return {name: entry for name, entry in self.relation.items() if name not in enclosing}
 
     def sharing_key(self, agent: AnyAgent) -> tuple[object, ...]:
         """Return what the relation of ``agent`` and its motions are made of, apart from cells and policies.

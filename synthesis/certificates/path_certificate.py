@@ -22,6 +22,7 @@ from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..controllers import PathController
+from .two_ended import TwoEnded
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ class AgentPath:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PathCertificate:
+class PathCertificate(TwoEnded):
     """A certified lower bound from a start that is known, along a nominal path.
 
     Parameters
@@ -127,11 +128,6 @@ class PathCertificate:
         """How the bound was found, in words."""
         gains = any(np.any(path.gain) for path in self.paths)
         return f"nominal path of {self.n_steps} steps, {'with feedback' if gains else 'open loop'}"
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the problem."""
-        return self.problem.fingerprint
 
     def at(self, states: Any) -> NoReturn:
         """Refuse: the certificate speaks of the problem's start alone (ValueError)."""

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -26,10 +27,11 @@ from .claim import joint_states
 from .digits import EXACT_GAP
 from .part import AgentPart
 from .summaries import certificate_facts, certificate_html
+from .two_ended import TwoEnded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ProductCertificate:
+class ProductCertificate(TwoEnded):
     """A certified lower bound for a task that decomposes: the product of the bounds of its independent tasks.
 
     Parameters
@@ -65,6 +67,12 @@ class ProductCertificate:
             return None
         most = math.prod(min(1.0, part.lower_bound + gap) for part, gap in zip(self.parts, gaps, strict=True))
         return min(1.0, most * (1.0 + 4.0 * len(gaps) * UNIT)) - self.lower_bound
+
+    def with_claims(self, change: Callable[[Any], Any]) -> Self:
+        """Return the same claim, with what a function makes of its parts: once of those that differ in names alone."""
+        changed = {k: made for same in self.alike for made in [self.parts[same[0]].with_claims(change)] for k in same}
+        parts = product_certificate(self.problem, tuple(changed[k] for k in range(len(self.parts)))).parts
+        return replace(self, parts=parts)
 
     @property
     def exact(self) -> bool:
@@ -104,11 +112,6 @@ class ProductCertificate:
         for k, part in enumerate(self.parts):
             by_text.setdefault(json.dumps(part.settings), {"settings": part.settings, "parts": []})["parts"].append(k)
         return {"parts": list(by_text.values())}
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the problem."""
-        return self.problem.fingerprint
 
     @cached_property
     def controller(self) -> ProductController:

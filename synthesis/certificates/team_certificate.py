@@ -8,9 +8,10 @@ Reference: docs/theory/pairs.md, "Joint agents".
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
@@ -20,10 +21,11 @@ from .certificate import Certificate
 from .digits import shown_bound
 from .part import AgentPart
 from .path_certificate import PathCertificate
+from .two_ended import TwoEnded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TeamCertificate:
+class TeamCertificate(TwoEnded):
     """A certified lower bound for a team whose agents see one another: that of their joint agent.
 
     Parameters
@@ -37,13 +39,10 @@ class TeamCertificate:
     problem: Problem
     base: Certificate | PathCertificate
 
-    gap = None
-    exact = False
-
     def __repr__(self) -> str:
         rows = [
             ("horizon", f"{self.problem.horizon} control steps"),
-            ("bound", shown_bound(self.lower_bound, None)),
+            ("bound", shown_bound(self.lower_bound, self.gap)),
             ("method", self.method),
             ("sees", "each agent sees the states of all"),
         ]
@@ -53,6 +52,20 @@ class TeamCertificate:
     def lower_bound(self) -> float:
         """Certified lower bound at the problem's start."""
         return self.base.lower_bound
+
+    @property
+    def gap(self) -> float | None:
+        """If not None, ``lower_bound + gap`` is an upper bound on the satisfaction probability of this controller."""
+        return self.base.gap
+
+    @property
+    def exact(self) -> bool:
+        """Whether the probability is known to ``EXACT_GAP``."""
+        return self.base.exact
+
+    def with_claims(self, change: Callable[[Any], Any]) -> Self:
+        """Return the same claim, with what a function makes of its base."""
+        return replace(self, base=self.base.with_claims(change))
 
     @property
     def start(self) -> str:
@@ -90,11 +103,6 @@ class TeamCertificate:
     def settings(self) -> dict[str, Any]:
         """Settings of the synthesis of the joint agent."""
         return self.base.settings
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the problem."""
-        return self.problem.fingerprint
 
     @cached_property
     def controller(self) -> TeamController:

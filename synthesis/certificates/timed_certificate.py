@@ -7,9 +7,10 @@ are the same (docs/theory/time.md, "Written out").
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,11 @@ from ..controllers import TimedController
 from .certificate import Certificate
 from .digits import shown_bound
 from .part import AgentPart
+from .two_ended import TwoEnded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TimedCertificate:
+class TimedCertificate(TwoEnded):
     """A certified lower bound for a problem that names the time: that of the problem written out.
 
     Parameters
@@ -63,6 +65,10 @@ class TimedCertificate:
     def gap(self) -> float | None:
         """If not None, ``lower_bound + gap`` is an upper bound on the satisfaction probability of this controller."""
         return self.base.gap
+
+    def with_claims(self, change: Callable[[Any], Any]) -> Self:
+        """Return the same claim, with what a function makes of its base."""
+        return replace(self, base=self.base.with_claims(change))
 
     @property
     def exact(self) -> bool:
@@ -103,11 +109,6 @@ class TimedCertificate:
     def settings(self) -> dict[str, Any]:
         """Settings of the synthesis of the problem written out."""
         return self.base.settings
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the problem."""
-        return self.problem.fingerprint
 
     @cached_property
     def states_in_time(self) -> NDArray[np.int64]:

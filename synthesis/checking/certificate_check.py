@@ -11,22 +11,24 @@ any set of vertices of a tree is a lower bound. So a certificate is right if
    (or, for co-safe tasks, to acceptance);
 4. the regrown value at the start, less what lost relations can cost, is at least ``lower_bound``, and no stored factor
    exceeds its regrown one;
-5. where it says how far above its bound the probability can be (``gap``), nothing is lost anywhere, and its policies,
-   evaluated forward in time, attain no more than that (``upper_end``).
+5. where it says how far above its bound the probability can be (``gap``), either nothing is lost anywhere, and its
+   policies, evaluated forward in time, attain no more than that (``upper_end``); or the same policies have a
+   certificate of the opposite task, which holds (``opposite_task``).
 
 United terms are regrown by a rule that is sound for any choice: ``a x b + a' x b' >= min(a, a') x (b + b')``.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...envs.problem import Problem
+from ...envs.problem import Problem, opposite_of
 from ...envs.suite import as_problem
 from ..cells import FloatArray, lattice_axes
 from ..certificates import (
@@ -58,6 +60,7 @@ from .guard_check import wrong_guards
 from .linear_check import places_of
 from .mixed_check import wrong_mixed
 from .network_spans import wrong_networks
+from .opposite_task import other_controllers, wrong_opposite
 from .pairs_check import wrong_pairs
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
@@ -215,8 +218,7 @@ def _check_team(certificate: TeamCertificate, problem: Problem) -> CheckReport:
     failures = failures or wrong_team(problem, certificate.base.problem)
     if failures:
         return CheckReport(False, certificate.lower_bound, float("nan"), tuple(failures))
-    report = check(certificate.base)
-    return CheckReport(report.valid, certificate.lower_bound, report.recomputed, report.failures)
+    return check(certificate.base)
 
 
 def _check_timed(certificate: TimedCertificate, problem: Problem) -> CheckReport:
@@ -310,11 +312,14 @@ def _check_form(certificate: Certificate) -> list[str]:
         failures.append("a relation and its choices do not belong together")
     tree = certificate.rounding is None
     if not all(part.is_additive for part in certificate.agents):
-        if not tree or certificate.bound != "nominal" or certificate.gap is not None:
+        own_end = certificate.gap is not None and certificate.opposite is None
+        if not tree or certificate.bound != "nominal" or own_end:
             failures.append("agents whose steps are not additive have a value or a bound that is not for them")
         failures += uneven_lattices(certificate)
     if tree and len(certificate.skeleton) != certificate.problem.horizon:
         failures.append("its tree does not cover its horizon")
+    if certificate.opposite is not None and certificate.gap is None:
+        failures.append("it rests on the opposite task, and says nothing of an upper end")
     if certificate.exact != (certificate.gap is not None and certificate.gap <= EXACT_GAP):
         failures.append("whether it is exact does not fit its gap")
     if certificate.bound not in (("nominal", "a-posteriori", "robust tree") if tree else ("nominal", "a-posteriori")):
@@ -359,13 +364,36 @@ def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray 
 
 def _check_above(certificate: Certificate, gap: float, loss: float) -> tuple[float | None, list[str]]:
     """What the policies attain at most, and whether the certificate says less."""
-    failures = inexact(certificate)
-    above = None if failures else attained(certificate)
-    above = None if above is None else min(1.0, above + loss)
+    above: float | None
+    if certificate.opposite is not None:
+        above, failures = _check_opposite(certificate, certificate.opposite)
+    else:
+        failures = inexact(certificate)
+        above = None if failures else attained(certificate)
+        above = None if above is None else min(1.0, above + loss)
     if above is not None and not above <= certificate.lower_bound + gap:
         most = certificate.lower_bound + gap
         failures.append(f"it says that the probability is at most {most:.12g}, but what was recomputed is {above:.12g}")
     return above, failures
+
+
+def _check_opposite(certificate: Certificate, opposite: Certificate) -> tuple[float | None, list[str]]:
+    """What the policies attain at most: a lower bound for the opposite task, taken off 1.
+
+    The opposite task is made of the task itself, whatever problem its certificate says that it is about: names of
+    agents may be others.
+    """
+    if opposite.opposite is not None:
+        return None, ["its upper end has an upper end again"]
+    try:
+        opposite = replace(opposite, problem=opposite_of(certificate.problem))
+    except ValueError as error:
+        return None, [f"its upper end: {error}"]
+    failures = wrong_opposite(certificate.problem, opposite.problem) or other_controllers(certificate, opposite)
+    report = check(opposite) if not failures else None
+    if report is None or not report:
+        return None, [f"its upper end: {text}" for text in (failures if report is None else report.failures)]
+    return min(1.0, math.nextafter(1.0 - report.recomputed, 2.0)), []
 
 
 def _regrown(certificate: Certificate) -> Terms | Value:

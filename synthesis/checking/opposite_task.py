@@ -44,7 +44,7 @@ def other_controllers(certificate: Certificate, opposite: Certificate) -> list[s
     horizon, failures = certificate.problem.horizon, []
     for agent, mine, other in zip(certificate.problem.agents, certificate.agents, opposite.agents, strict=True):
         ours, theirs = ([part.coordinates, *part.grid.edges, *part.lattice] for part in (mine, other))
-        same = len(ours) == len(theirs) and all(map(np.array_equal, ours, theirs)) and mine.relation == other.relation
+        same = len(ours) == len(theirs) and all(map(np.array_equal, ours, theirs)) and mine.acting == other.acting
         if mine.menu is None or other.menu is None:
             same = same and mine.menu is other.menu
         else:

@@ -97,8 +97,9 @@ def relation_of(options: Namespace) -> dict[str, Any]:
 
 
 def search_of(options: Namespace) -> dict[str, Any]:
-    """Return what ``--restarts``, ``--stationary`` and ``--device`` ask for, as keyword arguments of ``synthesize``."""
-    return {"restarts": options.restarts, "stationary": options.stationary, "device": options.device}
+    """Return what options of the search ask for, as keyword arguments of ``synthesize``."""
+    asked = ("restarts", "stationary", "device", "above")
+    return {name: getattr(options, name) for name in asked}
 
 
 def show(options: Namespace, text: Any, data: Any) -> None:

@@ -200,14 +200,10 @@ def certify(options: Namespace) -> int:
     policy = policy_of_file(problem, file)
     if options.raw or options.repair is not None:
         return certify_raw(options, problem, policy)
-    if options.above:
-        raise ValueError(
-            "`--above`: expected `--raw` beside it, which says that the network itself is certified; add it"
-        )
     cells = cells_of(options)
     # All forms of the policy are simulated beside each other; the last one is saved.
     policies: dict[str, Any] = {"raw": policy}
-    last = policies["certified"] = certify_policy(problem, policy, cells, **relation_of(options))
+    last = policies["certified"] = certify_policy(problem, policy, cells, above=options.above, **relation_of(options))
     if options.improve:
         last = policies["improved"] = improve_policy(problem, policy, cells, **relation_of(options))
     if options.out:

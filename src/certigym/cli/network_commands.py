@@ -13,7 +13,6 @@ from ..envs.problem import Problem
 from ..synthesis.certificates import rounded_up, save_certificate
 from ..synthesis.certify import certify as certify_policy
 from ..synthesis.raw_networks import WeakPlaces, repair_network
-from ..synthesis.upper_ends import bound_network_above
 from ..validation.figures import network_figure, save_figure
 from ..validation.policies import compare as compare_policies
 from .given import cells_of, named_problem, show
@@ -44,7 +43,7 @@ def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
         raise ValueError("`--raw`: expected none of --relation, --delta and --improve beside it; leave them out")
     cells, settings = cells_of(options), {"targets_per_cell": options.targets}
     policies: dict[str, Any] = {"deployed": policy}
-    last = policies["certified"] = certify_policy(problem, policy, cells, raw=True, **settings)
+    last = policies["certified"] = certify_policy(problem, policy, cells, raw=True, above=options.above, **settings)
     places: WeakPlaces | None = None
     if options.repair is not None:
         last, places = repair_network(problem, policy, cells, share=options.repair, **settings)
@@ -58,8 +57,7 @@ def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
     lines = [str(result), "The bound of `certified` holds for the deployed network: it is the same policy."]
     above: float | None = None
     if options.above:
-        end = bound_network_above(problem, policy, cells, **settings)
-        above = end.upper_bound
+        above = policies["certified"].certificate.upper_bound
         lines.append(f"The deployed network succeeds with P <= {rounded_up(above, 6)}.")
     weakest = [] if places is None else places.worst(PLACES_SHOWN)
     if places is not None:

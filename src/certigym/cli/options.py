@@ -83,11 +83,19 @@ def add_search(parser: argparse.ArgumentParser) -> None:
         help="stationary policies, and a horizon that is doubled until the bound gains less than --accuracy (1e-6)",
     )
     parser.add_argument("--stationary", action="store_true", help="policies that do not look at the time")
+    add_above(parser)
     parser.add_argument(
         "--device",
         default="numpy",
         metavar="NAME",
         help="where sweeps compute: numpy (default), torch:cuda, torch:cpu, cupy:0",
+    )
+
+
+def add_above(parser: argparse.ArgumentParser) -> None:
+    """Add whether a claim is to have an upper end."""
+    parser.add_argument(
+        "--above", action="store_true", help="bound the same controllers from above, too (as long as an evaluation)"
     )
 
 

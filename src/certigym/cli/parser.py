@@ -7,6 +7,7 @@ from typing import Any
 
 from .. import __version__
 from .options import (
+    add_above,
     add_certificate,
     add_horizon,
     add_json,
@@ -299,9 +300,7 @@ def _add_comparing(commands: Any) -> None:
         help="actor (.npz, .zip, .onnx, .pt[@ENV]) or FILE.py:NAME (default: the actor in place of the problem)",
     )
     certify.add_argument("--raw", action="store_true", help="certify the network itself as it is deployed")
-    certify.add_argument(
-        "--above", action="store_true", help="with --raw: bound it from above, too (takes as long again)"
-    )
+    add_above(certify)
     certify.add_argument(
         "--repair",
         nargs="?",
