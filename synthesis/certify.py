@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..envs.agents import AnyAgent
-from ..envs.problem import Problem
+from ..envs.problem import Problem, states_in_time, written_out
 from ..envs.suite import as_problem
 from .bridges import certifiable
 from .cells import CellCounts, FloatArray, RelationRefused, corner_sides
-from .certificates import Synthesis, TeamCertificate
+from .certificates import Synthesis, TeamCertificate, TimedCertificate
 from .certification import certificate_of
 from .controllers import Decentralised, Policy, decentralised
 from .keeping_apart import less_nearness, nearness
@@ -112,6 +112,8 @@ def certify(
     policy = certifiable(problem, policy)
     if problem.labeling.pairs:
         return _about_pairs(problem, policy, cells, relation, settings)
+    if problem.names_time:
+        return _in_time(problem, policy, cells, relation, settings)
     return _of_task(problem, policy, cells, relation, settings)[0]
 
 
@@ -137,6 +139,40 @@ class _OfJointAgent:
         """Return inputs (m, N) for joint states (d, N) and automaton states (N,)."""
         own = [self.policy.inputs(i, states[columns], q, time) for i, columns in enumerate(self.problem.columns)]
         return np.concatenate(own)
+
+
+@dataclass(frozen=True, eq=False)
+class _WrittenOut:
+    """Policies of a problem that names the time as those of the problem written out, whose automaton counts steps.
+
+    ``counted`` (T + 1, Q) are the automaton states of the problem written out; ``clocks`` says which agents have the
+    time as their last input there.
+    """
+
+    policy: Decentralised
+    counted: NDArray[np.int64]
+    clocks: tuple[bool, ...]
+
+    def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
+        """Return inputs (m, N) for states (d, N) and automaton states (N,) of the problem written out."""
+        # States in which no run is at this time are anything; where several go with one they are worth the same.
+        own = np.zeros(int(max(self.counted.max(), np.max(q))) + 1, dtype=np.int64)
+        known = np.flatnonzero(self.counted[time] >= 0)
+        own[self.counted[time, known]] = known
+        inputs = self.policy.inputs(agent, states, own[q], time)
+        return np.concatenate([inputs, np.full((1, inputs.shape[1]), float(time))]) if self.clocks[agent] else inputs
+
+
+def _in_time(
+    problem: Problem, policy: Policy, cells: CellCounts, relation: Relations, settings: dict[str, Any]
+) -> Synthesis:
+    """Certify a policy for a problem that names the time, as one of the problem written out."""
+    base = written_out(problem)
+    clocks = tuple(bool(agent.has_clock) for agent in base.agents)
+    raw = _WrittenOut(decentralised(problem, policy), states_in_time(problem, base), clocks)
+    found, _ = _of_task(base, raw, cells, relation, settings)
+    held: Any = TimedCertificate(problem, found.certificate)
+    return Synthesis(held, held.controller, found.stats)
 
 
 def _about_pairs(

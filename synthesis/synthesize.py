@@ -138,7 +138,7 @@ def synthesize(
     problem = as_problem(problem)
     _refuse_outside(problem)
     if start is not None and not problem.groups and not problem.labeling.pairs:
-        settings = {**_settings_of_start(problem, relation, start), **settings}
+        settings = {**_settings_of_start(problem, relation, _on_cells(start)), **settings}
     plan = Plan(Settings(**settings), search, budget, spending)
     try:
         found = _of_problem(problem, cells, relation, plan, start)
@@ -241,7 +241,6 @@ def _in_time(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
 ) -> Synthesis:
     """Synthesize a task that names the time: along a path, or on grids as the task written out without it."""
-    _refuse_start(start, "a problem that names the time `t`")
     if plan.search.stationary:
         raise ValueError(
             "`stationary`: expected False for a problem that names the time `t`, whose policies have to look at it"
@@ -251,11 +250,12 @@ def _in_time(
 
     def on_grids(sizes: CellCounts, chosen: Plan) -> Synthesis:
         # Along a path of the problem written out the time would be an input to choose.
-        found = _of_task(still_problem(problem), sizes, relation, replace(chosen, paths=False))
+        begun = None if start is None else start.on_cells
+        found = _of_task(still_problem(problem), sizes, relation, replace(chosen, paths=False), begun)
         held: Any = TimedCertificate(problem, found.certificate)
         return Synthesis(held, held.controller, found.stats)
 
-    if relation not in ("auto", "best") or cells is not None or plan.budget is not None:
+    if relation not in ("auto", "best") or cells is not None or plan.budget is not None or start is not None:
         return on_grids(cells, plan)
     return best_of(ways_in_time(problem, plan, lambda: on_grids(None, plan)), plan.effort)
 
@@ -269,6 +269,12 @@ def _refuse_outside(problem: Problem) -> None:
                 f"`initial_state`: expected a start in the workspace of agent `{name}`, got one outside; no task is "
                 "satisfied from there; correct the start, or `state_low` and `state_high`"
             )
+
+
+def _on_cells(start: Any) -> Certificate:
+    """Return the certificate on cells that a given one rests on; raise ValueError if there is none."""
+    held: Certificate = getattr(start, "on_cells", None) or checked_certificate(start, "start")
+    return held
 
 
 def _of_joint_agent(start: Any) -> Certificate:

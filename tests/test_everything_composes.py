@@ -91,19 +91,9 @@ CANNOT: dict[str, dict[str, str]] = {
 WRITTEN_OUT = "it is about the problem written out alone"
 
 MISSING: dict[str, dict[str, str]] = {
-    "certify": dict.fromkeys(TIMED, "given policies are not written out"),
-    "values in time": dict.fromkeys(TIMED, WRITTEN_OUT),
-    "audit": dict.fromkeys(TIMED, WRITTEN_OUT),
-    "field": dict.fromkeys(TIMED, WRITTEN_OUT),
     "train": {"subtraction": "tasks about pairs do not ask for trains"},
-    "shield": {
-        "train": "values in time of trains are not read",
-        **dict.fromkeys(TIMED, WRITTEN_OUT),
-    },
-    "permission": {
-        "train": "permissions read trees alone",
-        **dict.fromkeys(TIMED, WRITTEN_OUT),
-    },
+    "shield": {"train": "values in time of trains are not read"},
+    "permission": {"train": "permissions read trees alone"},
     "network": {
         **dict.fromkeys([*TIMED, "path in time"], "networks are certified where every step is the same"),
         **dict.fromkeys(EXPRESSIONS, "networks are enclosed with matrices alone"),
@@ -115,7 +105,7 @@ MISSING: dict[str, dict[str, str]] = {
     },
     "safety rate": {"train": "rates read trees alone"},
     "budget": {"subtraction": "tasks about pairs do not ask for budgets"},
-    "start=": {"subtraction": "tasks about pairs begin anew", **dict.fromkeys(TIMED, "tasks in time begin anew")},
+    "start=": {"subtraction": "tasks about pairs begin anew"},
     "device": {
         **dict.fromkeys([*LINEAR, *BOXES], "only points are read on devices"),
         "joint": "its relation has no devices, and another one is taken",

@@ -16,6 +16,7 @@ from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significan
 from .given_certificate import any_certificate, as_certificate, certificate_on_grids, of_one_task, speaks_of_one_start
 from .mixed_certificate import MixedCertificate
 from .mixed_states import known_letters, pairs_between, reached_states
+from .offers import Offer, require
 from .pairs_certificate import PairsCertificate
 from .part import AgentPart
 from .path_certificate import AgentPath, PathCertificate
@@ -23,6 +24,7 @@ from .path_tube import KEPT, Tube, tube_along
 from .product import ProductCertificate, nameless, product_certificate, relations_tried, why_nothing
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
+from .seen import Seen
 from .start_hull import StartHull
 from .stated import Statement, noted, state
 from .team_certificate import TeamCertificate
@@ -39,9 +41,11 @@ __all__ = [
     "EXACT_GAP",
     "KEPT",
     "MixedCertificate",
+    "Offer",
     "PairsCertificate",
     "PathCertificate",
     "ProductCertificate",
+    "Seen",
     "StartHull",
     "Statement",
     "Synthesis",
@@ -75,6 +79,7 @@ __all__ = [
     "reached_states",
     "regrow_trains",
     "relations_tried",
+    "require",
     "why_nothing",
     "rounded_down",
     "rounded_up",

@@ -39,11 +39,6 @@ def checked_certificate(value: Any, argument: str = "certificate") -> Certificat
     inside = isinstance(getattr(value, "certificate", None), Certificate)
     if hasattr(value, "parts"):
         raise ValueError(f"`{argument}`: expected that of one task, got {len(value.parts)}; give one of its `.parts`")
-    if getattr(getattr(value, "problem", None), "names_time", False) and hasattr(value, "base"):
-        raise ValueError(
-            f"`{argument}`: expected that of a problem that is the same at every step, got one of a problem that names "
-            "the time `t`; its `.base` is about the problem written out without it"
-        )
     remedy = "give its `.certificate`" if inside else "make one with `synthesize`, `certify` or `load_certificate`"
     raise ValueError(f"`{argument}`: expected a Certificate, got {type(value).__name__}; {remedy}")
 
@@ -123,6 +118,11 @@ class Certificate(TwoEnded):
 
     def _repr_html_(self) -> str:
         return certificate_html(f"Certificate of {self.problem.name}", self)
+
+    @property
+    def on_cells(self) -> Any:
+        """Itself."""
+        return self
 
     @property
     def has_cells(self) -> bool:

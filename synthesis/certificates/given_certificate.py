@@ -7,17 +7,14 @@ from typing import Any
 
 from .certificate import Certificate
 from .certificate_file import AnyCertificate, load_certificate
-from .mixed_certificate import MixedCertificate
-from .pairs_certificate import PairsCertificate
-from .path_certificate import PathCertificate
+from .offers import Offer, require
 from .product import ProductCertificate
 from .result import Synthesis
 from .start_hull import StartHull
 from .team_certificate import TeamCertificate
-from .timed_certificate import TimedCertificate
 
 
-def as_certificate(value: Any) -> Certificate | ProductCertificate:
+def as_certificate(value: Any) -> Any:
     """Return the certificate on grids that a value stands for.
 
     Parameters
@@ -29,15 +26,11 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
     ------
     ValueError
         If `value` is none of these, if the file holds no certificate, or if it is one along a path, by subtraction, or
-        of a joint agent.
+        of a joint agent. That of a problem that names the time stands for the one of the problem written out.
     """
     certificate = certificate_on_grids(value)
-    if isinstance(certificate, TeamCertificate):
-        raise ValueError(
-            "`certificate`: expected one whose agents each look at their own state, got that of a joint agent, whose "
-            "cells are those of all states together; give its `.base`, which is about the joint agent"
-        )
-    return certificate
+    require(certificate, Offer.OWN_STATES)
+    return certificate if certificate.on_cells is None else certificate.on_cells
 
 
 def certificate_on_grids(value: Any) -> Certificate | ProductCertificate | TeamCertificate:
@@ -49,36 +42,13 @@ def certificate_on_grids(value: Any) -> Certificate | ProductCertificate | TeamC
         As for ``as_certificate``, but for joint agents on a grid.
     """
     certificate = any_certificate(value)
-    parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
-    if any(isinstance(part, PairsCertificate | MixedCertificate) for part in parts):
-        raise ValueError(
-            "`certificate`: expected one with values of all states, got one by subtraction: what pairs of agents may "
-            "spoil is bounded for the whole run from the start of its problem, and for no other state or time; it can "
-            "be checked, validated, stressed, simulated, compared and reported"
-        )
-    if any(isinstance(part, TimedCertificate) for part in parts):
-        raise ValueError(
-            "`certificate`: expected one of a problem that is the same at every step, got one of a problem that names "
-            "the time `t`, whose values are those of the problem written out; it can be checked, validated, stressed, "
-            "simulated, compared and reported, and its `.base` is about the problem written out"
-        )
-    bases = [part.base if isinstance(part, TeamCertificate) else part for part in parts]
-    if any(isinstance(part, PathCertificate) for part in bases):
-        raise ValueError(
-            "`certificate`: expected one on grids, got one along a path, which says nothing of other states and times; "
-            "it can be checked, validated, stressed, simulated, compared and reported, and `certified_starts` "
-            "certifies a set of starts around its own"
-        )
+    require(certificate, Offer.VALUES)
     return certificate
 
 
 def speaks_of_one_start(certificate: Any) -> bool:
     """Whether a report shows the start alone: of certificates by subtraction, of joint agents, and along paths."""
-    parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
-    return any(
-        isinstance(part, PathCertificate | PairsCertificate | MixedCertificate | TeamCertificate | TimedCertificate)
-        for part in parts
-    )
+    return any(member.on_cells is not member for member in certificate.members)
 
 
 def any_certificate(value: Any) -> Any:
@@ -117,9 +87,9 @@ def of_one_task(value: Any, agent: int = 0) -> tuple[Certificate, int]:
     certificate = as_certificate(value)
     if not 0 <= agent < certificate.problem.n_agents:
         raise ValueError(f"`agent`: expected a number from 0 to {certificate.problem.n_agents - 1}, got {agent}")
-    if isinstance(certificate, Certificate):
-        return certificate, agent
-    for group, part in zip(certificate.problem.groups, certificate.parts, strict=True):
+    if certificate.on_cells is not None:
+        return certificate.on_cells, agent
+    for group, member in zip(certificate.problem.groups, certificate.members, strict=True):
         if agent in group.agents:
-            return part, group.agents.index(agent)
+            return member.on_cells, group.agents.index(agent)
     raise AssertionError("every agent takes part in one task")

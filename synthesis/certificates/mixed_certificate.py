@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -27,7 +28,8 @@ from ..values import UNIT
 from .certificate import Certificate
 from .digits import shown_bound
 from .mixed_states import known_letters, reached_states
-from .pairs_certificate import PairsCertificate
+from .offers import Offer
+from .pairs_certificate import SPOILED, PairsCertificate
 from .part import AgentPart
 from .path_certificate import PathCertificate
 from .two_ended import TwoEnded
@@ -60,6 +62,7 @@ class MixedCertificate(TwoEnded):
     near: float
     settings: dict[str, Any]
 
+    lacks = MappingProxyType({Offer.VALUES: SPOILED})
     bound = "mixed"
     gap = None
     exact = False

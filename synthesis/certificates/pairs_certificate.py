@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, NoReturn, Self
 
 from ...envs.agents import tree_text
@@ -24,9 +25,16 @@ from ..controllers import Controller
 from ..values import UNIT
 from .certificate import Certificate
 from .digits import EXACT_GAP
+from .offers import Offer
 from .part import AgentPart
 from .summaries import certificate_facts, certificate_html
 from .two_ended import TwoEnded
+
+SPOILED = (
+    "one by subtraction: what pairs of agents may spoil is bounded for the whole run from the start of its problem, "
+    "and for no other state or time; it can be checked, validated, stressed, simulated, compared and reported"
+)
+"""What certificates by subtraction answer to whoever asks for values."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,6 +61,7 @@ class PairsCertificate(TwoEnded):
     near: float
     settings: dict[str, Any]
 
+    lacks = MappingProxyType({Offer.VALUES: SPOILED})
     start = "point"
     bound = "subtraction"
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -22,6 +23,7 @@ from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..controllers import PathController
+from .offers import Offer
 from .two_ended import TwoEnded
 
 
@@ -58,6 +60,13 @@ class AgentPath:
         return self.gain if self.gain.ndim == 3 else np.broadcast_to(self.gain, (self.n_steps, *self.gain.shape))
 
 
+ONE_RUN = (
+    "one along a path, which says nothing of other states and times; it can be checked, validated, stressed, "
+    "simulated, compared and reported, and `certified_starts` certifies a set of starts around its own"
+)
+"""What certificates along paths answer to whoever asks for values."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class PathCertificate(TwoEnded):
     """A certified lower bound from a start that is known, along a nominal path.
@@ -89,6 +98,7 @@ class PathCertificate(TwoEnded):
     settings: dict[str, Any]
     normals: FloatArray | None = None
 
+    lacks = MappingProxyType({Offer.VALUES: ONE_RUN})
     bound = "path"
     rank = 1
     gap = None

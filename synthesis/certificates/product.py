@@ -45,6 +45,11 @@ class ProductCertificate(TwoEnded):
     problem: Problem
     parts: tuple[Certificate, ...]
 
+    @property
+    def members(self) -> tuple[Any, ...]:
+        """Its parts."""
+        return self.parts
+
     def __repr__(self) -> str:
         return tree_text(f"ProductCertificate of {self.problem.name!r}", certificate_facts(self))
 

@@ -8,7 +8,7 @@ Reference: docs/theory/pairs.md, "Joint agents".
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -19,9 +19,17 @@ from ..cells import FloatArray
 from ..controllers import TeamController
 from .certificate import Certificate
 from .digits import shown_bound
+from .offers import Offer
 from .part import AgentPart
 from .path_certificate import PathCertificate
+from .seen import Seen, SeenJointly
 from .two_ended import TwoEnded
+
+ALL_TOGETHER = (
+    "that of a joint agent, whose cells are those of all states together; give its `.base`, which is about the joint "
+    "agent"
+)
+"""What certificates of joint agents answer to whoever asks for cells of single agents."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,6 +46,21 @@ class TeamCertificate(TwoEnded):
 
     problem: Problem
     base: Certificate | PathCertificate
+
+    @property
+    def lacks(self) -> Mapping[Offer, str]:  # type: ignore[override]
+        """What it does not offer: cells of single agents, and whatever its base does not offer."""
+        return {Offer.OWN_STATES: ALL_TOGETHER, **self.base.lacks}
+
+    @property
+    def on_cells(self) -> Any:
+        """The certificate of the joint agent, if that is on cells."""
+        return self.base.on_cells
+
+    @property
+    def seen(self) -> Seen:
+        """Runs of the team, as those of the joint agent."""
+        return SeenJointly(self.problem)
 
     def __repr__(self) -> str:
         rows = [

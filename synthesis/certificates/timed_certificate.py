@@ -22,6 +22,7 @@ from ..controllers import TimedController
 from .certificate import Certificate
 from .digits import shown_bound
 from .part import AgentPart
+from .seen import Seen, SeenInTime
 from .two_ended import TwoEnded
 
 
@@ -47,6 +48,17 @@ class TimedCertificate(TwoEnded):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "base", replace(self.base, problem=written_out(self.problem)))
+
+    @property
+    def on_cells(self) -> Any:
+        """The certificate of the problem written out."""
+        return self.base
+
+    @cached_property
+    def seen(self) -> Seen:
+        """Runs of the problem, as those of the problem written out."""
+        clocks = tuple(bool(agent.has_clock) for agent in self.base.problem.agents)
+        return SeenInTime(self.problem, self.states_in_time, clocks)
 
     def __repr__(self) -> str:
         rows = [

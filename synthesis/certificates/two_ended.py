@@ -1,12 +1,15 @@
-"""What certificates of all kinds have in common: whose claim it is, and its two ends."""
+"""What certificates of all kinds have in common: whose claim it is, its two ends, and what else it offers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, Self
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar, Self
 
 from ...envs.problem import Problem
+from .offers import Offer
+from .seen import Seen
 
 
 class TwoEnded:
@@ -24,6 +27,24 @@ class TwoEnded:
     problem: Problem
     lower_bound: Any
     gap: Any
+
+    lacks: ClassVar[Mapping[Offer, str]] = MappingProxyType({})
+    """What it does not offer, and what is said to whoever asks for it."""
+
+    @property
+    def members(self) -> tuple[Any, ...]:
+        """The claims that it is the product of: itself, but for independent tasks."""
+        return (self,)
+
+    @property
+    def on_cells(self) -> Any:
+        """The certificate on cells whose values are those of this one, if there is one (None: no)."""
+        return None
+
+    @property
+    def seen(self) -> Seen:
+        """How runs of its problem are seen by that certificate."""
+        return Seen(self.problem)
 
     @property
     def upper_bound(self) -> float:

@@ -1,6 +1,6 @@
 """The proof done again, by code that no search reaches."""
 
-from .certificate_check import CheckReport, check, checkable
+from .certificate_check import CheckReport, check, checkable, wrong_base
 from .checked_first import standing
 from .execution import execution_of
 from .geometry import cell_boxes
@@ -46,6 +46,7 @@ __all__ = [
     "ValueInTime",
     "verify_relation",
     "vertices_of",
+    "wrong_base",
     "wrong_opposite",
     "wrong_team",
 ]

@@ -131,15 +131,15 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
         PathCertificate: _check_path,
         PairsCertificate: _check_pairs,
         MixedCertificate: _check_mixed,
-        TeamCertificate: _check_team,
-        TimedCertificate: _check_timed,
+        TeamCertificate: _check_written_otherwise,
+        TimedCertificate: _check_written_otherwise,
         StartHull: _check_hull,
     }
     one = kinds.get(type(certificate), _check_one)
     if problem.joint_noise and one is not _check_path:
         failures = ("its problem has agents that share noise, which it takes for independent",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
-    if problem.names_time and one in (_check_one, _check_pairs, _check_team):
+    if problem.names_time and type(certificate) in (Certificate, PairsCertificate, TeamCertificate):
         failures = ("its problem names the time, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     if problem.labeling.pairs and one in (_check_one, _check_hull):
@@ -210,23 +210,19 @@ def _check_mixed(certificate: MixedCertificate, problem: Problem) -> CheckReport
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
 
 
-def _check_team(certificate: TeamCertificate, problem: Problem) -> CheckReport:
-    """Verify the certificate of a joint agent: that of its one agent like any other, and that this is the team."""
+def wrong_base(certificate: TeamCertificate | TimedCertificate) -> list[str]:
+    """Return in what the problem that a certificate rests on is not its own, written in another way."""
+    if isinstance(certificate, TimedCertificate):
+        return wrong_in_time(certificate)
+    return wrong_team(certificate.problem, certificate.base.problem)
+
+
+def _check_written_otherwise(certificate: TeamCertificate | TimedCertificate, problem: Problem) -> CheckReport:
+    """Verify the certificate of a problem that is written in another way: that it is, and its base like any other."""
     failures: list[str] = []
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
-    failures = failures or wrong_team(problem, certificate.base.problem)
-    if failures:
-        return CheckReport(False, certificate.lower_bound, float("nan"), tuple(failures))
-    return check(certificate.base)
-
-
-def _check_timed(certificate: TimedCertificate, problem: Problem) -> CheckReport:
-    """Verify the certificate of a problem that names the time: that of the problem written out, and that it is that."""
-    failures: list[str] = []
-    if certificate.fingerprint != problem.fingerprint:
-        failures.append("it was made for another problem (the fingerprints differ)")
-    failures = failures or wrong_in_time(certificate)
+    failures = failures or wrong_base(certificate)
     if failures:
         return CheckReport(False, certificate.lower_bound, float("nan"), tuple(failures))
     return check(certificate.base)

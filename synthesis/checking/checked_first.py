@@ -10,12 +10,10 @@ from __future__ import annotations
 from typing import TypeVar
 from weakref import WeakKeyDictionary
 
-from ..certificates import Certificate, ProductCertificate, TeamCertificate
+from ..certificates import TwoEnded
 from .certificate_check import check
 
-Claimed = TypeVar(
-    "Claimed", Certificate, ProductCertificate, TeamCertificate, Certificate | ProductCertificate | TeamCertificate
-)
+Claimed = TypeVar("Claimed", bound=TwoEnded)
 
 _failures: WeakKeyDictionary[object, tuple[str, ...]] = WeakKeyDictionary()
 """What ``check`` found wrong with certificates, which never change: it is asked once for each."""

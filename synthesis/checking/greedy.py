@@ -62,7 +62,7 @@ class Greedy:
         """Return the certified values (M,) one step later, at the means of the next states."""
         if self._value is None:
             # What a disturbance aims at need not be a bound.
-            self._value = ValueInTime(self.certificate, claimed_values(self.certificate))
+            self._value = ValueInTime(self.certificate, claimed_values(self.certificate), self.certificate.seen)
         means = []
         others = neighbours(dynamics, worlds.states, inputs)
         for block, x, u, v, beside in zip(dynamics.blocks, worlds.states, inputs, unknown, others, strict=True):

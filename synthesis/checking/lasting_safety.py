@@ -21,7 +21,7 @@ import numpy as np
 from ...envs.agents import checked_count, tree_text
 from ...envs.logic import Automaton
 from ..cells import FloatArray
-from ..certificates import Certificate, ProductCertificate, TeamCertificate, certificate_on_grids, rounded_down
+from ..certificates import Certificate, TwoEnded, certificate_on_grids, rounded_down
 from ..values import Terms
 from .checked_first import standing
 from .regrown_tree import regrow
@@ -49,7 +49,7 @@ class SafetyRate:
     share: float
     rate: float
     loss: float
-    certificate: Certificate | ProductCertificate | TeamCertificate
+    certificate: TwoEnded
 
     def __repr__(self) -> str:
         name = self.certificate.problem.name
@@ -101,8 +101,7 @@ def safety_rate(certificate: Any) -> SafetyRate:
     """
     claim = certificate_on_grids(certificate)
     # A joint agent stands for its team, which the check of the team verifies.
-    one: Any = claim.base if isinstance(claim, TeamCertificate) else claim
-    parts = one.parts if isinstance(one, ProductCertificate) else (one,)
+    parts = [member.on_cells for member in claim.members]
     for part in parts:
         _refuse_other_kinds(part)
     standing(claim)

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
-from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import Certificate, Claim, TeamCertificate, checked_certificate, joint_states, regrow_trains
+from ..certificates import Certificate, Claim, Seen, checked_certificate, joint_states, regrow_trains
 from ..values import Terms, Trains
 from .checked_first import standing
 from .regrown_tree import regrow
@@ -31,13 +30,13 @@ class ValueInTime:
     certificate : Certificate
     functions : tuple of Terms or Trains
         Value functions at times 0 .. T - 1, lower bounds up to rounding.
-    team : Problem, optional
-        Whose agents the joint agent of the certificate stands for, if it stands for several.
+    seen : Seen
+        How runs of the problem that is asked about are seen by the certificate.
     """
 
     certificate: Certificate
     functions: tuple[Terms | Trains, ...]
-    team: Problem | None = None
+    seen: Seen
 
     def __repr__(self) -> str:
         rows = [("times", f"0 .. {len(self.functions) - 1}"), ("claim", self.certificate.claim)]
@@ -71,15 +70,16 @@ class ValueInTime:
         ValueError
             If a shape does not fit, or a number is none of these.
         """
-        problem = self.certificate.problem
-        joint = joint_states(self.team or problem, states)
+        problem = self.seen.problem
+        joint = joint_states(problem, states)
         state = _whole(q, len(joint), "q", problem.automaton.n_states - 1)
         left = _whole(steps_left, len(joint), "steps_left", problem.horizon)
         values = np.zeros(len(joint))
+        on_cells = self.seen.automaton_states(state, problem.horizon - left)
         for steps in np.unique(left):
-            here = np.flatnonzero(left == steps)
+            here = np.flatnonzero((left == steps) & (on_cells >= 0))  # elsewhere no run comes to
             if steps:
-                values[here] = self._claims[problem.horizon - steps].in_state(joint[here], state[here])
+                values[here] = self._claims[problem.horizon - steps].in_state(joint[here], on_cells[here])
         # Runs that are decided, and those that are at their end, have the value that they have come to.
         finished = problem.automaton.absorbing[state] | (left == 0)
         return np.where(finished, problem.automaton.accepting[state], values).astype(float)
@@ -102,19 +102,18 @@ def value_in_time(certificate: Any) -> ValueInTime:
 
     Parameters
     ----------
-    certificate : Certificate or TeamCertificate
-        Of one task; give one of the ``parts`` of a product. States of a joint agent are those of all agents in order.
+    certificate : certificate on cells
+        Of one task; give one of the ``parts`` of a product. States of a joint agent are those of all agents in order,
+        and automaton states are those of the problem, also where it names the time.
 
     Raises
     ------
     ValueError
         If it is no such certificate, or ``check`` refuses it.
     """
-    if isinstance(certificate, TeamCertificate) and isinstance(certificate.base, Certificate):
-        standing(certificate)
-        return ValueInTime(certificate.base, claimed_values(certificate.base), certificate.problem)
-    certificate = standing(checked_certificate(certificate))
-    return ValueInTime(certificate, claimed_values(certificate))
+    on_cells = getattr(certificate, "on_cells", None) or checked_certificate(certificate)
+    standing(certificate)
+    return ValueInTime(on_cells, claimed_values(on_cells), certificate.seen)
 
 
 def claimed_values(certificate: Certificate) -> tuple[Terms | Trains, ...]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate, TeamCertificate, certificate_on_grids, rounded_down
+from ..certificates import AgentPart, Certificate, certificate_on_grids, rounded_down
 from ..checking import Reading, by_cell, execution_of, reading_of, standing
 from ..relations import ExactRelation, WrittenTargets
 from .permission import Menus, Permission, count_of_choices, in_layers
@@ -84,9 +84,8 @@ def permit(certificate: Any, *, probability: float) -> Permission:
 
 def _checked(certificate: Any) -> Certificate:
     """Return a certificate that has menus, or raise ValueError with what to do."""
-    if isinstance(certificate, TeamCertificate):
-        certificate = certificate.base  # the menus are those of the joint agent
-    if not isinstance(certificate, Certificate):
+    certificate = certificate.on_cells  # the menus of a team are those of its joint agent
+    if certificate is None:
         raise ValueError("`certificate`: expected that of one task; give one of its `.parts`")
     if certificate.terms is None:
         raise ValueError('`certificate`: expected one with a value tree; synthesize with `value="tree"`')

@@ -19,8 +19,10 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import (
     Certificate,
+    Offer,
     ProductCertificate,
-    TeamCertificate,
+    Seen,
+    TwoEnded,
     certificate_on_grids,
     rounded_down,
     shown_bound,
@@ -47,8 +49,8 @@ class Shield:
         Budget that stands for p: p with everything that rounding can take off, at most the certified bound.
     mean : float or None
         Lower bound on the mean value of a start that is drawn from a box; None for a start in a point.
-    team : Problem, optional
-        Whose agents the joint agent of the certificate stands for: states and inputs are then those of its agents.
+    seen : Seen
+        How runs of the problem that is kept are seen by the certificate: states and inputs are those of its agents.
     """
 
     values: ActionValues
@@ -56,7 +58,7 @@ class Shield:
     form: str
     owed: float
     mean: float | None
-    team: Problem | None = None
+    seen: Seen
 
     def __repr__(self) -> str:
         rows = [
@@ -69,15 +71,13 @@ class Shield:
     @property
     def problem(self) -> Problem:
         """The problem that the shield keeps."""
-        return self.team or self.values.certificate.problem
-
-    def _joined(self, arrays: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
-        """Return states or inputs of all agents as those of the certificate's agents: of one, for a team."""
-        return arrays if self.team is None else (np.concatenate(arrays),)
+        return self.seen.problem
 
     def value_of(self, states: tuple[FloatArray, ...], q: NDArray[Any], time: NDArray[Any]) -> FloatArray:
-        """Return the values (M,) of states (d_i, M) per agent; lower bounds up to rounding."""
-        return self.values.of_states(self._joined(states), q, time)
+        """Return the values (M,) of states (d_i, M) per agent; lower bounds up to rounding, 0 where no run comes to."""
+        on_cells = self.seen.automaton_states(q, time)
+        values = self.values.of_states(self.seen.states(states), np.maximum(on_cells, 0), time)
+        return np.where(on_cells >= 0, values, 0.0)
 
     def first_budget(
         self, states: tuple[FloatArray, ...], q: NDArray[Any], time: NDArray[Any] | None = None
@@ -118,14 +118,15 @@ class Shield:
             refused. Runs that are decided keep them.
         """
         agents = self.values.certificate.problem.agents
-        states, proposed = self._joined(states), self._joined(proposed)
+        states, proposed = self.seen.states(states), self.seen.inputs(proposed, time)
+        on_cells = self.seen.automaton_states(q, time)
         low = tuple(agent.input_box.low[:, None] for agent in agents)
         high = tuple(agent.input_box.high[:, None] for agent in agents)
         inputs = tuple(np.clip(u, a, b) for u, a, b in zip(proposed, low, high, strict=True))
         ratio, overridden = np.ones(len(q)), np.zeros((len(agents), len(q)), dtype=bool)
         rule = joint_choice if self.form == "joint" else decentralised_choice
-        going = ~self.problem.automaton.absorbing[q] & (time < self.problem.horizon)
-        for at, state, which in groups(time, q, going):
+        going = ~self.problem.automaton.absorbing[q] & (time < self.problem.horizon) & (on_cells >= 0)
+        for at, state, which in groups(time, on_cells, going):
             here = tuple(x[:, which] for x in states)
             certified = self.certified_inputs(here, state, at)
             asked = tuple(u[:, which] for u in inputs)
@@ -133,12 +134,7 @@ class Shield:
             for u, applied in zip(inputs, found.inputs, strict=True):
                 u[:, which] = applied
             ratio[which], overridden[:, which] = found.ratio, found.overridden
-        if self.team is None:
-            return Choice(inputs, ratio, overridden)
-        # The inputs of a team are judged together: all of them were let through, or none.
-        (joined,) = inputs
-        split = tuple(joined[columns] for columns in self.team.input_columns)
-        return Choice(split, ratio, np.repeat(overridden, self.team.n_agents, axis=0))
+        return Choice(self.seen.given_back(inputs), ratio, self.seen.overridden(overridden))
 
     def certified_inputs(self, states: tuple[FloatArray, ...], q: int, time: int) -> tuple[FloatArray, ...]:
         """Return the inputs (m_i, M) of the certified controllers at one time and in one automaton state."""
@@ -201,10 +197,12 @@ class _Source:
     values: ActionValues
     mean: float | None
     most: float
+    seen: Seen
 
     @classmethod
-    def of(cls, certificate: Certificate) -> _Source:
+    def of(cls, whole: TwoEnded) -> _Source:
         """Return the source of a certificate that can be a shield, and stands."""
+        certificate: Certificate = whole.on_cells
         values, problem = action_values(certificate), certificate.problem
         if certificate.start == "mean":
             # The claim takes rounding off, so that it is below the mean of what is read at starts.
@@ -216,19 +214,18 @@ class _Source:
             holds = np.concatenate([problem.labeling.class_at(i, x) for i, x in enumerate(states)])
             q = problem.automaton.next_state(np.full(1, problem.automaton.initial), holds)
             least = float(values.of_states(states, q, np.zeros(1, dtype=np.int64))[0])
-        return cls(values, mean, max(0.0, (least * (1.0 - values.relative_loss) - values.loss) * (1.0 - 1e-14)))
+        most = max(0.0, (least * (1.0 - values.relative_loss) - values.loss) * (1.0 - 1e-14))
+        return cls(values, mean, most, whole.seen)
 
-    def renamed(self, certificate: Certificate) -> _Source:
+    def renamed(self, whole: TwoEnded) -> _Source:
         """Return the source of a certificate that differs in names alone."""
-        values = self.values
-        same = ActionValues(certificate, values.relations, values.axes, values.values, values.vertices)
-        return _Source(same, self.mean, self.most)
+        return replace(self, values=replace(self.values, certificate=whole.on_cells), seen=whole.seen)
 
     def shield(self, p: float, form: str) -> Shield:
         """Return the shield that keeps p, at most ``most``."""
         # What rounding may take off is owed on top of p.
         owed = (p + self.values.loss) / (1.0 - self.values.relative_loss) * (1.0 + 1e-15)
-        return Shield(self.values, p, form, owed, self.mean)
+        return Shield(self.values, p, form, owed, self.mean, self.seen)
 
 
 def _check_certificate(certificate: Certificate) -> None:
@@ -287,42 +284,32 @@ def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shie
         If the certificate cannot be a shield, ``check`` refuses it, or p is out of range; the text says what to do.
     """
     certificate, p = certificate_on_grids(certificate), _checked(probability, form)
-    team = certificate.problem if isinstance(certificate, TeamCertificate) else None
-    for part in certificate.parts if isinstance(certificate, ProductCertificate) else (_of_one(certificate),):
-        _check_certificate(part)
+    for member in certificate.members:
+        _check_certificate(member.on_cells)
     certificate = standing(certificate)
-    if isinstance(certificate, TeamCertificate):
-        if form != "joint":
-            raise ValueError(
-                f"`form`: expected 'joint' for a joint agent, got {form!r}; the certificate is about the inputs of all "
-                "agents together, and says nothing of one agent's input alone"
-            )
-        certificate = _of_one(certificate)
-    if isinstance(certificate, Certificate):
+    if form != "joint" and Offer.OWN_STATES in certificate.lacks:
+        raise ValueError(
+            f"`form`: expected 'joint' for a joint agent, got {form!r}; the certificate is about the inputs of all "
+            "agents together, and says nothing of one agent's input alone"
+        )
+    if certificate.on_cells is not None:
         source = _Source.of(certificate)
         if p > source.most:
             raise ValueError(_too_much(p, source.most))
-        return replace(source.shield(p, form), team=team)
+        return source.shield(p, form)
     # Tasks that differ in names alone share their tables.
-    sources = {k: _Source.of(certificate.parts[same[0]]) for same in certificate.alike for k in same}
+    sources = {k: _Source.of(certificate.members[same[0]]) for same in certificate.alike for k in same}
     most = math.prod(source.most for source in sources.values())
     if p > most:
         raise ValueError(_too_much(p, most))
     # The same power of each bound: tasks that are surer keep more. With p = 1 = bound any power will do.
     power = math.log(p) / math.log(most) if most < 1.0 else 1.0
     parts = []
-    for k, part in enumerate(certificate.parts):
+    for k, part in enumerate(certificate.members):
         # Rounded up, as far as possible: the product must not fall below p.
         kept = min(sources[k].most ** power * (1.0 + 1e-13), sources[k].most)
         parts.append(sources[k].renamed(part).shield(kept, form))
     return ProductShield(certificate, p, tuple(parts))
-
-
-def _of_one(certificate: Certificate | TeamCertificate) -> Certificate:
-    """Return the certificate of one task: that of its joint agent, for a team."""
-    base = certificate.base if isinstance(certificate, TeamCertificate) else certificate
-    assert isinstance(base, Certificate)  # one along a path was refused
-    return base
 
 
 def _checked(probability: Any, form: str) -> float:

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from ...envs.dynamics import Dynamics
 from ...envs.dynamics import worlds as core
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate, ProductCertificate, TeamCertificate, certificate_on_grids
-from ...synthesis.checking import claimed_values, wrong_team
+from ...synthesis.certificates import Certificate, ProductCertificate, certificate_on_grids
+from ...synthesis.checking import claimed_values, wrong_base
 from ...synthesis.values import Terms, Trains
 from ..simulation import (
     Batchable,
@@ -87,6 +87,7 @@ def audit(
     certificate : Synthesis, Certificate, ProductCertificate, TeamCertificate or path
         Independent tasks are audited one by one; of tasks that differ in names alone, one is audited. Of a team that is
         certified as one agent, the problem of this agent is audited: its steps are not split among the team's members.
+        Of a problem that names the time, the problem written out is.
     plan, **trial
         Episodes (default 20,000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``. After Ctrl-C
         the report is about the episodes finished by then.
@@ -108,17 +109,17 @@ def audit(
     settled = planned(plan, trial, 20_000)
     check_confidence(settled.confidence)
     certificate = certificate_on_grids(certificate)
-    if isinstance(certificate, TeamCertificate):
+    if certificate.on_cells not in (None, certificate):
         if not problem is controller is values is charge is None:
             raise ValueError(
-                "`certificate`: expected that of agents who look at themselves alone beside other arguments, got that "
-                "of a joint agent; give its `.base`, and the problem of the joint agent"
+                "`certificate`: expected one about the problem itself beside other arguments, got one that rests on "
+                "the same problem written in another way; give its `.base`, and the problem of that"
             )
-        # The joint agent is the team, and its one state is what values are functions of.
-        if wrong := wrong_team(certificate.problem, certificate.base.problem):
-            raise ValueError(f"`certificate`: expected a joint agent that is the team, got another: {wrong[0]}")
-        return audit(certificate.base, settled)
-    if isinstance(certificate, ProductCertificate):
+        # Values are functions of the states of a joint agent, or of an automaton that counts steps.
+        if wrong := wrong_base(certificate):
+            raise ValueError(f"`certificate`: expected one whose `.base` is about its problem, got another: {wrong[0]}")
+        return audit(certificate.on_cells, settled)
+    if certificate.on_cells is None:
         if not problem is controller is values is charge is None:
             raise ValueError(
                 "`certificate`: expected the certificate of one task beside other arguments, got one of independent "

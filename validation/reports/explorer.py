@@ -20,10 +20,6 @@ from numpy.typing import NDArray
 from ...envs.pictures import AGENTS, Curve, Panel, coordinate_name, panels
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
-    Certificate,
-    ProductCertificate,
-    TeamCertificate,
-    TimedCertificate,
     speaks_of_one_start,
 )
 from ...synthesis.checking import ValueInTime, claimed_values
@@ -112,9 +108,7 @@ def explored(certificate: Any, seed: int, axes: Sequence[int] | None = None) -> 
 
 def has_values(certificate: Any) -> bool:
     """Whether a certificate knows its bound at every start: on grids, of joint agents and of written out times, too."""
-    parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
-    bases = [part.base if isinstance(part, TeamCertificate) else part for part in parts]
-    return all(isinstance(part, Certificate | TimedCertificate) for part in bases)
+    return all(member.on_cells is not None for member in certificate.members)
 
 
 def _around_one_start(
@@ -162,12 +156,12 @@ def _shape(problem: Problem, axes: int) -> tuple[int, ...]:
 
 def _in_time(certificate: Any, starts: NDArray[Any]) -> tuple[tuple[int, ...], NDArray[Any]]:
     """Return times, and lower bounds (times, Q, N) in the middle of a run; none of either for independent tasks."""
-    if not isinstance(certificate, Certificate):
+    if certificate.on_cells is None:
         return (), np.zeros((0, 0, len(starts)))
     horizon, n_states = certificate.problem.horizon, certificate.problem.automaton.n_states
     most = max(2, MOST_NUMBERS // (n_states * len(starts)))
     times = tuple(sorted(set(np.linspace(0, horizon - 1, min(horizon, most)).astype(int).tolist())))
-    value = ValueInTime(certificate, claimed_values(certificate))
+    value = ValueInTime(certificate.on_cells, claimed_values(certificate.on_cells), certificate.seen)
     table = [[value.at(starts, q, horizon - time) for q in range(n_states)] for time in times]
     return times, np.array(table).reshape(len(times), n_states, len(starts))
 
