@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from certigym import Problem
 from certigym.synthesis.bounds.dense import joint_outcomes
 from certigym.synthesis.models.abstraction import AgentModel
-from certigym.synthesis.models.choices import Policies, TargetWindows
+from certigym.synthesis.models.choices import Policies
+from certigym.synthesis.models.target_windows import TargetWindows
 
 
 @dataclass(frozen=True, eq=False)

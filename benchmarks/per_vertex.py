@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from certigym.synthesis.bounds.certified import plain_loss
-from certigym.synthesis.models.choices import InputMenu
+from certigym.synthesis.models.input_menu import InputMenu
 from certigym.synthesis.models.joint import JointModel
 from certigym.validation.paper.heuristics import ALIVE
 

@@ -18,10 +18,11 @@ import numpy as np
 
 import certigym as cg
 from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.choices import gather
 from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.search.ascent import resting_policies, sweep
 from certigym.synthesis.search.limits import Limits
-from certigym.synthesis.search.tree import candidates, gather
+from certigym.synthesis.search.tree import candidates
 from certigym.synthesis.values.terms import Terms
 from certigym.validation.figures.figure_style import MARKS, SERIES, new_figure
 from measuring import Row, Rows, cpu, save, show

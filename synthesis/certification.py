@@ -27,7 +27,7 @@ from .bounds import (
     undecided_steps,
 )
 from .certificates import EXACT_GAP, AgentPart, Certificate, Synthesis
-from .models import Abstraction, InputMenu, JointModel, start_of
+from .models import Abstraction, JointModel, start_of
 from .relations import describe_relation
 from .search import FINAL, Found, Relaxation, Sweep, TrainSweep, forward, sweep
 from .values import Terms, start_above
@@ -92,7 +92,7 @@ def certificate_of(
             masks=model.of_cells(joint.masks[i]),
             start_masks=model.of_cells(joint.start_masks[i]),
             policy=best.policies[i][:1] if best.stationary else best.policies[i],
-            menu=model.choices.leads_to if isinstance(model.choices, InputMenu) else None,
+            menu=model.choices.menu,
         )
         parts.append(part)
     point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in problem.agents)

@@ -15,7 +15,7 @@ inside the cell, as the choice does whose means are nearest to those of the raw 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -27,7 +27,7 @@ from ..envs.agents import AnyAgent
 from ..envs.problem import Problem, states_in_time, written_out
 from ..envs.suite import as_problem
 from .bridges import certifiable
-from .cells import CellCounts, FloatArray, RelationRefused, corner_sides
+from .cells import CellCounts, FloatArray, RelationRefused
 from .certificates import Synthesis, TeamCertificate, TimedCertificate
 from .certification import certificate_of
 from .controllers import Decentralised, Policy, decentralised
@@ -35,15 +35,12 @@ from .keeping_apart import less_nearness, nearness
 from .models import (
     Abstraction,
     AgentModel,
-    BoxChoices,
-    CornerChoices,
-    InputMenu,
     JointModel,
     Policies,
     Relations,
-    TargetWindows,
     abstract,
     join,
+    shifted,
     start_of,
 )
 from .pairs import NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
@@ -54,9 +51,6 @@ from .upper_ends import synthesis_above
 
 WORTHWHILE = 1e-7
 """Relative gain below which ``improve`` stops: far above rounding, and too little for the cost of another sweep."""
-
-INSIDE = 0.999
-"""Share of the way from the centre of a cell to a corner at which a policy is asked: corners are of several cells."""
 
 
 def certify(
@@ -264,15 +258,10 @@ def wrap(problem: Problem, abstraction: Abstraction, policy: Decentralised) -> P
     for i, (agent, model) in enumerate(zip(problem.agents, abstraction.models, strict=True)):
         table = np.empty((problem.horizon, n_q, model.grid.n_cells), dtype=np.int32)
         for t in range(problem.horizon):
+            choices, first = model.offered(t)
             for q in range(n_q):
-                centres = _means_at(agent, model, model.grid.centres, partial(_inputs, policy, i, q, t))
-                if isinstance(model.choices, CornerChoices):
-                    corners = [
-                        _means_at(agent, model, points, partial(_inputs, policy, i, q, t)) for points in _corners(model)
-                    ]
-                    table[t, q] = _nearest_maps(model.choices, centres, corners, _cell_widths(model))
-                else:
-                    table[t, q] = nearest_choices(model, centres)
+                means_at = partial(_means_at, agent, model, partial(_inputs, policy, i, q, t))
+                table[t, q] = shifted(choices.nearest(means_at), first)
         tables.append(table)
     return tuple(tables)
 
@@ -282,106 +271,8 @@ def _inputs(policy: Decentralised, i: int, q: int, t: int, states: FloatArray) -
     return policy.inputs(i, states, np.full(states.shape[1], q), t)
 
 
-def _cell_widths(model: AgentModel) -> FloatArray:
-    """Return the mean width (d,) of cells along each axis."""
-    return np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in model.grid.edges])
-
-
-def _corners(model: AgentModel) -> list[FloatArray]:
-    """Return points (S, d) in grid coordinates near each corner of all cells, a little inside of them."""
-    sides = 2.0 * corner_sides(len(model.grid.edges)) - 1.0
-    return [model.grid.centres + INSIDE * side * model.grid.half_widths for side in sides]
-
-
-def nearest_choices(model: AgentModel, means: FloatArray) -> NDArray[np.int32]:
-    """Return the admissible choice (S,) of each cell whose mean is nearest to ``means`` (d, S); -1 if there is none.
-
-    Means are in grid coordinates.
-    """
-    scale, choices = _cell_widths(model), model.choices
-    if isinstance(choices, BoxChoices):
-        return _nearest_boxes(choices, means, scale)
-    if isinstance(choices, TargetWindows):
-        return _nearest_targets(choices, means, scale)
-    assert isinstance(choices, InputMenu)
-    points = np.stack(np.meshgrid(*model.lattice, indexing="ij"), axis=-1).reshape(-1, len(scale))
-    offered = choices.leads_to
-    # distances of all choices on offer, in cell widths; places of the menu that are empty are infinitely far
-    gaps = (((points[np.maximum(offered, 0)] - means.T[:, None]) / scale) ** 2).sum(axis=-1)
-    gaps = np.where(offered < 0, np.inf, gaps)
-    return np.where((offered >= 0).any(axis=1), gaps.argmin(axis=1), -1).astype(np.int32)
-
-
-def _nearest_boxes(choices: BoxChoices, means: FloatArray, scale: FloatArray) -> NDArray[np.int32]:
-    """Return the admissible choice (S,) of each cell whose box has its middle nearest to means (d, S)."""
-    nearest, best = np.full(choices.grid.n_cells, np.inf), np.full(choices.grid.n_cells, -1)
-    for a in range(choices.size.shape[1]):
-        gaps = (((choices.middles(a) - means.T) / scale) ** 2).sum(axis=1)
-        closer = (choices.size[:, a] >= 0) & (gaps < nearest)
-        nearest, best = np.where(closer, gaps, nearest), np.where(closer, a, best)
-    return best.astype(np.int32)
-
-
-def _nearest_maps(
-    choices: CornerChoices, means: FloatArray, corners: Sequence[FloatArray], scale: FloatArray
-) -> NDArray[np.int32]:
-    """Return the choice (S,) of each cell whose means are nearest to those (d, S) at its centre and near its corners.
-
-    The inputs and the target that are nearest at the centre; the corners decide between these.
-    """
-    cells, half = np.arange(choices.grid.n_cells), choices.grid.half_widths
-    offered = [choices.centres(cells, np.full(len(cells), a)) for a in range(choices.n_inputs)]
-    distances = np.stack([(((centres - means.T) / scale) ** 2).sum(axis=1) for centres in offered])
-    inputs = np.argmin(distances, axis=0).astype(np.int32)
-    if choices.windows is None:
-        return inputs
-    targets = _nearest_targets(choices.windows, means, scale)
-    gains = choices.maps.gain[cells, inputs if choices.maps.gain.shape[1] > 1 else 0]
-    aims = choices.centres(cells, np.maximum(targets, 0) + choices.n_inputs)
-    moved, aimed = np.zeros(len(cells)), np.where(targets >= 0, 0.0, np.inf)
-    for side, goal in zip(2.0 * corner_sides(len(scale)) - 1.0, corners, strict=True):
-        here = choices.centres(cells, inputs) + INSIDE * np.einsum("sij,sj->si", gains, side * half)
-        moved += (((here - goal.T) / scale) ** 2).sum(axis=1)
-        aimed += (((aims - goal.T) / scale) ** 2).sum(axis=1)
-    return np.where(aimed <= moved, targets + choices.n_inputs, inputs).astype(np.int32)
-
-
-def _nearest_targets(windows: TargetWindows, means: FloatArray, scale: FloatArray) -> NDArray[np.int32]:
-    """Take the nearest point of the window along each axis; where that is not admissible, search the whole window."""
-    indices = []
-    for k, axis in enumerate(windows.lattice):
-        # the two lattice points around the mean, the nearer of them, and then the nearest one inside the window
-        above = np.clip(np.searchsorted(axis, means[k]), 1, max(1, len(axis) - 1))
-        below = above - 1
-        above = np.minimum(above, len(axis) - 1)
-        near = np.where(means[k] - axis[below] <= axis[above] - means[k], below, above)
-        indices.append(np.clip(near, windows.low[:, k], np.maximum(windows.high[:, k] - 1, windows.low[:, k])))
-    empty = np.any(windows.low >= windows.high, axis=1)
-    targets = np.ravel_multi_index([np.where(empty, 0, index) for index in indices], windows.shape)
-    targets = np.where(empty, -1, targets)
-    # the admissible targets need not fill the window: it is a box around them
-    refused = np.flatnonzero(~empty & ~windows.admissible(np.arange(len(targets)), np.maximum(targets, 0)))
-    for s in refused:
-        targets[s] = _search(windows, int(s), means[:, s], scale)
-    return targets.astype(np.int32)
-
-
-def _search(windows: TargetWindows, cell: int, mean: FloatArray, scale: FloatArray) -> int:
-    """Return the nearest admissible target of one cell in its whole window, or -1."""
-    ranges = [np.arange(a, b) for a, b in zip(windows.low[cell], windows.high[cell], strict=True)]
-    mesh = [indices.ravel() for indices in np.meshgrid(*ranges, indexing="ij")]
-    flat = np.ravel_multi_index(mesh, windows.shape)
-    admissible = windows.admissible(np.full(len(flat), cell), flat)
-    if not admissible.any():
-        return -1
-    gaps = np.zeros(len(flat))
-    for axis, indices, goal, width in zip(windows.lattice, mesh, mean, scale, strict=True):
-        gaps += ((axis[indices] - goal) / width) ** 2
-    return int(flat[np.where(admissible, gaps, np.inf).argmin()])
-
-
 def _means_at(
-    agent: AnyAgent, model: AgentModel, points: FloatArray, inputs: Callable[[FloatArray], FloatArray]
+    agent: AnyAgent, model: AgentModel, inputs: Callable[[FloatArray], FloatArray], points: FloatArray
 ) -> FloatArray:
     """Return the means (d, S) of the next states in grid coordinates, from points (S, d) of the grid.
 

@@ -23,7 +23,6 @@ from .certification import certificate_of
 from .models import (
     Abstraction,
     JointModel,
-    NetworkChoices,
     Policies,
     join,
     network_abstraction,
@@ -231,7 +230,6 @@ class _Losses:
         """Note what better inputs add at a time in an automaton state, weighted by where the networks come to."""
         t, q = next(self.order)
         for i, (model, weights) in enumerate(zip(self.models, stage.weights(), strict=True)):
-            assert isinstance(model.choices, NetworkChoices)
             self.others[i][t, q] = stage.policies[i]
             if stage.is_met and len(stage.rows):
                 smoothed = to_host(stage.smoothed[i])

@@ -7,8 +7,8 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.choices import InputMenu, TargetWindows
-from certigym.synthesis.search.best_response import best_choices
+from certigym.synthesis.models.input_menu import InputMenu
+from certigym.synthesis.models.target_windows import TargetWindows
 from problems import scalar_agent
 
 
@@ -56,7 +56,7 @@ def test_best_choices_are_the_brute_force_maxima(name: str, relation: str, n_obj
     table = rng.integers(0, 6, size=(n_objectives, kernel_size)).astype(float)
     n_cells = len(choices.resting_choice)
     weights = rng.integers(1, 4, size=(n_cells, n_objectives)).astype(float)
-    found = best_choices(choices, weights, table, choices.resting_choice)
+    found = choices.best(weights, table, choices.resting_choice)
     for s in range(n_cells):
         if isinstance(choices, InputMenu):
             options = choices.leads_to[s]
@@ -86,8 +86,8 @@ def test_the_incumbent_stays_where_nothing_is_better() -> None:
     assert isinstance(choices, TargetWindows)
     flat = np.ones((1, int(np.prod(choices.shape))))
     policy = choices.resting_choice
-    np.testing.assert_array_equal(best_choices(choices, np.ones((40, 1)), flat, policy), policy)
-    np.testing.assert_array_equal(best_choices(choices, np.ones((40, 1)), flat * (1 + 1e-14), policy), policy)
+    np.testing.assert_array_equal(choices.best(np.ones((40, 1)), flat, policy), policy)
+    np.testing.assert_array_equal(choices.best(np.ones((40, 1)), flat * (1 + 1e-14), policy), policy)
 
 
 @pytest.mark.parametrize("relation", ["exact", "tube"])
@@ -106,11 +106,11 @@ def test_cells_of_no_weight_keep_their_choice_and_do_not_disturb_others(relation
     rng = np.random.default_rng(1)
     table, policy = rng.random((3, points)), choices.resting_choice.copy()
     weights = rng.random((1200, 3))
-    everywhere = best_choices(choices, weights, table, policy)
+    everywhere = choices.best(weights, table, policy)
     weights[100:] = 0.0
     without = policy.copy()
     without[500] = -1
-    found = best_choices(choices, weights, table, without)
+    found = choices.best(weights, table, without)
     np.testing.assert_array_equal(found[:100], everywhere[:100])
     np.testing.assert_array_equal(np.delete(found, 500)[100:], np.delete(policy, 500)[100:])
     assert found[500] >= 0

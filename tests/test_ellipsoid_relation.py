@@ -21,8 +21,8 @@ from certigym.synthesis.checking.execution import execution_of
 from certigym.synthesis.checking.relation_check import verify_relation
 from certigym.synthesis.controllers.abstract_state import Memory, Tracker
 from certigym.synthesis.models.agent_models import ellipsoid_model
-from certigym.synthesis.models.choices import InputMenu
 from certigym.synthesis.models.ellipsoid_search import find_ellipsoid
+from certigym.synthesis.models.input_menu import InputMenu
 from certigym.synthesis.relations import ellipsoid as relation_ellipsoid
 from certigym.synthesis.relations.coupled import CoupledRelation, couple
 from certigym.synthesis.relations.description import check_description, describe_relation, relation_from

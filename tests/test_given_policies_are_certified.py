@@ -10,11 +10,11 @@ import pytest
 import certigym as cg
 from certigym.synthesis.cells import Grid
 from certigym.synthesis.cells.grid import aligned_edges
-from certigym.synthesis.certify import nearest_choices, wrap
+from certigym.synthesis.certify import wrap
 from certigym.synthesis.controllers import vectorized
 from certigym.synthesis.controllers.given_policies import decentralised
 from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.choices import TargetWindows
+from certigym.synthesis.models.target_windows import TargetWindows
 from problems import scalar_agent, two_agents
 
 LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}
@@ -140,7 +140,7 @@ def test_the_nearest_admissible_target_is_taken(form: str) -> None:
     windows = model.choices
     assert isinstance(windows, TargetWindows)
     wanted = np.random.default_rng(0).uniform(-4.0, 4.0, (2, model.n_cells))
-    policy = nearest_choices(model, wanted)
+    policy = model.choices.nearest(lambda points: wanted)
     points = np.stack(np.meshgrid(*model.lattice, indexing="ij"), axis=-1).reshape(-1, 2)
     searched = 0
     for s in range(model.n_cells):

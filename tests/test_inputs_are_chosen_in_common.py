@@ -21,9 +21,7 @@ from certigym.synthesis.certificates import Certificate
 from certigym.synthesis.models import JointModel, abstract, join, start_of
 from certigym.synthesis.relations import CommonInputs
 from certigym.synthesis.search import Search, find_policies
-from certigym.synthesis.search.best_response import best_choices
 from certigym.synthesis.search.relaxation import relax
-from certigym.synthesis.search.tree import read
 from certigym.synthesis.shielding import shield_of
 
 FALSE_ALARM = 1e-6
@@ -107,10 +105,10 @@ def sequences_of(problem: cg.Problem, joint: JointModel) -> dict[tuple[int, ...]
         for i, model in enumerate(joint.models):
             value = np.ones((1, model.n_cells))
             for number in reversed(sequence):
-                choices = model.choices.parts[group.parts[i][number]]  # type: ignore[union-attr]
+                choices = model.choices.parts[group.parts[i][number]]
                 table = model.kernel.smooth(value * inside[i])
-                best = best_choices(choices, np.ones((1, 1)), table, np.full(model.n_cells, -1, dtype=np.int32))
-                value = read(choices, table, best)
+                best = choices.best(np.ones((1, 1)), table, np.full(model.n_cells, -1, dtype=np.int32))
+                value = choices.read(table, best)
             total *= float(start.terms.factors[i][0] @ value[0])
         values[sequence] = total
     return values

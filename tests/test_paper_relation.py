@@ -16,7 +16,7 @@ from certigym.envs.dynamics.worlds import Dynamics
 from certigym.synthesis.bounds.certified import plain_loss, robust_loss, undecided_steps
 from certigym.synthesis.controllers.abstract_state import Memory, Tracker
 from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.choices import InputMenu
+from certigym.synthesis.models.input_menu import InputMenu
 from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.relations.coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from certigym.synthesis.relations.scalar import paper_relation

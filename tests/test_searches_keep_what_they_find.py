@@ -14,11 +14,11 @@ from certigym.cli.main import main
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.cells.grid import start_share
 from certigym.synthesis.choosing.given_start import policies_from
+from certigym.synthesis.models import TIE
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import JointModel, join, start_of
 from certigym.synthesis.search.ascent import sweep
-from certigym.synthesis.search.best_response import TIE
 from certigym.synthesis.search.limits import Limits
 from certigym.synthesis.search.paths import perturbed
 from certigym.synthesis.search.policy_search import FINAL, find_policies
@@ -60,7 +60,7 @@ def brute_gain(problem: cg.Problem, joint: JointModel, policies: Policies) -> fl
                 total = 0.0
                 for s in range(model.n_cells):
                     best = 0.0
-                    for z in range(int(model.choices.low[s, 0]), int(model.choices.high[s, 0])):  # type: ignore[union-attr]
+                    for z in range(int(model.choices.low[s, 0]), int(model.choices.high[s, 0])):  # type: ignore[attr-defined]
                         changed = [policy.copy() for policy in policies]
                         changed[i][t, q, s] = z
                         best = max(best, at_start(problem, joint, dense_value(problem, models, tuple(changed))) - value)
@@ -79,7 +79,7 @@ def test_the_gain_of_one_agent_is_that_of_trying_everything(formula: str) -> Non
     assert brute_gain(problem, joint, best) < found.unilateral_gain + 1e-9
     spoiled = [policy.copy() for policy in best]
     for policy, model in zip(spoiled, joint.models, strict=True):  # all go down as far as they can
-        policy[:] = np.where(policy >= 0, model.choices.low[:, 0], policy)  # type: ignore[union-attr]
+        policy[:] = np.where(policy >= 0, model.choices.low[:, 0], policy)  # type: ignore[attr-defined]
     expected = brute_gain(problem, joint, tuple(spoiled))
     assert expected > 1e-4
     assert measured_gain(joint, tuple(spoiled), problem) == pytest.approx(expected, rel=1e-6)

@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 
 from certigym import LinearAgent, Problem, Proposition, Specification
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.models import gather
 from certigym.synthesis.models.abstraction import AgentModel, abstract
-from certigym.synthesis.models.choices import TargetWindows
 from certigym.synthesis.models.guards import compile_guards
 from certigym.synthesis.models.joint import cell_masks, join, start_of
+from certigym.synthesis.models.target_windows import TargetWindows
 from certigym.synthesis.search.ascent import resting_policies, sweep
 from certigym.synthesis.search.limits import Limits
 from certigym.synthesis.search.occupancy import forward
-from certigym.synthesis.search.tree import assemble, candidates, gather, terminal_terms
+from certigym.synthesis.search.tree import assemble, candidates, terminal_terms
 from certigym.synthesis.values.terms import Terms
 from problems import exact_model, fractions, scalar_agent
 

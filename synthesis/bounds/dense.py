@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem
-from ..models import AgentModel, InputMenu, Policies, TargetWindows
+from ..models import AgentModel, Policies
 
 UNCERTAIN = -1
 """Entry of a joint cell whose successor is not certain: failure."""
@@ -58,7 +58,7 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
     inputs).
     """
     _refuse_bounds(models)
-    if any(isinstance(m.choices, TargetWindows) and not m.choices.relation.is_box for m in models):
+    if any(model.choices.dense_cost is None for model in models):
         raise ValueError("`models`: expected agents whose admissible targets are boxes in grid coordinates")
     outcome = joint_outcomes(problem, models)
     value = _terminal(problem, outcome, models).astype(float)
@@ -149,21 +149,5 @@ def _expected_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[n
 
 def _best_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the best (.., S) over an agent's admissible choices, of expectations (.., Z) at its lattice points."""
-    lead = values.shape[:-1]
-    windows = model.choices
-    if isinstance(windows, InputMenu):
-        # One input after the other; a cell without any choice keeps 0, since values are not negative.
-        best = np.zeros((*lead, model.n_cells))
-        for menu in windows.leads_to.T:
-            best = np.maximum(best, np.where(menu >= 0, values[..., np.maximum(menu, 0)], 0.0))
-        return best
-    assert isinstance(windows, TargetWindows)  # others were refused
-    on_lattice = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
-    best = np.zeros((len(on_lattice), model.n_cells))
-    tensor = on_lattice.reshape(-1, *windows.shape)
-    for s in range(model.n_cells):
-        window = tuple(slice(a, b) for a, b in zip(windows.low[s], windows.high[s], strict=True))
-        offered = tensor[(slice(None), *window)].reshape(len(tensor), -1)
-        if offered.shape[1]:
-            best[:, s] = offered.max(axis=1)
-    return best.reshape(*lead, model.n_cells)
+    best = model.choices.dense_best(np.ascontiguousarray(values).reshape(-1, values.shape[-1]))
+    return best.reshape(*values.shape[:-1], model.n_cells)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from ...envs.problem import Problem
-from ..models import Choices, InputMenu, JointModel, TargetWindows
+from ..models import JointModel
 from ..search import Relaxation, upper_bound
 from ..values import UNIT, Occupancy, to_host
 from .dense import dense_optimum
@@ -51,7 +51,7 @@ def abstract_bound(
 
 def _is_small(joint: JointModel) -> bool:
     """Return whether dense programming applies, and is quick."""
-    costs = [_choices(model.choices) for model in joint.models]
+    costs = [model.choices.dense_cost for model in joint.models]
     if None in costs:
         return False
     points = [math.prod(model.kernel.lattice_shape) for model in joint.models]
@@ -62,12 +62,3 @@ def _is_small(joint: JointModel) -> bool:
     axes = sum(joint.n_cells) + sum(cost or 0 for cost in costs)
     fits = max(numbers, entries / joint.n_states, float(tables)) <= MOST_NUMBERS
     return fits and joint.horizon * entries * axes <= MOST_MULTIPLICATIONS
-
-
-def _choices(choices: Choices) -> int | None:
-    """Return what a maximum over the choices costs per cell; None for choices that dense programming does not know."""
-    if isinstance(choices, InputMenu):
-        return int(choices.leads_to.shape[1])
-    if not isinstance(choices, TargetWindows) or not choices.relation.is_box:
-        return None
-    return int(np.prod(np.maximum(choices.high - choices.low, 0), axis=1).max(initial=0))

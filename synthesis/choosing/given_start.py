@@ -17,8 +17,7 @@ import numpy as np
 from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..certificates import AgentPart, Certificate, checked_certificate
-from ..models import KINDS_WITH, Abstraction, AgentModel, InputMenu, Policies, Settings
-from ..relations import describe_relation
+from ..models import KINDS_WITH, Abstraction, AgentModel, Policies, Settings
 
 NUMBERS: dict[str, tuple[type, ...]] = {"epsilon": (int, float), "feedback": (int, float), "inputs": (int,)}
 """Settings whose types are not looked at where they are made."""
@@ -87,13 +86,7 @@ def _choices_fit(part: AgentPart, model: AgentModel) -> bool:
     axes = [*zip(part.grid.edges, model.grid.edges, strict=False), *zip(part.lattice, model.lattice, strict=False)]
     if part.policy.shape[-1] != model.grid.n_cells or not all(np.array_equal(a, b) for a, b in axes):
         return False
-    if part.is_linear != model.is_linear:
-        return False
-    if not model.is_additive or part.relation["kind"] == "boxes":
-        return describe_relation(model.relation) == part.relation
-    if isinstance(model.choices, InputMenu):
-        return part.menu is not None and np.array_equal(part.menu, model.choices.leads_to)
-    return part.menu is None
+    return model.choices.same_as(part.relation, part.menu)
 
 
 def _admissible(policy: Any, resting: Any) -> Any:

@@ -24,12 +24,8 @@ from ..certificates import Synthesis
 from ..models import (
     Abstraction,
     BoxChoices,
-    Choices,
-    CornerChoices,
-    InputMenu,
     Policies,
     Settings,
-    TargetWindows,
     abstraction_of,
     points_per_cell,
     reaches_every_mean,
@@ -74,10 +70,6 @@ FEWEST, MOST_PER_AXIS = 8, 2000
 
 MULTIPLICATIONS_PER_SECOND = 1.5e9
 """Multiplications of smoothing, with what goes with it."""
-
-WINDOWS_PER_SECOND, MENUS_PER_SECOND, BOXES_PER_SECOND = 1e6, 4e6, 2e5
-"""Cells in which the best choice is found, or a value read, with one term, where choices are lattice points, inputs
-that lead to lattice points, and boxes."""
 
 DIFFERENCES_PER_SECOND, MAPS_PER_SECOND = 3e6, 8e4
 """Lattice points whose differences are found, and cells that are read and decided, of linear cells."""
@@ -210,7 +202,7 @@ def box_work(problem: Problem, cells: Mapping[str, tuple[int, ...]]) -> float:
             grid, coordinates = agent_grid(problem, problem.agent_names.index(agent.name), cells[agent.name])
             points = points_per_cell(grid, grid_laws(agent, coordinates))
             lattice = math.prod(n * count for n, count in zip(grid.shape, points, strict=True))
-            total += lattice / LATTICE_PER_SECOND + grid.n_cells / BOXES_PER_SECOND
+            total += lattice / LATTICE_PER_SECOND + grid.n_cells / BoxChoices.read_per_second
     return READINGS * problem.horizon * int((~problem.automaton.absorbing).sum()) * total
 
 
@@ -469,7 +461,7 @@ def work_of(abstraction: Abstraction, problem: Problem, rank: int | None = None)
             size = size / places[axis] * points[axis]
             smoothing += size * stored / points[axis]
         reading = model.grid.n_cells * (1.0 + rank / TERMS_OF_A_READING)
-        if isinstance(model.choices, CornerChoices):
+        if model.choices.has_corners:
             # Agents that are alike have equal factors as a rule, which are smoothed once.
             lattice = 0.0 if seen[id(model)] else math.prod(points) / DIFFERENCES_PER_SECOND
             # Each further axis has more neighbours of lattice points and cells; rates are those of two axes.
@@ -479,17 +471,7 @@ def work_of(abstraction: Abstraction, problem: Problem, rank: int | None = None)
                 total += more * sweeps * rank * (lattice + model.grid.n_cells / MAPS_PER_SECOND)
             seen[id(model)] += 1
             continue
-        if isinstance(model.choices, BoxChoices):
+        if not model.is_additive:
             total += READINGS * rank * math.prod(points) / LATTICE_PER_SECOND
-        total += rank * smoothing / MULTIPLICATIONS_PER_SECOND + READINGS * reading / _cells_per_second(model.choices)
+        total += rank * smoothing / MULTIPLICATIONS_PER_SECOND + READINGS * reading / model.choices.read_per_second
     return problem.horizon * n_states * total
-
-
-def _cells_per_second(choices: Choices) -> float:
-    """Return how many cells are read in a second with one term."""
-    match choices:
-        case TargetWindows():
-            return WINDOWS_PER_SECOND
-        case InputMenu():
-            return MENUS_PER_SECOND
-    return BOXES_PER_SECOND

@@ -31,10 +31,8 @@ from ..certificates import Synthesis, rounded_up
 from ..models import (
     Abstraction,
     AgentModel,
-    InputMenu,
     JointModel,
     Settings,
-    TargetWindows,
     check_names,
     common_inputs_of,
     has_full_rank,
@@ -180,10 +178,7 @@ def has_linear_cells(agent: AnyAgent) -> bool:
 
 def is_settled(model: AgentModel) -> bool:
     """Return whether the relation is ``exact``, every cell has a target, and the reserve takes few of the inputs."""
-    choices = model.choices
-    if not isinstance(choices, TargetWindows) or np.any(choices.resting_choice < 0):
-        return False
-    return choices.leaves(1.0 - SETTLED)
+    return model.choices.is_settled(1.0 - SETTLED)
 
 
 @dataclass(eq=False)
@@ -348,11 +343,11 @@ def _same_models(first: Abstraction, second: Abstraction) -> bool:
 
 def _same_model(first: AgentModel, second: AgentModel) -> bool:
     """Return whether two models with menus have equal labels, menus and delta, and lattices up to rounding."""
-    a, b = first.choices, second.choices
-    if not isinstance(a, InputMenu) or not isinstance(b, InputMenu) or first.delta != second.delta:
+    a, b = first.choices.menu, second.choices.menu
+    if a is None or b is None or first.delta != second.delta:
         return False
     if first.labels.key != second.labels.key or [len(x) for x in first.lattice] != [len(x) for x in second.lattice]:
         return False
     axes = zip(first.lattice, second.lattice, strict=True)
     close = all(np.allclose(x, y, rtol=1e-9, atol=1e-12) for x, y in axes)
-    return close and np.array_equal(a.leads_to, b.leads_to)
+    return close and np.array_equal(a, b)

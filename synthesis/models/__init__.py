@@ -19,13 +19,15 @@ from .bends import Bends
 from .box_choices import BoxChoices
 from .box_kernel import BoxKernel, points_per_cell
 from .box_model import INPUT_LEVELS
-from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
-from .common_choices import CommonGroup, common_inputs_of, with_number
-from .corner_choices import Choices, CornerChoices
+from .choices import TIE, Choices, Policies, StepPolicy, best_offered, gather, shifted
+from .common_choices import CommonGroup, common_inputs_of
+from .corner_choices import CornerChoices
+from .input_menu import InputMenu
 from .joint import JointModel, join, spread_start, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
 from .linear_kernel import hat_table
-from .network_model import NetworkChoices, network_abstraction, network_tables
+from .network_model import network_abstraction, network_tables
+from .target_windows import BAND_BYTES, TargetWindows
 
 __all__ = [
     "Abstraction",
@@ -44,19 +46,21 @@ __all__ = [
     "JointModel",
     "Kernel",
     "LATTICE_BLOCK",
-    "NetworkChoices",
     "Policies",
     "REACH_DEVIATIONS",
     "Relations",
     "SNAPPED_POINTS",
     "Settings",
     "StepPolicy",
+    "TIE",
     "TargetWindows",
     "abstract",
     "abstraction_of",
+    "best_offered",
     "check_names",
     "check_settings",
     "common_inputs_of",
+    "gather",
     "has_full_rank",
     "reaches_every_mean",
     "hat_table",
@@ -66,7 +70,7 @@ __all__ = [
     "network_abstraction",
     "network_tables",
     "relations_of",
+    "shifted",
     "spread_start",
     "start_of",
-    "with_number",
 ]

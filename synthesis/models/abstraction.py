@@ -46,7 +46,7 @@ from ..cells import (
     spread,
     start_share,
 )
-from ..relations import BoxRelation, CommonInputs, CoupledRelation, MapRelation, Relation
+from ..relations import BoxRelation, CommonInputs, CoupledRelation, Relation
 from ..values import Residents
 from .agent_models import (
     STRANDED_CELLS,
@@ -59,10 +59,9 @@ from .agent_models import (
     reaches_every_mean,
     tube_model,
 )
-from .box_choices import BoxChoices
 from .box_model import box_model
+from .choices import Choices, shifted
 from .common_choices import common_inputs_of, common_relation
-from .corner_choices import Choices, CornerChoices
 from .corner_model import corner_model
 from .kernel import Kernel
 
@@ -133,15 +132,15 @@ class AgentModel:
 
     def offered(self, time: int) -> tuple[Choices, int]:
         """Return what may be chosen at a step, and the number of the first of these choices."""
-        choices = self.choices
-        if not isinstance(choices, BoxChoices | CornerChoices) or choices.n_times == 1:
-            return choices, 0
-        return choices.at_times[time], time * choices.at_times[time].n_choices
+        if self.choices.n_times == 1:
+            return self.choices, 0
+        now = self.choices.at_times[time]
+        return now, time * now.n_choices
 
     def resting_at(self, time: int) -> NDArray[np.int32]:
         """Return the choices (S,) that stay nearest to each cell at a step; -1 where there are none."""
         choices, first = self.offered(time)
-        return np.where(choices.resting_choice >= 0, choices.resting_choice + first, -1).astype(np.int32)
+        return shifted(choices.resting_choice, first)
 
     def resting_policy(self, horizon: int) -> NDArray[np.int32]:
         """Return these choices (T, S) for every step."""
@@ -150,7 +149,7 @@ class AgentModel:
     @property
     def is_linear(self) -> bool:
         """Whether factors are multilinear in every cell, with values at its corners."""
-        return isinstance(self.relation, MapRelation)
+        return self.choices.has_corners
 
     @property
     def is_additive(self) -> bool:
@@ -159,7 +158,7 @@ class AgentModel:
         Where it takes least values (``boxes``) or what bends (``linear``), a sum is worth more than its terms: these
         are lower bounds one by one, for nonnegative factors alone.
         """
-        return not isinstance(self.relation, BoxRelation | MapRelation)
+        return self.choices.is_additive
 
     def spread(self, numbers: NDArray[Any]) -> NDArray[Any]:
         """Return numbers of cells (.., S) at all places of factors."""

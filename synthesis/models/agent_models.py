@@ -25,10 +25,11 @@ from ..relations import (
     tube_relation,
     written_targets,
 )
-from .choices import InputMenu, target_windows, written_windows
-from .corner_choices import Choices
+from .choices import Choices
 from .ellipsoid_search import find_ellipsoid
+from .input_menu import InputMenu
 from .kernel import Kernel, gaussian_table, law_table
+from .target_windows import windows_of
 
 SharedModel = tuple[Relation, tuple[FloatArray, ...], Kernel, Choices]
 """Relation, lattice axes, kernel and choices: what agents share whose labels may differ."""
@@ -92,9 +93,7 @@ def exact_model(agent: AnyAgent, grid: Grid, coordinates: FloatArray, targets_pe
         loss += missing
     points = tuple(lattice)
     kernel = Kernel(tuple(tables), loss)
-    if isinstance(relation, WrittenTargets):
-        return relation, points, kernel, written_windows(relation, grid, points)
-    return relation, points, kernel, target_windows(relation, grid, points)
+    return relation, points, kernel, windows_of(relation, grid, points)
 
 
 def _means_and_reach(
@@ -196,7 +195,7 @@ def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | Non
     _refuse_many("", "cells", math.prod(len(axis) for axis in lattice))
     leads_to = np.ravel_multi_index(index, tuple(len(axis) for axis in lattice)).astype(np.int32)
     distance = np.sum((means - grid.centres[:, None, :]) ** 2, axis=-1)
-    menu = InputMenu(leads_to, np.argmin(distance, axis=1).astype(np.int32))
+    menu = InputMenu(grid, tuple(lattice), relation, leads_to, np.argmin(distance, axis=1).astype(np.int32))
     return relation, tuple(lattice), Kernel(tuple(tables), loss), menu
 
 

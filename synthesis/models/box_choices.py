@@ -10,14 +10,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray, Grid, LatticeAxis, RelationRefused, shape_text
 from ..relations import Enclosing, MeanBoxes
+from ..values import beside, to_host
 from .box_minima import least_over_boxes, window_minima
-from .choices import StepPolicy
+from .choices import TIE, Choices, MeansAt, StepPolicy, shifted
 
 MOST_IN_BOX = 100_000.0
 """Most points of a box: the check tries them one by one."""
@@ -28,12 +30,9 @@ CELLS_AT_ONCE = 4096
 READINGS_AT_ONCE = 2_000_000
 """Boxes that are read at once: 16 MB for each of a few arrays."""
 
-TIE = 1e-12
-"""Relative improvement below which the incumbent stays: more than rounding, less than any policy is worth."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BoxChoices:
+class BoxChoices(Choices):
     """What can be chosen in each cell: inputs with the boxes of lattice points that hold their means.
 
     Parameters
@@ -43,6 +42,8 @@ class BoxChoices:
         Evenly spaced lattice axes; a point is numbered in C order.
     axes : tuple of LatticeAxis
         What they stand for.
+    relation : Enclosing
+        Whose boxes these are.
     low, high : (S, A, D) arrays
         Corners of boxes in lattice steps; -1 for boxes that leave the lattice, where the value is 0.
     sizes : (W, D) int array
@@ -61,6 +62,7 @@ class BoxChoices:
     grid: Grid
     lattice: tuple[FloatArray, ...]
     axes: tuple[LatticeAxis, ...]
+    relation: Enclosing
     low: FloatArray
     high: FloatArray
     sizes: NDArray[np.int64]
@@ -69,15 +71,14 @@ class BoxChoices:
     n_parts: int = field(default=1, kw_only=True)
     n_times: int = field(default=1, kw_only=True)
 
+    is_additive = False
+    is_read_at_length = True
+    read_per_second = 2e5
+
     def __repr__(self) -> str:
         cells, n_choices = self.size.shape
         widest = shape_text(tuple(int(n) for n in self.sizes.max(axis=0)))
         return f"BoxChoices({cells} cells, {n_choices} choices, windows of up to {widest} lattice points)"
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Lattice points per axis."""
-        return tuple(len(axis) for axis in self.lattice)
 
     @property
     def n_choices(self) -> int:
@@ -93,6 +94,13 @@ class BoxChoices:
     def parts(self) -> tuple[BoxChoices, ...]:
         """The choices of each part by themselves, numbered from 0."""
         return self._cut(self.n_parts)
+
+    def with_part(self, policy: StepPolicy, part: int) -> StepPolicy:
+        """Return the choices (S,) of a part that are otherwise those of a policy; resting ones where it has none."""
+        length = self.part_length
+        moved = np.where(policy >= 0, part * length + policy % length, -1)
+        fits = (moved >= 0) & (self.size[np.arange(len(policy)), np.maximum(moved, 0)] >= 0)
+        return np.where(fits, moved, shifted(self.parts[part].resting_choice, part * length)).astype(np.int32)
 
     @cached_property
     def at_times(self) -> tuple[BoxChoices, ...]:
@@ -138,18 +146,19 @@ class BoxChoices:
                 result[inside, axis.state] = np.interp(numbers, np.arange(len(edges)), edges)
         return result
 
-    def read(self, table: FloatArray, policy: StepPolicy) -> FloatArray:
+    def read(self, smoothed: Any, policy: StepPolicy, rough: bool = False) -> Any:
         """Return the least values (n, S), over the boxes of a policy, of the interpolants of numbers (n, Z).
 
         They are 0 where there is no choice, or one that is not admissible, or a box leaves the lattice.
         """
+        table = to_host(smoothed)
         values = np.zeros((len(table), len(policy)))
         every, chosen = np.arange(len(policy)), np.maximum(policy, 0)
         usable = (self.size[every, chosen] >= 0) & (self.low[every, chosen, 0] >= 0)
         cells = np.flatnonzero((policy >= 0) & usable)
         low, high = (side[cells, chosen[cells]] for side in (self.low, self.high))
         values[:, cells] = np.maximum(least_over_boxes(table, self.shape, low, high), 0.0)
-        return values
+        return beside(values, smoothed)
 
     def best(self, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:
         """Return the choices (S,) of the largest weighted value; the incumbent stays among equals.
@@ -162,6 +171,7 @@ class BoxChoices:
             Numbers of every lattice point under each objective.
         incumbent : (S,) int32 array
         """
+        weights, table = to_host(np.broadcast_to(weights, (len(incumbent), len(table)))), to_host(table)
         score = np.where(self.size >= 0, 0.0, -np.inf)
         inside = (self.low[..., 0] >= 0).reshape(-1)
         flat, n_choices = score.reshape(-1), self.size.shape[1]
@@ -181,6 +191,16 @@ class BoxChoices:
         top, current = score[cells, best], score[cells, np.maximum(incumbent, 0)]
         better = (top > -np.inf) & ((incumbent < 0) | (top > current * (1.0 + TIE)))
         return np.where(better, best, incumbent).astype(np.int32)
+
+    def nearest(self, means_at: MeansAt) -> StepPolicy:
+        """Return the admissible choice (S,) of each cell whose box has its middle nearest to the mean at its centre."""
+        means, scale = means_at(self.grid.centres), self.cell_widths
+        nearest, best = np.full(self.grid.n_cells, np.inf), np.full(self.grid.n_cells, -1)
+        for a in range(self.size.shape[1]):
+            gaps = (((self.middles(a) - means.T) / scale) ** 2).sum(axis=1)
+            closer = (self.size[:, a] >= 0) & (gaps < nearest)
+            nearest, best = np.where(closer, gaps, nearest), np.where(closer, a, best)
+        return best.astype(np.int32)
 
     def _window_minima(self, numbers: FloatArray, number: int) -> FloatArray:
         """Return the least number (Z,) of each window of one size, by the lattice point at which it begins."""
@@ -267,7 +287,8 @@ def box_choices(
     if len(distinct) == n_refused:
         raise RelationRefused("no choice is admissible in a whole cell; ask for more `cells`")
     numbers = (size.reshape(n_cells, n_choices) - n_refused).astype(np.int16)
-    return BoxChoices(grid, lattice, axes, low, high, 2 ** distinct[n_refused:].astype(np.int64), numbers, corners)
+    sizes = 2 ** distinct[n_refused:].astype(np.int64)
+    return BoxChoices(grid, lattice, axes, agent, low, high, sizes, numbers, corners)
 
 
 def positions(

@@ -21,9 +21,8 @@ from ...envs.agents import Agent
 from ...envs.problem import Problem
 from ..cells import FloatArray, Grid, RelationRefused
 from ..relations import BoxRelation, CommonInputs, Relation
-from .box_choices import BoxChoices
 from .box_model import INPUT_LEVELS, evenly_with_rest, in_fitting_parts, with_rest
-from .choices import Policies, StepPolicy
+from .choices import Choices, Policies, StepPolicy
 
 MOST_NUMBERS = 128
 """Most numbers of a group: the search answers to each of them."""
@@ -119,11 +118,10 @@ class CommonGroup:
     numbers: FloatArray
     parts: tuple[NDArray[np.int64], ...]
 
-    def number_of(self, policies: Sequence[StepPolicy], offered: Sequence[object]) -> int:
+    def number_of(self, policies: Sequence[StepPolicy], offered: Sequence[Choices]) -> int:
         """Return the number that the members' choices (S_i,) at one time and automaton state share."""
         fits = np.ones(len(self.numbers), dtype=bool)
         for policy, choices, part in zip(policies, offered, self.parts, strict=True):
-            assert isinstance(choices, BoxChoices)
             used = policy[policy >= 0]
             if len(used):
                 fits &= part == used[0] // choices.part_length
@@ -172,17 +170,7 @@ def common_groups(models: Sequence[_Modelled]) -> tuple[CommonGroup, ...]:
     return tuple(groups)
 
 
-def with_number(choices: BoxChoices, policy: StepPolicy, part: int) -> StepPolicy:
-    """Return the choices (S,) of a part that are otherwise those of a policy; resting ones where these are missing."""
-    length = choices.part_length
-    moved = np.where(policy >= 0, part * length + policy % length, -1)
-    cells, chosen = np.arange(len(policy)), np.maximum(moved, 0)
-    fits = (moved >= 0) & (choices.size[cells, chosen] >= 0)
-    resting = choices.parts[part].resting_choice
-    return np.where(fits, moved, np.where(resting >= 0, resting + part * length, -1)).astype(np.int32)
-
-
-def agreed(groups: Sequence[CommonGroup], offered: Sequence[object], policies: Policies) -> Policies:
+def agreed(groups: Sequence[CommonGroup], offered: Sequence[Choices], policies: Policies) -> Policies:
     """Return policies (T, Q, S_i) whose members of each group share a number at each time and automaton state.
 
     Where they do not, the number that most cells of the members choose is taken. ``offered`` are the choices of all
@@ -197,20 +185,18 @@ def agreed(groups: Sequence[CommonGroup], offered: Sequence[object], policies: P
         number = votes.argmax(axis=-1)
         for i, table, part in zip(group.members, tables, group.parts, strict=True):
             choices = offered[i]
-            assert isinstance(choices, BoxChoices)
             wanted = part[number]
             kept = np.take_along_axis(table, wanted[..., None], axis=-1)[..., 0] == table.sum(axis=-1)
             if np.all(kept):
                 continue
             changed = result[i].copy()
             for t, q in np.argwhere(~kept).tolist():
-                changed[t, q] = with_number(choices, changed[t, q], int(wanted[t, q]))
+                changed[t, q] = choices.with_part(changed[t, q], int(wanted[t, q]))
             result[i] = changed
     return tuple(result)
 
 
-def _parts_chosen(choices: object, policy: NDArray[np.int32]) -> NDArray[np.int64]:
+def _parts_chosen(choices: Choices, policy: NDArray[np.int32]) -> NDArray[np.int64]:
     """Return how many cells (T, Q, L) choose from each part."""
-    assert isinstance(choices, BoxChoices)
     chosen = np.where(policy >= 0, policy // choices.part_length, -1)
     return np.stack([np.count_nonzero(chosen == part, axis=-1) for part in range(choices.n_parts)], axis=-1)

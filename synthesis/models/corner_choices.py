@@ -22,16 +22,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray, Grid, corner_sides, of_cells, shape_text, to_places
-from ..relations import AffineBoxes, MapRelation, WrittenTargets
-from .box_choices import BoxChoices
-from .choices import InputMenu, StepPolicy, TargetWindows, target_windows, written_windows
+from ..relations import AffineBoxes, MapRelation
+from ..values import beside, to_host
+from .choices import Choices, MeansAt, StepPolicy
 from .corner_forms import SubLattice, best_below
 from .lattice_kernel import bend_of, block_of, blocks_of
+from .target_windows import TargetWindows, windows_of
 
 LOOK = 0.37
 """Share of a lattice step that is added before a position is rounded down to the point where differences are read.
@@ -60,12 +62,15 @@ Cells with one value each make steps at their faces, which cost all that is read
 optimum is found in one sweep, and steps are its only harm. Teams climb: a share that is given away in every step hides
 from an agent what the others could do with the rest (20 steps of `meeting-v0`: .972 with the large share, .990)."""
 
+INSIDE = 0.999
+"""Share of the way from the centre of a cell to a corner at which a policy is asked: corners are of several cells."""
+
 PREFERENCE = 1e-9
 """Relative improvement below which the incumbent stays."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CornerChoices:
+class CornerChoices(Choices):
     """What can be chosen in each cell: inputs of a menu, by their numbers, and lattice points beyond these.
 
     Parameters
@@ -103,6 +108,10 @@ class CornerChoices:
     n_times: int = 1
     handicap: float = HANDICAP
 
+    is_additive = False
+    has_corners = True
+    is_read_at_length = True
+
     def __repr__(self) -> str:
         aims = "" if self.windows is None else " and targets"
         of_each = f"{self.n_inputs} inputs{aims}"
@@ -112,11 +121,6 @@ class CornerChoices:
     def n_places(self) -> int:
         """Number of places 2^d S."""
         return self.grid.n_cells * 2 ** len(self.lattice)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Lattice points per axis."""
-        return tuple(len(axis) for axis in self.lattice)
 
     @property
     def n_inputs(self) -> int:
@@ -236,15 +240,15 @@ class CornerChoices:
     def _half(self) -> FloatArray:
         return np.asarray(self.grid.half_widths)
 
-    def read(self, table: FloatArray, policy: StepPolicy, rough: bool = False) -> FloatArray:
+    def read(self, smoothed: Any, policy: StepPolicy, rough: bool = False) -> Any:
         """Return lower bounds (n, 2^d S) at all places under a policy, from values and bends (n, 2 Z).
 
         Images are read at few points if ``rough``: about right, and no bounds.
         """
-        cells = np.flatnonzero(policy >= 0)
+        table, cells = to_host(smoothed), np.flatnonzero(policy >= 0)
         values = np.zeros((len(table), self.grid.n_cells, 2 ** len(self.lattice)))
         values[:, cells] = self.at(table, cells, policy[cells], rough)
-        return to_places(values, self.grid.shape)
+        return beside(to_places(values, self.grid.shape), smoothed)
 
     def at(self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray, rough: bool = False) -> FloatArray:
         """Return lower bounds (n, C, 2^d) at the corners of cells (C,) under choices (C,); about right if ``rough``."""
@@ -335,6 +339,8 @@ class CornerChoices:
             Values and bends of every lattice point under each objective.
         incumbent : (S,) int32 array
         """
+        n_places = weights.shape[0] if len(weights) > 1 else self.n_places
+        weights, table = to_host(np.broadcast_to(weights, (n_places, len(table)))), to_host(table)
         at_corners = of_cells(weights.T, self.grid.shape)  # (n, S, 2^d)
         heavy = at_corners.sum(axis=(0, 2))
         cells = np.flatnonzero((heavy > LEAST_SHARE * heavy.max(initial=0.0)) | (incumbent < 0))
@@ -355,6 +361,38 @@ class CornerChoices:
             best, score = np.where(better, candidate, best), np.where(better, value, score)
         result[cells] = best
         return result
+
+    def nearest(self, means_at: MeansAt) -> StepPolicy:
+        """Return the choice (S,) of each cell whose means are nearest to those at its centre and near its corners.
+
+        The input and the target that are nearest at the centre; the corners decide between these.
+        """
+        scale, cells, half = self.cell_widths, np.arange(self.grid.n_cells), self.grid.half_widths
+        means = means_at(self.grid.centres)
+        offered = [self.centres(cells, np.full(len(cells), a)) for a in range(self.n_inputs)]
+        distances = np.stack([(((centres - means.T) / scale) ** 2).sum(axis=1) for centres in offered])
+        inputs = np.argmin(distances, axis=0).astype(np.int32)
+        if self.windows is None:
+            return inputs
+        targets = self.windows.nearest_to(means)
+        gains = self.maps.gain[cells, inputs if self.maps.gain.shape[1] > 1 else 0]
+        aims = self.centres(cells, np.maximum(targets, 0) + self.n_inputs)
+        moved, aimed = np.zeros(len(cells)), np.where(targets >= 0, 0.0, np.inf)
+        for side in 2.0 * corner_sides(len(scale)) - 1.0:
+            goal = means_at(self.grid.centres + INSIDE * side * half)
+            here = self.centres(cells, inputs) + INSIDE * np.einsum("sij,sj->si", gains, side * half)
+            moved += (((here - goal.T) / scale) ** 2).sum(axis=1)
+            aimed += (((aims - goal.T) / scale) ** 2).sum(axis=1)
+        return np.where(aimed <= moved, targets + self.n_inputs, inputs).astype(np.int32)
+
+    def carried(self, before: CornerChoices, policy: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return a policy (T, Q, S) of the same inputs, whose menus are the same on all cells, and nearest targets."""
+        if self.windows is None or before.windows is None:
+            return np.where(policy >= 0, policy, self.resting_choice).astype(np.int32)
+        first = before.n_inputs
+        aims = self.windows.carried(before.windows, np.where(policy < first, -1, policy - first))
+        aimed = np.where(aims >= 0, aims + self.n_inputs, self.resting_choice)
+        return np.where((policy < 0) | (policy >= first), aimed, policy).astype(np.int32)
 
     def _score(self, weights: FloatArray, table: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
         """Return weighted values (C,) of choices with their losses; minus infinity where there is no choice."""
@@ -412,8 +450,8 @@ class CornerChoices:
         index = [np.arange(first, n, self.per_cell) if n > first else np.arange(1) for n in self.shape]
         lattice = tuple(axis[k] for axis, k in zip(self.lattice, index, strict=True))
         fine = np.ravel_multi_index(np.meshgrid(*index, indexing="ij"), self.shape).ravel()
-        windows = windows_of(self.relation, self.grid, lattice)
-        assert windows is not None
+        assert self.relation.aims is not None
+        windows = windows_of(self.relation.aims, self.grid, lattice)
         return windows, fine
 
     def _refined(
@@ -477,19 +515,3 @@ class CornerChoices:
             return best
         fixed = self.windows.resting_choice
         return np.where(fixed >= 0, fixed + self.n_inputs, best).astype(np.int32)
-
-
-def windows_of(relation: MapRelation, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows | None:
-    """Return the lattice points that each cell can choose; None if the relation offers no targets."""
-    aims = relation.aims
-    if aims is None:
-        return None
-    return (
-        written_windows(aims, grid, lattice)
-        if isinstance(aims, WrittenTargets)
-        else target_windows(aims, grid, lattice)
-    )
-
-
-Choices = TargetWindows | InputMenu | CornerChoices | BoxChoices
-"""What can be chosen in each cell."""

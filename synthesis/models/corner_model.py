@@ -15,9 +15,10 @@ from .agent_models import reaches_every_mean
 from .bends import SECOND
 from .box_kernel import box_lattice, rounding_of, slack_of
 from .box_model import clock_menu, with_rest
-from .corner_choices import BESIDE, HANDICAP, HANDICAP_IN_TEAMS, CornerChoices, windows_of
+from .corner_choices import BESIDE, HANDICAP, HANDICAP_IN_TEAMS, CornerChoices
 from .lattice_kernel import LatticeKernel
 from .linear_kernel import hat_table
+from .target_windows import windows_of
 from .uniform_ends import UniformEnds, uniform_hats
 
 POINTS_PER_DEVIATION = {1: 12.0, 2: 8.0}
@@ -135,7 +136,7 @@ def lattice_model(
     kernel = _kernel(grid, lattice, laws, reach)
     charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
     has_ends = kernel.ends is not None
-    windows = windows_of(relation, grid, lattice)
+    windows = None if relation.aims is None else windows_of(relation.aims, grid, lattice)
     choices = CornerChoices(grid, lattice, relation, max(points), maps, windows, charged, has_ends)
     return relation, lattice, kernel, choices
 

@@ -18,9 +18,8 @@ from ...envs.problem import Problem
 from ..cells import CellLabels, FloatArray, alike_text, shape_text
 from ..values import HOST, Array, Guards, Occupancy, Terms, device_put
 from .abstraction import Abstraction, AgentModel
-from .box_choices import BoxChoices
 from .choices import Policies
-from .common_choices import CommonGroup, agreed, common_groups, with_number
+from .common_choices import CommonGroup, agreed, common_groups
 from .guards import compile_guards
 
 MOST_OCCURRING = 0.5
@@ -119,9 +118,8 @@ class JointModel:
         for group in self.common:
             for i, part in zip(group.members, group.parts, strict=True):
                 choices = self.models[i].choices
-                assert isinstance(choices, BoxChoices)
                 for t, q in np.ndindex(result[i].shape[:2]):
-                    result[i][t, q] = with_number(choices, result[i][t, q], int(part[min(number, len(part) - 1)]))
+                    result[i][t, q] = choices.with_part(result[i][t, q], int(part[min(number, len(part) - 1)]))
         return tuple(result)
 
     @property

@@ -62,6 +62,7 @@ class NetworkChoices(BoxChoices):
 
         Modes of other times are not on offer.
         """
+        weights = np.broadcast_to(weights, (len(incumbent), len(table)))
         other = self._menu.best(weights, table, np.full(len(incumbent), -1, dtype=np.int32))
         worth = [np.einsum("sn,ns->s", weights, self.read(table, choice)) for choice in (incumbent, other)]
         better = (other >= 0) & (worth[1] > worth[0] * (1.0 + WORTHWHILE))

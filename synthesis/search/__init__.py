@@ -1,7 +1,6 @@
 """The search for policies: starts, coordinate ascent, relaxations."""
 
 from .ascent import Stage, Sweep, start_value, sweep
-from .best_response import best_choices
 from .limits import Limits
 from .occupancy import forward
 from .policy_search import FINAL, MANY_TERMS, RELAXED, Found, find_policies
@@ -10,7 +9,7 @@ from .search_settings import BAR, BEGINS, Search, shown_on, sweep_bar
 from .stationary import stationary_best
 from .train_ascent import TrainSweep
 from .train_backward import backward
-from .tree import Candidates, assemble, candidates, gather, terminal_terms
+from .tree import Candidates, assemble, candidates, terminal_terms
 
 __all__ = [
     "Candidates",
@@ -26,12 +25,10 @@ __all__ = [
     "TrainSweep",
     "assemble",
     "backward",
-    "best_choices",
     "candidates",
     "favourable_successors",
     "find_policies",
     "forward",
-    "gather",
     "relax",
     "relax_one",
     "relaxed_policies",

@@ -24,14 +24,21 @@ from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
 from ..cells import FloatArray, alike_text
-from ..models import BoxChoices, Choices, CommonGroup, CornerChoices, JointModel, Policies, StepPolicy, with_number
+from ..models import (
+    TIE,
+    Choices,
+    CommonGroup,
+    JointModel,
+    Policies,
+    StepPolicy,
+    best_offered,
+)
 from ..values import IndexArray, Occupancy, Skeleton, Terms, beside, compress, namespace, take, to_host
-from .best_response import TIE, best_offered
 from .inner_products import Others, collected, inner_products
 from .ladder import Arrivals
 from .limits import Limits
 from .occupancy import forward_on_device, nowhere, put_everywhere
-from .tree import Candidates, Loss, assemble, candidates, read, shared, terminal_terms
+from .tree import Candidates, Loss, assemble, candidates, shared, terminal_terms
 
 MOST_WEIGHTS = 30_000_000
 """Most products of a mass term, a value term and an agent that decisions are weighed with: 240 MB."""
@@ -249,14 +256,14 @@ class Stage:
     def _read_once(self, i: int, table: FloatArray, policy: StepPolicy, known: Known) -> FloatArray:
         """Return the factors of an agent under a policy; where reading takes long, equal agents are read once."""
         model = self.models[i]
-        if not isinstance(model.choices, BoxChoices | CornerChoices) or len(self.models) == 1:
-            return read(model.choices, table, policy, self.rough)
+        if not model.choices.is_read_at_length or len(self.models) == 1:
+            return model.choices.read(table, policy, self.rough)
         # Tables are compared in full only where some of their entries are equal.
         key, table_there = (id(model), table.shape, to_host(table[:, ::GLANCED]).tobytes(), policy.tobytes()), None
         if key in known:
             table_there, values = known[key]
         if table_there is None or not np.array_equal(to_host(table_there), to_host(table)):
-            values = read(model.choices, table, policy, self.rough)
+            values = model.choices.read(table, policy, self.rough)
             known[key] = table, values
         return values
 
@@ -280,10 +287,9 @@ class Stage:
             self.offered = self._with_number(group, number)
             for i, part in zip(group.members, group.parts, strict=True) if number != now else ():
                 choices = self.models[i].choices
-                assert isinstance(choices, BoxChoices)
-                self.policies[i] = with_number(choices, self.policies[i], int(part[number]))
+                self.policies[i] = choices.with_part(self.policies[i], int(part[number]))
                 if weighed:
-                    self.values[i] = read(choices, self.smoothed[i], self.policies[i], self.rough)
+                    self.values[i] = choices.read(self.smoothed[i], self.policies[i], self.rough)
             self._answer(group.members)
             worth = self._worth()
             if worth > best[0] * (1.0 + TIE):
@@ -300,7 +306,6 @@ class Stage:
         offered = [*self.offered]
         for i, part in zip(group.members, group.parts, strict=True):
             choices = self.models[i].choices
-            assert isinstance(choices, BoxChoices)
             offered[i] = choices.parts[part[number]], int(part[number]) * choices.part_length
         return offered
 
@@ -343,7 +348,7 @@ class Stage:
                         weights[unmet] = beside(usual, weights)
                 self.policies[i] = self.best(i, weights, self.smoothed[i])
             # The next agents answer to what this one does now.
-            self.values[i] = read(model.choices, self.smoothed[i], self.policies[i], self.rough)
+            self.values[i] = model.choices.read(self.smoothed[i], self.policies[i], self.rough)
             met.replace(self._inner_by_terms(i, chosen))
             anywhere.replace(_means(self.values[i])[self.rows[:, i]])
 
@@ -361,7 +366,7 @@ class Stage:
         most = 0.0
         for i, (model, weights) in enumerate(zip(self.models, self.weights(), strict=True)):
             better = self.best(i, weights, self.smoothed[i])
-            added = read(model.choices, self.smoothed[i], better) - self.values[i]
+            added = model.choices.read(self.smoothed[i], better) - self.values[i]
             most = max(most, float(namespace(added).einsum("sn,ns->", weights, added)))
         return most
 

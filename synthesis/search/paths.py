@@ -20,10 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..models import AgentModel, InputMenu, JointModel, Policies
+from ..models import AgentModel, JointModel, Policies, best_offered
 from ..values import Occupancy
-from .best_response import best_offered
-from .tree import read
 
 MOST_BEAM_POINTS, NARROWEST_BEAM = 8_000_000, 4
 """Lattice points, of all agents times vertices of a beam, to which a beam is narrowed, and its least width."""
@@ -108,7 +106,7 @@ def path_policies(joint: JointModel, path: GuardPath, otherwise: Policies) -> Po
             q = int(joint.guards.source[guard])
             policy = _best(model, smoothed, policies[i][t, q], t)
             policies[i][t, q] = policy
-            value = read(model.choices, smoothed, policy)
+            value = model.choices.read(smoothed, policy)
     return policies
 
 
@@ -163,11 +161,11 @@ def _best_values(model: AgentModel, masked: FloatArray, computed: dict[bytes, Fl
     new = {name: k for k, name in enumerate(names) if name not in computed}
     smoothed = model.kernel.smooth(masked[list(new.values())])
     for k, name in enumerate(new):
-        if isinstance(model.choices, InputMenu):  # the largest value is all that counts
-            computed[name] = smoothed[k].take(model.choices.leads_to).max(axis=1)
+        if (most := model.choices.largest(smoothed[k])) is not None:
+            computed[name] = most
             continue
         policy = _best(model, smoothed[[k]], model.resting_at(time), time)
-        computed[name] = read(model.choices, smoothed[[k]], policy)[0]
+        computed[name] = model.choices.read(smoothed[[k]], policy)[0]
     return np.array([computed[name] for name in names]).reshape(len(names), model.n_cells)
 
 

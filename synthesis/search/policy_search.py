@@ -19,7 +19,7 @@ import numpy as np
 
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
-from ..models import CornerChoices, JointModel, Policies, spread_start, start_of
+from ..models import JointModel, Policies, spread_start, start_of
 from ..values import Occupancy
 from .ascent import Sweep, resting_policies, start_value, sweep
 from .limits import Limits
@@ -148,7 +148,7 @@ def find_policies(
         if search.value == "train":
             raise ValueError(f"`value`: expected 'auto' or 'tree' with the relation `{lossy[0]}`, got 'train'")
         search = replace(search, limits=_coarser(search.limits, LINEAR_LIMITS))
-    corners = all(isinstance(model.choices, CornerChoices) for model in joint.models)
+    corners = all(model.choices.has_corners for model in joint.models)
     if corners and not search.restarts:
         search = replace(search, good_share=min(search.good_share, LINEAR_SHARE))
     start = start_of(problem, joint)
@@ -209,7 +209,7 @@ def _without_sweeps(
 
     Sweeps over linear cells of expressions, and over large teams, are long: evaluating these policies is often enough.
     """
-    if all(isinstance(model.choices, CornerChoices) for model in joint.models):
+    if all(model.choices.has_corners for model in joint.models):
         if len(joint.models) == 1:
             return _alone(joint, start, relaxations)
         pays, limits, room = int((~joint.absorbing).sum()) == 1, LINEAR_FINAL, WRITTEN_ROOM
@@ -360,7 +360,7 @@ class _TreeAscent:
     @property
     def is_long(self) -> bool:
         """Whether sweeps are so long that the likeliest ways through the task are not tried one by one."""
-        return all(isinstance(model.choices, CornerChoices) for model in self.joint.models)
+        return all(model.choices.has_corners for model in self.joint.models)
 
     def run(self, name: str, policies: Policies, sweeps: int, last: float = -1.0) -> Sweep:
         """Sweep from ``policies``, whose value is ``last`` if known, until nothing improves; return the last sweep."""

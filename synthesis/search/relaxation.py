@@ -32,10 +32,8 @@ from numpy.typing import NDArray
 from ...envs.logic import Automaton, followed
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..models import AgentModel, JointModel, Policies
+from ..models import TIE, AgentModel, JointModel, Policies, best_offered
 from ..values import UNIT, Occupancy
-from .best_response import TIE, best_offered
-from .tree import read
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,7 +142,7 @@ def _solve(
                 value[q] = 1.0  # no run is there at this time: any upper bound will do
                 continue
             policy[t, q] = best_offered(model.offered(t), weights, smoothed[q : q + 1], policy[t, q])
-            value[q] = read(model.choices, smoothed[q : q + 1], policy[t, q])[0]
+            value[q] = model.choices.read(smoothed[q : q + 1], policy[t, q])[0]
     return Relaxation(value, policy)
 
 

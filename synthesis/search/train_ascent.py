@@ -39,7 +39,6 @@ from ..values import (
     start_value,
 )
 from .ascent import policies_text
-from .best_response import best_choices
 from .train_backward import backward, expected
 
 MASS_CUT = 1e-4
@@ -268,9 +267,8 @@ def answers(
         # First for all cells, the others averaged over all of theirs: a single objective.
         table = core_rows(arriving, i, model.n_cells)
         weights = np.broadcast_to(np.outer(ahead, behind[i]).ravel(), (model.n_cells, len(table)))
-        policies[i] = best_choices(
-            model.choices, np.ones((model.n_cells, 1)), model.kernel.smooth(weights[:1] @ table), policies[i]
-        )
+        smoothed = model.kernel.smooth(weights[:1] @ table)
+        policies[i] = model.choices.best(np.ones((model.n_cells, 1)), smoothed, policies[i])
         # Then again for the cells that the mass meets, with omega.
         if mass is not None:
             met, seen = _seen(mass, i, before, after[i])
@@ -344,7 +342,7 @@ def _answer(
         seen, table = seen @ basis, basis.T @ table
     weights = np.zeros((model.n_cells, seen.shape[1]))
     weights[met] = seen
-    better = best_choices(model.choices, weights, model.kernel.smooth(table), policy)
+    better = model.choices.best(weights, model.kernel.smooth(table), policy)
     answer = policy.copy()
     answer[met] = better[met]
     return answer

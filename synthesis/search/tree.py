@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import AgentModel, BoxChoices, Choices, CornerChoices, StepPolicy
+from ..models import AgentModel
 from ..values import (
     Guards,
     IndexArray,
@@ -222,26 +222,6 @@ def _batches(users: list[int], factors: Sequence[NDArray]) -> list[list[int]]:
         batches[-1].append(i)
         size += len(factors[i])
     return batches
-
-
-def gather(smoothed: NDArray, policy: NDArray[np.integer]) -> NDArray:
-    """Return smoothed factors (n, Z) read at the chosen lattice points (S,); cells without a target have value 0."""
-    values = take(smoothed, np.maximum(policy, 0), axis=1)
-    if np.any(policy < 0):
-        values[:, beside(policy < 0, values)] = 0
-    return values
-
-
-def read(choices: Choices, smoothed: NDArray, policy: StepPolicy, rough: bool = False) -> NDArray:
-    """Return the value factors (n, S) of an agent under a policy, from its smoothed factors.
-
-    They are lower bounds, unless factors of linear agents are read in few points only (``rough``).
-    """
-    if isinstance(choices, CornerChoices):
-        return beside(choices.read(to_host(smoothed), policy, rough), smoothed)
-    if isinstance(choices, BoxChoices):
-        return choices.read(to_host(smoothed), policy)
-    return gather(smoothed, choices.points(policy))
 
 
 FEW_TERMS = 64

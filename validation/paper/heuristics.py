@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from ...synthesis.bounds import plain_loss
 from ...synthesis.cells import FloatArray
-from ...synthesis.models import JointModel, Policies
+from ...synthesis.models import JointModel, Policies, gather
 from ...synthesis.relations import joint_delta
-from ...synthesis.search import Candidates, assemble, best_choices, candidates, gather, terminal_terms
+from ...synthesis.search import Candidates, assemble, candidates, terminal_terms
 from ...synthesis.values import Terms, candidate_depths, compress
 
 ALIVE = 1e-15
@@ -131,7 +131,7 @@ def _choose(
         weight = np.exp(log_weight - log_weight.max(initial=-np.inf, where=alive > 0)) * alive if alive.any() else alive
         weights = np.bincount(rows[:, i], weights=np.where(alive > 0, weight, 0.0), minlength=len(tables[i]))
         nothing = np.full(model.n_cells, -1, dtype=np.int32)
-        policy = best_choices(model.choices, weights[None], tables[i], nothing)
+        policy = model.choices.best(weights[None], tables[i], nothing)
         values = gather(tables[i], model.choices.points(policy))
         chosen.append(policy)
         factors.append(values)
