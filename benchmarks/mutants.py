@@ -103,7 +103,7 @@ MUTANTS = [
         ("masses = mass - slack", "masses = mass * 1.02"),
     ),
     *_in(
-        "synthesis/models/choices.py",
+        "synthesis/models/target_windows.py",
         (
             "np.abs(axis[edge] - means[:, k]) * gain > reserve[:, j]",
             "np.abs(axis[edge] - means[:, k]) * gain > 1.5 * reserve[:, j]",

@@ -30,7 +30,7 @@ TRUSTED = {
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
         "envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.expressions.repeating "
-        "envs.problem.families envs.problem.groups envs.problem.joint_noise "
+        "envs.problem.families envs.problem.groups envs.problem.joint_noise envs.problem.opposite "
         "envs.problem.problem_file "
         "envs.problem.spelling envs.problem.record envs.problem.regions envs.problem.specification "
         "envs.problem.writing_out"
@@ -49,7 +49,8 @@ TRUSTED = {
         "synthesis.certificates.path_certificate "
         "synthesis.certificates.path_file synthesis.certificates.start_hull synthesis.certificates.hull_file "
         "synthesis.certificates.product synthesis.certificates.team_certificate "
-        "synthesis.certificates.timed_certificate synthesis.values.terms"
+        "synthesis.certificates.timed_certificate synthesis.certificates.two_ended synthesis.certificates.seen "
+        "synthesis.certificates.offers synthesis.values.terms"
     ),
     "What the controllers do": (
         "synthesis.cells.lookup synthesis.controllers.abstract_state synthesis.controllers.agent_controller "
@@ -74,7 +75,7 @@ TRUSTED = {
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
         "synthesis.checking.network_spans "
         "synthesis.path_checking.own_intervals synthesis.checking.mixed_check synthesis.path_checking.whereabouts "
-        "synthesis.checking.pairs_check synthesis.path_checking.path_check "
+        "synthesis.checking.pairs_check synthesis.checking.opposite_task synthesis.path_checking.path_check "
         "synthesis.path_checking.hull_check synthesis.path_checking.own_bends "
         "synthesis.path_checking.law_moments synthesis.path_checking.linear_deviations "
         "synthesis.path_checking.nonlinear_check synthesis.path_checking.gaussian_inequalities "

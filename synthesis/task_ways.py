@@ -157,7 +157,7 @@ def ways_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synthesis]
 
 def names_inputs(problem: Problem) -> bool:
     """Return whether the expressions of an agent name an input of another one."""
-    return any(isinstance(agent, Agent) and any(agent.neighbour_inputs) for agent in problem.agents)
+    return any(any(agent.neighbour_inputs) for agent in problem.agents)
 
 
 def is_beyond_grids(problem: Problem) -> bool:

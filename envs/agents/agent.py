@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from ..expressions import Tree, affine
 from .any_agent import AnyAgent, checked_added, is_passive, shared_fields, summary_rows
 from .checks import float_array, read_only
 from .laws import Law
@@ -170,6 +172,35 @@ class LinearAgent(AnyAgent):
         """How many outputs, from the first on, are read as the states that they are: d if y = x but for added ones."""
         first = self.output_matrix[: self.n_outputs - self.added_outputs]
         return self.n_states if len(first) == self.n_states and bool((first == np.eye(self.n_states)).all()) else 0
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the states in trees."""
+        return tuple(f"state {k}" for k in range(self.n_states))
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the inputs in trees."""
+        return tuple(f"input {k}" for k in range(self.n_inputs))
+
+    @cached_property
+    def timed_trees(self) -> tuple[Tree, ...]:
+        """Dynamics as sums of products; they never name the time."""
+        rows = zip(np.hstack([self.A, self.B]), self.offset, strict=True)
+        return tuple(affine(row, (*self.states, *self.inputs), float(offset)) for row, offset in rows)
+
+    @property
+    def trees(self) -> tuple[Tree, ...]:
+        """Dynamics as sums of products."""
+        return self.timed_trees
+
+    @cached_property
+    def output_trees(self) -> tuple[Tree, ...]:
+        """Outputs as sums of products."""
+        return tuple(affine(row, self.states, 0.0) for row in self.output_matrix)
+
+    has_straight_outputs = True
+    disturbances = MappingProxyType({})
 
     @property
     def motion_key(self) -> tuple[bytes, ...]:

@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..arrays import is_host, namespace
+from ..expressions import Tree
 from .box import Box
 from .checks import read_only, shown
 from .laws import Law
@@ -114,6 +115,57 @@ class AnyAgent(ABC):
     @abstractmethod
     def motion_key(self) -> tuple[bytes, ...]:
         """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    """Names in trees; those of linear agents have numbers."""
+
+    @property
+    @abstractmethod
+    def timed_trees(self) -> tuple[Tree, ...]:
+        """Dynamics as expression trees of states, inputs, unknowns and the time."""
+
+    @property
+    @abstractmethod
+    def output_trees(self) -> tuple[Tree, ...]:
+        """Outputs as expression trees of states."""
+
+    @property
+    def timed_scale_trees(self) -> tuple[Tree, ...]:
+        """What the noise of each state is multiplied with; empty for nothing."""
+        return ()
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """States and inputs of other agents that the dynamics name, such as `leader.position`."""
+        return ()
+
+    @property
+    def has_straight_outputs(self) -> bool:
+        """Whether every output is a multiple of a single state, or linear in all of them."""
+        return all(self.output_axis(k) is not None for k in range(self.n_outputs))
+
+    neighbour_inputs: tuple[bool, ...] = ()
+    """Which of these are inputs."""
+
+    communicated: tuple[str, ...] = ()
+    """Agents whose states it is told."""
+
+    disturbances: Mapping[str, tuple[float, float]]
+    """Ends of what moves it besides, by name."""
+
+    @property
+    def unknowns(self) -> Mapping[str, tuple[float, float]]:
+        """Intervals of everything that moves the mean besides state and input, by names in trees."""
+        return self.disturbances
+
+    def with_clock(self, horizon: int) -> AnyAgent:
+        """Return the agent with the time as its last input; itself where it does not name the time."""
+        return self
+
+    def unrolled_by(self, turns: int) -> AnyAgent:
+        """Return the agent with angles that go on for some turns; itself where it has none."""
+        return self
 
     @property
     def names_time(self) -> bool:

@@ -405,9 +405,8 @@ def _shared(problem: Problem, group: list[int]) -> tuple[tuple[int, int, np.ndar
 
 def _beside(problem: Problem, agent: AnyAgent) -> np.ndarray:
     """Return the positions (l,), in joint state and joint input, of what an agent's dynamics name of others."""
-    names = agent.others if isinstance(agent, Agent) else ()
     positions = []
-    for place in (place_of(name, problem.agents) for name in names):
+    for place in (place_of(name, problem.agents) for name in agent.others):
         # Inputs stand behind all states.
         columns, before = (problem.input_columns, problem.n_states) if place.is_input else (problem.columns, 0)
         positions.append(before + columns[place.agent].start + place.component)

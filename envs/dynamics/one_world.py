@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..agents import (
-    Agent,
     AnyAgent,
     LinearAgent,
     Place,
@@ -168,7 +167,7 @@ class OneWorld:
             positions = tuple(block_draws[block].start + c * n + place for c in range(rows[block]))
             draws = positions[: agent.n_states], positions[agent.n_states :]
             corners = still.low[i].T, still.high[i].T
-            beside = [place_of(name, problem.agents) for name in agent.others] if isinstance(agent, Agent) else []
+            beside = [place_of(name, problem.agents) for name in agent.others]
             own = _numbers(
                 agent, problem.written_agents[i].noise_factor, *corners, labeling.agent_propositions[i], draws
             )
@@ -365,12 +364,14 @@ def _numbers(
     draws: tuple[tuple[int, ...], tuple[int, ...]],
 ) -> AgentNumbers:
     """Return one agent as plain numbers; `factor` is that of its own noise, `low` and `high` have a row per region."""
+    names = ("A", "B", "offset", "output_matrix")
+    matrices = {name: getattr(agent, name).tolist() for name in names} if isinstance(agent, LinearAgent) else {}
     return AgentNumbers(
-        A=agent.A.tolist() if isinstance(agent, LinearAgent) else None,
-        B=agent.B.tolist() if isinstance(agent, LinearAgent) else None,
-        offset=agent.offset.tolist() if isinstance(agent, LinearAgent) else None,
+        A=matrices.get("A"),
+        B=matrices.get("B"),
+        offset=matrices.get("offset"),
         noise_factor=factor.tolist(),
-        C=agent.output_matrix.tolist() if isinstance(agent, LinearAgent) and not agent.has_identity_output else None,
+        C=None if agent.has_identity_output else matrices.get("output_matrix"),
         state_low=agent.state_low.tolist(),
         state_high=agent.state_high.tolist(),
         input_low=agent.input_low.tolist(),

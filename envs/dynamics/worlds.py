@@ -155,7 +155,7 @@ class Dynamics:
     @cached_property
     def names_inputs(self) -> bool:
         """Whether the dynamics of an agent name an input of another one."""
-        return any(isinstance(agent, Agent) and any(agent.neighbour_inputs) for agent in self.problem.agents)
+        return any(any(agent.neighbour_inputs) for agent in self.problem.agents)
 
     @cached_property
     def proposition_rows(self) -> Any:

@@ -4,7 +4,7 @@ from .affine_inputs import split_at, substituted
 from .compiled import Compiled
 from .enclosure import Affine, enclosed, gradients, roundings
 from .evaluation import computed
-from .expression_tree import Name, Number, Operation, Tree, names_in, operations_in, whole_exponent
+from .expression_tree import Name, Number, Operation, Tree, affine, names_in, operations_in, whole_exponent
 from .intervals import Interval
 from .linear_systems import AffineForm, affine_form, replaced, solved
 from .programs import Program
@@ -23,6 +23,7 @@ __all__ = [
     "Program",
     "RESERVED",
     "Tree",
+    "affine",
     "affine_form",
     "checked_variable",
     "computed",

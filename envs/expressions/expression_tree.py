@@ -7,7 +7,7 @@ intervals for the search (`intervals`, `enclosure`), and intervals for the check
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 ARITHMETIC = ("+", "-", "*", "/", "**")
@@ -111,3 +111,23 @@ def _folded(name: str, values: list[float]) -> float:
     if abs(result) > 1e300:
         raise OverflowError("a number is too large")
     return result
+
+
+def affine(factors: Iterable[float], names: Sequence[str], offset: float) -> Tree:
+    """Return the sum of factors times names, and an offset; a name alone where that is all.
+
+    Examples
+    --------
+    >>> affine([1.0, 0.0], ["x", "y"], 0.0)
+    Name(name='x')
+    """
+    terms: list[Tree] = [
+        Name(name) if factor == 1.0 else Operation("*", (Number(float(factor)), Name(name)))
+        for factor, name in zip(factors, names, strict=True)
+        if factor != 0.0
+    ]
+    terms += [Number(float(offset))] if offset != 0.0 or not terms else []
+    total = terms[0]
+    for term in terms[1:]:
+        total = Operation("+", (total, term))
+    return total

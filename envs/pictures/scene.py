@@ -234,7 +234,7 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
     of_agents = {n: p for n, p in problem.propositions.items() if isinstance(p, Proposition)}
     named = [(families.get(n, n), p) for n, p in of_agents.items() if p.agent == agent.name]
     placed = [(name, *place) for name, p in named for place in _places(p, problem.horizon)]
-    if not isinstance(agent, LinearAgent) and not all(agent.output_axis(k) for k in range(agent.n_outputs)):
+    if not agent.has_straight_outputs:
         return _bent(problem, i, number)
     # Show the first two axes on which some region is smaller than the workspace; the first two at all if none is.
     restricted = np.zeros(agent.n_outputs, dtype=bool)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ..agents import TURN, Agent, AnyAgent, Proposition
+from ..agents import TURN, AnyAgent, Proposition
 from .families import AnyProposition
 from .record import Problem
 from .specification import Specification
@@ -64,7 +64,7 @@ def unrolled(problem: Problem) -> Unrolled:
 def _unrolled(agent: AnyAgent, written: AnyAgent) -> AnyAgent:
     """Return an agent of a problem with its angles unrolled, and with its own noise alone."""
     agent = agent.replace(**written.noise_data())
-    return agent.unrolled_by(TURNS) if isinstance(agent, Agent) and agent.angles else agent
+    return agent.unrolled_by(TURNS) if agent.angles else agent
 
 
 def _limited(agent: AnyAgent, region: Proposition) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..agents import Agent, AnyAgent, Proposition
+from ..agents import AnyAgent, Proposition
 from ..logic import Automaton, DecisionDiagrams, automaton_from_diagrams
 from .families import AnyProposition
 from .joint_noise import refuse_joint_noise
@@ -61,7 +61,7 @@ def written_out(problem: Problem) -> Problem:
 
 def clocked(agent: AnyAgent, horizon: int) -> AnyAgent:
     """Return an agent whose dynamics name the time with a clock in its place; others stay as they are."""
-    return agent.with_clock(horizon) if isinstance(agent, Agent) and agent.names_time else agent
+    return agent.with_clock(horizon) if agent.names_time else agent
 
 
 class Places:

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent
+from ...envs.agents import AnyAgent
 from ...envs.expressions import Number
 from .grid import FloatArray
 
@@ -35,7 +35,7 @@ def lattice_axes(agent: AnyAgent) -> tuple[LatticeAxis, ...]:
         if still:
             axes.append(LatticeAxis("cell", k))
             continue
-        if isinstance(agent, Agent) and agent.noise_scale is not None and agent.scale_trees[k] != Number(1.0):
+        if agent.timed_scale_trees and agent.timed_scale_trees[k] != Number(1.0):
             axes.append(LatticeAxis("scale", k))
         axes.append(LatticeAxis("mean", k))
     return tuple(axes)

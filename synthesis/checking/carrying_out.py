@@ -138,7 +138,7 @@ def _network_means(
 
 def _anywhere(agent: AnyAgent, count: int, rng: Generator) -> FloatArray | None:
     """States of others (l, count) that dynamics name, anywhere in their workspaces; None if there are none."""
-    if not isinstance(agent, Agent) or not agent.others:
+    if not agent.others:
         return None
     low, high = np.array(list(agent.unknowns.values())[len(agent.disturbances) :]).T[..., None]
     return np.asarray(low + (high - low) * rng.random((len(low), count)))

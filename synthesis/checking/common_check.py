@@ -75,7 +75,7 @@ def _ends(part: AgentPart, low: FloatArray, high: FloatArray, times: int) -> tup
 def known_inputs(agent: AnyAgent, part: AgentPart, choices: NDArray[np.integer]) -> dict[int, FloatArray]:
     """Numbers (C,) of inputs of others under choices (C,), by their places among `others`; empty if none is known."""
     common = part.relation.get("common")
-    if common is None or not isinstance(agent, Agent):
+    if common is None:
         return {}
     numbers = np.array(common["numbers"], dtype=float)
     row = choices // (len(part.relation["menu"]) // len(numbers))

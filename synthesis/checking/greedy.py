@@ -114,11 +114,12 @@ def _at_corner(dynamics: Dynamics, worlds: Worlds, corner: NDArray[np.int64]) ->
     for block in dynamics.blocks:
         k, n = block.n_disturbances, len(block.agents)
         agent = dynamics.problem.agents[block.agents[0]]
-        if not k or not isinstance(agent, Agent):
+        if not k:
             result.append(None)
             continue
         at_high = corner[first : first + k * n].reshape(k, n)
-        values = np.where(at_high, agent.disturbance_high[:, None], agent.disturbance_low[:, None])
+        low, high = np.array(list(agent.disturbances.values())).T
+        values = np.where(at_high, high[:, None], low[:, None])
         result.append(np.broadcast_to(values[..., None], (k, n, worlds.n_worlds)))
         first += k * n
     return tuple(result)

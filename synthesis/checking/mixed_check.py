@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
-from ...envs.agents import Agent, AnyAgent, PairRegion
+from ...envs.agents import AnyAgent, PairRegion
 from ..cells import FloatArray
 from ..certificates import Certificate, PairsCertificate
 from ..path_checking import Whereabouts, whereabouts_along
@@ -119,7 +119,7 @@ def _wrong_parts(certificate: MixedCertificate, problem: Problem) -> list[str]:
 
 def _named(agent: AnyAgent) -> set[str]:
     """Agents whose states or inputs an agent's dynamics name."""
-    return {name.split(".")[0] for name in agent.others} if isinstance(agent, Agent) else set()
+    return {name.split(".")[0] for name in agent.others}
 
 
 def _propositions(problem: Problem, names: set[str]) -> list[str]:

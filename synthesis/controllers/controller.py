@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, counted, place_of, tree_text
+from ...envs.agents import counted, place_of, tree_text
 from ...envs.dynamics import Draws, Dynamics, Worlds, neighbours
 from ...envs.problem import Problem
 from ..cells import FloatArray, alike_text, shape_text
@@ -109,7 +109,7 @@ class Controller:
         """
         agents = self.problem.agents
         model = agents[self.problem.agent_names.index(name)]
-        if not isinstance(model, Agent) or not model.others:
+        if not model.others:
             return None
         places = [place_of(other, agents) for other in model.others]
         if any(agents[place.agent].name not in seen for place in places if not place.is_input):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...envs.agents import TIME, Agent, AnyAgent, LinearAgent
+from ...envs.agents import TIME, AnyAgent
 from ...envs.expressions import Program
 from ..cells import FloatArray
 
@@ -16,20 +16,16 @@ def covariances_along(agent: AnyAgent, states: FloatArray, inputs: FloatArray, g
     """
     d, m, steps = agent.n_states, agent.n_inputs, len(inputs)
     noises = np.broadcast_to(agent.noise_covariance, (steps, d, d))
-    if isinstance(agent, Agent):
-        names = (*agent.states, *agent.inputs, *agent.unknowns, TIME)
-        calm = np.array([0.5 * low + 0.5 * high for low, high in agent.unknowns.values()]).reshape(-1, 1)
-        variables = np.concatenate([states[:-1].T, inputs.T, np.repeat(calm, steps, axis=1), np.arange(steps)[None]])
-        _, slopes = Program.of(agent.timed_trees, names).slopes(variables)
-        matrices = np.moveaxis(slopes, 2, 0)
-        A, B = matrices[:, :, :d], matrices[:, :, d : d + m]
-        if agent.timed_scale_trees:
-            stds = np.array([law.std for law in agent.laws or ()])
-            scaled = Program.of(agent.timed_scale_trees, names).values(variables).T * stds
-            noises = np.array([np.diag(row**2) for row in scaled])
-    else:
-        assert isinstance(agent, LinearAgent)
-        A, B = (np.broadcast_to(matrix, (steps, *matrix.shape)) for matrix in (agent.A, agent.B))
+    names = (*agent.states, *agent.inputs, *agent.unknowns, TIME)
+    calm = np.array([0.5 * low + 0.5 * high for low, high in agent.unknowns.values()]).reshape(-1, 1)
+    variables = np.concatenate([states[:-1].T, inputs.T, np.repeat(calm, steps, axis=1), np.arange(steps)[None]])
+    _, slopes = Program.of(agent.timed_trees, names).slopes(variables)
+    matrices = np.moveaxis(slopes, 2, 0)
+    A, B = matrices[:, :, :d], matrices[:, :, d : d + m]
+    if agent.timed_scale_trees:
+        stds = np.array([law.std for law in agent.laws or ()])
+        scaled = Program.of(agent.timed_scale_trees, names).values(variables).T * stds
+        noises = np.array([np.diag(row**2) for row in scaled])
     result = np.zeros((steps + 1, d, d))
     for t in range(steps):
         closed = A[t] + B[t] @ gains[t]

@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...envs.agents import TIME, Agent, AnyAgent, LinearAgent, Majorant, Tail
-from ...envs.expressions import Name, Number, Operation, Program, Tree
+from ...envs.agents import TIME, AnyAgent, Majorant, Tail
+from ...envs.expressions import Number, Operation, Program, Tree
 from ..cells import FloatArray
 
 LATEST = 1e6
@@ -32,11 +32,8 @@ class NonlinearModel:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of states, inputs and what is unknown; the time last, if dynamics name it."""
-        if isinstance(self.agent, Agent):
-            timed = (TIME,) if self.agent.names_time else ()
-            return (*self.agent.states, *self.agent.inputs, *self.agent.unknowns, *timed)
-        d, m = self.agent.n_states, self.agent.n_inputs
-        return (*(f"state {k}" for k in range(d)), *(f"input {k}" for k in range(m)))
+        timed = (TIME,) if self.agent.names_time else ()
+        return (*self.agent.states, *self.agent.inputs, *self.agent.unknowns, *timed)
 
     @cached_property
     def unrolled(self) -> NDArray[np.bool_]:
@@ -48,30 +45,23 @@ class NonlinearModel:
     def motion(self) -> Program:
         """The mean of the next state."""
         means = (self.agent.noise_axes @ self.laws[0]).tolist()
-        if isinstance(self.agent, Agent):
-            trees: list[Tree] = list(self.agent.timed_trees)
-            scales = self.agent.timed_scale_trees or [Number(1.0)] * len(trees)
-            for k, mean in enumerate(means):
-                if mean:
-                    trees[k] = Operation("+", (trees[k], Operation("*", (Number(mean), scales[k]))))
-            return Program.of(trees, self.names)
-        assert isinstance(self.agent, LinearAgent)
-        rows, offset = np.hstack([self.agent.A, self.agent.B]), self.agent.offset + np.array(means)
-        return Program.of([_affine(row, self.names, c) for row, c in zip(rows, offset)], self.names)
+        trees: list[Tree] = list(self.agent.timed_trees)
+        scales = self.agent.timed_scale_trees or [Number(1.0)] * len(trees)
+        for k, mean in enumerate(means):
+            if mean:
+                trees[k] = Operation("+", (trees[k], Operation("*", (Number(mean), scales[k]))))
+        return Program.of(trees, self.names)
 
     @cached_property
     def output(self) -> Program:
         """Outputs, of states alone."""
         states = self.names[: self.agent.n_states]
-        if isinstance(self.agent, Agent):
-            return Program.of(self.agent.output_trees, states)
-        assert isinstance(self.agent, LinearAgent)
-        return Program.of([_affine(row, states, 0.0) for row in self.agent.output_matrix], states)
+        return Program.of(self.agent.output_trees, states)
 
     @cached_property
     def scale(self) -> Program | None:
         """What the noise is multiplied with; None for nothing."""
-        trees = self.agent.timed_scale_trees if isinstance(self.agent, Agent) else ()
+        trees = self.agent.timed_scale_trees
         return Program.of(trees, self.names) if trees else None
 
     @cached_property
@@ -112,8 +102,6 @@ class NonlinearModel:
     @cached_property
     def unknown(self) -> FloatArray:
         """Ranges (2, k) of what is unknown."""
-        if not isinstance(self.agent, Agent):
-            return np.zeros((2, 0))
         return np.array(list(self.agent.unknowns.values()), dtype=float).reshape(-1, 2).T
 
     @cached_property
@@ -293,12 +281,3 @@ def _followed(j: int, d: int, gains: FloatArray | None) -> list[tuple[int, Float
     if j < d or gains is None:
         return [(j, 1.0)]
     return [(k, gains[:, j - d, k]) for k in range(d)]
-
-
-def _affine(row: FloatArray, names: tuple[str, ...], offset: float) -> Tree:
-    """Return a row times names, and an offset."""
-    total: Tree = Number(float(offset))
-    for factor, name in zip(row, names, strict=False):
-        if factor:
-            total = Operation("+", (total, Operation("*", (Number(float(factor)), Name(name)))))
-    return total

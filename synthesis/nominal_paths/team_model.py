@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ...envs.agents import AnyAgent
 from ..cells import FloatArray
 from .nonlinear_model import NonlinearModel
 
@@ -121,10 +121,6 @@ class TeamModel:
 
 def key_of(agent: AnyAgent) -> object:
     """Return what agents have in common that move alike, whatever their starts are."""
-    if isinstance(agent, LinearAgent):
-        arrays = (agent.A, agent.B, agent.offset, agent.output_matrix, agent.noise_covariance)
-        return agent.laws, tuple((array.shape, array.tobytes()) for array in (*arrays, agent.noise_axes))
-    assert isinstance(agent, Agent)
     noise = agent.laws, agent.noise_axes.tobytes(), agent.timed_scale_trees, agent.noise_covariance.tobytes()
     return noise, (agent.states, agent.inputs, tuple(agent.unknowns.items()), agent.timed_trees, agent.output_trees)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent, Gaussian
+from ...envs.agents import AnyAgent, Gaussian
 from ...envs.logic import Automaton, DecisionDiagrams, automaton_from_diagrams
 from ...envs.problem import Problem, Specification
 from ..cells import RelationRefused, refuse_shared_noise
@@ -44,7 +44,7 @@ def agents_on_grids(problem: Problem) -> tuple[int, ...]:
         raise RelationRefused(f"a mixed team has agents for grids and agents that are not for grids, but {kind}")
     grids = {problem.agent_names[i] for i in on_grids}
     for agent in problem.agents:
-        others = {name.split(".")[0] for name in agent.others} if isinstance(agent, Agent) else set()
+        others = {name.split(".")[0] for name in agent.others}
         if others & ({*problem.agent_names} - grids if agent.name in grids else grids):
             raise RelationRefused(f"agent `{agent.name}`: its dynamics name agents of the other kind of a mixed team")
     return on_grids

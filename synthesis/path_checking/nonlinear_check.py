@@ -26,8 +26,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent, Proposition
-from ...envs.expressions import Name, Number, Operation, Tree
+from ...envs.agents import AnyAgent, Proposition
+from ...envs.expressions import Number, Operation, Tree
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate
 from .gaussian_inequalities import Inequalities
@@ -110,32 +110,11 @@ class Moving:
     def of(cls, agent: AnyAgent) -> Moving:
         """Read an agent; matrices become sums of products."""
         noise = Noise.of(agent)
-        if isinstance(agent, Agent):
-            ranges = np.array(list(agent.unknowns.values()), dtype=float).reshape(-1, 2).T
-            names = agent.states, agent.inputs, tuple(agent.unknowns)
-            trees = noise.moved(agent.trees, agent.scale_trees)
-            return cls(*names, ranges, trees, agent.output_trees, agent.scale_trees, noise)
-        assert isinstance(agent, LinearAgent)
-        states = tuple(f"state {k}" for k in range(agent.n_states))
-        inputs = tuple(f"input {k}" for k in range(agent.n_inputs))
-        rows = zip(np.hstack([agent.A, agent.B]), agent.offset, strict=True)
-        trees = tuple(_affine(row, (*states, *inputs), float(offset)) for row, offset in rows)
-        outputs = tuple(_affine(row, states, 0.0) for row in agent.output_matrix)
-        return cls(states, inputs, (), np.zeros((2, 0)), noise.moved(trees, ()), outputs, (), noise)
-
-
-def _affine(row: FloatArray, names: tuple[str, ...], offset: float) -> Tree:
-    """Return a row times names, and an offset; a name alone where that is all."""
-    terms: list[Tree] = [
-        Name(name) if factor == 1.0 else Operation("*", (Number(float(factor)), Name(name)))
-        for factor, name in zip(row, names, strict=True)
-        if factor != 0.0
-    ]
-    terms += [Number(offset)] if offset != 0.0 or not terms else []
-    total = terms[0]
-    for term in terms[1:]:
-        total = Operation("+", (total, term))
-    return total
+        ranges = np.array(list(agent.unknowns.values()), dtype=float).reshape(-1, 2).T
+        scales = agent.timed_scale_trees
+        trees = noise.moved(agent.timed_trees, scales)
+        names = agent.states, agent.inputs, tuple(agent.unknowns)
+        return cls(*names, ranges, trees, agent.output_trees, scales, noise)
 
 
 @dataclass(frozen=True, eq=False)

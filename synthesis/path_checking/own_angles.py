@@ -13,7 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent
+from ...envs.agents import AnyAgent
 from ...envs.expressions import Name, Number, Operation, Tree
 from ...envs.problem import Problem
 from ..cells import FloatArray
@@ -32,12 +32,11 @@ def wrong_angles(problem: Problem) -> list[str]:
     """Return what is wrong with the angles of a problem: dynamics, noise or outputs that are not those of a circle."""
     failures = []
     for agent in problem.agents:
-        if isinstance(agent, Agent):
-            failures += [f"agent `{agent.name}`: {text}" for angle in agent.angles for text in _wrong(agent, angle)]
+        failures += [f"agent `{agent.name}`: {text}" for angle in agent.angles for text in _wrong(agent, angle)]
     return failures
 
 
-def _wrong(agent: Agent, angle: str) -> list[str]:
+def _wrong(agent: AnyAgent, angle: str) -> list[str]:
     k = agent.states.index(angle)
     low, high = float(agent.state_low[k]), float(agent.state_high[k])
     if not TURN - ROUNDED <= high - low <= TURN or max(abs(low), abs(high)) > 7.0:
@@ -126,5 +125,4 @@ def gap_of(low: float, high: float, value: float) -> tuple[float, float]:
 
 def axes_of_angles(agent: AnyAgent) -> FloatArray:
     """Return 1 for states (d,) that are angles, and 0 for others."""
-    names = agent.states if isinstance(agent, Agent) else ()
-    return np.array([float(name in agent.angles) for name in names]) if names else np.zeros(agent.n_states)
+    return np.array([float(name in agent.angles) for name in agent.states])

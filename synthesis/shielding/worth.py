@@ -139,7 +139,7 @@ class ActionValues:
         """
         agents = self.certificate.problem.agents
         agent = agents[i]
-        if not isinstance(agent, Agent) or not agent.others:
+        if not agent.others:
             return None
         places = [place_of(name, agents) for name in agent.others]
         unknown = np.full(states[0].shape[1], np.nan)

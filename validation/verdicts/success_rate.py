@@ -11,7 +11,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ... import __version__
-from ...envs.agents import Agent, counted, shortened, write_json
+from ...envs.agents import counted, shortened, write_json
 from ...envs.dynamics import BEHAVIOURS, Behaviour, checked_behaviour
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
@@ -353,10 +353,10 @@ class _Trial:
 def _behaviours(certificate: Certificate | ProductCertificate) -> dict[str, Behaviour]:
     """Return all behaviours of disturbances that are simulated, by name; one if there are no disturbances."""
     agents = certificate.problem.agents
-    if not any(isinstance(agent, Agent) and agent.disturbances for agent in agents):
+    if not any(agent.disturbances for agent in agents):
         return {"zero": "zero"}
     named: dict[str, Behaviour] = {name: name for name in BEHAVIOURS}
-    if isinstance(certificate, Certificate):
+    if certificate.on_cells is certificate:
         named["greedy"] = greedy_disturbance(certificate)
     return named
 
@@ -391,7 +391,7 @@ def _validated(
     details = _details(certificate, start, settled) | {"inadmissible": inadmissible, "sequential": sequential}
     if sequential:
         details |= {"log_e_refuted": _finite(state.log_refuted), "log_e_confirmed": _finite(state.log_confirmed)}
-    if any(isinstance(agent, Agent) and agent.disturbances for agent in problem.agents):
+    if any(agent.disturbances for agent in problem.agents):
         details["disturbance"] = how.name
     if mismatch is not None:
         details["mismatch"] = str(mismatch)
