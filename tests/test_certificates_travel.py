@@ -21,8 +21,8 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.cells import Grid
+from certigym.synthesis.certificates.archive import _digest
 from certigym.synthesis.certificates.certificate import Certificate
-from certigym.synthesis.certificates.certificate_file import _digest
 from certigym.synthesis.checking.regrown_tree import regrow
 from problems import two_agents
 from test_rollouts_agree_with_certificates import correlated

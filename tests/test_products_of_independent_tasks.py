@@ -296,7 +296,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         arrays = {name: archive[name] for name in archive.files}
     header = json.loads(bytes(arrays["header"]).decode())
     assert sorted(set(header["parts"])) == [0, 1]
-    from certigym.synthesis.certificates.certificate_file import _digest
+    from certigym.synthesis.certificates.archive import _digest
 
     def written(**changes: object) -> Path:
         new = {**header, **changes}

@@ -1,10 +1,10 @@
 """The certified claim, everything it rests on, and its file."""
 
+from .archive import packed
 from .certificate import Certificate, checked_certificate
 from .certificate_file import (
     UNREADABLE,
     AnyCertificate,
-    certificate_bytes,
     certificate_in,
     load_certificate,
     save_certificate,
@@ -58,7 +58,7 @@ __all__ = [
     "as_certificate",
     "certificate_on_grids",
     "axis_tables",
-    "certificate_bytes",
+    "packed",
     "certificate_in",
     "checked_certificate",
     "grid_noise",

@@ -22,11 +22,16 @@ from ..cells import FloatArray
 from ..controllers import AgentController, Controller
 from ..relations import Relation, joint_delta
 from ..values import Guards, Rounding, Skeleton, Terms, Trains
+from .archive import Pool
 from .claim import Claim, with_early_acceptance
 from .part import AgentPart
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .summaries import certificate_facts, certificate_html
 from .two_ended import TwoEnded
+from .written_values import put_agent, put_rounding, put_skeleton, put_terms
+
+CLAIM_FIELDS = ("method", "bound", "bounds", "start", "lower_bound", "gap", "exact", "relative_rounding", "rank")
+"""Fields of a certificate about its claim, which files hold under the same names."""
 
 CORRECTION_INFLATION = 1 + 1e-9
 """Factor on what lost relations may cost, far above its rounding."""
@@ -133,6 +138,21 @@ class Certificate(TwoEnded):
         """Return what a function makes of it."""
         made: Self = change(self)
         return made
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        guards = self.guard_source, self.guard_target, self.guard_mask
+        entries = {
+            **{name: getattr(self, name) for name in CLAIM_FIELDS},
+            "settings": self.settings,
+            "agents": [put_agent(pool, part) for part in self.agents],
+            "guards": [pool.put(array) for array in guards],
+            "start_guards": [pool.put(self.start_target), pool.put(self.start_mask)],
+            "skeleton": [put_skeleton(pool, step) for step in self.skeleton],
+            "terms": None if self.terms is None else put_terms(pool, self.terms),
+            "rounding": None if self.rounding is None else put_rounding(pool, self.rounding),
+        }
+        return entries if self.opposite is None else {**entries, "opposite": pool.put_file(self.opposite)}
 
     @property
     def stationary(self) -> bool:

@@ -16,11 +16,8 @@ from ...envs.problem import problem_from_dict
 from ..cells import Grid, lattice_axes
 from ..relations import check_description
 from ..values import Merges, Rounding, Skeleton, Terms
-from .certificate import Certificate
+from .certificate import CLAIM_FIELDS, Certificate
 from .part import AgentPart
-
-CLAIM_FIELDS = ("method", "bound", "bounds", "start", "lower_bound", "gap", "exact", "relative_rounding", "rank")
-"""Fields of a certificate about its claim, which the header holds under the same names."""
 
 LARGEST_ROUNDING = 1e-3
 """Largest relative reserve for floating point that makes sense: more of it would hide a wrong value."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,26 +9,6 @@ from numpy.typing import NDArray
 
 from ...envs.problem import problem_from_dict
 from .start_hull import StartHull
-
-
-def hull_header(hull: StartHull, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
-    """Return the header of a file of a set of starts; ``put`` stores an array and returns its number."""
-    arrays: dict[str, NDArray[Any]] = {
-        "letters": hull.letters,
-        "faces": hull.faces,
-        "corners": hull.corners,
-        "inputs": hull.inputs,
-    }
-    return {
-        "problem": hull.problem.to_dict(),
-        "fingerprint": hull.fingerprint,
-        "failure": float(hull.failure),
-        "hull": {
-            "axes": [int(axis) for axis in hull.axes],
-            "gain": put(hull.gain),
-            **{name: put(array) for name, array in arrays.items()},
-        },
-    }
 
 
 def hull_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> StartHull:

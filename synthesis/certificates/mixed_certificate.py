@@ -25,6 +25,7 @@ from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..controllers import MixedController
 from ..values import UNIT
+from .archive import Pool
 from .certificate import Certificate
 from .digits import shown_bound
 from .mixed_states import known_letters, reached_states
@@ -77,6 +78,15 @@ class MixedCertificate(TwoEnded):
             ("pairs", f"not as they should be with probability {self.near:.3g} at most"),
         ]
         return tree_text(f"MixedCertificate of {self.problem.name!r}", rows)
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        return {
+            "settings": self.settings,
+            "near": float(self.near),
+            "usual": list(self.usual),
+            "mixed": [pool.put_file(part) for part in (self.grids, self.paths)],
+        }
 
     @property
     def lower_bound(self) -> float:

@@ -23,6 +23,7 @@ from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..controllers import Controller
 from ..values import UNIT
+from .archive import Pool
 from .certificate import Certificate
 from .digits import EXACT_GAP
 from .offers import Offer
@@ -72,6 +73,15 @@ class PairsCertificate(TwoEnded):
 
     def _repr_html_(self) -> str:
         return certificate_html(f"Certificate of {self.problem.name}", self)
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        return {
+            "settings": self.settings,
+            "near": float(self.near),
+            "usual": list(self.usual),
+            "without_pairs": pool.put_file(self.base),
+        }
 
     @property
     def lower_bound(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,18 +15,6 @@ from .pairs_certificate import PairsCertificate
 from .path_certificate import PathCertificate
 from .team_certificate import TeamCertificate
 from .timed_certificate import TimedCertificate
-
-
-def pairs_header(certificate: PairsCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
-    """Return the header of a file; ``put`` stores an array and returns its number, ``base`` is the file of the base."""
-    return {
-        "problem": certificate.problem.to_dict(),
-        "fingerprint": certificate.fingerprint,
-        "settings": certificate.settings,
-        "near": float(certificate.near),
-        "usual": list(certificate.usual),
-        "without_pairs": put(np.frombuffer(base, np.uint8)),
-    }
 
 
 def pairs_in(
@@ -56,20 +44,6 @@ def pairs_in(
     return PairsCertificate(problem, base, tuple(bool(value) for value in usual), float(near), header["settings"])
 
 
-def mixed_header(
-    certificate: MixedCertificate, parts: Sequence[bytes], put: Callable[[NDArray[Any]], int]
-) -> dict[str, Any]:
-    """Return the header of a file of a mixed team; ``parts`` are the files of the agents on grids and along paths."""
-    return {
-        "problem": certificate.problem.to_dict(),
-        "fingerprint": certificate.fingerprint,
-        "settings": certificate.settings,
-        "near": float(certificate.near),
-        "usual": list(certificate.usual),
-        "mixed": [put(np.frombuffer(part, np.uint8)) for part in parts],
-    }
-
-
 def mixed_in(
     header: dict[str, Any],
     arrays: dict[str, NDArray[Any]],
@@ -93,15 +67,6 @@ def mixed_in(
     return MixedCertificate(problem, grids, paths, values, float(near), header["settings"])
 
 
-def timed_header(certificate: TimedCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
-    """Return the header of a file of a problem that names the time; arguments as for ``pairs_header``."""
-    return {
-        "problem": certificate.problem.to_dict(),
-        "fingerprint": certificate.fingerprint,
-        "written_out": put(np.frombuffer(base, np.uint8)),
-    }
-
-
 def timed_in(
     header: dict[str, Any], arrays: dict[str, NDArray[Any]], read: Callable[[bytes], Certificate]
 ) -> TimedCertificate:
@@ -114,15 +79,6 @@ def timed_in(
     if certificate.base.fingerprint != base.fingerprint:
         raise ValueError("its base is not its problem written out")
     return certificate
-
-
-def team_header(certificate: TeamCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
-    """Return the header of a file of a joint agent's certificate; arguments as for ``pairs_header``."""
-    return {
-        "problem": certificate.problem.to_dict(),
-        "fingerprint": certificate.fingerprint,
-        "team": put(np.frombuffer(base, np.uint8)),
-    }
 
 
 def team_in(

@@ -23,6 +23,7 @@ from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..controllers import PathController
+from .archive import Pool
 from .offers import Offer
 from .two_ended import TwoEnded
 
@@ -48,6 +49,11 @@ class AgentPath:
     gain: FloatArray
     states: FloatArray | None = None
     slabs: FloatArray | None = None
+
+    @property
+    def arrays(self) -> list[FloatArray]:
+        """Inputs and gain, and along a nonlinear path states and slabs."""
+        return [array for array in (self.inputs, self.gain, self.states, self.slabs) if array is not None]
 
     @property
     def n_steps(self) -> int:
@@ -112,6 +118,19 @@ class PathCertificate(TwoEnded):
             ("bound", f"P >= {self.lower_bound:.10g}"),
         ]
         return tree_text(f"PathCertificate of {self.problem.name!r}", rows)
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        return {
+            "settings": self.settings,
+            "failure": float(self.failure),
+            "path": {
+                "letters": pool.put(self.letters),
+                "faces": pool.put(self.faces),
+                "agents": [[pool.put(array) for array in path.arrays] for path in self.paths],
+                **({} if self.normals is None else {"normals": pool.put(self.normals)}),
+            },
+        }
 
     @property
     def start(self) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,27 +9,6 @@ from numpy.typing import NDArray
 
 from ...envs.problem import Problem, problem_from_dict
 from .path_certificate import AgentPath, PathCertificate
-
-
-def path_header(certificate: PathCertificate, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
-    """Return the header of a file of a certificate along a path; ``put`` stores an array and returns its number."""
-    return {
-        "problem": certificate.problem.to_dict(),
-        "fingerprint": certificate.fingerprint,
-        "settings": certificate.settings,
-        "failure": float(certificate.failure),
-        "path": {
-            "letters": put(certificate.letters),
-            "faces": put(certificate.faces),
-            "agents": [[put(array) for array in _arrays(path)] for path in certificate.paths],
-            **({} if certificate.normals is None else {"normals": put(certificate.normals)}),
-        },
-    }
-
-
-def _arrays(path: AgentPath) -> list[NDArray[Any]]:
-    """Return inputs and gain of a path, and along a nonlinear path states and slabs."""
-    return [array for array in (path.inputs, path.gain, path.states, path.slabs) if array is not None]
 
 
 def path_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> PathCertificate:

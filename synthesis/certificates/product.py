@@ -22,6 +22,7 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..controllers import ProductController
 from ..values import UNIT
+from .archive import Pool
 from .certificate import Certificate
 from .claim import joint_states
 from .digits import EXACT_GAP
@@ -55,6 +56,12 @@ class ProductCertificate(TwoEnded):
 
     def _repr_html_(self) -> str:
         return certificate_html(f"Certificate of {self.problem.name}", self)
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        # Parts that differ in names alone share one file in the archive.
+        files = {k: file for same in self.alike for file in [pool.put_file(self.parts[same[0]])] for k in same}
+        return {"parts": [files[k] for k in range(len(self.parts))]}
 
     @property
     def lower_bound(self) -> float:

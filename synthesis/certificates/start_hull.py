@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from scipy.spatial import ConvexHull
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from .archive import Pool
 from .path_certificate import AgentPath, PathCertificate
 
 
@@ -59,6 +61,14 @@ class StartHull:
             ("failure", f"at most {self.failure:.3g}"),
         ]
         return tree_text(f"StartHull of {self.problem.name!r}", rows)
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        arrays = {name: pool.put(getattr(self, name)) for name in ("letters", "faces", "corners", "inputs")}
+        return {
+            "failure": float(self.failure),
+            "hull": {"axes": [int(axis) for axis in self.axes], "gain": pool.put(self.gain), **arrays},
+        }
 
     gap = None
 

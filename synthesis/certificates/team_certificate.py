@@ -17,6 +17,7 @@ from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..controllers import TeamController
+from .archive import Pool
 from .certificate import Certificate
 from .digits import shown_bound
 from .offers import Offer
@@ -70,6 +71,10 @@ class TeamCertificate(TwoEnded):
             ("sees", "each agent sees the states of all"),
         ]
         return tree_text(f"TeamCertificate of {self.problem.name!r}", rows)
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        return {"team": pool.put_file(self.base)}
 
     @property
     def lower_bound(self) -> float:

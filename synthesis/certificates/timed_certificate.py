@@ -19,6 +19,7 @@ from ...envs.agents import tree_text
 from ...envs.problem import Problem, states_in_time, written_out
 from ..cells import FloatArray
 from ..controllers import TimedController
+from .archive import Pool
 from .certificate import Certificate
 from .digits import shown_bound
 from .part import AgentPart
@@ -67,6 +68,10 @@ class TimedCertificate(TwoEnded):
             ("method", self.method),
         ]
         return tree_text(f"TimedCertificate of {self.problem.name!r}", rows)
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        return {"written_out": pool.put_file(self.base)}
 
     @property
     def lower_bound(self) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...envs.agents import write_bytes
-from ..certificates import UNREADABLE, certificate_bytes, certificate_in
+from ..certificates import UNREADABLE, certificate_in, packed
 from .permission import Menus, Permission
 
 FORMAT, VERSION = "certigym-permission", 1
@@ -29,7 +29,7 @@ def save_permission(permission: Permission, path: str | Path) -> None:
         "agents": len(permission.menus),
         "fingerprint": permission.certificate.fingerprint,
     }
-    inside = certificate_bytes(permission.certificate)
+    inside = packed(permission.certificate)
     arrays: dict[str, Any] = {"certificate": np.frombuffer(inside, np.uint8)}
     for i, menus in enumerate(permission.menus):
         arrays |= {f"counts_{i}": menus.counts, f"choices_{i}": menus.choices}

@@ -1,0 +1,133 @@
+"""Archives of certificates: one ``.npz`` with a JSON header and numbered arrays, read without pickle.
+
+Arrays are stored once each under a number, and the header says which number is what; a thousand agents with one grid
+store one grid. A digest of everything shows accidents and careless changes. It is no signature: whoever changes a file
+can renew it, and only ``check`` says whether a certificate is true.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import zipfile
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FORMAT = "certigym-certificate"
+"""What the header of every file says."""
+
+VERSION = 1
+"""Version of the format that is written, and the only one that is read."""
+
+MAX_BYTES = 2 * 2**30
+"""Largest unpacked size that is read, unless the caller allows more."""
+
+MAX_HEADER = 2**24
+"""Largest header in bytes: reading text takes longer than reading numbers."""
+
+
+@dataclass
+class Pool:
+    """Arrays, each stored once, and the number of each by its content."""
+
+    arrays: list[NDArray] = field(default_factory=list)
+    numbers: dict[tuple[str, tuple[int, ...], bytes], int] = field(default_factory=dict)
+
+    def put_file(self, certificate: Any) -> int:
+        """Return the number of the file of a certificate, which is stored in this one."""
+        return self.put(np.frombuffer(packed(certificate), np.uint8))
+
+    def put(self, array: NDArray) -> int:
+        """Return the number of an array, stored under a new one if no equal array is there."""
+        array = np.ascontiguousarray(array)
+        key = (array.dtype.str, array.shape, array.tobytes())
+        if key not in self.numbers:
+            self.numbers[key] = len(self.arrays)
+            self.arrays.append(array)
+        return self.numbers[key]
+
+
+def packed(certificate: Any) -> bytes:
+    """Return the bytes of the file of a certificate, or of a set of starts."""
+    pool = Pool()
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "problem": certificate.problem.to_dict(),
+        "fingerprint": certificate.fingerprint,
+        **certificate.written(pool),
+    }
+    return _archived(header, pool)
+
+
+def _archived(header: dict[str, Any], pool: Pool) -> bytes:
+    """Return the bytes of an archive of a header, to which its digest is added, and arrays."""
+    header["digest"] = _digest(header, pool.arrays)
+    text = np.frombuffer(json.dumps(header, allow_nan=False).encode(), dtype=np.uint8)
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, header=text, **{str(k): a for k, a in enumerate(pool.arrays)})
+    return file.getvalue()
+
+
+def unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """Return header and arrays of an archive, after their digest was checked."""
+    # Look at the sizes before unpacking anything: a small file may announce gigabytes.
+    with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+        _check_sizes(archive, max_bytes)
+    with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
+        header = json.loads(bytes(archive["header"]).decode())
+        _check_version(header)
+        arrays = {name: archive[name] for name in archive.files if name != "header"}
+    _check_digest(header, arrays)
+    return header, arrays
+
+
+def _check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:
+    """Raise ValueError if an archive would unpack to too much, or its arrays announce more numbers than they hold."""
+    if sum(entry.file_size for entry in archive.infolist()) > max_bytes:
+        raise ValueError(f"it would unpack to more than {max_bytes} bytes; allow more with `max_bytes`")
+    if any(entry.filename == "header.npy" and entry.file_size > MAX_HEADER for entry in archive.infolist()):
+        raise ValueError(f"its header has more than {MAX_HEADER} bytes")
+    if len(set(archive.namelist())) != len(archive.namelist()):
+        raise ValueError("it holds two arrays of one name")
+    # Read the headers of all arrays before numpy reserves memory for any.
+    for entry in archive.infolist():
+        with archive.open(entry) as file:
+            version = np.lib.format.read_magic(file)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(file)
+            if dtype.hasobject or math.prod(shape) * dtype.itemsize != entry.file_size - file.tell():
+                raise ValueError(
+                    f"array {entry.filename} announces {shape} numbers of type {dtype}, which it does not hold"
+                )
+
+
+def _check_version(header: Any) -> None:
+    """Raise ValueError unless a header is that of a certificate of this version."""
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ValueError("its header does not say it is one")
+    if header.get("version") != VERSION:
+        raise ValueError(f"its version is {header.get('version')!r}; use the certigym release that wrote it")
+
+
+def _digest(header: dict[str, Any], arrays: list[NDArray]) -> str:
+    """Return the SHA-256 over the header, but for the digest itself, and all arrays with their types and shapes."""
+    content = {name: value for name, value in header.items() if name != "digest"}
+    state = hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode())
+    for array in arrays:
+        state.update(f"{array.dtype.str}{array.shape}".encode())
+        state.update(np.ascontiguousarray(array).tobytes())
+    return state.hexdigest()
+
+
+def _check_digest(header: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    """Raise ValueError if the digest is not that of header and arrays."""
+    if set(arrays) != {str(k) for k in range(len(arrays))}:
+        raise ValueError("its arrays are not numbered")
+    if header.get("digest") != _digest(header, [arrays[str(k)] for k in range(len(arrays))]):
+        raise ValueError("its content was changed after it was written (the digest differs)")
