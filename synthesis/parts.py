@@ -8,7 +8,7 @@ from typing import Any
 
 from ..envs.problem import Problem
 from .cells import CellCounts
-from .certificates import Synthesis, nameless, product_certificate, relations_tried
+from .certificates import Synthesis, nameless, product_certificate
 from .models import Relations, check_names
 from .values import UNIT
 
@@ -42,7 +42,7 @@ def synthesize_parts(
         "tasks": len(results),
         "distinct_tasks": len(distinct),
     }
-    if compared := relations_tried(certificate):
+    if compared := certificate.relations_tried:
         stats["tried"] = compared
     # no such bound for co-safe tasks: there the independent tasks together ask for more than the whole problem does
     if not problem.specification.is_co_safe:

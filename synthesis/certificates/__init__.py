@@ -21,7 +21,7 @@ from .pairs_certificate import PairsCertificate
 from .part import AgentPart
 from .path_certificate import AgentPath, PathCertificate
 from .path_tube import KEPT, Tube, tube_along
-from .product import ProductCertificate, nameless, product_certificate, relations_tried, why_nothing
+from .product import ProductCertificate, nameless, product_certificate
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
 from .seen import Seen
@@ -78,9 +78,7 @@ __all__ = [
     "product_certificate",
     "reached_states",
     "regrow_trains",
-    "relations_tried",
     "require",
-    "why_nothing",
     "rounded_down",
     "rounded_up",
     "save_certificate",

@@ -27,7 +27,7 @@ from ..controllers import MixedController
 from ..values import UNIT
 from .archive import Pool
 from .certificate import Certificate
-from .digits import shown_bound
+from .digits import shown_bound, significant_up
 from .mixed_states import known_letters, reached_states
 from .offers import Offer
 from .pairs_certificate import SPOILED, PairsCertificate
@@ -78,6 +78,11 @@ class MixedCertificate(TwoEnded):
             ("pairs", f"not as they should be with probability {self.near:.3g} at most"),
         ]
         return tree_text(f"MixedCertificate of {self.problem.name!r}", rows)
+
+    @property
+    def about_pairs(self) -> dict[str, str]:
+        """What reports say of pairs of agents."""
+        return {"pairs": f"not as they should be with probability {significant_up(self.near, 3)} at most"}
 
     def written(self, pool: Pool) -> dict[str, Any]:
         """Return the entries of its file."""

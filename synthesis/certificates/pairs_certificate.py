@@ -25,7 +25,7 @@ from ..controllers import Controller
 from ..values import UNIT
 from .archive import Pool
 from .certificate import Certificate
-from .digits import EXACT_GAP
+from .digits import EXACT_GAP, significant_up
 from .offers import Offer
 from .part import AgentPart
 from .summaries import certificate_facts, certificate_html
@@ -73,6 +73,11 @@ class PairsCertificate(TwoEnded):
 
     def _repr_html_(self) -> str:
         return certificate_html(f"Certificate of {self.problem.name}", self)
+
+    @property
+    def about_pairs(self) -> dict[str, str]:
+        """What reports say of pairs of agents."""
+        return {"pairs": f"not as they should be with probability {significant_up(self.near, 3)} at most"}
 
     def written(self, pool: Pool) -> dict[str, Any]:
         """Return the entries of its file."""

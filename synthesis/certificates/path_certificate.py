@@ -119,6 +119,11 @@ class PathCertificate(TwoEnded):
         ]
         return tree_text(f"PathCertificate of {self.problem.name!r}", rows)
 
+    @property
+    def along(self) -> Any:
+        """Itself."""
+        return self
+
     def written(self, pool: Pool) -> dict[str, Any]:
         """Return the entries of its file."""
         return {

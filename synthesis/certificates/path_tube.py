@@ -15,7 +15,6 @@ from ...envs.agents import Gaussian
 from ..cells import FloatArray
 from ..controllers import covariances_along
 from .path_certificate import PathCertificate
-from .product import ProductCertificate
 
 KEPT = 0.99
 """Probability with which what is drawn stays in its tube at all times, as long as no input is cut off."""
@@ -100,10 +99,5 @@ def tube_along(certificate: Any, rows: FloatArray) -> Tube | None:
 
 def _paths_of(certificate: Any) -> dict[int, tuple[PathCertificate, int]]:
     """Return, for every agent with a nominal path, the certificate along it and the agent's number there."""
-    if isinstance(certificate, PathCertificate):
-        return {i: (certificate, i) for i in range(certificate.problem.n_agents)}
-    if not isinstance(certificate, ProductCertificate):
-        return {}
-    pairs = zip(certificate.problem.groups, certificate.parts, strict=True)
-    along = ((group, part) for group, part in pairs if isinstance(part, PathCertificate))
-    return {i: (part, k) for group, part in along for k, i in enumerate(group.agents)}  # type: ignore[misc]
+    pairs = zip(certificate.member_agents, certificate.members, strict=True)
+    return {i: (member, k) for agents, member in pairs if member.along is member for k, i in enumerate(agents)}

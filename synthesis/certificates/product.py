@@ -47,6 +47,29 @@ class ProductCertificate(TwoEnded):
     parts: tuple[Certificate, ...]
 
     @property
+    def member_agents(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the agents of each task."""
+        return tuple(group.agents for group in self.problem.groups)
+
+    @property
+    def relations_tried(self) -> dict[str, float | str]:
+        """Bound of each relation that was tried, or why there is none; of parts that are alike, those of one."""
+        tried: dict[str, float | str] = {}
+        for part in (self.parts[same[0]] for same in self.alike):
+            name = part.problem.agent_names[0]
+            tried |= {f"{relation}, task of {name}": outcome for relation, outcome in part.relations_tried.items()}
+        return tried
+
+    @property
+    def why_nothing(self) -> str:
+        """Why nothing was certified, task by task."""
+        if self.lower_bound > 0.0:
+            return ""
+        parts = [self.parts[same[0]] for same in self.alike]
+        told = {part.problem.agent_names[0]: part.why_nothing for part in parts}
+        return "; ".join(f"task of {name}: {text}" for name, text in told.items() if text)
+
+    @property
     def members(self) -> tuple[Any, ...]:
         """Its parts."""
         return self.parts
@@ -220,26 +243,3 @@ def nameless(problem: Problem) -> str:
     asked = [order[name] for name in problem.propositions]
     task = {key: value for key, value in automaton.items() if key != "propositions"}
     return json.dumps([problem.horizon, agents, regions, asked, task], sort_keys=True)
-
-
-def relations_tried(certificate: Certificate | ProductCertificate) -> dict[str, float | str]:
-    """Return the bound of each relation that was tried, or why there is none; of parts that are alike, those of one."""
-    if not isinstance(certificate, ProductCertificate):
-        return dict(certificate.settings.get("relations_tried", {}))
-    tried: dict[str, float | str] = {}
-    for same in certificate.alike:
-        part = certificate.parts[same[0]]
-        name = part.problem.agent_names[0]
-        tried |= {f"{relation}, task of {name}": outcome for relation, outcome in relations_tried(part).items()}
-    return tried
-
-
-def why_nothing(certificate: Certificate | ProductCertificate) -> str:
-    """Return why nothing was certified, as the search said; "" where something was, or that is not known."""
-    if certificate.lower_bound > 0.0:
-        return ""
-    if not isinstance(certificate, ProductCertificate):
-        return str(certificate.settings.get("nothing", ""))
-    parts = [certificate.parts[same[0]] for same in certificate.alike]
-    told = {part.problem.agent_names[0]: why_nothing(part) for part in parts}
-    return "; ".join(f"task of {name}: {text}" for name, text in told.items() if text)

@@ -72,6 +72,16 @@ class TeamCertificate(TwoEnded):
         ]
         return tree_text(f"TeamCertificate of {self.problem.name!r}", rows)
 
+    @property
+    def about_pairs(self) -> dict[str, str]:
+        """What reports say of the agents."""
+        return {"information": "every agent sees the states of all"}
+
+    @property
+    def along(self) -> Any:
+        """The certificate of the joint agent, if that is along a path."""
+        return self.base.along
+
     def written(self, pool: Pool) -> dict[str, Any]:
         """Return the entries of its file."""
         return {"team": pool.put_file(self.base)}
@@ -123,9 +133,10 @@ class TeamCertificate(TwoEnded):
     @property
     def agents(self) -> tuple[AgentPart, ...]:
         """What is stored of the joint agent: one part, whose grid coordinates are those of all agents in order."""
-        if not isinstance(self.base, Certificate):
+        if self.base.on_cells is None:
             raise ValueError("`certificate`: expected one on grids, got one along a path, which has no cells")
-        return self.base.agents
+        parts: tuple[AgentPart, ...] = self.base.on_cells.agents
+        return parts
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -139,6 +150,6 @@ class TeamCertificate(TwoEnded):
 
     def at(self, states: Any) -> FloatArray:
         """Return lower bounds (M,) from joint initial states (M, D); ValueError for certificates along a path."""
-        if not isinstance(self.base, Certificate):
+        if self.base.on_cells is None:
             raise ValueError("`certificate`: expected one on grids, got one along a path, which holds from its start")
         return self.base.at(states)

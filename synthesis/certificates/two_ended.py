@@ -22,11 +22,14 @@ class TwoEnded:
         Certified lower bound.
     gap : float or None
         If not None, ``lower_bound + gap`` is an upper bound for these very controllers.
+    settings : dict
+        How it was found.
     """
 
     problem: Problem
     lower_bound: Any
     gap: Any
+    settings: Any
 
     lacks: ClassVar[Mapping[Offer, str]] = MappingProxyType({})
     """What it does not offer, and what is said to whoever asks for it."""
@@ -35,6 +38,36 @@ class TwoEnded:
     def members(self) -> tuple[Any, ...]:
         """The claims that it is the product of: itself, but for independent tasks."""
         return (self,)
+
+    @property
+    def member_agents(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the agents that each of them is about."""
+        return (tuple(range(self.problem.n_agents)),)
+
+    @property
+    def alike(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the members, those that differ in nothing but names together."""
+        return ((0,),)
+
+    @property
+    def relations_tried(self) -> dict[str, float | str]:
+        """Bound of each relation that was tried, or why there is none."""
+        return dict(self.settings.get("relations_tried", {}))
+
+    @property
+    def why_nothing(self) -> str:
+        """Why nothing was certified, as the search said; "" where something was, or that is not known."""
+        return "" if self.lower_bound > 0.0 else str(self.settings.get("nothing", ""))
+
+    @property
+    def about_pairs(self) -> dict[str, str]:
+        """What reports say of pairs of agents."""
+        return {}
+
+    @property
+    def along(self) -> Any:
+        """The certificate along a path that it is or rests on, if there is one (None: no)."""
+        return None
 
     @property
     def on_cells(self) -> Any:

@@ -81,7 +81,7 @@ def value_figure(
     bounds = certificate.at(states)
     names = [f"start of {coordinate_name(problem, k)} (state units)" for k in shown]
     title = f"{problem.name}, horizon {problem.horizon}: {certificate.bound} bound"
-    if isinstance(certificate, Certificate) and certificate.rounding is not None:
+    if certificate.on_cells is certificate and certificate.rounding is not None:
         title += ", 0 at cells that runs from its start do not reach"
     if len(shown) == 1:
         figure, (plot,) = new_figure(6.4, 3.8)
@@ -224,7 +224,7 @@ def _counts(certificate: Certificate) -> tuple[NDArray[Any], NDArray[Any]]:
 
     Tensor trains form no terms: their ranks take the place of both.
     """
-    if isinstance(certificate, Certificate) and certificate.rounding is not None:
+    if certificate.on_cells is certificate and certificate.rounding is not None:
         # Trains are computed again from the last time to the first.
         columns: list[list[int]] = []
 

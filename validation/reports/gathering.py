@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from ...envs.agents import write_text
 from ...synthesis.certificates import (
-    Certificate,
-    ProductCertificate,
     any_certificate,
     as_certificate,
     speaks_of_one_start,
@@ -117,12 +115,12 @@ def gathered(
     )
 
 
-def _bounds(certificate: Certificate | ProductCertificate, state: NDArray[Any]) -> NDArray[Any]:
+def _bounds(certificate: Any, state: NDArray[Any]) -> NDArray[Any]:
     """Return lower bounds (T,) from a joint state if only the last 1 .. T steps are played.
 
     For independent tasks they are the products of the bounds of all tasks.
     """
-    if isinstance(certificate, Certificate):
+    if certificate.on_cells is certificate:
         return bound_by_steps_left(certificate, claimed_values(certificate), state)
     pairs = certificate.split(state)
     return np.prod([_bounds(of_task, state_of_task) for of_task, state_of_task in pairs], axis=0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
-from ...synthesis.certificates import AgentPath, PathCertificate, ProductCertificate, TeamCertificate
+from ...synthesis.certificates import AgentPath, PathCertificate
 from ...synthesis.checking import check
 from ..verdicts import start_box
 
@@ -42,32 +42,31 @@ def _elsewhere(certificate: Any, starts: NDArray[Any]) -> NDArray[Any]:
     """Return what is proved from starts, or NaN."""
     if not along_paths(certificate):
         return np.full(len(starts), np.nan)
-    if not isinstance(certificate, ProductCertificate):
+    if certificate.along is not None:
         return np.array([_proved(certificate, start) for start in starts])
     # Of independent tasks only those whose start differs are asked about.
     product = np.ones(len(starts))
-    for part, columns in zip(certificate.parts, task_columns(certificate), strict=True):
+    for part, columns in zip(certificate.members, task_columns(certificate), strict=True):
         own, numbers = np.unique(starts[:, columns], axis=0, return_inverse=True)
         product *= bounds_from(part, own)[numbers.ravel()] * (1.0 - 2.0**-50)
     return product
 
 
-def task_columns(certificate: ProductCertificate) -> list[NDArray[np.int64]]:
+def task_columns(certificate: Any) -> list[NDArray[np.int64]]:
     """Return which components of a joint state belong to each task."""
     components = [np.arange(columns.start, columns.stop) for columns in certificate.problem.columns]
-    return [np.concatenate([components[i] for i in group.agents]) for group in certificate.problem.groups]
+    return [np.concatenate([components[i] for i in agents]) for agents in certificate.member_agents]
 
 
 def along_paths(certificate: Any) -> bool:
     """Whether a certificate, or every part of it, is along a path, of one agent or of a joint one."""
-    parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
-    return all(_path(part) is not None for part in parts)
+    return all(member.along is not None for member in certificate.members)
 
 
 def work_of(certificate: Any) -> int:
     """Return how many states of paths a check goes through, of the largest part."""
-    parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
-    return max(path.n_steps * path.problem.n_states for part in parts if (path := _path(part)) is not None)
+    paths = [member.along for member in certificate.members if member.along is not None]
+    return max(path.n_steps * path.problem.n_states for path in paths)
 
 
 def reach(certificate: Any, axes: tuple[int, ...]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -89,18 +88,10 @@ def reach(certificate: Any, axes: tuple[int, ...]) -> tuple[NDArray[Any], NDArra
     return low, high
 
 
-def _path(certificate: Any) -> PathCertificate | None:
-    """Return the certificate along a path that another is, or rests on."""
-    base = certificate.base if isinstance(certificate, TeamCertificate) else certificate
-    return base if isinstance(base, PathCertificate) else None
-
-
 def _proved(certificate: Any, start: NDArray[Any]) -> float:
     """Return the lower bound that the check proves from a start (D,); 0 if it proves nothing."""
-    path = _path(certificate)
-    assert path is not None
-    moved: Any = begun_at(path, start)
-    if isinstance(certificate, TeamCertificate):
+    moved: Any = begun_at(certificate.along, start)
+    if certificate.along is not certificate:
         moved = replace(certificate, problem=certificate.problem.replace(initial_state=start.tolist()), base=moved)
     report = check(moved)
     # What it computes is rounded to the nearest number: the one below it is no more.

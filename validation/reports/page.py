@@ -14,14 +14,9 @@ from ...envs.problem import Problem
 from ...synthesis.certificates import (
     KEPT,
     AnyCertificate,
-    MixedCertificate,
-    PairsCertificate,
-    ProductCertificate,
-    TeamCertificate,
     Tube,
     rounded_down,
     shown_bound,
-    significant_up,
     tube_along,
 )
 from ..statistics import REFUTED, VACUOUS
@@ -337,9 +332,7 @@ def _steps(content: ReportContent) -> str:
 
 def _tasks(certificate: AnyCertificate) -> list[Problem]:
     """Return the problem, or of independent tasks those that differ in more than names."""
-    if not isinstance(certificate, ProductCertificate):
-        return [certificate.problem]
-    return [certificate.parts[group[0]].problem for group in certificate.alike][:MOST_AUTOMATA]
+    return [certificate.members[same[0]].problem for same in certificate.alike][:MOST_AUTOMATA]
 
 
 def _drawing(problem: Problem) -> str:
@@ -369,20 +362,13 @@ def _automaton(problem: Problem) -> str:
     return f"<div class=scroll><table><tr><th>from<th>to<th>when</tr>{''.join(rows)}</table></div>{more}"
 
 
-def _about_pairs(certificate: AnyCertificate) -> dict[str, str]:
-    """Return what is said of pairs of agents, where the certificate is about such."""
-    if isinstance(certificate, PairsCertificate | MixedCertificate):
-        return {"pairs": f"not as they should be with probability {significant_up(certificate.near, 3)} at most"}
-    return {"information": "every agent sees the states of all"} if isinstance(certificate, TeamCertificate) else {}
-
-
 def _trust(content: ReportContent) -> str:
     """Return the section of everything that a repetition needs."""
     certificate, v, details = content.certificate, content.validation, content.validation.details
     text = json.dumps(certificate.settings, indent=1, sort_keys=True, default=str)
     facts = {
         "method": f"{v.method} ({certificate.bound} bound, rank {v.rank})",
-        **_about_pairs(certificate),
+        **certificate.about_pairs,
         **({"tried": "; ".join(tried)} if (tried := tried_lines(v.details)) else {}),
         "separate check": _checked(content),
         "fingerprint": certificate.fingerprint,

@@ -20,10 +20,8 @@ from ...synthesis.certificates import (
     ProductCertificate,
     Synthesis,
     any_certificate,
-    relations_tried,
     rounded_up,
     shown_bound,
-    why_nothing,
 )
 from ...synthesis.checking import CheckReport, greedy_disturbance
 from ..simulation import (
@@ -442,9 +440,9 @@ def claim_at(
 
 def _facts_of_search(result: Any, certificate: Certificate | ProductCertificate) -> dict[str, Any]:
     """Return what a certificate, or a synthesis if there is one, tells about the search that made it."""
-    tried = relations_tried(certificate)
+    tried = certificate.relations_tried
     facts: dict[str, Any] = {"tried": tried} if tried else {}
-    facts |= {"nothing": why} if (why := why_nothing(certificate)) else {}
+    facts |= {"nothing": why} if (why := certificate.why_nothing) else {}
     if isinstance(result, Synthesis):
         facts |= {name: result.stats[name] for name in _ABOUT_SEARCH if name in result.stats}
     return facts
