@@ -50,7 +50,8 @@ TRUSTED = {
         "synthesis.certificates.path_file synthesis.certificates.start_hull synthesis.certificates.hull_file "
         "synthesis.certificates.product synthesis.certificates.team_certificate "
         "synthesis.certificates.timed_certificate synthesis.certificates.two_ended synthesis.certificates.seen "
-        "synthesis.certificates.offers synthesis.values.terms"
+        "synthesis.certificates.offers synthesis.certificates.archive synthesis.certificates.written_values "
+        "synthesis.values.terms"
     ),
     "What the controllers do": (
         "synthesis.cells.lookup synthesis.controllers.abstract_state synthesis.controllers.agent_controller "

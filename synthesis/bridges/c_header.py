@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..controllers import AgentController, Controller
-from ..relations import ExactRelation, MapRelation, Row, network_of, rows_of
+from ..relations import ExactRelation, MapRelation, Row, rows_of
 
 KINDS = {1: "signed char", 2: "short", 4: "int"}
 """Types of tables by the bytes of an entry."""
@@ -119,9 +119,8 @@ def _aims_and_menu(agent: AgentController) -> tuple[ExactRelation | None, NDArra
     relation = agent.relation
     if isinstance(relation, ExactRelation):
         return relation, np.zeros((0, 0))
-    aims = relation.aims if isinstance(relation, MapRelation) else None
-    if isinstance(relation, MapRelation) and network_of(relation) is None and isinstance(aims, ExactRelation | None):
-        return aims, np.asarray(relation.menu, dtype=float)
+    if isinstance(relation, MapRelation) and relation.network is None and relation.aims_are_matrices:
+        return relation.aims, np.asarray(relation.menu, dtype=float)  # type: ignore[return-value]
     raise ValueError(
         f"`policy`: expected controllers of the relations exact or linear, whose dynamics are linear, got the relation "
         f"{relation.kind} of agent `{agent.name}`; networks are written as .onnx"

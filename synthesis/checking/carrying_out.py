@@ -55,8 +55,8 @@ def wrong_actions(agent: AnyAgent, part: AgentPart, controller: AgentController,
         What it may be off by.
     """
     rng, relation = np.random.default_rng(0), controller.relation
-    if isinstance(relation, CoupledRelation) and isinstance(agent, LinearAgent):
-        return _wrong_memory(agent, part, controller, relation, execution, rng)
+    if relation.has_memory:
+        return _wrong_memory(agent, part, controller, relation, execution, rng)  # type: ignore[arg-type]
     for t in range(len(part.policy)):
         failures = _wrong_means(agent, part, controller, execution, t, rng)
         if failures:

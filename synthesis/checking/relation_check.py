@@ -89,9 +89,9 @@ def wrong_for_uneven_noise(agent: AnyAgent, part: AgentPart) -> list[str]:
 
 def label_margin(part: AgentPart, relation: Relation, execution: Execution) -> FloatArray | None:
     """How far (d,) related states may be from the centres of their cells, in state units; None if in the same cell."""
-    if not isinstance(relation, CoupledRelation) or (relation.kind == "paper" and relation.is_cell):
+    if relation.is_cell:
         return None
-    return error_support(part, relation, execution, part.coordinates)
+    return error_support(part, relation, execution, part.coordinates)  # type: ignore[arg-type]  # coupled
 
 
 def error_support(part: AgentPart, relation: CoupledRelation, execution: Execution, rows: FloatArray) -> FloatArray:

@@ -24,9 +24,12 @@ from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
 from ..cells import FloatArray, Grid, cell_finder, shape_text
-from ..relations import BoxRelation, CoupledRelation, LinearRelation, MapRelation, Relation
+from ..relations import BoxRelation, LinearRelation, MapRelation, Relation
 from .abstract_state import Memory, Tracker, moved_into
 from .steering import AffineSteering, BoxSteering, GivenChoices, MapSteering, MenuSteering, PolicyTable, TargetSteering
+
+STEERINGS = {MapRelation: MapSteering, LinearRelation: AffineSteering, BoxRelation: BoxSteering}
+"""What carries choices out, by relation; those of all others are targets."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,12 +75,12 @@ class AgentController:
     @property
     def is_coupled(self) -> bool:
         """Whether it remembers an abstract state."""
-        return isinstance(self.relation, CoupledRelation)
+        return self.relation.has_memory
 
     @cached_property
     def tracker(self) -> Tracker | None:
         """What moves the abstract state along; None for agents that remember nothing."""
-        return Tracker(self.relation, self.grid) if isinstance(self.relation, CoupledRelation) else None
+        return Tracker(self.relation, self.grid) if self.relation.has_memory else None  # type: ignore[arg-type]
 
     @property
     def draws(self) -> bool:
@@ -138,19 +141,13 @@ class AgentController:
 
     @cached_property
     def _target_steering(self) -> TargetSteering | AffineSteering | BoxSteering | MapSteering:
-        if isinstance(self.relation, MapRelation):
-            return MapSteering(self._table, self.lattice, self.relation)
-        if isinstance(self.relation, LinearRelation):
-            return AffineSteering(self._table, self.grid, self.lattice, self.relation)
-        if isinstance(self.relation, BoxRelation):
-            return BoxSteering(self._table, self.grid, self.relation)
-        assert not isinstance(self.relation, CoupledRelation)
-        return TargetSteering(self._table, self.lattice, self.relation)
+        steering: Any = STEERINGS.get(type(self.relation), TargetSteering)
+        return steering(self._table, self.grid, self.lattice, self.relation)
 
     @cached_property
     def _menu_steering(self) -> MenuSteering:
-        assert isinstance(self.relation, CoupledRelation) and self.menu is not None
-        return MenuSteering(self._table, self.lattice, self.relation, self.menu)
+        assert self.menu is not None
+        return MenuSteering(self._table, self.lattice, self.relation, self.menu)  # type: ignore[arg-type]
 
     @cached_property
     def _cell_of(self) -> Callable[[FloatArray], NDArray[np.int64]]:

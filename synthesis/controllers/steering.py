@@ -22,16 +22,12 @@ from numpy.typing import NDArray
 from ..cells import FloatArray, Grid
 from ..relations import (
     BoxRelation,
-    CommonMeans,
     CoupledRelation,
     ExactRelation,
     LinearRelation,
     MapRelation,
-    NetworkMeans,
     Row,
-    WrittenMeans,
     WrittenTargets,
-    network_of,
     product,
     rows_of,
 )
@@ -116,12 +112,14 @@ class TargetSteering:
     Parameters
     ----------
     table : PolicyTable
+    grid : Grid
     lattice : tuple of (Z_k,) arrays
         Means per axis, in grid coordinates.
     relation : ExactRelation or WrittenTargets
     """
 
     table: PolicyTable | GivenChoices
+    grid: Grid
     lattice: tuple[FloatArray, ...]
     relation: ExactRelation | WrittenTargets
 
@@ -134,10 +132,7 @@ class TargetSteering:
         """
         places = self.table.places(cells, q, time)
         aims = [axis.take(places) for axis in self._aims] if self._aims else self._aims_of(self.table.choices(places))
-        if isinstance(self.relation, WrittenTargets):
-            inputs = self.relation.inputs(aims, points, beside)
-        else:
-            inputs = self.relation.inputs(aims, points)
+        inputs = self.relation.inputs(aims, points, beside)
         # Cells without a choice get the central input.
         if self.table.has_idle_cells(time):
             inputs[:, np.isnan(aims[0])] = self.relation.input_centre[:, None]
@@ -162,12 +157,14 @@ class MapSteering:
     Parameters
     ----------
     table : PolicyTable
+    grid : Grid
     lattice : tuple of (Z_k,) arrays
         Means per axis, in grid coordinates.
     relation : MapRelation
     """
 
     table: PolicyTable | GivenChoices
+    grid: Grid
     lattice: tuple[FloatArray, ...]
     relation: MapRelation
 
@@ -182,7 +179,7 @@ class MapSteering:
         # The last column of the table is for cells without a choice: the mean of all inputs.
         columns = np.where(choices < 0, n_inputs, np.minimum(choices, n_inputs - 1))
         inputs = looked_up(self._menu, columns.astype(np.intp))
-        network, aims = network_of(self.relation), self.relation.aims
+        network, aims = self.relation.network, self.relation.aims
         if network is not None:
             return network.replaced(choices, self.relation.coordinates, points, (q, time), inputs)
         aimed = choices >= n_inputs
@@ -190,7 +187,7 @@ class MapSteering:
             return inputs
         targets = aims.aims(lattice_means(self.lattice, np.where(aimed, choices - n_inputs, 0)))
         targets[0, ~aimed] = np.nan
-        wanted = aims.inputs(list(targets), points, *([beside] if isinstance(aims, WrittenTargets) else []))
+        wanted = aims.inputs(list(targets), points, beside)
         return np.where(aimed, wanted, inputs)
 
     @cached_property
@@ -260,11 +257,14 @@ class BoxSteering:
     ----------
     table : PolicyTable
     grid : Grid
+    lattice : tuple of (Z_k,) arrays
+        Axes on which boxes are read; inputs do not depend on them.
     relation : BoxRelation
     """
 
     table: PolicyTable | GivenChoices
     grid: Grid
+    lattice: tuple[FloatArray, ...]
     relation: BoxRelation
 
     def inputs(
@@ -278,11 +278,9 @@ class BoxSteering:
         offsets = points - looked_up(self._centres, cells)
         chosen = np.maximum(choices, 0).astype(np.intp)
         inputs = self.relation.inputs(chosen, offsets)
-        if isinstance(self.relation.means, WrittenMeans | CommonMeans):
-            centres = looked_up(self._centres, cells)
-            inputs = self.relation.means.steered(chosen, points, centres, inputs, beside)
-        if isinstance(self.relation.means, NetworkMeans):
-            inputs = self.relation.means.policy.replaced(chosen, self.relation.coordinates, points, (q, time), inputs)
+        inputs = self.relation.means.steered(chosen, points, looked_up(self._centres, cells), inputs, beside)
+        if self.relation.network is not None:
+            inputs = self.relation.network.replaced(chosen, self.relation.coordinates, points, (q, time), inputs)
         # Cells without a choice get the mean of all inputs.
         if self.table.has_idle_cells(time):
             inputs[:, choices < 0] = self.relation.menu.mean(axis=0)[:, None]

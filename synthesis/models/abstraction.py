@@ -46,7 +46,7 @@ from ..cells import (
     spread,
     start_share,
 )
-from ..relations import BoxRelation, CommonInputs, CoupledRelation, Relation
+from ..relations import CommonInputs, Relation
 from ..values import Residents
 from .agent_models import (
     STRANDED_CELLS,
@@ -280,7 +280,7 @@ class Settings:
         names = {"paper": ("epsilon", "feedback", "inputs", "delta"), "ellipsoid": ("delta", "share")}
         for kind in kinds:
             used |= {name: getattr(self, name) for name in names.get(kind, ("targets_per_cell",))}
-        if any(isinstance(model.relation, BoxRelation) and model.relation.common for model in models):
+        if any(model.relation.common for model in models):
             used["common"] = True
         return used
 
@@ -388,8 +388,8 @@ def models_of(
         # Arriving in a cell an agent may be anywhere within E of its centre; at the start it is in the cell itself.
         start_labels = cell_labels(problem, i, grid, coordinates)
         labels = start_labels
-        if isinstance(relation, CoupledRelation) and not relation.is_cell:
-            labels = error_labels(problem, i, grid, coordinates, relation.state_reach)
+        if not relation.is_cell:
+            labels = error_labels(problem, i, grid, coordinates, relation.state_reach)  # type: ignore[union-attr]
         # With equal labels, too, agents share the whole model: searches recognise it by its identity.
         key = (id(by_wish[wish]), labels.key, start_labels.key)
         if key not in by_labels:

@@ -15,9 +15,7 @@ from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray, Grid, RelationRefused, grid_laws
 from ..relations import (
     CoupledRelation,
-    ExactRelation,
     Relation,
-    WrittenTargets,
     aimed_relation,
     best_feedback,
     ellipsoid_relation,
@@ -81,7 +79,7 @@ def exact_model(agent: AnyAgent, grid: Grid, coordinates: FloatArray, targets_pe
     """Return relation, lattice, kernel and choices under the ``exact`` relation."""
     relation = aimed_relation(agent, coordinates)
     _refuse_many(agent.name, "targets_per_cell", grid.n_cells * targets_per_cell ** len(grid.edges))
-    means, reach = _means_and_reach(agent, relation, grid)
+    means, reach = relation.on(grid).farthest
     laws = grid_laws(agent, coordinates)
     lattice, tables, loss = [], [], 0.0
     for k, edges in enumerate(grid.edges):
@@ -94,21 +92,6 @@ def exact_model(agent: AnyAgent, grid: Grid, coordinates: FloatArray, targets_pe
     points = tuple(lattice)
     kernel = Kernel(tuple(tables), loss)
     return relation, points, kernel, windows_of(relation, grid, points)
-
-
-def _means_and_reach(
-    agent: AnyAgent, relation: ExactRelation | WrittenTargets, grid: Grid
-) -> tuple[FloatArray, FloatArray]:
-    """Return the means (S, d) from centres of cells under central inputs, and how far (d,) inputs move means."""
-    if isinstance(relation, ExactRelation):
-        return relation.means(grid.centres), np.abs(relation.B) @ relation.input_half_width
-    asked = relation.asked_on(grid.edges)
-    known = np.all(np.isfinite(asked.middle), axis=(0, 2)) & np.all(np.isfinite(asked.centre), axis=1)
-    if not np.any(known):
-        raise RelationRefused(
-            f"agent `{agent.name}`: the exact relation found no cell in which its inputs can be solved for"
-        )
-    return asked.centre[known], relation.reach(grid.centres[known]).max(axis=0)
 
 
 def paper_model(agent: LinearAgent, grid: Grid, settings: Mapping[str, object]) -> SharedModel:

@@ -143,11 +143,7 @@ def common_groups(models: Sequence[_Modelled]) -> tuple[CommonGroup, ...]:
     ValueError
         If members of a group have different numbers for the same input.
     """
-    common = {
-        i: model.relation.common
-        for i, model in enumerate(models)
-        if isinstance(model.relation, BoxRelation) and model.relation.common is not None
-    }
+    common = {i: model.relation.common for i, model in enumerate(models) if model.relation.common is not None}
     groups = []
     for names in _linked([inputs.names for inputs in common.values()]):
         members = [i for i, inputs in common.items() if {*inputs.names} & {*names}]

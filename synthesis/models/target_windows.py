@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...envs.expressions import Number
 from ..cells import FloatArray, Grid, shape_text
-from ..relations import ExactRelation, WrittenTargets
+from ..relations import ExactOnCells, ExactRelation, WrittenOnCells, WrittenTargets
 from ..values import Array, Residents, beside, namespace, take
 from .choices import (
     CELLS_PER_BLOCK,
@@ -89,22 +89,13 @@ class TargetWindows(PointChoices):
         return f"TargetWindows({self.grid.n_cells} cells, {windows}, of {shape_text(self.shape)} lattice points)"
 
     @cached_property
-    def _reserve(self) -> FloatArray:
-        """(S, m) input half widths left for the target in each cell."""
-        assert isinstance(self.relation, ExactRelation)
-        return self.relation.reserve(self.grid.half_widths)
-
-    @cached_property
-    def _central_means(self) -> FloatArray:
-        """(S, d) mean from the cell centre under the central input."""
-        assert isinstance(self.relation, ExactRelation)
-        return self.relation.means(self.grid.centres)
+    def _on_cells(self) -> ExactOnCells | WrittenOnCells:
+        """What inputs reach from the cells."""
+        return self.relation.on(self.grid)
 
     def leaves(self, share: float) -> bool:
         """Return whether every cell leaves this share of all inputs for the target; neighbours are not counted."""
-        if isinstance(self.relation, WrittenTargets):
-            return self.relation.leaves(share, self.grid.edges)
-        return bool(np.all(self._reserve >= share * self.relation.input_half_width))
+        return self._on_cells.leaves(share)
 
     def points(self, policy: StepPolicy) -> NDArray[Any]:
         """Return the lattice points of a policy: the policy itself."""
@@ -114,10 +105,7 @@ class TargetWindows(PointChoices):
         """Return whether flat lattice points ``policy`` are admissible targets of ``cells``; the two broadcast."""
         indices = np.unravel_index(policy, self.shape)
         targets = np.stack([axis[index] for axis, index in zip(self.lattice, indices, strict=True)], axis=-1)
-        if isinstance(self.relation, WrittenTargets):
-            return self.relation.fits(self.relation.asked_on(self.grid.edges).of(cells, targets))
-        wanted = np.abs((targets - self._central_means[cells]) @ self.relation.right_inverse.T)
-        return np.all(wanted <= self._reserve[cells], axis=-1)
+        return self._on_cells.fits(cells, targets)
 
     def blocks(self, size: int) -> list[NDArray[np.int64]]:
         """Return all cells, in bricks of about ``size``: their windows have more in common than those of a line."""

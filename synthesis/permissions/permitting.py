@@ -107,8 +107,9 @@ def _checked(certificate: Any) -> Certificate:
 
 def _offered(agent: AnyAgent, part: AgentPart) -> NDArray[np.int32]:
     """Return what may come on menus, in layers (K, S): targets that all of a cell reaches, or inputs of its menu."""
-    relation, cells = part.relation_of(agent), np.arange(part.grid.n_cells)
-    if isinstance(relation, ExactRelation | WrittenTargets):
+    relation: Any = part.relation_of(agent)
+    cells = np.arange(part.grid.n_cells)
+    if "menu" not in part.relation:
         return in_layers(*_admissible(part, relation), len(cells))
     return np.broadcast_to(
         np.arange(len(part.relation["menu"]), dtype=np.int32)[:, None], (len(part.relation["menu"]), len(cells))
@@ -119,17 +120,10 @@ def _admissible(
     part: AgentPart, relation: ExactRelation | WrittenTargets
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return all pairs of cells (N,) and lattice points (N,) that inputs reach from the whole cell, cell by cell."""
-    centres = part.grid.centres
-    if isinstance(relation, WrittenTargets):
-        asked = relation.asked_on(part.grid.edges)
-        means, reach = asked.centre, relation.reach(centres)
-        some = np.all(np.isfinite(asked.middle), axis=(0, 2))
-    else:
-        reserve = relation.reserve(part.grid.half_widths)
-        means, reach = relation.means(centres), np.maximum(reserve, 0.0) @ np.abs(relation.B).T
-        some = np.all(reserve > 0.0, axis=1)
+    asked = relation.on(part.grid)
+    means, reach = asked.means, asked.reach
     cells, points = [], []
-    for cell in np.flatnonzero(some):
+    for cell in np.flatnonzero(asked.known):
         # Lattice points in the box around all reachable means; then those that are reachable themselves.
         ranges = [
             np.arange(*np.searchsorted(axis, (m - r, m + r + 1e-300)))
@@ -137,10 +131,7 @@ def _admissible(
         ]
         index = [grid.ravel() for grid in np.meshgrid(*ranges, indexing="ij")]
         targets = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=1)
-        if isinstance(relation, WrittenTargets):
-            inside = relation.fits(asked.of(np.full(len(targets), cell), targets))
-        else:
-            inside = np.all(np.abs((targets - means[cell]) @ relation.right_inverse.T) <= reserve[cell], axis=1)
+        inside = asked.fits(np.full(len(targets), cell), targets)
         flat = np.ravel_multi_index(tuple(index), part.lattice_shape)[inside]
         cells.append(np.full(len(flat), cell))
         points.append(flat)

@@ -9,10 +9,10 @@ from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from .description import Relation, check_description, describe_relation, relation_from
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
-from .exact import ExactRelation, exact_relation
+from .exact import ExactOnCells, ExactRelation, exact_relation
 from .input_forms import Turn
 from .linear import LinearRelation, linear_relation
-from .network_maps import NetworkMaps, network_linear_relation, network_of
+from .network_maps import NetworkMaps, network_linear_relation
 from .networks import (
     ACTIVATIONS,
     Network,
@@ -26,7 +26,7 @@ from .networks import (
 from .rounding import mean_loss, mean_off
 from .rows import Row, product, rows_of, times
 from .scalar import paper_relation
-from .solved_means import WrittenTargets, written_targets
+from .solved_means import WrittenOnCells, WrittenTargets, written_targets
 from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
 from .written_means import WrittenMeans
 
@@ -41,6 +41,7 @@ __all__ = [
     "CoupledRelation",
     "Ellipsoid",
     "Enclosing",
+    "ExactOnCells",
     "ExactRelation",
     "LinearMeans",
     "LinearRelation",
@@ -56,6 +57,7 @@ __all__ = [
     "Row",
     "Turn",
     "WrittenMeans",
+    "WrittenOnCells",
     "WrittenTargets",
     "aimed_relation",
     "best_feedback",
@@ -79,7 +81,6 @@ __all__ = [
     "mean_loss",
     "mean_off",
     "network_linear_relation",
-    "network_of",
     "network_policy",
     "paper_relation",
     "product",

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -69,6 +69,10 @@ class AffineMaps(Protocol):
     """What makes affine maps; nothing else is asked of an agent."""
 
     @property
+    def network(self) -> Any:
+        """The network that is enclosed; None for constant inputs."""
+
+    @property
     def cuts(self) -> int:
         """Parts into which cells are cut along each axis to enclose what maps leave."""
 
@@ -96,6 +100,7 @@ class AffineMeans:
     agent: Agent
     coordinates: FloatArray
     cuts: int
+    network = None
 
     def around(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> AffineBoxes:
         """Return the maps of the closed cells ``[low, high]``, (n, d) each, under inputs (A, m)."""
@@ -218,6 +223,7 @@ class MatrixMaps:
 
     linear: LinearMeans
     cuts: int = 1
+    network = None
 
     def around(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> AffineBoxes:
         """Return the maps of the closed cells ``[low, high]``, (n, d) each, under inputs (A, m)."""
@@ -269,6 +275,25 @@ class MapRelation(ReadsCoordinates):
         d, m = len(self.coordinates), self.menu.shape[1]
         aims = "" if self.aims is None else ", and targets"
         return f"MapRelation({counted(d, 'state')}, {counted(m, 'input')}, {counted(len(self.menu), 'choice')}{aims})"
+
+    common = None
+
+    @property
+    def network(self) -> Any:
+        """The network whose modes are the choices, if one moves the agent."""
+        return self.means.network
+
+    @property
+    def aims_are_matrices(self) -> bool:
+        """Whether inputs put means on targets by matrices, or there are no targets."""
+        return isinstance(self.aims, ExactRelation | None)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description that files hold."""
+        numbers = {"parts": self.parts, "cuts": self.means.cuts, "reach": [*self.reach]}
+        network = {} if self.network is None else {"network": self.network.description}
+        aims = {} if self.aims is None else {"aims": True}
+        return {"kind": "linear", "menu": self.menu.tolist(), **numbers, **network, **aims}
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:

@@ -111,6 +111,22 @@ class LinearMeans:
         extent = np.einsum("aij,nj->nai", closed, half) + self.rounding
         return middle - extent, middle + extent
 
+    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> None:
+        """Return None: the noise is the same everywhere."""
+
+    def steered(
+        self, choices: NDArray[np.intp], points: FloatArray, centres: FloatArray, inputs: FloatArray, beside: Any
+    ) -> FloatArray:
+        """Return inputs (m, ...) of choices (...) as they are: none steers."""
+        return inputs
+
+    network = None
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What files hold of it."""
+        return {}
+
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
         """All that boxes depend on, for comparing relations."""
@@ -149,6 +165,25 @@ class NetworkMeans:
         ends = mean_bounds(self.policy, moves, self.coordinates, (low, high), self.parts)
         first[:, :modes], last[:, :modes] = ends[0] - self.linear.rounding, ends[1] + self.linear.rounding
         return first, last
+
+    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> None:
+        """Return None: the noise is the same everywhere."""
+
+    def steered(
+        self, choices: NDArray[np.intp], points: FloatArray, centres: FloatArray, inputs: FloatArray, beside: Any
+    ) -> FloatArray:
+        """Return inputs (m, ...) of choices (...) as they are: none steers."""
+        return inputs
+
+    @property
+    def network(self) -> NetworkPolicy:
+        """The network."""
+        return self.policy
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What files hold of it."""
+        return {"parts": self.parts, "network": self.policy.description}
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
@@ -194,6 +229,22 @@ class BoxRelation(ReadsCoordinates):
         )
 
     @property
+    def network(self) -> Any:
+        """The network whose modes are the first choices, if one moves the agent."""
+        return self.means.network
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description that files hold."""
+        common = {} if self.common is None else {"common": self.common.description}
+        return {
+            "kind": "boxes",
+            "menu": self.menu.tolist(),
+            "gains": self.gains.tolist(),
+            **self.means.description,
+            **common,
+        }
+
+    @property
     def n_choices(self) -> int:
         """Number of choices A."""
         return len(self.menu)
@@ -223,8 +274,6 @@ class BoxRelation(ReadsCoordinates):
 
         They are not numbers where nothing is known; None where the noise is the same everywhere.
         """
-        if not isinstance(self.means, WrittenMeans | CommonMeans) or self.means.agent.noise_scale is None:
-            return None
         return self.means.scales(low, high, self.menu)
 
     def inputs(self, choices: NDArray[np.intp], offsets: FloatArray) -> FloatArray:

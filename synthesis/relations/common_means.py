@@ -101,7 +101,7 @@ class CommonMeans:
             u = np.where(number == k, piece.steered(np.where(number == k, own, 0), points, centres, u, others), u)
         return u
 
-    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return ends (n, A, d) of what the noise is multiplied with, as ``WrittenMeans.scales`` does."""
         return self.pieces[0].scales(low, high, menu)  # scales name nothing of others
 
@@ -120,6 +120,13 @@ class CommonMeans:
         """Which choices (A,) steer."""
         flags = [piece.steer for piece in self.pieces]
         return np.concatenate([flag for flag in flags if flag is not None])
+
+    network = None
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What files hold of it."""
+        return {"parts": self.parts, "steer": [] if self.steer is None else self.steer.tolist()}
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:

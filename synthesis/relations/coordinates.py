@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,17 @@ class ReadsCoordinates:
     """States read in ``coordinates`` (d, d), which lead from grid coordinates to the state."""
 
     coordinates: FloatArray
+
+    has_memory = False
+    """Whether controllers remember an abstract state; those that do not read the cell of their own one."""
+
+    is_cell = True
+    """Whether related states are those of the same cell."""
+
+    @property
+    def network(self) -> Any:
+        """The network whose modes are choices; None for all others."""
+        return None
 
     def to_grid(self, states: FloatArray) -> FloatArray:
         """Return the grid coordinates (d, ...) of states (d, ...) as a new array."""

@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,21 @@ FORGIVEN = 1e-12
 
 Labels and inputs allow for a set larger by ``1e-9``.
 """
+
+
+COUPLED_NUMBERS: dict[str, tuple[str, ...]] = {
+    "paper": ("epsilon", "feedback", "inputs", "delta"),
+    "tube": (),
+    "ellipsoid": ("epsilon", "delta"),
+}
+"""Entries of descriptions that are numbers, by kind."""
+
+COUPLED_ARRAYS: dict[str, tuple[str, ...]] = {
+    "paper": (),
+    "tube": ("feedback", "inputs", "snap"),
+    "ellipsoid": ("shape", "feedback", "coupling", "inputs", "snap"),
+}
+"""Entries of descriptions that are arrays, by kind."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,6 +112,22 @@ class CoupledRelation:
             ("delta", f"at most {self.delta:.3g} per step"),
         ]
         return tree_text(f"CoupledRelation {self.kind!r}: {counted(d, 'state')}, {counted(m, 'input')}", rows)
+
+    has_memory = True
+    common = None
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description that files hold."""
+        if self.kind == "paper":
+            return {
+                "kind": "paper",
+                "epsilon": float(self.reach[0]),
+                "feedback": float(self.feedback[0, 0]),
+                "inputs": len(self.inputs),
+                "delta": self.delta,
+            }
+        arrays = {name: getattr(self, name).tolist() for name in COUPLED_ARRAYS[self.kind]}
+        return {"kind": self.kind, **arrays, **{name: getattr(self, name) for name in COUPLED_NUMBERS[self.kind]}}
 
     def nearest_choices(self, other: CoupledRelation) -> NDArray[np.intp]:
         """Return the abstract input that is nearest to each one (A',) of another relation of the agent."""

@@ -21,43 +21,27 @@ from ...envs.agents import Agent, AnyAgent
 from ..cells import FloatArray, Grid, linear_agent
 from .affine_means import MapRelation, map_relation
 from .aims import aimed_relation
-from .boxes import BoxRelation, NetworkMeans, box_relation
-from .common_means import CommonMeans
-from .coupled import CoupledRelation
+from .boxes import BoxRelation, box_relation
+from .coupled import COUPLED_ARRAYS, COUPLED_NUMBERS, CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .exact import ExactRelation
 from .linear import LinearRelation, linear_relation
-from .network_maps import network_linear_relation, network_of
+from .network_maps import network_linear_relation
 from .networks import check_network, network_policy
 from .scalar import paper_relation
 from .solved_means import WrittenTargets
 from .tube import tube_relation
-from .written_means import WrittenMeans
 
 Relation = BoxRelation | ExactRelation | MapRelation | LinearRelation | CoupledRelation | WrittenTargets
 """What ties one agent to its cells."""
 
-NUMBER_ENTRIES = {
-    "boxes": (),
-    "exact": (),
-    "linear": ("parts",),
-    "paper": ("epsilon", "feedback", "inputs", "delta"),
-    "tube": (),
-    "ellipsoid": ("epsilon", "delta"),
-}
+NUMBER_ENTRIES = {"boxes": (), "exact": (), "linear": ("parts",), **COUPLED_NUMBERS}
 """Entries that are numbers, by kind."""
 
 LARGEST = 1e60
 """Largest number of a description: products of a few such numbers are still numbers."""
 
-ARRAY_ENTRIES = {
-    "boxes": ("menu", "gains"),
-    "exact": (),
-    "linear": ("menu",),
-    "paper": (),
-    "tube": ("feedback", "inputs", "snap"),
-    "ellipsoid": ("shape", "feedback", "coupling", "inputs", "snap"),
-}
+ARRAY_ENTRIES = {"boxes": ("menu", "gains"), "exact": (), "linear": ("menu",), **COUPLED_ARRAYS}
 """Entries that are arrays, by kind."""
 
 
@@ -73,37 +57,7 @@ MOST_PARTS = 16
 
 def describe_relation(relation: Relation) -> dict[str, Any]:
     """Return the description of a relation; ``relation_from`` makes the same relation from it (exact)."""
-    if isinstance(relation, ExactRelation | WrittenTargets):
-        return {"kind": "exact"}
-    if isinstance(relation, BoxRelation):
-        written: dict[str, Any] = {}
-        if isinstance(relation.means, WrittenMeans | CommonMeans):
-            steer = relation.means.steer
-            written = {"parts": relation.means.parts, "steer": [] if steer is None else steer.tolist()}
-        if isinstance(relation.means, NetworkMeans):
-            written = {"parts": relation.means.parts, "network": relation.means.policy.description}
-        if relation.common is not None:
-            written["common"] = relation.common.description
-        return {"kind": "boxes", "menu": relation.menu.tolist(), "gains": relation.gains.tolist(), **written}
-    if isinstance(relation, MapRelation):
-        written = {"parts": relation.parts, "cuts": relation.means.cuts, "reach": [*relation.reach]}
-        network = network_of(relation)
-        written |= {} if network is None else {"network": network.description}
-        written |= {} if relation.aims is None else {"aims": True}
-        return {"kind": "linear", "menu": relation.menu.tolist(), **written}
-    if isinstance(relation, LinearRelation):
-        return {"kind": "linear", "menu": relation.menu.tolist(), "parts": relation.parts}
-    if relation.kind == "paper":
-        return {
-            "kind": "paper",
-            "epsilon": float(relation.reach[0]),
-            "feedback": float(relation.feedback[0, 0]),
-            "inputs": len(relation.inputs),
-            "delta": relation.delta,
-        }
-    arrays = {name: getattr(relation, name).tolist() for name in ARRAY_ENTRIES[relation.kind]}
-    numbers = {name: getattr(relation, name) for name in NUMBER_ENTRIES[relation.kind]}
-    return {"kind": relation.kind, **arrays, **numbers}
+    return relation.describe()
 
 
 def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> Relation:

@@ -16,11 +16,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent, LinearAgent, counted
-from ..cells import FloatArray, RelationRefused, linear_agent
+from ..cells import FloatArray, Grid, RelationRefused, linear_agent
 from .rounding import sizes_of, target_loss, target_rounding
 from .rows import Row, product, rows_of, times
 
@@ -65,6 +67,9 @@ class ExactRelation:
 
     kind = "exact"
     delta = 0.0
+    has_memory = False
+    is_cell = True
+    common = None
 
     def __repr__(self) -> str:
         d, m = self.B.shape
@@ -83,6 +88,14 @@ class ExactRelation:
         need = half_widths @ np.abs(self.right_inverse @ (self.A - self.gain * np.eye(len(self.A)))).T
         scale = np.abs(self.input_centre) + self.input_half_width
         return self.input_half_width - need * (1 + INPUT_MARGIN) - INPUT_MARGIN * (scale + need) - self.rounding
+
+    def on(self, grid: Grid) -> ExactOnCells:
+        """Return which targets inputs reach from the cells of a grid."""
+        return ExactOnCells(self, self.means(grid.centres), self.reserve(grid.half_widths))
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description that files hold."""
+        return {"kind": "exact"}
 
     def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
@@ -123,10 +136,12 @@ class ExactRelation:
         """Return target means (d, ...) less the drift, as ``inputs`` takes them."""
         return np.asarray(targets - self.drift.reshape(-1, *[1] * (targets.ndim - 1)))
 
-    def inputs(self, aims: Sequence[FloatArray] | FloatArray, states: FloatArray) -> FloatArray:
+    def inputs(
+        self, aims: Sequence[FloatArray] | FloatArray, states: FloatArray, beside: FloatArray | None = None
+    ) -> FloatArray:
         """Return the inputs (m, ...) that put the mean of the next grid state on targets, from ``states`` (d, ...).
 
-        They are ``B^+ (aims - A x) + u_mid``.
+        They are ``B^+ (aims - A x) + u_mid``; linear agents name nobody who is ``beside``.
         """
         dynamics, inverse, centres = self._rows
         gaps = [aim - times(row, states) for aim, row in zip(aims, dynamics, strict=True)]
@@ -139,6 +154,48 @@ class ExactRelation:
     def _rows(self) -> tuple[tuple[Row, ...], tuple[Row, ...], list[float]]:
         """A, B^+ and u_mid as plain numbers: arrays are multiplied by these faster than by numbers of numpy."""
         return rows_of(self.A), rows_of(self.right_inverse), self.input_centre.tolist()
+
+
+@dataclass(frozen=True, eq=False)
+class ExactOnCells:
+    """Targets that inputs reach from cells under the exact relation of matrices.
+
+    Parameters
+    ----------
+    relation : ExactRelation
+    means : (S, d) array
+        Means from the centres of cells under the central input.
+    reserve : (S, m) array
+        Input half widths left for the target; negative if nothing is left.
+    """
+
+    relation: ExactRelation
+    means: FloatArray
+    reserve: FloatArray
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which cells (S,) leave something to targets."""
+        return np.asarray(np.all(self.reserve > 0.0, axis=1))
+
+    @property
+    def reach(self) -> FloatArray:
+        """How far (S, d) targets may be from these means."""
+        return np.asarray(np.maximum(self.reserve, 0.0) @ np.abs(self.relation.B).T)
+
+    @property
+    def farthest(self) -> tuple[FloatArray, FloatArray]:
+        """Means (n, d), and how far (d,) inputs move them at most."""
+        return self.means, np.abs(self.relation.B) @ self.relation.input_half_width
+
+    def fits(self, cells: NDArray[Any], targets: FloatArray) -> NDArray[np.bool_]:
+        """Return whether targets (.., d) are reached from all of cells (..); the two broadcast."""
+        wanted = np.abs((targets - self.means[cells]) @ self.relation.right_inverse.T)
+        return np.asarray(np.all(wanted <= self.reserve[cells], axis=-1))
+
+    def leaves(self, share: float) -> bool:
+        """Return whether every cell leaves this share of all inputs for the target."""
+        return bool(np.all(self.reserve >= share * self.relation.input_half_width))
 
 
 def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation:

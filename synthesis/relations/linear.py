@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -60,6 +61,12 @@ class LinearRelation(ReadsCoordinates):
         d, m = self.B.shape
         choices = "target means" if self.steers else counted(len(self.menu), "choice")
         return f"LinearRelation({counted(d, 'state')}, {counted(m, 'input')}, {choices}, delta 0)"
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description that files hold."""
+        return {"kind": "linear", "menu": self.menu.tolist(), "parts": self.parts}
+
+    common = None
 
     @property
     def gains(self) -> FloatArray:

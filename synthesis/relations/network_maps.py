@@ -52,6 +52,11 @@ class NetworkMaps:
     cuts: int
     idle: tuple[int, ...] = ()
 
+    @property
+    def network(self) -> NetworkPolicy:
+        """The network."""
+        return self.policy
+
     def around(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> AffineBoxes:
         """Return the maps of the closed cells ``[low, high]``, (n, d) each, in all modes (outer bounds)."""
         n, d, modes = *low.shape, len(menu)
@@ -107,13 +112,6 @@ def _half(low: FloatArray, high: FloatArray) -> FloatArray:
     """Return half widths (n, d) of boxes, rounded outward."""
     centre = 0.5 * (low + high)
     return np.maximum(high - centre, centre - low) * (1.0 + 1e-12)
-
-
-def network_of(relation: object) -> NetworkPolicy | None:
-    """Return the network whose modes are the choices of a relation of affine maps; None for all other relations."""
-    if isinstance(relation, MapRelation) and isinstance(relation.means, NetworkMaps):
-        return relation.means.policy
-    return None
 
 
 def network_linear_relation(

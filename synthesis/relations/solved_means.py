@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ from ...envs.expressions import (
     solved,
     substituted,
 )
-from ..cells import FloatArray, RelationRefused, sharpness
+from ..cells import FloatArray, Grid, RelationRefused, sharpness
 from .input_forms import Turn, held, independent_columns, turned_inputs
 from .rounding import DENSITY, missed_cells, reading_of
 from .sectors import is_whole, largest_angle, polar_inputs, reached, sectors_of
@@ -91,6 +92,57 @@ class Asked:
             return np.stack([ends[0] - OUTWARD * sizes, ends[1] + OUTWARD * sizes])
 
 
+@dataclass(frozen=True, eq=False)
+class WrittenOnCells:
+    """Targets that inputs reach from cells under the exact relation of expressions.
+
+    Parameters
+    ----------
+    relation : WrittenTargets
+    grid : Grid
+    asked : Asked
+        What targets ask of the inputs in each cell.
+    """
+
+    relation: WrittenTargets
+    grid: Grid
+    asked: Asked
+
+    @property
+    def means(self) -> FloatArray:
+        """Means (S, d) from the centres of cells, with the inputs in the middle."""
+        return self.asked.centre
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """In which cells (S,) the inputs can be solved for."""
+        return np.asarray(np.all(np.isfinite(self.asked.middle), axis=(0, 2)))
+
+    @property
+    def reach(self) -> FloatArray:
+        """How far (S, d) targets may be from these means."""
+        return self.relation.reach(self.grid.centres)
+
+    @property
+    def farthest(self) -> tuple[FloatArray, FloatArray]:
+        """Means (n, d) where they are known, and how far (d,) inputs move them at most."""
+        known = self.known & np.all(np.isfinite(self.means), axis=1)
+        if not np.any(known):
+            raise RelationRefused(
+                f"agent `{self.relation.agent.name}`: the exact relation found no cell in which its inputs can be "
+                "solved for"
+            )
+        return self.means[known], self.relation.reach(self.grid.centres[known]).max(axis=0)
+
+    def fits(self, cells: NDArray[Any], targets: FloatArray) -> NDArray[np.bool_]:
+        """Return whether targets (.., d) are reached from all of cells (..); the two broadcast."""
+        return self.relation.fits(self.asked.of(cells, targets))
+
+    def leaves(self, share: float) -> bool:
+        """Return whether every cell leaves this share of all inputs for the target; neighbours are not counted."""
+        return self.relation.leaves(share, self.grid.edges)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class WrittenTargets:
     """Target-mean interface of an agent with expressions (exact relation: delta = 0, epsilon = half a cell).
@@ -112,6 +164,17 @@ class WrittenTargets:
 
     kind = "exact"
     delta = 0.0
+    has_memory = False
+    is_cell = True
+    common = None
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description that files hold."""
+        return {"kind": "exact"}
+
+    def on(self, grid: Grid) -> WrittenOnCells:
+        """Return which targets inputs reach from the cells of a grid."""
+        return WrittenOnCells(self, grid, self.asked_on(grid.edges))
 
     def __repr__(self) -> str:
         turned = f", {counted(len(self.turns), 'turn')}" if self.turns else ""

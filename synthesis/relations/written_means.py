@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,11 +72,13 @@ class WrittenMeans:
         first[:, self.steer], last[:, self.steer] = self._steered(low, high, menu[self.steer])
         return first, last
 
-    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return ends (n, A, d) of what the noise is multiplied with in the closed cells, for every choice.
 
-        They are not numbers where nothing is known.
+        They are not numbers where nothing is known; None where the noise is the same everywhere.
         """
+        if self.agent.noise_scale is None:
+            return None
         shape = (len(low), len(menu), self.agent.n_states)
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
         for box in self._parts(low, high):
@@ -196,6 +199,13 @@ class WrittenMeans:
     @cached_property
     def _inverse(self) -> FloatArray:
         return np.asarray(np.linalg.inv(self.coordinates))
+
+    network = None
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What files hold of it."""
+        return {"parts": self.parts, "steer": [] if self.steer is None else self.steer.tolist()}
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:

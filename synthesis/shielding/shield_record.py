@@ -28,7 +28,6 @@ from ..certificates import (
     shown_bound,
 )
 from ..checking import standing
-from ..relations import CoupledRelation
 from .shield_rule import Case, Choice, decentralised_choice, joint_choice
 from .worth import ActionValues, action_values, groups
 
@@ -259,7 +258,7 @@ def _check_certificate(certificate: Certificate) -> None:
                 f"`{agent.name}`; what may be lost at every step cannot be promised to a learner; synthesize with "
                 '`relation="linear"`, "exact" or "boxes"'
             )
-        if isinstance(relation, CoupledRelation):
+        if relation.has_memory:
             raise ValueError(
                 f"`certificate`: expected relations without memory, got {relation.kind!r} for agent `{agent.name}`; "
                 'synthesize with `relation="linear"`, "exact" or "boxes"'
