@@ -10,7 +10,7 @@ from ..envs.problem import JOINT_NOISE_REFUSAL, Problem
 from ..envs.suite import as_problem
 from .agreement import along_path
 from .cells import CellCounts, RelationRefused, to_who_asked_for_none
-from .certificates import Certificate, Synthesis, TeamCertificate, TimedCertificate, checked_certificate
+from .certificates import Certificate, Offer, Synthesis, TimedCertificate, checked_certificate
 from .choosing import Budget, Effort, Way, best_of, in_order, settings_of
 from .models import (
     RELATIONS,
@@ -279,9 +279,9 @@ def _on_cells(start: Any) -> Certificate:
 
 def _of_joint_agent(start: Any) -> Certificate:
     """Return the certificate of the joint agent that a team begins with; raise ValueError if it is of another kind."""
-    if isinstance(start, TeamCertificate):
-        if isinstance(start.base, Certificate):
-            return start.base
+    if Offer.OWN_STATES in getattr(start, "lacks", ()):
+        if start.on_cells is not None:
+            return start.on_cells
         raise ValueError("`start`: expected the certificate of a joint agent on a grid, got one along a path")
     raise ValueError(
         f"`start`: expected the certificate of a joint agent for a task about pairs, got {type(start).__name__}; other "

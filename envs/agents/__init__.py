@@ -1,6 +1,6 @@
 """Agents, their boxes, and which propositions hold at a point."""
 
-from .agent import LinearAgent
+from .agent import LinearAgent, with_matrices
 from .angles import wrapped
 from .any_agent import AnyAgent, checked_name
 from .box import Box
@@ -87,6 +87,7 @@ __all__ = [
     "unknown_argument",
     "values_over",
     "wrapped",
+    "with_matrices",
     "write_bytes",
     "write_json",
     "write_text",

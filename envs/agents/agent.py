@@ -251,3 +251,10 @@ class LinearAgent(AnyAgent):
         if self.added_outputs:
             data["added_outputs"] = self.added_outputs
         return data
+
+
+def with_matrices(agent: AnyAgent) -> LinearAgent:
+    """Return an agent that is known to be linear (TypeError if it is not)."""
+    if not isinstance(agent, LinearAgent):
+        raise TypeError(f"agent `{agent.name}`: expected matrices, got expressions")
+    return agent

@@ -154,6 +154,11 @@ def double(array: Array) -> Array:
     return namespace(array).astype(array, namespace(array).float64)
 
 
+def is_whole(array: Any, signed: bool = False) -> bool:
+    """Return whether an array of numpy holds whole numbers, of a signed type if that is asked."""
+    return bool(np.issubdtype(array.dtype, np.signedinteger if signed else np.integer))
+
+
 def to_host(array: Array) -> NDArray[Any]:
     """Return the same numbers as a numpy array (exact)."""
     if isinstance(array, np.ndarray):
@@ -173,5 +178,5 @@ def beside(array: NDArray[Any], reference: Array) -> Array:
     from array_api_compat import device
 
     # Libraries index by int64 alone; other numbers keep their type.
-    copied = np.array(array, dtype=np.int64 if array.dtype.kind in "iu" else None)
+    copied = np.array(array, dtype=np.int64 if is_whole(array) else None)
     return namespace(reference).asarray(copied, device=device(reference))

@@ -22,7 +22,7 @@ from ..agents import (
     place_of,
     read_only,
 )
-from ..arrays import double, is_host, namespace
+from ..arrays import double, is_host, is_whole, namespace
 from ..expressions import Compiled
 from ..problem import Problem
 
@@ -258,7 +258,7 @@ def placed(record: Any, put: Put) -> Any:
 
     def moved(value: Any) -> Any:
         if isinstance(value, np.ndarray):
-            return put(value.astype(np.int64) if value.dtype.kind in "iu" else value)
+            return put(value.astype(np.int64) if is_whole(value) else value)
         if isinstance(value, tuple):
             return tuple(map(moved, value))
         return placed(value, put) if is_dataclass(value) and isinstance(value, LinearMotion) else value

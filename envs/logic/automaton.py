@@ -155,7 +155,7 @@ class Automaton:
             If a shape or type is wrong, or a state is out of range.
         """
         q, letters = np.asarray(q), np.asarray(letters)
-        if q.dtype.kind not in "iu" or (q.size and not (0 <= q.min() and q.max() < self.n_states)):
+        if not np.issubdtype(q.dtype, np.integer) or (q.size and not (0 <= q.min() and q.max() < self.n_states)):
             raise ValueError(f"`q`: expected state indices below {self.n_states}, got {q!r}")
         expected = (len(self.propositions), *q.shape)
         if letters.shape != expected or (letters.dtype != np.bool_ and letters.size):
@@ -379,7 +379,7 @@ def _checked_accepting(values: object, n_states: int) -> np.ndarray:
 def checked_integers(field: str, values: object, length: int, least: int, bound: int) -> np.ndarray:
     """Return `values` as a read-only int32 array of `length` entries in [least, bound)."""
     array = np.array(values)
-    if array.shape != (length,) or (array.dtype.kind not in "iu" and length):
+    if array.shape != (length,) or (length and not np.issubdtype(array.dtype, np.integer)):
         raise ValueError(f"`{field}`: expected {length} integers, got {array.dtype} of shape {array.shape}")
     if length and not (least <= array.min() and array.max() < bound):
         raise ValueError(f"`{field}`: expected entries from {least} to {bound - 1}, got {array.min()} to {array.max()}")

@@ -37,6 +37,10 @@ class HoaToken:
     text: str
     line: int
 
+    def is_a(self, *kinds: str) -> bool:
+        """Return whether it is of one of some kinds."""
+        return self.kind in kinds
+
 
 @dataclass
 class HoaState:
@@ -90,13 +94,13 @@ class HoaReader:
         """Return the automaton; raise ValueError if the text is not one automaton in HOA version 1."""
         if self._take("header", "HOA: v1 at the beginning").text != "HOA:" or self._advance().text != "v1":
             raise hoa_error("expected HOA: v1 at the beginning", 1)
-        while self._token.kind == "header":
+        while self._token.is_a("header"):
             self._header(self._advance())
         self._symbol("--BODY--")
         while self._token.text == "State:":
             self._state()
         self._symbol("--END--")
-        if self._token.kind != "end":
+        if not self._token.is_a("end"):
             raise hoa_error("expected one automaton, more text follows after --END--", self._token.line)
         return self.hoa
 
@@ -111,7 +115,7 @@ class HoaReader:
         return token
 
     def _take(self, kind: str, what: str) -> HoaToken:
-        if self._token.kind != kind:
+        if not self._token.is_a(kind):
             raise hoa_error(f"expected {what}, got {self._token.text[:40] or 'the end'!r}", self._token.line)
         return self._advance()
 
@@ -143,7 +147,7 @@ class HoaReader:
             self.hoa.aliases[alias] = self._expression(0)
         else:
             words: list[str] = []
-            while self._token.kind not in ("header", "marker", "end"):
+            while not self._token.is_a("header", "marker", "end"):
                 words.append(self._advance().text)
             if name == "Acceptance":  # the other headers say nothing that is needed
                 self.hoa.acceptance = " ".join(words)
@@ -176,13 +180,13 @@ class HoaReader:
         line = self._advance().line
         label = self._label()
         number = self._number("a state")
-        if self._token.kind == "string":
+        if self._token.is_a("string"):
             self._advance()
         if number in self.hoa.states:
             raise hoa_error(f"expected state {number} once, got it twice", line)
         state = HoaState(number, label, self._marks())
         self.hoa.states[number] = state
-        while self._token.text == "[" or self._token.kind == "number":
+        while self._token.text == "[" or self._token.is_a("number"):
             line = self._token.line
             label = self._label()
             targets = self._conjunction()
@@ -194,7 +198,7 @@ class HoaReader:
         marks: set[int] = set()
         if self._token.text == "{":
             self._advance()
-            while self._token.kind == "number":
+            while self._token.is_a("number"):
                 marks.add(self._number("an acceptance set"))
             self._symbol("}")
         return marks
@@ -235,11 +239,11 @@ class HoaReader:
         if token.text == "(":
             result = self._expression(depth + 1)
             self._symbol(")")
-        elif token.kind == "name" and token.text in ("t", "f"):
+        elif token.is_a("name") and token.text in ("t", "f"):
             result = TRUE if token.text == "t" else FALSE
-        elif token.kind == "alias" and token.text in self.hoa.aliases:
+        elif token.is_a("alias") and token.text in self.hoa.aliases:
             result = self.hoa.aliases[token.text]
-        elif token.kind == "number" and len(token.text) < 10 and int(token.text) < len(self.variables):
+        elif token.is_a("number") and len(token.text) < 10 and int(token.text) < len(self.variables):
             result = self.diagrams.literal(self.variables[int(token.text)])
         else:
             choices = f"t, f, a declared alias or a number below {len(self.variables)}"

@@ -65,6 +65,9 @@ class _Token:
     start: int
     end: int
 
+    def is_a(self, kind: str) -> bool:
+        return self.kind == kind
+
 
 def parse_formula(text: str) -> Formula:
     """Return the formula written in `text`.
@@ -88,7 +91,7 @@ def parse_formula(text: str) -> Formula:
         formula = parser.binary(0)
     except FormulaError as error:
         raise error.with_traceback(None) from None  # leaves out the hundreds of frames of a deep nest
-    if parser.token.kind != "end":
+    if not parser.token.is_a("end"):
         raise parser.unexpected("expected an operator or the end of the formula")
     return formula
 
@@ -130,14 +133,14 @@ class _Parser:
 
     def unexpected(self, problem: str) -> FormulaError:
         token = self.token
-        if token.kind == "end":
+        if token.is_a("end"):
             return self.error(f"{problem}, but the formula ends here" if self.text.strip() else "empty formula", token)
         hint = _HINTS.get(token.text)
         shown = token.text if len(token.text) <= 40 else token.text[:40] + "..."
         return self.error(f"{problem}, got {shown!r}" + (f"; {hint}" if hint else ""), token)
 
     def expect(self, symbol: str, problem: str) -> _Token:
-        if self.token.kind != "symbol" or self.token.text != symbol:
+        if not self.token.is_a("symbol") or self.token.text != symbol:
             raise self.unexpected(problem)
         return self.advance()
 
@@ -159,7 +162,7 @@ class _Parser:
         # Precedence climbing: the right operand takes in all that binds at least as tightly as its operator.
         start = self.token.start
         left = self.unary()
-        while self.token.kind != "end" and POWER.get(self.token.text, -1) >= least:
+        while not self.token.is_a("end") and POWER.get(self.token.text, -1) >= least:
             operator = self.advance().text
             power = POWER[operator]
             operands = [left]
@@ -202,7 +205,7 @@ class _Parser:
             name = self.advance().text
             self.expect(")", "expected )")
             return self.make(token.text, token.start, name=name)
-        if token.kind == "name" and token.text not in RESERVED:
+        if token.is_a("name") and token.text not in RESERVED:
             self.advance()
             return self.make("atom", token.start, name=token.text)
         if token.text == "(":
@@ -235,9 +238,9 @@ class _Parser:
     def bound(self, operator: _Token) -> int:
         """Read one number between the brackets."""
         token = self.token
-        if token.kind != "number":
+        if not token.is_a("number"):
             form = f"{operator.text}[a,b]" if operator.text in ("F", "G") else f"{operator.text}[k]"
-            hint = f"; without a bound write {operator.text} alone" if token.kind == "name" else ""
+            hint = f"; without a bound write {operator.text} alone" if token.is_a("name") else ""
             raise self.unexpected(f"expected a whole number of letters in {form}{hint}")
         self.advance()
         if len(token.text) > 18 or int(token.text) > MAX_BOUND:

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import REFUSAL, AnyAgent, LinearAgent, Proposition
+from ..agents import REFUSAL, AnyAgent, LinearAgent, Proposition, with_matrices
 from ..logic import Formula, parse_formula, with_sides
 from .joint_noise import refuse_joint_noise
 from .record import Problem, checked_problem
@@ -74,7 +74,7 @@ def split_axes(problem: Problem) -> Problem:
     for agent, agent_blocks in zip(problem.agents, blocks, strict=True):
         replacements: list[AnyAgent] = [agent]
         if len(agent_blocks) > 1:
-            assert isinstance(agent, LinearAgent)
+            agent = with_matrices(agent)
             replacements = [_agent_of_block(agent, block, taken) for block in agent_blocks]
         pieces[agent.name] = agent, agent_blocks, replacements
         agents += replacements
@@ -214,7 +214,7 @@ def _output(agent: LinearAgent, block: Block) -> np.ndarray:
 
 def _scale(agent: AnyAgent, block: Block) -> float:
     """Return the factor on outputs and regions of a block, 1 or 2."""
-    assert isinstance(agent, LinearAgent)
+    agent = with_matrices(agent)
     components, _, outputs = block
     block_matrix = agent.output_matrix[np.ix_(outputs, components)]
     return 2.0 if not agent.has_identity_output and np.array_equal(block_matrix, np.eye(len(components))) else 1.0

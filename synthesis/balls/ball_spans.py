@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from flint import arb, arb_mat
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import with_matrices
 from ...envs.expressions import Name, Number, Tree, whole_exponent
 from ..checking import Enclosed
 from ..path_checking import Moving
@@ -300,7 +300,7 @@ def unproved(
 def _unproved_maps(enclosed: Enclosed, low: Any, high: Any, first: Any, last: Any) -> int:
     """How many boxes were not shown to hold the means of matrices, which are extreme at corners of cells."""
     agent, C = enclosed.agent, balls(enclosed.coordinates)
-    assert isinstance(agent, LinearAgent)
+    agent = with_matrices(agent)
     inverse = np.array(arb_mat(enclosed.coordinates.tolist()).inv().tolist(), dtype=object)
     A, B, c = (inverse @ own for own in (balls(agent.A) @ C, balls(agent.B), balls(agent.offset)))
     middle = balls(0.5 * (low + high))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.arrays import is_whole
 from ...envs.problem import problem_from_dict
 from .start_hull import StartHull
 
@@ -23,7 +24,11 @@ def hull_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> StartHul
         raise ValueError("a set of starts is about one agent")
     agent = problem.agents[0]
     letters, faces = (np.asarray(arrays[str(int(entry[name]))]) for name in ("letters", "faces"))
-    if letters.dtype.kind != "i" or faces.dtype.kind != "i" or letters.ndim != 2 or letters.shape != faces.shape:
+    if (
+        not (is_whole(letters, signed=True) and is_whole(faces, signed=True))
+        or letters.ndim != 2
+        or letters.shape != faces.shape
+    ):
         raise ValueError("its letters are no whole numbers")
     if not 2 <= len(letters) <= problem.horizon + 1:
         raise ValueError("its paths do not fit the horizon")

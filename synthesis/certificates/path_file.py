@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.arrays import is_whole
 from ...envs.problem import Problem, problem_from_dict
 from .path_certificate import AgentPath, PathCertificate
 
@@ -22,7 +23,11 @@ def path_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> PathCert
     if not isinstance(header["settings"], dict) or len(entry["agents"]) != problem.n_agents:
         raise ValueError("its settings or its agents are not those of a path")
     letters, faces = (np.asarray(arrays[str(int(entry[name]))]) for name in ("letters", "faces"))
-    if letters.dtype.kind != "i" or faces.dtype.kind != "i" or letters.ndim != 2 or letters.shape != faces.shape:
+    if (
+        not (is_whole(letters, signed=True) and is_whole(faces, signed=True))
+        or letters.ndim != 2
+        or letters.shape != faces.shape
+    ):
         raise ValueError("its letters are no whole numbers")
     if not 2 <= len(letters) <= problem.horizon + 1:
         raise ValueError("its path does not fit the horizon")

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent, with_matrices
 from ..cells import FloatArray, lattice_axes
 from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth, state
 from ..relations import commands_of
@@ -258,7 +258,7 @@ def mean_positions(
         ends = low - tables.off, high + tables.off
         scales = tables.written.scales_at(numbers) if tables.written.scales is not None else ends
         return _positions(agent, part, ends[0], scales[0]), _positions(agent, part, ends[1], scales[1])
-    assert isinstance(agent, LinearAgent)
+    agent = with_matrices(agent)
     low, high = _affine_boxes(agent, part, cells, choices)
     for a in np.unique(choices[choices < network_modes(part)]):
         low[choices == a], high[choices == a] = network_spans(agent, part, cells[choices == a], int(a))

@@ -12,7 +12,9 @@ The very code that acts is run in ``carrying_out``.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import erf
@@ -103,17 +105,7 @@ def execution_of(agent: AnyAgent, part: AgentPart, relation: Relation) -> Execut
 
 def execution_of_numbers(setting: _Setting, agent: AnyAgent, part: AgentPart, relation: Relation) -> Execution:
     """How far the controller may be off, apart from what wraps."""
-    if isinstance(relation, ExactRelation):
-        return _exact(setting, agent, part, relation)
-    if isinstance(relation, MapRelation):
-        return _mapped(setting, agent, part, relation)
-    if isinstance(relation, LinearRelation):
-        return _affine(setting, agent, part, relation)
-    if isinstance(relation, BoxRelation):
-        return _boxed(setting, relation.gains)
-    if isinstance(relation, WrittenTargets):
-        return _aimed(setting, part, relation)
-    return _coupled(setting, part, relation)
+    return CARRIED_OUT[type(relation)](setting, agent, part, relation)
 
 
 def _setting(agent: AnyAgent, part: AgentPart) -> _Setting:
@@ -214,7 +206,7 @@ def _mapped(s: _Setting, agent: AnyAgent, part: AgentPart, relation: MapRelation
         return inputs
     part = targets_alone(part)
     aims = relation.aims
-    aimed = _aimed(s, part, aims) if isinstance(aims, WrittenTargets) else _exact(s, agent, part, aims)
+    aimed = CARRIED_OUT[type(aims)](s, agent, part, aims)
     return Execution(np.maximum(inputs.mean, aimed.mean), aimed.disturbance, aimed.inputs, max(inputs.loss, aimed.loss))
 
 
@@ -256,3 +248,14 @@ def _not_independent(noise_off: FloatArray, deviations: FloatArray) -> float:
     """Upper bound on what noise lacks, in total variation, to be independent; infinite beside states without noise."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.linalg.norm(np.where(noise_off == 0.0, 0.0, noise_off / np.outer(deviations, deviations))))
+
+
+CARRIED_OUT: dict[type, Callable[[_Setting, AnyAgent, AgentPart, Any], Execution]] = {
+    ExactRelation: _exact,
+    MapRelation: _mapped,
+    LinearRelation: _affine,
+    BoxRelation: lambda setting, agent, part, relation: _boxed(setting, relation.gains),
+    WrittenTargets: lambda setting, agent, part, relation: _aimed(setting, part, relation),
+    CoupledRelation: lambda setting, agent, part, relation: _coupled(setting, part, relation),
+}
+"""How far controllers may be off, by relation."""

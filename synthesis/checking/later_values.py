@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
+from ...envs.arrays import is_whole
 from ..cells import FloatArray
 from ..certificates import Certificate, Claim, Seen, checked_certificate, joint_states, regrow_trains
 from ..values import Terms, Trains
@@ -88,7 +89,7 @@ class ValueInTime:
 def _whole(numbers: Any, count: int, name: str, most: int) -> NDArray[np.int64]:
     """Return whole numbers (count,) between 0 and ``most``."""
     array = np.asarray(numbers)
-    if array.dtype.kind not in "iu" or array.shape not in ((), (1,), (count,)):
+    if not is_whole(array) or array.shape not in ((), (1,), (count,)):
         raise ValueError(f"`{name}`: expected a whole number, or {count} of them, got {numbers!r}")
     if array.size and not (array.min() >= 0 and array.max() <= most):
         raise ValueError(f"`{name}`: expected numbers from 0 to {most}, got {array.min()} .. {array.max()}")

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent, LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent, with_matrices
 from ..cells import FloatArray
 from ..certificates import AgentPart
 from .linear_tables import ON_LATTICE, UNIT, LinearTables, grid_matrix, values_and_bends
@@ -101,7 +101,7 @@ def _corner_values(
     if isinstance(tables, WrittenTables):
         at, lacking, inside = image_values(part, tables, smoothed[:-1], smoothed[-1], cells, choices, share)
     else:
-        assert isinstance(agent, LinearAgent)
+        agent = with_matrices(agent)
         at, lacking, inside = _images(agent, part, tables, smoothed, cells, choices, share)
     sides = np.array(list(itertools.product((0.0, 1.0), repeat=d)))
     corners = at[:, :, np.flatnonzero(np.all((share == 0.0) | (share == 1.0), axis=1))]

@@ -9,6 +9,7 @@ they have in common, and its supports are computed here.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from ...envs.agents import AnyAgent, LinearAgent
-from ..cells import FloatArray, lattice_axes
+from ..cells import FloatArray, lattice_axes, linear_agent
 from ..certificates import AgentPart, state
 from ..relations import (
     BoxRelation,
@@ -60,19 +61,7 @@ def verify_relation(agent: AnyAgent, part: AgentPart, relation: Relation, execut
     execution : Execution
         What its controller may be off by.
     """
-    if isinstance(relation, BoxRelation):
-        return _verify_boxes(agent, part, execution)
-    if isinstance(relation, MapRelation):
-        return _verify_maps(agent, part, relation, execution)
-    if isinstance(relation, WrittenTargets):
-        return wrong_aims(relation.agent, part, relation)
-    if not isinstance(agent, LinearAgent):
-        return ["its relation is for linear dynamics, which it has not"]
-    if isinstance(relation, ExactRelation):
-        return _verify_targets(agent, part, relation, part.policy, execution)
-    if isinstance(relation, LinearRelation):
-        return _verify_affine(agent, part, relation, execution)
-    return _verify_coupled(agent, part, relation, execution)
+    return VERIFIED[type(relation)](agent, part, relation, execution)
 
 
 def wrong_for_uneven_noise(agent: AnyAgent, part: AgentPart) -> list[str]:
@@ -115,13 +104,20 @@ def _verify_maps(agent: AnyAgent, part: AgentPart, relation: MapRelation, execut
     if relation.aims is None:
         return []
     aimed = targets_alone(part)
-    if isinstance(relation.aims, WrittenTargets):
-        return wrong_aims(relation.aims.agent, aimed, relation.aims)
-    assert isinstance(agent, LinearAgent)  # others have no such targets
-    return _verify_targets(agent, aimed, relation.aims, aimed.policy, execution)
+    return VERIFIED[type(relation.aims)](agent, aimed, relation.aims, execution)
 
 
-def _verify_affine(agent: LinearAgent, part: AgentPart, relation: LinearRelation, execution: Execution) -> list[str]:
+def _verify_aims(agent: AnyAgent, part: AgentPart, relation: WrittenTargets, execution: Execution) -> list[str]:
+    """Expressions are solved for admissible inputs from every point of their cells."""
+    return wrong_aims(relation.agent, part, relation)
+
+
+def _verify_exact(agent: AnyAgent, part: AgentPart, relation: ExactRelation, execution: Execution) -> list[str]:
+    """Every target is reached by an admissible input from every point of its cell."""
+    return _verify_targets(linear_agent(agent, "exact"), part, relation, part.policy, execution)
+
+
+def _verify_affine(agent: AnyAgent, part: AgentPart, relation: LinearRelation, execution: Execution) -> list[str]:
     """Every choice is an input of the box, or a target with gain 0 or 1 that admissible inputs reach."""
     if not relation.steers:
         outside = (relation.menu < agent.input_box.low) | (relation.menu > agent.input_box.high)
@@ -133,11 +129,11 @@ def _verify_affine(agent: LinearAgent, part: AgentPart, relation: LinearRelation
             return ["its gains are not 0 and 1"]
         chosen = part.policy // n_points == number
         policy = np.where((part.policy >= 0) & chosen, part.policy % n_points, -1)
-        failures += _verify_targets(agent, part, steer, policy, execution)
+        failures += _verify_targets(linear_agent(agent, "linear"), part, steer, policy, execution)
     return failures
 
 
-def _verify_boxes(agent: AnyAgent, part: AgentPart, execution: Execution) -> list[str]:
+def _verify_boxes(agent: AnyAgent, part: AgentPart, relation: BoxRelation, execution: Execution) -> list[str]:
     """Every input that is chosen is admissible at every point of its cells, with what is fed back there."""
     menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
     if not isinstance(agent, LinearAgent) and np.any(gains):
@@ -172,8 +168,9 @@ def _verify_targets(
     return []
 
 
-def _verify_coupled(agent: LinearAgent, part: AgentPart, relation: CoupledRelation, execution: Execution) -> list[str]:
+def _verify_coupled(agent: AnyAgent, part: AgentPart, relation: CoupledRelation, execution: Execution) -> list[str]:
     """Invariance, coupling, input reserve and means of a relation with memory."""
+    agent = linear_agent(agent, relation.kind)
     if part.menu is None or part.menu.shape[1] != len(relation.inputs):
         return ["its menu does not list its inputs"]
     disturbance = _disturbance(part, relation, execution)
@@ -274,3 +271,14 @@ def _grid_noise(agent: LinearAgent, part: AgentPart) -> FloatArray:
     """Covariance of the noise in grid coordinates."""
     inverse = np.linalg.inv(part.coordinates)
     return np.asarray(inverse @ agent.noise_covariance @ inverse.T)
+
+
+VERIFIED: dict[type, Callable[[AnyAgent, AgentPart, Any, Execution], list[str]]] = {
+    BoxRelation: _verify_boxes,
+    MapRelation: _verify_maps,
+    WrittenTargets: _verify_aims,
+    ExactRelation: _verify_exact,
+    LinearRelation: _verify_affine,
+    CoupledRelation: _verify_coupled,
+}
+"""What verifies a relation, by what it is."""

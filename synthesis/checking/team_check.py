@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...envs.agents import LinearAgent, Proposition
+from ...envs.agents import LinearAgent, Proposition, with_matrices
 from ..cells import FloatArray
 
 if TYPE_CHECKING:
@@ -118,5 +118,5 @@ def _asked(problem: Problem, p: int) -> tuple[FloatArray, tuple[FloatArray, Floa
 
 def _matrix(problem: Problem, i: int) -> FloatArray:
     agent = problem.agents[i]
-    assert isinstance(agent, LinearAgent)  # others were refused
+    agent = with_matrices(agent)  # others were refused
     return agent.output_matrix

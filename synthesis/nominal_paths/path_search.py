@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_discrete_are
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import LinearAgent, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..certificates import AgentPath, PathCertificate, Synthesis
@@ -271,7 +271,7 @@ class _Finder:
 
     def _solved(self, i: int, letters: NDArray[np.int8], own: list[int]) -> tuple[float, AgentPath | None, Any]:
         agent, steps = self.problem.agents[i], len(letters) - 1
-        assert isinstance(agent, LinearAgent)
+        agent = with_matrices(agent)
         response = Response.of(agent, steps)
         best: tuple[float, AgentPath | None, Any] = (1.0, None, np.full((len(letters), len(own)), -1))
         for number in range(len(GAIN_COSTS) + 1):

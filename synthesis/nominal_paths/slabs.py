@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import LinearAgent, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from .path_limits import without_far_ends
@@ -87,7 +87,7 @@ def limits_of(problem: Problem, i: int, letters: NDArray[np.int8], faces: NDArra
     Inequalities on the same row at the same time are one: its limits are the narrowest ones.
     """
     agent = problem.agents[i]
-    assert isinstance(agent, LinearAgent)
+    agent = with_matrices(agent)
     limits: list[Limit] = []
     for t in range(1, len(letters)):
         narrowest: dict[bytes, Limit] = {}

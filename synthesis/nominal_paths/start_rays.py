@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import LinearAgent, with_matrices
 from ..cells import FloatArray, RelationRefused
 from ..certificates import PathCertificate, StartHull, any_certificate
 from ..controllers import covariances_of
@@ -129,7 +129,7 @@ class _Rays:
     def __init__(self, certificate: PathCertificate) -> None:
         problem, path = certificate.problem, certificate.paths[0]
         agent = problem.agents[0]
-        assert isinstance(agent, LinearAgent)
+        agent = with_matrices(agent)
         steps = certificate.n_steps
         covariances = covariances_of(agent, path.gain, steps)
         self.agent = agent

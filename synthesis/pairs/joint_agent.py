@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import block_diag
 
-from ...envs.agents import LinearAgent, PairRegion, Proposition
+from ...envs.agents import LinearAgent, PairRegion, Proposition, with_matrices
 from ...envs.problem import Problem, Specification
 from ..cells import FloatArray, RelationRefused, refuse_shared_noise
 
@@ -71,7 +71,7 @@ def _difference(problem: Problem, pair: PairRegion) -> FloatArray:
     rows = np.zeros((len(pair.low), problem.n_states))
     for i, outputs, sign in ((pair.first, pair.outputs[0], 1.0), (pair.second, pair.outputs[1], -1.0)):
         agent = problem.agents[i]
-        assert isinstance(agent, LinearAgent)
+        agent = with_matrices(agent)
         rows[:, problem.columns[i]] += sign * agent.output_matrix[list(outputs)]
     return rows
 

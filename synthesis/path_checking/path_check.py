@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
-from ...envs.agents import LinearAgent, Proposition
+from ...envs.agents import LinearAgent, Proposition, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate, state
@@ -183,7 +183,7 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
         if path.states is not None:
             failure = nonlinear_failure(certificate, i)
         else:
-            assert isinstance(agent, LinearAgent)
+            agent = with_matrices(agent)
             failure = _failure(certificate, Motion.of(agent, path))
         each.append(failure)
         log_kept += float(np.log1p(-min(1.0 - 1e-16, failure)))
@@ -201,7 +201,7 @@ def both_failures(certificate: PathCertificate) -> tuple[float, float]:
     A bound is 1 unless every nominal value is on the right side of its limits, where both are convex in them.
     """
     agent = certificate.problem.agents[0]
-    assert isinstance(agent, LinearAgent)
+    agent = with_matrices(agent)
     return _both(certificate, Motion.of(agent, certificate.paths[0]))[1:]
 
 
