@@ -210,7 +210,7 @@ def test_fields_and_audits_test_joint_agents(certificate: TeamCertificate) -> No
     base: Any = certificate.base
     loud = base.problem.replace(disturbance_scale=3.0)
     assert cg.audit(base, episodes=4000, seed=2, confidence=1 - 1e-6, problem=loud).verdict == "refuted"
-    with pytest.raises(ValueError, match=r"expected a joint agent that is the team"):
+    with pytest.raises(ValueError, match=r"expected one whose ..base. is about its problem"):
         cg.audit(TeamCertificate(certificate.problem.replace(horizon=6), certificate.base))
 
 
