@@ -41,7 +41,6 @@ from .models import Abstraction, Policies, Settings, abstraction_of, join, reach
 from .nominal_paths import refuse_without_path
 from .on_cells import Plan, compared, plain, searched
 from .search import Limits
-from .values import HOST
 
 MOST_GRID_STATES = 3
 """States of an agent up to which it has a grid by default; certificates along a path need none."""
@@ -172,7 +171,7 @@ def is_beyond_grids(problem: Problem) -> bool:
 def has_usual_search(plan: Plan) -> bool:
     """Return whether nothing was said about the search that levels of cells would not heed."""
     search = plan.search
-    return not (search.stationary or search.value == "train" or search.device != HOST or search.limits != Limits())
+    return not (search.stationary or search.value == "train" or search.limits != Limits())
 
 
 def may_be_linear(problem: Problem, plan: Plan) -> bool:

@@ -106,10 +106,6 @@ MISSING: dict[str, dict[str, str]] = {
     "safety rate": {"train": "rates read trees alone"},
     "budget": {"subtraction": "tasks about pairs do not ask for budgets"},
     "start=": {"subtraction": "tasks about pairs begin anew"},
-    "device": {
-        **dict.fromkeys([*LINEAR, *BOXES], "only points are read on devices"),
-        "joint": "its relation has no devices, and another one is taken",
-    },
 }
 """What could be and is not there yet: column, row, why."""
 

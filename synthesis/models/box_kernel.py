@@ -25,12 +25,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import TURN, Gaussian, Law
 from ..cells import FloatArray, Grid, LatticeAxis
+from ..values import beside, to_host
 from .bends import FOURTH, SQUARED
 from .kernel import AxisTable, Kernel, law_table
 
@@ -86,13 +88,14 @@ class BoxKernel(Kernel):
     points: tuple[int, ...] = ()
     bent: tuple[int, ...] | None = None
 
-    def smooth(self, factors: NDArray) -> NDArray:
+    def smooth(self, factors: Any) -> Any:
         """Return numbers (n, Z) whose multilinear interpolant is below g, up to the border of the lattice.
 
-        ``factors`` (n, S) are nonnegative; the numbers need not be.
+        ``factors`` (n, S) are nonnegative; the numbers need not be. Products of matrices are formed where the factors
+        are; what is taken off is found on the host.
         """
-        values = super().smooth(factors)
-        largest = factors.max(axis=1, initial=0.0)
+        values = np.ascontiguousarray(to_host(super().smooth(factors)))
+        largest = to_host(factors).max(axis=1, initial=0.0)
         for row, most in zip(values, largest.tolist(), strict=True):
             table = row.reshape(self.points or self.lattice_shape)
             if self.charge is None:
@@ -100,7 +103,7 @@ class BoxKernel(Kernel):
             else:
                 table -= most * self.charge
                 table -= most * self.slack
-        return values
+        return beside(values, factors)
 
     @property
     def slack(self) -> float:

@@ -138,9 +138,6 @@ def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> Join
     device_put(device)  # refuses a missing device before any work is done
     automaton = problem.automaton
     models = abstraction.models
-    on_host = sorted({model.relation.kind for model in models if not model.is_additive})
-    if device != HOST and on_host:
-        raise ValueError(f"`device`: expected `{HOST}` with the relation `{on_host[0]}`, got {device!r}; leave it out")
     guards = compile_guards(problem, [model.labels.sets for model in models])
     start_guards = compile_guards(problem, [model.start_labels.sets for model in models], [automaton.initial])
     return JointModel(

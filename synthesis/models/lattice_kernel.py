@@ -18,11 +18,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..cells import FloatArray
+from ..values import beside, take, to_host
 from .kernel import Kernel
 from .uniform_ends import UniformEnds
 
@@ -75,15 +76,23 @@ class LatticeKernel(Kernel):
         """Number of blocks of lattice points."""
         return math.prod(blocks_of(self.lattice_shape, self.reach))
 
-    def smooth(self, factors: NDArray) -> NDArray:
-        """Return values of factors (n, 2^d S), from below, and the largest differences around every block."""
+    def smooth(self, factors: Any) -> Any:
+        """Return values of factors (n, 2^d S), from below, and the largest differences around every block.
+
+        Products of matrices are formed where the factors are; differences are found on the host.
+        """
         # Agents that are alike often have equal factors: each is smoothed once.
         number: dict[bytes, int] = {}
-        which = [number.setdefault(row.tobytes(), len(number)) for row in factors]
-        if len(number) < len(factors):
-            firsts = [which.index(k) for k in range(len(number))]
-            return self.smooth(factors[firsts])[which]
-        values = self._values(factors)
+        here = to_host(factors)
+        which = [number.setdefault(row.tobytes(), len(number)) for row in here]
+        firsts = [which.index(k) for k in range(len(number))]
+        if len(number) == len(here):
+            return beside(self._smoothed(factors, here), factors)
+        return beside(self._smoothed(take(factors, np.array(firsts), axis=0), here[firsts])[which], factors)
+
+    def _smoothed(self, given: Any, factors: FloatArray) -> FloatArray:
+        """Return the same of factors that are given and are these on the host."""
+        values = self._values(given)
         result = np.empty((len(values), self.n_columns))
         result[:, : self.n_points] = values
         result[:, -1] = self.slack * factors.max(axis=1, initial=0.0)
@@ -98,9 +107,9 @@ class LatticeKernel(Kernel):
                 result[rows, start : start + self.n_blocks] = table
         return result
 
-    def _values(self, factors: NDArray) -> NDArray:
+    def _values(self, factors: Any) -> FloatArray:
         """Return values at lattice points (n, Z), from below."""
-        values = super().smooth(factors)
+        values = to_host(super().smooth(factors))
         values[values < NOTHING] = 0.0
         return values
 
