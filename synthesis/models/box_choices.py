@@ -171,7 +171,7 @@ class BoxChoices(Choices):
             Numbers of every lattice point under each objective.
         incumbent : (S,) int32 array
         """
-        weights, table = to_host(np.broadcast_to(weights, (len(incumbent), len(table)))), to_host(table)
+        weights, table = np.broadcast_to(to_host(weights), (len(incumbent), len(table))), to_host(table)
         score = np.where(self.size >= 0, 0.0, -np.inf)
         inside = (self.low[..., 0] >= 0).reshape(-1)
         flat, n_choices = score.reshape(-1), self.size.shape[1]

@@ -340,7 +340,7 @@ class CornerChoices(Choices):
         incumbent : (S,) int32 array
         """
         n_places = weights.shape[0] if len(weights) > 1 else self.n_places
-        weights, table = to_host(np.broadcast_to(weights, (n_places, len(table)))), to_host(table)
+        weights, table = np.broadcast_to(to_host(weights), (n_places, len(table))), to_host(table)
         at_corners = of_cells(weights.T, self.grid.shape)  # (n, S, 2^d)
         heavy = at_corners.sum(axis=(0, 2))
         cells = np.flatnonzero((heavy > LEAST_SHARE * heavy.max(initial=0.0)) | (incumbent < 0))

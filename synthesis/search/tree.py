@@ -125,8 +125,9 @@ def candidates(
     if finds_alike:
         remaining, merges = _united_alike(factors, rows, groups, remaining, merges)
     if arrivals is not None and n_agents > 1:
-        factors = [to_host(factor) for factor in factors]
+        given, factors = factors, [to_host(factor) for factor in factors]
         merges = merges.followed_by(ladders(factors, rows, remaining, guards.source[guard], arrivals, spent))
+        factors = [beside(factor, before) for factor, before in zip(factors, given, strict=True)]
     for i in range(n_agents):
         factors[i], rows[remaining, i] = compress(factors[i], rows[remaining, i])
     smoothed = _smooth(models, factors)
