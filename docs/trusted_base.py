@@ -146,7 +146,7 @@ LINES_A_MINUTE = 15
 
 VERIFIED = (
     "envs.expressions.enclosure envs.expressions.intervals synthesis.relations.ellipsoid "
-    "synthesis.relations.network_bounds synthesis.relations.network_maps "
+    "synthesis.relations.driven_means synthesis.relations.network_bounds synthesis.relations.network_maps "
     "synthesis.relations.rounding synthesis.relations.scalar synthesis.relations.tube "
     "synthesis.certificates.mixed_states"
 )

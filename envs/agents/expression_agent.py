@@ -400,6 +400,15 @@ class Agent(AnyAgent):
         ranges = self.neighbour_ranges or ()
         return agent.tied_to(tuple(ranges[k] for k in rest), tuple(self.neighbour_inputs[k] for k in rest))
 
+    @cached_property
+    def driven(self) -> Agent:
+        """The agent with its inputs as disturbances of the same names: it moves as under any inputs in their box."""
+        data = {key: value for key, value in self.to_dict().items() if key not in ("inputs", "input_low", "input_high")}
+        ends = zip(self.inputs, self.input_low.tolist(), self.input_high.tolist(), strict=True)
+        data["disturbances"] = {**self.disturbances, **{name: (low, high) for name, low, high in ends}}
+        agent = type(self)(**data)
+        return agent if self.neighbour_ranges is None else agent.tied_to(self.neighbour_ranges, self.neighbour_inputs)
+
     @property
     def unknowns(self) -> dict[str, tuple[float, float]]:
         """Intervals of everything that moves the mean besides state and input, by names in trees.

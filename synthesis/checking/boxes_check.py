@@ -31,7 +31,7 @@ from ..relations import commands_of
 from .common_check import by_number, known_inputs
 from .geometry import cell_boxes
 from .mean_spans import Enclosed, enclosed_means, enclosed_scales, steered_spans
-from .network_spans import network_modes, network_spans
+from .network_spans import driven_spans, network_modes, network_spans
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
 """Half the L1 norms of the fourth derivative of the normal density, and of the product of two second ones; rounded up
@@ -107,6 +107,9 @@ class WrittenBoxes:
             parts = int(part.relation["parts"])
             known = known_inputs(agent, part, choice[some])
             first, last = enclosed_means(agent, low[here], high[here], inputs, part.coordinates, parts, applied=known)
+            for mode in np.unique(choice[some][choice[some] < network_modes(part)]):
+                moved = choice[some] == mode  # whose inputs in the menu stand for nothing
+                first[moved], last[moved] = driven_spans(agent, part, here[moved], int(mode))
             steered = np.flatnonzero(np.array(part.relation["steer"], dtype=bool)[choice[some]])
             for which, knowing in by_number(agent, part, choice[some][steered]):
                 at = steered[which]
@@ -115,7 +118,9 @@ class WrittenBoxes:
                 )
             corners.append((first, last))
             if agent.noise_scale is not None:
-                scales.append(enclosed_scales(agent, low[here], high[here], inputs, parts))
+                model = agent.driven if network_modes(part) else agent  # any input in its box
+                asked_of = np.zeros((len(here), model.n_inputs)) if model is not agent else inputs
+                scales.append(enclosed_scales(model, low[here], high[here], asked_of, parts))
         least, most = (np.concatenate(ends) for ends in zip(*corners, strict=True))
         if not scales:
             return cls(numbers, least, most, None)

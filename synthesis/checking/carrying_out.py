@@ -24,7 +24,7 @@ from .common_check import by_number, known_inputs
 from .execution import Execution
 from .geometry import cell_boxes, is_identity
 from .mean_spans import steered_spans
-from .network_spans import network_maps, network_modes, network_spans
+from .network_spans import driven_spans, network_maps, network_modes, network_spans
 
 PROBES = 20_000
 """Points at which a controller without memory is run, over all times."""
@@ -95,7 +95,15 @@ def _wrong_means(
                 return ["its controller was seen to steer elsewhere than its policy says"]
         if part.relation["kind"] == "exact":
             return []
-        fixed = (choice >= 0) & (aims < 0)
+        networked = choice < network_modes(part)
+        for mode in np.unique(choice[networked & (choice >= 0)]):
+            here = np.flatnonzero(choice == mode)[:NETWORKED]
+            low, high = driven_spans(agent, part, cells[here], int(mode))
+            told = None if beside is None else beside[:, here]
+            mean = np.linalg.solve(part.coordinates, agent.mean(states[:, here], inputs[:, here], None, told))
+            if np.any((mean < low.T - execution.mean[:, None]) | (mean > high.T + execution.mean[:, None])):
+                return ["its network was seen to lead beyond the means that it can lead to"]
+        fixed = (choice >= 0) & (aims < 0) & ~networked
         chosen = np.where(fixed, cells, -1), np.where(fixed, choice, 0)
         return _wrong_written(agent, part, states, inputs, *chosen, beside)
     agent = linear_agent(agent, part.relation["kind"])

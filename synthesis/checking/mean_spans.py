@@ -77,6 +77,7 @@ def enclosed_means(
     parts: int,
     beside: FloatArray | None = None,
     applied: Mapping[int, FloatArray] | None = None,
+    ranges: Mapping[int, tuple[FloatArray, FloatArray]] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (n, d) of boxes, in grid coordinates, that hold the means from closed cells under every disturbance.
 
@@ -96,6 +97,8 @@ def enclosed_means(
         boxes. By default all of them are anywhere.
     applied : mapping, optional
         Inputs (n,) of others that are known, by their places among those states and inputs.
+    ranges : mapping, optional
+        Ends (n,) of what is unknown, by its place, where more is known than the agent says.
     """
     shape, plain = low.shape, np.array_equal(coordinates, np.eye(low.shape[1]))
     rows = None if plain else np.linalg.inv(coordinates)
@@ -107,6 +110,8 @@ def enclosed_means(
             calm[k] = calm[k] if is_input else (row, row)
     for place, row in (applied or {}).items():
         calm[len(agent.disturbances) + place] = (row, row)
+    for place, ends_of in (ranges or {}).items():
+        calm[place] = ends_of
     with np.errstate(all="ignore"):
         for part in itertools.product(range(parts), repeat=shape[1]):
             box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart, Certificate, state
 from .geometry import cell_boxes
+from .mean_spans import enclosed_means
 
 HALF_UNIT, TINY = 2.0**-24, 2.0**-126
 """Largest relative rounding in single precision, and what underflow adds."""
@@ -135,6 +136,44 @@ def _mean_between(
     return np.maximum(least, plain[0]) - spare, np.minimum(most, plain[1]) + spare
 
 
+def driven_spans(agent: Agent, part: AgentPart, cells: NDArray[np.int64], mode: int) -> tuple[FloatArray, FloatArray]:
+    """Corners (C, d), in grid coordinates, of boxes around means of expressions from closed cells under a mode.
+
+    On each part of a cell inputs lie between what the network may answer there, and count as disturbances.
+    """
+    low, high = (corner[cells] for corner in cell_boxes(part))
+    parts, d, driven = int(part.relation["parts"]), low.shape[1], agent.driven
+    places = [list(driven.unknowns).index(name) for name in agent.inputs]
+    first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
+    for which in itertools.product(range(parts), repeat=d):
+        left = low + (high - low) * np.array(which) / parts
+        right = low + (high - low) * (np.array(which) + 1) / parts
+        for some in np.array_split(np.arange(len(cells)), len(cells) // BOXES_AT_ONCE + 1):
+            least, most = _inputs_between(agent, part, left[some], right[some], mode)
+            ranges = {place: (least[:, j], most[:, j]) for j, place in enumerate(places)}
+            idle = np.zeros((len(some), driven.n_inputs))
+            ends = enclosed_means(driven, left[some], right[some], idle, part.coordinates, 1, ranges=ranges)
+            first[some], last[some] = np.minimum(first[some], ends[0]), np.maximum(last[some], ends[1])
+    return first, last
+
+
+def _inputs_between(
+    agent: AnyAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
+) -> tuple[FloatArray, FloatArray]:
+    """Least and largest inputs (C, m) that the network answers on boxes of states with corners (C, d)."""
+    network, box = part.relation["network"], agent.input_box
+    middle, half = 0.5 * (left + right), 0.5 * (right - left) * (1.0 + 1e-13)
+    forms, low, high, layers = _answers(agent, part, middle, half, mode)
+    wide, centre = 0.5 * (box.high - box.low), 0.5 * (box.low + box.high)
+    least, most = forms.through(np.diag(wide), centre).between(half)
+    spare = (LATER + _cancelled(layers, _largest_seen(agent, network), agent if _is_in_units(network) else None)) * (
+        np.abs(box.low) + np.abs(box.high)
+    )
+    # What is deployed is cut to the box.
+    least, most = np.maximum(least, centre + wide * low) - spare, np.minimum(most, centre + wide * high) + spare
+    return np.clip(least, box.low, box.high), np.clip(most, box.low, box.high)
+
+
 def _mean_forms(
     agent: LinearAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
 ) -> tuple[Forms, FloatArray, tuple[FloatArray, FloatArray]]:
@@ -147,6 +186,22 @@ def _mean_forms(
         inverse = np.eye(len(inverse))
     A, B, c = inverse @ agent.A @ part.coordinates, inverse @ agent.B, inverse @ agent.offset
     middle, half = 0.5 * (left + right), 0.5 * (right - left) * (1.0 + 1e-13)
+    forms, low, high, layers = _answers(agent, part, middle, half, mode)
+    box = agent.input_box
+    gain, still = B * (0.5 * (box.high - box.low)), middle @ A.T + c + B @ (0.5 * (box.low + box.high))
+    total = forms.through(gain, np.zeros(len(gain)))
+    up, down, moved = np.where(gain > 0, gain, 0.0), np.where(gain < 0, gain, 0.0), half @ np.abs(A).T
+    cancelled = _cancelled(layers, _largest_seen(agent, network), agent if _is_in_units(network) else None)
+    spare = np.abs(B) @ ((LATER + cancelled) * (np.abs(box.low) + np.abs(box.high)))
+    plain = still - moved + low @ up.T + high @ down.T, still + moved + high @ up.T + low @ down.T
+    return Forms(total.slopes + A, total.constants + still, total.symbols, total.own), spare, plain
+
+
+def _answers(
+    agent: AnyAgent, part: AgentPart, middle: FloatArray, half: FloatArray, mode: int
+) -> tuple[Forms, FloatArray, FloatArray, list[tuple[Any, Any]]]:
+    """Forms of the actions in [-1, 1] that a network answers on boxes of states, their ends (C, m), and its layers."""
+    network = part.relation["network"]
     forms, low, high, off = _seen(agent, part, middle, half, mode)
     layers = list(zip(network["weights"], network["biases"], strict=True))
     for k, (weights, biases) in enumerate(layers):
@@ -174,14 +229,7 @@ def _mean_forms(
         share, shifted, radius = chord(kind, low, high)
         forms = forms.bent(share, shifted, radius + share * rounding)
         low, high = _ends(kind, low, high)
-    box = agent.input_box
-    gain, still = B * (0.5 * (box.high - box.low)), middle @ A.T + c + B @ (0.5 * (box.low + box.high))
-    total = forms.through(gain, np.zeros(len(gain)))
-    up, down, moved = np.where(gain > 0, gain, 0.0), np.where(gain < 0, gain, 0.0), half @ np.abs(A).T
-    cancelled = _cancelled(layers, _largest_seen(agent, network), agent if _is_in_units(network) else None)
-    spare = np.abs(B) @ ((LATER + cancelled) * (np.abs(box.low) + np.abs(box.high)))
-    plain = still - moved + low @ up.T + high @ down.T, still + moved + high @ up.T + low @ down.T
-    return Forms(total.slopes + A, total.constants + still, total.symbols, total.own), spare, plain
+    return forms, low, high, layers
 
 
 def _is_in_units(network: dict[str, Any]) -> bool:
@@ -189,14 +237,14 @@ def _is_in_units(network: dict[str, Any]) -> bool:
     return bool(network.get("outputs", "unit") == "box")
 
 
-def _largest_seen(agent: LinearAgent, network: dict[str, Any]) -> float:
+def _largest_seen(agent: AnyAgent, network: dict[str, Any]) -> float:
     """A number that no number of a row, nor a sum that it is made of, exceeds by far."""
     if network.get("scale", "unit") == "unit":
         return 4.0
     return 4.0 + max(float(np.max(np.abs(end))) for end in (agent.workspace.low, agent.workspace.high))
 
 
-def _cancelled(layers: list[tuple[Any, Any]], size: float, in_units: LinearAgent | None) -> float:
+def _cancelled(layers: list[tuple[Any, Any]], size: float, in_units: AnyAgent | None) -> float:
     """What double precision is off by in actions, at most, however much weights cancel each other.
 
     No number of any layer, nor any coefficient of a form, is larger than what absolute values lead to, and what is
@@ -216,7 +264,7 @@ def _cancelled(layers: list[tuple[Any, Any]], size: float, in_units: LinearAgent
 
 
 def _seen(
-    agent: LinearAgent, part: AgentPart, middle: FloatArray, half: FloatArray, mode: int
+    agent: AnyAgent, part: AgentPart, middle: FloatArray, half: FloatArray, mode: int
 ) -> tuple[Forms, FloatArray, FloatArray, FloatArray]:
     """Forms of the rows that the network sees in a mode, their least and largest numbers, and what they are off by."""
     network = part.relation["network"]
@@ -291,7 +339,7 @@ def _ends(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, Flo
     return np.clip(low, floor, _most(kind)), np.clip(high, floor, _most(kind))
 
 
-def _has_known_form(agent: LinearAgent, network: dict[str, Any]) -> bool:
+def _has_known_form(agent: AnyAgent, network: dict[str, Any]) -> bool:
     """Whether states are seen as shares or in units, and outputs are actions, or inputs of a box that is not flat."""
     box = agent.input_box
     if network.get("outputs", "unit") == "box" and (network["squashed"] or np.any(box.low >= box.high)):
@@ -314,7 +362,9 @@ def wrong_networks(certificate: Certificate) -> list[str]:
         network = part.relation.get("network")
         if network is None:
             continue
-        if not isinstance(agent, LinearAgent) or part.relation["kind"] not in ("boxes", "linear"):
+        if part.relation["kind"] != "boxes" and not (
+            part.relation["kind"] == "linear" and isinstance(agent, LinearAgent)
+        ):
             failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
         elif not _has_known_form(agent, network):
             failures.append(f"the network of agent `{agent.name}` sees states, or answers, in a form that is not known")

@@ -12,16 +12,16 @@ from functools import cached_property
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..cells import (
     CellCounts,
     FloatArray,
     Grid,
-    RelationRefused,
     agent_grid,
     cell_labels,
     cells_of_agent,
+    linear_agent,
     refuse_shared_noise,
     refuse_uneven_noise,
 )
@@ -90,7 +90,7 @@ def network_abstraction(
     Parameters
     ----------
     problem : Problem
-        With linear agents.
+        With agents whose dynamics are matrices for ``linear``; any for ``boxes``.
     policies : sequence of NetworkPolicy
         One per agent.
     cells : int, sequence of int or mapping from agent name, optional
@@ -105,24 +105,22 @@ def network_abstraction(
     Raises
     ------
     ValueError
-        If the dynamics of an agent are not linear, if there are too many boxes or maps, or if its noise has laws that
-        the relation does not know.
+        If the relation is ``linear`` and the dynamics of an agent are not, if there are too many boxes or maps, or if
+        its noise has laws that the relation does not know.
     """
     models = []
     refuse_shared_noise(problem)
     idle = np.flatnonzero(problem.automaton.absorbing).tolist()
     for i, (agent, policy) in enumerate(zip(problem.agents, policies, strict=True)):
-        if not isinstance(agent, LinearAgent):
-            raise RelationRefused(
-                f"agent `{agent.name}`: expected linear dynamics to certify a network as it is, got expressions; leave "
-                "out `raw` to certify it wrapped on cells"
-            )
-        refuse_uneven_noise(agent, relation)
+        if relation == "linear":
+            refuse_uneven_noise(agent, relation)
         asked = DEFAULT_CELLS.get(agent.n_states) if cells is None else cells
         grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, asked))
         labels = cell_labels(problem, i, grid, coordinates)
         if relation == "linear":
-            maps = network_linear_relation(agent, coordinates, policy, (1, 1, (0,) * agent.n_states), idle)
+            maps = network_linear_relation(
+                linear_agent(agent, "linear"), coordinates, policy, (1, 1, (0,) * agent.n_states), idle
+            )
             affine = lattice_model(agent, grid, maps, targets_per_cell)
             models.append(AgentModel(grid, affine[1], affine[0], affine[2], affine[3], labels, labels))
             continue
@@ -141,7 +139,7 @@ def network_abstraction(
 
 
 def network_relation(
-    agent: LinearAgent, grid: Grid, coordinates: FloatArray, policy: NetworkPolicy, with_menu: bool
+    agent: AnyAgent, grid: Grid, coordinates: FloatArray, policy: NetworkPolicy, with_menu: bool
 ) -> BoxRelation:
     """Return the relation of boxes whose first choices are the modes of a network.
 
@@ -153,7 +151,9 @@ def network_relation(
     gains = np.zeros((len(menu), agent.n_inputs, agent.n_states))
     if with_menu:
         offered = relation_of(agent, grid, coordinates)
-        menu, gains = np.concatenate([menu, offered.menu]), np.concatenate([gains, offered.gains])
+        plain = ~np.array(offered.means.description.get("steer") or [False] * len(offered.menu), dtype=bool)
+        menu = np.concatenate([menu, offered.menu[plain]])
+        gains = np.concatenate([gains, offered.gains[plain]])
     some = np.unique(np.linspace(0, grid.n_cells - 1, SAMPLED_CELLS).astype(np.int64))
     best, width = None, np.inf
     for parts in (number for number in PARTS if number**agent.n_states <= MOST_CUTS):

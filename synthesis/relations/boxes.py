@@ -26,6 +26,7 @@ from ...envs.agents import Agent, AnyAgent, LinearAgent, counted
 from ..cells import FloatArray, RelationRefused, linear_agent
 from .common_means import CommonInputs, CommonMeans, common_inputs, common_means
 from .coordinates import ReadsCoordinates
+from .driven_means import DrivenMeans
 from .exact import INPUT_MARGIN
 from .network_bounds import mean_bounds
 from .networks import NetworkPolicy, network_policy
@@ -197,7 +198,7 @@ class BoxRelation(ReadsCoordinates):
 
     Parameters
     ----------
-    means : LinearMeans, WrittenMeans, CommonMeans or NetworkMeans
+    means : LinearMeans, WrittenMeans, CommonMeans, NetworkMeans or DrivenMeans
         What makes the boxes.
     coordinates : (d, d) array
         Grid coordinates to state.
@@ -211,7 +212,7 @@ class BoxRelation(ReadsCoordinates):
         Inputs that are chosen in common, by automaton state and time alone, and their numbers in the menu.
     """
 
-    means: LinearMeans | WrittenMeans | CommonMeans | NetworkMeans
+    means: LinearMeans | WrittenMeans | CommonMeans | NetworkMeans | DrivenMeans
     coordinates: FloatArray
     menu: FloatArray
     gains: FloatArray
@@ -376,6 +377,11 @@ def box_relation(
             means = common_means(agent, coordinates, menu, {**written, "steer": steer}, common)
             return BoxRelation(means, coordinates, menu, gains, box.low, box.high, common)
         means = WrittenMeans(agent, coordinates, int(written["parts"]), steer)
+        if "network" in written:
+            if np.any(steer):
+                raise RelationRefused(f"agent `{agent.name}`: choices beside a network cannot steer")
+            driven = DrivenMeans(means, network_policy(written["network"], agent))
+            return BoxRelation(driven, coordinates, menu, gains, box.low, box.high)
         if steer.shape != (len(menu),) or (np.any(steer) and not means.commands):
             raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")
     else:

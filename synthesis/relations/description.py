@@ -130,8 +130,8 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     if in_parts and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
     if has_network:
-        if is_written:
-            raise ValueError("it has a network for an agent whose dynamics are expressions")
+        if is_written and description["kind"] == "linear":
+            raise ValueError("it has affine maps around a network for an agent whose dynamics are expressions")
         check_network(description["network"], agent, len(description["menu"]))
     if (
         (is_written or has_network)

@@ -150,13 +150,13 @@ def mean_bounds(
     corners: tuple[FloatArray, FloatArray],
     parts: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the corners (n, modes, d) of boxes around the means that a network leads to (outer bounds).
+    """Return the corners (n, modes, k) of boxes around the means that a network leads to (outer bounds).
 
     Parameters
     ----------
     policy : NetworkPolicy
-    moves : A (d, d), B (d, m), offset (d,)
-        Dynamics in grid coordinates.
+    moves : A (k, d), B (k, m), offset (k,)
+        Dynamics in grid coordinates, or anything else that is ``A x + B u + offset``.
     coordinates : (d, d) array
         Grid coordinates to state.
     corners : two (n, d) arrays
@@ -165,8 +165,8 @@ def mean_bounds(
         Parts into which cells are cut along each axis.
     """
     low, high = corners
-    (n, d), modes = low.shape, policy.n_modes
-    first, last = np.full((n, modes, d), np.inf), np.full((n, modes, d), -np.inf)
+    (n, d), modes, outputs = low.shape, policy.n_modes, len(moves[0])
+    first, last = np.full((n, modes, outputs), np.inf), np.full((n, modes, outputs), -np.inf)
     for part in product(range(parts), repeat=d):
         share = np.array(part) / parts, (np.array(part) + 1) / parts
         begin, end = (low + s * (high - low) for s in share)

@@ -65,10 +65,10 @@ class WrittenMeans:
         gains.
         """
         if self.steer is None or not np.any(self.steer):
-            return self._of_menu(low, high, menu)
+            return self.of_menu(low, high, menu)
         shape = (len(low), len(menu), self.agent.n_states)
         first, last = np.empty(shape), np.empty(shape)
-        first[:, ~self.steer], last[:, ~self.steer] = self._of_menu(low, high, menu[~self.steer])
+        first[:, ~self.steer], last[:, ~self.steer] = self.of_menu(low, high, menu[~self.steer])
         first[:, self.steer], last[:, self.steer] = self._steered(low, high, menu[self.steer])
         return first, last
 
@@ -81,24 +81,24 @@ class WrittenMeans:
             return None
         shape = (len(low), len(menu), self.agent.n_states)
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
-        for box in self._parts(low, high):
+        for box in self.cut(low, high):
             # Choices that steer apply other inputs than the menu's; there are none where the scale depends on inputs.
-            ends = enclosed(self.agent.scale_trees, self._names(menu), self._with_disturbances(box))
+            ends = enclosed(self.agent.scale_trees, self._names(menu), self.variables(box))
             for k, (below, above) in enumerate(ends):
                 first[..., k] = np.minimum(first[..., k], below)
                 last[..., k] = np.maximum(last[..., k], above)
         return first, last
 
-    def _of_menu(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def of_menu(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the corners for choices that apply one input in the whole cell."""
         shape = (len(low), len(menu), self.agent.n_states)
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
-        for box in self._parts(low, high):
+        for box in self.cut(low, high):
             for axis, (below, above) in enumerate(self._enclosed(box, menu)):
                 # minimum and maximum keep what is not a number
                 np.minimum(first[..., axis], below, out=first[..., axis])
                 np.maximum(last[..., axis], above, out=last[..., axis])
-        return self._widened(first, last)
+        return self.widened(first, last)
 
     def _steered(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the corners for choices that steer."""
@@ -110,8 +110,8 @@ class WrittenMeans:
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
         trees = steered_trees(agent, self.commands)
         wanted = [tree for c in self.commands for tree in (c.tree, c.rest)]
-        for box in self._parts(low, high):
-            variables = self._with_disturbances(box)
+        for box in self.cut(low, high):
+            variables = self.variables(box)
             for axis, (below, above) in enumerate(enclosed(trees, names, variables)):
                 np.minimum(first[..., axis], below, out=first[..., axis])
                 np.maximum(last[..., axis], above, out=last[..., axis])
@@ -134,7 +134,7 @@ class WrittenMeans:
                 first[~inside] = np.nan
         return first, last
 
-    def _parts(self, low: FloatArray, high: FloatArray) -> Iterator[list[Interval]]:
+    def cut(self, low: FloatArray, high: FloatArray) -> Iterator[list[Interval]]:
         """Yield the parts of cells as boxes of (n, 1) intervals."""
         # Neighbouring parts share the numbers that are their ends, so that nothing is left out between them.
         cuts = [low + (high - low) * (k / self.parts) for k in range(self.parts)] + [high]
@@ -144,9 +144,14 @@ class WrittenMeans:
     def _enclosed(self, box: list[Interval], menu: FloatArray) -> list[Interval]:
         """Return intervals (n, A) around the mean along each axis, from boxes of n cells."""
         rows = None if self.is_plain else self._inverse
-        return enclosed(self.agent.trees, self._names(menu), self._with_disturbances(box), rows)
+        return enclosed(self.agent.trees, self._names(menu), self.variables(box), rows)
 
-    def _with_disturbances(self, box: list[Interval]) -> list[Interval]:
+    def enclosing(self, variables: list[Interval]) -> list[Interval]:
+        """Return intervals around the mean along each axis, from intervals of all variables, the input being idle."""
+        names = self._names(np.zeros((1, self.agent.n_inputs)))
+        return enclosed(self.agent.trees, names, variables, None if self.is_plain else self._inverse)
+
+    def variables(self, box: list[Interval]) -> list[Interval]:
         """Return all variables: the axes of the cell, and disturbances and neighbours, anything in their intervals."""
         one = np.ones((1, 1))
         return [*box, *((low * one, high * one) for low, high in self.agent.unknowns.values())]
@@ -185,7 +190,8 @@ class WrittenMeans:
         """Axes that have targets: none where grid coordinates are not the state."""
         return commands_of(self.agent) if self.is_plain else ()
 
-    def _widened(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def widened(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return boxes (.., d) with what turning them into grid coordinates may be off by."""
         if self.is_plain:
             return low, high
         size = np.maximum(np.abs(low), np.abs(high)) @ (np.abs(self._inverse) @ np.abs(self.coordinates)).T
