@@ -269,11 +269,10 @@ def relation_figure(certificate: Any, agent: int = 0, coordinate: int = 0, seed:
     bar: dict[str, Any] = {"color": BOUND, "marker": "_", "markersize": 16, "markeredgewidth": 2, "linestyle": "none"}
     plot.plot(times, centres, label="finite model (cell centre)", **bar)
     plot.plot(times, states, color=SERIES[1], marker="o", markersize=4.5, linewidth=1.4, label="continuous agent")
-    name = problem.agents[agent].name
-    index = f"[{coordinate}]" if problem.agents[agent].n_states > 1 else ""
+    name = coordinate_name(problem, problem.columns[agent].start + coordinate)
     whole_ticks(plot.xaxis)
     plot.set_xlabel("control step")
-    plot.set_ylabel(f"{name}{index} (state units)")
+    plot.set_ylabel(f"{name} (state units)")
     legend_above(plot)
     title = f"{problem.name}: {kind} relation, {shown_bound(certificate.lower_bound, None)}"
     plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=24)

@@ -186,7 +186,7 @@ def rollouts_picture(
     The last group is empty: the player of the page draws one episode into it, by the panel's ``number``.
     """
     axes = panel_axes(panel, len(states) - 1)
-    names = ("first coordinate", "second coordinate") if panel.is_map else ("control step", "position")
+    names = panel.names if panel.is_map else ("control step", *panel.names)
     shapes = svg.frame(axes, *names, whole=not panel.is_map)
     shapes += [_region(axes, r, panel.is_map, len(states) - 1) for r in panel.drawn]
     shapes += _region_names(axes, panel)
@@ -217,7 +217,7 @@ def empty_panel(panel: Panel, horizon: int, number: int, tubes: Mapping[int, Tub
     Tubes, by the numbers of their curves, are in a group that is shown while the ring is at the certificate's start.
     """
     axes = panel_axes(panel, horizon)
-    names = ("first coordinate", "second coordinate") if panel.is_map else ("control step", "position")
+    names = panel.names if panel.is_map else ("control step", *panel.names)
     shapes = svg.frame(axes, *names, whole=not panel.is_map)
     shapes += [_region(axes, r, panel.is_map, horizon) for r in panel.drawn]
     drawn = [
