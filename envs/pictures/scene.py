@@ -100,6 +100,8 @@ class Panel:
     regions: tuple[Region, ...]
     curves: tuple[Curve, ...]
     names: tuple[str, ...]
+    has_angles: bool = False
+    """Whether an axis shows an angle: it has no scale in common with a length."""
 
     @property
     def is_map(self) -> bool:
@@ -108,8 +110,11 @@ class Panel:
 
     @property
     def proportion(self) -> float | None:
-        """Height by width of a map whose axes have one scale; None if one is much longer, and for tracks over time."""
-        if not self.is_map:
+        """Height by width of a map whose axes have one scale.
+
+        None if one axis is much longer than the other or shows an angle, and for tracks over time.
+        """
+        if not self.is_map or self.has_angles:
             return None
         across, up = (float(b - a) for a, b in zip(self.low, self.high))
         return up / across if 1.0 / MOST_STRETCHED <= up / across <= MOST_STRETCHED else None
@@ -214,6 +219,7 @@ def _panel(problem: Problem, group: list[_Shown], told: Mapping[str, str]) -> Pa
         regions=tuple(regions.values()),
         curves=tuple(item.curve for item in group),
         names=_axis_names(problem, [item.curve.rows for item in group]),
+        has_angles=any(_shows_angle(problem, row) for item in group for row in item.curve.rows),
     )
 
 
@@ -223,6 +229,12 @@ def _axis_names(problem: Problem, rows: list[np.ndarray]) -> tuple[str, ...]:
     unnamed = ("first coordinate", "second coordinate") if len(rows[0]) == 2 else ("position",)
     shared = [{*names} for names in zip(*of_agents)]
     return tuple(min(own) if len(own) == 1 and own != {""} else other for own, other in zip(shared, unnamed))
+
+
+def _shows_angle(problem: Problem, row: np.ndarray) -> bool:
+    """Return whether an axis shows a state that is an angle."""
+    agent, state = _place(problem, int(np.argmax(row != 0.0)))
+    return bool(agent.state_names) and agent.state_names[state] in agent.angles
 
 
 def _state_name(problem: Problem, row: np.ndarray) -> str:

@@ -150,7 +150,7 @@ def _name_axes(plot: Axes, panel: Panel) -> None:
     """Give a panel its limits, the names of its axes, and a legend where its agents are few."""
     if panel.is_map:
         plot.set_xlim(panel.low[0], panel.high[0])
-        plot.set_aspect("equal")
+        plot.set_aspect("auto" if panel.proportion is None else "equal")
         plot.set_xlabel(f"{panel.names[0]} (state units)")
     else:
         whole_ticks(plot.xaxis)

@@ -138,6 +138,7 @@ def _panels(problem: Problem, data: Mapping[str, Any]) -> Iterator[dict[str, Any
             "low": list(panel.low),
             "high": list(panel.high),
             "names": list(panel.names),
+            "proportion": panel.proportion,
             "regions": [_drawn(panel, region) for region in panel.drawn if region.name != WHOLE],
             "curves": [{"name": curve.name, "color": curve.number % len(AGENTS)} for curve in panel.curves],
             "starts": [s for curve, on in zip(panel.curves, axes) for s in _starts(problem, data, curve, on)],
