@@ -30,7 +30,9 @@ d.panels.forEach(function(p){p.forEach(function(c){c.xy=new Int16Array(bytes(c.p
 c.to=c.turns===null?null:new Int16Array(bytes(c.turns))})});
 function make(g,name,set,text){var e=document.createElementNS(ns,name);for(var k in set)e.setAttribute(k,set[k]);
 if(text!==undefined)e.textContent=text;g.appendChild(e);return e}
-var B={left:46,top:12,width:304,height:flat?70:270};
+var up=flat?1:(d.high[1]-d.low[1])/(d.high[0]-d.low[0]),wide=d.scaled?Math.min(304,300/up):304,
+B={left:46+(304-wide)/2,top:12,width:wide,height:flat?70:d.scaled?wide*up:270};
+map.setAttribute("viewBox","0 0 360 "+(B.height+50).toFixed(1));
 function px(v){return B.left+(v-d.low[0])/(d.high[0]-d.low[0])*B.width}
 function py(v){return flat?B.top+B.height/2:B.top+B.height-(v-d.low[1])/(d.high[1]-d.low[1])*B.height}
 function where(i,j){return i*ny+j}
@@ -47,7 +49,8 @@ make(over,"text",{"class":"tick end",x:x1,y:y1},+d.high[k].toPrecision(4))}
 ends(0,B.left,B.top+B.height+13,B.left+B.width,B.top+B.height+13);
 make(over,"text",{"class":"name middle",x:B.left+B.width/2,y:B.top+B.height+26},"start of "+d.names[0]);
 if(!flat){ends(1,B.left-4,B.top+B.height,B.left-4,B.top+8);
-make(over,"text",{"class":"name middle",transform:"rotate(-90 12 "+(B.top+B.height/2)+")",x:12,y:B.top+B.height/2},
+make(over,"text",{"class":"name middle",transform:"rotate(-90 "+(B.left-34)+" "+(B.top+B.height/2)+")",
+x:B.left-34,y:B.top+B.height/2},
 "start of "+d.names[1])}
 var lineX=make(over,"line",{"class":"x-cross",y1:B.top,y2:B.top+B.height}),
 lineY=make(over,"line",{"class":"x-cross",x1:B.left,x2:B.left+B.width}),
