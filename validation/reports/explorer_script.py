@@ -4,7 +4,9 @@ from __future__ import annotations
 
 EXPLORER_STYLE = """
 .explorer svg{touch-action:pan-y}.explorer .map{touch-action:none;cursor:crosshair;user-select:none}
-.x-region{fill:none;stroke-width:1.4}.x-handle{fill:#fff;stroke:#111;stroke-width:2.5}
+.x-region{fill:none;stroke-width:1.4}.x-under{fill:none;stroke:#fff;stroke-width:3.2;stroke-opacity:.85}
+.explorer .map .region-name{fill:#1b2430;stroke:#fff;stroke-width:3px;stroke-linejoin:round}
+.x-handle{fill:#fff;stroke:#111;stroke-width:2.5}
 .x-handle:focus{outline:none;stroke-width:4;stroke:var(--run)}
 .x-own{fill:none;stroke:#111;stroke-width:2}.x-blank{fill:none;stroke:var(--line);stroke-width:.5}
 .x-cross{stroke:#111;stroke-width:.7;stroke-dasharray:3 3}
@@ -40,8 +42,9 @@ var cells=make(map,"g",{}),over=make(map,"g",{}),w=B.width/nx,h=B.height/ny,rect
 slide=home.querySelector("input[type=range]"),read=home.querySelector(".read");
 for(var i=0;i<nx;i++)for(var j=0;j<ny;j++)rects.push(make(cells,"rect",{"class":"cell",x:(B.left+i*w).toFixed(2),
 y:(B.top+(ny-1-j)*h).toFixed(2),width:(w+.3).toFixed(2),height:(h+.3).toFixed(2)}));
-d.regions.forEach(function(r){var x=px(r.low[0]),y=py(r.high[1]);make(over,"rect",{"class":"x-region r-"+r.role,x:x,y:y,
-width:px(r.high[0])-x,height:py(r.low[1])-y,style:"fill-opacity:.5"});
+d.regions.forEach(function(r){var x=px(r.low[0]),y=py(r.high[1]);
+["x-under","x-region r-"+r.role].forEach(function(look){make(over,"rect",
+{"class":look,x:x,y:y,width:px(r.high[0])-x,height:py(r.low[1])-y,style:"fill-opacity:.5"})});
 make(over,"text",{"class":"region-name",x:x+3,y:y+10},r.name)});
 make(over,"rect",{x:B.left,y:B.top,width:B.width,height:B.height,fill:"none",stroke:"currentColor"});
 function ends(k,x0,y0,x1,y1){make(over,"text",{"class":"tick "+(k?"end":"middle"),x:x0,y:y0},+d.low[k].toPrecision(4));
