@@ -157,6 +157,11 @@ def panel_axes(panel: Panel, horizon: int) -> Axes:
     return Axes((0.0, panel.low[0]), (float(horizon), panel.high[0]))
 
 
+def _axis_names(panel: Panel) -> tuple[str, str]:
+    """Return what both axes of a panel are called."""
+    return panel.names[0] if panel.is_map else "control step", panel.names[-1]
+
+
 def tracks(panel: Panel, axes: Axes, states: NDArray[Any]) -> list[list[list[tuple[float, float]]]]:
     """Return picture points of paths (T + 1, M, D), per curve and episode, up to the decision.
 
@@ -186,8 +191,7 @@ def rollouts_picture(
     The last group is empty: the player of the page draws one episode into it, by the panel's ``number``.
     """
     axes = panel_axes(panel, len(states) - 1)
-    names = panel.names if panel.is_map else ("control step", *panel.names)
-    shapes = svg.frame(axes, *names, whole=not panel.is_map)
+    shapes = svg.frame(axes, *_axis_names(panel), whole=not panel.is_map)
     shapes += [_region(axes, r, panel.is_map, len(states) - 1) for r in panel.drawn]
     shapes += _region_names(axes, panel)
     for curve in panel.curves:
@@ -217,8 +221,7 @@ def empty_panel(panel: Panel, horizon: int, number: int, tubes: Mapping[int, Tub
     Tubes, by the numbers of their curves, are in a group that is shown while the ring is at the certificate's start.
     """
     axes = panel_axes(panel, horizon)
-    names = panel.names if panel.is_map else ("control step", *panel.names)
-    shapes = svg.frame(axes, *names, whole=not panel.is_map)
+    shapes = svg.frame(axes, *_axis_names(panel), whole=not panel.is_map)
     shapes += [_region(axes, r, panel.is_map, horizon) for r in panel.drawn]
     drawn = [
         _tube(panel, axes, tubes[c.number], f"tube agent{c.number % len(AGENTS)}")
