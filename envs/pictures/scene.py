@@ -9,7 +9,7 @@ time at which it holds anything. Each has the role that the task gives it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,6 +118,14 @@ class Panel:
             return None
         across, up = (float(b - a) for a, b in zip(self.low, self.high))
         return up / across if 1.0 / MOST_STRETCHED <= up / across <= MOST_STRETCHED else None
+
+    def shows(self, axes: Sequence[int]) -> bool:
+        """Return whether this is a map whose axes are two joint coordinates: those of one of its curves."""
+        return self.is_map and any(
+            all(np.count_nonzero(row) == 1 and row[k] == 1.0 for row, k in zip(curve.rows, axes))
+            for curve in self.curves
+            if len(axes) == len(curve.rows)
+        )
 
     @property
     def drawn(self) -> tuple[Region, ...]:
@@ -380,6 +388,11 @@ def _output_box(agent: AnyAgent) -> tuple[np.ndarray, np.ndarray]:
         return tuple(ends[0] for ends in agent.output_range(agent.state_low[None], agent.state_high[None]))
     ends = np.stack([agent.output_matrix * agent.state_low, agent.output_matrix * agent.state_high])
     return ends.min(axis=0).sum(axis=-1), ends.max(axis=0).sum(axis=-1)
+
+
+def have_one_scale(problem: Problem, axes: Sequence[int]) -> bool:
+    """Return whether two joint coordinates are drawn in one scale: as on the map of an agent, if it is in scale."""
+    return any(panel.proportion is not None and panel.shows(axes) for panel in panels(problem))
 
 
 def coordinate_name(problem: Problem, k: int) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.pictures import coordinate_name
+from ...envs.pictures import coordinate_name, have_one_scale
 from ...envs.problem import Problem
 from ...synthesis.certificates import Certificate, as_certificate, of_one_task, regrow_trains, shown_bound
 from ...synthesis.relations import CoupledRelation
@@ -127,6 +127,7 @@ def _map(
     plot.grid(visible=False)
     plot.set_xlim(*_limits(problem, shown[0]))
     plot.set_ylim(*_limits(problem, shown[1]))
+    plot.set_aspect("equal" if have_one_scale(problem, shown) else "auto")
     plot.set_xlabel(names[0])
     plot.set_ylabel(names[1])
     plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=6 + 17 * (rows or 0))
