@@ -80,8 +80,8 @@ def _values(
 ) -> Iterator[tuple[tuple[str, str], Any]]:
     """Yield what the pieces gave, as they are found, of so many processes; a single piece is computed in this one."""
     workers = min(workers, len(keys))
-    # A process beside this one has one thread for its linear algebra, so one is used, too: threads of busy cores wait for
-    # one another.
+    # A process beside this one has one thread for its linear algebra, so one is used, too: on busy cores threads wait
+    # for one another.
     if len(keys) <= 1:
         for key in keys:
             listener.now([", ".join(key)])
