@@ -8,6 +8,7 @@ writes all pages again and compares.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from importlib import import_module
 from inspect import getdoc, signature
 from pathlib import Path
@@ -313,6 +314,21 @@ def _matrix(value: np.ndarray) -> str:
     return "`[" + rows[0] + "]`" if value.ndim == 1 else "`[[" + "], [".join(rows) + "]]`"
 
 
+def _covariance(value: np.ndarray) -> str:
+    """Write a matrix, one of several components that is diagonal by its diagonal, or by its one number."""
+    diagonal = np.diag(value)
+    if len(value) == 1 or np.any(value != np.diag(diagonal)):
+        return _matrix(value)
+    if np.all(diagonal == diagonal[0]):
+        return f"`{diagonal[0]:.10g} I`"
+    return f"`diag({', '.join(f'{number:.10g}' for number in diagonal)})`"
+
+
+def _intervals(names: Sequence[str], low: np.ndarray, high: np.ndarray) -> str:
+    """Write the interval of each state or input, by its name."""
+    return "<br>".join(f"`{name}` in [{a:g}, {b:g}]" for name, a, b in zip(names, low, high))
+
+
 def _law(problem: cg.Problem) -> str:
     if all(isinstance(agent, LinearAgent) for agent in problem.agents):
         law = "`x' = A x + B u + c + w`, `w ~ N(0, Sigma)`"
@@ -332,8 +348,11 @@ def _written_dynamics(problem: cg.Problem) -> str:
     for agents in groups.values():
         agent = agents[0]
         means = "<br>".join(f"`{x}' = {text}`" for x, text in zip(agent.states, agent.dynamics))
-        boxes = _box(agent.state_low, agent.state_high), _box(agent.input_low, agent.input_high)
-        sigma = _matrix(agent.noise_covariance)
+        boxes = (
+            _intervals(agent.states, agent.state_low, agent.state_high),
+            _intervals(agent.inputs, agent.input_low, agent.input_high),
+        )
+        sigma = _covariance(agent.noise_covariance)
         lines.append(f"| {_names([a.name for a in agents])} | {means} | {sigma} | {boxes[0]} | {boxes[1]} |")
         ranges = [f"`{name}` in [{low:g}, {high:g}]" for name, (low, high) in agent.disturbances.items()]
         notes += [f"Bounded, and otherwise unknown: {', '.join(ranges)}."] if ranges else []
@@ -358,7 +377,7 @@ def _dynamics(problem: cg.Problem) -> str:
             _matrix(agent.A),
             _matrix(agent.B),
             _matrix(agent.offset),
-            _matrix(agent.noise_covariance),
+            _covariance(agent.noise_covariance),
             _box(agent.state_low, agent.state_high),
             _box(agent.input_low, agent.input_high),
         ]

@@ -18,7 +18,7 @@ from certigym.cli.main import main
 from certigym.envs.pictures import AGENTS, Picture
 from certigym.envs.pictures.label_places import Labels, beside
 from certigym.envs.pictures.palette import rgb
-from certigym.envs.pictures.scene import panels
+from certigym.envs.pictures.scene import coordinate_name, panels
 from sample_problems import mixed_problem
 
 TASK = """
@@ -78,6 +78,23 @@ def test_scalar_agents_are_tracks_and_planar_ones_share_a_map() -> None:
     assert (plane.curves[2].rows @ joint).tolist() == [4.0, 5.0]
     lost = [region for region in plane.regions if region.name == "column"]
     assert lost[0].low == (-10.0, -20.0) and lost[0].high == (-5.0, 5.0)
+
+
+def test_axes_are_called_as_their_states() -> None:
+    """States of expressions have names; those of matrices have numbers, and agents that differ share no name."""
+
+    def names(id: str) -> list[tuple[str, ...]]:
+        return [panel.names for panel in panels(cg.make_problem(id))]
+
+    assert names("patrol-robot-v0") == [("x", "y")]
+    assert names("room-network-v0") == [("temperature",)]
+    assert names("meeting-v0") == [("first coordinate", "second coordinate")]
+    assert names("reach-avoid-v0") == [("position",)] * 2
+    # Along an axis of one agent among others its name stands before that of the state, as expressions write it.
+    (alone, many, numbered) = (cg.make_problem(id) for id in ("patrol-robot-v0", "platoon-v0", "meeting-v0"))
+    assert [coordinate_name(alone, k) for k in range(2)] == ["x", "y"]
+    assert coordinate_name(many, 3) == f"{many.agent_names[1]}.{many.agents[1].state_names[1]}"
+    assert coordinate_name(numbered, 3) == f"{numbered.agent_names[1]}[1]"
 
 
 def test_regions_that_cover_everything_have_no_hatches() -> None:

@@ -491,6 +491,28 @@ def spot(tab: Tab, x: float, y: float) -> tuple[float, float]:
 SEEN = "window.studio && studio.link.state && studio.link.state.seen && studio.link.state.current"
 
 
+TALL = (
+    (ROOT / "validation" / "studio" / "template_first.toml")
+    .read_text(encoding="utf-8")
+    .replace("state_high = [10.0, 10.0]", "state_high = [10.0, 25.0]")
+)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1400, 900), (390, 844)])
+def test_maps_are_in_scale_and_fit_on_the_page(browser: Chromium, tmp_path: Path, width: int, height: int) -> None:
+    (tmp_path / "task.toml").write_text(TALL, encoding="utf-8")
+    page = Studio(tmp_path, "task.toml").start()
+    try:
+        tab = browser.open(page.address, width, height)
+        tab.until(f"{SEEN} && document.querySelector('#panels .body')")
+        (left, bottom), (right, top) = spot(tab, 0, 0), spot(tab, 10, 25)
+        assert (bottom - top) / (right - left) == pytest.approx(2.5, rel=1e-6)
+        assert 0 <= left < right <= width and 0 <= top < bottom <= height
+        assert tab.run("document.documentElement.scrollWidth <= innerWidth") and tab.run("wrong") == []
+    finally:
+        page.stop()
+
+
 @pytest.mark.slow
 def test_from_an_empty_file_to_a_certificate(browser: Chromium, tmp_path: Path) -> None:
     page = Studio(tmp_path, "task.toml").start()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 import re
 import sys
+import time
 
 import pytest
 from tqdm import tqdm
 
 import certigym as cg
+from certigym.cli import work
 from certigym.cli.colors import colored, wants_colors
 from certigym.cli.main import main
 from certigym.cli.parser import build_parser
@@ -82,10 +84,38 @@ def test_the_bar_shows_the_bound_before_what_a_narrow_terminal_cuts_off() -> Non
     text = io.StringIO()
     with tqdm(bar_format=BAR, file=text, ncols=60, mininterval=0.0) as bar:
         told = shown_on(bar)
-        told("way: linear, 160 cells, at most 0.9141 for anyone, effort 0 of 80 core seconds", 0.9046089)
+        told("way: linear, 160 cells, at most 0.9141, effort 0 of 80", 0.9046089)
         bar.refresh()
     last = [line for line in text.getvalue().split("\r") if "linear" in line][-1]
     assert "] P >= 0.904608 so far; linear, 160 cells" in last and len(last.rstrip()) <= 60
+
+
+def test_eighty_columns_show_bound_level_upper_end_and_what_is_left() -> None:
+    """As one task of the suite tells them, whatever the clock says."""
+    text, told = io.StringIO(), list[str]()
+    with tqdm(bar_format=BAR, file=text, ncols=80, mininterval=0.0) as bar:
+        show = shown_on(bar)
+
+        def tell(what: str, value: float) -> None:
+            show(what, value)
+            bar.refresh()
+            told.append(what)
+
+        cg.synthesize("reach-avoid-20-v0", effort=4, progress=tell)
+    lines = [line.rstrip() for line in text.getvalue().split("\r")]
+    whole = re.compile(r"\[\d\d:\d\d\] P >= 0\.\d{6} so far; linear, \d+ cells, at most 0\.\d{4}, effort \d+ of 4")
+    assert any(whole.match(line) for line in lines), told
+
+
+def test_the_clock_goes_on_while_nothing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(work, "TICK", 0.01)
+    text = io.StringIO()
+    with tqdm(bar_format=BAR, file=text, ncols=80) as bar, work.ticking(bar):
+        shown_on(bar)("way: linear", 0.0)
+        until = time.monotonic() + 10.0
+        while text.getvalue().count("linear") < 3 and time.monotonic() < until:
+            time.sleep(0.01)
+    assert text.getvalue().count("linear") >= 3
 
 
 def test_a_search_that_found_nothing_shows_nothing_below_0() -> None:

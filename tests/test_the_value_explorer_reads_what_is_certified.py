@@ -38,10 +38,13 @@ each(out.read);
 out.paths=document.querySelectorAll(".x-paths .x-path").length;
 function touch(kind,x,y){map.dispatchEvent(new PointerEvent(kind,{clientX:x,clientY:y,pointerId:7,pointerType:"touch",
 bubbles:true,cancelable:true}))}
-var r=map.getBoundingClientRect(),s=r.width/360;
-touch("pointerdown",r.left+51*s,r.top+(FLAT?40:275)*s);out.corner=said()[0];
-touch("pointermove",r.left+345*s,r.top+(FLAT?40:15)*s);out.opposite=said()[0];
-touch("pointerup",0,0);touch("pointermove",r.left+51*s,r.top+40*s);out.released=said()[0];
+var c=map.querySelectorAll(".cell"),ends=[c[0],c[c.length-1]].map(function(e){var r=e.getBoundingClientRect();
+return [r.left+r.width/2,r.top+r.height/2]});
+touch("pointerdown",ends[0][0],ends[0][1]);out.corner=said()[0];
+touch("pointermove",ends[1][0],ends[1][1]);out.opposite=said()[0];
+touch("pointerup",0,0);touch("pointermove",ends[0][0],ends[0][1]);out.released=said()[0];
+out.scale=JSON.parse(document.getElementById("explorer").textContent).grid.map(function(x,k){
+return Math.abs(ends[1][k]-ends[0][k])/(x[x.length-1]-x[0])});
 if(!home.querySelector(".later").hidden)for(var t=0;t<=+slide.max;t++)for(var q=1;q<pick.options.length;q++){
 pick.value=pick.options[q].value;pick.dispatchEvent(new Event("change"));slide.value=t;
 slide.dispatchEvent(new Event("input"));out.later.push([t,q-1].concat(said()))}
@@ -86,6 +89,8 @@ def test_the_explorer_says_what_the_certificate_says(id: str, cells: int, tmp_pa
         assert truth[point] - float(text.removeprefix("P ≥ ")) < 1e-6
     # Touch: from one corner to the other, and nothing moves once the finger is lifted.
     assert seen["corner"] == 0 and seen["opposite"] == seen["released"] == len(truth) - 1
+    # A map of places is drawn in scale; one of two agents has an axis for each.
+    assert max(seen["scale"]) < 1.001 * min(seen["scale"]) or id == "reach-avoid-v0"
     # Later: at the corner that was left, every time and automaton state.
     values = cg.value_in_time(certificate)
     assert len(seen["later"]) == len(shown.times) * certificate.problem.automaton.n_states > 0

@@ -26,8 +26,12 @@ document.addEventListener("DOMContentLoaded", function () {
   bar.className = "gallery-filter";
   Object.keys(kinds).forEach(function (kind) {
     var label = document.createElement("label"), pick = document.createElement("select");
-    Object.keys(kinds[kind]).forEach(function (name) { pick.add(new Option(name, name)); });
-    pick.name = kind; label.append(kind, pick); bar.append(label); picks.push(pick);
+    // What no card is, or all are, is no choice.
+    Object.keys(kinds[kind]).forEach(function (name) {
+      if (cards.some(kinds[kind][name])) pick.add(new Option(name, name));
+    });
+    pick.name = kind; label.append(kind, pick); picks.push(pick);
+    if (pick.options.length > 2) bar.append(label);
     pick.addEventListener("change", show);
   });
   bar.append(said); home.before(bar);

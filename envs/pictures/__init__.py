@@ -5,7 +5,7 @@ from .guard_texts import edges
 from .outlines import Drawer
 from .palette import AGENTS, AGENTS_ON_DARK, LOOKS, Look, agent_color
 from .rendering import Picture, checked_render_mode, verdict_text
-from .scene import Curve, Panel, Region, coordinate_name, panels
+from .scene import MOST_STRETCHED, Curve, Panel, Region, coordinate_name, have_one_scale, panels
 from .task_roles import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "FREE",
     "KEPT",
     "LOOKS",
+    "MOST_STRETCHED",
     "Look",
     "MIXED",
     "REACHED",
@@ -28,6 +29,7 @@ __all__ = [
     "checked_render_mode",
     "coordinate_name",
     "edges",
+    "have_one_scale",
     "panels",
     "places",
     "roles",

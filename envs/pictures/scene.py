@@ -9,7 +9,7 @@ time at which it holds anything. Each has the role that the task gives it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,12 +93,15 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Axes with one coordinate over time, or two on a map: their limits, regions and curves."""
+    """Axes with one coordinate over time, or two on a map: their limits, regions, curves, and what they are called."""
 
     low: tuple[float, ...]
     high: tuple[float, ...]
     regions: tuple[Region, ...]
     curves: tuple[Curve, ...]
+    names: tuple[str, ...]
+    has_angles: bool = False
+    """Whether an axis shows an angle: it has no scale in common with a length."""
 
     @property
     def is_map(self) -> bool:
@@ -107,11 +110,22 @@ class Panel:
 
     @property
     def proportion(self) -> float | None:
-        """Height by width of a map whose axes have one scale; None if one is much longer, and for tracks over time."""
-        if not self.is_map:
+        """Height by width of a map whose axes have one scale.
+
+        None if one axis is much longer than the other or shows an angle, and for tracks over time.
+        """
+        if not self.is_map or self.has_angles:
             return None
         across, up = (float(b - a) for a, b in zip(self.low, self.high))
         return up / across if 1.0 / MOST_STRETCHED <= up / across <= MOST_STRETCHED else None
+
+    def shows(self, axes: Sequence[int]) -> bool:
+        """Return whether this is a map whose axes are two joint coordinates: those of one of its curves."""
+        return self.is_map and any(
+            all(np.count_nonzero(row) == 1 and row[k] == 1.0 for row, k in zip(curve.rows, axes))
+            for curve in self.curves
+            if len(axes) == len(curve.rows)
+        )
 
     @property
     def drawn(self) -> tuple[Region, ...]:
@@ -169,7 +183,7 @@ def panels(problem: Problem) -> tuple[Panel, ...]:
         axes = (tuple(item.box.low), tuple(item.box.high), len(item.box.low) == 2 or _signature(item.regions))
         groups.setdefault(axes, []).append(item)
     told = roles(problem)
-    return tuple(_panel(group, told) for group in _with_pairs(problem, list(groups.values())))
+    return tuple(_panel(problem, group, told) for group in _with_pairs(problem, list(groups.values())))
 
 
 def _pointing(problem: Problem, i: int, item: _Shown) -> _Shown:
@@ -200,7 +214,7 @@ def _with_pairs(problem: Problem, groups: list[list[_Shown]]) -> list[list[_Show
     return [group for group in groups if group]
 
 
-def _panel(group: list[_Shown], told: Mapping[str, str]) -> Panel:
+def _panel(problem: Problem, group: list[_Shown], told: Mapping[str, str]) -> Panel:
     """Return the panel of agents that share one; equal regions are drawn once, with their roles."""
     regions = {
         (r.name, r.low, r.high, r.time, _edges(r)): replace(r, role=told[r.name])
@@ -212,7 +226,32 @@ def _panel(group: list[_Shown], told: Mapping[str, str]) -> Panel:
         high=tuple(map(float, np.max([item.box.high for item in group], axis=0))),
         regions=tuple(regions.values()),
         curves=tuple(item.curve for item in group),
+        names=_axis_names(problem, [item.curve.rows for item in group]),
+        has_angles=any(_shows_angle(problem, row) for item in group for row in item.curve.rows),
     )
+
+
+def _axis_names(problem: Problem, rows: list[np.ndarray]) -> tuple[str, ...]:
+    """Return what the axes of a panel are called: as its agents call what they show, if all of them say the same."""
+    of_agents = [[_state_name(problem, row) for row in own] for own in rows]
+    unnamed = ("first coordinate", "second coordinate") if len(rows[0]) == 2 else ("position",)
+    shared = [{*names} for names in zip(*of_agents)]
+    return tuple(min(own) if len(own) == 1 and own != {""} else other for own, other in zip(shared, unnamed))
+
+
+def _shows_angle(problem: Problem, row: np.ndarray) -> bool:
+    """Return whether an axis shows a state that is an angle."""
+    agent, state = _place(problem, int(np.argmax(row != 0.0)))
+    return bool(agent.state_names) and agent.state_names[state] in agent.angles
+
+
+def _state_name(problem: Problem, row: np.ndarray) -> str:
+    """Return the name of the one state that an axis shows; "" where it shows more or agents have no names for them."""
+    shown = np.flatnonzero(row)
+    if len(shown) != 1 or row[shown[0]] != 1.0:
+        return ""
+    agent, state = _place(problem, int(shown[0]))
+    return agent.state_names[state] if agent.state_names else ""
 
 
 def _edges(region: Region) -> bytes:
@@ -351,10 +390,26 @@ def _output_box(agent: AnyAgent) -> tuple[np.ndarray, np.ndarray]:
     return ends.min(axis=0).sum(axis=-1), ends.max(axis=0).sum(axis=-1)
 
 
+def have_one_scale(problem: Problem, axes: Sequence[int]) -> bool:
+    """Return whether two joint coordinates are drawn in one scale: as on the map of an agent, if it is in scale."""
+    return any(panel.proportion is not None and panel.shows(axes) for panel in panels(problem))
+
+
 def coordinate_name(problem: Problem, k: int) -> str:
-    """Return the name of coordinate k of the joint state: that of its agent, with an index if it has several."""
-    for agent in problem.agents:
-        if k < agent.n_states:
-            return agent.name if agent.n_states == 1 else f"{agent.name}[{k}]"
-        k -= agent.n_states
+    """Return the name of coordinate k of the joint state, as expressions write it: `x`, or `car.x` if others are there.
+
+    Agents whose states have no names give their own name, with an index if they have several states.
+    """
+    agent, state = _place(problem, k)
+    if agent.state_names:
+        name = agent.state_names[state]
+        return name if problem.n_agents == 1 else f"{agent.name}.{name}"
+    return agent.name if agent.n_states == 1 else f"{agent.name}[{state}]"
+
+
+def _place(problem: Problem, k: int) -> tuple[AnyAgent, int]:
+    """Return the agent of coordinate k of the joint state, and which of its states it is."""
+    for agent, columns in zip(problem.agents, problem.columns):
+        if k < columns.stop:
+            return agent, k - columns.start
     raise AssertionError("a coordinate beyond the joint state")

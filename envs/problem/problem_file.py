@@ -62,6 +62,11 @@ from .spelling import spelled_out, starts_of_copies
 _BY_HAND = ("states", "initial", "accepting", "transitions")
 _ALTERNATIVES = ("formula", "hoa", "states", "automaton")
 """Keys of which a specification has exactly one; it says how the task is written."""
+_ELSEWHERE = {
+    "angles": "write the agent as expressions, with `states` and `dynamics`",
+    "formula": "it stands in the table `[specification]`, or above all tables as `specification`",
+}
+"""What to do with a key that is known in another place."""
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -325,8 +330,7 @@ def _check_keys(table: Any, where: str, required: Iterable[str], optional: Itera
         if key not in allowed:
             close = get_close_matches(str(key), allowed, n=1)
             remedy = f"did you mean `{close[0]}`?" if close else f"the keys are {', '.join(allowed)}"
-            remedy = "write the agent as expressions, with `states` and `dynamics`" if key == "angles" else remedy
-            raise ValueError(f"{where}unknown key {shown(key)}; {remedy}")
+            raise ValueError(f"{where}unknown key {shown(key)}; {_ELSEWHERE.get(str(key), remedy)}")
     for key in required:
         if key not in table:
             raise ValueError(f"{where}`{key}` is missing")

@@ -88,7 +88,10 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
         If it cannot be read.
     """
     if not Path(path).is_file():
-        raise FileNotFoundError(f"`{path}`: expected a certificate file, found none; write one with `save_certificate`")
+        raise FileNotFoundError(
+            f"`{path}`: expected a certificate file, found none; write one with `save_certificate`, or "
+            "`certigym run ID --out FILE`"
+        )
     try:
         if (size := Path(path).stat().st_size) > max_bytes:
             raise ValueError(f"it has {size} bytes, more than {max_bytes}")

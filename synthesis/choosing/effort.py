@@ -95,15 +95,15 @@ class Effort:
     def tell(self, what: str, bound: float) -> None:
         """Say which way or level begins, what may be left to gain and to spend, beside the largest bound so far."""
         if self.progress is not None:
-            most = f", at most {rounded_up(self.above, 4)} for anyone" if self.above < 1.0 else ""
+            most = f", at most {rounded_up(self.above, 4)}" if self.above < 1.0 else ""
             self.progress(f"{BEGINS}{what}{most}{self._in_hand}", bound)
 
     @property
     def _in_hand(self) -> str:
-        """What was spent, of how much, in words; every task has as much."""
+        """What was spent, of how much, in words that leave 80 columns room for it; every task has as much."""
         if self.seconds is not None:
             return f", {self.elapsed:.0f} of {self.seconds:.0f} s"
-        return f", effort {min(self.spent, self.limit):.0f} of {self.limit:.0f} core seconds"
+        return f", effort {min(self.spent, self.limit):.0f} of {self.limit:.0f}"
 
     @contextmanager
     def until_broken_off(self) -> Iterator[None]:

@@ -105,7 +105,8 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
             continue
         before, best = effort.spent, leading(results)
         work = f" (about {way.work:.2g} core seconds)" if way.work >= 1.0 else ""
-        effort.tell(f"{way.name}{work}", 0.0 if best is None else _bound(best))
+        shown = "other relations" if way.name == "others" else way.name
+        effort.tell(f"{shown}{work}", 0.0 if best is None else _bound(best))
         try:
             with effort.until_broken_off():
                 result = way.run(results)

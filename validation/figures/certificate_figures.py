@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.pictures import coordinate_name
+from ...envs.pictures import coordinate_name, have_one_scale
 from ...envs.problem import Problem
 from ...synthesis.certificates import Certificate, as_certificate, of_one_task, regrow_trains, shown_bound
 from ...synthesis.relations import CoupledRelation
@@ -127,6 +127,7 @@ def _map(
     plot.grid(visible=False)
     plot.set_xlim(*_limits(problem, shown[0]))
     plot.set_ylim(*_limits(problem, shown[1]))
+    plot.set_aspect("equal" if have_one_scale(problem, shown) else "auto")
     plot.set_xlabel(names[0])
     plot.set_ylabel(names[1])
     plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=6 + 17 * (rows or 0))
@@ -269,11 +270,10 @@ def relation_figure(certificate: Any, agent: int = 0, coordinate: int = 0, seed:
     bar: dict[str, Any] = {"color": BOUND, "marker": "_", "markersize": 16, "markeredgewidth": 2, "linestyle": "none"}
     plot.plot(times, centres, label="finite model (cell centre)", **bar)
     plot.plot(times, states, color=SERIES[1], marker="o", markersize=4.5, linewidth=1.4, label="continuous agent")
-    name = problem.agents[agent].name
-    index = f"[{coordinate}]" if problem.agents[agent].n_states > 1 else ""
+    name = coordinate_name(problem, problem.columns[agent].start + coordinate)
     whole_ticks(plot.xaxis)
     plot.set_xlabel("control step")
-    plot.set_ylabel(f"{name}{index} (state units)")
+    plot.set_ylabel(f"{name} (state units)")
     legend_above(plot)
     title = f"{problem.name}: {kind} relation, {shown_bound(certificate.lower_bound, None)}"
     plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=24)

@@ -150,13 +150,12 @@ def _name_axes(plot: Axes, panel: Panel) -> None:
     """Give a panel its limits, the names of its axes, and a legend where its agents are few."""
     if panel.is_map:
         plot.set_xlim(panel.low[0], panel.high[0])
-        plot.set_aspect("equal")
-        plot.set_xlabel("first coordinate (state units)")
-        plot.set_ylabel("second coordinate (state units)")
+        plot.set_aspect("auto" if panel.proportion is None else "equal")
+        plot.set_xlabel(f"{panel.names[0]} (state units)")
     else:
         whole_ticks(plot.xaxis)
         plot.set_xlabel("control step")
-        plot.set_ylabel("position (state units)")
+    plot.set_ylabel(f"{panel.names[-1]} (state units)")
     plot.set_ylim(panel.low[-1], panel.high[-1])
     if len(panel.curves) <= MOST_LABELS:
         legend_above(plot, 4)

@@ -78,9 +78,11 @@ def computed(
 def _values(
     reproductions: Mapping[str, Reproduction], keys: Sequence[tuple[str, str]], listener: Listener, workers: int
 ) -> Iterator[tuple[tuple[str, str], Any]]:
-    """Yield what the pieces gave, as they are found: of so many processes, or of this one."""
+    """Yield what the pieces gave, as they are found, of so many processes; a single piece is computed in this one."""
     workers = min(workers, len(keys))
-    if workers <= 1:
+    # A process beside this one has one thread for its linear algebra, so one is used, too: on busy cores threads wait
+    # for one another.
+    if len(keys) <= 1:
         for key in keys:
             listener.now([", ".join(key)])
             found, seconds = timed(reproductions[key[0]].pieces[key[1]])

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.pictures import AGENTS, Curve, Panel, coordinate_name, panels
+from ...envs.pictures import AGENTS, MOST_STRETCHED, Curve, Panel, coordinate_name, have_one_scale, panels
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
     speaks_of_one_start,
@@ -186,6 +186,7 @@ def explorer_data(content: Explored, problem: Problem) -> dict[str, Any]:
         "length": len(content.states),
         "success": content.success.astype(int).tolist(),
         "middle": [_nearest(x, content.axes[k], problem) for k, x in enumerate(grid)],
+        "scaled": _is_scaled(content, problem),
         "regions": _regions(content.axes, shown[0]),
         "panels": [_curves(panel, content, problem.horizon) for panel in shown],
     }
@@ -198,10 +199,17 @@ def _nearest(line: NDArray[Any], axis: int, problem: Problem) -> int:
     return int(np.argmin(np.abs(line - 0.5 * (start.low[k] + start.high[k]))))
 
 
+def _is_scaled(content: Explored, problem: Problem) -> bool:
+    """Return whether both axes of the map have one scale: if they have on a panel, and starts make no strip of it."""
+    if not have_one_scale(problem, content.axes):
+        return False
+    across, up = (float(np.ptp(content.starts[:, k])) for k in content.axes)
+    return 1.0 / MOST_STRETCHED <= up / across <= MOST_STRETCHED
+
+
 def _regions(axes: tuple[int, ...], panel: Panel) -> list[dict[str, Any]]:
     """Return the regions of the map if its axes are those of a panel."""
-    rows = panel.curves[0].rows
-    if not panel.is_map or axes != tuple(int(np.argmax(row)) for row in rows):
+    if not panel.shows(axes):
         return []
     return [{"name": r.name, "role": r.role, "low": r.low, "high": r.high} for r in panel.named if r.time is None]
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 EXPLORER_STYLE = """
 .explorer svg{touch-action:pan-y}.explorer .map{touch-action:none;cursor:crosshair;user-select:none}
-.x-region{fill:none;stroke-width:1.4}.x-handle{fill:#fff;stroke:#111;stroke-width:2.5}
+.x-region{fill:none;stroke-width:1.4}.x-under{fill:none;stroke:#fff;stroke-width:3.2;stroke-opacity:.85}
+.explorer .map .region-name{fill:#1b2430;stroke:#fff;stroke-width:3px;stroke-linejoin:round}
+.x-handle{fill:#fff;stroke:#111;stroke-width:2.5}
 .x-handle:focus{outline:none;stroke-width:4;stroke:var(--run)}
 .x-own{fill:none;stroke:#111;stroke-width:2}.x-blank{fill:none;stroke:var(--line);stroke-width:.5}
 .x-cross{stroke:#111;stroke-width:.7;stroke-dasharray:3 3}
@@ -30,7 +32,9 @@ d.panels.forEach(function(p){p.forEach(function(c){c.xy=new Int16Array(bytes(c.p
 c.to=c.turns===null?null:new Int16Array(bytes(c.turns))})});
 function make(g,name,set,text){var e=document.createElementNS(ns,name);for(var k in set)e.setAttribute(k,set[k]);
 if(text!==undefined)e.textContent=text;g.appendChild(e);return e}
-var B={left:46,top:12,width:304,height:flat?70:270};
+var up=flat?1:(d.high[1]-d.low[1])/(d.high[0]-d.low[0]),wide=d.scaled?Math.min(304,300/up):304,
+B={left:46+(304-wide)/2,top:12,width:wide,height:flat?70:d.scaled?wide*up:270};
+map.setAttribute("viewBox","0 0 360 "+(B.height+50).toFixed(1));
 function px(v){return B.left+(v-d.low[0])/(d.high[0]-d.low[0])*B.width}
 function py(v){return flat?B.top+B.height/2:B.top+B.height-(v-d.low[1])/(d.high[1]-d.low[1])*B.height}
 function where(i,j){return i*ny+j}
@@ -38,8 +42,9 @@ var cells=make(map,"g",{}),over=make(map,"g",{}),w=B.width/nx,h=B.height/ny,rect
 slide=home.querySelector("input[type=range]"),read=home.querySelector(".read");
 for(var i=0;i<nx;i++)for(var j=0;j<ny;j++)rects.push(make(cells,"rect",{"class":"cell",x:(B.left+i*w).toFixed(2),
 y:(B.top+(ny-1-j)*h).toFixed(2),width:(w+.3).toFixed(2),height:(h+.3).toFixed(2)}));
-d.regions.forEach(function(r){var x=px(r.low[0]),y=py(r.high[1]);make(over,"rect",{"class":"x-region r-"+r.role,x:x,y:y,
-width:px(r.high[0])-x,height:py(r.low[1])-y,style:"fill-opacity:.5"});
+d.regions.forEach(function(r){var x=px(r.low[0]),y=py(r.high[1]);
+["x-under","x-region r-"+r.role].forEach(function(look){make(over,"rect",
+{"class":look,x:x,y:y,width:px(r.high[0])-x,height:py(r.low[1])-y,style:"fill-opacity:.5"})});
 make(over,"text",{"class":"region-name",x:x+3,y:y+10},r.name)});
 make(over,"rect",{x:B.left,y:B.top,width:B.width,height:B.height,fill:"none",stroke:"currentColor"});
 function ends(k,x0,y0,x1,y1){make(over,"text",{"class":"tick "+(k?"end":"middle"),x:x0,y:y0},+d.low[k].toPrecision(4));
@@ -47,7 +52,8 @@ make(over,"text",{"class":"tick end",x:x1,y:y1},+d.high[k].toPrecision(4))}
 ends(0,B.left,B.top+B.height+13,B.left+B.width,B.top+B.height+13);
 make(over,"text",{"class":"name middle",x:B.left+B.width/2,y:B.top+B.height+26},"start of "+d.names[0]);
 if(!flat){ends(1,B.left-4,B.top+B.height,B.left-4,B.top+8);
-make(over,"text",{"class":"name middle",transform:"rotate(-90 12 "+(B.top+B.height/2)+")",x:12,y:B.top+B.height/2},
+make(over,"text",{"class":"name middle",transform:"rotate(-90 "+(B.left-34)+" "+(B.top+B.height/2)+")",
+x:B.left-34,y:B.top+B.height/2},
 "start of "+d.names[1])}
 var lineX=make(over,"line",{"class":"x-cross",y1:B.top,y2:B.top+B.height}),
 lineY=make(over,"line",{"class":"x-cross",x1:B.left,x2:B.left+B.width}),

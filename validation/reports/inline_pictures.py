@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.logic import Automaton
-from ...envs.pictures import AGENTS, Curve, Panel, Region, coordinate_name, places
+from ...envs.pictures import AGENTS, Curve, Panel, Region, coordinate_name, have_one_scale, places
 from ...envs.problem import Problem
 from ...synthesis.certificates import Tube, rounded_down
 from ..verdicts import FieldReport
@@ -79,11 +79,16 @@ def margin_pictures(problem: Problem, field: FieldReport, axes_shown: tuple[int,
     names = [coordinate_name(problem, k) for k in axes_shown]
     if len(names) == 1:
         return {"Bound and rollouts along a line": _margin_line(field, axes_shown[0], names[0])}
+    scaled = have_one_scale(problem, axes_shown)
     # The stronger the colour, the larger the bound, or the margin relative to the largest one.
     scale = float(np.max(np.abs(field.margins), initial=1e-9))
-    bound = _map(field, axes_shown, names, [f"fill-opacity:{0.06 + 0.94 * b:.3f}" for b in field.lower_bounds], None)
+    bound = _map(
+        field, axes_shown, names, [f"fill-opacity:{0.06 + 0.94 * b:.3f}" for b in field.lower_bounds], None, scaled
+    )
     roles = np.where(field.margins < 0, "under", "over").tolist()
-    margin = _map(field, axes_shown, names, [f"fill-opacity:{abs(m) / scale:.3f}" for m in field.margins], roles)
+    margin = _map(
+        field, axes_shown, names, [f"fill-opacity:{abs(m) / scale:.3f}" for m in field.margins], roles, scaled
+    )
     return {"Bound over a map of starts": bound, f"Rollouts minus bound (up to {scale:.2g})": margin}
 
 
@@ -102,7 +107,12 @@ def _margin_line(field: FieldReport, axis: int, name: str) -> str:
 
 
 def _map(
-    field: FieldReport, shown: tuple[int, ...], names: list[str], styles: list[str], roles: list[str] | None
+    field: FieldReport,
+    shown: tuple[int, ...],
+    names: list[str],
+    styles: list[str],
+    roles: list[str] | None,
+    scaled: bool,
 ) -> str:
     """Draw a cell per start, its numbers as a hint; refuted cells stand out, confirmed ones carry a dot.
 
@@ -118,13 +128,16 @@ def _map(
         Style of each cell that is not refuted.
     roles : list of str or None
         Role of each such cell; None for a map of bounds.
+    scaled : bool
+        Whether both axes have one scale.
     """
     # Starts are centres of equal cells: half a spacing around them, the cells tile the map.
     x, y = (np.unique(field.states[:, k]) for k in shown)
     half = [0.5 * (v[1] - v[0]) if len(v) > 1 else 0.5 for v in (x, y)]
-    axes = Axes(
-        (float(x[0] - half[0]), float(y[0] - half[1])), (float(x[-1] + half[0]), float(y[-1] + half[1])), height=330.0
-    )
+    low, high = (x[0] - half[0], y[0] - half[1]), (x[-1] + half[0], y[-1] + half[1])
+    axes = Axes((float(low[0]), float(low[1])), (float(high[0]), float(high[1])), height=330.0)
+    if scaled:
+        axes = _in_scale(axes, float((high[1] - low[1]) / (high[0] - low[0])))
     shapes = []
     for k, state in enumerate(field.states):
         a, b, bad = state[shown[0]], state[shown[1]], field.refuted[k]
@@ -144,17 +157,25 @@ def _map(
     return svg.picture(axes, shapes, "A map of starts")
 
 
+def _in_scale(axes: Axes, proportion: float) -> Axes:
+    """Return the axes of a map with another height by width of the plot."""
+    room = axes.width - axes.left - axes.right
+    width = min(room, MOST_HIGH / proportion)
+    height = axes.top + width * proportion + axes.bottom
+    return replace(axes, height=height, right=axes.right + room - width)
+
+
 def panel_axes(panel: Panel, horizon: int) -> Axes:
     """Return the axes of a panel: a map, or one coordinate over time."""
     if panel.is_map:
         axes = Axes((panel.low[0], panel.low[1]), (panel.high[0], panel.high[1]), height=330.0)
-        if (proportion := panel.proportion) is None:
-            return axes
-        room = axes.width - axes.left - axes.right
-        width = min(room, MOST_HIGH / proportion)
-        height = axes.top + width * proportion + axes.bottom
-        return replace(axes, height=height, right=axes.right + room - width)
+        return axes if panel.proportion is None else _in_scale(axes, panel.proportion)
     return Axes((0.0, panel.low[0]), (float(horizon), panel.high[0]))
+
+
+def _axis_names(panel: Panel) -> tuple[str, str]:
+    """Return what both axes of a panel are called."""
+    return panel.names[0] if panel.is_map else "control step", panel.names[-1]
 
 
 def tracks(panel: Panel, axes: Axes, states: NDArray[Any]) -> list[list[list[tuple[float, float]]]]:
@@ -186,8 +207,7 @@ def rollouts_picture(
     The last group is empty: the player of the page draws one episode into it, by the panel's ``number``.
     """
     axes = panel_axes(panel, len(states) - 1)
-    names = ("first coordinate", "second coordinate") if panel.is_map else ("control step", "position")
-    shapes = svg.frame(axes, *names, whole=not panel.is_map)
+    shapes = svg.frame(axes, *_axis_names(panel), whole=not panel.is_map)
     shapes += [_region(axes, r, panel.is_map, len(states) - 1) for r in panel.drawn]
     shapes += _region_names(axes, panel)
     for curve in panel.curves:
@@ -217,8 +237,7 @@ def empty_panel(panel: Panel, horizon: int, number: int, tubes: Mapping[int, Tub
     Tubes, by the numbers of their curves, are in a group that is shown while the ring is at the certificate's start.
     """
     axes = panel_axes(panel, horizon)
-    names = ("first coordinate", "second coordinate") if panel.is_map else ("control step", "position")
-    shapes = svg.frame(axes, *names, whole=not panel.is_map)
+    shapes = svg.frame(axes, *_axis_names(panel), whole=not panel.is_map)
     shapes += [_region(axes, r, panel.is_map, horizon) for r in panel.drawn]
     drawn = [
         _tube(panel, axes, tubes[c.number], f"tube agent{c.number % len(AGENTS)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 from collections.abc import Iterable
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -171,7 +172,8 @@ def _answer(content: ReportContent) -> str:
     start = {"point": "from the initial state", "mean": "on average over the initial box"}.get(certificate.start, "")
     upper = None if v.gap is None else min(1.0, v.lower_bound + v.gap)
     above = "the probability is at least this" if upper is None else "the probability lies between these"
-    shown = escape(shown_bound(v.lower_bound, v.gap))
+    # What stands in brackets is not broken at the minus of an exponent.
+    shown = re.sub(r"\(.*\)", r"<span class=whole>\g<0></span>", escape(shown_bound(v.lower_bound, v.gap)))
     proved = f"<p>Under these controllers, {escape(start)}, {above}: proved for the model, not estimated.</p>"
     if v.verdict == VACUOUS:
         why = escape(v.details.get("nothing", ""))

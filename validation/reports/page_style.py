@@ -26,7 +26,7 @@ margin-top:20px;padding:20px;background:var(--card);border:1px solid var(--line)
 border-radius:8px}
 .answer.is-confirmed{border-left-color:var(--good)}.answer:is(.is-refuted,.is-invalid){border-left-color:var(--bad)}
 .answer h2{border:0;margin:0 0 4px;padding:0;font-size:.95rem;color:var(--soft)}
-.big{font-size:1.35rem;font-weight:650;line-height:1.25;overflow-wrap:anywhere}
+.big{font-size:1.35rem;font-weight:650;line-height:1.25;overflow-wrap:anywhere}.whole{white-space:nowrap}
 .verdict{display:inline-block;text-indent:0;
 padding:1px 12px;border-radius:14px;font-weight:600;color:#fff;background:#3f566f}
 .confirmed{background:#1a6e45}.refuted,.invalid{background:#a3211a}.vacuous{background:#6b5a1e}
@@ -68,7 +68,8 @@ svg .region-name{font-size:9.5px;fill:var(--soft)}.path{stroke-width:1;stroke-op
 """
 
 _PRINT = """@media print{body{background:#fff;font-size:10pt}main{max-width:none;padding:0}.player{display:none}
-figure:not(:has(table)),.answer,tr{break-inside:avoid}h2{break-after:avoid;margin-top:18px}details{display:none}
+.answer,tr{break-inside:avoid}figcaption{break-before:avoid}h2{break-after:avoid;margin-top:18px}details{display:none}
+.row table{font-size:.75rem;line-height:1.2}.row table :is(td,th){padding-block:1px}
 .row,.answer{grid-template-columns:1fr 1fr;gap:14px}.row>figure:only-child{max-width:60%}svg{max-height:9cm}
 .playing .all{opacity:1}.one{display:none}.here{fill:var(--card)!important}}
 """

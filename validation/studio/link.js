@@ -43,7 +43,7 @@ export class Link {
 
   tell() {
     const tabs = this.others.size + 1;
-    if (this.away) this.told("server stopped: your text is kept here, and sent when it is back", true);
+    if (this.away) this.told("server stopped: your text is kept here; start it again, and open its page", true);
     else this.told(tabs > 1 ? "open in " + tabs + " tabs, which show the same" : "", false);
   }
 

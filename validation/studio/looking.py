@@ -137,7 +137,8 @@ def _panels(problem: Problem, data: Mapping[str, Any]) -> Iterator[dict[str, Any
             "map": panel.is_map,
             "low": list(panel.low),
             "high": list(panel.high),
-            "names": _names(problem, axes[0]),
+            "names": list(panel.names),
+            "proportion": panel.proportion,
             "regions": [_drawn(panel, region) for region in panel.drawn if region.name != WHOLE],
             "curves": [{"name": curve.name, "color": curve.number % len(AGENTS)} for curve in panel.curves],
             "starts": [s for curve, on in zip(panel.curves, axes) for s in _starts(problem, data, curve, on)],
@@ -166,10 +167,6 @@ def _state_names(agent: Any) -> list[str]:
     if own is not None:
         return list(own)
     return [agent.name] if agent.n_states == 1 else [f"{agent.name}[{k}]" for k in range(agent.n_states)]
-
-
-def _names(problem: Problem, axes: list[Axis]) -> list[str]:
-    return ["" if axis is None else _state_names(problem.agents[axis[0]])[axis[1]] for axis in axes]
 
 
 def _drawn(panel: Panel, region: Region) -> dict[str, Any]:

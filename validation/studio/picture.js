@@ -2,6 +2,8 @@
 // Whatever is moved is sent as a change of the text; the text is the truth, and the picture follows it.
 
 const NS = "http://www.w3.org/2000/svg", WIDE = 640, NARROW = 400, LEFT = 46, TOP = 10, RIGHT = 12, BOTTOM = 34;
+// Height by width of maps whose axes have no scale in common, and of tracks over time; and what no picture exceeds.
+const FLATTEST = 0.4, TRACK = 0.46, TALLEST = {[WIDE]: 1, [NARROW]: 1.2};
 const CORNERS = 6, WORDS = {reached: "goal", avoided: "rock", kept: "safe", free: "region"};
 
 // Corners of an arrow along the first axis, as in frames and reports.
@@ -42,19 +44,22 @@ class Axes {
     this.low = panel.map ? panel.low : [0, panel.low[0]];
     this.high = panel.map ? panel.high : [horizon, panel.high[0]];
     const span = [0, 1].map(k => this.high[k] - this.low[k]), inner = WIDTH - LEFT - RIGHT;
-    const ratio = panel.map ? Math.min(1, Math.max(0.4, span[1] / span[0])) : 0.46;
-    this.width = inner;
-    this.tall = inner * ratio;
+    const free = panel.map ? Math.min(1, Math.max(FLATTEST, span[1] / span[0])) : TRACK, ratio = panel.proportion || free;
+    // A map that is taller than wide is as narrow as its scale asks for, in the middle of its card.
+    this.share = Math.min(1, TALLEST[WIDTH] / ratio);
+    this.width = inner * this.share;
+    this.left = LEFT + (inner - this.width) / 2;
+    this.tall = this.width * ratio;
     this.height = this.tall + TOP + BOTTOM;
     // Moves are by numbers that are short to write.
     this.steps = span.map(s => 10 ** Math.ceil(Math.log10(s / 400)));
   }
-  x(v) { return LEFT + (v - this.low[0]) / (this.high[0] - this.low[0]) * this.width; }
+  x(v) { return this.left + (v - this.low[0]) / (this.high[0] - this.low[0]) * this.width; }
   y(v) { return TOP + this.tall - (v - this.low[1]) / (this.high[1] - this.low[1]) * this.tall; }
   point(svg, event) {
     const r = svg.getBoundingClientRect(), px = (event.clientX - r.left) / r.width * WIDTH;
     const py = (event.clientY - r.top) / r.height * this.height;
-    const inside = [(px - LEFT) / this.width, 1 - (py - TOP) / this.tall].map(v => Math.max(0, Math.min(1, v)));
+    const inside = [(px - this.left) / this.width, 1 - (py - TOP) / this.tall].map(v => Math.max(0, Math.min(1, v)));
     return inside.map((v, k) => this.low[k] + v * (this.high[k] - this.low[k]));
   }
   round(v, k) {
@@ -124,7 +129,7 @@ export class Picture {
     // A picture is never so tall that what is certified falls off the screen.
     svg.style.maxWidth = "calc((100vh - 400px) * " + (WIDTH / axes.height).toFixed(3) + ")";
     const clip = make(make(svg, "defs", {}), "clipPath", {id: "frame" + p});
-    const frame = {x: LEFT, y: TOP, width: axes.width, height: axes.tall};
+    const frame = {x: axes.left, y: TOP, width: axes.width, height: axes.tall};
     make(clip, "rect", frame);
     make(svg, "rect", {class: "paper", ...frame}).addEventListener("pointerdown", event => this.begin(event, p));
     this.frame(svg, panel, axes);
@@ -141,18 +146,20 @@ export class Picture {
 
   frame(svg, panel, axes) {
     const bottom = TOP + axes.tall;
-    for (const v of ticks(axes.low[0], axes.high[0], 8)) {
+    for (const v of ticks(axes.low[0], axes.high[0], Math.max(2, 8 * axes.share))) {
       make(svg, "line", {class: "grid", x1: axes.x(v), x2: axes.x(v), y1: TOP, y2: bottom, "pointer-events": "none"});
       make(svg, "text", {class: "tick middle", x: axes.x(v), y: bottom + 14}, v);
     }
     for (const v of ticks(axes.low[1], axes.high[1], 7)) {
-      make(svg, "line", {class: "grid", x1: LEFT, x2: LEFT + axes.width, y1: axes.y(v), y2: axes.y(v), "pointer-events": "none"});
-      make(svg, "text", {class: "tick end", x: LEFT - 5, y: axes.y(v) + 4}, v);
+      make(svg, "line", {class: "grid", x1: axes.left, x2: axes.left + axes.width, y1: axes.y(v), y2: axes.y(v), "pointer-events": "none"});
+      make(svg, "text", {class: "tick end", x: axes.left - 5, y: axes.y(v) + 4}, v);
     }
     const names = panel.map ? panel.names : ["time", panel.names[0]];
-    make(svg, "text", {class: "name middle", x: LEFT + axes.width / 2, y: bottom + 29}, names[0]);
-    const y = TOP + axes.tall / 2;
-    make(svg, "text", {class: "name middle", transform: "rotate(-90 11 " + y + ")", x: 11, y}, names[1]);
+    make(svg, "text", {class: "name middle", x: axes.left + axes.width / 2, y: bottom + 29}, names[0]);
+    const x = axes.left - LEFT + 11, y = TOP + axes.tall / 2;
+    // A short name stands upright: a turned z would be an N.
+    const turned = names[1].length > 3 ? {transform: "rotate(-90 " + x + " " + y + ")"} : {};
+    make(svg, "text", {class: "name middle", ...turned, x, y}, names[1]);
   }
 
   /** Draws regions, starts and knobs of one panel anew. */
@@ -160,7 +167,7 @@ export class Picture {
     const {panel, axes, inside, names, above} = view, moved = new Set(panel.shapes.filter(s => !s.part).map(s => s.name));
     for (const g of [inside, names, above]) g.replaceChildren();
     const trace = points => "M" + points.map(q => axes.x(q[0]).toFixed(1) + " " + axes.y(q[1]).toFixed(1)).join("L") + "Z";
-    const title = (x, y, name) => make(names, "text", {class: "shape-name", x: Math.max(LEFT + 4, x + 5), y: Math.max(TOP + 15, y + 16)}, name);
+    const title = (x, y, name) => make(names, "text", {class: "shape-name", x: Math.max(axes.left + 4, x + 5), y: Math.max(TOP + 15, y + 16)}, name);
     for (const r of panel.regions.filter(r => !moved.has(r.name))) {
       const look = {class: "still r-" + r.role};
       if (panel.map) {

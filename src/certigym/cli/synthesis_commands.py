@@ -206,7 +206,8 @@ def _list_suite(options: Namespace) -> int:
         rows.append({"id": name, **sizes, "semantics": problem.specification.semantics, "task": _task(problem)})
     width = max((len(str(row["id"])) for row in rows), default=0)
     for row in rows:
-        size = f"{row['tier']:<7} {row['agents']:>3} agents  T={row['horizon']:<3}"
+        agents = f"{row['agents']:>3} {'agent ' if row['agents'] == 1 else 'agents'}"
+        size = f"{row['tier']:<7} {agents}  T={row['horizon']:<3}"
         say(options, f"{row['id']:<{width}}  {size} {row['semantics']:<12}  {row['task']}")
     write_json(options, rows)
     return 0
@@ -235,7 +236,7 @@ def _shared_lines(problem: Problem) -> list[str]:
 def _noise(agent: AnyAgent) -> str:
     """Return the noise of an agent: a covariance, or the law of each component."""
     if agent.laws is None:
-        return f"covariance of w {agent.noise_covariance.tolist()}"
+        return f"covariance of w {_matrix(agent.noise_covariance)}"
     laws = [law.to_dict() for law in agent.laws]
     words = [f"{law.pop('law')} ({', '.join(f'{key} {value}' for key, value in law.items())})" for law in laws]
     axes = "" if np.array_equal(agent.noise_axes, np.eye(agent.n_states)) else f" along {agent.noise_axes.T.tolist()}"
@@ -245,7 +246,7 @@ def _noise(agent: AnyAgent) -> str:
 def _motion(agent: AnyAgent) -> str:
     """Return how an agent moves, in symbols."""
     if isinstance(agent, LinearAgent):
-        return f"x' = A x + B u + c + w, A = {agent.A.tolist()}, B = {agent.B.tolist()}, c = {_vector(agent.offset)}"
+        return f"x' = A x + B u + c + w, A = {_matrix(agent.A)}, B = {_matrix(agent.B)}, c = {_vector(agent.offset)}"
     assert isinstance(agent, Agent)
     numbers = [f"{name} = {value:g}" for name, value in agent.parameters.items()]
     numbers += [f"{name} in [{low:g}, {high:g}]" for name, (low, high) in agent.disturbances.items()]
@@ -282,6 +283,11 @@ def _box(region: Proposition | Pair) -> str:
     is_box = region.distance is None if isinstance(region, Pair) else not region.shape
     is_box = is_box and not region.moves
     return f"[{_vector(region.low)}, {_vector(region.high)})" if is_box else region.text
+
+
+def _matrix(rows: Any) -> str:
+    """Return a matrix in square brackets, without the digits that rounding leaves behind."""
+    return "[" + ", ".join("[" + ", ".join(f"{v:.12g}" for v in row) + "]" for row in rows) + "]"
 
 
 def _vector(values: Any) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Event, Thread
 from typing import Any
 
 from tqdm import tqdm
@@ -20,11 +21,14 @@ from ..validation.policies import train as train_baseline
 from ..validation.simulation import TrialPlan, executor_for
 from .given import budget_of, cells_of, problem_of, relation_of, say, search_of
 
+TICK = 1.0
+"""Seconds from one showing of the clock to the next: what it counts."""
+
 
 def synthesized(options: Namespace) -> Synthesis:
     """Return the synthesis that the options for problem, models and search ask for."""
     problem, cells = problem_of(options), cells_of(options)
-    with tqdm(bar_format=BAR, disable=None, leave=False) as bar:
+    with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
         report = shown_on(bar)
         if getattr(options, "no_deadline", False):
             # --accuracy is about the horizon here
@@ -40,6 +44,27 @@ def synthesized(options: Namespace) -> Synthesis:
         shapes = ", ".join(" x ".join(map(str, shape)) for shape in record["cells"])
         say(options, f"{shapes} cells, the best of {counted(len(record['tried']), 'run')}: {record['stopped']}")
     return result
+
+
+@contextmanager
+def ticking(bar: tqdm) -> Iterator[None]:
+    """Let the clock of a bar go on while nothing is reported, so that a long step does not look like a halt."""
+    ended = Event()
+
+    def tick() -> None:
+        while not ended.wait(TICK):
+            bar.refresh()
+
+    clock = Thread(target=tick, daemon=True)
+    if bar.disable:
+        yield
+        return
+    clock.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        clock.join()
 
 
 @contextmanager
