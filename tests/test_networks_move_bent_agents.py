@@ -84,11 +84,13 @@ def test_boxes_hold_what_the_deployed_network_does() -> None:
     """10,000 states: inputs and means lie in the enclosures of the check."""
     problem, actor, certificate = certified("plain")
     (agent,), (part,) = problem.agents, certificate.agents
+    assert isinstance(agent, cg.Agent)
     rng = np.random.default_rng(5)
     cells = rng.integers(part.grid.n_cells, size=10_000)
     low, high = part.grid.low[cells], part.grid.high[cells]
     states = (low + rng.random(low.shape) * (high - low)).T
-    for t, q in ((0, problem.initial_q), (2, problem.initial_q)):
+    q = int(problem.initial_q or 0)
+    for t in (0, 2):
         mode = t * problem.automaton.n_states + q
         inputs = actor.inputs(0, states, np.full(states.shape[1], q), t)
         first, last = driven_spans(agent, part, cells, mode)
