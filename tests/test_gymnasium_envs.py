@@ -46,8 +46,8 @@ def episode(env: CentralEnv, seed: int | None) -> str:
     return hashlib.sha256(plain.encode()).hexdigest()
 
 
-@each
-def test_gymnasium_accepts_every_id(id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@each_kind
+def test_gymnasium_accepts_windows_and_pictures(id: str, monkeypatch: pytest.MonkeyPatch) -> None:
     fake_pygame.install(monkeypatch)
     env = gymnasium.make(gymnasium_id(id))
     assert env.spec is not None and gymnasium.spec(gymnasium_id(id)) is not None
