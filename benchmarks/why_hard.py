@@ -1,0 +1,184 @@
+"""What makes a problem hard to learn, by experiments: ``python benchmarks/why_hard.py [ID ...] [--seconds S]``.
+
+For each problem of the tiers *open* and *hard* that is listed below, a learner without help is trained on the problem
+as it is, on the problem without what is said to be hard about it, and with help that ought to matter: more time, the
+states of all agents, another reward. If the reason is the right one, the learner succeeds where it is taken away. All
+trainings of a problem have the same time (`more time`: four times as much), one seed, one thread. Needs the extra
+`rl`. Writes docs/why_hard.md and, beside it, the numbers; those of experiments that are there already stay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import certigym as cg
+
+EPISODES = 20_000
+PAGE = Path(__file__).parents[1] / "docs" / "why_hard.md"
+MORE = 4
+"""How many times the seconds of the others `more time` has."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One training: what is changed, and of which problem the success rate is.
+
+    Parameters
+    ----------
+    name : str
+        What is changed, as the page says it.
+    problem : callable
+        Makes the problem, on which the actor is trained and judged.
+    algorithm : str
+    times : int
+        Multiple of the seconds.
+    settings : dict
+        Handed on to `certigym.train`.
+    """
+
+    name: str
+    problem: Callable[[], cg.Problem]
+    algorithm: str = "ppo"
+    times: int = 1
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+def told(id: str, formula: str) -> Callable[[], cg.Problem]:
+    """Return what makes a problem of the suite with another formula, and with the propositions alone that it names."""
+
+    def make() -> cg.Problem:
+        problem, words = cg.make_problem(id), WORD.findall(formula)
+        return cg.Problem(
+            name=f"{id}-changed",
+            horizon=problem.horizon,
+            agents=problem.agents,
+            propositions={name: region for name, region in problem.propositions.items() if name in words},
+            specification=cg.Specification(formula, problem.automaton.semantics),
+        )
+
+    return make
+
+
+def none_of(*names: str) -> str:
+    """Return that none of some propositions holds."""
+    return " & ".join(f"!{name}" for name in names)
+
+
+def suite(id: str, **arguments: Any) -> Callable[[], cg.Problem]:
+    """Return what makes a problem of the suite."""
+    return lambda: cg.make_problem(id, **arguments)
+
+
+def usual(id: str) -> tuple[Trial, Trial]:
+    """Return the problem as it is, and more time."""
+    return Trial("as it is", suite(id)), Trial("more time", suite(id), times=MORE)
+
+
+def everything(id: str) -> Trial:
+    """Return one learner that sees all agents and moves all of them."""
+    return Trial("one learner sees and moves all agents", suite(id), "central-ppo")
+
+
+def shaped(id: str) -> Trial:
+    """Return the potential-based reward in place of that for progress."""
+    return Trial("reward `shaped` throughout", suite(id), settings={"reward": "shaped"})
+
+
+WORD = re.compile(r"\w+")
+_VISITS = " & ".join(f"F {name}" for name in ("bakery", "school", "tower", "farm"))
+_GOALS = [f"goal_{k}" for k in range(8)]
+_REACH = "reach_0 & reach_1 & reach_2"
+_APART = none_of("touch_0", "touch_1", "touch_2", "near_0_1", "near_0_2", "near_1_2")
+_ERRAND = "F (depot & F G dock)"
+_WALLS = none_of("upper_0", "upper_1", "lower_0", "lower_1")
+_ORDER = "F (farm & F (tower & F (school & F (bakery & F G home))))"
+
+TRIALS: dict[str, tuple[Trial, ...]] = {
+    "courier-v0": (
+        *usual("courier-v0"),
+        Trial("one customer in place of four", told("courier-v0", "G !pond & F tower & F G home")),
+        Trial("two customers", told("courier-v0", "G !pond & F bakery & F tower & F G home")),
+        Trial("no pond", told("courier-v0", f"{_VISITS} & F G home")),
+        Trial("in a given order", told("courier-v0", f"G !pond & {_ORDER}")),
+        shaped("courier-v0"),
+    ),
+    "swarm-8-v0": (
+        Trial("as it is", suite("swarm-8-v0")),
+        everything("swarm-8-v0"),
+        Trial("two robots", suite("swarm-v0", n_agents=2, horizon=15)),
+        Trial("they may meet", told("swarm-8-v0", f"F G ({' & '.join(_GOALS)})")),
+        Trial("twice the horizon", suite("swarm-8-v0", horizon=30)),
+    ),
+    "fleet-6-v0": (
+        Trial("as it is", suite("fleet-6-v0")),
+        everything("fleet-6-v0"),
+        Trial("two vehicles", suite("fleet-v0", n_agents=2)),
+        Trial("they may meet", told("fleet-6-v0", f"F ({' & '.join(_GOALS[:6])})")),
+    ),
+    "rendezvous-3-v0": (
+        Trial("as it is", suite("rendezvous-3-v0")),
+        everything("rendezvous-3-v0"),
+        Trial("one follower", suite("rendezvous-v0", n_followers=1)),
+        Trial("they need not keep apart", told("rendezvous-3-v0", f"G ({_REACH}) & {_ERRAND}")),
+        Trial("they need not stay in reach", told("rendezvous-3-v0", f"G ({_APART}) & {_ERRAND}")),
+        Trial("the errand of the leader alone", told("rendezvous-3-v0", _ERRAND)),
+    ),
+    "corridor-v0": (
+        *usual("corridor-v0"),
+        everything("corridor-v0"),
+        Trial("they may meet", told("corridor-v0", f"G ({_WALLS}) & F G (right & left)")),
+        Trial("no walls", told("corridor-v0", "G !near_0_1 & F G (right & left)")),
+    ),
+    "car-park-rough-v0": (*usual("car-park-rough-v0"), shaped("car-park-rough-v0")),
+    "patrol-recharge-v0": (
+        *usual("patrol-recharge-v0"),
+        everything("patrol-recharge-v0"),
+        shaped("patrol-recharge-v0"),
+    ),
+    "reach-avoid-20-rough-v0": (
+        *usual("reach-avoid-20-rough-v0"),
+        Trial("noise of 1 in place of 1.3 times", suite("reach-avoid-20-v0")),
+        Trial("five agents", suite("reach-avoid-n-v0", n_agents=5, disturbance_scale=1.3)),
+    ),
+}  # fmt: skip
+"""Experiments by problem."""
+
+
+def outcome(trial: Trial, seconds: float) -> dict[str, Any]:
+    """Train, and return how often the actor succeeds, with exact limits of 99.9 %, and what it cost."""
+    problem = trial.problem()
+    training = cg.train(problem, trial.algorithm, 10**9, seconds=seconds * trial.times, **trial.settings)
+    (entry,) = cg.compare(problem, {trial.name: training}, EPISODES, seed=77, confidence=0.999).entries
+    return {
+        "rate": entry.rate,
+        "low": entry.ci_low,
+        "high": entry.ci_high,
+        "steps": training.steps,
+        "seconds": round(training.seconds),
+    }
+
+
+def main() -> None:
+    """Make the experiments that are missing, one after the other, and write the numbers after each."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("ids", nargs="*", default=list(TRIALS))
+    parser.add_argument("--seconds", type=float, default=40.0)
+    options = parser.parse_args()
+    table = PAGE.with_suffix(".json")
+    found = json.loads(table.read_text(encoding="utf-8")) if table.is_file() else {}
+    for id in options.ids:
+        for trial in TRIALS[id]:
+            if trial.name not in found.setdefault(id, {}):
+                found[id][trial.name] = outcome(trial, options.seconds)
+                print(f"{id:<26} {trial.name:<40} {found[id][trial.name]}", flush=True)
+                table.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
