@@ -251,6 +251,11 @@ class Block:
         return 0.5 * self.input_low + 0.5 * self.input_high, 0.5 * self.input_high - 0.5 * self.input_low
 
     @cached_property
+    def unit_scale(self) -> np.ndarray:
+        """What maps the widths of the workspaces (d, n, 1) to 2."""
+        return np.asarray(2.0 / (self.state_high - self.state_low))
+
+    @cached_property
     def middle_stays_inside(self) -> bool:
         """Whether [-1, 1] is mapped into the input boxes whatever is rounded: products and sums are monotone."""
         middle, half = self.input_middle

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import isfinite
 from typing import Any
 
@@ -148,8 +149,8 @@ def shared(problem: Problem, q: int, time: int, automaton: str = "one-hot") -> l
 
 def shared_rows(problem: Problem, worlds: Worlds, automaton: str) -> np.ndarray:
     """Return the same of a batch: (k, M), one column per world."""
-    left = 1.0 - double(worlds.time) / problem.horizon
-    if not is_host(left):  # whose places cannot be counted without sending them there
+    if not is_host(worlds.q):  # whose places cannot be counted without sending them there
+        left = 1.0 - double(worlds.time) / problem.horizon
         seen = {"one-hot": [worlds.q == q for q in range(problem.automaton.n_states)], "number": [worlds.q]}
         rows: np.ndarray = namespace(left).stack([*map(double, seen.get(automaton, [])), left])
         return rows
@@ -170,7 +171,15 @@ def write_shared(problem: Problem, worlds: Worlds, automaton: str, rows: np.ndar
         rows[:-1] = worlds.q == np.arange(len(rows) - 1, dtype=worlds.q.dtype)[:, None]
     elif automaton == "number":
         rows[0] = worlds.q
-    rows[-1] = 1.0 - double(worlds.time) / problem.horizon
+    rows[-1] = time_left(problem.horizon).take(worlds.time)
+
+
+@lru_cache(maxsize=64)
+def time_left(horizon: int) -> np.ndarray:
+    """Return the fraction of time left at the times 0 to T, float64, read-only."""
+    left: np.ndarray = 1.0 - np.arange(horizon + 1) / horizon
+    left.flags.writeable = False
+    return left
 
 
 def joint_observations(problem: Problem, worlds: Worlds, states: np.ndarray, form: Form) -> np.ndarray:

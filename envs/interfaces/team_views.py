@@ -125,7 +125,7 @@ class TeamViews:
         if is_host(x):
             # In place: new arrays are a good part of a step. NaN counts as the lower corner, as in all observations.
             seen = x - low
-            seen *= 2.0 / (high - low)
+            seen *= block.unit_scale
             seen -= 1.0
             return np.fmin(np.fmax(seen, -1.0, out=seen), 1.0, out=seen)
         seen = (x - low) * (2.0 / (high - low)) - 1.0
