@@ -378,7 +378,7 @@ def xuance_ippo(seconds: float) -> Trained:
     settings |= {
         "env_name": "certigym", "env_id": ID, "env_seed": 0, "seed": 0, "device": "cpu", "running_steps": 10**9,
         "vectorize": "DummyVecMultiAgentEnv", "parallels": 16, "buffer_size": 1024, "n_epochs": 6, "n_minibatch": 4,
-        "learning_rate": 1e-3, "gamma": 1.0, "ent_coef": 0.0, "gain": 1.0, "activation": "tanh",
+        "learning_rate": 3e-4, "gamma": 1.0, "ent_coef": 0.0, "gain": 1.0, "activation": "tanh",
         "activation_action": "tanh", "use_parameter_sharing": False, "log_dir": logs, "model_dir": logs,
         "logger": "tensorboard", "render": False, "test_mode": False,
     }  # fmt: skip
