@@ -50,8 +50,8 @@ def page_of(board: Leaderboard) -> str:
     names = board.policies
     lines = [HEAD, f"| id | at least | tier | left | {' | '.join(names)} |", "|---" * (len(names) + 4) + "|"]
     rows: dict[str, list[Standing]] = {}
-    for row in board.rows:
-        rows.setdefault(row.problem, []).append(row)
+    for standing in board.rows:
+        rows.setdefault(standing.problem, []).append(standing)
     tiers = {problem: tier_of(found) for problem, found in rows.items()}
     left = {problem: left_of(found) for problem, found in rows.items()}
     # By tier, and in it by what is left, to the digits that are shown; ids decide between equals.
