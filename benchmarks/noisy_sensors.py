@@ -19,7 +19,12 @@ import certigym as cg
 from certigym.validation.statistics import clopper_pearson
 from one_file import Agent, inputs_of, ppo, rows_of
 
-CASES = (("reach-avoid-v0", (0.0, 0.5, 1.5)), ("car-park-v0", (0.0, 0.5, 1.0)), ("patrol-recharge-v0", (0.0, 0.3, 0.6)))
+CASES = (
+    ("reach-avoid-v0", (0.0, 0.5, 1.5)),
+    ("room-network-v0", (0.0, 0.5, 1.0)),
+    ("van-der-pol-v0", (0.0, 0.2, 0.5)),
+    ("car-park-v0", (0.0, 0.5, 1.0)),
+)
 """Problems, and standard deviations of the errors, in the units of the states."""
 
 WORLDS, ROUNDS = 2000, 10

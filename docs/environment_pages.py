@@ -78,11 +78,12 @@ HARD: dict[str, str] = {
     "and to .34 after 357,000, one seed each.",
     "fleet-6-v0": "all six have to be in their places at the same time: two vehicles learn to pass one another in "
     "40 seconds, and six stay at 0 even if they may meet ([tested](../why_hard.md#fleet-6-v0)).",
-    "swarm-8-v0": "all eight have to be in their places at the end: robots stay at 0 within 40 seconds even if "
-    "they may meet, so that the way around one another is not what is hard first "
+    "swarm-8-v0": "this is not known. It was said to be the agreement on one sense of going around, but robots "
+    "that may meet, and two in place of eight, stay at 0 within 40 seconds, too "
     "([tested](../why_hard.md#swarm-8-v0)).",
-    "rendezvous-3-v0": "three followers keep within reach of a leader that they do not see: PPO comes to .90 if "
-    "they need not, and stays at 0 if they need not keep apart ([tested](../why_hard.md#rendezvous-3-v0)).",
+    "rendezvous-3-v0": "three followers keep within reach of a leader that they do not see: PPO comes to .90 and "
+    ".9999 with two seeds if they need not, and stays at 0 if they need not keep apart "
+    "([tested](../why_hard.md#rendezvous-3-v0)).",
     "invariance-b-50-v0": "the task is lost by whoever leaves first of fifty, so the return says little of what "
     "one agent did. The number is what counts, which was tested: with 20 agents PPO comes to .999, with 100 to "
     ".002.",
