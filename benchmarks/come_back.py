@@ -116,69 +116,9 @@ def supersuit_ppo(seconds: float) -> Trained:
 
 def single_file(seconds: float) -> Trained:
     """PPO in one file in the manner of CleanRL: a module with `actor_mean`, on 256 worlds of `team_env`."""
-    import torch
-    from torch import nn
+    from one_file import ppo
 
-    torch.manual_seed(0)
-    env = cg.team_env(ID, 256, reward="progress")
-    first = env.reset(seed=0)
-    observed, answered = first.observations[env.agents[0]].shape[1] + len(env.agents), 1
-
-    class Agent(nn.Module):
-        def __init__(self) -> None:
-            super().__init__()
-            sizes = (observed, 64), (64, 64)
-            hidden = [[part for size in sizes for part in (nn.Linear(*size), nn.Tanh())] for _ in range(2)]
-            self.actor_mean = nn.Sequential(*hidden[0], nn.Linear(64, answered))
-            self.critic = nn.Sequential(*hidden[1], nn.Linear(64, 1))
-            self.actor_logstd = nn.Parameter(torch.full((1, answered), -0.5))
-
-    agent = Agent()
-    adam, steps, told = torch.optim.Adam(agent.parameters(), lr=1e-3, eps=1e-5), 0, first
-    until = time.perf_counter() + seconds
-
-    def rows_of(step: Any) -> Any:
-        marks = np.eye(len(env.agents), dtype=np.float32)
-        parts = [
-            np.concatenate([step.observations[n], np.tile(marks[i], (256, 1))], 1) for i, n in enumerate(env.agents)
-        ]
-        return torch.as_tensor(np.stack(parts, 1))  # (worlds, agents, observed)
-
-    while time.perf_counter() < until:
-        seen, acted, chances, gained, ended, worth = [], [], [], [], [], []
-        for _ in range(32):
-            rows = rows_of(told)
-            with torch.no_grad():
-                law = torch.distributions.Normal(agent.actor_mean(rows), agent.actor_logstd.exp())
-                action = law.sample()
-                chances.append(law.log_prob(action).sum(-1))
-                worth.append(agent.critic(rows)[..., 0])
-            told = env.step({name: action[:, i].numpy() for i, name in enumerate(env.agents)})
-            seen.append(rows)
-            acted.append(action)
-            gained.append(torch.as_tensor(told.rewards, dtype=torch.float32)[:, None])
-            ended.append(torch.as_tensor(told.ended, dtype=torch.float32)[:, None])
-            steps += 256
-        with torch.no_grad():
-            after, advantage, found = agent.critic(rows_of(told))[..., 0], torch.zeros_like(worth[0]), []
-            for reward, done, value in zip(gained[::-1], ended[::-1], worth[::-1], strict=True):
-                advantage = reward + (1 - done) * after - value + 0.95 * (1 - done) * advantage
-                found.append(advantage)
-                after = value
-        better = torch.stack(found[::-1]).flatten()
-        data = [torch.stack(x).flatten(0, 2) for x in (seen, acted, chances, worth)]
-        for _ in range(4):
-            for pick in torch.randperm(len(better)).split(4096):
-                rows, action, before, value = (x[pick] for x in data)
-                law = torch.distributions.Normal(agent.actor_mean(rows), agent.actor_logstd.exp())
-                ratio = (law.log_prob(action).sum(-1) - before).exp()
-                gain = (better[pick] - better[pick].mean()) / (better[pick].std() + 1e-8)
-                loss = -torch.minimum(ratio * gain, ratio.clip(0.8, 1.2) * gain).mean()
-                loss = loss + 0.5 * (agent.critic(rows)[:, 0] - value - better[pick]).square().mean()
-                adam.zero_grad()
-                loss.backward()
-                nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
-                adam.step()
+    agent, steps = ppo(cg.team_env(ID, 256, reward="progress"), seconds)
     # Own state in [-1, 1], automaton state, time left, which agent: the rows of shared worlds.
     return agent, "shared_vec_env", steps
 
@@ -386,6 +326,74 @@ def skrl_ppo(seconds: float) -> Trained:
     return models["policy"].net, "central_env", steps
 
 
+def agilerl_ippo(seconds: float) -> Trained:
+    """IPPO of AgileRL on 64 worlds of `team_env`, one network for all agents."""
+    import torch
+    from agilerl.algorithms import IPPO
+    from agilerl.training.train_multi_agent_on_policy import train_multi_agent_on_policy
+
+    from client_worlds import agile_worlds
+
+    torch.manual_seed(0)
+    np.random.seed(0)  # noqa: NPY002 (AgileRL shuffles with it)
+    worlds, per = agile_worlds(ID, 64, reward="progress"), 64 * 128
+    plain = {"hidden_size": [64], "activation": "Tanh", "layer_norm": False}
+    learner = IPPO(
+        [worlds.single_observation_space(name) for name in worlds.agents],
+        [worlds.single_action_space(name) for name in worlds.agents],
+        agent_ids=worlds.agents,
+        net_config={"encoder_config": {**plain, "output_layernorm": False}, "head_config": plain},
+        gamma=1.0, lr=1e-3, learn_step=64 * 32, batch_size=512, update_epochs=6, ent_coef=0.0,
+    )  # fmt: skip
+    until, steps = time.perf_counter() + seconds, 0
+    while time.perf_counter() < until:
+        steps += per
+        train_multi_agent_on_policy(
+            worlds, ID, "IPPO", [learner], max_steps=steps, evo_steps=per, eval_steps=7, verbose=False
+        )
+    ((_, actor),) = learner.actors.items()
+    *layers, last, _ = (*actor.encoder.model, *actor.head_net._wrapped.model)
+    # The last number of an action was ignored in training.
+    means = torch.nn.Linear(last.in_features, last.out_features - 1)
+    means.load_state_dict({name: values[:-1] for name, values in last.state_dict().items()})
+    return torch.nn.Sequential(*layers, means), "team_env", steps
+
+
+def xuance_ippo(seconds: float) -> Trained:
+    """IPPO of Xuance on 16 worlds, a network for each agent."""
+    import torch
+    import xuance
+    import yaml
+    from xuance.environment import REGISTRY_MULTI_AGENT_ENV, make_envs
+    from xuance.torch.agents import IPPO_Agents
+
+    from client_worlds import xuance_worlds
+
+    options = {"actions": "unit", "scale": "unit", "dtype": "float32", "reward": "progress"}
+    REGISTRY_MULTI_AGENT_ENV["certigym"] = xuance_worlds(ID, **options)
+    folder, settings = Path(xuance.__file__).parent / "configs", {}
+    for name in ("basic.yaml", "ippo/mpe/simple_spread_v3.yaml"):
+        settings.update(yaml.safe_load((folder / name).read_text(encoding="utf-8")))
+    logs = tempfile.mkdtemp()
+    settings |= {
+        "env_name": "certigym", "env_id": ID, "env_seed": 0, "seed": 0, "device": "cpu", "running_steps": 10**9,
+        "vectorize": "DummyVecMultiAgentEnv", "parallels": 16, "buffer_size": 1024, "n_epochs": 6, "n_minibatch": 4,
+        "learning_rate": 3e-4, "gamma": 1.0, "ent_coef": 0.0, "gain": 1.0, "activation": "tanh",
+        "activation_action": "tanh", "use_parameter_sharing": False, "log_dir": logs, "model_dir": logs,
+        "logger": "tensorboard", "render": False, "test_mode": False,
+    }  # fmt: skip
+    del settings["normalize"]
+    torch.manual_seed(0)
+    settings = argparse.Namespace(**settings)
+    agents = IPPO_Agents(config=settings, envs=make_envs(settings))
+    until = time.perf_counter() + seconds
+    while time.perf_counter() < until:
+        agents.train(64)
+    parts = agents.policy.actor_representation, agents.policy.actor
+    nets = {key: torch.nn.Sequential(*parts[0][key].model, *parts[1][key].mu) for key in agents.model_keys}
+    return nets, "parallel_env(scale=unit,actions=unit)", int(agents.current_step)
+
+
 CLIENTS: dict[str, tuple[str, Callable[[float], Trained]]] = {
     "sb3-ppo": ("stable-baselines3", sb3_ppo),
     "sb3-td3": ("stable-baselines3", sb3_td3),
@@ -400,6 +408,8 @@ CLIENTS: dict[str, tuple[str, Callable[[float], Trained]]] = {
     "rllib": ("ray", rllib_ppo),
     "benchmarl": ("benchmarl", benchmarl_ippo),
     "skrl": ("skrl", skrl_ppo),
+    "agilerl": ("agilerl", agilerl_ippo),
+    "xuance": ("xuance", xuance_ippo),
 }
 
 

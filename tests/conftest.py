@@ -81,7 +81,8 @@ SLOW = """
     claims_hold_in_ball_arithmetic clients_find_what_they_expect command_line
     common_inputs_stand_against_another_simulation coupled_tasks_have_one_automaton
     deadlines_leave_few_states_at_a_time describe_says_which_ways_apply disturbances_have_a_behaviour
-    environments_behind_shields every_way_that_applies_is_tried everything_composes examples_ship_certificates
+    environments_behind_shields every_id_conforms every_way_that_applies_is_tried everything_composes
+    examples_ship_certificates
     expressions_are_read_and_enclosed expressions_have_exact_targets field_benchmarks findings_are_as_told
     finer_levels_gain fleets_are_certified_along_paths given_policies_are_certified guards_are_disjoint
     gymnasium_envs inner_terms_are_rounded inputs_are_chosen_in_common inputs_stand_beside_targets labeling

@@ -23,6 +23,7 @@ import fake_pygame
 from certigym.envs.agents import place_of
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces.central_env import CentralEnv
+from certigym.envs.interfaces.observation import batch_inputs
 from certigym.envs.interfaces.vector_env import ProblemVectorEnv
 from certigym.envs.suite.ids import gymnasium_id
 from kinds import IDS_OF_KINDS
@@ -46,8 +47,8 @@ def episode(env: CentralEnv, seed: int | None) -> str:
     return hashlib.sha256(plain.encode()).hexdigest()
 
 
-@each
-def test_gymnasium_accepts_every_id(id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@each_kind
+def test_gymnasium_accepts_windows_and_pictures(id: str, monkeypatch: pytest.MonkeyPatch) -> None:
     fake_pygame.install(monkeypatch)
     env = gymnasium.make(gymnasium_id(id))
     assert env.spec is not None and gymnasium.spec(gymnasium_id(id)) is not None
@@ -231,6 +232,30 @@ def test_the_noise_has_the_stated_moments(id: str) -> None:
         assert (np.abs(white.mean(axis=1)) <= quantile / np.sqrt(n)).all()
         spread = np.sqrt((1.0 + np.eye(len(white))) / n)
         assert (np.abs(white @ white.T / n - np.eye(len(white))) <= 1.3 * quantile * spread).all()
+
+
+def test_scaled_actions_never_leave_the_input_box_by_rounding() -> None:
+    problem, rng = cg.make_problem("reach-avoid-v0"), np.random.default_rng(0)
+    skipped = 0
+    for _ in range(300):
+        low = rng.normal(size=2) * 10.0 ** rng.integers(-3, 4, 2)
+        high = low + rng.random(2) * 10.0 ** rng.integers(-3, 4, 2)
+        agents = [
+            agent.replace(input_low=[a], input_high=[b]) for agent, a, b in zip(problem.agents, low, high, strict=True)
+        ]
+        boxed = cg.Problem(
+            name="boxed",
+            horizon=2,
+            agents=agents,
+            propositions=dict(problem.propositions),
+            specification=cg.Specification("F p1", "co-safe"),
+        )
+        dynamics = core.Dynamics.of(boxed)
+        skipped += dynamics.blocks[0].middle_stays_inside
+        actions = np.concatenate([[[-1.0] * 2, [1.0] * 2, [-2.0, 2.0]], rng.uniform(-1, 1, (20, 2))])
+        (u,) = batch_inputs(dynamics, actions, "unit")
+        assert ((low[:, None] <= u[0]) & (u[0] <= high[:, None])).all()
+    assert 0 < skipped < 300  # both with the second clip and without it
 
 
 def test_actions_are_scaled_clipped_and_checked() -> None:

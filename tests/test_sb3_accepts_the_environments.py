@@ -1,4 +1,4 @@
-"""Stable-Baselines3 accepts the centralised environment of every id, without a warning."""
+"""Stable-Baselines3 accepts the centralised environment with any options, without a warning."""
 
 from __future__ import annotations
 
@@ -10,11 +10,6 @@ import certigym as cg
 from kinds import IDS_OF_KINDS
 
 env_checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra `rl`")
-
-
-@pytest.mark.parametrize("id", cg.problem_ids())
-def test_env_checker(id: str) -> None:
-    env_checker.check_env(cg.central_env(id), warn=True)
 
 
 @pytest.mark.parametrize("options", [{"dtype": "float32"}, {"reward": "shaped"}], ids=str)

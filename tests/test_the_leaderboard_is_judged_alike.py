@@ -90,7 +90,7 @@ def test_the_command_writes_page_and_json_and_takes_a_submission(
     board = Leaderboard.load(page.with_suffix(".json"))
     assert board.policies == ("certified", "mine", "random")
     text = page.read_text()
-    assert text == page_of(board) and "| id | at least | tier | certified | mine | random |" in text
+    assert text == page_of(board) and "| id | at least | tier | left | certified | mine | random |" in text
     assert main([*words, "--add", f"certified={own}:towards"]) == 2
     assert main([*words, "--add", "mine"]) == 2
     (tmp_path / "other.json").write_text(json.dumps({"rows": [1]}))

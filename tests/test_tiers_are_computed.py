@@ -14,6 +14,7 @@ import rate_problems
 from certigym.cli.main import main
 from certigym.envs.suite.tiers import NAMES, TIERS
 from certigym.validation.policies import Leaderboard, Standing, page_of, tier_of
+from certigym.validation.policies.tier_rule import left_of
 
 
 def row(policy: str, successes: int, low: float = 0.0, lower_bound: float | None = None) -> Standing:
@@ -41,6 +42,18 @@ def test_the_rule_by_hand() -> None:
     assert tier_of([certified, row("warm-ppo", 999, 0.99), row("ppo", 930)]) == "open"
 
 
+def test_what_is_left_and_the_middle_of_seeds_by_hand() -> None:
+    certified = row("certified", 950, 0.92, 0.9)
+    assert left_of([certified]) is None and left_of([certified, row("ppo", 950)]) == 0.0
+    assert left_of([certified, row("ppo", 420), row("warm-ppo", 900)]) == pytest.approx(0.5)
+    # Of five seeds the best and the worst are left out; of three none is.
+    seeds = replace(row("ppo", 0), seeds=(0, 1, 2, 3, 4), successes=(0, 900, 600, 300, 1000))
+    assert seeds.middle_rate == pytest.approx(0.6) and seeds.rate == pytest.approx(0.56)
+    assert replace(seeds, successes=(0, 900, 600)).middle_rate == pytest.approx(0.5)
+    page = page_of(Leaderboard((certified, seeds)))
+    assert "| 0.5600 | [0.0000, 1.0000] | 0.6000 |" in page and "| 0.9500 | [0.9200, 1.0000] | - |" in page
+
+
 def test_older_versions_of_a_problem_do_not_count() -> None:
     board = Leaderboard.load(rate_problems.RECORDED)
     old = Leaderboard(tuple(replace(row, fingerprint="of another version") for row in board.rows))
@@ -66,6 +79,8 @@ def test_the_leaderboard_begins_with_what_is_open_and_has_the_best_learner_bold(
     lines = [line for line in page_of(board).splitlines() if "](environments/" in line]
     shown = [line.split(" | ")[2] for line in lines]
     assert shown == sorted(shown, key=["open", "hard", "unrated", "solved"].index)
+    left = [line.split(" | ")[3] for line in lines if line.split(" | ")[2] == "hard"]
+    assert left == sorted(left, reverse=True) and left[0] == "1.00"
     assert page_of(Leaderboard((row("ppo", 900), row("sac", 800), row("warm-ppo", 950)))).count("**0.9000**") == 1
 
 

@@ -5,6 +5,7 @@ document.addEventListener("DOMContentLoaded", function () {
     if (heads[1] !== "at least") return;
     table.querySelectorAll("tbody tr").forEach(function (row) {
       Array.from(row.cells).slice(1).forEach(function (cell, k) {
+        if (heads[k + 1] === "left") return;
         var value = parseFloat(cell.textContent);
         if (!(value >= 0 && value <= 1)) return;
         // What is proved is blue, what was measured green; the length of the bar is the number, too.

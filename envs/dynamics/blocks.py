@@ -175,6 +175,11 @@ class Block:
         return len(self.motion.agent.disturbances) if isinstance(self.motion, WrittenMotion) else 0
 
     @cached_property
+    def angle_rows(self) -> tuple[int, ...]:
+        """Which states are angles, for all agents alike."""
+        return tuple(np.flatnonzero(self.noise_of.wrapped_axes).tolist())
+
+    @cached_property
     def linear_rows(self) -> tuple[tuple[Sparse, Sparse, np.ndarray, Sparse], ...]:
         """Rows of A, B, offset and noise factor; if all agents have equal entries, the entries of one, to broadcast."""
         # A product with one agent's entries has the same bits and reads less memory.
@@ -244,6 +249,17 @@ class Block:
     def input_middle(self) -> tuple[np.ndarray, np.ndarray]:
         """Middles and half widths of the input boxes (m, n, 1), onto which [-1, 1] is mapped."""
         return 0.5 * self.input_low + 0.5 * self.input_high, 0.5 * self.input_high - 0.5 * self.input_low
+
+    @cached_property
+    def unit_scale(self) -> np.ndarray:
+        """What maps the widths of the workspaces (d, n, 1) to 2."""
+        return np.asarray(2.0 / (self.state_high - self.state_low))
+
+    @cached_property
+    def middle_stays_inside(self) -> bool:
+        """Whether [-1, 1] is mapped into the input boxes whatever is rounded: products and sums are monotone."""
+        middle, half = self.input_middle
+        return bool((middle - half >= self.input_low).all() and (middle + half <= self.input_high).all())
 
     @cached_property
     def input_range(self) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -68,15 +69,20 @@ class Counts:
             result.append(edges)
         return cls(tuple(result))
 
+    @cached_property
+    def steps(self) -> tuple[Sequence[Any], ...]:
+        """The edges of each axis one after the other: numbers, or arrays (n, 1) where agents differ."""
+        return tuple(edges.ravel().tolist() if edges.shape[1] == 1 else list(edges) for edges in self.edges)
+
     def codes(self, states: np.ndarray) -> np.ndarray:
         """Return the codes (n, M) of states (d, n, M): the counts of an agent's axes as one number, in C order."""
         result: np.ndarray | None = None
-        for edges, x in zip(self.edges, states, strict=True):
+        for edges, steps, x in zip(self.edges, self.steps, states, strict=True):
             # The result of a comparison, seen as the numbers 0 and 1, is added without a copy.
-            reached = np.empty(x.shape, dtype=bool)
+            reached = np.greater_equal(x, steps[0])
             as_number = reached.view(np.uint8)
-            count = np.zeros(x.shape, dtype=np.uint8 if len(edges) < 256 else np.uint32)
-            for edge in edges.ravel().tolist() if edges.shape[1] == 1 else edges:
+            count = as_number.astype(np.uint8 if len(edges) < 256 else np.uint32)
+            for edge in steps[1:]:
                 np.greater_equal(x, edge, out=reached)
                 np.add(count, as_number, out=count)
             if result is None:
@@ -134,8 +140,9 @@ class Reader:
             Before the move. A world in an accepting state of a co-safe task that has not failed has been accepted.
         """
         codes = [counts.codes(x) for counts, x in zip(self.counts, states, strict=True)]
-        at, n_states = q.astype(np.intp), len(self.q) // 2
-        at += failed.view(np.uint8) * np.intp(n_states)  # as numbers: a mask is slower
+        n_states = len(self.q) // 2
+        at = failed * np.intp(n_states)
+        at += q
         at *= self.first
         for block, place, table in self.steps:
             at += codes[block][place]

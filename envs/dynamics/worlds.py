@@ -23,7 +23,7 @@ Reference: docs/theory/setting.md, "Satisfaction".
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import and_
 from typing import Any, Protocol
@@ -143,6 +143,11 @@ class Dynamics:
         return tuple(starts[to_host(b.agents)] + np.arange(b.n_inputs)[:, None] for b in self.blocks)
 
     @cached_property
+    def inputs_stand(self) -> bool:
+        """Whether there is one block, and its inputs are those of a joint input in order."""
+        return len(self.blocks) == 1 and bool((np.diff(self.input_columns[0].ravel()) == 1).all())
+
+    @cached_property
     def input_rows(self) -> Any:
         """Positions of the components of a joint input among the rows of all blocks, one after the other."""
         columns = self.problem.input_columns
@@ -241,16 +246,17 @@ def initial_at(dynamics: Dynamics, states: np.ndarray) -> Worlds:
 
 def begin(dynamics: Dynamics, states: tuple[np.ndarray, ...], time: Any = 0) -> Worlds:
     """Return worlds at time 0, one number or one for each world, with given states, one array (d, n, M) per block."""
-    one, xp = states[0][0, 0], namespace(states[0])
-    types = (np.int32, np.bool_) if dynamics.is_host else (xp.int64, xp.bool)
-    q = xp.full_like(one, dynamics.problem.automaton.initial, dtype=types[0])
-    undecided = xp.zeros_like(one, dtype=types[1])
+    one, xp, first = states[0][0, 0], namespace(states[0]), dynamics.problem.automaton.initial
+    if dynamics.is_host:
+        q, undecided = np.full(one.shape, first, dtype=np.int32), np.zeros(one.shape, dtype=np.bool_)
+    else:
+        q, undecided = xp.full_like(one, first, dtype=xp.int64), xp.zeros_like(one, dtype=xp.bool)
     return _read(dynamics, states, time, q, undecided, undecided)
 
 
 def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.random.Generator) -> Worlds:
     """Return the worlds, with those of `which`, bool (M,), put back to time 0 and a freshly drawn start."""
-    places = np.flatnonzero(which)  # numpy writes at numbers faster than under a mask
+    places = which.nonzero()[0]  # numpy writes at numbers faster than under a mask
     if len(places) == which.size:
         return begin(dynamics, starts(dynamics, rng, which.size), np.zeros(which.size, dtype=np.int64))
     fresh = initial(dynamics, rng, len(places)) if dynamics.first is None else dynamics.first
@@ -258,11 +264,10 @@ def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.rando
     for x, start in zip(states, fresh.states):
         x[..., places] = start
     # From here on each world has a time of its own.
-    marks = {"time": worlds.time.copy() if np.ndim(worlds.time) else np.full(which.size, worlds.time)}
-    marks |= {name: getattr(worlds, name).copy() for name in ("q", "failed", "accepted")}
-    for name, values in marks.items():
-        values[places] = getattr(fresh, name)
-    return replace(worlds, states=states, **marks)
+    time = worlds.time.copy() if np.ndim(worlds.time) else np.full(which.size, worlds.time)
+    q, failed, accepted = worlds.q.copy(), worlds.failed.copy(), worlds.accepted.copy()
+    time[places], q[places], failed[places], accepted[places] = fresh.time, fresh.q, fresh.failed, fresh.accepted
+    return Worlds(states, q, time, failed, accepted)
 
 
 def moved_or_begun(
@@ -274,14 +279,15 @@ def moved_or_begun(
     No world is cut out: all of them move, starts are written over what has come of old worlds, and all are read once.
     Disturbances must not be a function, which would see worlds that it should not. Worlds have times of their own.
     """
-    places = np.flatnonzero(which)
+    places = which.nonzero()[0]
     if not len(places):
         return transition(dynamics, worlds, inputs, noise(dynamics, rng, which.size))
     if len(places) == which.size:
         return begin(dynamics, starts(dynamics, rng, which.size), np.zeros(which.size, dtype=np.int64))
     begun = starts(dynamics, rng, len(places)) if dynamics.first is None else dynamics.first.states
     # The column of each world among the numbers drawn: those that begin take some that are not used.
-    column = np.maximum(np.cumsum(~which) - 1, 0)
+    column = np.zeros(which.size, dtype=np.intp)
+    column[(~which).nonzero()[0]] = np.arange(which.size - len(places))
     normals = [z.take(column, axis=-1) for z in noise(dynamics, rng, which.size - len(places))]
     states = _successors(dynamics, worlds, inputs, normals)
     for x, start in zip(states, begun):
@@ -386,12 +392,11 @@ def _successors(
 
 def _turned_back(block: Block, x: np.ndarray) -> np.ndarray:
     """Return states (d, n, M) whose angles are in their workspace again."""
-    axes = np.flatnonzero(block.noise_of.wrapped_axes).tolist()
-    if not axes:
+    if not block.angle_rows:
         return x
     rows = list(x)
     with np.errstate(all="ignore"):  # states may not be defined
-        for k in axes:
+        for k in block.angle_rows:
             rows[k] = wrapped(rows[k], block.state_low[k])
     return namespace(x).stack(rows)
 
@@ -503,8 +508,13 @@ def satisfied(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
 def joint(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
     """Return the joint states, shape (M, D), components in agent order."""
     # Rows are moved whole, and turned once: to write column by column is many times slower.
+    return np.ascontiguousarray(joint_rows(dynamics, worlds).T)
+
+
+def joint_rows(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
+    """Return the joint states with the worlds as the last axis, a fresh array (D, M), components in agent order."""
     rows = _rows_of(worlds.states)
-    return np.ascontiguousarray((rows if dynamics.rows_stand else rows[dynamics.rows]).T)
+    return rows if dynamics.rows_stand else rows[dynamics.rows]
 
 
 def split_joint(dynamics: Dynamics, states: np.ndarray) -> tuple[np.ndarray, ...]:

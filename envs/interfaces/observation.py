@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import isfinite
 from typing import Any
 
@@ -116,8 +117,8 @@ def action_space(agents: Sequence[AnyAgent], actions: str) -> spaces.Box:
     return spaces.Box(low, np.concatenate([agent.input_high for agent in agents]), dtype=np.float64)
 
 
-def in_form(numbers: Any, bounds: Bounds, form: Form) -> np.ndarray:
-    """Return numbers that tell states, (k,) or (..., k), in the form that was asked for.
+def in_form(numbers: Any, bounds: Bounds | None, form: Form) -> np.ndarray:
+    """Return numbers that tell states, (k,) or (..., k), in the form that was asked for; "raw" needs no bounds.
 
     Where a state is not defined (NaN, after which an episode has ended) it counts as below everything: -inf.
     """
@@ -126,6 +127,7 @@ def in_form(numbers: Any, bounds: Bounds, form: Form) -> np.ndarray:
     if unknown.any():
         told = np.where(unknown, -np.inf, told)
     if form.scale == "unit":
+        assert bounds is not None
         low, high = bounds
         told = np.clip((told - low) * (2.0 / (high - low)) - 1.0, -1.0, 1.0)
     if form.dtype == "float64":
@@ -147,32 +149,50 @@ def shared(problem: Problem, q: int, time: int, automaton: str = "one-hot") -> l
 
 def shared_rows(problem: Problem, worlds: Worlds, automaton: str) -> np.ndarray:
     """Return the same of a batch: (k, M), one column per world."""
-    left = 1.0 - double(worlds.time) / problem.horizon
-    if not is_host(left):  # whose places cannot be counted without sending them there
+    if not is_host(worlds.q):  # whose places cannot be counted without sending them there
+        left = 1.0 - double(worlds.time) / problem.horizon
         seen = {"one-hot": [worlds.q == q for q in range(problem.automaton.n_states)], "number": [worlds.q]}
         rows: np.ndarray = namespace(left).stack([*map(double, seen.get(automaton, [])), left])
         return rows
-    count, n_worlds = problem.automaton.n_states, worlds.n_worlds
-    known = {"one-hot": count, "number": 1}.get(automaton, 0)
-    result = np.empty((known + 1, n_worlds))
-    if automaton == "one-hot":
-        result[:-1] = worlds.q == np.arange(count)[:, None]
-    elif known:
-        result[0] = worlds.q
-    result[-1] = left
+    result = np.empty((tail_size(problem, automaton), worlds.n_worlds))
+    write_shared(problem, worlds, automaton, result)
     return result
+
+
+def tail_size(problem: Problem, automaton: str) -> int:
+    """Return how many numbers tell the automaton state and the fraction of time left."""
+    return {"one-hot": problem.automaton.n_states, "number": 1, "hidden": 0}[automaton] + 1
+
+
+def write_shared(problem: Problem, worlds: Worlds, automaton: str, rows: np.ndarray) -> None:
+    """Write what `shared_rows` returns into rows (k, M) of any precision."""
+    if automaton == "one-hot":
+        # Numbers of the type of q, as others would have to be converted one by one.
+        rows[:-1] = worlds.q == np.arange(len(rows) - 1, dtype=worlds.q.dtype)[:, None]
+    elif automaton == "number":
+        rows[0] = worlds.q
+    rows[-1] = time_left(problem.horizon).take(worlds.time)
+
+
+@lru_cache(maxsize=64)
+def time_left(horizon: int) -> np.ndarray:
+    """Return the fraction of time left at the times 0 to T, float64, read-only."""
+    left: np.ndarray = 1.0 - np.arange(horizon + 1) / horizon
+    left.flags.writeable = False
+    return left
 
 
 def joint_observations(problem: Problem, worlds: Worlds, states: np.ndarray, form: Form) -> np.ndarray:
     """Return the joint observations of a batch, shape (M, D + Q + 1) if the automaton state is one-hot.
 
-    `states` (M, D) is what sensors read of the worlds.
+    `states` (M, D) is what sensors read of the worlds. The worlds are the last axis in memory: the result is a turned
+    view of an array that is written row by row, which is many times faster.
     """
-    tail = shared_rows(problem, worlds, form.automaton)
-    result = np.empty((worlds.n_worlds, problem.n_states + len(tail)), dtype=form.dtype)
-    result[:, : problem.n_states] = in_form(states, joint_bounds(problem.agents), form)
-    result[:, problem.n_states :] = tail.T
-    return result
+    d = problem.n_states
+    rows = np.empty((d + tail_size(problem, form.automaton), worlds.n_worlds), dtype=form.dtype)
+    rows[:d] = in_form(states, joint_bounds(problem.agents) if form.scale == "unit" else None, form).T
+    write_shared(problem, worlds, form.automaton, rows[d:])
+    return rows.T
 
 
 def input_of(action: Any, agent: Any, actions: str, name: str) -> list[float]:
@@ -219,13 +239,23 @@ def batch_inputs(dynamics: Dynamics, action: Any, actions: str) -> tuple[np.ndar
         )
     result = []
     for block, columns in zip(dynamics.blocks, dynamics.input_columns):
-        u = rows[columns]
-        if actions == "unit":
-            np.minimum(np.maximum(u, -1.0, out=u), 1.0, out=u)
-            u *= block.input_middle[1]
-            u += block.input_middle[0]
-        result.append(np.minimum(np.maximum(u, block.input_low, out=u), block.input_high, out=u))
+        # One block whose inputs stand in order has all of the rows, and they are new: no copy is needed.
+        u = rows.reshape(*columns.shape, rows.shape[1]) if dynamics.inputs_stand else rows[columns]
+        clip_in_place(u, block, actions == "unit")
+        result.append(u)
     return tuple(result)
+
+
+def clip_in_place(u: np.ndarray, block: Any, is_unit: bool) -> None:
+    """Make actions (m, n, M) of a block inputs in its boxes, without new arrays."""
+    if is_unit:
+        middle, half = block.input_middle
+        np.minimum(np.maximum(u, -1.0, out=u), 1.0, out=u)
+        u *= half
+        u += middle
+        if block.middle_stays_inside:
+            return
+    np.minimum(np.maximum(u, block.input_low, out=u), block.input_high, out=u)
 
 
 def _is_number(value: Any) -> bool:

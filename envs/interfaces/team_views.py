@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import Array, concatenated, is_host, namespace, single
 from ..dynamics import Dynamics, Worlds
 from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
-from .observation import ACTIONS, AUTOMATON, SCALES, checked_option, shared_rows
+from .observation import ACTIONS, AUTOMATON, SCALES, checked_option, clip_in_place, shared_rows, tail_size, write_shared
 
 OBSERVATIONS = ("own", "joint", "neighbours")
 
@@ -30,11 +30,6 @@ class TeamViews:
         self.neighbours = checked_neighbours(problem, self.observation, neighbours)
         bounds = [nearest_bounds(problem, agent, self.neighbours) for agent in problem.agents]
         self.bounds = [(dynamics.put(low[:, None]), dynamics.put(high[:, None])) for low, high in bounds]
-        # Middles and halves of the input boxes, onto which [-1, 1] is mapped.
-        self.boxes = [
-            (0.5 * box.input_low + 0.5 * box.input_high, 0.5 * box.input_high - 0.5 * box.input_low)
-            for box in dynamics.blocks
-        ]
         members = sorted((block, place, i) for i, (block, place) in enumerate(dynamics.position))
         self.members = [[i for b, _, i in members if b == block] for block in range(len(dynamics.blocks))]
 
@@ -47,7 +42,7 @@ class TeamViews:
             If actions are missing or have the wrong shape; of numpy arrays also if they are not finite.
         """
         result = []
-        for box, middle, members in zip(self.dynamics.blocks, self.boxes, self.members, strict=True):
+        for box, members in zip(self.dynamics.blocks, self.members, strict=True):
             shape = (n_worlds, box.input_low.shape[0])
             rows = [self._action(actions, self.names[i], shape) for i in members]
             xp = namespace(box.input_low)
@@ -58,21 +53,14 @@ class TeamViews:
                     u[:, place] = row.T
                 if not np.isfinite(u).all():
                     raise ValueError("`actions`: expected finite numbers")
-                self._clip_in_place(u, box, middle)
+                clip_in_place(u, box, self.is_unit)
             else:
+                middle = box.input_middle
                 u = xp.stack([row.T for row in rows], axis=1)
                 u = middle[0] + middle[1] * xp.clip(u, -1.0, 1.0) if self.is_unit else u
                 u = xp.minimum(xp.maximum(u, box.input_low), box.input_high)
             result.append(u)
         return tuple(result)
-
-    def _clip_in_place(self, u: np.ndarray, box: Any, middle: tuple[np.ndarray, np.ndarray]) -> None:
-        """Make actions (m, n, M) inputs, without new arrays: this is a good part of a step."""
-        if self.is_unit:
-            np.clip(u, -1.0, 1.0, out=u)
-            u *= middle[1]
-            u += middle[0]
-        np.clip(u, box.input_low, box.input_high, out=u)
 
     def _action(self, actions: Mapping[str, Any], name: str, shape: tuple[int, int]) -> Array:
         """Return the actions (M, m) of one agent in double precision."""
@@ -86,8 +74,10 @@ class TeamViews:
 
     def observations(self, worlds: Worlds, read: Sequence[Array]) -> dict[str, Array]:
         """Return the observations: states, automaton state, share of time left; `read` is what sensors see."""
+        if self.dynamics.is_host and self.observation == "own":
+            return self._own(worlds, read)
         tail = single(shared_rows(self.problem, worlds, self.automaton))
-        states = [self._scaled(block, x) for block, x in zip(self.dynamics.blocks, read, strict=True)]
+        states = [single(self._scaled(block, x)) for block, x in zip(self.dynamics.blocks, read, strict=True)]
         own = [states[block][:, place] for block, place in self.dynamics.position]
         if self.observation == "joint":
             common = concatenated([*own, tail]).T
@@ -95,6 +85,23 @@ class TeamViews:
         parts = zip(own, self._nearest(read)) if self.observation == "neighbours" else ((x,) for x in own)
         # Worlds are the last axis in memory: each array is a transposed view of one that is written row by row.
         return {name: concatenated([*part, tail]).T for name, part in zip(self.names, parts, strict=True)}
+
+    def _own(self, worlds: Worlds, read: Sequence[Array]) -> dict[str, Array]:
+        """Return the observations of agents that see themselves: each array is written once."""
+        size, common = tail_size(self.problem, self.automaton), None
+        states = [self._scaled(block, x) for block, x in zip(self.dynamics.blocks, read, strict=True)]
+        result = {}
+        for name, (block, place) in zip(self.names, self.dynamics.position, strict=True):
+            d = len(states[block])
+            rows = np.empty((d + size, worlds.n_worlds), dtype=np.float32)
+            rows[:d] = states[block][:, place]
+            if common is None:
+                write_shared(self.problem, worlds, self.automaton, rows[d:])
+                common = rows[d:]
+            else:
+                rows[d:] = common
+            result[name] = rows.T
+        return result
 
     def _nearest(self, read: Sequence[Array]) -> Iterator[Array]:
         """Yield where the nearest others are from the place of every agent, (k, M) float32."""
@@ -111,16 +118,16 @@ class TeamViews:
             yield single(seen)
 
     def _scaled(self, block: Any, x: Array) -> Array:
-        """Return the states (d, n, M) of a block as observations show them, float32."""
+        """Return the states (d, n, M) of a block as observations show them, still in double precision."""
         if self.scale == "raw":
-            return single(x)
+            return x
         low, high = block.state_low, block.state_high
         if is_host(x):
             # In place: new arrays are a good part of a step. NaN counts as the lower corner, as in all observations.
             seen = x - low
-            seen *= 2.0 / (high - low)
+            seen *= block.unit_scale
             seen -= 1.0
-            return single(np.fmin(np.fmax(seen, -1.0, out=seen), 1.0, out=seen))
+            return np.fmin(np.fmax(seen, -1.0, out=seen), 1.0, out=seen)
         seen = (x - low) * (2.0 / (high - low)) - 1.0
         xp = namespace(seen)
-        return single(xp.clip(xp.where(seen == seen, seen, -1.0), -1.0, 1.0))
+        return xp.clip(xp.where(seen == seen, seen, -1.0), -1.0, 1.0)

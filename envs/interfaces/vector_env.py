@@ -130,6 +130,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._worlds: core.Worlds | None = None
+        self._judged: tuple[core.Worlds | None, np.ndarray] = None, np.zeros(0, dtype=bool)
         # True joint states and what is read of them, (M, D): new arrays in each step, so infos may hold them.
         self._joint = self.readings = np.zeros((self.num_envs, self.problem.n_states))
         self._ended = np.zeros(self.num_envs, dtype=bool)
@@ -274,7 +275,10 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _settled(self, worlds: core.Worlds) -> np.ndarray:
         """Return whether the verdict is final, bool (M,)."""
-        return np.asarray(worlds.failed | self._absorbing.take(worlds.q))
+        # Worlds are never written into, so a step need not ask again what the step before has asked at its end.
+        if self._judged[0] is not worlds:
+            self._judged = worlds, worlds.failed | self._absorbing.take(worlds.q)
+        return self._judged[1]
 
     def _rewards(self, fresh: np.ndarray, ended: np.ndarray) -> np.ndarray:
         """Return the rewards of a step, 0 in fresh worlds, and note the potentials."""
@@ -309,7 +313,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def read(self) -> np.ndarray:
         """Let the sensors read the states, (M, D), and note that in `readings`; noisy ones draw new errors."""
-        self._joint = core.joint(self._dynamics, self._present())
+        self._joint = core.joint_rows(self._dynamics, self._present()).T
         self.readings = self.sensors.readings(self._joint, self.np_random)
         return self.readings
 
@@ -351,7 +355,8 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             values[READING] = self.readings.copy()
         if self._spread > 0.0:
             values["scattered"] = self._scattered.copy()
-        masks = np.broadcast_to(which, (len(values), self.num_envs)).copy()
+        masks = np.empty((len(values), self.num_envs), dtype=bool)
+        masks[:] = which
         return {**values, **{f"_{name}": mask for name, mask in zip(values, masks)}}
 
     def _present(self) -> core.Worlds:

@@ -85,6 +85,13 @@ class Standing:
         """Share of successes (an estimate)."""
         return sum(self.successes) / (self.episodes * len(self.successes))
 
+    @property
+    def middle_rate(self) -> float:
+        """Interquartile mean over training seeds (descriptive): a quarter, rounded down, is left out at each end."""
+        rates = sorted(count / self.episodes for count in self.successes)
+        cut = len(rates) // 4
+        return sum(rates[cut : len(rates) - cut]) / (len(rates) - 2 * cut)
+
 
 @dataclass(frozen=True, repr=False)
 class Leaderboard:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...synthesis.certificates import rounded_down, rounded_up
 from .standings import Leaderboard, Standing
-from .tier_rule import ALONE, tier_of
+from .tier_rule import ALONE, left_of, tier_of
 
 HEAD = """# Leaderboard
 
@@ -21,8 +21,9 @@ problem:
 
 **Tiers** say what is left to learn. *Known* to be possible is the bound, or the lower limit of any row if that is
 larger. A problem is **solved** if a learner without help comes within .01 of what is known, **hard** if all of them
-stay below half of it (or next to nothing is known), and **open** otherwise. Open and hard problems come first; the best
-learner without help is bold.
+stay below half of it (or next to nothing is known), and **open** otherwise. "Left" is what is known to be possible and
+reached by no learner without help: open and hard problems come first, and of each tier those where most is left. The
+best learner without help is bold.
 
 How long a learner learned is in the second table: a short time where a dash would stand else. What `certigym train`
 reaches with its defaults is in [learners](learners.md), how much a probe gains in two minutes in [probes](probes.md). A
@@ -34,28 +35,38 @@ DETAILS = """
 ## Limits, returns, cost
 
 Limits are exact (Clopper-Pearson), {confidence:g} % for both together, for the mean success probability of the actors
-of the seeds that are listed. "Progress" is the mean undiscounted return of the reward `progress` (an estimate); that of
-the reward `sparse` is the success rate itself. Steps and seconds of training are sums over the seeds; those of
-"certified" are of the synthesis, if it was made for this table.
+of the seeds that are listed. "Middle" is the interquartile mean over the seeds, of which a quarter is left out at each
+end: it describes these seeds, and is a dash where there is one alone. "Progress" is the mean undiscounted return of the
+reward `progress` (an estimate); that of the reward `sparse` is the success rate itself. Steps and seconds of training
+are sums over the seeds; those of "certified" are of the synthesis, if it was made for this table.
 
-| id | policy | success | limits | progress | world steps | seconds | seeds | agents see |
-|---|---|---|---|---|---|---|---|---|
+| id | policy | success | limits | middle | progress | world steps | seconds | seeds | agents see |
+|---|---|---|---|---|---|---|---|---|---|
 """
 
 
 def page_of(board: Leaderboard) -> str:
     """Return the page: one table of success rates, and one of limits, returns and cost."""
     names = board.policies
-    lines = [HEAD, f"| id | at least | tier | {' | '.join(names)} |", "|---" * (len(names) + 3) + "|"]
-    problems = list(dict.fromkeys(row.problem for row in board.rows))
-    tiers = {problem: tier_of(row for row in board.rows if row.problem == problem) for problem in problems}
-    for problem in sorted(problems, key=lambda problem: (ORDER.index(tiers[problem]), problem)):
+    lines = [HEAD, f"| id | at least | tier | left | {' | '.join(names)} |", "|---" * (len(names) + 4) + "|"]
+    rows: dict[str, list[Standing]] = {}
+    for standing in board.rows:
+        rows.setdefault(standing.problem, []).append(standing)
+    tiers = {problem: tier_of(found) for problem, found in rows.items()}
+    left = {problem: left_of(found) for problem, found in rows.items()}
+    # By tier, and in it by what is left, to the digits that are shown; ids decide between equals.
+    for problem in sorted(
+        rows, key=lambda problem: (ORDER.index(tiers[problem]), -round(left[problem] or 0.0, 2), problem)
+    ):
+        gap = "-" if left[problem] is None else f"{left[problem]:.2f}"
         held = board.row(problem, "certified")
         bound = "-" if held is None or held.lower_bound is None else rounded_down(held.lower_bound, 4)
         rates = {name: row.rate for name in names if (row := board.row(problem, name)) is not None}
         best = max((rate for name, rate in rates.items() if name in ALONE), default=2.0)
         cells = ["-" if name not in rates else _rate(rates[name], name in ALONE, best) for name in names]
-        lines.append(f"| [{problem}](environments/{problem}.md) | {bound} | {tiers[problem]} | {' | '.join(cells)} |")
+        lines.append(
+            f"| [{problem}](environments/{problem}.md) | {bound} | {tiers[problem]} | {gap} | {' | '.join(cells)} |"
+        )
     confidence = 100 * max((row.confidence for row in board.rows), default=0.999)
     text = "\n".join(lines) + "\n" + DETAILS.format(confidence=confidence)
     return text + "".join(_details(row) + "\n" for row in board.rows)
@@ -76,7 +87,5 @@ def _details(row: Standing) -> str:
     cost = " | ".join("-" if number is None else f"{number:,.0f}" for number in (row.steps, row.seconds))
     seeds = ", ".join(map(str, row.seeds)) or "-"
     limits = f"[{rounded_down(row.low, 4)}, {rounded_up(row.high, 4)}]"
-    success = f"{row.rate:.4f}"
-    return (
-        f"| {row.problem} | {row.policy} | {success} | {limits} | {progress} | {cost} | {seeds} | {row.information} |"
-    )
+    numbers = f"{row.rate:.4f} | {limits} | {f'{row.middle_rate:.4f}' if len(row.seeds) > 1 else '-'} | {progress}"
+    return f"| {row.problem} | {row.policy} | {numbers} | {cost} | {seeds} | {row.information} |"

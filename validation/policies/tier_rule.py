@@ -36,12 +36,28 @@ def tier_of(rows: Iterable[Standing]) -> str:
     'unrated'
     """
     rows = list(rows)
-    reached = [row.rate for row in rows if row.policy in ALONE]
-    if not reached:
+    known, reached = known_of(rows), reached_of(rows)
+    if reached is None:
         return "unrated"
-    known = max(max(row.low, row.lower_bound or 0.0) for row in rows)
     if known < NOTHING:
         return "hard"
-    if max(reached) >= known - NEAR:
+    if reached >= known - NEAR:
         return "solved"
-    return "open" if max(reached) >= 0.5 * known else "hard"
+    return "open" if reached >= 0.5 * known else "hard"
+
+
+def known_of(rows: Iterable[Standing]) -> float:
+    """Return what is known to be reachable: the largest certified bound or exact lower limit; 0 without any row."""
+    return max((max(row.low, row.lower_bound or 0.0) for row in rows), default=0.0)
+
+
+def reached_of(rows: Iterable[Standing]) -> float | None:
+    """Return the largest share of successes of a learner without help; None if none was judged."""
+    return max((row.rate for row in rows if row.policy in ALONE), default=None)
+
+
+def left_of(rows: Iterable[Standing]) -> float | None:
+    """Return what is known to be reachable and not reached by any learner without help; None if none was judged."""
+    rows = list(rows)
+    reached = reached_of(rows)
+    return None if reached is None else max(known_of(rows) - reached, 0.0)
