@@ -45,12 +45,12 @@ TRUSTED = {
         "synthesis.certificates.certificate synthesis.certificates.certificate_file "
         "synthesis.certificates.certificate_reader synthesis.certificates.claim synthesis.certificates.part "
         "synthesis.certificates.mixed_certificate synthesis.certificates.pairs_certificate "
-        "synthesis.certificates.pairs_file "
+        ""
         "synthesis.certificates.path_certificate "
-        "synthesis.certificates.path_file synthesis.certificates.start_hull synthesis.certificates.hull_file "
+        "synthesis.certificates.start_hull "
         "synthesis.certificates.product synthesis.certificates.team_certificate "
         "synthesis.certificates.timed_certificate synthesis.certificates.two_ended synthesis.certificates.seen "
-        "synthesis.certificates.offers synthesis.certificates.archive synthesis.certificates.written_values "
+        "synthesis.certificates.archive synthesis.certificates.written_values "
         "synthesis.values.terms"
     ),
     "What the controllers do": (

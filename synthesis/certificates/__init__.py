@@ -16,7 +16,6 @@ from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significan
 from .given_certificate import any_certificate, as_certificate, certificate_on_grids, of_one_task, speaks_of_one_start
 from .mixed_certificate import MixedCertificate
 from .mixed_states import known_letters, pairs_between, reached_states
-from .offers import Offer, require
 from .pairs_certificate import PairsCertificate
 from .part import AgentPart
 from .path_certificate import AgentPath, PathCertificate
@@ -29,7 +28,7 @@ from .start_hull import StartHull
 from .stated import Statement, noted, state
 from .team_certificate import TeamCertificate
 from .timed_certificate import TimedCertificate
-from .two_ended import TwoEnded
+from .two_ended import Offer, TwoEnded, require
 
 __all__ = [
     "AgentPart",

@@ -21,17 +21,14 @@ from ...envs.problem import problem_from_dict
 from .archive import MAX_BYTES, VERSION, packed, unarchived
 from .certificate import Certificate, checked_certificate
 from .certificate_reader import CertificateReader
-from .hull_file import hull_in
-from .mixed_certificate import MixedCertificate
-from .pairs_certificate import PairsCertificate
-from .pairs_file import mixed_in, pairs_in, team_in, timed_in
-from .path_certificate import PathCertificate
-from .path_file import path_in
+from .mixed_certificate import MixedCertificate, mixed_in
+from .pairs_certificate import PairsCertificate, pairs_in
+from .path_certificate import PathCertificate, path_in
 from .product import ProductCertificate, product_certificate
 from .result import Synthesis
-from .start_hull import StartHull
-from .team_certificate import TeamCertificate
-from .timed_certificate import TimedCertificate
+from .start_hull import StartHull, hull_in
+from .team_certificate import TeamCertificate, team_in
+from .timed_certificate import TimedCertificate, timed_in
 
 AnyCertificate = (
     Certificate

@@ -7,11 +7,11 @@ from typing import Any
 
 from .certificate import Certificate
 from .certificate_file import AnyCertificate, load_certificate
-from .offers import Offer, require
 from .product import ProductCertificate
 from .result import Synthesis
 from .start_hull import StartHull
 from .team_certificate import TeamCertificate
+from .two_ended import Offer, require
 
 
 def as_certificate(value: Any) -> Any:

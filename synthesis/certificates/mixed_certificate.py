@@ -13,6 +13,7 @@ Reference: docs/theory/pairs.md, "Mixed teams".
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -22,18 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
-from ...envs.problem import Problem
+from ...envs.problem import Problem, problem_from_dict
 from ..controllers import MixedController
 from ..values import UNIT
 from .archive import Pool
 from .certificate import Certificate
 from .digits import shown_bound, significant_up
 from .mixed_states import known_letters, reached_states
-from .offers import Offer
 from .pairs_certificate import SPOILED, PairsCertificate
 from .part import AgentPart
 from .path_certificate import PathCertificate
-from .two_ended import TwoEnded
+from .two_ended import Offer, TwoEnded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,3 +145,26 @@ class MixedCertificate(TwoEnded):
             "`certificate`: expected one on grids, got one of a mixed team, which says nothing of other starts; "
             "synthesize the problem with another `initial_state`"
         )
+
+
+def mixed_in(
+    header: dict[str, Any],
+    arrays: dict[str, NDArray[Any]],
+    read: Callable[[bytes], Certificate | PathCertificate | PairsCertificate],
+) -> MixedCertificate:
+    """Return the certificate of a mixed team that a header and its arrays describe; raise ValueError otherwise."""
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    near, usual = header["near"], header["usual"]
+    if isinstance(near, bool) or not isinstance(near, int | float) or not 0.0 <= near <= 1.0:
+        raise ValueError("its probability of being near is none")
+    if not isinstance(usual, list) or len(usual) != len(problem.labeling.pairs) or not {*usual} <= {True, False}:
+        raise ValueError("what it takes its pairs to be does not fit the problem")
+    grids, paths = (read(arrays[str(int(number))].astype(np.uint8).tobytes()) for number in header["mixed"])
+    if not isinstance(paths, PathCertificate) or isinstance(grids, PathCertificate):
+        raise ValueError("its parts are not one on grids and one along paths")
+    if not isinstance(header["settings"], dict):
+        raise ValueError("its settings are none")
+    values = tuple(bool(value) for value in usual)
+    return MixedCertificate(problem, grids, paths, values, float(near), header["settings"])

@@ -19,17 +19,19 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NoReturn, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ...envs.agents import tree_text
-from ...envs.problem import Problem
+from ...envs.problem import Problem, problem_from_dict
 from ..controllers import Controller
 from ..values import UNIT
 from .archive import Pool
 from .certificate import Certificate
 from .digits import EXACT_GAP, significant_up
-from .offers import Offer
 from .part import AgentPart
 from .summaries import certificate_facts, certificate_html
-from .two_ended import TwoEnded
+from .two_ended import Offer, TwoEnded
 
 SPOILED = (
     "one by subtraction: what pairs of agents may spoil is bounded for the whole run from the start of its problem, "
@@ -144,3 +146,30 @@ class PairsCertificate(TwoEnded):
     def controller(self) -> Controller:
         """The controllers the bound belongs to: every agent sees its own state, the automaton state and the time."""
         return Controller(self.problem, self.base.controller.agents)
+
+
+def pairs_in(
+    header: dict[str, Any], arrays: dict[str, NDArray[Any]], read: Callable[[bytes], Certificate]
+) -> PairsCertificate:
+    """Return the certificate that a header and its arrays describe; ``read`` reads the file of its base.
+
+    Raises
+    ------
+    ValueError
+        If they describe none.
+    """
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    near = header["near"]
+    if isinstance(near, bool) or not isinstance(near, int | float) or not 0.0 <= near <= 1.0:
+        raise ValueError("its probability of being near is none")
+    usual = header["usual"]
+    if not isinstance(usual, list) or len(usual) != len(problem.labeling.pairs) or not {*usual} <= {True, False}:
+        raise ValueError("what it takes its pairs to be does not fit the problem")
+    base = read(arrays[str(int(header["without_pairs"]))].astype(np.uint8).tobytes())
+    if not isinstance(header["settings"], dict) or not isinstance(base, Certificate):
+        raise ValueError("its settings or its base are none")
+    if len(base.agents) != problem.n_agents or base.problem.automaton.n_states != problem.automaton.n_states:
+        raise ValueError("its base does not fit the problem")
+    return PairsCertificate(problem, base, tuple(bool(value) for value in usual), float(near), header["settings"])

@@ -13,18 +13,20 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ...envs.agents import tree_text
-from ...envs.problem import Problem
+from ...envs.problem import Problem, problem_from_dict
 from ..cells import FloatArray
 from ..controllers import TeamController
 from .archive import Pool
 from .certificate import Certificate
 from .digits import shown_bound
-from .offers import Offer
 from .part import AgentPart
 from .path_certificate import PathCertificate
 from .seen import Seen, SeenJointly
-from .two_ended import TwoEnded
+from .two_ended import Offer, TwoEnded
 
 ALL_TOGETHER = (
     "that of a joint agent, whose cells are those of all states together; give its `.base`, which is about the joint "
@@ -153,3 +155,16 @@ class TeamCertificate(TwoEnded):
         if self.base.on_cells is None:
             raise ValueError("`certificate`: expected one on grids, got one along a path, which holds from its start")
         return self.base.at(states)
+
+
+def team_in(
+    header: dict[str, Any], arrays: dict[str, NDArray[Any]], read: Callable[[bytes], Certificate | PathCertificate]
+) -> TeamCertificate:
+    """Return the certificate of a joint agent that a header and its arrays describe; raise ValueError otherwise."""
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    base = read(arrays[str(int(header["team"]))].astype(np.uint8).tobytes())
+    if base.problem.n_agents != 1 or base.problem.n_states != problem.n_states:
+        raise ValueError("its base does not fit the problem")
+    return TeamCertificate(problem, base)

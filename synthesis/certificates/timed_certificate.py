@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
-from ...envs.problem import Problem, states_in_time, written_out
+from ...envs.problem import Problem, problem_from_dict, states_in_time, written_out
 from ..cells import FloatArray
 from ..controllers import TimedController
 from .archive import Pool
@@ -140,3 +140,17 @@ class TimedCertificate(TwoEnded):
     def at(self, states: Any) -> FloatArray:
         """Return lower bounds (M,) from joint initial states (M, D), in any form that ``Certificate.at`` takes."""
         return self.base.at(states)
+
+
+def timed_in(
+    header: dict[str, Any], arrays: dict[str, NDArray[Any]], read: Callable[[bytes], Certificate]
+) -> TimedCertificate:
+    """Return the certificate of a problem that names the time, from a header and arrays; raise ValueError otherwise."""
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    base = read(arrays[str(int(header["written_out"]))].astype(np.uint8).tobytes())
+    certificate = TimedCertificate(problem, base)
+    if certificate.base.fingerprint != base.fingerprint:
+        raise ValueError("its base is not its problem written out")
+    return certificate

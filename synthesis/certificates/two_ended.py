@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from enum import Enum
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
 from ...envs.problem import Problem
-from .offers import Offer
 from .seen import Seen
+
+
+class Offer(Enum):
+    """What may be asked of a certificate; the text says what was expected where it lacks that."""
+
+    VALUES = "one with values of all states"
+    """Values at every state, automaton state and time: shields, audits, fields, figures, menus."""
+    OWN_STATES = "one whose agents each look at their own state"
+    """Cells of every agent by itself: figures of an agent."""
 
 
 class TwoEnded:
@@ -92,3 +101,11 @@ class TwoEnded:
     def with_claims(self, change: Callable[[Any], Any]) -> Self:
         """Return the same claim, with what a function makes of the certificates on cells that it is put together of."""
         return self
+
+
+def require(certificate: Any, *offers: Offer) -> None:
+    """Raise ValueError, with what can be done instead, unless a certificate and its members offer all of this."""
+    for offer in offers:
+        for member in certificate.members:
+            if offer in member.lacks:
+                raise ValueError(f"`certificate`: expected {offer.value}, got {member.lacks[offer]}")
