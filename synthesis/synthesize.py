@@ -10,7 +10,7 @@ from ..envs.problem import JOINT_NOISE_REFUSAL, Problem
 from ..envs.suite import as_problem
 from .agreement import along_path
 from .cells import CellCounts, RelationRefused, to_who_asked_for_none
-from .certificates import Certificate, Offer, Synthesis, TimedCertificate, checked_certificate
+from .certificates import Certificate, Offer, PairsCertificate, Synthesis, TimedCertificate, checked_certificate
 from .choosing import Budget, Effort, Way, best_of, in_order, settings_of
 from .models import (
     RELATIONS,
@@ -106,8 +106,8 @@ def synthesize(
     restarts : int
         Number of further starts of the search, from the best policies with their plans advanced or delayed.
     start : Certificate, optional
-        Certificate whose policies the search begins with. Its agents, cells and relations must be the same, its horizon
-        need not (see ``horizons``); ``"auto"`` then stands for its relations, and settings that are not given are its
+        Certificate whose policies the search begins with, of any kind on cells. Its agents, cells and relations must
+        be the same, its horizon need not (see ``horizons``); ``"auto"`` then stands for its relations, and settings that are not given are its
         own. Its policies are evaluated anew, and nothing that it claims is trusted.
     stationary : bool
         Whether policies must not depend on the time, for tasks without a deadline (see ``without_deadline``).
@@ -171,15 +171,18 @@ def _of_task(
     if problem.labeling.pairs:
         if plan.budget is not None and cells is not None:
             raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
-        base = None if start is None else _of_joint_agent(start)
+        apart = isinstance(start, PairsCertificate)
+        base = None if start is None else start.base if isinstance(start, PairsCertificate) else _of_joint_agent(start)
 
         def without_pairs(task: Problem, sizes: CellCounts, kinds: Relations) -> Synthesis:
-            if base is None:
+            if base is None or apart:
                 return _of_task(task, sizes, kinds, plan.anew())
             again = replace(plan.anew(), settings=Settings(**_settings_of_start(task, kinds, base)))
             return _of_task(task, sizes, kinds, again, base)
 
-        return best_of(ways_together(problem, cells, relation, plan, without_pairs, base is not None), plan.effort)
+        if apart and base is not None:
+            plan = replace(plan, settings=Settings(**settings_of(base, ["exact"] * problem.n_agents)))
+        return best_of(ways_together(problem, cells, relation, plan, without_pairs, base, apart), plan.effort)
     if relation == "path":
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")

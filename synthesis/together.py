@@ -18,16 +18,16 @@ import numpy as np
 from ..envs.problem import Problem
 from .agreement import along_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
-from .certificates import PairsCertificate, Synthesis, TeamCertificate
+from .certificates import Certificate, PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
-from .choosing import SOLVED, Results, Way, refused
+from .choosing import SOLVED, Results, Way, policies_from, refused
 from .keeping_apart import kept_apart, less_nearness
 from .mixed_teams import mixed_way
-from .models import Relations, Settings, abstraction_of, check_names, join
+from .models import Relations, Settings, abstraction_of, check_names, join, start_of
 from .nominal_paths import refuse_without_path
 from .on_cells import Plan
 from .pairs import TEAM, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
-from .search import FINAL, Search, Sweep, find_policies
+from .search import FINAL, Search, Sweep, find_policies, sweep
 
 WAYS = ("auto", "exact", "joint", "path", "mixed")
 """Relations that a problem with pairs can be asked for; ``exact`` is the bound by subtraction."""
@@ -57,9 +57,15 @@ def ways_together(
     relation: Relations,
     plan: Plan,
     task: SynthesizeTask,
-    has_start: bool = False,
+    start: Certificate | None = None,
+    begins_apart: bool = False,
 ) -> list[Way]:
-    """Return the ways to certify a problem with pairs; ``has_start`` says whether ``task`` begins with policies."""
+    """Return the ways to certify a problem with pairs.
+
+    ``start`` is a certificate that the search begins with: of a joint agent (``task`` then begins with it), or, if it
+    ``begins_apart``, of the task without pairs.
+    """
+    has_start = start is not None
     if problem.groups:
         raise ValueError(
             "`problem`: expected one task where propositions are about pairs, got independent tasks whose joint "
@@ -70,10 +76,12 @@ def ways_together(
     check_names("cells", cells, problem)
 
     def subtraction(results: Results) -> Synthesis:
-        _refuse_for_subtraction(plan, has_start)
-        return by_subtraction(problem, cells, plan.search, plan.settings)
+        _refuse_for_subtraction(plan, has_start and not begins_apart)
+        return by_subtraction(problem, cells, plan.search, plan.settings, start)
 
     def joint(results: Results) -> Synthesis:
+        if begins_apart:
+            raise RelationRefused("a joint agent has no policies of agents that see themselves alone to begin with")
         if problem.n_states > MOST_GRID_STATES and _asks_for_grid(plan, has_start):
             raise RelationRefused(f"a joint agent of {problem.n_states} states has no room for a grid")
         found = as_one_agent(problem, cells, task)
@@ -129,8 +137,12 @@ def _refuse_for_subtraction(plan: Plan, has_start: bool) -> None:
         raise RelationRefused("subtracting what pairs may spoil has no budget, start or tensor trains; ask for `joint`")
 
 
-def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings: Settings) -> Synthesis:
+def by_subtraction(
+    problem: Problem, cells: CellCounts, search: Search, settings: Settings, start: Certificate | None = None
+) -> Synthesis:
     """Certify the task without pairs, with policies that keep apart, and subtract what pairs may spoil.
+
+    With ``start``, a certificate of the task without pairs, its policies are tried as they are and further on.
 
     Raises
     ------
@@ -143,13 +155,18 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
     usual = usual_values(problem)
     base = without_pairs(problem, usual)
     kinds = ["exact"] * problem.n_agents
+    if start is not None and cells is None and len(start.agents) == base.n_agents:
+        cells = dict(zip(base.agent_names, (part.grid.shape for part in start.agents), strict=True))
     abstraction = abstraction_of(base, cells, kinds, settings.of_kinds(kinds))
+    given = {} if start is None else policies_from(start, base, abstraction)
     joint = replace(join(base, abstraction, search.device), finds_alike=True)
     masses = NearMass(problem, base, joint, relevant_pairs(problem), usual)
     abstracted = time.perf_counter()
-    found = find_policies(base, joint, replace(search, value="tree"))
+    found = find_policies(base, joint, replace(search, value="tree"), given)
     assert isinstance(found.best, Sweep)
-    best, near, record = kept_apart(base, joint, masses, found.best, search)
+    begun = [sweep(joint, policies, start_of(base, joint), FINAL, improve=False) for policies in given.values()]
+    tries = [kept_apart(base, joint, masses, first, search) for first in (found.best, *begun)]
+    best, near, record = max(tries, key=lambda tried: tried[0].value - tried[1])
     used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
     name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"
     part = certificate_of(base, abstraction, joint, best, used, name)

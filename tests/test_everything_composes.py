@@ -101,7 +101,6 @@ MISSING: dict[str, dict[str, str]] = {
     },
     "safety rate": {"train": "rates read trees alone"},
     "budget": {"subtraction": "tasks about pairs do not ask for budgets"},
-    "start=": {"subtraction": "tasks about pairs begin anew"},
 }
 """What could be and is not there yet: column, row, why."""
 
