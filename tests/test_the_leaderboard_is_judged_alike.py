@@ -116,7 +116,7 @@ def test_learners_are_made_within_their_budget_and_kept(
     board = cg.leaderboard(["reach-avoid-v0"], policies, 300, sources=sources)
     assert [row.policy for row in board.rows] == policies
     for row in board.rows:
-        assert row.seeds == (0, 1) and len(row.successes) == 2 and row.steps and row.seconds
+        assert row.seeds == (0, 1) and len(row.successes) == 2 and row.steps is not None and row.seconds
         assert ("cloned" in row.information) == (row.policy in ("probe", "warm-ppo"))
     # What was kept is read, not made again: the same actors, the same rows.
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("actor.npz")}
