@@ -107,8 +107,8 @@ def synthesize(
         Number of further starts of the search, from the best policies with their plans advanced or delayed.
     start : Certificate, optional
         Certificate whose policies the search begins with, of any kind on cells. Its agents, cells and relations must
-        be the same, its horizon need not (see ``horizons``); ``"auto"`` then stands for its relations, and settings that are not given are its
-        own. Its policies are evaluated anew, and nothing that it claims is trusted.
+        be the same, its horizon need not (see ``horizons``); ``"auto"`` then stands for its relations, and settings
+        that are not given are its own. Its policies are evaluated anew, and nothing that it claims is trusted.
     stationary : bool
         Whether policies must not depend on the time, for tasks without a deadline (see ``without_deadline``).
     above : bool
