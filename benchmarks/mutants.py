@@ -474,4 +474,41 @@ MUTANTS = [
         "synthesis/checking/grid_check.py",
         ("        if not identity and _start_on_a_face(agent, part):", "        if False:"),
     ),
+    # --- networks that move agents with expressions, and ends from above
+    *_in(
+        "synthesis/checking/network_spans.py",
+        ("ranges = {place: (least[:, j], most[:, j]) for", "ranges = {place: (least[:, j], least[:, j]) for"),
+        (
+            "first[some], last[some] = np.minimum(first[some], ends[0]), np.maximum(last[some], ends[1])",
+            "first[some], last[some] = ends",
+        ),
+        (
+            "forms.through(np.diag(wide), centre).between(half)",
+            "forms.through(np.diag(wide), centre).between(0.0 * half)",
+        ),
+        ('time, q = divmod(mode, network["states"])', 'q, time = divmod(mode, network["states"])'),
+    ),
+    *_in(
+        "synthesis/relations/driven_means.py",
+        (
+            "np.clip(least[..., j], *box), np.clip(most[..., j], *box)",
+            "np.clip(least[..., j], *box), np.clip(least[..., j], *box)",
+        ),
+        (
+            "found = self.driven.scales(low, high, np.zeros((1, 1)))",
+            "found = self.written.scales(low, high, np.zeros((1, len(self.written.agent.inputs))))",
+        ),
+    ),
+    *_in(
+        "synthesis/checking/certificate_check.py",
+        (
+            "opposite.problem) or other_controllers(certificate, opposite)",
+            "opposite.problem)",
+        ),
+        ("return min(1.0, math.nextafter(1.0 - report.recomputed, 2.0)), []", "return certificate.lower_bound, []"),
+    ),
+    *_in(
+        "synthesis/checking/opposite_task.py",
+        ("undecided = np.flatnonzero(~certificate.problem.automaton.absorbing)", "undecided = np.zeros(0, dtype=int)"),
+    ),
 ]

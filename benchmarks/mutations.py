@@ -45,6 +45,7 @@ TESTS = (
     "test_ellipsoid_certificates.py", "test_paper_relation.py", "test_ellipsoid_relation.py",
     "test_translation_is_correct.py", "test_tree_equals_dense_programming.py",
     "test_claims_hold_in_ball_arithmetic.py", "test_guarantees_rest_on_checked_certificates.py",
+    "test_networks_move_bent_agents.py", "test_certificates_have_another_end.py",
     "test_nonlinear_paths_are_certified.py", "test_fleets_are_certified_along_paths.py",
 )  # fmt: skip
 """From the quickest to the slowest; the first failure ends the run."""
