@@ -44,6 +44,7 @@ def balancing(problem: cg.Problem, gain: float = 0.9) -> SharedActor:
     view = SharedView(problem)
     first = np.zeros((2, view.size), dtype=np.float32)
     first[:, 0] = 0.8, 1.5
+    first[0, 1:] = 0.1 * np.arange(1, view.size)  # it looks at the automaton state and the time as well
     last = np.full((view.n_actions, 2), -gain, dtype=np.float32)
     layers = Network((first, last), (np.zeros(2, np.float32), np.zeros(view.n_actions, np.float32)), "tanh", False)
     return SharedActor(problem, layers)
