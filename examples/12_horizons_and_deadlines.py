@@ -25,7 +25,7 @@ lasting = cg.safety_rate(safe)
 print("safe for k steps:", lasting, lasting.at([1, 100, 10_000]))
 
 # The other end: how often these controllers succeed at most, under any relation with cells.
-parked = cg.synthesize(parking, above=True).certificate
+parked = cg.bound_above(cg.synthesize(parking))
 print(f"the controllers park with a probability of {parked.lower_bound} at least, {parked.upper_bound} at most")
 assert parked.lower_bound <= parked.upper_bound and cg.check(parked)
 

@@ -242,9 +242,6 @@ def test_what_boxes_cannot_have_is_refused_in_words() -> None:
         cg.synthesize(problem, 20, relation="boxes", targets_per_cell=10**8)
     with pytest.raises(ValueError, match="lattice points in a box"):
         cg.synthesize(problem, 5, relation="boxes", targets_per_cell=200_000)
-    pytest.importorskip("torch")
-    with pytest.raises(ValueError, match="`device`: expected `numpy`"):
-        cg.synthesize(problem, 20, relation="boxes", device="torch:cpu")
 
 
 def test_reports_and_figures_of_boxes_are_drawn(tmp_path: Path) -> None:

@@ -132,7 +132,7 @@ def test_a_wrong_feedback_sign_is_noticed(problem: cg.Problem, monkeypatch: pyte
     result = cg.synthesize(problem, 60, relation="exact")
     right = relation_exact.ExactRelation.inputs
 
-    def wrong(self: Any, targets: np.ndarray, states: np.ndarray) -> np.ndarray:
+    def wrong(self: Any, targets: np.ndarray, states: np.ndarray, beside: Any = None) -> np.ndarray:
         return np.asarray(right(self, targets, -states))
 
     monkeypatch.setattr(relation_exact.ExactRelation, "inputs", wrong)

@@ -244,9 +244,6 @@ def test_what_linear_agents_cannot_have_is_refused_in_words() -> None:
         cg.synthesize(problem, 20, relation="linear", value="train")
     with pytest.raises(ValueError, match="one value per cell"):
         dense_optimum(problem, cg.abstract(problem, 20, relation="linear").models)
-    pytest.importorskip("torch")
-    with pytest.raises(ValueError, match="`device`: expected `numpy`"):
-        cg.synthesize(problem, 20, relation="linear", device="torch:cpu")
 
 
 @pytest.mark.parametrize("sliver", [0.0, 1e-13, 3e-12, 1e-11, 1e-10, 3e-9, 1e-7])

@@ -219,15 +219,7 @@ REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
     "exact targets": (lambda: cg.synthesize(follow(robot()), 30, relation="exact"), "`linear`, `boxes` or `path`"),
     "coupled": (lambda: cg.synthesize(follow(robot()), 30, relation="tube"), "name the time|`t`"),
     "models": (lambda: cg.abstract(follow(still()), 30), "the same at every step"),
-    "given policies": (
-        lambda: cg.certify(follow(still()), {"robot": lambda x, q, t: 0.0 * x}, 30),
-        "the same at every step|function",
-    ),
     "a rate": (lambda: cg.safety_rate(certified("exact")), "names the time"),
-    "fields": (lambda: cg.validate_field(certified("exact"), 5, 5), "names the time"),
-    "audits": (lambda: cg.audit(certified("exact"), 20), "names the time"),
-    "values": (lambda: cg.value_in_time(certified("exact")), "names the time"),
-    "a start": (lambda: cg.synthesize(follow(still()), start=certified("exact")), "time"),
 }
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -24,7 +25,13 @@ from .certificate import Certificate
 from .digits import shown_bound
 from .part import AgentPart
 from .seen import Seen, SeenInTime
-from .two_ended import TwoEnded
+from .two_ended import Offer, TwoEnded
+
+IN_TIME = (
+    "one of a problem that names the time `t`, of whose steps nothing is said beyond its horizon; its `.base` is about "
+    "the problem written out without the time"
+)
+"""What certificates of problems that name the time answer to whoever asks what happens later."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,6 +53,8 @@ class TimedCertificate(TwoEnded):
 
     problem: Problem
     base: Certificate
+
+    lacks = MappingProxyType({Offer.SAME_STEPS: IN_TIME})
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "base", replace(self.base, problem=written_out(self.problem)))

@@ -19,6 +19,8 @@ class Offer(Enum):
     """Values at every state, automaton state and time: shields, audits, fields, figures, menus."""
     OWN_STATES = "one whose agents each look at their own state"
     """Cells of every agent by itself: figures of an agent."""
+    SAME_STEPS = "one of a problem that is the same at every step"
+    """Steps beyond the horizon that are like those before: rates at which safety is lost."""
 
 
 class TwoEnded:

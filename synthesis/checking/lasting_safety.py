@@ -21,7 +21,7 @@ import numpy as np
 from ...envs.agents import checked_count, tree_text
 from ...envs.logic import Automaton
 from ..cells import FloatArray
-from ..certificates import Certificate, TwoEnded, certificate_on_grids, rounded_down
+from ..certificates import Certificate, Offer, TwoEnded, certificate_on_grids, require, rounded_down
 from ..values import Terms
 from .checked_first import standing
 from .regrown_tree import regrow
@@ -100,6 +100,7 @@ def safety_rate(certificate: Any) -> SafetyRate:
         quotient.
     """
     claim = certificate_on_grids(certificate)
+    require(claim, Offer.SAME_STEPS)
     # A joint agent stands for its team, which the check of the team verifies.
     parts = [member.on_cells for member in claim.members]
     for part in parts:
