@@ -368,6 +368,9 @@ def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None
         with pytest.raises(ValueError, match=words):
             cg.certify(problem, policy, 20, raw=True)
         assert cg.certify(problem, policy, 20).certificate.lower_bound >= 0.0  # wrapped
+    torn = torch.nn.Sequential(torch.nn.Linear(n, 4), torch.nn.Tanh(), torch.nn.Linear(5, 1))
+    with pytest.raises(ValueError, match="layers that fit together, got 4 outputs before 5 inputs"):
+        cg.as_policy(torn, problem, "team_env")
     central = sb3.PPO("MlpPolicy", central_vec_env(problem, 2), device="cpu")
     for verb in (cg.certify, cg.improve):
         with pytest.raises(ValueError, match=r"sees states of all agents.*rollouts"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -47,6 +48,8 @@ def network_of(
     ------
     NotFeedForward
         If there is another kind of layer, an activation of another kind, or weights of double precision.
+    ValueError
+        If a layer takes another number of inputs than the one before it gives.
     """
     chain = [layer for given in layers for layer in flat(given)]
     kinds = [type(layer).__name__ for layer in chain]
@@ -61,6 +64,10 @@ def network_of(
         raise NotFeedForward("expected one kind of activation between linear layers, got tanh and relu")
     pairs = [(numbers(layer.weight), numbers(layer.bias, len(layer.weight))) for layer in chain[::2]]
     weights, biases = [weight for weight, _ in pairs], [bias for _, bias in pairs]
+    for first, second in itertools.pairwise(weights):
+        if len(first) != second.shape[1]:
+            raise ValueError(f"`model`: expected layers that fit together, got {len(first)} outputs before "
+                             f"{second.shape[1]} inputs")  # fmt: skip
     if count is not None:
         weights[-1], biases[-1] = weights[-1][:count], biases[-1][:count]
     activation = NAMES[between.pop()] if between else "relu"
