@@ -178,23 +178,10 @@ class PathCertificate(TwoEnded):
 
 def path_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> PathCertificate:
     """Return the certificate along a path that a header and its arrays describe; raise ValueError if they do not."""
-    problem = problem_from_dict(header["problem"])
-    if header["fingerprint"] != problem.fingerprint:
-        raise ValueError("the fingerprint does not belong to the problem in it")
-    failure, entry = header["failure"], header["path"]
-    if isinstance(failure, bool) or not isinstance(failure, int | float) or not 0.0 <= failure <= 1.0:
-        raise ValueError("its probability of failing is none")
+    entry = header["path"]
+    problem, failure, letters, faces = kept_in(header, entry, arrays)
     if not isinstance(header["settings"], dict) or len(entry["agents"]) != problem.n_agents:
         raise ValueError("its settings or its agents are not those of a path")
-    letters, faces = (np.asarray(arrays[str(int(entry[name]))]) for name in ("letters", "faces"))
-    if (
-        not (is_whole(letters, signed=True) and is_whole(faces, signed=True))
-        or letters.ndim != 2
-        or letters.shape != faces.shape
-    ):
-        raise ValueError("its letters are no whole numbers")
-    if not 2 <= len(letters) <= problem.horizon + 1:
-        raise ValueError("its path does not fit the horizon")
     paths = []
     for agent, numbers in zip(problem.agents, entry["agents"], strict=True):
         steps, d, m = len(letters) - 1, agent.n_states, agent.n_inputs
@@ -207,7 +194,29 @@ def path_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> PathCert
             raise ValueError(f"the slabs of agent {agent.name!r} are none")
         paths.append(AgentPath(*stored))
     normals = _normals(problem, entry, arrays, len(letters))
-    return PathCertificate(problem, tuple(paths), letters, faces, float(failure), header["settings"], normals)
+    return PathCertificate(problem, tuple(paths), letters, faces, failure, header["settings"], normals)
+
+
+def kept_in(
+    header: dict[str, Any], entry: dict[str, Any], arrays: dict[str, NDArray[Any]]
+) -> tuple[Problem, float, NDArray[Any], NDArray[Any]]:
+    """Return problem, probability of failing, letters and faces (S + 1, P) that a header and its entry describe."""
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    failure = header["failure"]
+    if isinstance(failure, bool) or not isinstance(failure, int | float) or not 0.0 <= failure <= 1.0:
+        raise ValueError("its probability of failing is none")
+    letters, faces = (np.asarray(arrays[str(int(entry[name]))]) for name in ("letters", "faces"))
+    if (
+        not (is_whole(letters, signed=True) and is_whole(faces, signed=True))
+        or letters.ndim != 2
+        or letters.shape != faces.shape
+    ):
+        raise ValueError("its letters are no whole numbers")
+    if not 2 <= len(letters) <= problem.horizon + 1:
+        raise ValueError("its letters do not fit the horizon")
+    return problem, float(failure), letters, faces
 
 
 def _normals(

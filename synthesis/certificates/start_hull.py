@@ -17,11 +17,10 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from ...envs.agents import tree_text
-from ...envs.arrays import is_whole
-from ...envs.problem import Problem, problem_from_dict
+from ...envs.problem import Problem
 from ..cells import FloatArray
 from .archive import Pool
-from .path_certificate import AgentPath, PathCertificate
+from .path_certificate import AgentPath, PathCertificate, kept_in
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -124,24 +123,11 @@ class StartHull:
 
 def hull_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> StartHull:
     """Return the set of starts that a header and its arrays describe; raise ValueError if they do not."""
-    problem = problem_from_dict(header["problem"])
-    if header["fingerprint"] != problem.fingerprint:
-        raise ValueError("the fingerprint does not belong to the problem in it")
-    failure, entry = header["failure"], header["hull"]
-    if isinstance(failure, bool) or not isinstance(failure, int | float) or not 0.0 <= failure <= 1.0:
-        raise ValueError("its probability of failing is none")
+    entry = header["hull"]
+    problem, failure, letters, faces = kept_in(header, entry, arrays)
     if problem.n_agents != 1:
         raise ValueError("a set of starts is about one agent")
     agent = problem.agents[0]
-    letters, faces = (np.asarray(arrays[str(int(entry[name]))]) for name in ("letters", "faces"))
-    if (
-        not (is_whole(letters, signed=True) and is_whole(faces, signed=True))
-        or letters.ndim != 2
-        or letters.shape != faces.shape
-    ):
-        raise ValueError("its letters are no whole numbers")
-    if not 2 <= len(letters) <= problem.horizon + 1:
-        raise ValueError("its paths do not fit the horizon")
     corners, inputs, gain = (
         np.asarray(arrays[str(int(entry[name]))], dtype=float) for name in ("corners", "inputs", "gain")
     )
@@ -152,4 +138,4 @@ def hull_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> StartHul
     if not all(np.all(np.isfinite(array)) for array in (corners, inputs, gain)):
         raise ValueError("its corners or inputs are no numbers")
     axes = tuple(int(axis) for axis in entry["axes"])
-    return StartHull(problem, axes, corners, inputs, gain, letters, faces, float(failure))
+    return StartHull(problem, axes, corners, inputs, gain, letters, faces, failure)

@@ -10,6 +10,7 @@ every layer (docs/theory/networks.md).
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,6 +75,12 @@ def network_modes(part: AgentPart) -> int:
     return 0 if network is None else int(network["horizon"]) * int(network["states"])
 
 
+def _pieces(low: FloatArray, high: FloatArray, count: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield corners (C, d) of the pieces of boxes with corners (C, d) that are cut into ``count`` along each axis."""
+    for which in itertools.product(range(count), repeat=low.shape[1]):
+        yield low + (high - low) * np.array(which) / count, low + (high - low) * (np.array(which) + 1) / count
+
+
 def network_spans(
     agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], mode: int
 ) -> tuple[FloatArray, FloatArray]:
@@ -82,11 +89,9 @@ def network_spans(
     What means are off by in floating point besides the network is not in them.
     """
     low, high = (corner[cells] for corner in cell_boxes(part))
-    parts, d = int(part.relation["parts"]), low.shape[1]
+    parts = int(part.relation["parts"])
     first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
-    for which in itertools.product(range(parts), repeat=d):
-        left = low + (high - low) * np.array(which) / parts
-        right = low + (high - low) * (np.array(which) + 1) / parts
+    for left, right in _pieces(low, high, parts):
         for some in np.array_split(np.arange(len(cells)), len(cells) // BOXES_AT_ONCE + 1):
             least, most = _mean_between(agent, part, left[some], right[some], mode)
             first[some], last[some] = np.minimum(first[some], least), np.maximum(last[some], most)
@@ -112,9 +117,7 @@ def network_maps(
         first, last = form.constants - whole, form.constants + whole
         if pieces > 1:
             least, most = np.full(left.shape, np.inf), np.full(left.shape, -np.inf)
-            for which in itertools.product(range(pieces), repeat=d):
-                begin = left + (right - left) * np.array(which) / pieces
-                end = left + (right - left) * (np.array(which) + 1) / pieces
+            for begin, end in _pieces(left, right, pieces):
                 own = _mean_forms(agent, part, begin, end, mode)[0]
                 # What the map of the cell leaves of the one of the piece: its value there, and the other slopes.
                 moved = np.einsum("ckj,cj->ck", form.slopes, 0.5 * (begin + end) - 0.5 * (left + right))
@@ -142,12 +145,10 @@ def driven_spans(agent: Agent, part: AgentPart, cells: NDArray[np.int64], mode: 
     On each part of a cell inputs lie between what the network may answer there, and count as disturbances.
     """
     low, high = (corner[cells] for corner in cell_boxes(part))
-    parts, d, driven = int(part.relation["parts"]), low.shape[1], agent.driven
+    parts, driven = int(part.relation["parts"]), agent.driven
     places = [list(driven.unknowns).index(name) for name in agent.inputs]
     first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
-    for which in itertools.product(range(parts), repeat=d):
-        left = low + (high - low) * np.array(which) / parts
-        right = low + (high - low) * (np.array(which) + 1) / parts
+    for left, right in _pieces(low, high, parts):
         for some in np.array_split(np.arange(len(cells)), len(cells) // BOXES_AT_ONCE + 1):
             least, most = _inputs_between(agent, part, left[some], right[some], mode)
             ranges = {place: (least[:, j], most[:, j]) for j, place in enumerate(places)}
