@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Callable
 from typing import Any
 
 from ..envs.agents import counted
@@ -22,7 +23,7 @@ def plot(options: Namespace) -> int:
         return _episode(options)
     # A wrong file name is refused before anything is computed.
     check_format(options.out, "--out")
-    figures.save_figure(_figure(options), options.out)
+    figures.save_figure(FIGURES[options.kind](options), options.out)
     text = f"{options.kind} of {options.problem}, written to {options.out}"
     drawn = {"kind": options.kind, "problem": options.problem, "seed": options.seed, "figure": options.out}
     show(options, text, drawn)
@@ -45,24 +46,19 @@ def _episode(options: Namespace) -> int:
     return 0
 
 
-def _figure(options: Namespace) -> Any:
-    """Return the figure of the kind that the options name."""
-    if options.kind == "automaton":
-        return figures.automaton_figure(_problem(options))
-    if options.kind == "horizon":
-        problem = _problem(options)
-        horizons = options.horizons or range(1, problem.horizon + 1)
-        settings = {"cells": cells_of(options), **relation_of(options)}
-        plan = {"episodes": options.episodes or 2000, "seed": options.seed}
-        return figures.horizon_figure(validate_horizons(problem, horizons, **settings, **plan))
-    certificate = _certificate(options)
-    if options.kind == "value":
-        return figures.value_figure(certificate, options.axes)
-    if options.kind == "rollouts":
-        return figures.rollouts_figure(certificate, 40 if options.episodes is None else options.episodes, options.seed)
-    if options.kind == "relation":
-        return figures.relation_figure(certificate, options.agent, seed=options.seed)
-    return figures.rank_figure(certificate) if options.kind == "rank" else figures.tree_figure(certificate)
+def _horizon_figure(options: Namespace) -> Any:
+    """Return bounds and rollouts over horizons."""
+    problem = _problem(options)
+    horizons = options.horizons or range(1, problem.horizon + 1)
+    settings = {"cells": cells_of(options), **relation_of(options)}
+    plan = {"episodes": options.episodes or 2000, "seed": options.seed}
+    return figures.horizon_figure(validate_horizons(problem, horizons, **settings, **plan))
+
+
+def _rollouts_figure(options: Namespace) -> Any:
+    """Return rollouts, 40 of them if no number is given."""
+    episodes = 40 if options.episodes is None else options.episodes
+    return figures.rollouts_figure(_certificate(options), episodes, options.seed)
 
 
 def _problem(options: Namespace) -> Any:
@@ -77,3 +73,15 @@ def _certificate(options: Namespace) -> Any:
     if options.horizon is not None or options.initial_state is not None or options.cells is not None:
         raise ValueError("`--horizon`, `--initial-state`, `--cells`: a certificate fixes all of them; leave them out")
     return load_certificate(options.problem)
+
+
+FIGURES: dict[str, Callable[[Namespace], Any]] = {
+    "automaton": lambda options: figures.automaton_figure(_problem(options)),
+    "horizon": _horizon_figure,
+    "rank": lambda options: figures.rank_figure(_certificate(options)),
+    "relation": lambda options: figures.relation_figure(_certificate(options), options.agent, seed=options.seed),
+    "rollouts": _rollouts_figure,
+    "tree": lambda options: figures.tree_figure(_certificate(options)),
+    "value": lambda options: figures.value_figure(_certificate(options), options.axes),
+}
+"""How each kind of figure is drawn."""
