@@ -11,7 +11,7 @@ import pytest
 import certigym as cg
 from certigym.synthesis.nominal_paths.drifts import Drifts
 from certigym.synthesis.nominal_paths.segments import segmented_ways
-from certigym.synthesis.nominal_paths.words import is_accepted
+from certigym.synthesis.nominal_paths.words import is_accepted, without_needless
 
 
 def robot(**changes: Any) -> cg.LinearAgent:
@@ -76,3 +76,16 @@ def test_one_waits_until_nobody_is_in_the_lane() -> None:
     result = cg.synthesize(problem, relation="path")
     assert result.certificate.lower_bound > 0.99
     assert cg.check(result.certificate, problem)
+
+
+def test_what_was_forbidden_up_to_a_jump_is_not_asked_for_after_it() -> None:
+    """With `!lane U (busy & X F lane)` nothing is said of the lane between the jump and the end."""
+    other = robot(name="other")
+    problem = task("!lane U (busy & X F lane)", 9, "co-safe", other=other)
+    lane, busy = (list(problem.automaton.propositions).index(name) for name in ("lane", "busy"))
+    letters = np.zeros((10, len(problem.automaton.propositions)), dtype=np.int8)
+    letters[1:, lane] = -1
+    letters[5, busy], letters[9, lane] = 1, 1
+    less = without_needless(problem, letters)
+    np.testing.assert_array_equal(less[:, lane], [0, -1, -1, -1, -1, 0, 0, 0, 0, 1])
+    assert is_accepted(problem, less)

@@ -205,16 +205,23 @@ def targets_of(automaton: Automaton, q: int, letter: list[int]) -> set[int]:
 def without_needless(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.int8]:
     """Return letters that ask for less, as long as every word that agrees with them is accepted.
 
-    A diagram asks that a goal does not hold while one waits for it; a task seldom does.
+    A diagram asks that a goal does not hold while one waits for it; a task seldom does, and often only up to a jump: a
+    proposition is left out at all times, or else between two times at which other letters are asked for.
     """
+    changes = np.flatnonzero(np.any(letters[1:] != letters[:-1], axis=1)) + 1
+    stays = np.searchsorted(changes, np.arange(len(letters)), side="right")
     for value in (-1, 1):
         for p in range(letters.shape[1]):
             asked = letters[:, p] == value
-            if asked.any():
+            if not asked.any():
+                continue
+            for times in (asked, *(asked & (stays == stay) for stay in np.unique(stays[asked]))):
                 less = letters.copy()
-                less[asked, p] = 0
+                less[times, p] = 0
                 if is_accepted(problem, less):
                     letters = less
+                    if times is asked:
+                        break
     return letters
 
 
