@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import islice
+from itertools import groupby, islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,8 @@ import pytest
 import certigym as cg
 from certigym.synthesis.nominal_paths.drifts import Drifts
 from certigym.synthesis.nominal_paths.segments import segmented_ways
-from certigym.synthesis.nominal_paths.words import is_accepted, without_needless
+from certigym.synthesis.nominal_paths.timed_words import timed_ways
+from certigym.synthesis.nominal_paths.words import is_accepted, ways_of, without_needless
 
 
 def robot(**changes: Any) -> cg.LinearAgent:
@@ -89,3 +90,27 @@ def test_what_was_forbidden_up_to_a_jump_is_not_asked_for_after_it() -> None:
     less = without_needless(problem, letters)
     np.testing.assert_array_equal(less[:, lane], [0, -1, -1, -1, -1, 0, 0, 0, 0, 1])
     assert is_accepted(problem, less)
+
+
+def test_visits_again_and_again_are_timed_by_how_far_it_is() -> None:
+    """A patrol whose automaton counts steps: no ways are looked for without end, and visits are told apart in time."""
+    problem = cg.Problem(
+        name="patrol",
+        horizon=30,
+        agents=[robot(input_low=[-2.0], input_high=[2.0])],
+        propositions={
+            "east": cg.Proposition("robot", low=[2.0], high=[4.0]),
+            "west": cg.Proposition("robot", low=[-4.5], high=[-2.5]),
+        },
+        specification=cg.Specification("G[0,20] F[0,10] east & G[0,20] F[0,10] west", semantics="finite-trace"),
+    )
+    assert list(islice(ways_of(problem), 1)) == []
+    (way, times), *_ = timed_ways(problem)
+    letters = way.letters(times, problem.horizon, 2)
+    assert letters is not None and is_accepted(problem, letters)
+    visits = [tuple(letter) for letter in letters[1:].tolist() if max(letter) > 0]
+    runs = [visit for visit, _ in groupby(visits)]
+    assert len(runs) >= 6 and all(a != b for a, b in pairwise(runs))
+    result = cg.synthesize(problem, relation="path")
+    assert result.certificate.lower_bound > 0.9999
+    assert cg.check(result.certificate, problem)

@@ -223,7 +223,7 @@ class _Together:
         return best
 
 
-def nonlinear_certificate(problem: Problem, plans: PlansOf, segmented: PlansOf, work: CountedWork) -> Synthesis:
+def nonlinear_certificate(problem: Problem, sources: Sequence[PlansOf], work: CountedWork) -> Synthesis:
     """Return a certificate along nonlinear paths, with its controllers.
 
     Where nothing is left of the bound, but a run without noise satisfies the task, it claims 0: its controllers follow
@@ -232,10 +232,9 @@ def nonlinear_certificate(problem: Problem, plans: PlansOf, segmented: PlansOf, 
     Parameters
     ----------
     problem : Problem
-    plans : callable
-        Ways through the automaton of a problem with the times of their jumps, in order of promise.
-    segmented : callable
-        Further ones, for which there is time where those give nothing.
+    sources : sequence of callables
+        Ways through the automaton of a problem with the times of their jumps, in order of promise; further ones are for
+        where those before them give nothing.
     work : CountedWork
         What the search may take.
 
@@ -245,11 +244,11 @@ def nonlinear_certificate(problem: Problem, plans: PlansOf, segmented: PlansOf, 
         If no run without noise was found that satisfies the task.
     """
     began = time.perf_counter()
-    tried, best = found_for_team(problem, (plans(problem), segmented(problem)), work)
+    tried, best = found_for_team(problem, [plans(problem) for plans in sources], work)
     failure = min(1.0, best.failure * (1.0 + 1e-9))
     if failure >= WORTHLESS:
         failure, weakest = 1.0, best.weakest
-        best = _calm_run(problem, best, (plans, segmented), work)
+        best = _calm_run(problem, best, sources, work)
         best = replace(best, weakest=weakest)
     faces = np.full(best.letters.shape, -1)
     for one in best.found:

@@ -25,6 +25,7 @@ from .path_limits import corners_along, without_far_ends
 from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .some_paths import Whereabouts, paths_of_some
+from .timed_words import timed_ways
 from .words import Cube, Plan, Way, letters_of, ways_of, without_needless
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
@@ -66,10 +67,10 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
         isinstance(agent, LinearAgent) and agent.initial.is_point and agent.laws is None for agent in problem.agents
     )
     if problem.labeling.pairs or not linear:
-        return nonlinear_certificate(problem, _plans, _segmented_plans, work)
+        return nonlinear_certificate(problem, SOURCES, work)
     finder = _Finder(problem)
     best: tuple[float, Plan, Any] | None = None
-    for plans, enough in ((_plans(problem), ENOUGH), (_segmented_plans(problem), GOOD)):
+    for plans, enough in zip((source(problem) for source in SOURCES), (ENOUGH, GOOD, GOOD), strict=True):
         for plan in islice(plans, MOST_PLANS):
             if best is not None and (best[0] <= enough or work.is_over()):
                 break
@@ -79,7 +80,7 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
         best = best if best is None or work.is_over() else _with_better_times(finder, best)
     if best is None or best[0] >= HOPELESS:
         # Planned with soft limits instead there may be one that claims nothing, or a word on what is missed.
-        return nonlinear_certificate(problem, _plans, _segmented_plans, work)
+        return nonlinear_certificate(problem, SOURCES, work)
     failure, plan, (paths, letters, faces) = best
     settings = {"relation": "path", "jumps": list(plan.times), "plans": finder.tried}
     certificate = PathCertificate(problem, tuple(paths), letters, faces, failure, settings)
@@ -94,7 +95,7 @@ def certified_paths(
 ) -> tuple[PathCertificate, list[Whereabouts]]:
     """Return a certificate that some agents of a team keep the letters of their paths; see ``paths_of_some``."""
     refuse_without_path(problem)
-    return paths_of_some(problem, agents, part_of, (_plans, _segmented_plans), work)
+    return paths_of_some(problem, agents, part_of, SOURCES, work)
 
 
 def refuse_without_path(problem: Problem) -> None:
@@ -143,11 +144,22 @@ def _timed(problem: Problem, drifts: Drifts, way: Way) -> Iterator[Plan]:
             yield from _possible(problem, drifts, way, times)
 
 
+def _timed_plans(problem: Problem) -> Iterator[Plan]:
+    """Yield words of visits at times of their own."""
+    drifts = Drifts(problem)
+    for way, times in timed_ways(problem):
+        yield from _possible(problem, drifts, way, times)
+
+
 def _segmented_plans(problem: Problem) -> Iterator[Plan]:
     """Yield words of few cubes, each read from some time on."""
     drifts = Drifts(problem)
     for way, times in segmented_ways(problem):
         yield from _possible(problem, drifts, way, times)
+
+
+SOURCES = (_plans, _timed_plans, _segmented_plans)
+"""Where plans come from, in the order in which they are asked: the next one only where those before gave too little."""
 
 
 def _possible(problem: Problem, drifts: Drifts, way: Way, times: tuple[int, ...]) -> Iterator[Plan]:

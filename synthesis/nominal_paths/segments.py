@@ -52,7 +52,7 @@ def _of_number(words: _Words, n: int) -> Iterator[tuple[Way, tuple[int, ...]]]:
             if all(a != b for a, b in pairwise(cubes)):
                 end = words.end(cubes, times)
                 if end is not None:
-                    yield words.way(cubes, times, end)
+                    yield way_of(problem, cubes, times, end)
 
 
 def _changes(horizon: int, n: int, late: float) -> list[tuple[int, ...]]:
@@ -94,14 +94,6 @@ class _Words:
             if self.accepts(states):
                 return t
         return None
-
-    def way(self, cubes: tuple[Cube, ...], times: tuple[int, ...], end: int) -> tuple[Way, tuple[int, ...]]:
-        """Return the way of a word that ends at a step: after acceptance nothing is asked for."""
-        if not self.automaton.is_co_safe:
-            return Way(cubes, cubes[1:]), times
-        if times and end == times[-1]:
-            return Way((*cubes[:-1], ()), cubes[1:]), times
-        return Way((*cubes, ()), (*cubes[1:], cubes[-1])), (*times, end)
 
     def is_lost(self, states: States) -> bool:
         """Return whether some word is lost."""
@@ -148,6 +140,18 @@ class _Words:
             if self.step(less, q) == self.step(cube, q):
                 cube = less
         return cube
+
+
+def way_of(problem: Problem, cubes: tuple[Cube, ...], times: tuple[int, ...], end: int) -> tuple[Way, tuple[int, ...]]:
+    """Return the way of a word of cubes, the second and later ones from some times on, with the times of its jumps.
+
+    The word ends at a step; after acceptance nothing is asked for.
+    """
+    if not problem.automaton.is_co_safe:
+        return Way(cubes, cubes[1:]), times
+    if times and end == times[-1]:
+        return Way((*cubes[:-1], ()), cubes[1:]), times
+    return Way((*cubes, ()), (*cubes[1:], cubes[-1])), (*times, end)
 
 
 def _asks(cube: Cube) -> tuple[int, int, Cube]:

@@ -7,6 +7,7 @@ read, and leaves it at a time of its own.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from heapq import heappop, heappush
@@ -29,6 +30,10 @@ CUBES_KEPT = 3
 
 MOST_WAYS, MOST_CHOICES = 12, 60
 """Ways through the automaton that are tried, the shortest ones first, and choices of cubes for all of them."""
+
+MOST_SEQUENCES = 20_000
+"""Beginnings of ways that are looked at: an automaton that counts steps has more of them than there are steps to take.
+Its words are found by ``timed_words`` and ``segments``."""
 
 Cube = tuple[tuple[int, bool], ...]
 """Propositions by their number, and whether they hold."""
@@ -110,16 +115,18 @@ def _state_sequences(problem: Problem, cubes: dict[int, dict[int, list[Cube]]], 
     """Return sequences of different states that end in acceptance, the shortest first."""
     automaton = problem.automaton
     found: list[tuple[int, ...]] = []
-    queue: list[tuple[int, ...]] = [(start,)]
-    while queue and len(found) < MOST_WAYS:
-        path = queue.pop(0)
+    queue = deque[tuple[int, ...]]([(start,)])
+    for _ in range(MOST_SEQUENCES):
+        if not queue or len(found) >= MOST_WAYS:
+            break
+        path = queue.popleft()
         if automaton.accepting[path[-1]]:
             found.append(path)
             if automaton.is_co_safe:
                 continue
         if len(path) > problem.horizon:
             continue
-        queue += [(*path, q) for q in cubes.get(path[-1], {}) if q not in path and q in cubes]
+        queue.extend((*path, q) for q in cubes.get(path[-1], {}) if q not in path and q in cubes)
     return found
 
 
