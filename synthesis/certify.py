@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..envs.agents import AnyAgent
+from ..envs.arrays import on_one_thread
 from ..envs.problem import Problem, states_in_time, written_out
 from ..envs.suite import as_problem
 from .bridges import certifiable
@@ -53,6 +54,7 @@ WORTHWHILE = 1e-7
 """Relative gain below which ``improve`` stops: far above rounding, and too little for the cost of another sweep."""
 
 
+@on_one_thread
 def certify(
     problem: Any,
     policy: Any,
@@ -199,6 +201,7 @@ def _by_subtraction(problem: Problem, policy: Decentralised, cells: CellCounts, 
     return Synthesis(held, held.controller, {**found.stats, "near": held.near})
 
 
+@on_one_thread
 def improve(
     problem: Any,
     policy: Any,

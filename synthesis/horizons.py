@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from ..envs.arrays import on_one_thread
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts
@@ -22,6 +23,7 @@ LONGEST = 1000
 """Longest horizon that ``without_deadline`` tries: seven doublings of the horizon 7."""
 
 
+@on_one_thread
 def synthesize_horizons(
     problem: Any, horizons: Iterable[int], cells: CellCounts = None, **settings: Any
 ) -> list[Synthesis]:
@@ -71,6 +73,7 @@ def _from(last: Synthesis | None, problem: Problem, cells: CellCounts, settings:
     return synthesize(problem, cells, start=last.certificate, **settings)
 
 
+@on_one_thread
 def without_deadline(
     problem: Any, cells: CellCounts = None, *, tolerance: float = TOLERANCE, longest: int = LONGEST, **settings: Any
 ) -> Synthesis:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
+from ..envs.arrays import on_one_thread
 from ..envs.problem import JOINT_NOISE_REFUSAL, Problem
 from ..envs.suite import as_problem
 from .agreement import along_path
@@ -40,6 +41,7 @@ from .values import HOST, device_put
 
 # Sixteen parameters, because this is the door of the package: its options are flat, as users and the command line have
 # them, and become records (`Plan`) at once.
+@on_one_thread
 def synthesize(
     problem: Any,
     cells: CellCounts = None,

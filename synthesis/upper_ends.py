@@ -11,6 +11,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from ..envs.arrays import on_one_thread
 from ..envs.problem import opposite_of
 from .certificates import EXACT_GAP, Certificate, Synthesis, any_certificate
 from .choosing import Effort, settings_of
@@ -20,6 +21,7 @@ from .raw_networks import evaluated_again
 from .search import Search
 
 
+@on_one_thread
 def bound_above(certificate: Any) -> Any:
     """Return a certificate with a certified upper bound on how often its controllers satisfy its task.
 

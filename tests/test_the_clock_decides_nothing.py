@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 import certigym as cg
 from problems import cart, cart_reach
@@ -94,3 +95,19 @@ def test_more_effort_certifies_no_less_and_says_what_was_left_out() -> None:
 def test_budgets_are_positive_numbers(name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=f"`{name}`: expected a positive number"):
         cg.synthesize(robots(2), **{name: value})
+
+
+def test_linear_algebra_has_one_thread_and_gets_its_threads_back() -> None:
+    """The order of sums would depend on the number of cores."""
+    cg.synthesize(cart_reach(cart(), horizon=4), 24)  # loads all libraries that it needs
+    before, seen = threads(), list[dict[str, int]]()
+    cg.synthesize(cart_reach(cart(), horizon=4), 24, progress=lambda *_: seen.append(threads()))
+    assert seen and {count for each in seen for count in each.values()} == {1}
+    assert threads() == before
+
+
+def threads() -> dict[str, int]:
+    """Return how many threads each library of linear algebra uses."""
+    return {
+        library["filepath"]: library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+    }

@@ -15,6 +15,7 @@ from .libraries import (
     special,
     to_host,
 )
+from .one_thread import on_one_thread
 from .random_numbers import Numbers, numbers_beside
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "is_whole",
     "namespace",
     "numbers_beside",
+    "on_one_thread",
     "single",
     "special",
     "to_host",

@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from ...envs.arrays import on_one_thread
 from ...envs.problem import Problem, opposite_of
 from ...envs.suite import as_problem
 from ..cells import FloatArray, lattice_axes
@@ -108,6 +109,7 @@ class CheckReport:
         return "NOT valid: " + "; ".join(self.failures)
 
 
+@on_one_thread
 def check(certificate: Any, problem: Any = None) -> CheckReport:
     """Verify a certificate against a problem (by default the one inside it).
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ...envs.agents import checked_count, tree_text
+from ...envs.arrays import on_one_thread
 from ...envs.logic import Automaton
 from ..cells import FloatArray
 from ..certificates import Certificate, Offer, TwoEnded, certificate_on_grids, require, rounded_down
@@ -75,6 +76,7 @@ class SafetyRate:
         return np.clip(self.share * power - self.loss * k, 0.0, 1.0)
 
 
+@on_one_thread
 def safety_rate(certificate: Any) -> SafetyRate:
     """Return a bound on staying safe that holds for every number of steps at once.
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent, checked_count, counted, tree_text
+from ...envs.arrays import on_one_thread
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ..cells import (
@@ -285,6 +286,7 @@ class Settings:
         return used
 
 
+@on_one_thread
 def abstract(
     problem: Problem | str | Path, cells: CellCounts = None, *, relation: Relations = "auto", **settings: Any
 ) -> Abstraction:

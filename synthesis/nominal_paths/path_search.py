@@ -158,7 +158,7 @@ def _segmented_plans(problem: Problem) -> Iterator[Plan]:
         yield from _possible(problem, drifts, way, times)
 
 
-SOURCES = (_plans, _timed_plans, _segmented_plans)
+SOURCES = (_plans, _segmented_plans, _timed_plans)
 """Where plans come from, in the order in which they are asked: the next one only where those before gave too little."""
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from ...envs.agents import LinearAgent, with_matrices
+from ...envs.arrays import on_one_thread
 from ..cells import FloatArray, RelationRefused
 from ..certificates import PathCertificate, StartHull, any_certificate
 from ..controllers import covariances_of
@@ -34,6 +35,7 @@ MOST_LETTERS = 256
 """First letters that are looked at: fewer than the check looks at."""
 
 
+@on_one_thread
 def certified_starts(
     certificate: Any, probability: float, axes: Sequence[int] | None = None, rays: int = 64
 ) -> StartHull:

@@ -28,7 +28,7 @@ from .words import Way, cubes_of, targets_of
 MOST_LETTERS, MOST_BETWEEN = 16, 4
 """Letters of visits: those that ask for least; and of these, letters that may be read between visits."""
 
-MOST_EDGES = 400_000
+MOST_EDGES = 40_000
 """Visits that are looked at."""
 
 MOST_WORDS = 4

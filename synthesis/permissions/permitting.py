@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
+from ...envs.arrays import on_one_thread
 from ..cells import FloatArray
 from ..certificates import AgentPart, Certificate, certificate_on_grids, rounded_down
 from ..checking import Reading, by_cell, execution_of, reading_of, standing
@@ -30,6 +31,7 @@ RESERVE = 1e-11
 """What is taken off the bound beside the certificate's own reserve, for a check that sums in another order."""
 
 
+@on_one_thread
 def permit(certificate: Any, *, probability: float) -> Permission:
     """Return menus within which any behaviour succeeds with a probability of at least ``probability``.
 

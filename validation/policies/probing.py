@@ -25,6 +25,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ...envs.agents import checked_count, counted, tree_text, write_json
+from ...envs.arrays import on_one_thread
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.certificates import AnyCertificate, shown_bound
@@ -165,6 +166,7 @@ class Probe:
         return f"{successes / self.episodes:.5f}   [{low:.5f}, {high:.5f}]"
 
 
+@on_one_thread
 def probe(
     problem: Any,
     certificate: Any = "certificate",
