@@ -65,7 +65,8 @@ class Plan:
     def anew(self) -> Plan:
         """Return the plan of another task: with as much effort, whose clock its search heeds."""
         effort = self.effort.anew()
-        return replace(self, effort=effort, search=replace(self.search, progress=effort.heeding(self.search.progress)))
+        search = replace(self.search, progress=effort.heeding(self.search.progress), spend=effort.count)
+        return replace(self, effort=effort, search=search)
 
 
 def plain(

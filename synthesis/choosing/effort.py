@@ -31,7 +31,7 @@ BROKEN_OFF = "broken off by Ctrl-C"
 
 
 class OutOfTime(Exception):
-    """The seconds are over, and there is something to return."""
+    """What is under way is given up: the seconds are over, and there is something to return, or it takes too much."""
 
 
 @dataclass(eq=False)
@@ -68,6 +68,12 @@ class Effort:
     """Why no run without noise satisfies the task, if that was looked for and none was found."""
     left_out: dict[str, str] = field(default_factory=dict)
     """What was not begun for want of effort, by name, and why."""
+    counted: float = 0.0
+    """Work of sweeps as it is done, in core seconds: estimates do not know how many terms trees will have."""
+    allowance: float = math.inf
+    """What ``counted`` may become before what is under way is given up."""
+    is_overdrawn: bool = False
+    """Whether what was given up last took more work than it was allowed."""
 
     def __post_init__(self) -> None:
         for name, value, what in (("effort", self.work, "of core seconds"), ("seconds", self.seconds, "of the clock")):
@@ -90,6 +96,8 @@ class Effort:
     @property
     def given_up(self) -> str:
         """Why what was under way was given up, in words."""
+        if self.is_overdrawn:
+            return "given up: it took far more work than was estimated"
         return f"given up: {BROKEN_OFF if self.is_interrupted else 'the `seconds` were over'}"
 
     def tell(self, what: str, bound: float) -> None:
@@ -105,6 +113,23 @@ class Effort:
             return f", {self.elapsed:.0f} of {self.seconds:.0f} s"
         return f", effort {min(self.spent, self.limit):.0f} of {self.limit:.0f}"
 
+    def count(self, work: float) -> None:
+        """Count work of a sweep that is about to be done; raise OutOfTime if it is not allowed."""
+        self.counted += work
+        self.is_overdrawn = self.counted > self.allowance
+        if self.is_overdrawn:
+            raise OutOfTime
+
+    @contextmanager
+    def within(self, work: float) -> Iterator[None]:
+        """Allow so much work for what is done in here, and no more than was allowed before."""
+        before = self.allowance
+        self.allowance = min(before, self.counted + work)
+        try:
+            yield
+        finally:
+            self.allowance = before
+
     @contextmanager
     def until_broken_off(self) -> Iterator[None]:
         """Turn what breaks work off, after there is a certificate, into ``OutOfTime``."""
@@ -113,7 +138,7 @@ class Effort:
         except KeyboardInterrupt:
             if not self.has_result:
                 raise
-            self.is_interrupted = True
+            self.is_interrupted, self.is_overdrawn = True, False
             raise OutOfTime from None
 
     @property
@@ -158,6 +183,7 @@ class Effort:
             if progress is not None:
                 progress(text, value)
             if self.has_result and self.is_over:
+                self.is_overdrawn = False
                 raise OutOfTime
 
         return told

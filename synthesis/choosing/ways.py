@@ -7,6 +7,7 @@ the one with the largest bound is kept. What each gave, or why it was left out, 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -27,6 +28,9 @@ NEARLY = 1.05
 
 PATH = "path"
 """Name of the way along a path: where nothing is certified so far it is asked first whether a run exists at all."""
+
+LEAST_ALLOWED, OFF = 30.0, 2.0
+"""Counted work that every way may take, in core seconds, and how much more than was estimated."""
 
 Results = Mapping[str, Synthesis]
 """What the ways so far gave, by name."""
@@ -95,20 +99,23 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
     began, results = time.perf_counter(), dict[str, Synthesis]()
     tried, refusals = dict[str, Any](), dict[str, str]()
     ended_by: str | None = None
-    waiting = in_order(ways)
-    while waiting:
-        way = waiting.pop(_next(waiting, results))
+    waiting, given_up = in_order(ways), list[Way]()
+    # Where nothing else gave anything, what was given up may take what it takes.
+    while waiting or (given_up and not results):
+        way = waiting.pop(_next(waiting, results)) if waiting else given_up.pop(0)
         ended_by = BROKEN_OFF if effort.is_interrupted else ended_by
         reason = f"not computed: {ended_by}" if ended_by is not None else _left_out(way, results, effort)
         if reason is not None:
             tried |= {way.name: reason} if reason else {}
             continue
-        before, best = effort.spent, leading(results)
+        before, counted, best = effort.spent, effort.counted, leading(results)
         work = f" (about {way.work:.2g} core seconds)" if way.work >= 1.0 else ""
         shown = "other relations" if way.name == "others" else way.name
         effort.tell(f"{shown}{work}", 0.0 if best is None else _bound(best))
+        alone = not waiting and not results
+        allowed = _allowed(way, effort, bool(results), alone)
         try:
-            with effort.until_broken_off():
+            with effort.within(allowed), effort.until_broken_off():
                 result = way.run(results)
         except RelationRefused as refusal:
             tried[way.name] = to_who_asked_for_none(refusal)
@@ -116,9 +123,11 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
             effort.no_run = tried[way.name] if isinstance(refusal, NoRunFound) else effort.no_run
             continue
         except OutOfTime:
-            if not effort.has_result:
+            if alone:
                 raise  # what gave a certificate is whoever called this
             tried[way.name] = effort.given_up
+            effort.spent = max(effort.spent, before + min(effort.counted - counted, allowed))
+            given_up.append(way)
             continue
         finally:
             effort.spent = max(effort.spent, before + way.work)
@@ -130,6 +139,16 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
     if not results:
         raise _refused(ways, refusals)
     return _recorded(results, tried | effort.left_out, began, effort.no_run)
+
+
+def _allowed(way: Way, effort: Effort, has_result: bool, alone: bool) -> float:
+    """Return the work after which a way is given up; estimates may be off by a factor, and small ones by more.
+
+    Nothing ends the only way that is left where none gave anything.
+    """
+    if alone:
+        return math.inf
+    return max(LEAST_ALLOWED, OFF * (max(way.work, effort.left) if has_result else way.work))
 
 
 def _next(waiting: Sequence[Way], results: Results) -> int:

@@ -51,6 +51,8 @@ class JointModel:
         at the end alone, and leaves the bits of all others to what they were if it is not asked for.
     common : tuple of CommonGroup
         Agents whose choices must agree at each time and in each automaton state (``agreed``).
+    spend : callable, optional
+        Told the work of sweeps, in core seconds, before it is done; it raises what ends them.
     """
 
     models: tuple[AgentModel, ...]
@@ -64,6 +66,7 @@ class JointModel:
     device: str = HOST
     finds_alike: bool = False
     common: tuple[CommonGroup, ...] = ()
+    spend: Callable[[float], None] | None = None
 
     def __repr__(self) -> str:
         rows: list[tuple[str, object]] = [

@@ -76,9 +76,10 @@ class PairRows:
             sources = max((own[t][3].shape[1] for own in contributions if t in own), default=0)
             totals[t] = (*np.zeros((3, len(low))), np.zeros((len(low), sources)), np.zeros(len(low)))
         for own, sides in zip(contributions, self.sides, strict=True):
-            for t in own:
+            # Agents of the same batch may be in pairs of which this one is no part.
+            for t in own.keys() & sides.keys():
+                rows = sides[t].rows
                 for total, part in zip(totals[t], own[t], strict=True):
-                    rows = sides[t].rows
                     if part.ndim == 1 or part.shape[1]:
                         total[rows] += part[: len(rows)]  # others of the same batch may have had more
         return totals

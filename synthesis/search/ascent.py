@@ -46,6 +46,13 @@ MOST_WEIGHTS = 30_000_000
 GLANCED = 997
 """Every so many entries of tables say whether two may be equal."""
 
+PRODUCTS_PER_SECOND, ENTRIES_PER_SECOND, MOST_ENTRIES = 1e6, 1e8, 3e7
+"""Products of a guard and a term, of each agent, and entries of their factors, that take a core second; and entries
+that are held at once without more ado."""
+
+READINGS_AT_ONCE, ANSWERED = 16.0, 4.0
+"""How many factors are read in the time of one, about, and what answering takes against reading."""
+
 Known = dict[object, tuple[NDArray, NDArray]]
 """Smoothed factors that were read, and what was read, by where they were read and some of their entries."""
 
@@ -155,6 +162,8 @@ def sweep(
     for t in reversed(range(joint.horizon)):
         # Taken off the list to free memory: early times have many terms, late ones much mass.
         occupancy = occupancies.pop()
+        if joint.spend is not None:
+            joint.spend(work_of_products(joint, terms))
         arrivals = None if climb is None else _arrivals(joint, occupancy, policies, t)
         steps = joint.guards, joint.masks, joint.models, terms
         options = candidates(*steps, loss, arrivals, climb or 0.0, joint.finds_alike)
@@ -171,6 +180,8 @@ def sweep(
                 kept.append(np.zeros(0, dtype=np.int64))
                 continue
             stage = Stage(joint, options, occupancy, q, [policy[t, q] for policy in policies], improve, t)
+            if joint.spend is not None:
+                joint.spend(stage.work(improve))
             # Answers at time t leave the occupancies up to t as they are: they depend on earlier policies only.
             if improve and len(stage.rows):
                 stage.improve()
@@ -191,6 +202,19 @@ def sweep(
     terms = put_everywhere(terms, to_host)
     value = 0.0 if start is None else start_value(start, terms)
     return Sweep(policies, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
+
+
+def work_of_products(joint: JointModel, terms: Terms) -> float:
+    """Return the work of all products of a guard with a term of its target, in core seconds, before they are made."""
+    guards = joint.guards
+    count = int(np.array([len(rows) for rows in terms.index], dtype=np.int64)[guards.target].sum())
+    entries = sum(
+        min(count, len(mask) * len(factor)) * factor.shape[1]
+        for mask, factor in zip(joint.masks, terms.factors, strict=True)
+    )
+    # Tables that are too large for the memory of most machines count for more than the time that they take.
+    too_large = max(1.0, entries / MOST_ENTRIES)
+    return count * len(joint.models) / PRODUCTS_PER_SECOND + too_large * entries / ENTRIES_PER_SECOND
 
 
 def _arrivals(joint: JointModel, occupancy: Occupancy, policies: Policies, t: int) -> Arrivals | None:
@@ -266,6 +290,14 @@ class Stage:
             values = model.choices.read(table, policy, self.rough)
             known[key] = table, values
         return values
+
+    def work(self, improve: bool) -> float:
+        """Return the work of reading all factors, and of answering to them if agents do, in core seconds."""
+        each = (
+            len(values) * model.n_cells / (READINGS_AT_ONCE * model.choices.read_per_second)
+            for model, values in zip(self.models, self.values, strict=True)
+        )
+        return (ANSWERED if improve else 1.0) * sum(each)
 
     def improve(self) -> None:
         """Let every agent answer once, in order; before that every group takes the best number of its inputs."""

@@ -141,6 +141,7 @@ def find_policies(
     relaxations : tuple of Relaxation, optional
         Relaxations of all agents, if they were solved before.
     """
+    joint = replace(joint, spend=search.spend)
     # Lower bounds that are no linear maps of their factors hold for nonnegative factors alone: no tensor trains.
     lossy = sorted({model.relation.kind for model in joint.models if not model.is_additive})
     may_use_trains = search.value == "auto" and not lossy

@@ -81,6 +81,8 @@ class Search:
         Where sweeps over trees compute (see ``devices``).
     good_share : float
         Share of the upper bound from which a start is good enough and no further ones are tried.
+    spend : callable, optional
+        Told the work of sweeps over trees before it is done (see ``JointModel``).
 
     Raises
     ------
@@ -96,6 +98,7 @@ class Search:
     stationary: bool = False
     device: str = HOST
     good_share: float = GOOD_SHARE
+    spend: Callable[[float], None] | None = None
 
     def __post_init__(self) -> None:
         for name in ("max_sweeps", "restarts"):
