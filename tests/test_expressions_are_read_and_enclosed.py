@@ -211,7 +211,8 @@ HOSTILE = {
     "1_0": "unexpected",
     "1j": "unexpected",
     "x < y": "comparisons",
-    "x^2": "**",
+    "x^": "expected an expression",
+    "x ** ^ y": "expected an expression",
     "x // y": "numbers, names",
     "x @ y": "unexpected '@'",
     "é": "unexpected",
@@ -263,3 +264,7 @@ def test_infinite_and_undefined_ends_are_not_taken_for_numbers() -> None:
         assert np.isnan(least[0]) or np.isnan(most[0]), text
     [(_, most)] = enclosed([read_expression("exp(exp(x))", ["x"])], one, [(np.array([0.0]), np.array([9.0]))])
     assert not np.isfinite(most[0])
+
+
+def test_powers_are_written_in_two_ways() -> None:
+    assert read_expression("-x^2 + 2*(x + y)^3", ["x", "y"]) == read_expression("-x**2 + 2*(x + y)**3", ["x", "y"])

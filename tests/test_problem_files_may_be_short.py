@@ -119,3 +119,14 @@ initial_state = [0]
     text = text.replace("\n[propositions]\n", follower)
     with pytest.raises(ValueError, match="another agent names that input"):
         problem_from_toml(text)
+
+
+def test_each_copy_may_have_a_box_of_starts() -> None:
+    boxes = "initial_low = [[-0.1], [0.4]]\ninitial_high = [[0.1], [0.6]]"
+    problem = problem_from_toml(FILE.replace('initial_state = [[0.0], ["pi / 2"]]', boxes))
+    ends = [(agent.initial.low.tolist(), agent.initial.high.tolist()) for agent in problem.agents]
+    assert ends == [([-0.1], [0.1]), ([0.4], [0.6])]
+    with pytest.raises(ValueError, match="`initial_high`: expected one start, or one for each of 2 copies, got 1"):
+        problem_from_toml(
+            FILE.replace('initial_state = [[0.0], ["pi / 2"]]', boxes.replace("[[0.1], [0.6]]", "[[0.1]]"))
+        )

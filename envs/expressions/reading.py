@@ -46,7 +46,6 @@ _TOKEN = re.compile(
     re.DOTALL,
 )
 _HINTS = {
-    "^": "powers are written **",
     "[": "brackets are round",
     "{": "brackets are round",
     "=": "give the right-hand side alone",
@@ -84,6 +83,7 @@ def read_expression(text: object, names: Collection[str], numbers: Mapping[str, 
     Parameters
     ----------
     text : str
+        Powers are written ``x**2`` or ``x^2``.
     names : collection of str
         Names that may occur.
     numbers : mapping from str to float, optional
@@ -104,6 +104,7 @@ def read_expression(text: object, names: Collection[str], numbers: Mapping[str, 
     if len(text) > MOST_CHARACTERS:
         raise ExpressionError(f"expected at most {MOST_CHARACTERS} characters, got {len(text)}")
     numbers = {} if numbers is None else numbers
+    text = text.replace("^", "**")
     _check_characters(text)
     # Python's parser takes neither leading blanks nor line breaks; both are kept as places to count from.
     plain = re.sub(r"\s", " ", text)

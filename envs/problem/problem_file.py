@@ -8,7 +8,8 @@ Layout of a file:
                                       # others may be named: `leader.position` (a state), `boiler.heat` (an input);
                                       # `copies = 20` makes name_0 ... name_19; `[agents.left]` names the table itself;
                                       # `noise_std = [0.1]`, one for each state, says the same as `noise_covariance`;
-                                      # `initial_state = [[0.0], [3.0]]` beside `copies = 2` is one start for each;
+                                      # `initial_state = [[0.0], [3.0]]` beside `copies = 2` is one start for each,
+                                      # and so are `initial_low` and `initial_high`, boxes of starts;
                                       # numbers of boxes may be "pi / 2", those of the input box "2 + sin(0.3*t)"
     [joint_noise]                     # noise that agents share: what one normal number per step adds to states of each
     wind = { "drone_*" = { x = 0.03, y = -0.01 }, kite = [0.05, 0.0] }   # by names of states, or one for each

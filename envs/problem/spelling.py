@@ -17,6 +17,9 @@ from ..expressions import ExpressionError, Tree, computed, names_in, read_expres
 CONSTANTS = ("state_low", "state_high", "initial_low", "initial_high", "initial_state", "noise_std")
 """Keys of arrays whose entries may be expressions of numbers, such as `"-pi"`."""
 
+STARTS = ("initial_state", "initial_low", "initial_high")
+"""Keys that may be a list for each copy."""
+
 INPUTS = ("input_low", "input_high")
 """Keys of arrays whose entries may name the time, too."""
 
@@ -45,13 +48,21 @@ def spelled_out(table: Any, horizon: Any, others: Sequence[Any]) -> Any:
 
 
 def starts_of_copies(table: Mapping[str, Any], copies: int) -> list[Mapping[str, Any]] | None:
-    """Return the table of each copy where the starts are a list for each of them; None where all start alike."""
-    start = table.get("initial_state")
-    if not isinstance(start, list) or not start or not all(isinstance(own, list) for own in start):
+    """Return the table of each copy where starts are a list for each of them; None where all start alike."""
+    apart = {key: table[key] for key in STARTS if _is_list_of_lists(table.get(key))}
+    for key, starts in apart.items():
+        if len(starts) != copies:
+            raise ValueError(f"`{key}`: expected one start, or one for each of {copies} copies, got {len(starts)}")
+    if not apart:
         return None
-    if len(start) != copies:
-        raise ValueError(f"`initial_state`: expected one start, or one for each of {copies} copies, got {len(start)}")
-    return [{**table, "name": f"{table['name']}_{k}", "initial_state": own} for k, own in enumerate(start)]
+    return [
+        {**table, "name": f"{table['name']}_{k}", **{key: starts[k] for key, starts in apart.items()}}
+        for k in range(copies)
+    ]
+
+
+def _is_list_of_lists(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(own, list) for own in value)
 
 
 def _tree(text: str, key: str, names: tuple[str, ...]) -> Tree:
