@@ -130,3 +130,60 @@ def test_each_copy_may_have_a_box_of_starts() -> None:
         problem_from_toml(
             FILE.replace('initial_state = [[0.0], ["pi / 2"]]', boxes.replace("[[0.1], [0.6]]", "[[0.1]]"))
         )
+
+
+CART = """
+horizon = 10
+[[agents]]
+name = "cart"
+states = ["place", "speed"]
+inputs = ["push"]
+A = [[1.0, 0.5], [0.0, 0.9]]
+B = [[0.0], [0.5]]
+noise_std = [0.05, 0.05]
+state_low = [-4.0, -2.0]
+state_high = [4.0, 2.0]
+input_low = [-1.0]
+input_high = [1.0]
+initial_state = [-3.0, 0.0]
+[joint_noise]
+wind = { cart = { speed = 0.02 } }
+[propositions]
+rest = { agent = "cart", disc = { of = ["place", "speed"], centre = [1.0, 0.0], radius = 0.8 } }
+[specification]
+formula = "F rest"
+"""
+
+
+def test_states_and_inputs_of_matrices_have_names() -> None:
+    problem = problem_from_toml(CART)
+    (agent,) = problem.written_agents
+    assert isinstance(agent, cg.LinearAgent)
+    assert (agent.state_names, agent.input_names) == (("place", "speed"), ("push",))
+    again = problem_from_dict(problem.to_dict())
+    assert again.fingerprint == problem.fingerprint and again.written_agents[0].state_names == ("place", "speed")
+    # Names change no behaviour.
+    unnamed = problem_from_toml(
+        CART.replace('states = ["place", "speed"]\ninputs = ["push"]\n', "")
+        .replace('["place", "speed"]', "[0, 1]")
+        .replace("{ speed = 0.02 }", "[0.0, 0.02]")
+    )
+    runs = []
+    for each in (problem, unnamed):
+        env = cg.parallel_env(each)
+        env.reset(seed=1)
+        runs.append([env.step({"cart": np.array([0.5])})[0]["cart"] for _ in range(10)])
+    np.testing.assert_array_equal(*runs)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ('["place"]', "`states`: expected 2 different names"),
+        ('["place", "place"]', "`states`: expected 2 different names"),
+        ('["place", "2nd"]', "`states`: expected letters"),
+    ],
+)
+def test_wrong_names_of_states_are_refused(wrong: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        problem_from_toml(CART.replace('states = ["place", "speed"]', f"states = {wrong}"))

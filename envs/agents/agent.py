@@ -16,7 +16,8 @@ import numpy as np
 
 from ..expressions import Tree, affine
 from .any_agent import AnyAgent, checked_added, is_passive, shared_fields, summary_rows
-from .checks import float_array, read_only
+from .checks import float_array, read_only, shown
+from .declared_names import checked_names
 from .laws import Law
 from .printing import counted, tree_text
 from .products import linear
@@ -35,6 +36,9 @@ _ARRAYS = (
     "offset",
 )
 """Fields that hold arrays, in the order of problem files."""
+
+_OTHERS = ("name", "laws", "noise_axes", "added_outputs", "states", "inputs")
+"""Other fields."""
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -67,6 +71,8 @@ class LinearAgent(AnyAgent):
         Affine term c; zero by default.
     added_outputs : int, optional
         How many of the last outputs are there for shapes alone: problems say it of the agents that they make.
+    states, inputs : sequence of str, optional
+        Names, by which shapes, joint noise and pictures speak of them; they have numbers alone by default.
 
     Raises
     ------
@@ -98,8 +104,10 @@ class LinearAgent(AnyAgent):
     output_matrix: np.ndarray
     offset: np.ndarray
     added_outputs: int
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
 
-    # Seventeen keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    # Nineteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
         self,
         *,
@@ -119,6 +127,8 @@ class LinearAgent(AnyAgent):
         noise: Any = None,
         noise_axes: Any = None,
         added_outputs: Any = 0,
+        states: Any = None,
+        inputs: Any = None,
     ) -> None:
         given = locals()  # the arguments by name: what all agents declare is checked in one place
         # A fixes the number of states d, B the number of inputs m; all other lengths follow.
@@ -129,12 +139,15 @@ class LinearAgent(AnyAgent):
         if is_passive(B, given):
             B = np.zeros((d, 1))
             given |= {"input_low": [0.0], "input_high": [0.0]}
-        inputs = float_array(B, "B", (d, None), f"{[[0.5]] * d}")
+        matrix_of_inputs = float_array(B, "B", (d, None), f"{[[0.5]] * d}")
+        m = matrix_of_inputs.shape[1]
         identity, zero = np.eye(d), np.zeros(d)
         values = {
-            **shared_fields(d, inputs.shape[1], given),
+            **shared_fields(d, m, given),
             "A": matrix,
-            "B": inputs,
+            "B": matrix_of_inputs,
+            "states": _names(states, "states", d),
+            "inputs": _names(inputs, "inputs", m),
             "output_matrix": float_array(
                 identity if output_matrix is None else output_matrix, "output_matrix", (None, d), f"{[[1.0] * d]}"
             ),
@@ -146,7 +159,7 @@ class LinearAgent(AnyAgent):
 
     # Copy and pickle the fields alone: what is cached can be computed again.
     def __getstate__(self) -> dict[str, Any]:
-        return {key: getattr(self, key) for key in ("name", "laws", "noise_axes", "added_outputs", *_ARRAYS)}
+        return {key: getattr(self, key) for key in (*_OTHERS, *_ARRAYS)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for key, value in state.items():
@@ -173,15 +186,15 @@ class LinearAgent(AnyAgent):
         first = self.output_matrix[: self.n_outputs - self.added_outputs]
         return self.n_states if len(first) == self.n_states and bool((first == np.eye(self.n_states)).all()) else 0
 
-    @cached_property
-    def states(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the states in trees."""
-        return tuple(f"state {k}" for k in range(self.n_states))
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states; empty where they have numbers alone."""
+        return () if self.states == _names(None, "states", self.n_states) else self.states
 
-    @cached_property
-    def inputs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the inputs in trees."""
-        return tuple(f"input {k}" for k in range(self.n_inputs))
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs; empty where they have numbers alone."""
+        return () if self.inputs == _names(None, "inputs", self.n_inputs) else self.inputs
 
     @cached_property
     def timed_trees(self) -> tuple[Tree, ...]:
@@ -250,7 +263,19 @@ class LinearAgent(AnyAgent):
                 data[key] = value.tolist()
         if self.added_outputs:
             data["added_outputs"] = self.added_outputs
+        for key, names in (("states", self.state_names), ("inputs", self.input_names)):
+            data |= {key: list(names)} if names else {}
         return data
+
+
+def _names(given: Any, argument: str, count: int) -> tuple[str, ...]:
+    """Return names of states or inputs: those that are given, or numbers in words, which no expression can name."""
+    if given is None:
+        return tuple(f"{argument[:-1]} {k}" for k in range(count))
+    names = checked_names(given, argument)
+    if len({*names}) != count or len(names) != count:
+        raise ValueError(f"`{argument}`: expected {counted(count, 'different name')}, got {shown(list(names))}")
+    return names
 
 
 def with_matrices(agent: AnyAgent) -> LinearAgent:

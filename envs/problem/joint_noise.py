@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import Agent, AnyAgent, checked_name, float_array, read_only, shown
+from ..agents import AnyAgent, checked_name, float_array, read_only, shown
 
 MOST_SOURCES = 64
 """Most sources of one problem."""
@@ -127,12 +127,12 @@ def _factors(given: Any, agent: AnyAgent, where: str) -> np.ndarray:
     """Return the factors (d,) of one agent."""
     d = agent.n_states
     if isinstance(given, Mapping):
-        if not isinstance(agent, Agent):
+        if not agent.state_names:
             raise ValueError(f"`{where}`: expected a list of {d} factors, as states of {agent.name!r} have no names")
         for key in given:
-            if key not in agent.states:
-                raise ValueError(f"`{where}`: expected states among {', '.join(agent.states)}, got {shown(key)}")
-        given = [given.get(name, 0.0) for name in agent.states]
+            if key not in agent.state_names:
+                raise ValueError(f"`{where}`: expected states among {', '.join(agent.state_names)}, got {shown(key)}")
+        given = [given.get(name, 0.0) for name in agent.state_names]
     result = float_array(given, where, (d,), f"{[0.05] * min(d, 4)}")
     sizes = np.abs(result[result != 0.0])
     if np.any((sizes < LEAST_FACTOR) | (sizes > 1.0 / LEAST_FACTOR)):

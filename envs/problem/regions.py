@@ -387,8 +387,8 @@ def written_linear(agent: AnyAgent) -> Agent:
     if not isinstance(agent, LinearAgent):
         assert isinstance(agent, Agent)
         return agent
-    states = [f"x{k}" for k in range(agent.n_states)]
-    inputs = [f"u{k}" for k in range(agent.n_inputs)]
+    states = _fresh("x", agent.state_names, agent.n_states, agent.input_names)
+    inputs = _fresh("u", agent.input_names, agent.n_inputs, states)
     data = {key: value for key, value in agent.to_dict().items() if key not in _MATRICES}
     texts = []
     for row, of_inputs, offset in zip(agent.A.tolist(), agent.B.tolist(), agent.offset.tolist(), strict=True):
@@ -397,7 +397,14 @@ def written_linear(agent: AnyAgent) -> Agent:
     return Agent(**data, states=states, inputs=inputs, dynamics=texts, outputs=outputs)
 
 
-_MATRICES = ("A", "B", "offset", "output_matrix")
+def _fresh(letter: str, given: Sequence[str], count: int, taken: Sequence[str]) -> list[str]:
+    """Return the names that are given, or numbered letters that are not taken."""
+    while any(f"{letter}{k}" in taken for k in range(count)):
+        letter += "_"
+    return [*given] if given else [f"{letter}{k}" for k in range(count)]
+
+
+_MATRICES = ("A", "B", "offset", "output_matrix", "states", "inputs")
 """What expressions say instead."""
 
 

@@ -190,6 +190,7 @@ def _agent_of_block(agent: LinearAgent, block: Block, taken: set[str]) -> Linear
         initial_high=start.high[components],
         output_matrix=_output(agent, block) if outputs else None,
         offset=agent.offset[components],
+        states=[agent.state_names[k] for k in components] if agent.state_names else None,
     )
 
 

@@ -246,11 +246,13 @@ def _noise(agent: AnyAgent) -> str:
 def _motion(agent: AnyAgent) -> str:
     """Return how an agent moves, in symbols."""
     if isinstance(agent, LinearAgent):
-        return f"x' = A x + B u + c + w, A = {_matrix(agent.A)}, B = {_matrix(agent.B)}, c = {_vector(agent.offset)}"
+        states = f" with x = ({', '.join(agent.state_names)})" if agent.state_names else ""
+        numbers = f"A = {_matrix(agent.A)}, B = {_matrix(agent.B)}, c = {_vector(agent.offset)}"
+        return f"x' = A x + B u + c + w{states}, {numbers}"
     assert isinstance(agent, Agent)
-    numbers = [f"{name} = {value:g}" for name, value in agent.parameters.items()]
-    numbers += [f"{name} in [{low:g}, {high:g}]" for name, (low, high) in agent.disturbances.items()]
-    return ", ".join([*(f"{x}' = {text} + w" for x, text in zip(agent.states, agent.dynamics, strict=True)), *numbers])
+    named = [f"{name} = {value:g}" for name, value in agent.parameters.items()]
+    named += [f"{name} in [{low:g}, {high:g}]" for name, (low, high) in agent.disturbances.items()]
+    return ", ".join([*(f"{x}' = {text} + w" for x, text in zip(agent.states, agent.dynamics, strict=True)), *named])
 
 
 def _automaton_line(problem: Problem) -> str:
