@@ -173,7 +173,7 @@ def test_states_and_inputs_of_matrices_have_names() -> None:
         env = cg.parallel_env(each)
         env.reset(seed=1)
         runs.append([env.step({"cart": np.array([0.5])})[0]["cart"] for _ in range(10)])
-    np.testing.assert_array_equal(*runs)
+    np.testing.assert_array_equal(runs[0], runs[1])
 
 
 @pytest.mark.parametrize(
