@@ -118,6 +118,17 @@ def test_the_clock_goes_on_while_nothing_is_told(monkeypatch: pytest.MonkeyPatch
     assert text.getvalue().count("linear") >= 3
 
 
+def test_where_there_is_no_terminal_what_takes_long_is_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(work, "TICK", 0.01)
+    monkeypatch.setattr(work, "PATIENCE", 0.02)
+    with tqdm(bar_format=BAR, disable=True) as bar, work.ticking(bar):
+        shown_on(bar)("way: linear", 0.25)
+        time.sleep(0.5)
+    assert re.fullmatch(r"\[0 s\] P >= 0\.250000 so far; linear\n", capsys.readouterr().err)
+
+
 def test_a_search_that_found_nothing_shows_nothing_below_0() -> None:
     text = io.StringIO()
     with tqdm(bar_format=BAR, file=text, ncols=90, mininterval=0.0) as bar:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import sys
+import time
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,8 +24,9 @@ from ..validation.policies import train as train_baseline
 from ..validation.simulation import TrialPlan, executor_for
 from .given import budget_of, cells_of, problem_of, relation_of, say, search_of
 
-TICK = 1.0
-"""Seconds from one showing of the clock to the next: what it counts."""
+TICK, PATIENCE = 1.0, 3.0
+"""Seconds from one showing of the clock to the next, what it counts; and seconds after which a way is told of that
+takes longer, where there is no clock."""
 
 
 def synthesized(options: Namespace) -> Synthesis:
@@ -48,17 +52,24 @@ def synthesized(options: Namespace) -> Synthesis:
 
 @contextmanager
 def ticking(bar: tqdm) -> Iterator[None]:
-    """Let the clock of a bar go on while nothing is reported, so that a long step does not look like a halt."""
+    """Let the clock of a bar go on while nothing is reported, so that a long step does not look like a halt.
+
+    Where there is no bar, as output goes to no terminal, each way that takes longer than ``PATIENCE`` is a line there.
+    """
     ended = Event()
 
     def tick() -> None:
+        said, since, began = "", time.monotonic(), time.monotonic()
         while not ended.wait(TICK):
             bar.refresh()
+            now, under_way = time.monotonic(), getattr(bar, "desc", "") if bar.disable else ""
+            if under_way != said:
+                said, since = under_way, now
+            elif under_way and now - since >= PATIENCE:
+                print(f"[{now - began:.0f} s] {under_way}", file=sys.stderr, flush=True)
+                since = math.inf
 
     clock = Thread(target=tick, daemon=True)
-    if bar.disable:
-        yield
-        return
     clock.start()
     try:
         yield
