@@ -48,7 +48,7 @@ MOST_GRID_STATES = 3
 PATH = 1.0 / 300.0
 """Work of a path for each agent, state and input, and for each pair of steps: it is a linear program after another."""
 
-MOST_STEPS_OF_PROGRAM = 30
+MOST_STEPS_OF_PROGRAM = 12
 """Steps from which work grows with their number alone: programs of long paths are sparse."""
 
 PATH_ENDS = 0.99

@@ -14,7 +14,9 @@ from scipy.stats import binom, norm
 import certigym as cg
 from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.certificates import AgentPath, PathCertificate
+from certigym.synthesis.nominal_paths import CountedWork
 from certigym.synthesis.nominal_paths.limit_rows import Worth
+from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
 from certigym.synthesis.nominal_paths.pair_rows import PairRows
 from certigym.synthesis.nominal_paths.words import Way, is_accepted, ways_of
 from test_nonlinear_paths_are_certified import path_of
@@ -352,3 +354,28 @@ def test_ways_spread_their_jumps_evenly_and_together() -> None:
     assert way.spread(13) == (4, 8, 9, 13) and way.spread(4) == (1, 2, 3, 4)
     assert way.moved((4, 8, 9, 13), range(1, 3), 2) == (4, 10, 11, 13)
     assert Way((stay,), ()).spread(5) == ()
+
+
+def test_agents_that_are_alike_have_one_path_between_them() -> None:
+    """Eight rooms on their own, of which one has another goal: two are searched."""
+    room = cg.Agent(
+        name="room", states=["T"], inputs=["heat"], dynamics=["T + 0.1*(12 + sin(0.3*t) - T) + heat"],
+        noise_covariance=[[0.01]], state_low=[10.0], state_high=[30.0], input_low=[0.0], input_high=[1.5],
+        initial_state=[20.0],
+    )  # fmt: skip
+    rooms = room.copies(8)
+    goals = {f"warm_{i}": cg.Proposition(f"room_{i}", [22.0 + (i == 5)], [24.0 + (i == 5)]) for i in range(8)}
+    everywhere = " & ".join(goals)
+    problem = cg.Problem(
+        name="rooms",
+        horizon=8,
+        agents=rooms,
+        propositions=goals,
+        specification=cg.Specification(f"F ({everywhere})", "co-safe"),
+    )
+    team = _Apart(problem, CountedWork())
+    assert len(set(team.alike)) == 2
+    found = cg.synthesize(problem, relation="path").certificate
+    assert found.lower_bound > 0.999 and cg.check(found)
+    inputs = [path.inputs.tobytes() for path in found.paths]
+    assert len(set(inputs)) == 2 and len({inputs[i] for i in range(8) if i != 5}) == 1

@@ -18,8 +18,9 @@ from ..certificates import PathCertificate, Synthesis
 from .calm_runs import most_missed, satisfies
 from .counted_work import CountedWork
 from .nonlinear_search import Found, NonlinearSearch
+from .path_limits import corners_along
 from .polish import polished
-from .team_search import TeamFound, TeamSearch
+from .team_search import TeamFound, TeamSearch, search_key
 from .words import Plan, letters_of
 
 MOST_PLANS, MOST_HOPELESS = 6, 18
@@ -105,7 +106,8 @@ class _Apart:
     def __init__(self, problem: Problem, work: CountedWork) -> None:
         self.problem, self.work = problem, work
         self.searches = [NonlinearSearch(problem, i, work) for i in range(problem.n_agents)]
-        self.known: dict[tuple[int, bytes], Found | None] = {}
+        self.alike = [self._alike(i) for i in range(problem.n_agents)]
+        self.known: dict[object, tuple[int, Found] | None] = {}
         self.warm: list[FloatArray | None] = [None] * problem.n_agents
         self.seen, self.done = [], dict[Plan, Refined]()
         self.stopped = ""
@@ -127,16 +129,16 @@ class _Apart:
             return
         found = []
         for i, search in enumerate(self.searches):
-            own = self._own(i)
-            key = (i, letters[:, own].tobytes() + bytes(str(plan.steps), "ascii"))
+            key = self._key(i, letters)
             if key not in self.known:
-                self.known[key] = search.quick(letters, self.warm[i], bar)
-            one = self.known[key]
-            if one is None:
+                one = search.quick(letters, self.warm[i], bar)
+                self.known[key] = None if one is None else (i, one)
+            known = self.known[key]
+            if known is None:
                 self.stopped = f"agent `{search.agent.name}` finds no way around regions in {plan.steps} steps"
                 return
-            self.warm[i] = one.theta
-            found.append(one)
+            found.append(self._moved(*known, i))
+            self.warm[i] = found[-1].theta
         score = float(np.logaddexp.reduce([one.score for one in found]))
         if all(plan != other for _, other, _, _ in self.seen):
             self.seen.append((score, plan, letters, found))
@@ -149,7 +151,7 @@ class _Apart:
             if best is not None and (is_far or best.failure <= GOOD or self.work.is_over()):
                 break
             if plan not in self.done:
-                each = [search.full(letters, one) for search, one in zip(self.searches, found, strict=True)]
+                each = self._once(letters, found, NonlinearSearch.full)
                 self.done[plan] = _refined(self.problem, plan.times, letters, each)
             one = self.done[plan]
             best = one if best is None or one.failure < best.failure else best
@@ -167,8 +169,43 @@ class _Apart:
         return best
 
     def _polished(self, plan: Refined, generations: int) -> Refined:
-        each = [polished(search, path, generations) for search, path in zip(self.searches, plan.found, strict=True)]
+        each = self._once(plan.letters, plan.found, lambda search, _, path: polished(search, path, generations))
         return _refined(self.problem, plan.times, plan.letters, each)
+
+    def _once(
+        self,
+        letters: NDArray[np.int8],
+        found: Sequence[Found],
+        better: Callable[[NonlinearSearch, NDArray[np.int8], Found], Found],
+    ) -> list[Found]:
+        """Return what is made of the paths of all agents: once for those that are alike, with equal letters."""
+        done, result = dict[object, tuple[int, Found]](), list[Found]()
+        for i, (search, one) in enumerate(zip(self.searches, found, strict=True)):
+            key = self._key(i, letters)
+            if key not in done:
+                done[key] = i, better(search, letters, one)
+            result.append(self._moved(*done[key], i))
+        return result
+
+    def _key(self, i: int, letters: NDArray[np.int8]) -> tuple[object, bytes, int]:
+        """Return what two agents have in common that have equal paths: what they are, and their own letters."""
+        return self.alike[i], letters[:, self._own(i)].tobytes(), len(letters)
+
+    def _moved(self, j: int, found: Found, i: int) -> Found:
+        """Return a path of agent j as one of agent i, which is like it."""
+        if i == j:
+            return found
+        faces = np.full_like(found.faces, -1)
+        faces[:, self._own(i)] = found.faces[:, self._own(j)]
+        model = self.searches[i].model
+        return replace(found, faces=faces, nominal=replace(found.nominal, model=model))
+
+    def _alike(self, i: int) -> object:
+        """Return what agents have in common that move alike, from the same start, between the same regions."""
+        search, names = self.searches[i], self.problem.automaton.propositions
+        corners = [corners_along(self.problem, names[p], self.problem.horizon + 1) for p in self._own(i)]
+        regions, start = tuple(end.tobytes() for ends in corners for end in ends), search.agent.initial
+        return search_key(search), start.low.tobytes(), start.high.tobytes(), regions
 
     def _own(self, i: int) -> list[int]:
         names, agent = self.problem.automaton.propositions, self.problem.agents[i]
