@@ -375,7 +375,7 @@ def test_agents_that_are_alike_have_one_path_between_them() -> None:
     )
     team = _Apart(problem, CountedWork())
     assert len(set(team.alike)) == 2
-    found = cg.synthesize(problem, relation="path").certificate
+    found: Any = cg.synthesize(problem, relation="path").certificate
     assert found.lower_bound > 0.999 and cg.check(found)
     inputs = [path.inputs.tobytes() for path in found.paths]
     assert len(set(inputs)) == 2 and len({inputs[i] for i in range(8) if i != 5}) == 1
