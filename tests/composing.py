@@ -172,8 +172,8 @@ ROWS: dict[str, Row] = {
         24,
         {"relation": "boxes"},
     ),
-    "boxes coupled": Row(lambda: task(expressions(), told("two")), 8, {"relation": "boxes"}),
-    "boxes common input": Row(lambda: task(*warmed()), 4, {"relation": "boxes", "common": True}),
+    "boxes coupled": Row(lambda: task(expressions(), told("two"), horizon=2), 8, {"relation": "boxes"}),
+    "boxes common input": Row(lambda: task(*warmed(), horizon=2), 4, {"relation": "boxes", "common": True}),
     "boxes noise scale": Row(lambda: task(expressions(noise_scale=["0.8 + 0.1*cos(x)"])), 24, {"relation": "boxes"}),
     "boxes no noise": Row(
         lambda: task(

@@ -11,7 +11,6 @@ import pytest
 import certigym as cg
 from certigym.envs.logic import AutomatonSizeError, translate
 from certigym.envs.problem import groups
-from certigym.synthesis.choosing import effort
 from certigym.validation.statistics import clopper_pearson
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "eight_zones.toml"
@@ -44,7 +43,6 @@ def test_a_window_of_eight_zones_has_few_states() -> None:
     assert alone.n_states**8 > groups.MOST_STATES
 
 
-@pytest.mark.thorough(effort)
 def test_its_bound_needs_no_options_and_holds_in_rollouts() -> None:
     """Fixed seed, n = 20,000, false alarm 1e-6."""
     result = cg.synthesize(EXAMPLE)

@@ -78,7 +78,7 @@ def mixed() -> cg.Problem:
     return problem_of(agents, regions, "!near U (there & met)", 10)
 
 
-PROBLEMS = {"two": swap(), "four": swap(4, 0.02, 0.4), "mixed": mixed()}
+PROBLEMS = {"two": swap(), "three": swap(3, 0.02, 0.4), "mixed": mixed()}
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[
 
 
 def test_agents_see_themselves_alone(certificates: dict[str, PathCertificate]) -> None:
-    assert certificates["four"].controller.information == "own state, time"
+    assert certificates["three"].controller.information == "own state, time"
 
 
 def test_the_search_is_deterministic(certificates: dict[str, PathCertificate]) -> None:
@@ -160,7 +160,7 @@ def test_what_scales_directions_changes_nothing(certificates: dict[str, PathCert
 
 @pytest.fixture(scope="module")
 def noisy() -> PathCertificate:
-    return path_of(swap(std=0.06))
+    return path_of(swap(std=0.06, horizon=9))
 
 
 @pytest.mark.usefixtures("search_alone")
@@ -178,7 +178,7 @@ def test_one_agent_left_out_of_a_pair_is_refused(
 
     assert cg.check(noisy)
     monkeypatch.setattr(PairRows, "_totals", without_the_first)
-    forged = path_of(swap(std=0.06))
+    forged = path_of(swap(std=0.06, horizon=9))
     assert not cg.check(forged)
 
 

@@ -97,7 +97,7 @@ def test_runs_without_noise_are_judged_as_the_simulator_does() -> None:
     ("formula", "horizon", "blamed"), [("F goal", 3, "short of `goal` at step 3"), ("!wall U goal", 8, "`wall`")]
 )
 def test_a_task_that_cannot_be_done_is_to_blame(formula: str, horizon: int, blamed: str) -> None:
-    found = cg.synthesize(problem(formula, horizon, 0.05), effort=2)
+    found = cg.synthesize(problem(formula, horizon, 0.05), effort=1)
     assert found.certificate.lower_bound == 0.0
     why = found.stats["nothing"]
     assert isinstance(why, str) and blamed in why
@@ -133,11 +133,11 @@ def test_a_claim_of_nothing_along_a_path_cannot_be_made_one_of_something() -> No
 def test_the_terminal_says_why(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "try.toml"
     file.write_text(FILE.format(name="try", formula="F goal", horizon=2, std=0.02, high=9.0, wall=2.75))
-    assert main(["synthesize", str(file), "--out", str(tmp_path / "c.npz"), "--effort", "2"]) == 0
+    assert main(["synthesize", str(file), "--out", str(tmp_path / "c.npz"), "--effort", "1"]) == 0
     assert re.search(r"nothing was certified \(P >= 0.*\): .* short of `goal` at step 2", capsys.readouterr().out)
 
 
 def test_levels_end_where_no_run_is_known() -> None:
-    tried = cg.synthesize(problem("F goal", 2, 0.1)).stats["tried"]
+    tried = cg.synthesize(problem("F goal", 2, 0.1), effort=1).stats["tried"]
     assert isinstance(tried, dict)
     assert any("no run without noise was found" in str(told) for told in tried.values())

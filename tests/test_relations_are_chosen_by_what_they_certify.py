@@ -268,7 +268,15 @@ def test_only_what_is_not_worth_a_search_is_passed_over(monkeypatch: pytest.Monk
 
 
 def test_default_cells_are_doubled_where_no_relation_applies() -> None:
-    problem = cg.make_problem("integrator-chain-v0", horizon=2)
+    """With twice the inputs the second level applies; the integrators of the literature need the third."""
+    chain = cg.make_problem("integrator-chain-v0", horizon=2)
+    problem = cg.Problem(
+        name="strong",
+        horizon=2,
+        agents=[agent.replace(input_low=[-2.0], input_high=[2.0]) for agent in chain.agents],
+        propositions=chain.declared,
+        specification=chain.specification,
+    )
     first, second = cg.synthesize_horizons(problem, [1, 2], relation="best")
     shapes = {part.grid.shape for part in first.certificate.agents}
     assert len(shapes) == 1 and min(next(iter(shapes))) > DEFAULT_CELLS[2]

@@ -47,7 +47,7 @@ def test_the_rate_is_the_eigenvalue_of_the_finite_model() -> None:
 @pytest.mark.parametrize("agents", [1, 2, 3])
 def test_the_bound_lies_below_the_certificate_of_every_horizon_and_below_rollouts(agents: int) -> None:
     problem = team(agents, 24)
-    result = cg.synthesize(problem, 60, relation="boxes", stationary=True)
+    result = cg.synthesize(problem, 40, relation="boxes", stationary=True)
     lasting = cg.safety_rate(result)
     assert 0 < lasting.rate < 1
     claim = result.certificate
@@ -94,8 +94,8 @@ def test_a_larger_rate_would_be_false(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mistakes that are easy to make give bounds that certificates of longer horizons contradict."""
     problem = team(2, 4, formula="G (safe_0 & safe_1)")
     # v of a short horizon is far from the function that a step merely shrinks, so quotients differ between cells
-    certificate = cg.synthesize(problem, 60, relation="boxes", stationary=True).certificate
-    longer = cg.synthesize(problem.replace(horizon=200), 60, relation="boxes", stationary=True).certificate
+    certificate = cg.synthesize(problem, 40, relation="boxes", stationary=True).certificate
+    longer = cg.synthesize(problem.replace(horizon=200), 40, relation="boxes", stationary=True).certificate
     start = np.concatenate([agent.initial.low for agent in problem.agents])
     truth = 1.05 * float(cg.value_in_time(longer).at(start, longer.problem.initial_q, 200)[0])
 

@@ -22,18 +22,18 @@ def robots(n_agents: int) -> cg.Problem:
         A=[[0.95, 0.1], [-0.1, 0.95]],
         B=[[0.5, 0.0], [0.0, 0.5]],
         noise_covariance=[[0.1, 0.0], [0.0, 0.1]],
-        state_low=[-4.0, -4.0],
-        state_high=[4.0, 4.0],
+        state_low=[-3.5, -3.5],
+        state_high=[3.5, 3.5],
         input_low=[-2.0, -2.0],
         input_high=[2.0, 2.0],
-        initial_state=[-1.5, -1.5],
+        initial_state=[-0.5, -1.5],
     ).copies(n_agents)
     walls = {f"wall_{i}": cg.Proposition(f"robot_{i}", [-0.5, -0.5], [0.5, 0.5]) for i in range(n_agents)}
     goals = {f"goal_{i}": cg.Proposition(f"robot_{i}", [1.0, -1.0], [3.0, 2.0]) for i in range(n_agents)}
     avoid, reach = " & ".join(f"!{name}" for name in walls), " & ".join(goals)
     return cg.Problem(
         name="robots",
-        horizon=4,
+        horizon=2,
         agents=team,
         propositions={**walls, **goals},
         specification=cg.Specification(f"({avoid}) U ({reach})", "co-safe"),
@@ -56,8 +56,8 @@ def certified(monkeypatch: pytest.MonkeyPatch, look: float, problem: Any, **opti
 @pytest.mark.parametrize(
     ("problem", "options"),
     [
-        (lambda: robots(2), {"effort": 0.8}),
-        (lambda: robots(2), {"cells": 12}),
+        (lambda: robots(2), {"effort": 0.4}),
+        (lambda: robots(2), {"cells": 10}),
         (lambda: cart_reach(cart(), horizon=4), {"cells": 24}),
     ],
 )
@@ -74,8 +74,8 @@ def test_slow_and_fast_machines_certify_the_same(
 def test_only_seconds_that_are_given_look_at_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first certificate is returned in any case; what comes after it is left out when the seconds are over."""
     quick = certified(monkeypatch, 100.0, robots(2), seconds=10.0)
-    patient = certified(monkeypatch, 1e-6, robots(2), seconds=10.0, effort=2.0)
-    usual = cg.synthesize(robots(2), effort=2.0)
+    patient = certified(monkeypatch, 1e-6, robots(2), seconds=10.0, effort=0.4)
+    usual = cg.synthesize(robots(2), effort=0.4)
     assert 0.0 < quick.certificate.lower_bound < usual.certificate.lower_bound == patient.certificate.lower_bound
     tried: Any = quick.stats["tried"]
     assert any("`seconds`" in str(outcome) for outcome in tried.values())
@@ -83,7 +83,7 @@ def test_only_seconds_that_are_given_look_at_the_clock(monkeypatch: pytest.Monke
 
 
 def test_more_effort_certifies_no_less_and_says_what_was_left_out() -> None:
-    little, more = (cg.synthesize(robots(2), effort=effort) for effort in (0.2, 2.0))
+    little, more = (cg.synthesize(robots(2), effort=effort) for effort in (0.2, 0.4))
     assert little.certificate.lower_bound < more.certificate.lower_bound
     tried: Any = little.stats["tried"]
     assert any("ask for more `effort`" in str(outcome) for outcome in tried.values())

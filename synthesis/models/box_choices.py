@@ -216,7 +216,10 @@ class BoxChoices(Choices):
     def _boxes_of(self, number: int) -> Iterator[NDArray[np.int64]]:
         """Return the boxes of one size, as flat numbers (cell, choice), in parts."""
         boxes = self._by_size[number]
-        yield from np.array_split(boxes, len(boxes) // READINGS_AT_ONCE + 1)
+        if len(boxes) < READINGS_AT_ONCE:
+            yield boxes
+        else:
+            yield from np.array_split(boxes, len(boxes) // READINGS_AT_ONCE + 1)
 
     @cached_property
     def _by_size(self) -> list[NDArray[np.int64]]:

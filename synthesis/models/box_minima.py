@@ -116,13 +116,12 @@ def window_minima(table: FloatArray, sides: NDArray[np.int64]) -> FloatArray:
 
     Windows that leave the table go on with what is left of them.
     """
-    minima = table
+    minima = table.copy()
     for axis, side in enumerate(sides.tolist()):
-        width = 1
+        before, width = (slice(None),) * axis, 1
         while width < side:
-            along = np.moveaxis(minima, axis, 0)
-            longer = along.copy(order="K")  # in the order of memory, whichever axis is the first one now
-            np.minimum(longer[:-width], along[width:], out=longer[:-width])
-            minima = np.moveaxis(longer, 0, axis)
-            width *= 2
-    return np.ascontiguousarray(minima)
+            longer = minima.copy()
+            begun = (*before, slice(None, -width))
+            np.minimum(longer[begun], minima[(*before, slice(width, None))], out=longer[begun])
+            minima, width = longer, 2 * width
+    return minima
