@@ -12,7 +12,9 @@ event that all inequalities on g hold, e is in the tube at each time by inductio
 Where dynamics or regions name the time, the dynamics of step t are those of t, and the regions after it those of t + 1.
 
 All of this is computed here from the problem, the nominal numbers, gains and slabs: intervals and second derivatives by
-``own_bends``. Disturbances and states of others are anywhere in their ranges, and may know the noise. What multiplies
+``own_bends``. Disturbances are anywhere in their ranges, and may know the noise. So are states of others; but where these
+have paths of their own, they are in their tubes at the same time, as long as all inequalities of all agents have held
+(``side_by_side``). What multiplies
 the noise is its nominal value; what it varies on the tube, times a slab on the noise, joins r. Or, where there is no
 such slab, variances are those of the largest scale on the tube, and tails those of a Brownian motion that is stopped
 earlier (``gaussian_inequalities``); then disturbances must not know the noise of their step.
@@ -20,14 +22,15 @@ earlier (``gaussian_inequalities``); then disturbances must not know the noise o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Container, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ...envs.agents import AnyAgent, Proposition
+from ...envs.agents import AnyAgent, Proposition, place_of
 from ...envs.expressions import Number, Operation, Tree
+from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate
 from .gaussian_inequalities import Inequalities
@@ -206,8 +209,13 @@ class Moment:
                 yield found.matrix[k], found.values[0, k], found.values[1, k], low, high, float(found.off[k])
 
 
-def moments(agent: AnyAgent, path: AgentPath, rows: Inequalities) -> Iterator[Moment]:
+def moments(
+    agent: AnyAgent, path: AgentPath, rows: Inequalities, beside: Callable[[FloatArray], FloatArray] = np.copy
+) -> Iterator[Moment]:
     """Yield an agent at times 0 to S; inequalities on its inputs and its noise are added to ``rows`` on the way.
+
+    What is unknown at the last time that was yielded lies in the ranges (2, k) that ``beside`` makes of those of all
+    times, once it is asked for the next one.
 
     Raises
     ------
@@ -247,7 +255,8 @@ def moments(agent: AnyAgent, path: AgentPath, rows: Inequalities) -> Iterator[Mo
         yield Moment(t, moving, now, at, box, slabs[:d], chain)
         if t == path.n_steps:
             return
-        _step(now, moving, path, Moment(t, moving, now, at, box, slabs[d:], chain), rows)
+        here = replace(moving, ranges=beside(moving.ranges))
+        _step(now, here, path, Moment(t, here, now, at, box, slabs[d:], chain), rows)
         assert len(slabs) == 2 * d + m
 
 
@@ -386,13 +395,70 @@ def wrong_nonlinear_path(agent: AnyAgent, path: AgentPath, steps: int) -> list[s
     return []
 
 
-def nonlinear_failure(certificate: PathCertificate, i: int) -> float:
-    """Return an upper bound on the probability that an inequality of agent i fails, along its nonlinear path."""
-    rows = Inequalities()
+def side_by_side(
+    problem: Problem, paths: Mapping[int, AgentPath], rows: Mapping[int, Inequalities]
+) -> Iterator[dict[int, Moment]]:
+    """Yield agents with their paths at times 0 to S, all of them at each; ``rows`` get what ``moments`` adds.
+
+    Who names a state of another one of them finds it in the box of that path at the same time, by induction over time
+    for all agents together. So the inequalities of one agent rest on those of others.
+
+    Raises
+    ------
+    NothingKnownError
+        As ``moments`` does.
+    """
+    now: dict[int, Moment] = {}
+
+    def beside(i: int) -> Callable[[FloatArray], FloatArray]:
+        places = named_states(problem, i, paths)
+
+        def met(ranges: FloatArray) -> FloatArray:
+            result = ranges.copy()
+            for k, (j, state) in places.items():
+                low, high = now[j].box[:, state]
+                result[:, k] = np.maximum(ranges[0, k], low), np.minimum(ranges[1, k], high)
+            return result
+
+        return met
+
+    walks = {i: moments(problem.agents[i], path, rows[i], beside(i)) for i, path in paths.items()}
+    while True:
+        after = {i: moment for i, walk in walks.items() if (moment := next(walk, None)) is not None}
+        if not after:
+            return
+        now = after
+        yield now
+
+
+def named_states(problem: Problem, i: int, members: Container[int]) -> dict[int, tuple[int, int]]:
+    """Which of the unknowns of agent i are states of which members, by their numbers.
+
+    Inputs are left out, and so are angles, of which boxes hold one copy.
+    """
+    agent = problem.agents[i]
+    found, first = {}, len(agent.unknowns) - len(agent.others)
+    for k, name in enumerate(agent.others):
+        owner, state, is_input = place_of(name, problem.agents)
+        if not is_input and owner in members and not np.any(axes_of_angles(problem.agents[owner])):
+            found[first + k] = owner, state
+    return found
+
+
+def nonlinear_failures(certificate: PathCertificate) -> tuple[dict[int, float], bool]:
+    """Return upper bounds on the probability that an inequality of each agent with a nonlinear path fails.
+
+    Beside them is whether inequalities of agents rest on those of others: then these probabilities add up.
+    """
+    problem = certificate.problem
+    paths = {i: path for i, path in enumerate(certificate.paths) if path.states is not None}
+    are_tied = any(named_states(problem, i, paths) for i in paths)
+    rows = {i: Inequalities() for i in paths}
     try:
-        for moment in moments(certificate.problem.agents[i], certificate.paths[i], rows):
-            if moment.t:
-                moment.limits(certificate, rows)
+        for now in side_by_side(problem, paths, rows):
+            for i, moment in now.items():
+                if moment.t:
+                    moment.limits(certificate, rows[i])
     except NothingKnownError:
-        return 1.0
-    return rows.failure()
+        return dict.fromkeys(paths, 1.0), are_tied
+    return {i: each.failure() for i, each in rows.items()}, are_tied

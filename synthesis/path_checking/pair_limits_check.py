@@ -24,7 +24,7 @@ from ...envs.agents import PairRegion
 from ..cells import FloatArray
 from ..certificates import PathCertificate
 from .gaussian_inequalities import Inequalities
-from .nonlinear_check import Moment, NothingKnownError, moments, shortened
+from .nonlinear_check import Moment, NothingKnownError, shortened, side_by_side
 from .own_regions import pair_spans
 from .roundings import TAIL, UNIT
 
@@ -64,10 +64,10 @@ def wrong_normals(certificate: PathCertificate) -> list[str]:
 def team_failure(certificate: PathCertificate) -> float:
     """Return an upper bound on the probability that an inequality of an agent or of a pair fails."""
     rows, problem = Inequalities(), certificate.problem
-    together = [moments(agent, path, rows) for agent, path in zip(problem.agents, certificate.paths, strict=True)]
+    paths = dict(enumerate(certificate.paths))
     try:
         # All agents at time 0, then all at time 1: pairs compare what they are at one time.
-        for now in zip(*together, strict=True):
+        for now in (list(each.values()) for each in side_by_side(problem, paths, dict.fromkeys(paths, rows))):
             if now[0].t:
                 for moment in now:
                     moment.limits(certificate, rows)

@@ -18,7 +18,7 @@ from ...envs.agents import LinearAgent, Proposition, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate, state
-from .nonlinear_check import nonlinear_failure, wrong_nonlinear_path
+from .nonlinear_check import nonlinear_failures, wrong_nonlinear_path
 from .own_regions import RegionSpan
 from .pair_limits_check import team_failure, wrong_normals
 from .roundings import SMALLEST, TAIL, UNIT
@@ -179,16 +179,17 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
         return [], min(1.0, team_failure(certificate))
     each: list[float] = []
     log_kept = 0.0
+    nonlinear, are_tied = nonlinear_failures(certificate)
     for i, (agent, path) in enumerate(zip(problem.agents, certificate.paths, strict=True)):
-        if path.states is not None:
-            failure = nonlinear_failure(certificate, i)
+        if i in nonlinear:
+            failure = nonlinear[i]
         else:
             agent = with_matrices(agent)
             failure = _failure(certificate, Motion.of(agent, path))
         each.append(failure)
         log_kept += float(np.log1p(-min(1.0 - 1e-16, failure)))
-    if problem.joint_noise:
-        # Agents that share noise are not independent.
+    if problem.joint_noise or are_tied:
+        # Agents that share noise, or whose inequalities rest on those of others, are not independent.
         return [], min(1.0, float(np.sum(each)) * TAIL)
     any_failure = min(1.0, float(-np.expm1(log_kept)) * TAIL)
     state("any", np.array(each), any_failure)
