@@ -254,7 +254,7 @@ class _Walk:
             asked = bent[:d] if t < steps else self.model.bent_outputs
             if self.needs_outputs:
                 asked = asked | self.model.bent_outputs
-            asked = asked | self.model.unrolled
+            asked = asked | self.model.tubed
             slab = np.where(asked, self.feedback.slabs[:, t, :d] * sd + self.least[:d], np.inf)
             wide = slab + drift if t else drift
             # The tube lies around what the path is shifted to, within the workspace.
@@ -350,7 +350,8 @@ class _Walk:
         names = [f"{name} at step {t}" for name in self.model.names[d : d + m]]
         self.worth.add(low, high, slab, sd**2, names, self.largest(t, gain))
         ends, at = self.ends, np.concatenate([self.x[t].T, u.T, self.model.known(self.n, t)])
-        half = np.repeat((0.5 * (self.model.unknown[1] - self.model.unknown[0]))[:, None], self.n, axis=1)
+        least, most = self.model.unknown_at(t)
+        half = np.repeat(0.5 * (most - least), self.n, axis=1)
         half = np.concatenate([half, np.zeros((agent.names_time * 1, self.n))])  # the time is known
         boxes = np.concatenate([reach[0].T, around[0].T, half]), np.concatenate([reach[1].T, around[1].T, half])
         A, B = self.A[t], self.B[t]

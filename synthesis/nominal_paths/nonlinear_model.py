@@ -7,8 +7,9 @@ What is found here is only as good as it has to be to find something: the check 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +29,18 @@ class NonlinearModel:
     agent: AnyAgent
     shared: FloatArray | None = None
     """Factors (d, K) of sources of noise that other agents share; they are part of the agent's covariance."""
+    beside: FloatArray | None = None
+    """Ranges (2, S + 1, k) of what is unknown at each step, where others have paths; None: the same at all steps."""
+    watched: tuple[int, ...] = ()
+    """States that others name: they are kept in a tube, so that these know where they are."""
+    width: float = 5.5
+    """Half the width of that tube, in deviations: an agent itself would have it as wide as it may be."""
+
+    def changed(self, **values: Any) -> NonlinearModel:
+        """Return the model with other ranges of what is unknown, or another tube; programs are the same."""
+        model, own = replace(self, **values), {field.name for field in fields(self)}
+        model.__dict__.update({key: value for key, value in self.__dict__.items() if key not in (*own, "tubed")})
+        return model
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -36,10 +49,11 @@ class NonlinearModel:
         return (*self.agent.states, *self.agent.inputs, *self.agent.unknowns, *timed)
 
     @cached_property
-    def unrolled(self) -> NDArray[np.bool_]:
-        """Which states (d,) are unrolled angles: they are kept within half a turn."""
+    def tubed(self) -> NDArray[np.bool_]:
+        """Which states (d,) have a tube in any case: unrolled angles, within half a turn, and what others name."""
         names = getattr(self.agent, "unrolled", ())
-        return np.array([name in names for name in self.names[: self.agent.n_states]])
+        own = self.names[: self.agent.n_states]
+        return np.array([name in names or k in self.watched for k, name in enumerate(own)])
 
     @cached_property
     def motion(self) -> Program:
@@ -104,10 +118,12 @@ class NonlinearModel:
         """Ranges (2, k) of what is unknown."""
         return np.array(list(self.agent.unknowns.values()), dtype=float).reshape(-1, 2).T
 
-    @cached_property
-    def calm(self) -> FloatArray:
-        """Middles (k,) of these ranges."""
-        return 0.5 * self.unknown[0] + 0.5 * self.unknown[1]
+    def unknown_at(self, time: ArrayLike) -> FloatArray:
+        """Return ranges (2, k, n) of what is unknown at a step (n = 1), or at steps (n,)."""
+        if self.beside is None:
+            return self.unknown[:, :, None]
+        times = np.minimum(np.atleast_1d(np.asarray(time, dtype=np.int64)), self.beside.shape[1] - 1)
+        return self.beside[:, times].swapaxes(1, 2)
 
     def variables(self, x: FloatArray, u: FloatArray, time: ArrayLike) -> FloatArray:
         """Return all variables (v, n) for states (d, n) and inputs (m, n) at a step, or at steps (n,)."""
@@ -115,7 +131,8 @@ class NonlinearModel:
 
     def known(self, n: int, time: ArrayLike) -> FloatArray:
         """Return the variables (.., n) that are neither states nor inputs: middles of what is unknown, and the time."""
-        calm = np.repeat(self.calm[:, None], n, axis=1)
+        low, high = self.unknown_at(time)
+        calm = np.broadcast_to(0.5 * low + 0.5 * high, (len(low), n))
         if not self.agent.names_time:
             return calm
         return np.concatenate([calm, np.broadcast_to(np.asarray(time, dtype=float), (1, n))])

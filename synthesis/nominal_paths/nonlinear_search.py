@@ -97,6 +97,14 @@ class NonlinearSearch:
         low, high = agent.output_range(agent.state_low[None], agent.state_high[None])
         self.spans = np.where(np.isfinite(high - low), high - low, 1.0)[0]
 
+    def watch(self, states: tuple[int, ...], width: float) -> None:
+        """Keep some states in a tube of a width in deviations, as others name them."""
+        self.model = self.model.changed(watched=states, width=width)
+
+    def planned_anew(self, letters: NDArray[np.int8], found: Found) -> Found | None:
+        """Return a nominal path planned anew from another one: its model may be another one by now."""
+        return self._planned_anew(letters, found, reserves_for(found.failure)[0])
+
     def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None, bar: float = np.inf) -> Found | None:
         """Return a nominal path for letters (S + 1, P) after little work; None if none was found.
 
@@ -373,6 +381,7 @@ def feedback_of(
     base = np.concatenate([1.0 / (0.05 * search.width) ** 2, 1.0 / search.half**2, [1.0]])
     weights = base * np.exp(np.clip(thetas[:, : d + m + 1], -16.0, 16.0))
     slabs = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 :], -1.5, 1.5))
+    slabs[:, list(search.model.watched)] = search.model.width
     # Noise that varies has a slab, or none at all.
     slabs[:, d + m :] = np.where(thetas[:, 2 * d + 2 * m + 1 :] > 0.0, np.inf, 1.4 * slabs[:, d + m :])
     low, high = search.agent.input_low, search.agent.input_high

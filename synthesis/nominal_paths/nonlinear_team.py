@@ -21,6 +21,7 @@ from .nonlinear_search import Found, NonlinearSearch
 from .path_limits import corners_along
 from .polish import polished
 from .team_search import TeamFound, TeamSearch, search_key
+from .tied_paths import Ties
 from .words import Plan, letters_of
 
 MOST_PLANS, MOST_HOPELESS = 6, 18
@@ -106,7 +107,9 @@ class _Apart:
     def __init__(self, problem: Problem, work: CountedWork) -> None:
         self.problem, self.work = problem, work
         self.searches = [NonlinearSearch(problem, i, work) for i in range(problem.n_agents)]
-        self.alike = [self._alike(i) for i in range(problem.n_agents)]
+        self.ties = Ties(problem, self.searches)
+        # Whoever names others has a path that fits theirs, and nobody else's.
+        self.alike = [i if self.ties.are_any else self._alike(i) for i in range(problem.n_agents)]
         self.known: dict[object, tuple[int, Found] | None] = {}
         self.warm: list[FloatArray | None] = [None] * problem.n_agents
         self.seen, self.done = [], dict[Plan, Refined]()
@@ -128,6 +131,7 @@ class _Apart:
         if letters is None:
             return
         found = []
+        self.ties.begin()
         for i, search in enumerate(self.searches):
             key = self._key(i, letters)
             if key not in self.known:
@@ -139,6 +143,8 @@ class _Apart:
                 return
             found.append(self._moved(*known, i))
             self.warm[i] = found[-1].theta
+        if self.ties.are_any:
+            found = self.ties.settled(letters, found, NonlinearSearch.planned_anew)
         score = float(np.logaddexp.reduce([one.score for one in found]))
         if all(plan != other for _, other, _, _ in self.seen):
             self.seen.append((score, plan, letters, found))
@@ -151,7 +157,7 @@ class _Apart:
             if best is not None and (is_far or best.failure <= GOOD or self.work.is_over()):
                 break
             if plan not in self.done:
-                each = self._once(letters, found, NonlinearSearch.full)
+                each = self._full(letters, found)
                 self.done[plan] = _refined(self.problem, plan.times, letters, each)
             one = self.done[plan]
             best = one if best is None or one.failure < best.failure else best
@@ -160,6 +166,8 @@ class _Apart:
 
     def touched_up(self, best: Refined) -> Refined:
         """Return a plan that fails at most as often, after small moves of all that is free in the best few plans."""
+        if self.ties.are_any:
+            return best  # small moves of one agent would have to fit those of all others
         plans = sorted(self.done.values(), key=lambda one: one.failure)
         for count, generations in POLISHED:
             if best.failure <= GOOD:
@@ -171,6 +179,13 @@ class _Apart:
     def _polished(self, plan: Refined, generations: int) -> Refined:
         each = self._once(plan.letters, plan.found, lambda search, _, path: polished(search, path, generations))
         return _refined(self.problem, plan.times, plan.letters, each)
+
+    def _full(self, letters: NDArray[np.int8], found: Sequence[Found]) -> list[Found]:
+        """Return the paths of all agents after more work."""
+        if not self.ties.are_any:
+            return self._once(letters, found, NonlinearSearch.full)
+        better = self.ties.settled(letters, found, NonlinearSearch.full, rounds=1)
+        return self.ties.of_best_width(letters, better)
 
     def _once(
         self,
@@ -214,8 +229,11 @@ class _Apart:
 
 
 def any_failure(problem: Problem, failures: Sequence[float]) -> float:
-    """Return an upper bound on the probability that an agent fails: all of them added up where they share noise."""
-    if problem.joint_noise:
+    """Return an upper bound on the probability that an agent fails.
+
+    All of them are added up where agents share noise, or name each other.
+    """
+    if problem.joint_noise or any(agent.others for agent in problem.agents):
         return min(1.0, sum(failures) * (1.0 + 1e-12))
     return float(-np.expm1(sum(np.log1p(-min(failure, HOPELESS)) for failure in failures)))
 

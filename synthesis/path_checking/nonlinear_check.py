@@ -12,9 +12,9 @@ event that all inequalities on g hold, e is in the tube at each time by inductio
 Where dynamics or regions name the time, the dynamics of step t are those of t, and the regions after it those of t + 1.
 
 All of this is computed here from the problem, the nominal numbers, gains and slabs: intervals and second derivatives by
-``own_bends``. Disturbances are anywhere in their ranges, and may know the noise. So are states of others; but where these
-have paths of their own, they are in their tubes at the same time, as long as all inequalities of all agents have held
-(``side_by_side``). What multiplies
+``own_bends``. Disturbances are anywhere in their ranges, and may know the noise. So are states of others; but where
+these have paths of their own, they are in their tubes at the same time, as long as all inequalities of all agents have
+held (``side_by_side``). What multiplies
 the noise is its nominal value; what it varies on the tube, times a slab on the noise, joins r. Or, where there is no
 such slab, variances are those of the largest scale on the tube, and tails those of a Brownian motion that is stopped
 earlier (``gaussian_inequalities``); then disturbances must not know the noise of their step.

@@ -1,0 +1,118 @@
+"""Paths of agents that name states of each other: each knows the tubes of the others, and is planned between them.
+
+Tubes are nominal states, slabs and drifts, met with the workspace. They depend on each other, step by step, so agents
+are planned in turn, each with the tubes that the others have so far; the first plans take the others for standing
+still. What is found is as consistent as it happens to be: the check goes through all agents side by side, and what it
+proves is claimed (docs/theory/paths.md, "Agents that name each other").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import place_of
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from .nonlinear_search import Found, NonlinearSearch
+
+ROUNDS = 3
+"""How often all agents are planned anew between the tubes of the others."""
+
+WIDTHS = (5.5, 4.5, 3.8, 6.5)
+"""Half widths of tubes that are tried, in deviations."""
+
+
+class Tie(NamedTuple):
+    """What an agent names: its unknown k is a state of agent j."""
+
+    k: int
+    agent: int
+    state: int
+
+
+class Ties:
+    """Which agents of a problem name states of which others, and how that is told to their searches."""
+
+    def __init__(self, problem: Problem, searches: Sequence[NonlinearSearch]) -> None:
+        self.searches = searches
+        self.of_agent = [_named(problem, i) for i in range(problem.n_agents)]
+        all_ties = [tie for ties in self.of_agent for tie in ties]
+        self.watched = [{tie.state for tie in all_ties if tie.agent == j} for j in range(problem.n_agents)]
+        self.watch(WIDTHS[0])
+        self.are_any = any(self.of_agent)
+
+    def watch(self, width: float) -> None:
+        """Keep what is named in tubes of a width, in deviations."""
+        for search, states in zip(self.searches, self.watched, strict=True):
+            if states:
+                search.watch(tuple(sorted(states)), width)
+
+    def of_best_width(self, letters: NDArray[np.int8], found: Sequence[Found]) -> list[Found]:
+        """Return the best of paths planned anew with tubes of several widths: narrow ones fail, wide ones push."""
+        best: list[Found] = []
+        for width in WIDTHS:
+            self.watch(width)
+            again = self.settled(letters, found, NonlinearSearch.planned_anew)
+            if not best or _score(again) < _score(best):
+                best = again
+        self.watch(WIDTHS[0])
+        return best
+
+    def begin(self) -> None:
+        """Take all that is named for standing where it starts."""
+        for search, ties in zip(self.searches, self.of_agent, strict=True):
+            if ties:
+                ranges = search.model.unknown[:, None].copy()
+                for k, j, state in ties:
+                    start = self.searches[j].agent.initial
+                    ranges[:, 0, k] = 0.5 * (start.low[state] + start.high[state])
+                search.model = search.model.changed(beside=ranges)
+
+    def settled(
+        self,
+        letters: NDArray[np.int8],
+        found: Sequence[Found],
+        better: Callable[[NonlinearSearch, NDArray[np.int8], Found], Found | None],
+        rounds: int = ROUNDS,
+    ) -> list[Found]:
+        """Return paths of all agents, each made better in turn, between the tubes of the others."""
+        result = [*found]
+        for _ in range(rounds):
+            for i, search in enumerate(self.searches):
+                if self.of_agent[i]:
+                    search.model = search.model.changed(beside=self._ranges(i, result))
+                result[i] = better(search, letters, result[i]) or result[i]
+        return result
+
+    def _ranges(self, i: int, found: Sequence[Found]) -> FloatArray:
+        """Return the ranges (2, S + 1, k) of what agent i does not know, along paths of all agents."""
+        whole = self.searches[i].model.unknown
+        ranges = np.repeat(whole[:, None], len(found[i].nominal.states), axis=1)
+        for k, j, state in self.of_agent[i]:
+            one = found[j]
+            _, drift, shift = (part[:, state] for part in one.spreads.states)
+            slab = one.spreads.slabs[:, state].copy()
+            slab[0] = 0.0
+            slab[~np.isfinite(slab)] = whole[1, k] - whole[0, k]
+            middle = one.nominal.states[:, state] + shift
+            ranges[:, :, k] = np.clip([middle - slab - drift, middle + slab + drift], whole[0, k], whole[1, k])
+        return ranges
+
+
+def _score(found: Sequence[Found]) -> float:
+    return float(np.logaddexp.reduce([one.score for one in found]))
+
+
+def _named(problem: Problem, i: int) -> list[Tie]:
+    """Return which unknowns of agent i are states of others; inputs, and states of agents with angles, are left out."""
+    agent = problem.agents[i]
+    first, ties = len(agent.unknowns) - len(agent.others), []
+    for k, name in enumerate(agent.others):
+        owner, state, is_input = place_of(name, problem.agents)
+        if not is_input and not problem.agents[owner].angles and not getattr(problem.agents[owner], "unrolled", ()):
+            ties.append(Tie(first + k, owner, state))
+    return ties
