@@ -62,7 +62,7 @@ def means_at(problem: cg.Problem, actor: Any, agent: int, states: NDArray, q: in
 def changed(certificate: cg.Certificate, **facts: Any) -> cg.Certificate:
     """The certificate with other facts about its networks."""
     parts = []
-    for part in certificate.agents:
+    for part in certificate.proof.agents:
         relation = {**part.relation, "network": {**part.relation["network"], **facts}}
         parts.append(dataclasses.replace(part, relation=relation))
-    return dataclasses.replace(certificate, agents=tuple(parts))
+    return changed(certificate, agents=tuple(parts))

@@ -55,7 +55,7 @@ def test_no_point_of_a_cell_leaves_its_box(hidden: list[int], activation: str, s
     abstraction = network_abstraction(problem, [actor.agent_policy(0)], 12 if d == 1 else 6, relation="boxes")
     model = abstraction.models[0]
     synthesis = certify_network(problem, actor, 12 if d == 1 else 6, relation="boxes")
-    part = synthesis.certificate.agents[0]
+    part = synthesis.certificate.proof.agents[0]
     found = model.relation.mean_boxes(model.grid.low, model.grid.high)  # type: ignore[union-attr]
     shares = np.concatenate([RNG.random((200, d)), np.array(np.meshgrid(*[[0.0, 1.0]] * d)).reshape(d, -1).T])
     for mode in range(2 * problem.automaton.n_states):
@@ -222,11 +222,11 @@ def test_squashing_matters(certified: tuple[cg.Problem, SharedActor, cg.Synthesi
 def test_the_wrong_time_is_refused(certified: tuple[cg.Problem, SharedActor, cg.Synthesis]) -> None:
     """What the network does at another time, and a view of another horizon, of another agent or of fewer states."""
     problem, _, synthesis = certified
-    part = synthesis.certificate.agents[0]
+    part = synthesis.certificate.proof.agents[0]
     shifted = part.policy.copy()
     shifted[0] = part.policy[1]
     wrong = dataclasses.replace(part, policy=shifted)
-    report = cg.check(dataclasses.replace(synthesis.certificate, agents=(wrong, synthesis.certificate.agents[1])))
+    report = cg.check(changed(synthesis.certificate, agents=(wrong, synthesis.certificate.proof.agents[1])))
     assert "another time" in str(report)
     for facts in ({"horizon": problem.horizon - 1}, {"agent": 1}):
         assert "another problem" in str(cg.check(changed(synthesis.certificate, **facts)))
@@ -342,7 +342,7 @@ def test_trained_actors_are_certified(algorithm: str) -> None:
     actor: Any = cg.train(problem, algorithm, steps=256, seed=0, **settings).actor
     certified = cg.certify(problem, actor, 150, raw=True)
     assert cg.check(certified) and differences(certified.certificate, actor) == []
-    found = {part.relation["network"]["activation"] for part in certified.certificate.agents}
+    found = {part.relation["network"]["activation"] for part in certified.certificate.proof.agents}
     assert found == {"tanh" if algorithm == "ippo" else "relu"}
     # False alarm 1e-6; a bound that is too large by .04 is refuted.
     report = cg.validate(certified, episodes=4000, seed=1, confidence=1.0 - 1e-6)

@@ -55,7 +55,7 @@ def test_no_point_of_a_cell_leaves_its_map(
     problem, d = reach(agent, horizon=2), agent.n_states
     view = SharedView(problem)
     actor = SharedActor(problem, network([view.size, *hidden, view.n_actions], activation, squashed))
-    part = certify_network(problem, actor, 12 if d == 1 else 6, relation="linear").certificate.agents[0]
+    part = certify_network(problem, actor, 12 if d == 1 else 6, relation="linear").certificate.proof.agents[0]
     part = dataclasses.replace(part, relation={**part.relation, "cuts": cuts})
     relation = part.relation_of(agent)
     assert isinstance(relation, MapRelation) and relation.means is not None
@@ -192,13 +192,13 @@ def test_squashing_weights_and_times_matter() -> None:
     last = [bias.tolist() for bias in actor.network.biases]
     last[-1] = [-0.2]
     assert not cg.check(changed(certificate, biases=last))
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     shifted = part.policy.copy()
     shifted[0] = part.policy[1]
     others: list[Any] = [dataclasses.replace(part, policy=shifted)]
     others += [dataclasses.replace(part, relation={**part.relation, "reach": [2]})]
     for other in others:
-        assert not cg.check(dataclasses.replace(certificate, agents=(other,)))
+        assert not cg.check(changed(certificate, agents=(other,)))
 
 
 def test_squashing_that_was_left_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,14 +215,14 @@ def test_squashing_that_was_left_out_is_refused(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(NetworkMaps, "around", unsquashed)
     wrong = certify_network(problem, actor, 60, relation="linear").certificate
     monkeypatch.undo()
-    assert wrong.agents[0].relation["network"]["squashed"] and wrong.lower_bound > right.certificate.lower_bound
+    assert wrong.proof.agents[0].relation["network"]["squashed"] and wrong.lower_bound > right.certificate.lower_bound
     assert cg.check(right) and not cg.check(wrong)
 
 
 def test_files_with_other_choices_than_modes_are_refused() -> None:
     """A menu that is longer than there are times and automaton states."""
     problem = reach(scalar_agent("a"))
-    part = certify_network(problem, proportional(problem), 30, relation="linear").certificate.agents[0]
+    part = certify_network(problem, proportional(problem), 30, relation="linear").certificate.proof.agents[0]
     check_description(part.relation, problem.agents[0])
     with pytest.raises(ValueError, match="other choices"):
         check_description({**part.relation, "menu": [*part.relation["menu"], [0.0]]}, problem.agents[0])

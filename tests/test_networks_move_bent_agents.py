@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from functools import cache
 from typing import Any
 
@@ -84,7 +83,7 @@ def test_rollouts_lie_between_both_ends(kind: str) -> None:
 def test_boxes_hold_what_the_deployed_network_does() -> None:
     """10,000 states: inputs and means lie in the enclosures of the check."""
     problem, actor, certificate = certified("plain")
-    (agent,), (part,) = problem.agents, certificate.agents
+    (agent,), (part,) = problem.agents, certificate.proof.agents
     assert isinstance(agent, cg.Agent)
     rng = np.random.default_rng(5)
     cells = rng.integers(part.grid.n_cells, size=10_000)
@@ -104,8 +103,8 @@ def test_boxes_hold_what_the_deployed_network_does() -> None:
 def test_other_networks_and_larger_claims_are_refused() -> None:
     problem, _, certificate = certified("plain")
     larger = certificate.lower_bound + 0.02
-    claim = dataclasses.replace(certificate, lower_bound=larger, bounds={certificate.bound: larger}, gap=None,
-                                opposite=None, exact=False)  # fmt: skip
+    claim = changed(certificate, lower_bound=larger, bounds={certificate.proof.bound: larger}, gap=None,
+                                opposite=None)  # fmt: skip
     assert "exceeds" in cg.check(claim).failures[0]
     weak = balancing(problem, 0.1).network
     others = changed(certificate, weights=[w.tolist() for w in weak.weights])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.upper_ends import bound_above
 from problems import scalar_agent
 
@@ -70,7 +71,7 @@ def test_settings_of_a_file_that_are_none_are_refused_by_the_name_of_the_argumen
     with pytest.raises(ValueError, match="`start`: expected a certificate with settings of its relations"):
         cg.synthesize(task(), start=odd)
     with pytest.raises(ValueError, match=r"^`certificate`: "):
-        bound_above(replace(odd, gap=None, exact=False))
+        bound_above(changed(odd, gap=None))
 
 
 def test_a_start_that_is_no_certificate_is_called_start() -> None:

@@ -29,7 +29,7 @@ import numpy as np
 from ...envs.agents import AnyAgent, Proposition
 from ...envs.expressions import Number, Operation, Tree
 from ..cells import FloatArray
-from ..certificates import AgentPath, PathCertificate
+from ..certificates import AgentPath, AlongPath
 from .gaussian_inequalities import Inequalities
 from .law_moments import NORMAL, moments_of
 from .linear_deviations import Chain
@@ -139,7 +139,7 @@ class Moment:
         """Outputs around the nominal state."""
         return expansion(self.moving.outputs, self.moving.states, self.at, self.box, len(self.at))
 
-    def limits(self, certificate: PathCertificate, rows: Inequalities) -> None:
+    def limits(self, certificate: AlongPath, rows: Inequalities) -> None:
         """Add the inequalities on the state: workspace, tube, and regions that are to hold or not."""
         eye = np.eye(len(self.at))
         # Nothing leaves its workspace by turning.
@@ -176,11 +176,11 @@ class Moment:
         least, most = copy_of(low, high, value) if holds else gap_of(low, high, value)
         return k, least + ROUNDED, most - ROUNDED
 
-    def _regions(self, certificate: PathCertificate) -> Iterator[tuple[FloatArray, float, float, float, float, float]]:
+    def _regions(self, certificate: AlongPath) -> Iterator[tuple[FloatArray, float, float, float, float, float]]:
         """Yield row, nominal value from below and above, both limits, and the remainder, of forms of regions."""
         problem = certificate.problem
         for p, name in enumerate(problem.automaton.propositions):
-            value = int(certificate.letters[self.t, p])
+            value = int(certificate.proof.letters[self.t, p])
             if value == 0 or p >= problem.labeling.first_pair:
                 continue
             proposition = problem.propositions[name]
@@ -194,7 +194,7 @@ class Moment:
             limits = [self._of_copies(*limit, holds=True) for limit in limits]
             if value < 0:
                 limits = [(k, float(region.low[0, k]), float(region.high[1, k])) for k in faces]
-                face = int(certificate.faces[self.t, p])
+                face = int(certificate.proof.faces[self.t, p])
                 if not 0 <= face < 2 * len(limits):
                     raise NothingKnownError(f"region `{name}` is passed on no side at step {self.t}")
                 k, low, high = limits[face // 2]
@@ -386,11 +386,11 @@ def wrong_nonlinear_path(agent: AnyAgent, path: AgentPath, steps: int) -> list[s
     return []
 
 
-def nonlinear_failure(certificate: PathCertificate, i: int) -> float:
+def nonlinear_failure(certificate: AlongPath, i: int) -> float:
     """Return an upper bound on the probability that an inequality of agent i fails, along its nonlinear path."""
     rows = Inequalities()
     try:
-        for moment in moments(certificate.problem.agents[i], certificate.paths[i], rows):
+        for moment in moments(certificate.problem.agents[i], certificate.proof.paths[i], rows):
             if moment.t:
                 moment.limits(certificate, rows)
     except NothingKnownError:

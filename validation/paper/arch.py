@@ -130,7 +130,7 @@ def _starts(entry: Row, certificate: Any) -> Row:
     report = check(hull)
     if not report:
         raise AssertionError(f"a set of starts does not pass its check: {report}")
-    return {"starts": hull.share, "published_starts": wanted["published"]}
+    return {"starts": hull.proof.share(hull.problem), "published_starts": wanted["published"]}
 
 
 def _asked(entry: Row) -> str:
