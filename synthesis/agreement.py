@@ -7,7 +7,6 @@ that the check would refuse by a little is of no use to anybody.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from ..envs.problem import Problem
 from .certificates import AlongPath, Synthesis, changed, path_under
@@ -25,11 +24,10 @@ def along_path(problem: Problem, work: CountedWork) -> Synthesis:
 
 def agreed(found: Synthesis) -> Synthesis:
     """Return a synthesis whose certificate, if it is along a path, claims no more than the check proves."""
-    certificate: Any = found.certificate
+    certificate = found.certificate
     if path_under(certificate) is not certificate or (modest := agreed_path(certificate)) is certificate:
         return found
-    held: Any = modest
-    return replace(found, certificate=held, controller=held.controller)
+    return replace(found, certificate=modest, controller=modest.controller)
 
 
 def agreed_path(certificate: AlongPath) -> AlongPath:

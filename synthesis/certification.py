@@ -181,8 +181,7 @@ def bounds_from_above(
         # Their values are lower bounds cell by cell, so the best of them bounds nothing from above.
         return {"abstract_upper_bound": None, "continuous_upper_bound": anywhere}
     most = abstract_bound(problem, joint, start, relaxations, certificate.lower_bound)
-    if (
-        anywhere is not None and delta_of(certificate) == 0.0
-    ):  # continuous policies attain all that abstract ones attain
+    # Continuous policies attain all that abstract ones attain, where nothing is lost.
+    if anywhere is not None and delta_of(certificate) == 0.0:
         most = min(most, anywhere)
     return {"abstract_upper_bound": most, "continuous_upper_bound": anywhere}

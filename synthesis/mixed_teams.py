@@ -17,14 +17,7 @@ import numpy as np
 from ..envs.problem import Problem
 from .agreement import agreed_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
-from .certificates import (
-    AlongPath,
-    Certificate,
-    MixedProof,
-    Synthesis,
-    known_letters,
-    reached_states,
-)
+from .certificates import AlongPath, Certificate, MixedProof, Synthesis, known_letters, reached_states
 from .certification import certificate_of
 from .choosing import SOLVED, Way, refused
 from .keeping_apart import kept_apart, less_nearness

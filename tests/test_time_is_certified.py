@@ -131,7 +131,8 @@ def test_controllers_act_alike_in_loops_and_in_batches(way: str) -> None:
 # --- sabotage --------------------------------------------------------------------------------------------------
 def transplanted(forged: Any, problem: cg.Problem) -> Any:
     """Return a certificate that claims of a problem what another one claims of a problem like it."""
-    return replace(forged, problem=problem)
+    proof = timed_certificate(problem, forged.proof.base).proof if forged.proof.parts else forged.proof
+    return replace(forged, problem=problem, proof=proof)
 
 
 @pytest.mark.parametrize("way", ["exact", "linear", "boxes", "written, linear", "written, boxes", "path",
@@ -143,6 +144,14 @@ def test_the_region_of_t_in_place_of_t_plus_one_is_refused(way: str) -> None:
         forged = certified(way, shift=shift)
         assert cg.check(forged) and forged.lower_bound > 0.1
         assert not cg.check(transplanted(forged, problem))
+
+
+def test_a_region_that_stands_still_is_that_of_the_problem() -> None:
+    wide, narrow = (
+        follow(still(), formula="G (band & hall)", hall=cg.Proposition("robot", [-side], [side])) for side in (2.5, 1.0)
+    )
+    honest = cg.synthesize(wide, 60, relation="exact").certificate
+    assert cg.check(honest) and not cg.check(replace(honest, problem=narrow))
 
 
 @pytest.mark.parametrize("way", ["written, linear", "written, boxes", "written, path"])
@@ -161,7 +170,7 @@ def test_dynamics_of_another_step_are_refused(way: str, drift: str) -> None:
 @pytest.mark.parametrize("forgery", ["one step for all", "the step after", "any step"])
 def test_a_clock_that_is_not_the_time_is_refused(way: str, forgery: str) -> None:
     certificate = certified(way)
-    (part,) = certificate.proof.base.agents
+    (part,) = certificate.proof.base.proof.agents
     horizon, count = certificate.problem.horizon, len(part.relation["menu"]) // certificate.problem.horizon
     policy = part.policy.copy()
     for t in range(horizon):

@@ -15,11 +15,9 @@ READ = 1e-9
 
 def _operations(certificate: OnGrid) -> int:
     """Operations that any number of a value, or of a mass, goes through from one end of the horizon to the other."""
-    total, horizon = (
-        len(certificate.proof.agents) + max(certificate.proof.rank, len(certificate.proof.start_target)) + 1000,
-        0,
-    )
-    for part in certificate.proof.agents:
+    proof = certificate.proof
+    total, horizon = len(proof.agents) + max(proof.rank, len(proof.start_target)) + 1000, 0
+    for part in proof.agents:
         total += places_of(part) + 8 * len(part.grid.shape)  # its start
         horizon += _smoothed(part)
     for step in certificate.proof.skeleton:

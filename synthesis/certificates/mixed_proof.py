@@ -25,6 +25,7 @@ from ..controllers import MixedController
 from ..values import UNIT
 from .archive import Pool, Stored
 from .certificate import Certificate
+from .digits import shown_bound
 from .mixed_states import known_letters, reached_states
 from .path_proof import AlongPath, probability
 from .proof import Offer, Proof
@@ -76,8 +77,10 @@ class MixedProof(Proof):
 
     @property
     def about(self) -> dict[str, str]:  # type: ignore[override]
-        """What reports say of pairs of agents."""
-        return spoiled_at_most(self.near)
+        """What reports say of both kinds of agents, and of pairs of them."""
+        told = zip(("on grids", "along paths"), self.parts, strict=True)
+        agents = {name: f"{', '.join(p.problem.agent_names)}: {shown_bound(p.lower_bound, None)}" for name, p in told}
+        return agents | spoiled_at_most(self.near)
 
     @property
     def lower_bound(self) -> float:

@@ -128,6 +128,9 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     certificate = certificate_from(certificate)
     problem = certificate.problem if problem is None else as_problem(problem)
     proof = type(certificate.proof)
+    if any(part.proof.kind not in proof.inside for part in certificate.proof.parts):
+        failures = ("its parts are proved in other ways than parts of it can be",)
+        return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     if proof is ProductProof and not problem.joint_noise:
         return _check_product(certificate, problem)
     if problem.joint_noise and proof is not PathProof:
@@ -408,9 +411,8 @@ def _undecided(certificate: OnGrid) -> float:
 def _check_values(certificate: OnGrid, terms: Terms | Value, recomputed: float) -> list[str]:
     """Check that no claim is larger than what was grown again."""
     failures = []
-    n = certificate.problem.horizon * sum(places_of(p) + 1 for p in certificate.proof.agents) + len(
-        certificate.proof.agents
-    )
+    agents = certificate.proof.agents
+    n = certificate.problem.horizon * sum(places_of(p) + 1 for p in agents) + len(agents)
     counted = max((len(kept) for step in certificate.proof.skeleton for kept in step.kept), default=0)
     rounding = (n + max(certificate.proof.rank, counted) + 2) * 2.0**-53
     if not certificate.lower_bound <= recomputed * (1.0 - rounding):

@@ -26,7 +26,7 @@ from scipy.special import erfc
 
 from ...envs.agents import AnyAgent, PairRegion
 from ..cells import FloatArray
-from ..certificates import Certificate, OnGrid, on_cells
+from ..certificates import Certificate, OnGrid, on_cells, path_under
 from ..path_checking import Whereabouts, whereabouts_along
 from .pairs_check import (
     OWN_ERROR,
@@ -61,7 +61,7 @@ def wrong_mixed(certificate: Certificate[MixedProof], problem: Problem) -> tuple
     if failures or not between:
         return failures, 0.0
     grids = certificate.proof.grids
-    base: OnGrid = on_cells(grids) or grids.proof.base
+    base = grids if on_cells(grids) is grids else grids.proof.base
     failures = _wrong_agents(problem, base, between)
     if failures:
         return failures, 1.0
@@ -80,7 +80,10 @@ def wrong_mixed(certificate: Certificate[MixedProof], problem: Problem) -> tuple
 # --- parts
 def _wrong_parts(certificate: Certificate[MixedProof], problem: Problem) -> list[str]:
     """Both parts are about the agents of the problem, each in one, and about its regions."""
-    parts = (certificate.proof.grids.problem, certificate.proof.paths.problem)
+    grids, paths = certificate.proof.parts
+    if not grids.proof.has_cells or path_under(paths) is not paths:
+        return ["its parts are not one on grids and one along paths"]
+    parts = (grids.problem, paths.problem)
     names = problem.agent_names
     if len(certificate.proof.usual) != len(problem.labeling.pairs):
         return ["what it takes its pairs to be does not fit the problem"]

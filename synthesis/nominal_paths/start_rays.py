@@ -99,16 +99,9 @@ def certified_starts(
         raise RelationRefused(f"no starts around the middle keep a probability of {probability}; ask for less")
     # Each of the two bounds is no worse between corners than at the worst of them; of the two the better counts.
     failure = min(1.0, float(np.array(failures).max(axis=0).min()))
-    path = certificate.proof.paths[0]
-    proof = HullProof(
-        axes,
-        np.array(corners),
-        np.array(inputs),
-        path.gain,
-        certificate.proof.letters,
-        certificate.proof.faces,
-        failure,
-    )
+    path = certificate.proof
+    same = path.paths[0].gain, path.letters, path.faces
+    proof = HullProof(axes, np.array(corners), np.array(inputs), *same, failure)
     return Certificate(problem, proof, {"relation": "path"})
 
 
@@ -140,9 +133,8 @@ class _Rays:
         steps = certificate.proof.n_steps
         covariances = covariances_of(agent, path.gain, steps)
         self.agent = agent
-        self.states = state_slabs(
-            limits_of(problem, 0, certificate.proof.letters, certificate.proof.faces), covariances
-        )
+        proof = certificate.proof
+        self.states = state_slabs(limits_of(problem, 0, proof.letters, proof.faces), covariances)
         self.inputs = input_slabs(agent, path.gain, covariances, steps)
         self.response = Response.of(agent, steps)
         self.powers = [np.linalg.matrix_power(agent.A, t) for t in range(steps + 1)]

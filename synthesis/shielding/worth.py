@@ -248,10 +248,9 @@ def action_values(certificate: OnGrid) -> ActionValues:
     vertices = tuple(
         tuple(_vertices(certificate, t, q, later[t], masks) for q in range(n_states)) for t in range(problem.horizon)
     )
-    relations = tuple(
-        part.relation_of(agent) for agent, part in zip(problem.agents, certificate.proof.agents, strict=True)
-    )
-    axes = tuple(noise_axes(agent, part) for agent, part in zip(problem.agents, certificate.proof.agents, strict=True))
+    parts = certificate.proof.agents
+    relations = tuple(part.relation_of(agent) for agent, part in zip(problem.agents, parts, strict=True))
+    axes = tuple(noise_axes(agent, part) for agent, part in zip(problem.agents, parts, strict=True))
     return ActionValues(certificate, relations, axes, tuple(grown), vertices)
 
 

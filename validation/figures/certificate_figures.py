@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 
 from ...envs.pictures import coordinate_name, have_one_scale
 from ...envs.problem import Problem
-from ...synthesis.certificates import (
-    OnGrid,
-    as_certificate,
-    of_one_task,
-    on_cells,
-    regrow_trains,
-    shown_bound,
-)
+from ...synthesis.certificates import OnGrid, as_certificate, of_one_task, on_cells, regrow_trains, shown_bound
 from ...synthesis.relations import CoupledRelation
 from ...synthesis.values import Trains
 from ..audits import standing_cells
@@ -239,9 +232,8 @@ def _counts(certificate: OnGrid) -> tuple[NDArray[Any], NDArray[Any]]:
         def note(time: int, value: Trains) -> None:
             columns.append([0 if train is None else train.rank for train in value.states])
 
-        regrow_trains(
-            certificate.problem, certificate.proof.agents, certificate.proof.guards, certificate.proof.rounding, note
-        )
+        proof = certificate.proof
+        regrow_trains(certificate.problem, proof.agents, proof.guards, proof.rounding, note)
         ranks = np.array(columns[::-1]).T
         return ranks, ranks
     steps, states = certificate.proof.skeleton, range(certificate.problem.automaton.n_states)

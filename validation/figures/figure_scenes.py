@@ -9,13 +9,7 @@ import numpy as np
 from ...envs.logic import Automaton
 from ...envs.pictures import edges, panels, places
 from ...envs.suite import as_problem
-from ...synthesis.certificates import (
-    OnGrid,
-    any_certificate,
-    of_one_task,
-    shown_bound,
-    tube_along,
-)
+from ...synthesis.certificates import OnGrid, any_certificate, of_one_task, shown_bound, tube_along
 from ..simulation import Loop, paths
 from .figure_regions import rollouts_panel
 from .figure_style import FAILURE, INK, PALE, SERIES, SOFT, legend_above, new_figure

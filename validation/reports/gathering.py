@@ -15,14 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import write_text
-from ...synthesis.certificates import (
-    any_certificate,
-    as_certificate,
-    members_of,
-    on_cells,
-    speaks_of_one_start,
-    split,
-)
+from ...synthesis.certificates import any_certificate, as_certificate, members_of, on_cells, speaks_of_one_start, split
 from ...synthesis.checking import CheckReport, check, claimed_values
 from ..audits import audit, bound_by_steps_left
 from ..simulation import Loop, Plan, TrialOptions, TrialPlan, paths, planned

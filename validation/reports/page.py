@@ -172,9 +172,8 @@ def _explorer_script(content: ReportContent) -> str:
 def _answer(content: ReportContent) -> str:
     """Return the box at the head: what is certified, beside what rollouts gave, and what each test says."""
     v, certificate = content.validation, content.certificate
-    start = {"point": "from the initial state", "mean": "on average over the initial box"}.get(
-        start_of_claim(certificate), ""
-    )
+    point = start_of_claim(certificate) == "point"
+    start = "from the initial state" if point else "on average over the initial box"
     upper = None if v.gap is None else min(1.0, v.lower_bound + v.gap)
     above = "the probability is at least this" if upper is None else "the probability lies between these"
     # What stands in brackets is not broken at the minus of an exponent.

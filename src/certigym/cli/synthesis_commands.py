@@ -111,11 +111,11 @@ def run(options: Namespace) -> int:
 def _lasting(result: Any) -> dict[str, Any]:
     """Return what is certified without a deadline: in words, and as a number where one holds for every horizon."""
     certificate = result.certificate
-    if lasting_bound(certificate) is not None:
-        said = f"the bound holds for every longer horizon, too, and without any: P >= {lasting_bound(certificate):.6g}"
+    if (lasting := lasting_bound(certificate)) is not None:
+        said = f"the bound holds for every longer horizon, too, and without any: P >= {lasting:.6g}"
     else:
         said = f"P(safe for k steps) >= {safety_rate(certificate)}, for every k"
-    return {"no_deadline": said, "unbounded": lasting_bound(certificate)}
+    return {"no_deadline": said, "unbounded": lasting}
 
 
 def synthesize(options: Namespace) -> int:
