@@ -16,6 +16,7 @@ from .certificates import (
     OnGrid,
     SubtractionProof,
     Synthesis,
+    certificate_from,
     checked_certificate,
     on_cells,
     timed_certificate,
@@ -64,7 +65,7 @@ def synthesize(
     seconds: float | None = None,
     device: str = HOST,
     restarts: int = 0,
-    start: Certificate | None = None,
+    start: Any = None,
     stationary: bool = False,
     above: bool = False,
     **settings: Any,
@@ -114,7 +115,7 @@ def synthesize(
         reserve.
     restarts : int
         Number of further starts of the search, from the best policies with their plans advanced or delayed.
-    start : Certificate, optional
+    start : Synthesis, Certificate or path, optional
         Certificate whose policies the search begins with, of any kind on cells. Its agents, cells and relations must
         be the same, its horizon need not (see ``horizons``); ``"auto"`` then stands for its relations, and settings
         that are not given are its own. Its policies are evaluated anew, and nothing that it claims is trusted.
@@ -146,6 +147,7 @@ def synthesize(
     budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
     problem = as_problem(problem)
     _refuse_outside(problem)
+    start = None if start is None else certificate_from(start, "start")
     if start is not None and not problem.groups and not problem.labeling.pairs:
         settings = {**_settings_of_start(problem, relation, checked_certificate(start, "start")), **settings}
     plan = Plan(Settings(**settings), search, budget, spending)
@@ -285,18 +287,14 @@ def _refuse_outside(problem: Problem) -> None:
             )
 
 
-def _of_joint_agent(start: Any) -> OnGrid:
+def _of_joint_agent(start: Certificate) -> OnGrid:
     """Return the certificate of the joint agent that a team begins with; raise ValueError if it is of another kind."""
-    if not isinstance(start, Certificate) or Offer.OWN_STATES not in start.proof.lacks:
-        kind = f"one of the kind {start.proof.kind!r}" if isinstance(start, Certificate) else type(start).__name__
+    if Offer.OWN_STATES not in start.proof.lacks:
         raise ValueError(
-            f"`start`: expected the certificate of a joint agent for a task about pairs, got {kind}; other ways begin "
-            "anew; leave it out"
+            "`start`: expected the certificate of a joint agent for a task about pairs, got one of the kind "
+            f"{start.proof.kind!r}; other ways begin anew; leave it out"
         )
-    if (held := on_cells(start)) is None:
-        raise ValueError("`start`: expected the certificate of a joint agent on a grid, got one along a path")
-    grid: OnGrid = held
-    return grid
+    return checked_certificate(start, "start")
 
 
 def _settings_of_start(problem: Problem, relation: Relations, start: OnGrid) -> dict[str, Any]:

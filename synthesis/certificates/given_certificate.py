@@ -12,8 +12,8 @@ from .proof import Offer
 from .result import Synthesis
 
 
-def certificate_from(value: Any) -> Certificate:
-    """Return the certificate that a value stands for, one of a set of starts included.
+def certificate_from(value: Any, argument: str = "certificate") -> Certificate:
+    """Return the certificate that a value, given as ``argument``, stands for, one of a set of starts included.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def certificate_from(value: Any) -> Certificate:
         value = load_certificate(value)
     if not isinstance(value, Certificate):
         raise ValueError(
-            f"`certificate`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "
+            f"`{argument}`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "
             "one with `synthesize`, `certify` or `load_certificate`"
         )
     return value
@@ -95,18 +95,15 @@ def of_one_task(value: Any, agent: int = 0) -> tuple[OnGrid, int]:
 
 
 def checked_certificate(value: Any, argument: str = "certificate") -> OnGrid:
-    """Return the certificate of one task on cells, given as ``argument``, or raise ValueError with what to do."""
-    if not isinstance(value, Certificate):
-        inside = isinstance(getattr(value, "certificate", None), Certificate)
-        remedy = "give its `.certificate`" if inside else "make one with `synthesize`, `certify` or `load_certificate`"
-        raise ValueError(f"`{argument}`: expected a Certificate, got {type(value).__name__}; {remedy}")
-    if parts := value.proof.factors:
+    """Return the certificate of one task on cells that a value, given as ``argument``, stands for; else ValueError."""
+    certificate = certificate_from(value, argument)
+    if parts := certificate.proof.factors:
         raise ValueError(f"`{argument}`: expected that of one task, got {len(parts)}; give one of its `.proof.parts`")
-    if (held := on_cells(value)) is None:
-        lack = value.proof.lacks[Offer.VALUES]
+    held: OnGrid | None = on_cells(certificate)
+    if held is None:
+        lack = certificate.proof.lacks[Offer.VALUES]
         raise ValueError(f"`{argument}`: expected {Offer.VALUES.value}, got {lack}")
-    grid: OnGrid = held
-    return grid
+    return held
 
 
 def speaks_of_one_start(certificate: Certificate) -> bool:

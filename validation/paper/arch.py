@@ -96,7 +96,7 @@ def _certified(entry: Row, folder: Path, episodes: int = EPISODES) -> Row:
     bound, met, high = (
         (value - entry.get("sure", 0.0)) / share for value in (certificate.lower_bound, successes / episodes, high)
     )
-    published, failure = entry["published"], getattr(certificate, "failure", 1.0 - bound)
+    published, failure = entry["published"], getattr(certificate.proof, "failure", 1.0 - bound)
     outcome = "no published number"
     if published is not None:
         outcome = "not below" if bound >= published else "below the published number"
