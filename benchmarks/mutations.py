@@ -170,7 +170,7 @@ def guards_twice(certificate: Any) -> Any:
         skeleton=(replace(step, origin=origin, kept=kept), *certificate.proof.skeleton[1:]),
         terms=replace(certificate.proof.terms, index=index),
         **{
-            name: np.concatenate([getattr(certificate, name)] * 2)
+            name: np.concatenate([getattr(certificate.proof, name)] * 2)
             for name in ("guard_source", "guard_target", "guard_mask")
         },
     )

@@ -29,7 +29,7 @@ def test_the_same_guard_twice_is_an_overlap() -> None:
 def test_a_guard_with_cells_of_another_letter_is_refused() -> None:
     """Some of its letters lead where it says, and others to failure."""
     own = certificate()
-    part = own.agents[0]
+    part = own.proof.agents[0]
     forged = changed(own, agents=(replace(part, masks=np.ones_like(part.masks)),))
     report = cg.check(forged)
     assert not report and "does not always lead" in str(report)
