@@ -306,13 +306,13 @@ def rewrite_header(path: Path, change: Callable[[dict[str, Any]], None]) -> None
     [
         lambda h: h.update(version=99),
         lambda h: h.update(format="other"),
-        lambda h: h.update(lower_bound=2.0),
+        lambda h: h["proof"].update(lower_bound=2.0),
         lambda h: h.update(fingerprint="0" * 64),
         lambda h: h["problem"].update(horizon=3),
-        lambda h: h.pop("agents"),
-        lambda h: h["agents"][0].update(law=10**6),
-        lambda h: h["agents"][0].update(law=h["guards"][0]),
-        lambda h: h.update(skeleton=[]),
+        lambda h: h["proof"].pop("agents"),
+        lambda h: h["proof"]["agents"][0].update(law=10**6),
+        lambda h: h["proof"]["agents"][0].update(law=h["proof"]["guards"][0]),
+        lambda h: h["proof"].update(skeleton=[]),
     ],
 )
 def test_inconsistent_files_are_refused_in_one_line(certificate: OnGrid, tmp_path: Path, change: Any) -> None:

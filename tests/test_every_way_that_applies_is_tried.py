@@ -22,7 +22,7 @@ from test_the_clock_decides_nothing import robots
 
 def result(bound: float, has_cells: bool = True, above: float | None = None) -> cg.Synthesis:
     """Return what a way gives, as far as the scheduler looks at it."""
-    certificate: Any = SimpleNamespace(lower_bound=bound, has_cells=has_cells)
+    certificate: Any = SimpleNamespace(lower_bound=bound, proof=SimpleNamespace(has_cells=has_cells), settings={})
     return cg.Synthesis(certificate, certificate, {"continuous_upper_bound": above})
 
 

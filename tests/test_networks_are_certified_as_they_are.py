@@ -13,6 +13,7 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.cli.main import main
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.network_spans import network_spans
 from certigym.synthesis.models import network_abstraction
 from certigym.synthesis.models.network_model import NetworkChoices
@@ -22,7 +23,7 @@ from certigym.synthesis.relations.network_bounds import line_around, mean_bounds
 from certigym.validation.figures import network_figure
 from certigym.validation.policies.actors import CentralActor, SharedActor, TeamActor, load_actor, save_actor
 from certigym.validation.policies.views import CentralView, SharedView
-from network_problems import RNG, changed, means_at, network, proportional, reach
+from network_problems import RNG, means_at, network, proportional, reach, with_network
 from problems import cart, linear, scalar_agent
 
 
@@ -168,7 +169,7 @@ def test_a_single_agent_may_have_a_network_that_sees_all() -> None:
     assert cg.check(synthesis) and differences(synthesis.certificate, actor) == []
     ours, deployed = (cg.rollout(problem, policy, episodes=5000, seed=0) for policy in (synthesis.controller, actor))
     assert np.array_equal(ours.success, deployed.success)
-    assert not cg.check(changed(synthesis.certificate, squashed=False))
+    assert not cg.check(with_network(synthesis.certificate, squashed=False))
 
 
 def test_correlated_noise_and_two_inputs(certified: Any) -> None:
@@ -208,7 +209,7 @@ def test_other_weights_are_refused(certified: tuple[cg.Problem, SharedActor, cg.
     _, actor, synthesis = certified
     last = [bias.tolist() for bias in actor.network.biases]
     last[-1] = [-0.2]
-    wrong = changed(synthesis.certificate, biases=last)
+    wrong = with_network(synthesis.certificate, biases=last)
     assert not cg.check(wrong)
     assert differences(wrong, actor) != []
 
@@ -216,7 +217,7 @@ def test_other_weights_are_refused(certified: tuple[cg.Problem, SharedActor, cg.
 def test_squashing_matters(certified: tuple[cg.Problem, SharedActor, cg.Synthesis]) -> None:
     """A network that is squashed where the certificate was made for one that is clipped."""
     _, _, synthesis = certified
-    assert not cg.check(changed(synthesis.certificate, squashed=True))
+    assert not cg.check(with_network(synthesis.certificate, squashed=True))
 
 
 def test_the_wrong_time_is_refused(certified: tuple[cg.Problem, SharedActor, cg.Synthesis]) -> None:
@@ -229,7 +230,7 @@ def test_the_wrong_time_is_refused(certified: tuple[cg.Problem, SharedActor, cg.
     report = cg.check(changed(synthesis.certificate, agents=(wrong, synthesis.certificate.proof.agents[1])))
     assert "another time" in str(report)
     for facts in ({"horizon": problem.horizon - 1}, {"agent": 1}):
-        assert "another problem" in str(cg.check(changed(synthesis.certificate, **facts)))
+        assert "another problem" in str(cg.check(with_network(synthesis.certificate, **facts)))
 
 
 def test_what_is_not_certified_is_refused_in_words(certified: tuple[cg.Problem, SharedActor, cg.Synthesis]) -> None:

@@ -12,9 +12,10 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.baselines import RandomController
 from certigym.envs.problem import opposite_of
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking import wrong_opposite
 from certigym.synthesis.raw_networks import certify_network, differences
-from network_problems import RNG, changed, proportional, reach
+from network_problems import RNG, proportional, reach, with_network
 from problems import scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6
@@ -64,9 +65,9 @@ def test_upper_ends_that_are_wrong_are_refused(ends: tuple[cg.Problem, Any, Any]
     itself = certify_network(problem, actor, 150).certificate
     assert not cg.check(changed(certificate, opposite=itself))
     lower = certificate.proof.opposite.lower_bound + 0.01
-    small = changed(certificate.proof.opposite, lower_bound=lower, bounds={certificate.proof.opposite.bound: lower})
+    small = changed(certificate.proof.opposite, lower_bound=lower, bounds={"nominal": lower})
     assert any("exceeds" in text for text in cg.check(changed(certificate, opposite=small)).failures)
-    squashed = changed(certificate, opposite=changed(certificate.proof.opposite, squashed=True))
+    squashed = changed(certificate, opposite=with_network(certificate.proof.opposite, squashed=True))
     assert "does not act" in cg.check(squashed).failures[0]
     RNG.random(7)  # from here on the draws are others than those of the fixture
     others = proportional(problem)

@@ -12,6 +12,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.agents import LinearAgent
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.network_spans import network_maps
 from certigym.synthesis.models.network_model import network_abstraction
 from certigym.synthesis.raw_networks import certify_network, differences
@@ -19,7 +20,7 @@ from certigym.synthesis.relations import AffineBoxes, MapRelation, NetworkMaps, 
 from certigym.synthesis.relations.boxes import linear_means
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
-from network_problems import RNG, changed, means_at, network, proportional, reach
+from network_problems import RNG, means_at, network, proportional, reach, with_network
 from problems import cart, linear, scalar_agent
 
 SHAPES = [
@@ -188,10 +189,10 @@ def test_squashing_weights_and_times_matter() -> None:
     actor = proportional(problem)
     certificate = certify_network(problem, actor, 60, relation="linear").certificate
     assert cg.check(certificate)
-    assert not cg.check(changed(certificate, squashed=True))
+    assert not cg.check(with_network(certificate, squashed=True))
     last = [bias.tolist() for bias in actor.network.biases]
     last[-1] = [-0.2]
-    assert not cg.check(changed(certificate, biases=last))
+    assert not cg.check(with_network(certificate, biases=last))
     part = certificate.proof.agents[0]
     shifted = part.policy.copy()
     shifted[0] = part.policy[1]

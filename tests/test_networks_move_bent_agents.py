@@ -10,11 +10,12 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.network_spans import _inputs_between, driven_spans
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
-from network_problems import changed
+from network_problems import with_network
 
 FALSE_ALARM = 1e-6
 """Probability with which a statistical test here fails although all is right."""
@@ -107,9 +108,9 @@ def test_other_networks_and_larger_claims_are_refused() -> None:
                                 opposite=None)  # fmt: skip
     assert "exceeds" in cg.check(claim).failures[0]
     weak = balancing(problem, 0.1).network
-    others = changed(certificate, weights=[w.tolist() for w in weak.weights])
+    others = with_network(certificate, weights=[w.tolist() for w in weak.weights])
     assert not cg.check(others)
-    assert not cg.check(changed(certificate, activation="relu"))
+    assert not cg.check(with_network(certificate, activation="relu"))
 
 
 def test_a_check_that_forgets_what_inputs_may_be_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:

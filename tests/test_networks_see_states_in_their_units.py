@@ -13,7 +13,7 @@ from certigym.synthesis.checking.network_spans import network_maps, network_span
 from certigym.synthesis.models import network_abstraction
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import Network
-from network_problems import RNG, changed, means_at, reach
+from network_problems import RNG, means_at, reach, with_network
 from problems import cart, scalar_agent
 
 FORMS = [(scale, actions) for scale in ("raw", "unit") for actions in ("input", "unit")]
@@ -120,7 +120,7 @@ def test_files_keep_the_form_and_refuse_another(certified: tuple[cg.Problem, Any
     assert read.proof.agents[0].relation["network"]["scale"] == "raw"
     assert read.proof.agents[0].relation["network"]["outputs"] == "box"
     for facts in ({"scale": "unit"}, {"outputs": "unit"}, {"scale": "metric"}, {"outputs": "metric"}):
-        other = changed(found.certificate, **facts)
+        other = with_network(found.certificate, **facts)
         assert not _passes(other), facts
         assert differences(other, policy) != []
 

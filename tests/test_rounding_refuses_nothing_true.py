@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.path_checking.path_check import Motion
 from certigym.synthesis.raw_networks import certify_network
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
-from network_problems import changed, proportional, reach
+from network_problems import proportional, reach, with_network
 from test_paths_are_certified import path_of
 
 EDGE = 0.3
@@ -196,4 +197,4 @@ def test_networks_are_looked_at_where_something_is_claimed() -> None:
     network = certificate.proof.agents[0].relation["network"]
     weights = [np.array(layer).tolist() for layer in network["weights"]]
     weights[-1] = (-np.array(weights[-1])).tolist()
-    assert not cg.check(changed(certificate, weights=weights))
+    assert not cg.check(with_network(certificate, weights=weights))
