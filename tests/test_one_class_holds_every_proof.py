@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import Offer, certificate_from, from_start, on_cells, require
+from certigym.synthesis.certificates import Offer, certificate_from, changed, from_start, on_cells, require
 from certigym.synthesis.certificates.archive import _digest
 
 FOLDER = Path(__file__).parent / "data" / "version_1"
@@ -140,6 +140,16 @@ def test_parts_are_of_the_kinds_that_belong_there(tmp_path: Path) -> None:
         cg.save_certificate(whole, tmp_path / "wrong.npz")
         with pytest.raises(ValueError, match="expected a certigym certificate"):
             cg.load_certificate(tmp_path / "wrong.npz")
+
+
+def test_parts_are_of_the_kinds_that_belong_there_in_memory_too() -> None:
+    """The bound of a set of starts is none for the start of a problem: nothing else may rest on it."""
+    hull = cg.load_certificate(FOLDER / "hull.npz")
+    for outer in ("joint", "timed", "mixed", "subtraction", "product"):
+        whole: Any = cg.load_certificate(FOLDER / f"{outer}.npz")
+        fields = {"mixed": {"grids": hull}, "product": {"parts": (hull,) * len(whole.proof.parts)}}
+        forged = changed(whole, **fields.get(outer, {"base": hull}))
+        assert "proved in other ways" in str(cg.check(forged))
 
 
 def test_what_is_given_may_be_a_synthesis_a_certificate_or_a_path() -> None:

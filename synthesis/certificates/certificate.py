@@ -61,7 +61,7 @@ class Certificate(Generic[P_co]):
 
     @property
     def lower_bound(self) -> float:
-        """Certified lower bound on the satisfaction probability at the problem's start."""
+        """Certified lower bound on the satisfaction probability at the problem's start, or each of a set of starts."""
         bound: float = self.proof.lower_bound
         return bound
 

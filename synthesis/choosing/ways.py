@@ -157,11 +157,10 @@ def leading(results: Results) -> Synthesis | None:
 
 
 def with_settings(result: Synthesis, more: Mapping[str, Any]) -> Synthesis:
-    """Return a synthesis whose certificate says more about how it was made, if it says such things."""
-    certificate: Any = result.certificate
+    """Return a synthesis whose certificate says more about how it was made."""
     if not more:
         return result
-    certificate = replace(certificate, settings={**certificate.settings, **more})
+    certificate = replace(result.certificate, settings={**result.certificate.settings, **more})
     return replace(result, certificate=certificate, controller=certificate.controller)
 
 
