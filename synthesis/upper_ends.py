@@ -32,7 +32,7 @@ def bound_above(certificate: Any) -> Any:
 
     Parameters
     ----------
-    certificate : Synthesis, certificate of any kind, or path
+    certificate : Synthesis, Certificate or path
         Its policies, cells, relations and their settings are taken, and evaluated anew for the opposite task.
 
     Raises

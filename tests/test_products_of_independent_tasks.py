@@ -20,7 +20,7 @@ from certigym.envs.dynamics.worlds import Dynamics
 from certigym.envs.problem import groups as independent
 from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.bounds.dense import dense_optimum
-from certigym.synthesis.certificates import ProductProof, changed, is_exact, product
+from certigym.synthesis.certificates import ProductProof, changed, is_exact, product_certificate
 from certigym.synthesis.controllers.product_controller import ProductController
 from certigym.synthesis.models.abstraction import abstract
 from certigym.validation.simulation.chunks import chunk_results, frames
@@ -165,7 +165,7 @@ def test_a_bound_that_is_too_high_is_refuted(monkeypatch: pytest.MonkeyPatch) ->
     certificate = cg.synthesize(problem, 60).certificate
     assert isinstance(certificate.proof, ProductProof)
     noisy = problem.replace(disturbance_scale=1.5)
-    sabotaged = product.product_certificate(
+    sabotaged = product_certificate(
         problem, tuple(changed(part, lower_bound=min(1.0, part.lower_bound * 1.02)) for part in certificate.proof.parts)
     )
     assert sabotaged.lower_bound > 1.2 * certificate.lower_bound
@@ -174,7 +174,7 @@ def test_a_bound_that_is_too_high_is_refuted(monkeypatch: pytest.MonkeyPatch) ->
     assert not cg.check(sabotaged) and cg.check(certificate)
     assert not cg.check(certificate, noisy)
     with pytest.raises(ValueError, match="expected a certificate of"):
-        product.product_certificate(noisy, certificate.proof.parts)
+        product_certificate(noisy, certificate.proof.parts)
 
 
 def test_other_starts_multiply(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,7 +62,7 @@ def check_rigorous(certificate: Any, problem: Any = None) -> RigorousReport:
 
     Parameters
     ----------
-    certificate : Synthesis, certificate of any kind, or path
+    certificate : Synthesis, Certificate or path
     problem : Problem, id or path, optional
         As for ``check``.
 

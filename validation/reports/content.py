@@ -26,7 +26,7 @@ class ReportContent:
 
     Parameters
     ----------
-    certificate : certificate of any kind
+    certificate : Certificate
         Those about pairs and along paths speak of one start: they have neither audit nor tests at other starts nor
         bounds by steps, which are None.
     validation : ValidationReport

@@ -50,7 +50,7 @@ def report(
 
     Parameters
     ----------
-    certificate : Synthesis, certificate of any kind, or path
+    certificate : Synthesis, Certificate or path
         Those about pairs of agents and along paths speak of one start: their pages have neither audit nor tests at
         other starts; the explorer shows what the check proves of the same controllers from other starts, if anything.
     path : str or Path
