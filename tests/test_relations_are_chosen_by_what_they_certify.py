@@ -201,7 +201,7 @@ def test_independent_tasks_choose_for_themselves(monkeypatch: pytest.MonkeyPatch
     assert kinds_of(first) == ["exact"] and kinds_of(second)[0] in ("tube", "ellipsoid")
     assert all(name.endswith(", task of cart_0") for name in tried_of(found))
     named = cg.synthesize(problem, {"car": 60, "cart_0": 24}, relation={"car": "tube", "cart_0": "tube"})
-    assert [kinds_of(part) for part in named.certificate.parts] == [["tube"], ["tube"]]  # type: ignore[attr-defined]
+    assert [kinds_of(part) for part in named.certificate.proof.parts] == [["tube"], ["tube"]]
 
 
 def test_budgets_compare_at_the_last_cells_only() -> None:
