@@ -147,7 +147,7 @@ def test_parts_are_of_the_kinds_that_belong_there_in_memory_too() -> None:
     hull = cg.load_certificate(FOLDER / "hull.npz")
     for outer in ("joint", "timed", "mixed", "subtraction", "product"):
         whole: Any = cg.load_certificate(FOLDER / f"{outer}.npz")
-        fields = {"mixed": {"grids": hull}, "product": {"parts": (hull,) * len(whole.proof.parts)}}
+        fields: dict[str, Any] = {"mixed": {"grids": hull}, "product": {"parts": (hull,) * len(whole.proof.parts)}}
         forged = changed(whole, **fields.get(outer, {"base": hull}))
         assert "proved in other ways" in str(cg.check(forged))
 
