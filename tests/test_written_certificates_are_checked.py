@@ -16,6 +16,7 @@ from scipy.stats import norm
 import certigym as cg
 from certigym.envs.agents import Agent
 from certigym.envs.expressions import Number, Operation
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.carrying_out import wrong_actions
 from certigym.synthesis.checking.execution import execution_of
 from certigym.synthesis.relations import MeanBoxes, WrittenMeans
@@ -225,7 +226,7 @@ def test_controllers_that_steer_elsewhere_are_noticed() -> None:
     assert wrong_actions(agent, part, broken, execution) != []
 
 
-def changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
+def with_relation(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
     part = certificate.proof.agents[0]
     return changed(certificate, agents=(replace(part, relation=part.relation | changes), *certificate.proof.agents[1:]))
 
@@ -236,11 +237,11 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
     gains = np.zeros((len(menu), 1, 2))
     gains[:, 0, 1] = -0.5
     for forged in (
-        changed(certificate, menu=(1.01 * menu).tolist()),
-        changed(certificate, menu=menu[::-1].tolist()),
-        changed(certificate, gains=gains.tolist()),
-        changed(certificate, steer=[not flag for flag in certificate.proof.agents[0].relation["steer"]]),
-        changed(certificate, steer=[True] * len(menu)),
+        with_relation(certificate, menu=(1.01 * menu).tolist()),
+        with_relation(certificate, menu=menu[::-1].tolist()),
+        with_relation(certificate, gains=gains.tolist()),
+        with_relation(certificate, steer=[not flag for flag in certificate.proof.agents[0].relation["steer"]]),
+        with_relation(certificate, steer=[True] * len(menu)),
         changed(certificate, lower_bound=certificate.lower_bound + 1e-6),
     ):
         assert not cg.check(forged)
@@ -253,7 +254,7 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
         {"steer": []},
     )
     for description in descriptions:
-        forged = changed(certificate, **description)
+        forged = with_relation(certificate, **description)
         cg.save_certificate(forged, tmp_path / "forged.npz")
         with pytest.raises(ValueError, match="expected a certigym certificate"):
             cg.load_certificate(tmp_path / "forged.npz")
