@@ -24,6 +24,7 @@ import numpy as np
 from scipy.stats import binom
 
 import certigym as cg
+from certigym.synthesis.certificates import ProductProof, delta_of, is_exact
 from deployed import Deployed, problem_of
 from forgeries import Forgery, forgeries, opened, written
 from hostile import CASES, limited
@@ -66,12 +67,12 @@ def claim(seed: int, episodes: int, level: float, relation: str | None = None) -
     most = found.stats.get("continuous_upper_bound")
     if isinstance(most, float) and binom.sf(number - 1, episodes, min(1.0, most)) < level:
         findings.append(f"no policy was to exceed {most}, {number} of {episodes} succeeded")
-    if beyond > 0 and certificate.delta == 0 and lower > 0:
+    if beyond > 0 and delta_of(certificate) == 0 and lower > 0:
         findings.append(f"an input was outside of its box by {beyond:.3g} of its width")
     visible = bool(lower > INFLATION and binom.cdf(number, episodes, min(1.0, lower + INFLATION)) < level)
     return result | {
         "outcome": "certified" if lower > 0 else "nothing certified",
-        "lower": lower, "estimate": number / episodes, "visible": visible, "exact": certificate.exact,
+        "lower": lower, "estimate": number / episodes, "visible": visible, "exact": is_exact(certificate),
         "finding": "; ".join(findings),
     }  # fmt: skip
 
@@ -148,7 +149,7 @@ def forged(spec: Spec, file: Path, forgery: Forgery, episodes: int, level: float
         report = cg.check(certificate)
         if report.recomputed > 0:  # the forger learns, and claims what would be proved
             lower = report.recomputed * (1 - 1e-9) - 1e-12
-            header |= {"lower_bound": lower, "bounds": {header["bound"]: lower}, "gap": None, "exact": False}
+            header["proof"] |= {"lower_bound": lower, "bounds": {header["proof"]["bound"]: lower}, "gap": None}
             written(target, header, arrays)
             certificate = cg.load_certificate(target)
             report = cg.check(certificate)
@@ -181,10 +182,10 @@ def forge_all(trials: int, episodes: int, first: int, per_array: int, relation: 
                 certificate = cg.synthesize(problem_of(spec), **spec["options"]).certificate
             except ValueError:
                 continue
-            if not 0.05 < certificate.lower_bound < 0.99 or isinstance(certificate, cg.ProductCertificate):
+            if not 0.05 < certificate.lower_bound < 0.99 or isinstance(certificate.proof, ProductProof):
                 continue
             done += 1
-            kinds.update("+".join(sorted({part.relation["kind"] for part in certificate.agents})).split("|"))
+            kinds.update("+".join(sorted({part.relation["kind"] for part in certificate.proof.agents})).split("|"))
             file = Path(folder) / "certificate.npz"
             cg.save_certificate(certificate, file)
             rng = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.certificates import PathCertificate, StartHull
+from certigym.synthesis.certificates import HullProof, PathProof, changed
 from certigym.synthesis.values import Terms
 
 Forged = tuple[str, Any]
@@ -29,10 +29,10 @@ def forgeries_of(claim: Any, rng: np.random.Generator, each: int) -> Iterator[Fo
             yield name, replace(claim, menus=menus)
         for name, inside in _of_parts(claim.certificate, rng, 1):
             yield f"certificate of menus: {name}", replace(claim, certificate=inside)
-    elif isinstance(claim, PathCertificate):
+    elif isinstance(claim.proof, PathProof):
         for along in (_nominal_input, _gain, _letter, _face):
             yield from _repeated(along, claim, rng, each)
-    elif isinstance(claim, StartHull):
+    elif isinstance(claim.proof, HullProof):
         for around in (_corner, _corner_input, _hull_letter):
             yield from _repeated(around, claim, rng, each)
     elif isinstance(claim, cg.Certificate):
@@ -55,11 +55,11 @@ def _of_parts(certificate: cg.Certificate, rng: np.random.Generator, each: int) 
     changes = (_choice, _best_choice, _mask, _start_mask, _lattice, _menu_point, _number, _weight)
     for change in changes:
         for _ in range(each):
-            i = int(rng.integers(len(certificate.agents)))
-            part = change(certificate.agents[i], rng)
+            i = int(rng.integers(len(certificate.proof.agents)))
+            part = change(certificate.proof.agents[i], rng)
             if part is not None:
-                agents = (*certificate.agents[:i], part, *certificate.agents[i + 1 :])
-                yield change.__name__.strip("_").replace("_", " "), replace(certificate, agents=agents)
+                agents = (*certificate.proof.agents[:i], part, *certificate.proof.agents[i + 1 :])
+                yield change.__name__.strip("_").replace("_", " "), changed(certificate, agents=agents)
 
 
 def _put(array: np.ndarray, place: Any, value: Any) -> np.ndarray:
@@ -150,16 +150,16 @@ def _weight(part: Any, rng: np.random.Generator) -> Any:
 
 def _factor(certificate: cg.Certificate, rng: np.random.Generator) -> Forged | None:
     """One stored value raised."""
-    if certificate.terms is None:
+    if certificate.proof.terms is None:
         return None
-    i = int(rng.integers(len(certificate.terms.factors)))
-    factors = certificate.terms.factors[i]
+    i = int(rng.integers(len(certificate.proof.terms.factors)))
+    factors = certificate.proof.terms.factors[i]
     place = _anywhere(factors, rng)
     if place is None:
         return None
     raised = _put(factors, place, factors[place] + float(rng.choice([1e-6, 0.01, 0.3])))
-    every = (*certificate.terms.factors[:i], raised, *certificate.terms.factors[i + 1 :])
-    return "factor", replace(certificate, terms=Terms(every, certificate.terms.index))
+    every = (*certificate.proof.terms.factors[:i], raised, *certificate.proof.terms.factors[i + 1 :])
+    return "factor", changed(certificate, terms=Terms(every, certificate.proof.terms.index))
 
 
 def _guard(certificate: cg.Certificate, rng: np.random.Generator) -> Forged | None:
@@ -173,30 +173,30 @@ def _start_guard(certificate: cg.Certificate, rng: np.random.Generator) -> Forge
 
 
 def _guard_of(certificate: Any, rng: np.random.Generator, target: str, mask: str, masks: str) -> Forged | None:
-    targets, chosen = getattr(certificate, target), getattr(certificate, mask)
+    targets, chosen = getattr(certificate.proof, target), getattr(certificate.proof, mask)
     if not len(targets):
         return None
     if rng.random() < 0.5:
         states = certificate.problem.automaton.n_states
-        changed = _put(targets, int(rng.integers(len(targets))), rng.integers(states))
-        return target, replace(certificate, **{target: changed})
+        other = _put(targets, int(rng.integers(len(targets))), rng.integers(states))
+        return target, changed(certificate, **{target: other})
     place = _anywhere(chosen, rng)
     assert place is not None
-    number = len(getattr(certificate.agents[place[1]], masks))
-    return mask, replace(certificate, **{mask: _put(chosen, place, rng.integers(number))})
+    number = len(getattr(certificate.proof.agents[place[1]], masks))
+    return mask, changed(certificate, **{mask: _put(chosen, place, rng.integers(number))})
 
 
 def _union(certificate: cg.Certificate, rng: np.random.Generator) -> Forged | None:
     """One more union of two rows, or one that is there in another agent's factor."""
-    if not certificate.skeleton:
+    if not certificate.proof.skeleton:
         return None
-    t = int(rng.integers(len(certificate.skeleton)))
-    step = certificate.skeleton[t]
+    t = int(rng.integers(len(certificate.proof.skeleton)))
+    step = certificate.proof.skeleton[t]
     wide = [q for q, rows in enumerate(step.origin) if len(rows) > 1]
     if not wide:
         return None
     q = int(rng.choice(wide))
-    merges, agent = step.merges[q], int(rng.integers(len(certificate.agents)))
+    merges, agent = step.merges[q], int(rng.integers(len(certificate.proof.agents)))
     gone = set(merges.absorbed.tolist())
     left = [k for k in range(len(step.origin[q])) if k not in gone]
     if len(left) < 2:
@@ -208,36 +208,36 @@ def _union(certificate: cg.Certificate, rng: np.random.Generator) -> Forged | No
         agent=np.append(merges.agent, agent), rest=np.append(merges.rests, 0),
     )  # fmt: skip
     kept = step.kept[q][step.kept[q] != absorbed] if rng.random() < 0.5 else step.kept[q]
-    changed = replace(
+    other = replace(
         step,
         merges=(*step.merges[:q], united, *step.merges[q + 1 :]),
         kept=(*step.kept[:q], kept, *step.kept[q + 1 :]),
     )
-    skeleton = (*certificate.skeleton[:t], changed, *certificate.skeleton[t + 1 :])
-    return "union", replace(certificate, skeleton=skeleton)
+    skeleton = (*certificate.proof.skeleton[:t], other, *certificate.proof.skeleton[t + 1 :])
+    return "union", changed(certificate, skeleton=skeleton)
 
 
 def _kept(certificate: cg.Certificate, rng: np.random.Generator) -> Forged | None:
     """One vertex counted twice, or kept in the place of another."""
-    if not certificate.skeleton:
+    if not certificate.proof.skeleton:
         return None
-    t = int(rng.integers(len(certificate.skeleton)))
-    step = certificate.skeleton[t]
+    t = int(rng.integers(len(certificate.proof.skeleton)))
+    step = certificate.proof.skeleton[t]
     some = [q for q, rows in enumerate(step.kept) if len(rows)]
     if not some:
         return None
     q = int(rng.choice(some))
     kept = step.kept[q]
     again = np.append(kept, kept[-1]) if rng.random() < 0.5 else _put(kept, 0, rng.integers(len(step.origin[q])))
-    changed = replace(step, kept=(*step.kept[:q], again.astype(kept.dtype), *step.kept[q + 1 :]))
-    skeleton = (*certificate.skeleton[:t], changed, *certificate.skeleton[t + 1 :])
-    return "kept vertex", replace(certificate, skeleton=skeleton)
+    other = replace(step, kept=(*step.kept[:q], again.astype(kept.dtype), *step.kept[q + 1 :]))
+    skeleton = (*certificate.proof.skeleton[:t], other, *certificate.proof.skeleton[t + 1 :])
+    return "kept vertex", changed(certificate, skeleton=skeleton)
 
 
 def _menus(permission: Any, rng: np.random.Generator) -> Forged | None:
     """One choice more on one menu, or another one in the place of one."""
     i = int(rng.integers(len(permission.menus)))
-    menus, part = permission.menus[i], permission.certificate.agents[i]
+    menus, part = permission.menus[i], permission.certificate.proof.agents[i]
     flat = menus.counts.reshape(-1)
     filled = np.flatnonzero(flat)
     if not len(filled):
@@ -252,19 +252,19 @@ def _menus(permission: Any, rng: np.random.Generator) -> Forged | None:
         choices = np.insert(menus.choices, end, other).astype(menus.choices.dtype)
         counts = _put(flat, place, flat[place] + 1).reshape(menus.counts.shape)
         name = "one choice more on a menu"
-    changed = type(menus)(counts, choices)
-    return name, (*permission.menus[:i], changed, *permission.menus[i + 1 :])
+    other = type(menus)(counts, choices)
+    return name, (*permission.menus[:i], other, *permission.menus[i + 1 :])
 
 
 def _of_path(certificate: Any, rng: np.random.Generator, name: str, share: float) -> Forged | None:
-    i = int(rng.integers(len(certificate.paths)))
-    path = certificate.paths[i]
+    i = int(rng.integers(len(certificate.proof.paths)))
+    path = certificate.proof.paths[i]
     values = getattr(path, name)
     place = _anywhere(values, rng)
     agent = certificate.problem.agents[i]
     size = float(np.max(agent.input_high - agent.input_low)) if name == "inputs" else float(np.abs(values).max()) or 0.1
-    changed = replace(path, **{name: _put(values, place, values[place] + float(rng.choice([-1, 1])) * share * size)})
-    return name, replace(certificate, paths=(*certificate.paths[:i], changed, *certificate.paths[i + 1 :]))
+    other = replace(path, **{name: _put(values, place, values[place] + float(rng.choice([-1, 1])) * share * size)})
+    return name, changed(certificate, paths=(*certificate.proof.paths[:i], other, *certificate.proof.paths[i + 1 :]))
 
 
 def _nominal_input(certificate: Any, rng: np.random.Generator) -> Forged | None:
@@ -279,37 +279,37 @@ def _gain(certificate: Any, rng: np.random.Generator) -> Forged | None:
 
 def _letter(certificate: Any, rng: np.random.Generator) -> Forged | None:
     """One proposition at one time no longer asked for, or asked for otherwise."""
-    place = _anywhere(certificate.letters, rng)
+    place = _anywhere(certificate.proof.letters, rng)
     if place is None:
         return None
-    value = rng.choice([v for v in (-1, 0, 0, 1) if v != certificate.letters[place]])
-    return "letter", replace(certificate, letters=_put(certificate.letters, place, value))
+    value = rng.choice([v for v in (-1, 0, 0, 1) if v != certificate.proof.letters[place]])
+    return "letter", changed(certificate, letters=_put(certificate.proof.letters, place, value))
 
 
 def _face(certificate: Any, rng: np.random.Generator) -> Forged | None:
     """One region kept away from on another side."""
-    avoided = np.argwhere(certificate.letters < 0)
+    avoided = np.argwhere(certificate.proof.letters < 0)
     if not len(avoided):
         return None
     place = tuple(avoided[int(rng.integers(len(avoided)))])
-    return "face", replace(certificate, faces=_put(certificate.faces, place, rng.integers(-1, 4)))
+    return "face", changed(certificate, faces=_put(certificate.proof.faces, place, rng.integers(-1, 4)))
 
 
 def _corner(hull: Any, rng: np.random.Generator) -> Forged | None:
     """One corner moved away from the middle."""
-    i = int(rng.integers(len(hull.corners)))
-    middle = hull.corners.mean(axis=0)
-    farther = middle + float(rng.choice([1.02, 1.3])) * (hull.corners[i] - middle)
-    return "corner", replace(hull, corners=_put(hull.corners, i, farther))
+    i = int(rng.integers(len(hull.proof.corners)))
+    middle = hull.proof.corners.mean(axis=0)
+    farther = middle + float(rng.choice([1.02, 1.3])) * (hull.proof.corners[i] - middle)
+    return "corner", changed(hull, corners=_put(hull.proof.corners, i, farther))
 
 
 def _corner_input(hull: Any, rng: np.random.Generator) -> Forged | None:
     """One nominal input of one corner moved."""
-    place = _anywhere(hull.inputs, rng)
+    place = _anywhere(hull.proof.inputs, rng)
     agent = hull.problem.agents[0]
     size = float(np.max(agent.input_high - agent.input_low))
-    return "input of a corner", replace(
-        hull, inputs=_put(hull.inputs, place, hull.inputs[place] + float(rng.choice([-0.2, 0.2])) * size)
+    return "input of a corner", changed(
+        hull, inputs=_put(hull.proof.inputs, place, hull.proof.inputs[place] + float(rng.choice([-0.2, 0.2])) * size)
     )
 
 

@@ -90,7 +90,7 @@ def measured(name: str) -> dict[str, Any]:
     result = cg.synthesize(name)
     seconds = time.process_time() - began
     certificate = result.certificate
-    parts = getattr(certificate, "parts", (certificate,))
+    parts = certificate.proof.factors or (certificate,)
     above = result.stats.get("continuous_upper_bound")
     return {
         "certified": float(certificate.lower_bound),
@@ -101,7 +101,7 @@ def measured(name: str) -> dict[str, Any]:
             dict.fromkeys(" x ".join(map(str, agent.grid.shape)) for part in parts for agent in _on_grids(part))
         )
         or "-",
-        "rank": max(part.rank for part in parts),
+        "rank": max(part.proof.rank for part in parts),
         "seconds": round(seconds),
         "check": "valid" if cg.check(certificate) else "NOT valid",
     }
@@ -109,12 +109,12 @@ def measured(name: str) -> dict[str, Any]:
 
 def _on_grids(part: Any) -> tuple[Any, ...]:
     """Return the agents of a certificate that have cells."""
-    return tuple(part.agents) if part.has_cells else ()
+    return tuple(part.proof.agents) if part.proof.has_cells else ()
 
 
 def _kinds(part: Any) -> list[str]:
     """Return the relations of a certificate."""
-    return [agent.relation["kind"] for agent in part.agents] if part.has_cells else ["path"]
+    return [agent.relation["kind"] for agent in part.proof.agents] if part.proof.has_cells else ["path"]
 
 
 def longer(name: str) -> list[dict[str, Any]]:

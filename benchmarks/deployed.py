@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.certificates import MixedCertificate
+from certigym.synthesis.certificates import MixedProof, ProductProof
 from random_problems import Spec
 
 
@@ -36,9 +36,9 @@ class Deployed:
 
     def __init__(self, certificate: Any, episodes: int, seed: int) -> None:
         self.problem = certificate.problem
-        parts: Any = certificate.parts if isinstance(certificate, cg.ProductCertificate) else (certificate,)
-        if isinstance(certificate, MixedCertificate):  # each kind of agents by what its own automaton reads
-            parts = (certificate.grids, certificate.paths)
+        parts: Any = certificate.proof.parts if isinstance(certificate.proof, ProductProof) else (certificate,)
+        if isinstance(certificate.proof, MixedProof):  # each kind of agents by what its own automaton reads
+            parts = (certificate.proof.grids, certificate.proof.paths)
         names = self.problem.agent_names
         self.parts = [(part, [names.index(name) for name in part.problem.agent_names]) for part in parts]
         self.q = [np.full(episodes, part.problem.automaton.initial) for part, _ in self.parts]
@@ -117,7 +117,7 @@ class Permitted:
         self.q = self.problem.automaton.next_state(self.q, letters)
         inputs = []
         for i, (agent, x) in enumerate(zip(self.problem.agents, states)):
-            menus, part = self.permission.menus[i], self.permission.certificate.agents[i]
+            menus, part = self.permission.menus[i], self.permission.certificate.proof.agents[i]
             points = self.permission.certificate.controller.agents[i].project(x)
             cells = part.grid.cell_of(points)
             places = (t * menus.counts.shape[1] + self.q) * part.grid.n_cells + cells

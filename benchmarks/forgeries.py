@@ -63,17 +63,19 @@ def _on_array(number: int, change: Callable[[np.ndarray], np.ndarray]) -> Callab
 
 def _claims() -> Iterator[Forgery]:
     def raised(header: Header, arrays: Arrays) -> None:
-        header["lower_bound"] = min(1.0, 1.01 * header["lower_bound"] + 0.001)
-        header["bounds"] = dict.fromkeys(header["bounds"], header["lower_bound"])
+        header["proof"]["lower_bound"] = min(1.0, 1.01 * header["proof"]["lower_bound"] + 0.001)
+        header["proof"]["bounds"] = dict.fromkeys(header["proof"]["bounds"], header["proof"]["lower_bound"])
 
     def listed(header: Header, arrays: Arrays) -> None:
-        header["bounds"] = dict.fromkeys(header["bounds"], min(1.0, 1.01 * header["lower_bound"] + 0.001))
+        header["proof"]["bounds"] = dict.fromkeys(
+            header["proof"]["bounds"], min(1.0, 1.01 * header["proof"]["lower_bound"] + 0.001)
+        )
 
     def exact(header: Header, arrays: Arrays) -> None:
-        header["exact"], header["gap"] = True, 0.0
+        header["proof"]["gap"] = 0.0
 
     def unreserved(header: Header, arrays: Arrays) -> None:
-        header["relative_rounding"] = 0.0
+        header["proof"]["relative_rounding"] = 0.0
 
     yield "bound raised", raised
     yield "another bound raised", listed
@@ -86,7 +88,14 @@ def _of_numbers(entry: Any, path: tuple[Any, ...]) -> Iterator[Forgery]:
     items = entry.items() if isinstance(entry, dict) else enumerate(entry) if isinstance(entry, list) else ()
     for key, value in items:
         here = (*path, key)
-        if here in (("problem",), ("fingerprint",), ("digest",), ("settings",), ("skeleton",), ("terms",)):
+        if here in (
+            ("problem",),
+            ("fingerprint",),
+            ("digest",),
+            ("settings",),
+            ("proof", "skeleton"),
+            ("proof", "terms"),
+        ):
             continue
         if isinstance(value, dict | list):
             yield from _of_numbers(value, here)
@@ -119,31 +128,31 @@ def _of_structure(header: Header) -> Iterator[Forgery]:
     """Vertices listed twice, agents exchanged, guards repeated, coordinates rescaled."""
 
     def doubled(header: Header, arrays: Arrays) -> None:
-        for entry in header["skeleton"][0]:
+        for entry in header["proof"]["skeleton"][0]:
             origin, kept = arrays[entry[0]], arrays[entry[4]]
             entry[0], entry[4] = len(arrays), len(arrays) + 1
             twice = np.concatenate([kept, kept + len(origin)]).astype(kept.dtype)
             arrays += [np.concatenate([origin, origin]), twice]
-        for q, entry in enumerate(header["skeleton"][0]):
+        for q, entry in enumerate(header["proof"]["skeleton"][0]):
             if len(arrays[entry[0]]):
-                rows = arrays[header["terms"]["index"][q]]
-                header["terms"]["index"][q] = len(arrays)
+                rows = arrays[header["proof"]["terms"]["index"][q]]
+                header["proof"]["terms"]["index"][q] = len(arrays)
                 arrays.append(np.concatenate([rows, rows]))
 
     def exchanged(header: Header, arrays: Arrays) -> None:
-        header["agents"] = header["agents"][::-1]
+        header["proof"]["agents"] = header["proof"]["agents"][::-1]
 
     def repeated(name: str) -> Callable[[Header, Arrays], None]:
         def forge(header: Header, arrays: Arrays) -> None:
-            header[name] = [len(arrays) + k for k in range(len(header[name]))]
+            header["proof"][name] = [len(arrays) + k for k in range(len(header["proof"][name]))]
             arrays += [np.concatenate([arrays[k], arrays[k]]) for k in original[name]]
 
-        original = {name: header[name]}
+        original = {name: header["proof"][name]}
         return forge
 
     def rescaled(factor: float) -> Callable[[Header, Arrays], None]:
         def forge(header: Header, arrays: Arrays) -> None:
-            for agent in header["agents"]:
+            for agent in header["proof"]["agents"]:
                 scale = np.ones(len(agent["edges"]))
                 scale[-1] = factor
                 arrays.append(arrays[agent["coordinates"]] @ np.diag(scale))
@@ -154,7 +163,7 @@ def _of_structure(header: Header) -> Iterator[Forgery]:
 
         return forge
 
-    if header.get("skeleton"):
+    if header["proof"].get("skeleton"):
         yield "vertices listed twice", doubled
     yield "agents exchanged", exchanged
     yield "guards repeated", repeated("guards")

@@ -72,14 +72,17 @@ def forged(folder: Path, forge: Callable[[dict[str, Any], list[np.ndarray]], Non
 
 def _in_header(key: str, value: Any, **options: Any) -> Case:
     def case(folder: Path) -> object:
-        return forged(folder, lambda header, arrays: header.update({key: value}), **options)
+        def forge(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
+            (header if key in header else header["proof"])[key] = value
+
+        return forged(folder, forge, **options)
 
     return case
 
 
 def _in_relation(entry: str, value: Any, **options: Any) -> Case:
     def forge(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
-        header["agents"][0]["relation"][entry] = value
+        header["proof"]["agents"][0]["relation"][entry] = value
 
     return lambda folder: forged(folder, forge, **options)
 
@@ -101,7 +104,7 @@ def long_header(folder: Path) -> object:
     """Load a file of 175 kB whose header unpacks to 180 MB of JSON."""
     file, text = folder / "certificate.npz", io.BytesIO()
     numbers = b"[" + b"0," * 90_000_000 + b"0]"
-    header = b'{"format": "certigym-certificate", "version": 1, "settings": ' + numbers + b"}"
+    header = b'{"format": "certigym-certificate", "version": 2, "settings": ' + numbers + b"}"
     np.lib.format.write_array(text, np.frombuffer(header, dtype=np.uint8))
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("header.npy", text.getvalue())

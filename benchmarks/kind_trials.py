@@ -16,7 +16,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from cell_forgeries import forgeries_of
-from certigym.synthesis.certificates import AgentPath, PathCertificate, StartHull
+from certigym.synthesis.certificates import AgentPath, GridProof, HullProof, PathProof, ProductProof, changed
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import Network
 from certigym.synthesis.upper_ends import bound_above
@@ -118,9 +118,9 @@ def _refused(claim: Any) -> str:
 def _of_path(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """A certificate along a path, whose inputs are computed by other code."""
     found = cg.synthesize(problem, **spec["options"]).certificate
-    if not isinstance(found, PathCertificate):  # independent tasks
+    if not isinstance(found.proof, PathProof):  # independent tasks
         return [(spec, lambda n, seed: Deployed(found, n, seed), found.lower_bound)], _refused(found)
-    return [(spec, lambda n, seed: Followed(spec, found.paths), found.lower_bound)], _refused(found)
+    return [(spec, lambda n, seed: Followed(spec, found.proof.paths), found.lower_bound)], _refused(found)
 
 
 def _of_nonlinear(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
@@ -136,13 +136,13 @@ def _of_hull(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """A set of starts: mixtures of few corners, and a corner that is hardly mixed."""
     certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
     hull = cg.certified_starts(certificate, spec["probability"], rays=10)
-    rng, claims = np.random.default_rng([5, len(hull.corners)]), list[Any]()
+    rng, claims = np.random.default_rng([5, len(hull.proof.corners)]), list[Any]()
     for alpha in (0.05, 1e-4)[:STARTS]:
-        weights = rng.dirichlet(np.full(len(hull.corners), alpha) + 1e-6)
-        inputs = np.tensordot(weights, hull.inputs, axes=1)
-        agent = {**spec["agents"][0], "initial_state": (weights @ hull.corners).tolist()}
+        weights = rng.dirichlet(np.full(len(hull.proof.corners), alpha) + 1e-6)
+        inputs = np.tensordot(weights, hull.proof.inputs, axes=1)
+        agent = {**spec["agents"][0], "initial_state": (weights @ hull.proof.corners).tolist()}
         own = {**spec, "agents": [agent]}
-        path = [type(certificate.paths[0])(inputs, hull.gain)]
+        path = [AgentPath(inputs, hull.proof.gain)]
         claims.append((own, lambda n, seed, own=own, path=path: Followed(own, path), hull.lower_bound))
     return claims, _refused(hull)
 
@@ -150,7 +150,7 @@ def _of_hull(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
 def _of_menus(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """Menus, and four ways to choose from them."""
     certificate = cg.synthesize(problem, **spec["options"]).certificate
-    if isinstance(certificate, cg.ProductCertificate):
+    if isinstance(certificate.proof, ProductProof):
         raise ValueError("of independent tasks")
     permission = cg.permit(certificate, probability=spec["share"] * certificate.lower_bound)
     report = cg.check_permission(permission)
@@ -190,7 +190,7 @@ def random_network(problem: cg.Problem, spec: Spec) -> Network:
 def _of_upper_end(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """The other end of a certificate: at least so often its controllers fail."""
     certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
-    if isinstance(certificate, cg.ProductCertificate):
+    if isinstance(certificate.proof, ProductProof):
         raise ValueError("of independent tasks")
     end = bound_above(certificate)
     report = cg.check(end)
@@ -239,7 +239,7 @@ def _honest(problem: cg.Problem, spec: Spec) -> tuple[Any, Callable[[Any], Any]]
         cells, relation = spec["options"]["cells"], spec["network"]["relation"]
         return certify_network(problem, actor, cells, relation=relation).certificate, cg.check
     certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
-    if isinstance(certificate, cg.ProductCertificate):
+    if isinstance(certificate.proof, ProductProof):
         return None, cg.check
     if "share" in spec:
         return cg.permit(certificate, probability=spec["share"] * certificate.lower_bound), cg.check_permission
@@ -250,11 +250,11 @@ def _honest(problem: cg.Problem, spec: Spec) -> tuple[Any, Callable[[Any], Any]]
 
 def _claiming(claim: Any, lower: float) -> Any:
     """The same claim with another bound."""
-    if isinstance(claim, PathCertificate | StartHull):
-        return replace(claim, failure=1.0 - lower)
     if isinstance(claim, cg.Permission):
         return replace(claim, lower_bound=lower)
-    return replace(claim, lower_bound=lower, bounds={claim.bound: lower}, gap=None, exact=False)
+    if isinstance(claim.proof, PathProof | HullProof):
+        return changed(claim, failure=1.0 - lower)
+    return changed(claim, lower_bound=lower, bounds={claim.proof.bound: lower}, gap=None)
 
 
 def _judged(spec: Spec, honest: Any, forged: Any, verify: Callable[[Any], Any], level: float) -> tuple[str, str]:
@@ -274,9 +274,13 @@ def _judged(spec: Spec, honest: Any, forged: Any, verify: Callable[[Any], Any], 
     except Exception as error:  # noqa: BLE001 a crash is a finding
         return "crashed", f"{type(error).__name__}: {error}"
     # What is said of other starts must not grow by more than reserves, unless policies are others.
-    if isinstance(forged, cg.Certificate) and all(
-        np.array_equal(one.policy, other.policy) and one.relation == other.relation
-        for one, other in zip(forged.agents, honest.agents)
+    if (
+        isinstance(forged, cg.Certificate)
+        and isinstance(forged.proof, GridProof)
+        and all(
+            np.array_equal(one.policy, other.policy) and one.relation == other.relation
+            for one, other in zip(forged.proof.agents, honest.proof.agents)
+        )
     ):
         rng, agents = np.random.default_rng(0), honest.problem.agents
         low, high = (np.concatenate([getattr(a.workspace, side) for a in agents]) for side in ("low", "high"))
@@ -297,12 +301,12 @@ def _behaviours(spec: Spec, claim: Any) -> Iterator[tuple[Spec, Act]]:
     if isinstance(claim, cg.Permission):
         for way in ("random", "lowest", "highest", "outermost"):
             yield spec, Permitted(claim, way, FIRST, 1)
-    elif isinstance(claim, StartHull):
-        for i in range(0, len(claim.corners), 3):
-            agent = {**spec["agents"][0], "initial_state": claim.corners[i].tolist()}
+    elif isinstance(claim.proof, HullProof):
+        for i in range(0, len(claim.proof.corners), 3):
+            agent = {**spec["agents"][0], "initial_state": claim.proof.corners[i].tolist()}
             own = {**spec, "agents": [agent]}
-            yield own, Followed(own, [AgentPath(claim.inputs[i], claim.gain)])
-    elif isinstance(claim, PathCertificate):
-        yield spec, Followed(spec, claim.paths)
+            yield own, Followed(own, [AgentPath(claim.proof.inputs[i], claim.proof.gain)])
+    elif isinstance(claim.proof, PathProof):
+        yield spec, Followed(spec, claim.proof.paths)
     else:
         yield spec, Deployed(claim, FIRST, 1)

@@ -113,7 +113,7 @@ def measured(name: str) -> dict[str, Any]:
         "job": name,
         "cpu seconds": round(seconds, 2),
         "MiB": memory,
-        "rank": found.certificate.rank,
+        "rank": found.certificate.proof.rank,
         "certified": rounded_down(found.certificate.lower_bound),
         "optimum at most": rounded_up(found.stats["abstract_upper_bound"]),
         "rollouts": report.estimate,

@@ -84,7 +84,7 @@ def measured() -> Rows:
                     "seconds": seconds,
                     "MiB": peak / 2**20,
                     "certified": result.certificate.lower_bound,
-                    "rank": result.certificate.rank,
+                    "rank": result.certificate.proof.rank,
                 }
             )
     return rows

@@ -68,7 +68,7 @@ def measured(problem: Any, cells: Any) -> dict[str, object]:
     checked = time.perf_counter() - began
     estimate = cg.validate(certificate, EPISODES, seed=1).estimate
     bounds = {"boxes": certificate.lower_bound, "rollouts": estimate}
-    if max(len(part.policy[0, 0]) for part in certificate.agents) <= MOST_CELLS:
+    if max(len(part.policy[0, 0]) for part in certificate.proof.agents) <= MOST_CELLS:
         bounds["linear"] = cg.synthesize(problem, cells, relation="linear").certificate.lower_bound
     return {
         "problem": certificate.problem.name,

@@ -140,7 +140,11 @@ def judge() -> Row:
             false = bool(binom.cdf(number, EPISODES, certificate.lower_bound) < LEVEL)
             above = certificate.lower_bound + (certificate.gap if certificate.gap is not None else 1.0)
             false |= bool(binom.sf(number - 1, EPISODES, min(1.0, above)) < LEVEL)
-            false |= beyond > 1e-9 and certificate.delta == 0.0 and certificate.lower_bound > 0
+            false |= (
+                beyond > 1e-9
+                and all(agent.relation.delta == 0.0 for agent in certificate.controller.agents)
+                and certificate.lower_bound > 0
+            )
             report = cg.check(certificate)
             outcome["refused"] += [] if report else [name]
             if false:
@@ -155,51 +159,54 @@ def judge() -> Row:
 
 def guards_twice(certificate: Any) -> Any:
     """Every guard listed twice, and the last step back taken through both: the value at time 0 is doubled."""
-    step, count = certificate.skeleton[0], len(certificate.guard_source)
+    step, count = certificate.proof.skeleton[0], len(certificate.proof.guard_source)
     again = np.array([count, 0])
     origin = tuple(np.concatenate([rows, rows + again]) for rows in step.origin)
     kept = tuple(np.concatenate([rows, rows + len(o)]) for rows, o in zip(step.kept, step.origin, strict=True))
-    pairs = zip(certificate.terms.index, step.origin, strict=True)
+    pairs = zip(certificate.proof.terms.index, step.origin, strict=True)
     index = tuple(np.concatenate([rows, rows]) if len(o) else rows for rows, o in pairs)
-    return replace(
+    return changed(
         certificate,
-        skeleton=(replace(step, origin=origin, kept=kept), *certificate.skeleton[1:]),
-        terms=replace(certificate.terms, index=index),
+        skeleton=(replace(step, origin=origin, kept=kept), *certificate.proof.skeleton[1:]),
+        terms=replace(certificate.proof.terms, index=index),
         **{
-            name: np.concatenate([getattr(certificate, name)] * 2)
+            name: np.concatenate([getattr(certificate.proof, name)] * 2)
             for name in ("guard_source", "guard_target", "guard_mask")
         },
     )
 
 
+def changed(certificate: Any, **entries: Any) -> Any:
+    """Return a certificate with other entries of its proof; it may be that of another copy of the package."""
+    return replace(certificate, proof=replace(certificate.proof, **entries))
+
+
 def _accepted(cg: Any, certificate: Any) -> list[str]:
     """Forgeries that the check accepts."""
-    certificate = replace(certificate, gap=None, exact=False)
-    part = certificate.agents[0]
+    certificate = changed(certificate, gap=None)
+    part = certificate.proof.agents[0]
     lower = min(1.0, certificate.lower_bound + 0.01)
-    forged = {
-        "bound": replace(certificate, lower_bound=lower, bounds={certificate.bound: lower}, gap=None, exact=False)
-    }
+    forged = {"bound": changed(certificate, lower_bound=lower, bounds={certificate.proof.bound: lower}, gap=None)}
     everywhere = replace(part, masks=np.ones_like(part.masks))
-    forged["guards"] = replace(certificate, agents=(everywhere, *certificate.agents[1:]))
-    if len({*certificate.guard_target.tolist()}) > 1:
-        forged["targets"] = replace(certificate, guard_target=certificate.guard_target[::-1].copy())
+    forged["guards"] = changed(certificate, agents=(everywhere, *certificate.proof.agents[1:]))
+    if len({*certificate.proof.guard_target.tolist()}) > 1:
+        forged["targets"] = changed(certificate, guard_target=certificate.proof.guard_target[::-1].copy())
     if part.menu is None:
         rolled = replace(part, policy=np.roll(part.policy, len(part.policy[0, 0]) // 2, axis=2))
-        forged["policy"] = replace(certificate, agents=(rolled, *certificate.agents[1:]))
+        forged["policy"] = changed(certificate, agents=(rolled, *certificate.proof.agents[1:]))
     else:
         feedback = part.relation["feedback"]
         wilder = [[5.0 * entry for entry in row] for row in feedback] if isinstance(feedback, list) else -feedback
         wild = replace(part, relation={**part.relation, "feedback": wilder})
-        forged["feedback"] = replace(certificate, agents=(wild, *certificate.agents[1:]))
-    if certificate.skeleton:
-        step = certificate.skeleton[0]
+        forged["feedback"] = changed(certificate, agents=(wild, *certificate.proof.agents[1:]))
+    if certificate.proof.skeleton:
+        step = certificate.proof.skeleton[0]
         origin = tuple(np.concatenate([rows, rows]) for rows in step.origin)
         kept = tuple(np.concatenate([rows, rows + len(o)]) for rows, o in zip(step.kept, step.origin, strict=True))
         index = tuple(np.concatenate([rows, rows]) if len(o) else rows
-                      for rows, o in zip(certificate.terms.index, step.origin, strict=True))  # fmt: skip
-        twice = (replace(step, origin=origin, kept=kept), *certificate.skeleton[1:])
-        forged["twice"] = replace(certificate, skeleton=twice, terms=replace(certificate.terms, index=index))
+                      for rows, o in zip(certificate.proof.terms.index, step.origin, strict=True))  # fmt: skip
+        twice = (replace(step, origin=origin, kept=kept), *certificate.proof.skeleton[1:])
+        forged["twice"] = changed(certificate, skeleton=twice, terms=replace(certificate.proof.terms, index=index))
         forged["guards twice"] = guards_twice(certificate)
     return [title for title, one in forged.items() if one.lower_bound > 0 and cg.check(one)]
 

@@ -129,10 +129,10 @@ def failures(row: str, number: int = 0) -> tuple[tuple[float, float], tuple[floa
     """Return failure and seconds of our nominal inputs, and of those of the program, for one of the feedbacks."""
     found: Any = cg.synthesize(Path(__file__).parent / "arch" / f"{row}.toml", relation="path").certificate
     agent: Any = found.problem.agents[0]
-    gain, steps = path_search.feedback(agent, number), found.n_steps
+    gain, steps = path_search.feedback(agent, number), found.proof.n_steps
     assert gain is not None
     covariances = covariances_of(agent, gain, steps)
-    states = state_slabs(limits_of(found.problem, 0, found.letters, found.faces), covariances)
+    states = state_slabs(limits_of(found.problem, 0, found.proof.letters, found.proof.faces), covariances)
     inputs, response = input_slabs(agent, gain, covariances, steps), Response.of(agent, steps)
     seconds, ours = once(lambda: nominal_inputs(agent, states, inputs, response))
     constant, matrix = response.of_slabs(states)

@@ -31,7 +31,7 @@ machine.
 """
 
 
-def certificate_of(name: str, folder: Path | None) -> cg.Certificate | cg.ProductCertificate:
+def certificate_of(name: str, folder: Path | None) -> cg.Certificate:
     """Return the certificate of the defaults, from the folder if it is there."""
     path = None if folder is None else folder / f"{name}.npz"
     if path is not None and path.is_file():

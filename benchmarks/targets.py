@@ -125,7 +125,7 @@ def rollout_row(name: str, changes: dict[str, Any], settings: dict[str, Any], ep
     cg.rollout(problem, controller, episodes)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    relations = {agent.relation["kind"] for agent in result.certificate.agents}
+    relations = {agent.relation["kind"] for agent in result.certificate.proof.agents}
     return {
         "task": name,
         "relation": ", ".join(sorted(relations)),

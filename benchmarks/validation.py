@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import betaln
 
 import certigym as cg
-from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.certificates import OnGrid
 from certigym.validation.audits.step_tests import audit
 from certigym.validation.audits.value_at import claimed_values
 from certigym.validation.simulation.cluster import executor_for
@@ -119,7 +119,7 @@ def audit_power() -> list[dict[str, Any]]:
     for name, (system, belief) in believed.items():
         wrong = cg.synthesize(belief, 80).certificate
         values = claimed_values(wrong)
-        claim: Certificate = replace(wrong, problem=system, exact=False)
+        claim: OnGrid = replace(wrong, problem=system, exact=False)
         by_audit = needed(lambda m, c=claim, v=values: audit(c, m, values=v, confidence=1 - 1e-6).refuted)
         at_ends = needed(lambda m, c=claim: cg.validate(c, m, confidence=1 - 1e-6).verdict == REFUTED)
         rows.append({"believed": name, "claimed": wrong.lower_bound, "audit": by_audit, "end_points": at_ends})

@@ -17,6 +17,7 @@ import time
 from typing import Any
 
 import certigym as cg
+from certigym.synthesis.certificates import is_exact, start_of_claim
 from certigym.validation.policies.rollout_policies import RandomController
 from certigym.validation.simulation.rollouts import rollout
 from certigym.validation.statistics.binomial import clopper_pearson
@@ -42,20 +43,20 @@ def measured(id: str) -> dict[str, Any]:
         CERTIFICATES.mkdir(exist_ok=True)
         cg.save_certificate(certificate, CERTIFICATES / f"{id}.npz")
         # A certificate about pairs stands on one without them.
-        base = getattr(certificate, "base", certificate)
-        on_cells = base.has_cells  # a certificate along a path has none
-        shapes = sorted({part.grid.shape for part in base.agents}) if on_cells else []
+        base = getattr(certificate.proof, "base", certificate)
+        on_cells = base.proof.has_cells  # a certificate along a path has none
+        shapes = sorted({part.grid.shape for part in base.proof.agents_of(base.problem)}) if on_cells else []
         result["certificate"] = {
             "lower_bound": certificate.lower_bound,
             "gap": certificate.gap,
-            "exact": certificate.exact,
+            "exact": is_exact(certificate),
             "abstract_upper_bound": found.stats.get("abstract_upper_bound"),
-            "method": certificate.method,
-            "bound": certificate.bound,
-            "start": certificate.start,
+            "method": certificate.proof.method,
+            "bound": certificate.proof.bound,
+            "start": start_of_claim(certificate),
             "cells": [list(shape) for shape in shapes],
-            "value": "none" if not on_cells else "tensor trains" if base.terms is None else "tree",
-            "rank": certificate.rank,
+            "value": "none" if not on_cells else "tensor trains" if base.proof.terms is None else "tree",
+            "rank": certificate.proof.rank,
             "seconds": round(seconds, 2),
             "mebibytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
             "rollouts": _rollouts(problem, certificate.controller),

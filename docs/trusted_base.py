@@ -42,14 +42,12 @@ TRUSTED = {
     ),
     "What the certificate holds": (
         "synthesis.cells.axes_of_lattices synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
-        "synthesis.certificates.certificate synthesis.certificates.certificate_file "
-        "synthesis.certificates.certificate_reader synthesis.certificates.claim synthesis.certificates.part "
-        "synthesis.certificates.mixed_certificate synthesis.certificates.pairs_certificate "
-        ""
-        "synthesis.certificates.path_certificate "
-        "synthesis.certificates.start_hull "
-        "synthesis.certificates.product synthesis.certificates.team_certificate "
-        "synthesis.certificates.timed_certificate synthesis.certificates.two_ended synthesis.certificates.seen "
+        "synthesis.certificates.certificate synthesis.certificates.certificate_file synthesis.certificates.version_one "
+        "synthesis.certificates.grid_reader synthesis.certificates.claim synthesis.certificates.part "
+        "synthesis.certificates.proof synthesis.certificates.grid_proof synthesis.certificates.path_proof "
+        "synthesis.certificates.hull_proof synthesis.certificates.subtraction_proof "
+        "synthesis.certificates.mixed_proof synthesis.certificates.joint_proof "
+        "synthesis.certificates.product_proof synthesis.certificates.seen "
         "synthesis.certificates.archive synthesis.certificates.written_values "
         "synthesis.values.terms"
     ),
@@ -93,7 +91,8 @@ TRUSTED = {
 FIRST = {
     "synthesis.checking.certificate_check": "the order of the steps; nothing is called valid before all have passed",
     "synthesis.certificates.part": "what a certificate holds of each agent: grid, labels, menu, policy, relation",
-    "synthesis.certificates.certificate": "what it holds of all of them: guards, tree, value, bound",
+    "synthesis.certificates.grid_proof": "what it holds of all of them: guards, tree, value, bound",
+    "synthesis.certificates.certificate": "the claim: a problem, a proof, and the two ends that are read from it",
     "synthesis.checking.grid_check": "cells tile the workspace, and each has the labels that hold in all of it",
     "synthesis.checking.geometry": "the boxes behind that: half-open, exact comparisons, no tolerance",
     "synthesis.checking.guard_check": "guards are disjoint products that lead where the automaton leads",
@@ -116,8 +115,7 @@ THEN = {
     "envs.problem.specification envs.problem.record envs.problem.joint_noise",
     "the formula": "envs.logic.automaton envs.logic.parser envs.logic.normal_form envs.logic.obligations "
     "envs.logic.translation envs.logic.minimal",
-    "files": "synthesis.certificates.certificate_file synthesis.certificates.certificate_reader "
-    "envs.problem.problem_file",
+    "files": "synthesis.certificates.certificate_file synthesis.certificates.grid_reader envs.problem.problem_file",
     "linear cells": "synthesis.checking.linear_check synthesis.checking.linear_tables "
     "synthesis.checking.written_linear synthesis.relations.affine_means",
     "mean boxes": "synthesis.checking.boxes_check synthesis.checking.mean_spans synthesis.checking.aim_spans "
@@ -131,7 +129,7 @@ THEN = {
     "paths": "synthesis.path_checking.path_check synthesis.path_checking.linear_deviations "
     "synthesis.path_checking.nonlinear_check synthesis.path_checking.own_intervals "
     "synthesis.path_checking.own_bends synthesis.path_checking.gaussian_inequalities "
-    "synthesis.path_checking.law_moments synthesis.certificates.path_certificate "
+    "synthesis.path_checking.law_moments synthesis.certificates.path_proof "
     "synthesis.controllers.path_controller",
     "pairs of agents, teams": "synthesis.checking.pairs_check synthesis.checking.team_check "
     "synthesis.checking.mixed_check synthesis.path_checking.whereabouts synthesis.path_checking.pair_limits_check "

@@ -8,7 +8,7 @@ from certigym.synthesis.controllers import AgentController
 problem = cg.make_problem("reach-avoid-v0", horizon=6)
 result: cg.Synthesis = cg.synthesize(problem, cells=400)
 certificate: cg.Certificate = result.certificate
-print(f"certified {certificate.lower_bound:.6f} on average over the start box ({certificate.bound} bound)")
+print(f"certified {certificate.lower_bound:.6f} on average over the start box ({certificate.proof.bound} bound)")
 print("from two other starts", certificate.at([[-15.0, -3.0], [-20.0, -3.0]]))
 print("from everywhere in a box", certificate.min([-12.0, -4.0], [-10.0, -3.0]))
 

@@ -34,8 +34,7 @@ print(f"the first of {len(problem.tasks)} independent tasks: {problem.tasks[0].s
 
 result = cg.synthesize(problem, cells=60, restarts=4)
 certificate = result.certificate
-assert isinstance(certificate, cg.ProductCertificate)
-print(f"{result.stats['distinct_tasks']} synthesis for {len(certificate.parts)} tasks: {result.stats['seconds']}")
+print(f"{result.stats['distinct_tasks']} synthesis for {len(certificate.proof.parts)} tasks: {result.stats['seconds']}")
 print(cg.validate(result, episodes=10_000))
 assert cg.check(certificate, problem)
 

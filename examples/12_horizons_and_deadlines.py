@@ -16,8 +16,8 @@ print(f"{more.certificate.lower_bound:.5f}, one agent alone can gain about {more
 # policies that do not look at the time: the bound rises with the horizon, and holds for every longer one
 parking = cg.make_problem("car-park-v0")
 stationary = cg.without_deadline(parking, 60, longest=150).certificate
-print(f"within {stationary.problem.horizon} steps, and so without a deadline: P >= {stationary.unbounded}")
-assert stationary.stationary
+print(f"within {stationary.problem.horizon} steps, and so without a deadline: P >= {stationary.lower_bound}")
+assert stationary.proof.stationary
 
 # Safety without a deadline: a bound that holds for every number of steps at once.
 safe = cg.without_deadline("invariance-b-20-v0", 100)

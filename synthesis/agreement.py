@@ -7,10 +7,9 @@ that the check would refuse by a little is of no use to anybody.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from ..envs.problem import Problem
-from .certificates import PathCertificate, Synthesis
+from .certificates import AlongPath, Synthesis, changed, path_under
 from .checking import check
 from .nominal_paths import CountedWork, path_certificate
 
@@ -28,20 +27,19 @@ def along_path(problem: Problem, work: CountedWork) -> Synthesis:
 
 def agreed(found: Synthesis) -> Synthesis:
     """Return a synthesis whose certificate, if it is along a path, claims no more than the check proves."""
-    certificate: Any = found.certificate
-    if not isinstance(certificate, PathCertificate) or (modest := agreed_path(certificate)) is certificate:
+    certificate = found.certificate
+    if path_under(certificate) is not certificate or (modest := agreed_path(certificate)) is certificate:
         return found
-    held: Any = modest
-    return replace(found, certificate=held, controller=held.controller)
+    return replace(found, certificate=modest, controller=modest.controller)
 
 
-def agreed_path(certificate: PathCertificate) -> PathCertificate:
+def agreed_path(certificate: AlongPath) -> AlongPath:
     """Return a certificate along a path that claims no more than the check proves."""
     if len(certificate.problem.labeling.pairs) > MOST_PAIRS:
         return certificate
-    report = check(replace(certificate, failure=1.0))
+    report = check(changed(certificate, failure=1.0))
     # The check says a bound near 1, and what is left of it is known up to its last digit alone.
     proved = 1.0 - report.recomputed + LAST_DIGIT if report else 1.0
-    if proved <= certificate.failure:
+    if proved <= certificate.proof.failure:
         return certificate
-    return replace(certificate, failure=min(1.0, proved * (1.0 + 1e-9)))
+    return changed(certificate, failure=min(1.0, proved * (1.0 + 1e-9)))

@@ -26,7 +26,7 @@ from .bounds import (
     train_bound,
     undecided_steps,
 )
-from .certificates import EXACT_GAP, AgentPart, Certificate, Synthesis
+from .certificates import AgentPart, Certificate, GridProof, OnGrid, Synthesis, delta_of
 from .models import Abstraction, JointModel, start_of
 from .relations import describe_relation
 from .search import FINAL, Found, Relaxation, Sweep, TrainSweep, forward, sweep
@@ -53,7 +53,7 @@ def certified(
     stats: dict[str, object] = {
         "sweeps": found.values,
         "starts": found.starts,
-        "rank": certificate.rank,
+        "rank": certificate.proof.rank,
         "dropped": best.dropped,
         "unilateral_gain": None if best.stationary else found.unilateral_gain,
         **bounds_from_above(problem, joint, found.relaxations, certificate),
@@ -68,7 +68,7 @@ def certificate_of(
     best: Sweep | TrainSweep,
     settings: dict[str, Any],
     search: str,
-) -> Certificate:
+) -> OnGrid:
     """Return a certificate, with the largest lower bound that applies, of the policies of ``best``.
 
     ``best`` is a sweep that evaluated its policies without changing them.
@@ -95,16 +95,12 @@ def certificate_of(
             menu=model.choices.menu,
         )
         parts.append(part)
-    point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in problem.agents)
-    return Certificate(
-        problem=problem,
+    proof = GridProof(
         method=f"{settings['relation']} relation, {search}",
         bound=bound.name,
         bounds=bounds,
-        start="point" if point else "mean",
         lower_bound=bound.lower,
         gap=bound.gap,
-        exact=bound.gap is not None and bound.gap <= EXACT_GAP,
         relative_rounding=relative_rounding(joint, grown.rank),
         agents=tuple(parts),
         guard_source=joint.guards.source,
@@ -115,9 +111,9 @@ def certificate_of(
         skeleton=grown.skeleton if isinstance(grown, Sweep) else (),
         terms=_stored(problem, joint, grown.terms) if isinstance(grown, Sweep) else None,
         rank=grown.rank,
-        settings=settings,
         rounding=grown.rounding if isinstance(grown, TrainSweep) else None,
     )
+    return Certificate(problem, proof, settings)
 
 
 def _stored(problem: Problem, joint: JointModel, terms: Terms) -> Terms:
@@ -176,7 +172,7 @@ def against_losses(
 
 
 def bounds_from_above(
-    problem: Problem, joint: JointModel, relaxations: tuple[Relaxation, ...], certificate: Certificate
+    problem: Problem, joint: JointModel, relaxations: tuple[Relaxation, ...], certificate: OnGrid
 ) -> dict[str, object]:
     """Return upper bounds for all policies, of the same finite models and of the continuous system (None: unknown)."""
     start = start_of(problem, joint)
@@ -185,6 +181,7 @@ def bounds_from_above(
         # Their values are lower bounds cell by cell, so the best of them bounds nothing from above.
         return {"abstract_upper_bound": None, "continuous_upper_bound": anywhere}
     most = abstract_bound(problem, joint, start, relaxations, certificate.lower_bound)
-    if anywhere is not None and certificate.delta == 0.0:  # continuous policies attain all that abstract ones attain
+    # Continuous policies attain all that abstract ones attain, where nothing is lost.
+    if anywhere is not None and delta_of(certificate) == 0.0:
         most = min(most, anywhere)
     return {"abstract_upper_bound": most, "continuous_upper_bound": anywhere}

@@ -29,7 +29,7 @@ from ..envs.problem import Problem, states_in_time, written_out
 from ..envs.suite import as_problem
 from .bridges import certifiable
 from .cells import CellCounts, FloatArray, RelationRefused
-from .certificates import Synthesis, TeamCertificate, TimedCertificate
+from .certificates import Synthesis, joint_certificate, timed_certificate
 from .certification import certificate_of
 from .controllers import Decentralised, Policy, decentralised
 from .keeping_apart import less_nearness, nearness
@@ -167,8 +167,8 @@ def _in_time(
     clocks = tuple(bool(agent.has_clock) for agent in base.agents)
     raw = _WrittenOut(decentralised(problem, policy), states_in_time(problem, base), clocks)
     found, _ = _of_task(base, raw, cells, relation, settings)
-    held: Any = TimedCertificate(problem, found.certificate)
-    return Synthesis(held, held.controller, found.stats)
+    certificate = timed_certificate(problem, found.certificate)
+    return Synthesis(certificate, certificate.controller, found.stats)
 
 
 def _about_pairs(
@@ -186,8 +186,8 @@ def _about_pairs(
                 raise
     joint = joint_problem(problem)
     found, _ = _of_task(joint, _OfJointAgent(problem, raw), joint_cells(problem, cells), "auto", settings)
-    held: Any = TeamCertificate(problem, found.certificate)
-    return Synthesis(held, held.controller, found.stats)
+    certificate = joint_certificate(problem, found.certificate)
+    return Synthesis(certificate, certificate.controller, found.stats)
 
 
 def _by_subtraction(problem: Problem, policy: Decentralised, cells: CellCounts, settings: dict[str, Any]) -> Synthesis:
@@ -197,8 +197,8 @@ def _by_subtraction(problem: Problem, policy: Decentralised, cells: CellCounts, 
     found, wrapped = _of_task(base, policy, cells, "exact", settings)
     model = replace(wrapped.joint, finds_alike=True)
     near = nearness(NearMass(problem, base, model, relevant_pairs(problem), usual), wrapped.policies)
-    held: Any = less_nearness(problem, found.certificate, usual, near, dict(found.certificate.settings))
-    return Synthesis(held, held.controller, {**found.stats, "near": held.near})
+    certificate = less_nearness(problem, found.certificate, usual, near, dict(found.certificate.settings))
+    return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})
 
 
 @on_one_thread
@@ -335,5 +335,5 @@ def _synthesis(
     """Return certificate and statistics of the best policy."""
     settings = {**wrapped.abstraction.settings, **used, "final_limits": vars(FINAL)}
     certificate = certificate_of(problem, wrapped.abstraction, wrapped.joint, best, settings, name)
-    stats = {"seconds": clock.seconds(), "sweeps": values, "rank": certificate.rank, "dropped": best.dropped}
+    stats = {"seconds": clock.seconds(), "sweeps": values, "rank": certificate.proof.rank, "dropped": best.dropped}
     return Synthesis(certificate, certificate.controller, stats)

@@ -65,7 +65,7 @@ def _from(last: Synthesis | None, problem: Problem, cells: CellCounts, settings:
     chosen_anew = {"memory", "accuracy"} & {*settings} or settings.get("relation") == "best"
     # What names the time is another problem for every horizon.
     anew = problem.groups or problem.labeling.pairs or problem.names_time or chosen_anew
-    if last is None or anew or not last.certificate.has_cells:
+    if last is None or anew or not last.certificate.proof.has_cells:
         return synthesize(problem, cells, **settings)
     # A shorter horizon may have needed fewer states of the automaton: its policies know nothing of the others.
     if last.certificate.problem.automaton.n_states != problem.automaton.n_states:
@@ -99,7 +99,7 @@ def without_deadline(
     -------
     Synthesis
         The best synthesis among all horizons tried. Its certificate is about that horizon (``certificate.problem``)
-        and, by ``certificate.unbounded`` or ``safety_rate``, about all longer ones.
+        and, by ``safety_rate``, about all longer ones.
 
     Raises
     ------

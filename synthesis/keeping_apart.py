@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..envs.problem import Problem
 from .cells import RelationRefused
-from .certificates import Certificate, PairsCertificate
+from .certificates import Certificate, OnGrid, SubtractionProof, changed
 from .models import JointModel, Policies, start_of
 from .pairs import Avoidance, NearMass
 from .search import FINAL, Search, Sweep, sweep
@@ -26,13 +25,13 @@ WORTH = 1e-4
 
 
 def less_nearness(
-    problem: Problem, base: Certificate, usual: NDArray[np.bool_], near: float, used: dict[str, Any]
-) -> PairsCertificate:
+    problem: Problem, base: OnGrid, usual: NDArray[np.bool_], near: float, used: dict[str, Any]
+) -> Certificate[SubtractionProof]:
     """Return the certificate of a problem with pairs: that of the task without them, less what they may spoil."""
     # Where pairs that are not as usual may save what is lost without them, the base has no upper end for the problem.
     if not np.array_equal(base.problem.automaton.dead, problem.automaton.dead):
-        base = replace(base, gap=None, exact=False)
-    return PairsCertificate(problem, base, tuple(usual.tolist()), min(1.0, near), used)
+        base = changed(base, gap=None)
+    return Certificate(problem, SubtractionProof(base, tuple(usual.tolist()), min(1.0, near)), used)
 
 
 def kept_apart(

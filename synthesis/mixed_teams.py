@@ -17,15 +17,7 @@ import numpy as np
 from ..envs.problem import Problem
 from .agreement import agreed_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
-from .certificates import (
-    Certificate,
-    MixedCertificate,
-    PairsCertificate,
-    PathCertificate,
-    Synthesis,
-    known_letters,
-    reached_states,
-)
+from .certificates import AlongPath, Certificate, MixedProof, Synthesis, known_letters, reached_states
 from .certification import certificate_of
 from .choosing import SOLVED, Way, refused
 from .keeping_apart import kept_apart, less_nearness
@@ -102,8 +94,12 @@ def mixed_certificate(problem: Problem, cells: CellCounts, plan: Plan) -> Synthe
 
 
 def _mixed(
-    problem: Problem, part: Certificate | PairsCertificate, paths: PathCertificate, usual: tuple[bool, ...], near: float
-) -> MixedCertificate:
+    problem: Problem,
+    part: Certificate,
+    paths: AlongPath,
+    usual: tuple[bool, ...],
+    near: float,
+) -> Certificate[MixedProof]:
     """Return the certificate of a team; at its start pairs of both kinds of agents have to be as usual."""
     first = problem.labeling.first_pair
     letter = problem.labeling.at(0).letter([agent.initial.low for agent in problem.agents])
@@ -111,12 +107,12 @@ def _mixed(
     if np.any((letter[first:] != np.array(usual, dtype=bool)) & asks):
         raise RelationRefused("a pair of a mixed team is not as it should be at the start")
     settings = {**part.settings, "relation": "mixed", "weakest": paths.settings["weakest"]}
-    return MixedCertificate(problem, part, paths, usual, min(1.0, near), settings)
+    return Certificate(problem, MixedProof(part, paths, usual, min(1.0, near)), settings)
 
 
 def _on_grids(
     grids: Problem, beside: BesidePaths, cells: CellCounts, plan: Plan
-) -> tuple[Certificate | PairsCertificate, float, dict[str, Any]]:
+) -> tuple[Certificate, float, dict[str, Any]]:
     """Return the certificate of the agents on grids, what pairs with others may spoil at most, and statistics."""
     pairs = bool(grids.labeling.pairs)
     usual = usual_values(grids)
@@ -135,7 +131,7 @@ def _on_grids(
     part: Any = certificate_of(base, abstraction, joint, best, used, name)
     part = less_nearness(grids, part, usual, among, used) if pairs else part
     stats: dict[str, Any] = {
-        "sweeps": found.values, "rank": part.rank, "dropped": best.dropped, "near": between, "starts": {},
+        "sweeps": found.values, "rank": part.proof.rank, "dropped": best.dropped, "near": between, "starts": {},
         **dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain")),
     }  # fmt: skip
     return part, between, stats

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from ..envs.problem import Problem
 from .cells import CellCounts
-from .certificates import Certificate, Synthesis, checked_certificate
+from .certificates import OnGrid, Synthesis, checked_certificate
 from .certification import against_losses, certified
 from .choosing import (
     Budget,
@@ -70,7 +70,7 @@ class Plan:
 
 
 def plain(
-    problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, start: Certificate | None = None
+    problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, start: OnGrid | None = None
 ) -> Synthesis:
     """Synthesize on given cells under one given relation per agent."""
     began = time.perf_counter()
@@ -81,12 +81,13 @@ def plain(
     return replace(result, stats={**result.stats, "seconds": seconds_of_work((began, abstracted))})
 
 
-def continued(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, start: Certificate) -> Synthesis:
+def continued(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, start: OnGrid) -> Synthesis:
     """Synthesize from the policies of a certificate; cells and relations default to those of the certificate."""
-    of_start = [part.relation["kind"] for part in checked_certificate(start, "start").agents]
+    start = checked_certificate(start, "start")
+    of_start = [part.relation["kind"] for part in start.proof.agents]
     if cells is None and len(of_start) == problem.n_agents:
-        cells = dict(zip(problem.agent_names, (part.grid.shape for part in start.agents), strict=True))
-    if plan.settings.common is None and any("common" in part.relation for part in start.agents):
+        cells = dict(zip(problem.agent_names, (part.grid.shape for part in start.proof.agents), strict=True))
+    if plan.settings.common is None and any("common" in part.relation for part in start.proof.agents):
         plan = replace(plan, settings=replace(plan.settings, common=True))
     if len(of_start) == len(kinds) and "auto" in kinds:
         kinds = [of_one if kind == "auto" else kind for kind, of_one in zip(kinds, of_start, strict=True)]

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..envs.problem import Problem
 from .cells import CellCounts
-from .certificates import Synthesis, nameless, product_certificate
+from .certificates import Synthesis, nameless, product_certificate, relations_tried
 from .models import Relations, check_names
 from .values import UNIT
 
@@ -37,12 +37,12 @@ def synthesize_parts(
     stats: dict[str, Any] = {
         "seconds": {name: sum(entry["seconds"][name] for entry in each) for name in each[0]["seconds"]},
         "sweeps": [value for entry in each for value in entry["sweeps"]],
-        "rank": certificate.rank,
+        "rank": certificate.proof.rank,
         "dropped": sum(dict(result.stats)["dropped"] for result in results),
         "tasks": len(results),
         "distinct_tasks": len(distinct),
     }
-    if compared := certificate.relations_tried:
+    if compared := relations_tried(certificate):
         stats["tried"] = compared
     # no such bound for co-safe tasks: there the independent tasks together ask for more than the whole problem does
     if not problem.specification.is_co_safe:
@@ -50,7 +50,7 @@ def synthesize_parts(
             bounds: list[Any] = [dict(result.stats)[name] for result in results]
             if None not in bounds:
                 stats[name] = min(1.0, math.prod(bounds) * (1.0 + 4.0 * len(results) * UNIT))
-    return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+    return Synthesis(certificate, certificate.controller, stats)
 
 
 def _of_task(task: Problem, option: Any) -> Any:

@@ -18,7 +18,7 @@ from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .bridges import certifiable
 from .cells import CellCounts, FloatArray, RelationRefused
-from .certificates import Certificate, Synthesis
+from .certificates import OnGrid, Synthesis
 from .certification import certificate_of
 from .models import (
     Abstraction,
@@ -191,9 +191,9 @@ def repair_network(
     return _certified(problem, abstraction, mixed, name, facts, (began, middle)), places
 
 
-def _boxes_of(certificate: Certificate) -> int:
+def _boxes_of(certificate: OnGrid) -> int:
     """Return the number of cells, automaton states and times of all agents: as many boxes there would be."""
-    return sum(part.policy.size for part in certificate.agents)
+    return sum(part.policy.size for part in certificate.proof.agents)
 
 
 def _policies(problem: Problem, actor: Any) -> list[NetworkPolicy]:
@@ -260,35 +260,35 @@ def _certified(
     settings = {**abstraction.settings, **facts, "final_limits": vars(FINAL)}
     certificate = certificate_of(problem, abstraction, joint, best, settings, name)
     seconds = {"abstract": began[1] - began[0], "synthesize": time.perf_counter() - began[1]}
-    stats = {"seconds": seconds, "rank": certificate.rank, "dropped": best.dropped, **facts}
+    stats = {"seconds": seconds, "rank": certificate.proof.rank, "dropped": best.dropped, **facts}
     return Synthesis(certificate, certificate.controller, stats)
 
 
-def evaluated_again(problem: Problem, certificate: Certificate) -> Certificate:
+def evaluated_again(problem: Problem, certificate: OnGrid) -> OnGrid:
     """Return the certificate of the networks of another one, on the same cells, for another task of their agents."""
     began = time.perf_counter()
-    pairs = zip(problem.agents, certificate.agents, strict=True)
+    pairs = zip(problem.agents, certificate.proof.agents, strict=True)
     policies = [network_policy(part.relation["network"], agent) for agent, part in pairs]
-    cells = dict(zip(problem.agent_names, (part.grid.shape for part in certificate.agents), strict=True))
-    kind, targets = certificate.agents[0].relation["kind"], certificate.settings.get("targets_per_cell")
+    cells = dict(zip(problem.agent_names, (part.grid.shape for part in certificate.proof.agents), strict=True))
+    kind, targets = certificate.proof.agents[0].relation["kind"], certificate.settings.get("targets_per_cell")
     modes = [policy.n_modes for policy in policies]
-    repaired = any(np.any(part.policy >= n) for part, n in zip(certificate.agents, modes, strict=True))
+    repaired = any(np.any(part.policy >= n) for part, n in zip(certificate.proof.agents, modes, strict=True))
     abstraction = network_abstraction(problem, policies, cells, targets, kind, with_menu=repaired)
-    tables = tuple(part.policy for part in certificate.agents)
+    tables = tuple(part.policy for part in certificate.proof.agents)
     names = [name for name in ("share", "repaired") if name in certificate.settings]
     facts: dict[str, Any] = {name: certificate.settings[name] for name in names}
     found = _certified(problem, abstraction, tables, "networks as they are", facts, (began, time.perf_counter()))
     return found.certificate
 
 
-def differences(certificate: Certificate, actor: Any) -> list[str]:
+def differences(certificate: OnGrid, actor: Any) -> list[str]:
     """Return in which ways the networks of a certificate are not those of an actor; empty if it is about this actor.
 
     ``check`` verifies a certificate for the networks stored in it; this compares them with those that are deployed.
     """
     problem, found = certificate.problem, []
     policies = _policies(problem, actor)
-    for name, part, policy in zip(problem.agent_names, certificate.agents, policies, strict=True):
+    for name, part, policy in zip(problem.agent_names, certificate.proof.agents, policies, strict=True):
         stored, given = part.relation.get("network"), policy.description
         if stored is None:
             found.append(f"agent `{name}` is not moved by a network")

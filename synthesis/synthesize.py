@@ -11,7 +11,17 @@ from ..envs.problem import JOINT_NOISE_REFUSAL, Problem
 from ..envs.suite import as_problem
 from .agreement import along_path
 from .cells import CellCounts, RelationRefused, to_who_asked_for_none
-from .certificates import Certificate, Offer, PairsCertificate, Synthesis, TimedCertificate, checked_certificate
+from .certificates import (
+    Certificate,
+    Offer,
+    OnGrid,
+    SubtractionProof,
+    Synthesis,
+    certificate_from,
+    checked_certificate,
+    on_cells,
+    timed_certificate,
+)
 from .choosing import Budget, Effort, Way, best_of, in_order, settings_of
 from .models import (
     RELATIONS,
@@ -57,7 +67,7 @@ def synthesize(
     seconds: float | None = None,
     device: str = HOST,
     restarts: int = 0,
-    start: Certificate | None = None,
+    start: Any = None,
     stationary: bool = False,
     above: bool = False,
     **settings: Any,
@@ -68,7 +78,7 @@ def synthesize(
     ----------
     problem : Problem, id or path
         Agents with positive definite noise, to whom the relation applies. A task that decomposes into independent tasks
-        (``problem.groups``) is certified task by task, and gives a ``ProductCertificate``.
+        (``problem.groups``) is certified task by task, and gives a certificate that is a product.
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis. More cells cost time and raise the bound. The default depends on the dimension (see
         ``abstract``); it is doubled where relations are compared and none applies.
@@ -107,7 +117,7 @@ def synthesize(
         reserve.
     restarts : int
         Number of further starts of the search, from the best policies with their plans advanced or delayed.
-    start : Certificate, optional
+    start : Synthesis, Certificate or path, optional
         Certificate whose policies the search begins with, of any kind on cells. Its agents, cells and relations must
         be the same, its horizon need not (see ``horizons``); ``"auto"`` then stands for its relations, and settings
         that are not given are its own. Its policies are evaluated anew, and nothing that it claims is trusted.
@@ -139,8 +149,9 @@ def synthesize(
     budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
     problem = as_problem(problem)
     _refuse_outside(problem)
+    start = None if start is None else certificate_from(start, "start")
     if start is not None and not problem.groups and not problem.labeling.pairs:
-        settings = {**_settings_of_start(problem, relation, _on_cells(start)), **settings}
+        settings = {**_settings_of_start(problem, relation, checked_certificate(start, "start")), **settings}
     plan = Plan(Settings(**settings), search, budget, spending)
     try:
         found = _of_problem(problem, cells, relation, plan, start)
@@ -173,8 +184,10 @@ def _of_task(
     if problem.labeling.pairs:
         if plan.budget is not None and cells is not None:
             raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
-        apart = isinstance(start, PairsCertificate)
-        base = None if start is None else start.base if isinstance(start, PairsCertificate) else _of_joint_agent(start)
+        apart = start is not None and type(start.proof) is SubtractionProof
+        base: OnGrid | None = None
+        if start is not None:
+            base = start.proof.base if apart else _of_joint_agent(start)
 
         def without_pairs(task: Problem, sizes: CellCounts, kinds: Relations) -> Synthesis:
             if base is None or apart:
@@ -255,10 +268,10 @@ def _in_time(
 
     def on_grids(sizes: CellCounts, chosen: Plan) -> Synthesis:
         # Along a path of the problem written out the time would be an input to choose.
-        begun = None if start is None else start.on_cells
+        begun = None if start is None else on_cells(start)
         found = _of_task(still_problem(problem), sizes, relation, replace(chosen, paths=False), begun)
-        held: Any = TimedCertificate(problem, found.certificate)
-        return Synthesis(held, held.controller, found.stats)
+        certificate = timed_certificate(problem, found.certificate)
+        return Synthesis(certificate, certificate.controller, found.stats)
 
     if relation not in ("auto", "best") or cells is not None or plan.budget is not None or start is not None:
         return on_grids(cells, plan)
@@ -276,29 +289,21 @@ def _refuse_outside(problem: Problem) -> None:
             )
 
 
-def _on_cells(start: Any) -> Certificate:
-    """Return the certificate on cells that a given one rests on; raise ValueError if there is none."""
-    held: Certificate = getattr(start, "on_cells", None) or checked_certificate(start, "start")
-    return held
-
-
-def _of_joint_agent(start: Any) -> Certificate:
+def _of_joint_agent(start: Certificate) -> OnGrid:
     """Return the certificate of the joint agent that a team begins with; raise ValueError if it is of another kind."""
-    if Offer.OWN_STATES in getattr(start, "lacks", ()):
-        if start.on_cells is not None:
-            return start.on_cells
-        raise ValueError("`start`: expected the certificate of a joint agent on a grid, got one along a path")
-    raise ValueError(
-        f"`start`: expected the certificate of a joint agent for a task about pairs, got {type(start).__name__}; other "
-        "ways begin anew; leave it out"
-    )
+    if Offer.OWN_STATES not in start.proof.lacks:
+        raise ValueError(
+            "`start`: expected the certificate of a joint agent for a task about pairs, got one of the kind "
+            f"{start.proof.kind!r}; other ways begin anew; leave it out"
+        )
+    return checked_certificate(start, "start")
 
 
-def _settings_of_start(problem: Problem, relation: Relations, start: Certificate) -> dict[str, Any]:
+def _settings_of_start(problem: Problem, relation: Relations, start: OnGrid) -> dict[str, Any]:
     """Return the settings with which a certificate was made, for the relations that its agents are to have again."""
     if isinstance(relation, str) and relation not in RELATIONS:
         return {}
-    certified = [part.relation["kind"] for part in checked_certificate(start, "start").agents]
+    certified = [part.relation["kind"] for part in checked_certificate(start, "start").proof.agents]
     kinds = relations_of(problem, relation)
     if len(certified) == len(kinds):
         kinds = [was if kind == "auto" else kind for kind, was in zip(kinds, certified, strict=True)]

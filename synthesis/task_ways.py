@@ -115,7 +115,7 @@ def ways_within(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]
         best = _refined(problem, quick, replace(plan, settings=plan.settings.of_kinds(quick)))
         if quick == kinds:
             return best
-        parts = zip(problem.agent_names, best.certificate.agents, strict=True)
+        parts = zip(problem.agent_names, best.certificate.proof.agents, strict=True)
         shapes = {name: part.grid.shape for name, part in parts}
         return _with_cells(compared(problem, shapes, kinds, plan, best), best.stats["cells"])
 
@@ -246,8 +246,8 @@ def _linear(problem: Problem, plan: Plan, few: bool) -> Way:
         first = results.get("others")
         if problem.n_agents <= FEW_AGENTS or first is None or not is_scalar(problem):
             return None
-        if first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None:
-            return f"not computed: value trees of {first.certificate.rank} terms cost linear cells too much"
+        if first.certificate.proof.rank > MOST_LINEAR_TERMS or first.certificate.proof.rounding is not None:
+            return f"not computed: value trees of {first.certificate.proof.rank} terms cost linear cells too much"
         return None
 
     enough = SOLVED if few or any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
@@ -311,7 +311,7 @@ def _finer(problem: Problem, plan: Plan) -> Way:
             return ""
         if path is not None and first.certificate.lower_bound < NEAR_PATH * path.certificate.lower_bound:
             return ""
-        return "" if first.certificate.rounding is not None or plan.settings.delta is not None else None
+        return "" if first.certificate.proof.rounding is not None or plan.settings.delta is not None else None
 
     # Agents with expressions begin with cells so coarse that finer ones pay, until there is nothing left to gain.
     enough = SOLVED if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
@@ -322,7 +322,7 @@ def _doubled(problem: Problem, kinds: Sequence[str], plan: Plan) -> Way:
     """Return the way that compares other relations on twice as many cells, where trees have too many terms for more."""
 
     def run(results: Results) -> Synthesis:
-        parts = zip(problem.agent_names, results["others"].certificate.agents, strict=True)
+        parts = zip(problem.agent_names, results["others"].certificate.proof.agents, strict=True)
         found = compared(problem, {name: tuple(2 * n for n in part.grid.shape) for name, part in parts}, kinds, plan)
         kind = found.certificate.settings["relation"]
         return replace(found, stats={**found.stats, "tried": {f"{kind}, finer cells": found.certificate.lower_bound}})
@@ -331,7 +331,7 @@ def _doubled(problem: Problem, kinds: Sequence[str], plan: Plan) -> Way:
         first = results.get("others")
         if first is None:
             return ""
-        many = first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None
+        many = first.certificate.proof.rank > MOST_LINEAR_TERMS or first.certificate.proof.rounding is not None
         return None if many else ""
 
     return Way("finer cells", run, DOUBLED, enough=GOOD, why_not=why_not, after="others")

@@ -11,14 +11,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from ..envs.problem import Problem
 from .agreement import along_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
-from .certificates import Certificate, PairsCertificate, Synthesis, TeamCertificate
+from .certificates import OnGrid, Synthesis, joint_certificate
 from .certification import certificate_of
 from .choosing import SOLVED, Results, Way, policies_from, refused
 from .keeping_apart import kept_apart, less_nearness
@@ -57,7 +56,7 @@ def ways_together(
     relation: Relations,
     plan: Plan,
     task: SynthesizeTask,
-    start: Certificate | None = None,
+    start: OnGrid | None = None,
     begins_apart: bool = False,
 ) -> list[Way]:
     """Return the ways to certify a problem with pairs.
@@ -138,7 +137,7 @@ def _refuse_for_subtraction(plan: Plan, has_start: bool) -> None:
 
 
 def by_subtraction(
-    problem: Problem, cells: CellCounts, search: Search, settings: Settings, start: Certificate | None = None
+    problem: Problem, cells: CellCounts, search: Search, settings: Settings, start: OnGrid | None = None
 ) -> Synthesis:
     """Certify the task without pairs, with policies that keep apart, and subtract what pairs may spoil.
 
@@ -155,8 +154,8 @@ def by_subtraction(
     usual = usual_values(problem)
     base = without_pairs(problem, usual)
     kinds = ["exact"] * problem.n_agents
-    if start is not None and cells is None and len(start.agents) == base.n_agents:
-        cells = dict(zip(base.agent_names, (part.grid.shape for part in start.agents), strict=True))
+    if start is not None and cells is None and len(start.proof.agents) == base.n_agents:
+        cells = dict(zip(base.agent_names, (part.grid.shape for part in start.proof.agents), strict=True))
     abstraction = abstraction_of(base, cells, kinds, settings.of_kinds(kinds))
     given = {} if start is None else policies_from(start, base, abstraction)
     joint = replace(join(base, abstraction, search.device), finds_alike=True)
@@ -174,11 +173,11 @@ def by_subtraction(
     stats: dict[str, object] = {
         "seconds": {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted},
         "sweeps": found.values,
-        "rank": part.rank,
+        "rank": part.proof.rank,
         "dropped": best.dropped,
-        "near": certificate.near,
+        "near": certificate.proof.near,
     }
-    return _synthesis(certificate, stats)
+    return Synthesis(certificate, certificate.controller, stats)
 
 
 def as_one_agent(problem: Problem, cells: CellCounts, task: SynthesizeTask) -> Synthesis:
@@ -203,8 +202,8 @@ def as_one_agent(problem: Problem, cells: CellCounts, task: SynthesizeTask) -> S
         found = task(joint, None, "path")
     else:
         found = task(joint, joint_cells(problem, cells), "auto")
-    held: Any = TeamCertificate(problem, found.certificate)
-    return Synthesis(held, held.controller, found.stats)
+    certificate = joint_certificate(problem, found.certificate)
+    return Synthesis(certificate, certificate.controller, found.stats)
 
 
 def joint_cells(problem: Problem, cells: CellCounts) -> CellCounts:
@@ -218,9 +217,3 @@ def joint_cells(problem: Problem, cells: CellCounts) -> CellCounts:
         own = np.atleast_1d(np.asarray(cells[agent.name], dtype=int)).tolist()
         counts += own * agent.n_states if len(own) == 1 else own
     return {TEAM: tuple(counts)}
-
-
-def _synthesis(certificate: PairsCertificate, stats: dict[str, object]) -> Synthesis:
-    """Return the synthesis of a certificate about pairs."""
-    held: Any = certificate
-    return Synthesis(held, certificate.controller, stats)

@@ -13,7 +13,7 @@ from typing import Any
 
 from ..envs.arrays import on_one_thread
 from ..envs.problem import opposite_of
-from .certificates import EXACT_GAP, Certificate, Synthesis, any_certificate
+from .certificates import OnGrid, Synthesis, any_certificate, changed, with_claims
 from .choosing import Effort, settings_of
 from .models import Settings
 from .on_cells import Plan, continued
@@ -34,7 +34,7 @@ def bound_above(certificate: Any) -> Any:
 
     Parameters
     ----------
-    certificate : Synthesis, certificate of any kind, or path
+    certificate : Synthesis, Certificate or path
         Its policies, cells, relations and their settings are taken, and evaluated anew for the opposite task.
 
     Raises
@@ -42,7 +42,7 @@ def bound_above(certificate: Any) -> Any:
     ValueError
         If its policies cannot be evaluated.
     """
-    return any_certificate(certificate).with_claims(_with_end)
+    return with_claims(any_certificate(certificate), _with_end)
 
 
 def synthesis_above(synthesis: Synthesis) -> Synthesis:
@@ -51,16 +51,16 @@ def synthesis_above(synthesis: Synthesis) -> Synthesis:
     return replace(synthesis, certificate=certificate, controller=certificate.controller)
 
 
-def _with_end(certificate: Certificate) -> Certificate:
+def _with_end(certificate: OnGrid) -> OnGrid:
     """Return the certificate of one task with an upper end."""
     if certificate.gap is not None:
         return certificate
     opposite = opposite_of(certificate.problem)
     try:
-        if any("network" in part.relation for part in certificate.agents):
+        if any("network" in part.relation for part in certificate.proof.agents):
             found = evaluated_again(opposite, certificate)
         else:
-            kinds = [part.relation["kind"] for part in certificate.agents]
+            kinds = [part.relation["kind"] for part in certificate.proof.agents]
             plan = Plan(Settings(**settings_of(certificate, kinds)), Search(max_sweeps=0), None, Effort())
             found = continued(opposite, None, kinds, plan, certificate).certificate
     except ValueError as error:
@@ -68,4 +68,4 @@ def _with_end(certificate: Certificate) -> Certificate:
     above = min(1.0, math.nextafter(1.0 - found.lower_bound, 2.0))
     # Rounded up: the sum of bound and gap must not be below the end.
     gap = max(0.0, math.nextafter(above - certificate.lower_bound, 2.0))
-    return replace(certificate, opposite=found, gap=gap, exact=gap <= EXACT_GAP)
+    return changed(certificate, opposite=found, gap=gap)

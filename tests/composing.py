@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from scipy.special import ndtri
 import certigym as cg
 from certigym.baselines import RandomController
 from certigym.envs.agents import LinearAgent
-from certigym.synthesis.certificates import any_certificate
+from certigym.synthesis.certificates import any_certificate, changed, with_claims
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
@@ -391,7 +391,7 @@ def ended(certificate: Any, folder: Path) -> Claims:
 
 def opposite_end(row: str, folder: Path) -> Claims:
     """What the policies attain at most by the opposite task, also where nothing is lost and the end is known anyway."""
-    bare = certificate_of(row).with_claims(lambda one: replace(one, gap=None, exact=False))
+    bare = with_claims(certificate_of(row), lambda one: changed(one, gap=None))
     return ended(cg.bound_above(bare), folder)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.envs.agents import LinearAgent
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
@@ -59,10 +60,10 @@ def means_at(problem: cg.Problem, actor: Any, agent: int, states: NDArray, q: in
     return np.asarray(problem.agents[agent].mean(states, inputs))
 
 
-def changed(certificate: cg.Certificate, **facts: Any) -> cg.Certificate:
+def with_network(certificate: cg.Certificate, **facts: Any) -> cg.Certificate:
     """The certificate with other facts about its networks."""
     parts = []
-    for part in certificate.agents:
+    for part in certificate.proof.agents:
         relation = {**part.relation, "network": {**part.relation["network"], **facts}}
         parts.append(dataclasses.replace(part, relation=relation))
-    return dataclasses.replace(certificate, agents=tuple(parts))
+    return changed(certificate, agents=tuple(parts))

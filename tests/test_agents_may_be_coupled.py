@@ -86,9 +86,9 @@ def test_certificates_are_checked_and_hold(told: bool) -> None:
     problem = ring(3, told)
     result = cg.synthesize(problem, cells=32, relation="boxes")
     assert cg.check(result.certificate)
-    assert len({id(part.grid) for part in result.certificate.agents}) == 1
+    assert len({id(part.grid) for part in result.certificate.proof.agents}) == 1
     assert ("room_0 by room_2, room_1" in repr(result.certificate)) is told
-    assert any(any(part.relation["steer"]) for part in result.certificate.agents) is told
+    assert any(any(part.relation["steer"]) for part in result.certificate.proof.agents) is told
     report = cg.validate(result.certificate, 10_000, seed=0, confidence=1.0 - FALSE_ALARM)
     assert report.verdict != "refuted"
     assert result.certificate.lower_bound > (0.9 if told else 0.5)

@@ -23,7 +23,7 @@ from certigym.synthesis.balls import check_rigorous
 from certigym.synthesis.balls.ball_memory import Memory
 from certigym.synthesis.balls.ball_numbers import any_of
 from certigym.synthesis.balls.rigorous import BITS
-from certigym.synthesis.certificates import PathCertificate
+from certigym.synthesis.certificates import PathProof, changed
 
 SEED = 20261124
 
@@ -196,8 +196,8 @@ def test_a_product_of_agents_that_a_wind_drives_apart_is_refused() -> None:
     law = multivariate_normal(np.zeros(2), [[0.2525, -0.25], [-0.25, 0.2525]])
     truth = 1.0 - law.cdf(np.ones(2), rng=np.random.default_rng(SEED))
     assert product < truth - 1e-4 and check(found).valid
-    assert truth - 1e-6 <= found.failure <= 2.0 * tail * (1.0 + 1e-6)
-    assert not check(replace(found, failure=product * (1.0 + 1e-6))).valid
+    assert truth - 1e-6 <= found.proof.failure <= 2.0 * tail * (1.0 + 1e-6)
+    assert not check(changed(found, failure=product * (1.0 + 1e-6))).valid
 
 
 def test_one_wind_moves_a_formation() -> None:
@@ -207,7 +207,7 @@ def test_one_wind_moves_a_formation() -> None:
     wind = {"x": {"drone_*": {"x": 0.06}}, "y": {"drone_*": {"y": 0.06}}}
     problem = team(agents, wind, "G !any(close) & F all(goal)", 12, close=close)
     found = cg.synthesize(problem)
-    assert isinstance(found.certificate, PathCertificate)
+    assert isinstance(found.certificate.proof, PathProof)
     assert found.certificate.lower_bound >= 0.999
     assert check(found).valid
     rate = cg.validate(found, episodes=20_000, seed=SEED)
@@ -220,15 +220,13 @@ def test_the_check_refuses_what_forgets_it() -> None:
     close = Pair("drone_*", distance=0.35)
     alike = team(agents, {"w": {"drone_*": {"y": 0.06}}}, "G !any(close) & F all(goal)", 8, close=close)
     found: Any = cg.synthesize(alike).certificate
-    assert check(found).valid and found.failure < 1e-3
+    assert check(found).valid and found.proof.failure < 1e-3
     against = {"w": {"drone_0": {"y": 0.06}, "drone_1": {"y": -0.06}}}
     other = team(agents, against, "G !any(close) & F all(goal)", 8, close=close)
     # The marginal laws are the same, to the last bit: only what agents share differs.
     for a, b in zip(alike.agents, other.agents):
         assert a.noise_covariance.tolist() == b.noise_covariance.tolist()
-    forged = PathCertificate(
-        other, found.paths, found.letters, found.faces, found.failure, found.settings, found.normals
-    )
+    forged = replace(found, problem=other)
     report = check(forged)
     assert not report.valid and "recomputed" in " ".join(report.failures)
 

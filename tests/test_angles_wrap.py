@@ -15,6 +15,7 @@ from certigym.envs.expressions import read_expression, turns
 from certigym.envs.pictures import agent_color, edges, panels
 from certigym.envs.pictures.palette import rgb
 from certigym.envs.problem import problem_from_dict
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.controllers import path_controller
 from certigym.synthesis.models import box_kernel
 from certigym.synthesis.shielding import shield_of
@@ -177,7 +178,7 @@ def test_a_path_goes_on_where_a_turn_ends(on_path: Any) -> None:
     """Its angle goes down through 0 to copies of regions a turn below, and the claim stands in rollouts that wrap."""
     problem = ship()
     assert on_path.certificate.lower_bound > 0.99 and cg.check(on_path.certificate, problem)
-    assert on_path.certificate.paths[0].states[-1, 1] < 0.0
+    assert on_path.certificate.proof.paths[0].states[-1, 1] < 0.0
     report = cg.validate(on_path, 20_000, seed=1, confidence=1.0 - 1e-6)
     assert report.ci_high >= on_path.certificate.lower_bound
 
@@ -236,21 +237,21 @@ def test_dynamics_that_are_not_those_of_a_circle_are_refused(
 
 
 def test_paths_that_may_be_half_a_turn_off_are_refused(on_path: Any) -> None:
-    path = on_path.certificate.paths[0]
+    path = on_path.certificate.proof.paths[0]
     slabs = path.slabs.copy()
     slabs[2, 1] = np.inf
-    forged = replace(on_path.certificate, paths=(replace(path, slabs=slabs),))
+    forged = changed(on_path.certificate, paths=(replace(path, slabs=slabs),))
     assert not cg.check(forged, ship())
 
 
 def test_a_jump_of_a_turn_and_another_copy_are_refused(on_path: Any) -> None:
-    certificate, path = on_path.certificate, on_path.certificate.paths[0]
+    certificate, path = on_path.certificate, on_path.certificate.proof.paths[0]
     states = path.states.copy()
     states[3:, 1] += 1.0
-    assert not cg.check(replace(certificate, paths=(replace(path, states=states),)), ship())
+    assert not cg.check(changed(certificate, paths=(replace(path, states=states),)), ship())
     # The region that is passed is met where the path ends, a turn below.
-    letters = -np.abs(certificate.letters)
-    assert not cg.check(replace(certificate, letters=letters, faces=np.where(letters < 0, 2, -1)), ship())
+    letters = -np.abs(certificate.proof.letters)
+    assert not cg.check(changed(certificate, letters=letters, faces=np.where(letters < 0, 2, -1)), ship())
 
 
 def test_a_controller_that_does_not_wrap_is_found_out_by_rollouts(monkeypatch: pytest.MonkeyPatch) -> None:

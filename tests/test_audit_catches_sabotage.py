@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.certificates import OnGrid, changed
 from certigym.synthesis.checking import claimed_values
 from certigym.synthesis.relations.exact import ExactRelation
 from certigym.validation.audits.audit_report import AuditReport
@@ -45,7 +45,7 @@ def regions(shrunk: float = 0.0, **changes: Any) -> cg.Problem:
 
 
 @pytest.fixture(scope="module")
-def certificate() -> Certificate:
+def certificate() -> OnGrid:
     result = cg.synthesize(regions(), 80, relation="quick").certificate
     assert 0.1 < result.lower_bound < 0.95
     return result
@@ -57,35 +57,35 @@ def made_for_another(system: cg.Problem, believed: cg.Problem) -> AuditReport:
     return audit(replace(wrong, problem=system), EPISODES, seed=5, values=claimed_values(wrong), confidence=CONFIDENCE)
 
 
-def variance_for_standard_deviation(_: Certificate) -> AuditReport:
+def variance_for_standard_deviation(_: OnGrid) -> AuditReport:
     return made_for_another(regions(), regions().replace(disturbance_scale=np.sqrt(0.8)))
 
 
-def input_clipped(_: Certificate) -> AuditReport:
+def input_clipped(_: OnGrid) -> AuditReport:
     return made_for_another(regions(input_low=[-1.2], input_high=[1.2]), regions())
 
 
-def label_not_shrunk(_: Certificate) -> AuditReport:
+def label_not_shrunk(_: OnGrid) -> AuditReport:
     return made_for_another(regions(shrunk=0.05), regions())
 
 
-def guards_overlap(c: Certificate) -> AuditReport:
-    first = c.agents[0]
+def guards_overlap(c: OnGrid) -> AuditReport:
+    first = c.proof.agents[0]
     wide = replace(first, masks=first.masks | np.roll(first.masks, 1, axis=0))
-    return audit(replace(c, agents=(wide, *c.agents[1:])), EPISODES, seed=5, confidence=CONFIDENCE)
+    return audit(changed(c, agents=(wide, *c.proof.agents[1:])), EPISODES, seed=5, confidence=CONFIDENCE)
 
 
-def one_step_too_many(c: Certificate) -> AuditReport:
+def one_step_too_many(c: OnGrid) -> AuditReport:
     short = c.problem.replace(horizon=c.problem.horizon - 1)
     return audit(replace(c, problem=short), EPISODES, seed=5, values=claimed_values(c)[:-1], confidence=CONFIDENCE)
 
 
-def policy_one_step_late(c: Certificate) -> AuditReport:
+def policy_one_step_late(c: OnGrid) -> AuditReport:
     late = [replace(a, policy=np.concatenate([a.policy[:1], a.policy[:-1]])) for a in c.controller.agents]
     return audit(c, EPISODES, seed=5, controller=replace(c.controller, agents=tuple(late)), confidence=CONFIDENCE)
 
 
-def wrong_feedback_sign(c: Certificate) -> AuditReport:
+def wrong_feedback_sign(c: OnGrid) -> AuditReport:
     turned = []
     for agent in c.controller.agents:
         assert isinstance(agent.relation, ExactRelation)
@@ -93,8 +93,8 @@ def wrong_feedback_sign(c: Certificate) -> AuditReport:
     return audit(c, EPISODES, seed=5, controller=replace(c.controller, agents=tuple(turned)), confidence=CONFIDENCE)
 
 
-def bound_raised(c: Certificate) -> AuditReport:
-    return audit(replace(c, lower_bound=c.lower_bound + 0.01), EPISODES, seed=5, confidence=CONFIDENCE)
+def bound_raised(c: OnGrid) -> AuditReport:
+    return audit(changed(c, lower_bound=c.lower_bound + 0.01), EPISODES, seed=5, confidence=CONFIDENCE)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def bound_raised(c: Certificate) -> AuditReport:
         bound_raised,
     ],
 )
-def test_sabotage_is_refuted(certificate: Certificate, sabotage: Any) -> None:
+def test_sabotage_is_refuted(certificate: OnGrid, sabotage: Any) -> None:
     report = sabotage(certificate)
     assert report.refuted, str(report)
 
@@ -165,7 +165,7 @@ def test_bets_never_ruin_and_are_fair_at_the_boundary() -> None:
     assert len(STAKES) == up.size
 
 
-def test_audits_do_not_depend_on_the_executor(certificate: Certificate) -> None:
+def test_audits_do_not_depend_on_the_executor(certificate: OnGrid) -> None:
     from concurrent.futures import ThreadPoolExecutor
 
     alone = audit(certificate, 5000, chunk=700)
@@ -176,14 +176,14 @@ def test_audits_do_not_depend_on_the_executor(certificate: Certificate) -> None:
     assert Ledger.empty(certificate.problem).worlds.sum() == 0
 
 
-def test_bounds_by_steps_left_end_at_the_certified_bound(certificate: Certificate) -> None:
+def test_bounds_by_steps_left_end_at_the_certified_bound(certificate: OnGrid) -> None:
     start = [a.initial.low[0] for a in certificate.problem.agents]
     curve = bound_by_steps_left(certificate, claimed_values(certificate), start)
     assert curve[-1] == pytest.approx(certificate.lower_bound, rel=1e-9)
     assert np.all(np.diff(curve) >= -1e-12)  # a co-safe task gains with every step
 
 
-def test_value_functions_must_fit_the_horizon(certificate: Certificate) -> None:
+def test_value_functions_must_fit_the_horizon(certificate: OnGrid) -> None:
     with pytest.raises(ValueError, match="one value function per step"):
         audit(certificate, 10, values=claimed_values(certificate)[1:])
 
@@ -193,7 +193,7 @@ def test_coupled_controllers_pass_at_their_own_cells_and_louder_noise_is_refuted
     """The a-posteriori bound, with ``Delta Theta`` taken off and the run stopped where the relation is lost."""
     problem = two_agents("F (a & F c)", horizon=horizon, **LOUD)
     certificate = cg.synthesize(problem, cells, relation="paper").certificate
-    assert certificate.bound == "a-posteriori" and certificate.lower_bound > 0.3
+    assert certificate.proof.bound == "a-posteriori" and certificate.lower_bound > 0.3
     for seed in (0, 1):
         report = audit(certificate, EPISODES, seed=seed, confidence=CONFIDENCE)
         assert not report.refuted and report.tests > horizon, str(report)

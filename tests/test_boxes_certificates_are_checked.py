@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.synthesis.bounds.dense import dense_optimum
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking import claimed_values
 from certigym.synthesis.models import box_choices
 from certigym.synthesis.models.box_kernel import BoxKernel
@@ -69,45 +70,47 @@ def test_rollouts_from_other_states_agree() -> None:
 def test_audits_refute_inflated_values() -> None:
     """Power: the same audit refutes a value function that is a fifth too large."""
     certificate = of_team()
-    assert isinstance(certificate.value, Terms)
-    raised = Terms((1.2 * certificate.value.factors[0], *certificate.value.factors[1:]), certificate.value.index)
+    stored = certificate.proof.tree
+    raised = Terms((1.2 * stored.factors[0], *stored.factors[1:]), stored.index)
     values = [raised, *claimed_values(certificate)[1:]]
     assert cg.audit(certificate, 4_000, values=values, seed=2, confidence=1 - FALSE_ALARM).refuted
 
 
 def part_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
     """The certificate with another first agent."""
-    return replace(certificate, agents=(replace(certificate.agents[0], **changes), *certificate.agents[1:]))
+    return changed(certificate, agents=(replace(certificate.proof.agents[0], **changes), *certificate.proof.agents[1:]))
 
 
 def relation_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
-    return part_changed(certificate, relation=certificate.agents[0].relation | changes)
+    return part_changed(certificate, relation=certificate.proof.agents[0].relation | changes)
 
 
 def times(certificate: cg.Certificate, name: str, factor: float) -> cg.Certificate:
-    return relation_changed(certificate, **{name: (factor * np.array(certificate.agents[0].relation[name])).tolist()})
+    return relation_changed(
+        certificate, **{name: (factor * np.array(certificate.proof.agents[0].relation[name])).tolist()}
+    )
 
 
 def raised_factor(certificate: cg.Certificate) -> cg.Certificate:
     """The largest number of a stored factor, a thousandth larger."""
-    terms = certificate.tree
+    terms = certificate.proof.tree
     factors, row = terms.factors[0].copy(), int(terms.index[certificate.problem.automaton.initial][0, 0])
     factors[row, np.argmax(factors[row])] += 1e-3
-    return replace(certificate, terms=Terms((factors, *terms.factors[1:]), terms.index))
+    return changed(certificate, terms=Terms((factors, *terms.factors[1:]), terms.index))
 
 
 def shifted(certificate: cg.Certificate, steps: float) -> cg.Certificate:
-    lattice = tuple(axis + steps * (axis[1] - axis[0]) for axis in certificate.agents[0].lattice)
+    lattice = tuple(axis + steps * (axis[1] - axis[0]) for axis in certificate.proof.agents[0].lattice)
     return part_changed(certificate, lattice=lattice)
 
 
 def coarser(certificate: cg.Certificate) -> cg.Certificate:
-    return part_changed(certificate, lattice=tuple(axis[::5] for axis in certificate.agents[0].lattice))
+    return part_changed(certificate, lattice=tuple(axis[::5] for axis in certificate.proof.agents[0].lattice))
 
 
 def uneven(certificate: cg.Certificate) -> cg.Certificate:
     """A lattice with a point in another place: second differences of it would mean nothing."""
-    axes = [axis.copy() for axis in certificate.agents[0].lattice]
+    axes = [axis.copy() for axis in certificate.proof.agents[0].lattice]
     axes[0][len(axes[0]) // 2] += 0.3 * (axes[0][1] - axes[0][0])
     return part_changed(certificate, lattice=tuple(axes))
 
@@ -116,25 +119,25 @@ FORGERIES: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
     "a stored factor raised": raised_factor,
     "inputs outside their box": lambda c: times(c, "menu", 1.5),
     "feedback that inputs have no room for": lambda c: times(c, "gains", 4.0),
-    "inputs exchanged": lambda c: relation_changed(c, menu=c.agents[0].relation["menu"][::-1]),
+    "inputs exchanged": lambda c: relation_changed(c, menu=c.proof.agents[0].relation["menu"][::-1]),
     "no inputs": lambda c: relation_changed(c, menu=[], gains=[]),
-    "fewer gains than inputs": lambda c: relation_changed(c, gains=c.agents[0].relation["gains"][1:]),
+    "fewer gains than inputs": lambda c: relation_changed(c, gains=c.proof.agents[0].relation["gains"][1:]),
     "an input that is not there": lambda c: part_changed(
-        c, policy=np.full_like(c.agents[0].policy, len(c.agents[0].relation["menu"]))
+        c, policy=np.full_like(c.proof.agents[0].policy, len(c.proof.agents[0].relation["menu"]))
     ),
-    "one input everywhere": lambda c: part_changed(c, policy=np.zeros_like(c.agents[0].policy)),
+    "one input everywhere": lambda c: part_changed(c, policy=np.zeros_like(c.proof.agents[0].policy)),
     "a coarser lattice": coarser,
     "a lattice that does not reach": lambda c: shifted(c, 200.0),
     "an uneven lattice": uneven,
-    "a gap": lambda c: replace(c, gap=0.01),
-    "called exact": lambda c: replace(c, gap=0.0, exact=True),
-    "the bound raised": lambda c: replace(
+    "a gap": lambda c: changed(c, gap=0.01),
+    "called exact": lambda c: changed(c, gap=0.0),
+    "the bound raised": lambda c: changed(
         c, lower_bound=c.lower_bound + 1e-6, bounds={"nominal": c.lower_bound + 1e-6}
     ),
-    "another bound": lambda c: replace(c, bound="robust tree", bounds={"robust tree": c.lower_bound}),
+    "another bound": lambda c: changed(c, bound="robust tree", bounds={"robust tree": c.lower_bound}),
     "called an exact relation": lambda c: part_changed(c, relation={"kind": "exact"}),
     "called linear": lambda c: part_changed(
-        c, relation={"kind": "linear", "menu": c.agents[0].relation["menu"], "parts": 2}
+        c, relation={"kind": "linear", "menu": c.proof.agents[0].relation["menu"], "parts": 2}
     ),
 }
 
@@ -219,7 +222,7 @@ def test_given_policies_are_put_on_boxes() -> None:
 def test_policies_that_ignore_the_time_are_certified() -> None:
     for certificate, cells in ((of_cart(), [30, 15]), (of_team(), 40)):
         found = cg.synthesize(certificate.problem, cells, relation="boxes", stationary=True).certificate
-        assert found.agents[0].policy.shape[0] == 1 and cg.check(found)
+        assert found.proof.agents[0].policy.shape[0] == 1 and cg.check(found)
         assert 0.4 < found.lower_bound <= certificate.lower_bound + 1e-3
 
 

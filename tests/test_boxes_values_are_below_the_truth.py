@@ -12,6 +12,7 @@ from scipy.stats import norm
 import certigym as cg
 from certigym.envs.agents import Gaussian
 from certigym.synthesis.cells.grid import Grid
+from certigym.synthesis.certificates import value_of
 from certigym.synthesis.checking import boxes_check
 from certigym.synthesis.checking.regrown_tree import regrow
 from certigym.synthesis.models.box_kernel import box_kernel
@@ -171,14 +172,14 @@ def test_values_are_below_the_expectation_of_the_next_ones(name: str) -> None:
     problem, cells = PROBLEMS[name]
     certificate = cg.synthesize(problem, cells, relation="boxes").certificate
     assert cg.check(certificate) and certificate.lower_bound > 0.05
-    part, agent, automaton = certificate.agents[0], problem.agents[0], problem.automaton
+    part, agent, automaton = certificate.proof.agents[0], problem.agents[0], problem.automaton
     values: dict[int, Terms] = {}
     regrow(certificate, values.__setitem__)
 
     def per_cell(t: int, q: int) -> NDArray:
         if t == problem.horizon:
             return np.full(part.grid.n_cells, float(automaton.accepting[q]))
-        terms = certificate.value if t == 0 else values[t]
+        terms = value_of(certificate) if t == 0 else values[t]
         assert isinstance(terms, Terms)
         return np.asarray(terms.factors[0][terms.index[q][:, 0]].sum(axis=0))
 
@@ -195,7 +196,10 @@ def test_values_are_below_the_expectation_of_the_next_ones(name: str) -> None:
             # What arriving in a cell is worth: the guards of the certificate say where its letter leads.
             arriving = np.zeros(part.grid.n_cells)
             for source, target, mask in zip(
-                certificate.guard_source, certificate.guard_target, certificate.guard_mask[:, 0], strict=True
+                certificate.proof.guard_source,
+                certificate.proof.guard_target,
+                certificate.proof.guard_mask[:, 0],
+                strict=True,
             ):
                 if source == q:
                     arriving += part.masks[mask] * per_cell(t + 1, int(target))
@@ -221,10 +225,10 @@ def test_two_agents_stay_below_dense_programming_with_joint_minima() -> None:
     """The adversary of the oracle chooses all means after seeing the joint state; it has no products and no lattice."""
     problem = two_agents(horizon=3, noise_covariance=[[0.6]])
     certificate = cg.synthesize(problem, 8, relation="boxes").certificate
-    assert cg.check(certificate) and certificate.rank > 1
-    edges = [part.grid.edges[0] for part in certificate.agents]
+    assert cg.check(certificate) and certificate.proof.rank > 1
+    edges = [part.grid.edges[0] for part in certificate.proof.agents]
     stds = [float(np.sqrt(agent.noise_covariance[0, 0])) for agent in problem.agents]
-    automaton, terms = problem.automaton, certificate.tree
+    automaton, terms = problem.automaton, certificate.proof.tree
     centres = [0.5 * (axis[1:] + axis[:-1]) for axis in edges]
     holds = [problem.labeling.class_at(i, c[None]) for i, c in enumerate(centres)]
     n = [len(c) for c in centres]
@@ -237,7 +241,7 @@ def test_two_agents_stay_below_dense_programming_with_joint_minima() -> None:
             arriving = value[following, np.arange(n[0] * n[1])].reshape(n)
             for s in np.ndindex(*n):
                 boxes = []
-                for i, part in enumerate(certificate.agents):
+                for i, part in enumerate(certificate.proof.agents):
                     # The mean is monotone in the state: the ends of the cell under its input are the ends of the box.
                     choice = part.policy[t, q, s[i]]
                     ends = np.array([edges[i][s[i]], edges[i][s[i] + 1]])

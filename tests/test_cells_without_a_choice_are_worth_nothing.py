@@ -23,7 +23,7 @@ KINDS = [
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_reading_gives_them_zero(kind: str) -> None:
     certificate = certificate_of(kind)
-    (agent,), (part,) = certificate.problem.agents, certificate.agents
+    (agent,), (part,) = certificate.problem.agents, certificate.proof.agents
     policy = part.policy.copy()
     idle = np.arange(part.grid.n_cells) % 2 == 0
     policy[:, :, idle] = -1

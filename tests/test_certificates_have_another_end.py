@@ -12,6 +12,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.envs.problem import opposite_of
+from certigym.synthesis.certificates import changed
 from problems import two_agents
 from written_problems import oscillator_reach
 
@@ -48,7 +49,7 @@ def test_rollouts_lie_between_both_ends(kind: str) -> None:
 
 def test_a_claim_whose_upper_end_is_too_small_is_refuted_by_rollouts() -> None:
     good = parked(60)
-    low = dataclasses.replace(good, lower_bound=0.5, bounds={good.bound: 0.5}, gap=0.2)
+    low = changed(good, lower_bound=0.5, bounds={good.proof.bound: 0.5}, gap=0.2)
     assert cg.validate(low, 20_000, seed=4, confidence=1.0 - FALSE_ALARM).refuted and not cg.check(low)
 
 
@@ -56,7 +57,7 @@ def test_the_upper_end_is_near_that_of_exact_claims() -> None:
     """Claims of `exact` have an upper end of their own; that by the opposite task adds what leaves the workspace."""
     certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 60, relation="exact").certificate
     assert cg.bound_above(certificate) is certificate
-    bare = dataclasses.replace(certificate, gap=None, exact=False)
+    bare = changed(certificate, gap=None)
     end = cg.bound_above(bare)
     assert cg.check(end) and certificate.upper_bound - 1e-9 <= end.upper_bound < certificate.upper_bound + 0.1
 
@@ -68,30 +69,28 @@ def test_other_controllers_are_refused() -> None:
     worst = cg.synthesize(opposite_of(good.problem), 60, relation="linear").certificate
     above = 1.0 - worst.lower_bound
     assert cg.check(worst) and above < good.lower_bound
-    for opposite in (worst, parked(40).opposite):
-        assert "does not act as it does" in cg.check(dataclasses.replace(good, opposite=opposite)).failures[0]
-    (part,) = good.agents
-    changed = part.policy.copy()
-    changed[0, 0] = (changed[0, 0] + 1) % 2
-    assert not cg.check(dataclasses.replace(good, agents=(dataclasses.replace(part, policy=changed),)))
+    for opposite in (worst, parked(40).proof.opposite):
+        assert "does not act as it does" in cg.check(changed(good, opposite=opposite)).failures[0]
+    (part,) = good.proof.agents
+    policy = part.policy.copy()
+    policy[0, 0] = (policy[0, 0] + 1) % 2
+    assert not cg.check(changed(good, agents=(dataclasses.replace(part, policy=policy),)))
 
 
 def forgeries() -> dict[str, Any]:
     """Upper ends that do not hold, by what is wrong with them."""
     good = parked(60)
-    larger = good.opposite.lower_bound + 0.01
-    stated = dataclasses.replace(good.opposite, lower_bound=larger, bounds={good.opposite.bound: larger})
+    larger = good.proof.opposite.lower_bound + 0.01
+    stated = changed(good.proof.opposite, lower_bound=larger, bounds={good.proof.opposite.proof.bound: larger})
     shorter = cg.synthesize(good.problem.replace(horizon=good.problem.horizon - 1), 60, relation="linear", above=True)
     return {
-        "exceeds the recomputed": dataclasses.replace(good, opposite=stated),
-        "says that the probability is at most": dataclasses.replace(good, gap=0.5 * good.gap),
-        "do not fit together|does not act": dataclasses.replace(good, opposite=shorter.certificate.opposite),
-        "names a vertex that is not there|recomputed": dataclasses.replace(
-            good, opposite=dataclasses.replace(good, opposite=None, gap=None)
-        ),
-        "an upper end again": dataclasses.replace(good, opposite=dataclasses.replace(good.opposite, opposite=good)),
-        "says nothing of an upper end": dataclasses.replace(good, gap=None),
-        "are not additive": dataclasses.replace(good, opposite=None),
+        "exceeds the recomputed": changed(good, opposite=stated),
+        "says that the probability is at most": changed(good, gap=0.5 * good.gap),
+        "do not fit together|does not act": changed(good, opposite=shorter.certificate.proof.opposite),
+        "names a vertex that is not there|recomputed": changed(good, opposite=changed(good, opposite=None, gap=None)),
+        "an upper end again": changed(good, opposite=changed(good.proof.opposite, opposite=good)),
+        "says nothing of an upper end": changed(good, gap=None),
+        "are not additive": changed(good, opposite=None),
     }
 
 

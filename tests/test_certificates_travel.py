@@ -21,11 +21,11 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.cells import Grid
+from certigym.synthesis.certificates import OnGrid
 from certigym.synthesis.certificates.archive import _digest
-from certigym.synthesis.certificates.certificate import Certificate
 from certigym.synthesis.checking.regrown_tree import regrow
 from problems import two_agents
-from test_rollouts_agree_with_certificates import correlated
+from test_rollouts_agree_with_certificates import changed, correlated
 
 pytestmark = pytest.mark.slow
 
@@ -33,12 +33,12 @@ REFUSED = "expected a certigym certificate"
 
 
 @pytest.fixture(scope="module")
-def certificate() -> Certificate:
+def certificate() -> OnGrid:
     return cg.synthesize(two_agents("F (a & F c)", horizon=3), 24).certificate
 
 
 @pytest.fixture(scope="module")
-def raw(certificate: Certificate, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def raw(certificate: OnGrid, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("certificates") / "c.npz"
     cg.save_certificate(certificate, path)
     return path.read_bytes()
@@ -83,7 +83,7 @@ def test_every_truncation_is_refused(raw: bytes, tmp_path: Path) -> None:
             cg.load_certificate(path)
 
 
-def test_flipped_bits_are_refused_or_without_effect(raw: bytes, certificate: Certificate, tmp_path: Path) -> None:
+def test_flipped_bits_are_refused_or_without_effect(raw: bytes, certificate: OnGrid, tmp_path: Path) -> None:
     rng, path, refused = np.random.default_rng(0), tmp_path / "c.npz", 0
     for _ in range(250):
         bad = bytearray(raw)
@@ -114,17 +114,17 @@ def test_content_that_was_changed_is_noticed(raw: bytes, tmp_path: Path) -> None
 def test_a_forger_who_renews_the_digest_is_caught_by_the_check(raw: bytes, tmp_path: Path) -> None:
     for raise_by in (1e-6, 0.01):
         header, arrays = contents(raw)
-        header["lower_bound"] = min(1.0, header["lower_bound"] + raise_by)
+        header["proof"]["lower_bound"] = min(1.0, header["proof"]["lower_bound"] + raise_by)
         path = packed(header, arrays, tmp_path / "c.npz")
         assert not cg.check(cg.load_certificate(path))
         assert main(["check", str(path)]) == 1
     header, arrays = contents(raw)
-    for k in header["terms"]["factors"]:
+    for k in header["proof"]["terms"]["factors"]:
         arrays[k] = arrays[k] * 1.01
     assert not cg.check(cg.load_certificate(packed(header, arrays, tmp_path / "c.npz")))
 
 
-def test_renewed_digests_alone_change_nothing(raw: bytes, certificate: Certificate, tmp_path: Path) -> None:
+def test_renewed_digests_alone_change_nothing(raw: bytes, certificate: OnGrid, tmp_path: Path) -> None:
     loaded = cg.load_certificate(packed(*contents(raw), tmp_path / "c.npz"))
     assert cg.check(loaded, certificate.problem) and loaded.lower_bound == certificate.lower_bound
 
@@ -146,7 +146,7 @@ def nested(depth: int) -> Any:
 
 
 HOSTILE: dict[str, Callable[[dict[str, Any]], None]] = {
-    "newer version": set_to("version", value=2),
+    "newer version": set_to("version", value=3),
     "older version": set_to("version", value=0),
     "version as text": set_to("version", value="1"),
     "no version": lambda h: h.pop("version"),
@@ -154,28 +154,34 @@ HOSTILE: dict[str, Callable[[dict[str, Any]], None]] = {
     "another fingerprint": set_to("fingerprint", value="0" * 64),
     "endless horizon": set_to("problem", "horizon", value=10**30),
     "long horizon": set_to("problem", "horizon", value=10**6),
-    "bound above 1": set_to("lower_bound", value=1.5),
-    "bound as text": set_to("lower_bound", value="0.5"),
-    "bound of no number": set_to("lower_bound", value=float("nan")),
-    "bound that is a list": set_to("lower_bound", value=[0.5]),
-    "true as bound": set_to("lower_bound", value=True),
-    "negative gap": set_to("gap", value=-0.1),
-    "rank as text": set_to("rank", value="many"),
-    "rounding above 1": set_to("relative_rounding", value=7.0),
+    "bound above 1": set_to("proof", "lower_bound", value=1.5),
+    "bound as text": set_to("proof", "lower_bound", value="0.5"),
+    "bound of no number": set_to("proof", "lower_bound", value=float("nan")),
+    "bound that is a list": set_to("proof", "lower_bound", value=[0.5]),
+    "true as bound": set_to("proof", "lower_bound", value=True),
+    "negative gap": set_to("proof", "gap", value=-0.1),
+    "rank as text": set_to("proof", "rank", value="many"),
+    "rounding above 1": set_to("proof", "relative_rounding", value=7.0),
     "settings as list": set_to("settings", value=[1]),
-    "array that is not there": set_to("guards", 0, value=10**6),
-    "array named by text": set_to("guards", 0, value="../header"),
-    "huge array number": set_to("guards", 0, value=10**400),
-    "no agents": set_to("agents", value=[]),
-    "agents as text": set_to("agents", value="all"),
-    "law as masks": lambda h: h["agents"][0].update(law=h["agents"][0]["masks"]),
-    "lattice as law": lambda h: h["agents"][0].update(lattice=[h["agents"][0]["law"]]),
-    "two axes": lambda h: h["agents"][0].update(edges=h["agents"][0]["edges"] * 2),
-    "short tree": lambda h: h["skeleton"].pop(),
-    "tree of nothing": set_to("skeleton", value=[[]] * 3),
-    "terms swapped": lambda h: h["terms"].update(index=h["terms"]["factors"]),
+    "array that is not there": set_to("proof", "guards", 0, value=10**6),
+    "array named by text": set_to("proof", "guards", 0, value="../header"),
+    "huge array number": set_to("proof", "guards", 0, value=10**400),
+    "no agents": set_to("proof", "agents", value=[]),
+    "agents as text": set_to("proof", "agents", value="all"),
+    "law as masks": lambda h: h["proof"]["agents"][0].update(law=h["proof"]["agents"][0]["masks"]),
+    "lattice as law": lambda h: h["proof"]["agents"][0].update(lattice=[h["proof"]["agents"][0]["law"]]),
+    "two axes": lambda h: h["proof"]["agents"][0].update(edges=h["proof"]["agents"][0]["edges"] * 2),
+    "short tree": lambda h: h["proof"]["skeleton"].pop(),
+    "tree of nothing": set_to("proof", "skeleton", value=[[]] * 3),
+    "terms swapped": lambda h: h["proof"]["terms"].update(index=h["proof"]["terms"]["factors"]),
     "formula bomb": set_to("problem", "specification", value={"formula": "F(" * 2000, "semantics": "co-safe"}),
     "deep settings": set_to("settings", value={"a": nested(500)}),
+    "proof of another kind": set_to("proof", "kind", value="path"),
+    "proof of no kind": set_to("proof", "kind", value=["grid"]),
+    "proof of an unknown kind": set_to("proof", "kind", value="oath"),
+    "proof as text": set_to("proof", value="grid"),
+    "no proof": lambda h: h.pop("proof"),
+    "opposite that is no file": set_to("proof", "opposite", value=0),
     "no problem": lambda h: h.pop("problem"),
     "problem as text": set_to("problem", value="reach-avoid-v0"),
     "endless matrix": set_to("problem", "agents", 0, "A", value=[[1e400]]),
@@ -277,7 +283,7 @@ def test_grids_that_leave_a_part_of_the_workspace_out_do_not_check() -> None:
     problem = correlated()
     certificate = cg.synthesize(problem, {"plane": [12, 12], "line": 16}, relation="exact").certificate
     assert cg.check(certificate)
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     inner = np.zeros(part.grid.shape, dtype=bool)
     inner[3:, 3:] = True
     kept = inner.ravel()
@@ -288,7 +294,7 @@ def test_grids_that_leave_a_part_of_the_workspace_out_do_not_check() -> None:
         start_masks=part.start_masks[:, kept],
         policy=part.policy[:, :, kept],
     )
-    bad = replace(certificate, agents=(cut, *certificate.agents[1:]), lower_bound=0.0)
-    bad = replace(bad, terms=regrow(bad))
+    bad = changed(certificate, agents=(cut, *certificate.proof.agents[1:]), lower_bound=0.0)
+    bad = changed(bad, terms=regrow(bad))
     report = cg.check(bad)
     assert not report and "does not cover" in report.failures[0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import Certificate
+from certigym.synthesis.certificates import OnGrid
 
 Path = tuple[Any, ...]
 
@@ -45,14 +45,14 @@ def put(value: Any, path: Path, array: np.ndarray) -> Any:
 
 
 @pytest.fixture(scope="module", params=["exact", "tube", "boxes"])
-def certificate(request: pytest.FixtureRequest) -> Certificate:
+def certificate(request: pytest.FixtureRequest) -> OnGrid:
     made = cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=4), 30, relation=request.param).certificate
     assert cg.check(made)
     return made
 
 
 @pytest.mark.parametrize("number", [-7, 10**6])
-def test_numbers_out_of_range_are_answered(certificate: Certificate, number: int) -> None:
+def test_numbers_out_of_range_are_answered(certificate: OnGrid, number: int) -> None:
     arrays = list(whole_numbers(certificate))
     assert len(arrays) > 15
     for path, array in arrays:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import reduce
 from itertools import product
 from typing import Any
@@ -20,6 +19,7 @@ import pytest
 
 import certigym as cg
 from adversary import problem_of
+from certigym.synthesis.certificates import changed, delta_of
 from certigym.synthesis.checking import regrow
 from independent import FALSE, GoodPrefixes, membership
 
@@ -62,8 +62,8 @@ class Oracle:
     def __init__(self, problem: dict[str, Any], certificate: Any) -> None:
         self.spec, self.certificate = problem, certificate
         self.good = GoodPrefixes(problem["formula"])
-        self.edges = [part.grid.edges[0].tolist() for part in certificate.agents]
-        self.agents = range(len(certificate.agents))
+        self.edges = [part.grid.edges[0].tolist() for part in certificate.proof.agents]
+        self.agents = range(len(certificate.proof.agents))
         self.letters = [self._letters(i) for i in self.agents]
         self.tables = [self._table(i) for i in self.agents]
         self.known: dict[Any, tuple[np.ndarray, np.ndarray]] = {}
@@ -80,14 +80,14 @@ class Oracle:
         def below(x: float) -> float:
             return 0.5 * math.erfc(-x / (deviation * math.sqrt(2.0)))
 
-        means = self.certificate.agents[i].lattice[0].tolist()
+        means = self.certificate.proof.agents[i].lattice[0].tolist()
         return np.array(
             [[below(b - z) - below(a - z) for a, b in zip(self.edges[i], self.edges[i][1:])] for z in means]
         )
 
     def _rows(self, i: int, t: int, q: int) -> np.ndarray:
         """Masses (S, S) of the next cell under the policy."""
-        part = self.certificate.agents[i]
+        part = self.certificate.proof.agents[i]
         rows = np.zeros((len(self.letters[i]), len(self.letters[i])))
         for s, choice in enumerate(part.policy[t, q].tolist()):
             if choice >= 0:
@@ -139,24 +139,24 @@ def test_claims_agree_everywhere(case: tuple[Callable[[], dict[str, Any]], dict[
     oracle = Oracle(problem, certificate)
     united = case[0] is alone
     if united:  # read its tree by depths, although the robust tree proves more
-        certificate = replace(certificate, bound="a-posteriori")
-        certificate = replace(certificate, terms=regrow(certificate))
+        certificate = changed(certificate, bound="a-posteriori")
+        certificate = changed(certificate, terms=regrow(certificate))
     if options is PAPER:
-        assert certificate.bound == "a-posteriori" and certificate.delta > 0.01
+        assert certificate.proof.bound == "a-posteriori" and delta_of(certificate) > 0.01
     edges = oracle.edges
     low, high = [axis[0] for axis in edges], [axis[-1] for axis in edges]
     cells = list(product(range(8), repeat=len(edges)))
     states = np.array([[0.5 * (axis[k] + axis[k + 1]) for axis, k in zip(edges, s, strict=True)] for s in cells])
-    wanted = np.maximum([oracle.claim(s, certificate.delta) for s in cells], 0.0)
+    wanted = np.maximum([oracle.claim(s, delta_of(certificate)) for s in cells], 0.0)
     claimed, mean = certificate.at(states), certificate.mean(low, high)
     assert np.all(claimed <= wanted + 1e-12) and mean <= float(np.mean(wanted)) + 1e-12
     if united:  # terms of different depths became one, which pays for the largest
         assert np.max(claimed) > 0.5
         return
     # Trains of two agents are grown from starts everywhere, and say what they may be off by.
-    within = 2e-6 if certificate.terms is not None else 2 * certificate.rounding.tolerance
+    within = 2e-6 if certificate.proof.terms is not None else 2 * certificate.proof.rounding.tolerance
     assert within < 1e-4
     np.testing.assert_allclose(claimed, wanted, atol=within)
-    if certificate.delta == 0.0:  # the mean is cut off at 0 once, not cell by cell
+    if delta_of(certificate) == 0.0:  # the mean is cut off at 0 once, not cell by cell
         assert mean == pytest.approx(float(np.mean(wanted)), abs=within)
     assert cg.check(certificate)

@@ -16,7 +16,7 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.agents import Gaussian, Law
 from certigym.synthesis.balls import check_rigorous, rigorous
-from certigym.synthesis.certificates import checked_kernel, checked_laws
+from certigym.synthesis.certificates import GridProof, changed, checked_kernel, checked_laws
 from certigym.synthesis.checking import (
     boxes_check,
     execution_of,
@@ -212,7 +212,7 @@ def test_a_claim_above_what_is_proved_is_refused(monkeypatch: pytest.MonkeyPatch
     # As if double precision let the claim pass: what is stated stays what it is.
     monkeypatch.setattr(rigorous, "check", lambda *_: recompute(certificate) and plain)
     for claimed, stands in ((low, True), (math.nextafter(low, 1.0), False), (low + 1e-9, False)):
-        raised = replace(certificate, lower_bound=claimed, bounds={"nominal": claimed})
+        raised = changed(certificate, lower_bound=claimed, bounds={"nominal": claimed})
         assert bool(check_rigorous(raised)) == stands, claimed
 
 
@@ -299,9 +299,9 @@ SABOTAGE: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None], str]] = {
 
 def without_an_upper_end(certificate: Any) -> Any:
     """The same claim from below alone: an upper end sees masses that are too large."""
-    if hasattr(certificate, "base"):
-        return replace(certificate, base=without_an_upper_end(certificate.base))
-    return replace(certificate, gap=None, exact=False) if isinstance(certificate, cg.Certificate) else certificate
+    if isinstance(certificate, cg.Certificate) and hasattr(certificate.proof, "base"):
+        return changed(certificate, base=without_an_upper_end(certificate.proof.base))
+    return changed(certificate, gap=None) if isinstance(certificate.proof, GridProof) else certificate
 
 
 @pytest.mark.parametrize("kind", SABOTAGE)
@@ -345,7 +345,7 @@ def test_nonlinear_paths_are_proved(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_targets_are_judged_in_balls(relation: str) -> None:
     """Sabotage: a box that is smaller, an agent that is less stable."""
     certificate = synthesized("reach-avoid-v0", 60, relation=relation)
-    agent, part = certificate.problem.agents[0], certificate.agents[0]
+    agent, part = certificate.problem.agents[0], certificate.proof.agents[0]
     own = certificate.controller.agents[0].relation
     execution = execution_of(agent, part, own)
     honest = (targets(Memory(), agent, part, own, part.policy, execution.inputs),
@@ -377,7 +377,7 @@ def test_networks_are_proved_as_they_are(relation: str, monkeypatch: pytest.Monk
 def test_what_masses_lack_is_proved() -> None:
     """Sabotage: hardly less than they lack is said; what is said is enough."""
     certificate = certificate_of("boxes matrices")
-    agent, part = certificate.problem.agents[0], certificate.agents[0]
+    agent, part = certificate.problem.agents[0], certificate.proof.agents[0]
     said = checked_kernel.lost_to_rounding(agent, part)
     memory = Memory()
     assert lost(memory, agent, part, said)[1] == []
@@ -417,6 +417,6 @@ def test_the_command_line_proves_and_refuses(tmp_path: Path, capsys: pytest.Capt
         assert main(["check", str(file), "--rigorous"]) == 0
         assert "proved in balls" in capsys.readouterr().out
     forged = synthesized("reach-avoid-v0", 40)
-    cg.save_certificate(replace(forged, lower_bound=1.0, bounds={"nominal": 1.0}), file)
+    cg.save_certificate(changed(forged, lower_bound=1.0, bounds={"nominal": 1.0}), file)
     assert main(["check", str(file), "--rigorous"]) == 1
     assert "NOT proved" in capsys.readouterr().out

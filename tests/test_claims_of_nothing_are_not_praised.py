@@ -11,27 +11,27 @@ import pytest
 import certigym as cg
 from certigym.cli.colors import colored
 from certigym.cli.main import main
-from certigym.synthesis.certificates import Certificate
+from certigym.synthesis.certificates import OnGrid, changed
 from certigym.synthesis.checking import CheckReport
 from certigym.validation.statistics import CONFIRMED, REFUTED, VACUOUS, verdict
 from certigym.validation.verdicts import stress, validate_field
 
 
 @pytest.fixture(scope="module")
-def sound() -> Certificate:
+def sound() -> OnGrid:
     return cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=2), 40, relation="exact").certificate
 
 
 @pytest.fixture(scope="module")
-def empty(sound: Certificate) -> Certificate:
+def empty(sound: OnGrid) -> OnGrid:
     """The same certificate, of which nothing is claimed at the start."""
-    return replace(sound, lower_bound=0.0, gap=None, exact=False)
+    return changed(sound, lower_bound=0.0, gap=None)
 
 
 @pytest.fixture(scope="module")
-def broken(sound: Certificate) -> Certificate:
+def broken(sound: OnGrid) -> OnGrid:
     """A claim that is too high for its own tables, but within the limits of few rollouts."""
-    return replace(sound, lower_bound=sound.lower_bound + 0.003, gap=None, exact=False)
+    return changed(sound, lower_bound=sound.lower_bound + 0.003, gap=None)
 
 
 def test_a_bound_of_0_is_vacuous_and_its_upper_end_may_be_refuted() -> None:
@@ -41,7 +41,7 @@ def test_a_bound_of_0_is_vacuous_and_its_upper_end_may_be_refuted() -> None:
     assert verdict(1e-9, None, 0.5, 0.6) == CONFIRMED
 
 
-def test_every_report_about_a_claim_of_0_says_so(empty: Certificate, tmp_path: Path) -> None:
+def test_every_report_about_a_claim_of_0_says_so(empty: OnGrid, tmp_path: Path) -> None:
     content = cg.report(empty, tmp_path / "page.html", 500, checked=CheckReport(True, 0.0, 0.0, ()))
     audit = cg.audit(empty, 200)
     rungs = stress(empty, 200).rungs
@@ -60,7 +60,7 @@ def test_every_report_about_a_claim_of_0_says_so(empty: Certificate, tmp_path: P
     assert stress(empty, 200).survives("delay") is None
 
 
-def test_maps_do_not_confirm_where_nothing_is_claimed(sound: Certificate) -> None:
+def test_maps_do_not_confirm_where_nothing_is_claimed(sound: OnGrid) -> None:
     """From x1 = 15 no policy is in the target after two steps."""
     field = validate_field(sound, [[15.0, 5.0], [-5.0, -4.0]], 200)
     assert field.lower_bounds[0] == 0.0 < field.lower_bounds[1]
@@ -69,7 +69,7 @@ def test_maps_do_not_confirm_where_nothing_is_claimed(sound: Certificate) -> Non
     assert alone.verdict == VACUOUS and alone.to_dict()["fraction_vacuous"] == 1.0
 
 
-def test_a_failed_check_is_the_headline_of_reports_and_pages(broken: Certificate, tmp_path: Path) -> None:
+def test_a_failed_check_is_the_headline_of_reports_and_pages(broken: OnGrid, tmp_path: Path) -> None:
     outcome = cg.check(broken)
     assert not outcome
     report = cg.validate(broken, 300).with_check(outcome)
@@ -86,7 +86,7 @@ def test_a_failed_check_is_the_headline_of_reports_and_pages(broken: Certificate
 
 
 def test_commands_fail_with_the_check(
-    broken: Certificate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    broken: OnGrid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "c.npz"
     cg.save_certificate(broken, file)
@@ -97,7 +97,7 @@ def test_commands_fail_with_the_check(
     assert "\ncheck         valid" in capsys.readouterr().out
     asked: list[object] = []
 
-    def refuse(certificate: Certificate) -> CheckReport:
+    def refuse(certificate: OnGrid) -> CheckReport:
         asked.append(certificate)
         return CheckReport(False, certificate.lower_bound, 0.0, ("sabotage",))
 

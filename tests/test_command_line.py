@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from certigym.cli.main import main
+from certigym.synthesis.certificates import changed
 
 TASK = """
 name = "hop"
@@ -92,9 +93,8 @@ def test_a_refuted_certificate_gives_status_1(task: str, tmp_path: Path, monkeyp
     from certigym.synthesis.certificates.certificate_file import load_certificate
 
     def boastful(path: str) -> object:
-        from dataclasses import replace
 
-        return replace(load_certificate(path), lower_bound=0.9999)
+        return changed(load_certificate(path), lower_bound=0.9999)
 
     monkeypatch.setattr(commands, "load_certificate", boastful)
     assert main(["validate", cert, "--episodes", "2000"]) == 1

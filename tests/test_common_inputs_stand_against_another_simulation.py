@@ -85,7 +85,7 @@ class Team:
 
 def applied(certificate: Any, team: Team, i: int, x: np.ndarray, t: int, q: int) -> np.ndarray:
     """The inputs of agent i at states (M,), read off the arrays of its certificate."""
-    agent, part = team.problem.agents[i], certificate.agents[i]
+    agent, part = team.problem.agents[i], certificate.proof.agents[i]
     edges, relation = part.grid.edges[0], part.relation
     cells = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
     choices = part.policy[min(t, len(part.policy) - 1), q, cells]
@@ -146,7 +146,7 @@ def certified(seed: int) -> tuple[Team, Any]:
 def test_random_teams_reach_what_is_certified(seed: int) -> None:
     """Fixed seeds, 4000 episodes each; seen is a claim that is too large by some .04."""
     team, certificate = certified(seed)
-    assert any("common" in part.relation for part in certificate.agents)
+    assert any("common" in part.relation for part in certificate.proof.agents)
     assert cg.check(certificate)
     met = successes(certificate, team)
     assert binom.cdf(met, EPISODES, certificate.lower_bound) >= FALSE_ALARM / SEEDS
@@ -156,5 +156,5 @@ def test_the_teams_are_worth_a_look() -> None:
     """Claims are neither all trivial nor all empty, and some choices steer."""
     certificates = [certified(seed)[1] for seed in range(SEEDS)]
     assert sum(0.1 < certificate.lower_bound < 0.999 for certificate in certificates) >= SEEDS // 3
-    parts = [part for certificate in certificates for part in certificate.agents]
+    parts = [part for certificate in certificates for part in certificate.proof.agents]
     assert any(np.array(part.relation["steer"])[part.policy[part.policy >= 0]].any() for part in parts)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.carrying_out import wrong_actions
 from certigym.synthesis.checking.execution import execution_of
 from certigym.synthesis.values import Skeleton
@@ -72,7 +73,7 @@ def test_a_controller_without_the_small_coupling_is_refused() -> None:
     entries[1, 0] = 0.0
     # The controller is computed from problem and part, so the sabotage is of the object that is deployed.
     broken = replace(controller, relation=replace(controller.relation, A=entries))
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     agent = certificate.problem.agents[0]
     honest = execution_of(agent, part, controller.relation)
     assert honest.loss < 1e-9
@@ -103,11 +104,11 @@ def ordinary() -> cg.Problem:
 def test_forged_coordinates_are_refused_or_change_nothing(scale: float) -> None:
     """Grid coordinates in other units say the same; a controller that they spoil is not accepted."""
     certificate = cg.synthesize(ordinary(), 24, relation="exact").certificate
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     units = np.array([1.0, scale])
     grid = type(part.grid)(tuple(edges / unit for edges, unit in zip(part.grid.edges, units, strict=True)))
     lattice = tuple(axis / unit for axis, unit in zip(part.lattice, units, strict=True))
-    forged = replace(certificate, agents=(replace(part, grid=grid, lattice=lattice, coordinates=np.diag(units)),))
+    forged = changed(certificate, agents=(replace(part, grid=grid, lattice=lattice, coordinates=np.diag(units)),))
     assert not cg.check(forged) or not refuted(forged)
 
 
@@ -119,10 +120,10 @@ def test_vertices_that_are_listed_twice_are_refused() -> None:
         kept = tuple(np.concatenate([rows, rows + len(o)]) for rows, o in zip(step.kept, step.origin, strict=True))
         return replace(step, origin=tuple(np.concatenate([rows, rows]) for rows in step.origin), kept=kept)
 
-    for time in range(len(certificate.skeleton)):
-        skeleton = list(certificate.skeleton)
+    for time in range(len(certificate.proof.skeleton)):
+        skeleton = list(certificate.proof.skeleton)
         skeleton[time] = doubled(skeleton[time])
-        report = cg.check(replace(certificate, skeleton=tuple(skeleton)))
+        report = cg.check(changed(certificate, skeleton=tuple(skeleton)))
         assert not report, time
 
 

@@ -15,6 +15,7 @@ from certigym.cli.main import main
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.worlds import Dynamics
 from certigym.synthesis.cells.labels import cell_labels
+from certigym.synthesis.certificates import changed, delta_of, is_exact
 from certigym.synthesis.controllers.controller import BatchMemory
 from certigym.synthesis.models import abstraction
 from certigym.synthesis.models.abstraction import abstract
@@ -47,8 +48,8 @@ def test_ellipsoid_bounds_hold_and_check(name: str, delta: float | None) -> None
     """One-sided at 1e-6 / 9, 20,000 rollouts."""
     result = synthesis(name, delta)
     certificate = result.certificate
-    assert set(certificate.bounds) == ({"nominal"} if delta is None else {"a-posteriori", "robust tree"})
-    assert not certificate.exact and certificate.agents[0].relation["kind"] == "ellipsoid"
+    assert set(certificate.proof.bounds) == ({"nominal"} if delta is None else {"a-posteriori", "robust tree"})
+    assert not is_exact(certificate) and certificate.proof.agents[0].relation["kind"] == "ellipsoid"
     assert cg.check(certificate), str(cg.check(certificate))
     report = cg.validate(result, 20_000, seed=3, confidence=1 - FALSE_ALARM / 9)
     assert report.verdict != REFUTED, str(report)
@@ -59,8 +60,8 @@ def test_two_agents_couple_with_independent_coins() -> None:
     """RA4 on 40 x 40 cells from near its goal: the bound is positive, checked, and not refuted at 1e-6."""
     near = cg.make_problem("reach-avoid-kinematic-v0").replace(horizon=8, initial_state=[-6.0, 0.0, -4.0, 0.0])
     result = cg.synthesize(near, 40, relation="ellipsoid", delta=0.001, max_sweeps=1)
-    deltas = [part.relation["delta"] for part in result.certificate.agents]
-    assert result.certificate.delta == pytest.approx(1 - (1 - deltas[0]) * (1 - deltas[1]), rel=1e-9)
+    deltas = [part.relation["delta"] for part in result.certificate.proof.agents]
+    assert delta_of(result.certificate) == pytest.approx(1 - (1 - deltas[0]) * (1 - deltas[1]), rel=1e-9)
     assert cg.check(result.certificate) and result.certificate.lower_bound > 0.1
     assert cg.validate(result, 20_000, seed=1, confidence=1 - FALSE_ALARM).verdict != REFUTED
 
@@ -98,7 +99,7 @@ def test_certificates_travel_and_are_checked_without_the_solver(
     cg.save_certificate(certificate, tmp_path / "c.npz")
     monkeypatch.setitem(sys.modules, "cvxpy", None)
     loaded = cg.load_certificate(tmp_path / "c.npz")
-    assert loaded.agents[0].relation == certificate.agents[0].relation
+    assert loaded.proof.agents[0].relation == certificate.proof.agents[0].relation
     assert loaded.lower_bound == certificate.lower_bound
     assert cg.check(loaded, CASES["diagonal"])
     first, again = (cg.rollout(c.problem, c.controller, 2000, seed=5).successes for c in (certificate, loaded))
@@ -107,16 +108,16 @@ def test_certificates_travel_and_are_checked_without_the_solver(
 
 def test_tampered_certificates_are_refused() -> None:
     certificate = synthesis("diagonal", 0.01).certificate
-    part = certificate.agents[0]
-    for changed in (
+    part = certificate.proof.agents[0]
+    for entries in (
         {"delta": 0.5 * part.relation["delta"]},
         {"epsilon": 0.99 * part.relation["epsilon"]},
         {"feedback": [[0.0, 0.0]]},
         {"coupling": [[0.0, 0.0], [0.0, 0.0]]},
     ):
-        other = replace(part, relation={**part.relation, **changed})
-        assert not cg.check(replace(certificate, agents=(other,))), changed
-    assert not cg.check(replace(certificate, bound="nominal"))
+        other = replace(part, relation={**part.relation, **entries})
+        assert not cg.check(changed(certificate, agents=(other,))), entries
+    assert not cg.check(changed(certificate, bound="nominal"))
 
 
 def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,6 +145,6 @@ def test_the_command_line_takes_relation_and_delta(tmp_path: Path, capsys: pytes
     arguments = ["reach-avoid-v0", "--horizon", "3", "--cells", "100", "--out", out]
     assert main(["synthesize", *arguments, "--relation", "ellipsoid", "--delta", "0.001"]) == 0
     assert main(["check", out]) == 0
-    assert cg.load_certificate(out).agents[0].relation["delta"] <= 0.001
+    assert cg.load_certificate(out).proof.agents[0].relation["delta"] <= 0.001
     assert main(["synthesize", *arguments, "--relation", "tube", "--delta", "0.001"]) == 2
     assert "`delta`: expected none" in capsys.readouterr().err

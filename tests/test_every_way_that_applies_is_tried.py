@@ -22,7 +22,7 @@ from test_the_clock_decides_nothing import robots
 
 def result(bound: float, has_cells: bool = True, above: float | None = None) -> cg.Synthesis:
     """Return what a way gives, as far as the scheduler looks at it."""
-    certificate: Any = SimpleNamespace(lower_bound=bound, has_cells=has_cells)
+    certificate: Any = SimpleNamespace(lower_bound=bound, proof=SimpleNamespace(has_cells=has_cells), settings={})
     return cg.Synthesis(certificate, certificate, {"continuous_upper_bound": above})
 
 
@@ -103,7 +103,7 @@ def test_a_grid_is_kept_where_a_path_certifies_hardly_more() -> None:
 
 def test_a_path_that_leaves_hardly_anything_to_gain_spares_the_grids() -> None:
     found = cg.synthesize("integrator-chain-v0")
-    assert not found.certificate.has_cells and found.certificate.lower_bound > 0.993
+    assert not found.certificate.proof.has_cells and found.certificate.lower_bound > 0.993
     assert "after `path` hardly anything is left to gain" in tried_of(found)["linear"]
     assert cg.check(found.certificate)
     first, second = cg.synthesize_horizons("integrator-chain-v0", [4, 5])
@@ -124,7 +124,7 @@ def test_teams_of_three_get_linear_cells_on_cells_that_are_given() -> None:
     """On coarse cells they certify several times what other relations do."""
     found = cg.synthesize(robots(3), 12)
     tried = tried_of(found)
-    assert [part.relation["kind"] for part in found.certificate.agents] == ["linear"] * 3
+    assert [part.relation["kind"] for part in found.certificate.proof.agents] == ["linear"] * 3
     assert tried["linear"] == found.certificate.lower_bound > 2 * tried["exact"] > 0.0
     assert cg.check(found.certificate)
 

@@ -64,7 +64,11 @@ CANNOT: dict[str, dict[str, str]] = {
         "path in time": "expected one of auto",
     },
     "at": {"path": NO_VALUES_ON_PATHS, "path in time": NO_VALUES_ON_PATHS, "subtraction": "about pairs of agents"},
-    "values in time": dict.fromkeys(["path", "path in time", "subtraction"], "expected a Certificate"),
+    "values in time": {
+        "path": NO_VALUES_ON_PATHS,
+        "path in time": NO_VALUES_ON_PATHS,
+        "subtraction": NO_VALUES_BY_SUBTRACTION,
+    },
     "audit": {"path": NO_VALUES_ON_PATHS, "path in time": NO_VALUES_ON_PATHS, "subtraction": NO_VALUES_BY_SUBTRACTION},
     "field": {"path": NO_VALUES_ON_PATHS, "path in time": NO_VALUES_ON_PATHS, "subtraction": "."},
     # Rates are read from least values: nothing is bounded where one of them is 0, as when a battery runs empty.
@@ -80,7 +84,7 @@ CANNOT: dict[str, dict[str, str]] = {
     # Beyond the horizon nothing is said of the time, and policies that do not look at it cannot know it.
     "no deadline": {"subtraction": GROWS, **dict.fromkeys([*TIMED, "path in time"], "the same at every step")},
     "budget": {"path": "has no grid", "path in time": "which has no grid"},
-    "start=": dict.fromkeys(["path", "path in time"], "expected a Certificate"),
+    "start=": dict.fromkeys(["path", "path in time"], NO_VALUES_ON_PATHS),
 }
 """Refusals by mathematics: column, row, and what the message says."""
 

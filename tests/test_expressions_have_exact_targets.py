@@ -93,7 +93,7 @@ def test_claims_are_exact_checked_and_met_by_rollouts(name: str) -> None:
 def test_inputs_put_means_on_targets_from_everywhere_in_a_cell(name: str) -> None:
     """Every choice, at random points of its cell: inputs in their box, the mean on the lattice point."""
     certificate, rng = certificate_of(name), np.random.default_rng(1)
-    agent, part = certificate.problem.agents[0], certificate.agents[0]
+    agent, part = certificate.problem.agents[0], certificate.proof.agents[0]
     relation = certificate.controller.agents[0].relation
     assert isinstance(relation, WrittenTargets)
     cells = np.flatnonzero(part.policy[0, 0] >= 0)[:: max(1, len(part.policy[0, 0]) // 100)]
@@ -168,7 +168,11 @@ def test_the_check_refuses_ranges_that_are_too_wide(monkeypatch: pytest.MonkeyPa
 def test_the_check_refuses_a_wrong_sign_of_b() -> None:
     """The controller takes B for its negative: seen where it acts."""
     certificate = certificate_of("alone")
-    agent, part, controller = certificate.problem.agents[0], certificate.agents[0], certificate.controller.agents[0]
+    agent, part, controller = (
+        certificate.problem.agents[0],
+        certificate.proof.agents[0],
+        certificate.controller.agents[0],
+    )
     relation = controller.relation
     assert isinstance(relation, WrittenTargets)
     execution = execution_of(agent, part, relation)
@@ -184,7 +188,7 @@ def test_neighbours_that_are_told_are_cancelled() -> None:
     problem = cg.make_problem("room-network-v0", n_agents=10)
     result = cg.synthesize(problem, 48, relation="exact")
     assert result.certificate.lower_bound > 0.99999 and cg.check(result.certificate)
-    assert {part.relation["kind"] for part in result.certificate.agents} == {"exact"}
+    assert {part.relation["kind"] for part in result.certificate.proof.agents} == {"exact"}
     assert len({id(controller.relation) for controller in result.certificate.controller.agents}) == 1
     assert cg.validate(result, 500, seed=0).estimate == 1.0
 
@@ -193,7 +197,7 @@ def test_automatic_choice_takes_exact_targets() -> None:
     """Where cells are fine they certify most; on coarse ones other relations may."""
     strong = robot(["x + 0.1*sin(y) + 4*u", "y + 4*v"], ["u", "v"], [-1, -1], [1, 1])
     for settings in ({"cells": 40}, {"cells": 40, "relation": "quick"}, {"cells": 40, "relation": {"robot": "exact"}}):
-        assert cg.synthesize(avoiding(strong), **settings).certificate.agents[0].relation == {"kind": "exact"}
+        assert cg.synthesize(avoiding(strong), **settings).certificate.proof.agents[0].relation == {"kind": "exact"}
 
 
 def test_files_hold_exact_targets(tmp_path: Any) -> None:
@@ -213,6 +217,6 @@ def test_menus_of_targets_are_permitted() -> None:
     choices = np.flatnonzero(permission.mask("robot", start, certificate.problem.initial_q, 0)[0])
     assert len(choices) > 10
     inputs = permission.inputs("robot", np.tile(start, (len(choices), 1)), choices)
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     targets = [axis[k] for axis, k in zip(part.lattice, np.unravel_index(choices, part.lattice_shape), strict=True)]
     assert np.allclose(agent.mean(np.tile(start, (len(choices), 1)).T, inputs.T), targets, rtol=0.0, atol=1e-12)

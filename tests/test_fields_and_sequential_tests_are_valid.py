@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from scipy.integrate import quad
 from scipy.stats import beta, binom
 
 import certigym as cg
-from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.certificates import OnGrid, changed
 from certigym.synthesis.values.terms import Terms
 from certigym.validation.statistics.binomial import CONFIRMED, CONSISTENT, REFUTED, VACUOUS, holm, p_at_least, p_at_most
 from certigym.validation.statistics.sequential import (
@@ -31,14 +30,14 @@ LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}
 
 
 @pytest.fixture(scope="module")
-def certificate() -> Certificate:
+def certificate() -> OnGrid:
     return cg.synthesize(two_agents("F (a & F c)", horizon=4, **LOUD), 80, relation="exact").certificate
 
 
-def inflated(c: Certificate, factor: float) -> Certificate:
+def inflated(c: OnGrid, factor: float) -> OnGrid:
     """The same certificate with every claim multiplied."""
-    factors = (c.tree.factors[0] * factor, *c.tree.factors[1:])
-    return replace(c, terms=Terms(factors, c.tree.index), lower_bound=min(1.0, c.lower_bound * factor))
+    factors = (c.proof.tree.factors[0] * factor, *c.proof.tree.factors[1:])
+    return changed(c, terms=Terms(factors, c.proof.tree.index), lower_bound=min(1.0, c.lower_bound * factor))
 
 
 def test_p_values_are_binomial_tails() -> None:
@@ -55,7 +54,7 @@ def test_holm_is_bonferroni_for_the_smallest_and_never_decreases() -> None:
     assert np.all(np.diff(adjusted[np.argsort(p)]) >= 0) and np.all(adjusted >= p)
 
 
-def test_true_fields_are_never_refuted_and_false_ones_are(certificate: Certificate) -> None:
+def test_true_fields_are_never_refuted_and_false_ones_are(certificate: OnGrid) -> None:
     """False alarm 1e-6. 300 episodes at each of 144 starts notice a claim that is 8 % too large somewhere."""
     states = slice_starts(certificate.problem, (0, 1), (12, 12))
     field = validate_field(certificate, states, 300, seed=1, confidence=CONFIDENCE, shape=(12, 12))
@@ -67,25 +66,27 @@ def test_true_fields_are_never_refuted_and_false_ones_are(certificate: Certifica
     np.testing.assert_array_equal(field.successes, bad.successes)
 
 
-def test_one_start_of_a_field_agrees_with_validate(certificate: Certificate) -> None:
+def test_one_start_of_a_field_agrees_with_validate(certificate: OnGrid) -> None:
     state = [1.5, 0.5]
     field = validate_field(certificate, [state], 4000, seed=3)
     report = cg.validate(certificate, 4000, seed=3, initial_state=state)
     assert (int(field.successes[0]), float(field.lower_bounds[0])) == (report.successes, report.lower_bound)
 
 
-def test_the_weakest_start_is_found(certificate: Certificate) -> None:
+def test_the_weakest_start_is_found(certificate: OnGrid) -> None:
     """Claims are too large only where agent one starts right of 3.4, a tenth of the axis."""
-    grid, factor = certificate.agents[0].grid, certificate.tree.factors[0].copy()
+    grid, factor = certificate.proof.agents[0].grid, certificate.proof.tree.factors[0].copy()
     factor[:, grid.centres[:, 0] > 3.4] *= 1.25
-    wrong = replace(certificate, terms=Terms((factor, *certificate.tree.factors[1:]), certificate.tree.index))
+    wrong = changed(
+        certificate, terms=Terms((factor, *certificate.proof.tree.factors[1:]), certificate.proof.tree.index)
+    )
     field = find_weakest(wrong, 60_000, seed=4, confidence=CONFIDENCE)
     assert field.verdict == REFUTED, str(field)
     assert field.states[field.weakest, 0] > 3.4
     assert find_weakest(certificate, 60_000, seed=4, confidence=CONFIDENCE).verdict == CONSISTENT
 
 
-def test_starts_lie_where_they_should(certificate: Certificate) -> None:
+def test_starts_lie_where_they_should(certificate: OnGrid) -> None:
     low, high = workspace_box(certificate.problem)
     for states in (corner_starts(certificate.problem), random_starts(certificate.problem, 50, 1)):
         assert np.all((low <= states) & (states <= high))
@@ -101,7 +102,7 @@ def test_starts_lie_where_they_should(certificate: Certificate) -> None:
         validate_field(certificate, line, 10, shape=(3,))
 
 
-def test_field_reports_are_json(certificate: Certificate, tmp_path: Path) -> None:
+def test_field_reports_are_json(certificate: OnGrid, tmp_path: Path) -> None:
     field = validate_field(certificate, corner_starts(certificate.problem), 50)
     field.save(tmp_path / "f.json")
     data = json.loads((tmp_path / "f.json").read_text())
@@ -145,8 +146,8 @@ def test_edges_of_sequential_claims() -> None:
     assert low == 0 and 0 < high < 1
 
 
-def test_sequential_validation_stops_early_and_for_the_right_reason(certificate: Certificate) -> None:
-    modest = replace(certificate, lower_bound=0.5 * certificate.lower_bound, gap=None, exact=False)
+def test_sequential_validation_stops_early_and_for_the_right_reason(certificate: OnGrid) -> None:
+    modest = changed(certificate, lower_bound=0.5 * certificate.lower_bound, gap=None)
     early = cg.validate(modest, 100_000, seed=1, sequential=True)
     assert early.verdict == CONFIRMED and early.episodes < 500
     assert early.details["sequential"] and "tested after every episode" in str(early)

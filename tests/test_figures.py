@@ -56,8 +56,8 @@ def test_a_bound_against_the_horizon_is_drawn_as_a_bound(certificate: cg.Certifi
 def test_ranks_are_those_of_the_tree(certificate: cg.Certificate) -> None:
     (plot,) = figures.rank_figure(certificate).axes
     kept = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in plot.lines])
-    assert np.nanmax(kept) >= certificate.rank
-    assert certificate.rank in kept
+    assert np.nanmax(kept) >= certificate.proof.rank
+    assert certificate.proof.rank in kept
 
 
 def test_the_relation_holds_in_the_picture() -> None:

@@ -139,7 +139,9 @@ def test_a_path_that_is_better_than_coarse_cells_leaves_finer_ones_to_try() -> N
     """Unless it is better by far; and the best of other relations is still the one that is made finer."""
 
     def result(bound: float) -> Any:
-        return SimpleNamespace(certificate=SimpleNamespace(lower_bound=bound, rounding=None, has_cells=True))
+        return SimpleNamespace(
+            certificate=SimpleNamespace(lower_bound=bound, proof=SimpleNamespace(rounding=None, has_cells=True))
+        )
 
     plan = Plan(Settings(), Search(), None, Effort())
     finer = task_ways._finer(cg.make_problem("reach-avoid-v0", horizon=3), plan)

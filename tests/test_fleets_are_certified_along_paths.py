@@ -13,7 +13,7 @@ from scipy.stats import binom, norm
 
 import certigym as cg
 from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.certificates import AgentPath, PathCertificate
+from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed, start_of_claim
 from certigym.synthesis.nominal_paths import CountedWork
 from certigym.synthesis.nominal_paths.limit_rows import Worth
 from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
@@ -82,12 +82,12 @@ PROBLEMS = {"two": swap(), "three": swap(3, 0.02, 0.4), "mixed": mixed()}
 
 
 @pytest.fixture(scope="module")
-def certificates() -> dict[str, PathCertificate]:
+def certificates() -> dict[str, AlongPath]:
     return {name: path_of(problem) for name, problem in PROBLEMS.items()}
 
 
 @pytest.mark.parametrize("name", sorted(PROBLEMS))
-def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[str, PathCertificate]) -> None:
+def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[str, AlongPath]) -> None:
     certificate = certificates[name]
     report = cg.check(certificate, PROBLEMS[name])
     assert report.valid, report.failures
@@ -96,48 +96,52 @@ def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[
     assert binom.cdf(done.successes, 20_000, certificate.lower_bound) > FALSE_ALARM / 3
 
 
-def test_agents_see_themselves_alone(certificates: dict[str, PathCertificate]) -> None:
+def test_agents_see_themselves_alone(certificates: dict[str, AlongPath]) -> None:
     assert certificates["three"].controller.information == "own state, time"
 
 
-def test_the_search_is_deterministic(certificates: dict[str, PathCertificate]) -> None:
+def test_the_search_is_deterministic(certificates: dict[str, AlongPath]) -> None:
     again, first = path_of(swap()), certificates["two"]
-    assert again.failure == first.failure
-    assert np.array_equal(again.paths[1].gains, first.paths[1].gains)
+    assert again.proof.failure == first.proof.failure
+    assert np.array_equal(again.proof.paths[1].gains, first.proof.paths[1].gains)
 
 
 def test_paths_are_found_without_being_asked_for() -> None:
     found = cg.synthesize(swap(3, 0.02, 0.4))
-    assert isinstance(found.certificate, PathCertificate) and found.certificate.lower_bound > 0.99
+    assert isinstance(found.certificate.proof, PathProof) and found.certificate.lower_bound > 0.99
 
 
-def _with_letters(certificate: PathCertificate, first: int, value: int) -> PathCertificate:
-    letters = certificate.letters.copy()
+def _with_letters(certificate: AlongPath, first: int, value: int) -> AlongPath:
+    letters = certificate.proof.letters.copy()
     letters[:, first:] = value
-    return replace(certificate, letters=letters)
+    return changed(certificate, letters=letters)
+
+
+def with_first(certificate: AlongPath, path: AgentPath) -> AlongPath:
+    """The same with another path of the first agent."""
+    return changed(certificate, paths=(path, *certificate.proof.paths[1:]))
 
 
 FORGERIES = {
-    "failure": lambda c: replace(c, failure=0.9 * c.failure),
+    "failure": lambda c: changed(c, failure=0.9 * c.proof.failure),
     "pair dropped": lambda c: _with_letters(c, c.problem.labeling.first_pair, 0),
     "pair turned round": lambda c: _with_letters(c, c.problem.labeling.first_pair, 1),
-    "no directions": lambda c: replace(c, normals=None),
-    "directions that are 0": lambda c: replace(c, normals=0.0 * c.normals),
-    "directions that are no numbers": lambda c: replace(c, normals=np.nan * c.normals),
-    "directions of another step": lambda c: replace(c, normals=np.roll(c.normals, 3, axis=0)),
-    "directions turned round": lambda c: replace(c, normals=-c.normals),
-    "directions that do not fit": lambda c: replace(c, normals=c.normals[:, :1]),
-    "paths without states": lambda c: replace(c, paths=(AgentPath(c.paths[0].inputs, c.paths[0].gain), *c.paths[1:])),
-    "agents exchanged": lambda c: replace(c, paths=c.paths[::-1]),
-    "one agent without feedback": lambda c: replace(c, paths=(replace(c.paths[0], gain=0.0 * c.paths[0].gain),
-                                                              *c.paths[1:])),
+    "no directions": lambda c: changed(c, normals=None),
+    "directions that are 0": lambda c: changed(c, normals=0.0 * c.proof.normals),
+    "directions that are no numbers": lambda c: changed(c, normals=np.nan * c.proof.normals),
+    "directions of another step": lambda c: changed(c, normals=np.roll(c.proof.normals, 3, axis=0)),
+    "directions turned round": lambda c: changed(c, normals=-c.proof.normals),
+    "directions that do not fit": lambda c: changed(c, normals=c.proof.normals[:, :1]),
+    "paths without states": lambda c: with_first(c, AgentPath(c.proof.paths[0].inputs, c.proof.paths[0].gain)),
+    "agents exchanged": lambda c: changed(c, paths=c.proof.paths[::-1]),
+    "one agent without feedback": lambda c: with_first(c, replace(c.proof.paths[0], gain=0.0 * c.proof.paths[0].gain)),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", sorted(FORGERIES))
-def test_forgeries_are_refused(name: str, certificates: dict[str, PathCertificate]) -> None:
+def test_forgeries_are_refused(name: str, certificates: dict[str, AlongPath]) -> None:
     certificate = certificates["two"]
-    assert 1e-6 < certificate.failure
+    assert 1e-6 < certificate.proof.failure
     assert not cg.check(FORGERIES[name](certificate))
 
 
@@ -146,27 +150,27 @@ def test_a_half_plane_moved_inward_is_refused() -> None:
     honest, smaller = path_of(swap(std=0.03, side=0.9)), swap(std=0.03, near=0.75, side=0.9)
     easier = cg.check(replace(honest, problem=smaller))
     failure = 1.0 - easier.recomputed + 1e-9
-    assert cg.check(honest) and failure < 0.9 * honest.failure
-    assert cg.check(replace(honest, problem=smaller, failure=failure))
-    assert not cg.check(replace(honest, failure=failure))
+    assert cg.check(honest) and failure < 0.9 * honest.proof.failure
+    assert cg.check(changed(honest, problem=smaller, failure=failure))
+    assert not cg.check(changed(honest, failure=failure))
 
 
-def test_what_scales_directions_changes_nothing(certificates: dict[str, PathCertificate]) -> None:
+def test_what_scales_directions_changes_nothing(certificates: dict[str, AlongPath]) -> None:
     certificate = certificates["two"]
-    assert certificate.normals is not None
-    again = replace(certificate, normals=1024.0 * certificate.normals)
+    assert certificate.proof.normals is not None
+    again = changed(certificate, normals=1024.0 * certificate.proof.normals)
     assert cg.check(again).recomputed == pytest.approx(cg.check(certificate).recomputed, rel=1e-9)
 
 
 @pytest.fixture(scope="module")
-def noisy() -> PathCertificate:
+def noisy() -> AlongPath:
     return path_of(swap(std=0.06, horizon=9))
 
 
 @pytest.mark.usefixtures("search_alone")
 @pytest.mark.parametrize("left_out", ["drift", "variance"])
 def test_one_agent_left_out_of_a_pair_is_refused(
-    left_out: str, noisy: PathCertificate, monkeypatch: pytest.MonkeyPatch
+    left_out: str, noisy: AlongPath, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     totals = PairRows._totals
 
@@ -190,7 +194,7 @@ def apart(start: float, horizon: int = 1, formula: str = "G !near") -> cg.Proble
 def test_one_step_of_a_pair_is_exact() -> None:
     """Both go apart as far as they choose: the distance less that of the box, in deviations of both."""
     certificate = path_of(apart(1.2, formula="N G !near"))
-    (first, second) = certificate.paths
+    (first, second) = certificate.proof.paths
     assert first.states is not None and second.states is not None
     gap = float(second.states[1, 0] - first.states[1, 0])
     truth = norm.cdf((gap - 1.0) / math.hypot(0.1, 0.2))
@@ -206,7 +210,7 @@ def test_one_step_of_a_meeting_is_exact() -> None:
     truth = 2.0 * norm.cdf(0.75 / math.hypot(0.1, 0.2)) - 1.0
     assert truth - 1e-3 < certificate.lower_bound <= truth
     assert cg.check(certificate)
-    assert not cg.check(replace(certificate, failure=0.9 * certificate.failure))
+    assert not cg.check(changed(certificate, failure=0.9 * certificate.proof.failure))
 
 
 @pytest.mark.parametrize(("start", "holds"), [(1.0, True), (np.nextafter(1.0, 2.0), False), (-0.5, False),
@@ -219,9 +223,9 @@ def test_pairs_are_read_at_time_0(start: float, holds: bool) -> None:
     assert cg.check(certificate)
     paths = tuple(
         replace(path, states=path.states + (0.0 if k == 0 else start - 3.0))  # type: ignore[operator, arg-type]
-        for k, path in enumerate(certificate.paths)
+        for k, path in enumerate(certificate.proof.paths)
     )
-    forged = replace(certificate, problem=problem, paths=paths, failure=0.999999)
+    forged = changed(certificate, problem=problem, paths=paths, failure=0.999999)
     assert problem.labeling.letter([np.zeros(1), np.array([start])])[0] == holds
     if holds:
         assert not cg.check(forged)
@@ -242,10 +246,8 @@ def test_pairs_at_a_face_without_noise_are_not_apart() -> None:
         for x in (0.0, 1.0)
     ]
     letters = np.array([[0], [-1]], dtype=np.int8)
-    certificate = PathCertificate(
-        problem, tuple(path), letters, np.full((2, 1), -1), 0.999, {}, np.array([[0.0], [-1.0]])
-    )
-    assert not cg.check(certificate)
+    proof = PathProof(tuple(path), letters, np.full((2, 1), -1), 0.999, np.array([[0.0], [-1.0]]))
+    assert not cg.check(cg.Certificate(problem, proof, {}))
 
 
 def test_starts_that_leave_the_first_letter_open_are_refused_in_words() -> None:
@@ -258,11 +260,11 @@ def test_starts_that_leave_the_first_letter_open_are_refused_in_words() -> None:
         cg.synthesize(problem, relation="path")
 
 
-def test_files_keep_fleets(certificates: dict[str, PathCertificate], tmp_path: Path) -> None:
+def test_files_keep_fleets(certificates: dict[str, AlongPath], tmp_path: Path) -> None:
     certificate = certificates["mixed"]
     cg.save_certificate(certificate, tmp_path / "fleet.npz")
     again: Any = cg.load_certificate(tmp_path / "fleet.npz")
-    assert certificate.normals is not None and np.array_equal(again.normals, certificate.normals)
+    assert certificate.proof.normals is not None and np.array_equal(again.proof.normals, certificate.proof.normals)
     assert cg.check(again, certificate.problem).valid
     content = cg.report(certificate, tmp_path / "fleet.html", episodes=200)
     assert content
@@ -314,7 +316,7 @@ def from_boxes(width: float, formula: str = "G !near & F there") -> cg.Problem:
 def test_pairs_hold_from_every_start_of_a_box() -> None:
     """The set of starts joins the drift of pairs, and claims that forget it are refused."""
     wide, point = path_of(from_boxes(0.3)), path_of(from_boxes(0.0))
-    assert cg.check(wide) and wide.start == "mean" and wide.lower_bound > 0.9
+    assert cg.check(wide) and start_of_claim(wide) == "mean" and wide.lower_bound > 0.9
     rate = cg.validate(wide, 20_000, seed=4, confidence=1.0 - FALSE_ALARM)
     assert rate.verdict != "refuted" and rate.estimate >= wide.lower_bound - 0.01
     forgotten = replace(point, problem=wide.problem)
@@ -343,7 +345,7 @@ def test_jumps_without_a_stay_follow_at_once() -> None:
     agents = [walker("first", [-3.0, -2.0], 0.05), walker("second", [3.0, -2.0], 0.05)]
     certificate = path_of(problem_of(agents, regions, "F (depot & F (meet & X meet & F shop))", 16))
     assert certificate.lower_bound > 0.999 and cg.check(certificate)
-    together = certificate.letters[:, certificate.problem.automaton.propositions.index("meet")] > 0
+    together = certificate.proof.letters[:, certificate.problem.automaton.propositions.index("meet")] > 0
     assert np.any(together[1:] & together[:-1])
 
 
@@ -377,5 +379,5 @@ def test_agents_that_are_alike_have_one_path_between_them() -> None:
     assert len(set(team.alike)) == 2
     found: Any = cg.synthesize(problem, relation="path").certificate
     assert found.lower_bound > 0.999 and cg.check(found)
-    inputs = [path.inputs.tobytes() for path in found.paths]
+    inputs = [path.inputs.tobytes() for path in found.proof.paths]
     assert len(set(inputs)) == 2 and len({inputs[i] for i in range(8) if i != 5}) == 1

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking import lasting_safety, standing
 from certigym.synthesis.shielding import shield_of
 from problems import scalar_agent
@@ -41,19 +42,19 @@ def exact() -> cg.Certificate:
 def with_other_targets(certificate: cg.Certificate) -> cg.Certificate:
     """Every cell aims at the middle of the workspace, which no input of the box reaches from most of them."""
     parts = []
-    for part in certificate.agents:
+    for part in certificate.proof.agents:
         middle = int(np.argmin(np.abs(part.lattice[0])))
         parts.append(replace(part, policy=np.full_like(part.policy, middle)))
-    return replace(certificate, agents=tuple(parts))
+    return changed(certificate, agents=tuple(parts))
 
 
 def with_other_guards(certificate: cg.Certificate) -> cg.Certificate:
     """Every cell counts as if every letter were certain in it."""
     parts = [
         replace(part, masks=np.ones_like(part.masks), start_masks=np.ones_like(part.start_masks))
-        for part in certificate.agents
+        for part in certificate.proof.agents
     ]
-    return replace(certificate, agents=tuple(parts))
+    return changed(certificate, agents=tuple(parts))
 
 
 @pytest.mark.parametrize("forge", [with_other_targets, with_other_guards])
@@ -123,7 +124,7 @@ def test_starts_on_a_face_that_rounding_decides_are_refused() -> None:
     """The controller and the check could stand in different cells; beside the face, and at 0, they cannot."""
     certificate = correlated([0.1, 0.2])
     assert cg.check(certificate)
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     skewed = 1
     assert np.count_nonzero(part.coordinates[skewed]) == 2 and np.count_nonzero(part.coordinates[0]) == 1
     place = [part.grid.edges[0][14], part.grid.edges[skewed][14]]

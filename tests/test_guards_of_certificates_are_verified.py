@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 from mutations import guards_twice
 from test_controllers_carry_out_what_is_certified import ordinary
 
@@ -15,7 +16,7 @@ from test_controllers_carry_out_what_is_certified import ordinary
 def certificate() -> Any:
     """One guard: from inside the region to inside the region; nothing is claimed from above."""
     honest = cg.synthesize(ordinary(), 16, relation="exact").certificate
-    return replace(honest, gap=None, exact=False)
+    return changed(honest, gap=None)
 
 
 def test_the_same_guard_twice_is_an_overlap() -> None:
@@ -28,7 +29,7 @@ def test_the_same_guard_twice_is_an_overlap() -> None:
 def test_a_guard_with_cells_of_another_letter_is_refused() -> None:
     """Some of its letters lead where it says, and others to failure."""
     own = certificate()
-    part = own.agents[0]
-    forged = replace(own, agents=(replace(part, masks=np.ones_like(part.masks)),))
+    part = own.proof.agents[0]
+    forged = changed(own, agents=(replace(part, masks=np.ones_like(part.masks)),))
     report = cg.check(forged)
     assert not report and "does not always lead" in str(report)

@@ -127,8 +127,8 @@ def test_choices_that_steer_are_charged_for_inner_terms(monkeypatch: pytest.Monk
     monkeypatch.setattr(written_means, "roundings", forgetful)
     forged = cg.synthesize(steered, 60, relation="boxes").certificate
     assert isinstance(forged, cg.Certificate)
-    used = np.unique(forged.agents[0].policy[forged.agents[0].policy >= 0])
-    assert np.any(np.array(forged.agents[0].relation["steer"])[used])
+    used = np.unique(forged.proof.agents[0].policy[forged.proof.agents[0].policy >= 0])
+    assert np.any(np.array(forged.proof.agents[0].relation["steer"])[used])
     assert not cg.check(forged)
     monkeypatch.setattr(mean_spans, "computed_off", lambda tree, leaves: (None, np.zeros(1)))
     assert cg.check(forged)

@@ -17,7 +17,7 @@ import certigym as cg
 from boiler_problems import boiler, boiler_problem, room
 from certigym.envs.dynamics import Dynamics, worlds
 from certigym.envs.problem.problem_file import problem_from_toml
-from certigym.synthesis.certificates import Certificate
+from certigym.synthesis.certificates import GridProof, OnGrid, changed
 from certigym.synthesis.models import JointModel, abstract, join, start_of
 from certigym.synthesis.relations import CommonInputs
 from certigym.synthesis.search import Search, find_policies
@@ -46,20 +46,20 @@ def switching(n: int = 2, horizon: int = 8) -> cg.Problem:
     )
 
 
-def certified(problem: cg.Problem, cells: Any = 24, **settings: Any) -> Certificate:
+def certified(problem: cg.Problem, cells: Any = 24, **settings: Any) -> OnGrid:
     certificate = cg.synthesize(problem, cells=cells, relation="boxes", common=True, **settings).certificate
-    assert isinstance(certificate, Certificate)
+    assert isinstance(certificate.proof, GridProof)
     return certificate
 
 
 @pytest.fixture(scope="module")
-def boiled() -> Certificate:
+def boiled() -> OnGrid:
     return certified(boiler_problem(2))
 
 
-def numbers_of(certificate: Certificate) -> np.ndarray:
+def numbers_of(certificate: OnGrid) -> np.ndarray:
     """The heat (T, Q) that the boiler applies."""
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     return np.array(part.relation["menu"])[part.policy.max(axis=2), 0]
 
 
@@ -207,16 +207,16 @@ def with_zones(n: int) -> cg.Problem:
 # What is stored, said and carried out.
 
 
-def test_certificates_say_what_was_assumed_known(boiled: Certificate, tmp_path: Any) -> None:
+def test_certificates_say_what_was_assumed_known(boiled: OnGrid, tmp_path: Any) -> None:
     assert "in common" in repr(boiled) and "boiler.heat" in repr(boiled)
     path = tmp_path / "boiled.cert"
     cg.save_certificate(boiled, path)
     again = cg.load_certificate(path)
-    assert cg.check(again) and again.agents[1].relation == boiled.agents[1].relation
-    assert set(boiled.agents[1].relation["common"]) == {"names", "numbers"}
+    assert cg.check(again) and again.proof.agents[1].relation == boiled.proof.agents[1].relation
+    assert set(boiled.proof.agents[1].relation["common"]) == {"names", "numbers"}
 
 
-def test_controllers_act_alike_in_environments_and_batches(boiled: Certificate) -> None:
+def test_controllers_act_alike_in_environments_and_batches(boiled: OnGrid) -> None:
     problem, controller = boiled.problem, boiled.controller
     env = cg.parallel_env(problem, actions="input")
     observations, infos = env.reset(seed=3)
@@ -256,7 +256,7 @@ def test_both_ways_are_tried_and_the_better_one_is_kept() -> None:
     assert isinstance(tried, dict)
     assert tried["inputs of others unknown"] > tried["inputs of others in common"] + 0.1
     assert found.certificate.lower_bound == tried["inputs of others unknown"]
-    assert all("common" not in part.relation for part in found.certificate.agents)
+    assert all("common" not in part.relation for part in found.certificate.proof.agents)
     assert cg.check(found.certificate)
 
 
@@ -282,16 +282,16 @@ def test_unknown_inputs_count_as_disturbances() -> None:
     assert 0.0 < whole == pytest.approx(product_of_all, rel=1e-6)
 
 
-def test_policies_go_on_from_certificates_and_without_a_clock(boiled: Certificate) -> None:
+def test_policies_go_on_from_certificates_and_without_a_clock(boiled: OnGrid) -> None:
     longer = boiler_problem(2, horizon=8)
     for settings in ({"start": boiled}, {"stationary": True, "common": True}):
         certificate = cg.synthesize(longer, cells=24, relation="boxes", **settings).certificate
         assert cg.check(certificate) and certificate.lower_bound > 0.9
-        assert "common" in certificate.agents[0].relation
-    assert certificate.stationary
+        assert "common" in certificate.proof.agents[0].relation
+    assert certificate.proof.stationary
 
 
-def test_what_knows_nothing_of_common_inputs_refuses_them(boiled: Certificate) -> None:
+def test_what_knows_nothing_of_common_inputs_refuses_them(boiled: OnGrid) -> None:
     with pytest.raises(ValueError, match=r"chosen in common.*`common=False`"):
         shield_of(boiled, 0.5)
     with pytest.raises(ValueError, match="`common`"):
@@ -337,7 +337,7 @@ def test_groups_may_have_several_owners_and_inputs() -> None:
     assert cg.check(certificate)
     assert cg.validate(certificate, 10_000, seed=1, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
     # The fan is left to the boiler: it follows its own state, at least somewhere.
-    part = certificate.agents[1]
+    part = certificate.proof.agents[1]
     used = np.array(part.relation["menu"])[part.policy]
     assert np.ptp(used[..., 0], axis=2).max() == 0.0 and np.ptp(used[..., 1], axis=2).max() > 0.0
 
@@ -381,16 +381,16 @@ def test_too_many_numbers_are_refused() -> None:
 # Sabotage.
 
 
-def with_part(certificate: Certificate, i: int, **changes: Any) -> Certificate:
-    parts = list(certificate.agents)
+def with_part(certificate: OnGrid, i: int, **changes: Any) -> OnGrid:
+    parts = list(certificate.proof.agents)
     parts[i] = replace(parts[i], **changes)
-    return replace(certificate, agents=tuple(parts))
+    return changed(certificate, agents=tuple(parts))
 
 
 @pytest.mark.parametrize("i", [0, 1, 2])
-def test_one_cell_with_another_number_is_refused(boiled: Certificate, i: int) -> None:
+def test_one_cell_with_another_number_is_refused(boiled: OnGrid, i: int) -> None:
     """In a single cell at a single time one agent counts with, or applies, the next number."""
-    part = boiled.agents[i]
+    part = boiled.proof.agents[i]
     menu = part.relation["menu"]
     length = len(menu) // len(part.relation["common"]["numbers"])
     policy = part.policy.copy()
@@ -400,8 +400,8 @@ def test_one_cell_with_another_number_is_refused(boiled: Certificate, i: int) ->
     assert not report and "not the same for all cells and agents" in str(report)
 
 
-def test_another_menu_than_the_others_assume_is_refused(boiled: Certificate) -> None:
-    relation = boiled.agents[0].relation
+def test_another_menu_than_the_others_assume_is_refused(boiled: OnGrid) -> None:
+    relation = boiled.proof.agents[0].relation
     scaled = {"menu": (0.9 * np.array(relation["menu"])).tolist()}
     report = cg.check(with_part(boiled, 0, relation={**relation, **scaled}))
     assert not report and "other inputs than those chosen in common" in str(report)
@@ -414,18 +414,18 @@ def test_another_menu_than_the_others_assume_is_refused(boiled: Certificate) -> 
     assert cg.check(with_part(boiled, 0, relation=without))  # what the owner applies is in its menu
 
 
-def test_owners_that_look_at_their_state_are_refused(boiled: Certificate) -> None:
+def test_owners_that_look_at_their_state_are_refused(boiled: OnGrid) -> None:
     """The boiler's part is that of a certificate without common choice, under boxes and under exact targets."""
     for relation in ("boxes", "exact"):
         kinds = {"boiler": relation, "room_0": "boxes", "room_1": "boxes"}
         other = cg.synthesize(boiled.problem, cells=24, relation=kinds, common=False).certificate
-        mixed = replace(boiled, agents=(other.agents[0], *boiled.agents[1:]))
+        mixed = changed(boiled, agents=(other.proof.agents[0], *boiled.proof.agents[1:]))
         report = cg.check(mixed)
         assert not report and "'boiler.heat' is said to be chosen in common" in str(report)
 
 
-def test_unknown_names_are_refused(boiled: Certificate) -> None:
-    relation = boiled.agents[1].relation
+def test_unknown_names_are_refused(boiled: OnGrid) -> None:
+    relation = boiled.proof.agents[1].relation
     for name in ("boiler.water", "nobody.heat", "room_1.trim"):
         numbers = {"names": [name], "numbers": relation["common"]["numbers"]}
         report = cg.check(with_part(boiled, 1, relation={**relation, "common": numbers}))

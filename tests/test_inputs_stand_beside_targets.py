@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.written_linear import MatrixMaps
 from certigym.synthesis.models import CornerChoices, corner_model
 from certigym.synthesis.relations import ExactRelation
@@ -60,7 +61,7 @@ def certified(written: bool) -> cg.Certificate:
 @pytest.mark.parametrize("written", [False, True])
 def test_policies_choose_both_and_hold(written: bool) -> None:
     certificate = certified(written)
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     n_inputs = len(part.relation["menu"])
     assert part.relation["aims"] is True
     live = ~certificate.problem.automaton.finished
@@ -77,7 +78,7 @@ def test_matrices_and_expressions_of_one_system_certify_the_same() -> None:
 
 def test_both_are_worth_more_than_targets_and_no_less_than_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
     both = certified(False)
-    menu = np.array(both.agents[0].relation["menu"])
+    menu = np.array(both.proof.agents[0].relation["menu"])
     # Targets beside a single input, which is the middle of its box.
     monkeypatch.setattr(corner_model, "with_rest", lambda box, levels: np.zeros((1, 2)))
     targets = cg.synthesize(planar(False), 14, relation="linear").certificate
@@ -87,7 +88,7 @@ def test_both_are_worth_more_than_targets_and_no_less_than_inputs(monkeypatch: p
     monkeypatch.setattr(corner_model, "with_rest", lambda box, levels: menu)
     inputs = cg.synthesize(planar(False), 14, relation="linear", targets_per_cell=8).certificate
     monkeypatch.undo()
-    assert "aims" not in inputs.agents[0].relation and cg.check(inputs)
+    assert "aims" not in inputs.proof.agents[0].relation and cg.check(inputs)
     assert both.lower_bound > targets.lower_bound + 0.02
     # Targets make steps at the faces of cells, which costs next to nothing where inputs alone would do.
     assert both.lower_bound > inputs.lower_bound - 0.002
@@ -105,9 +106,9 @@ def test_they_travel_in_files(tmp_path: Any) -> None:
 
 def forged(certificate: cg.Certificate, change: Any, **relation: Any) -> cg.Certificate:
     """Change choices, the claim being as it was."""
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     policy = change(part.policy.copy(), len(part.relation["menu"]))
-    return replace(
+    return changed(
         certificate, agents=(replace(part, policy=policy, relation={**part.relation, **relation}),)
     )  # fmt: skip
 
@@ -129,9 +130,9 @@ def test_other_choices_are_refused(how: str, written: bool) -> None:
 def test_files_without_the_word_have_no_targets(tmp_path: Any) -> None:
     """Choices beyond the menu are out of range where a relation does not offer targets."""
     certificate = certified(False)
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     silent = {name: value for name, value in part.relation.items() if name != "aims"}
-    other = replace(certificate, agents=(replace(part, relation=silent),))
+    other = changed(certificate, agents=(replace(part, relation=silent),))
     file = tmp_path / "silent.npz"
     cg.save_certificate(other, file)
     with pytest.raises(ValueError, match="out of range"):
@@ -159,7 +160,7 @@ def test_targets_that_inputs_do_not_reach_are_refused(monkeypatch: pytest.Monkey
 
 def test_the_first_number_beyond_the_menu_is_a_target() -> None:
     """The lattice point 0, and not once more the last input."""
-    part, states, q = certified(False).agents[0], np.zeros((2, 1)), np.zeros(1, dtype=np.int64)
+    part, states, q = certified(False).proof.agents[0], np.zeros((2, 1)), np.zeros(1, dtype=np.int64)
     n, inputs = len(part.relation["menu"]), []
     for number in (n - 1, n):
         controller = forged(certified(False), lambda policy, _, number=number: np.full_like(policy, number)).controller
@@ -171,5 +172,5 @@ def test_the_first_number_beyond_the_menu_is_a_target() -> None:
 def test_the_check_charges_what_means_of_matrices_are_off_by() -> None:
     """Twice: once for the controller's input, once for what the check computes itself."""
     certificate = certified(False)
-    maps = MatrixMaps(certificate.problem.agents[0], certificate.agents[0], np.array([1e-3, 2e-3]))  # type: ignore[arg-type]
+    maps = MatrixMaps(certificate.problem.agents[0], certificate.proof.agents[0], np.array([1e-3, 2e-3]))  # type: ignore[arg-type]
     np.testing.assert_array_equal(maps.at(np.arange(3))[2], np.tile([2e-3, 4e-3], (3, 1)))

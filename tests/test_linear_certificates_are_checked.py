@@ -14,7 +14,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.bounds.dense import dense_optimum
-from certigym.synthesis.certificates import AgentPart
+from certigym.synthesis.certificates import AgentPart, changed, value_of
 from certigym.synthesis.checking import claimed_values
 from certigym.synthesis.values import Terms
 from problems import cart, cart_reach, scalar_agent, two_agents
@@ -40,14 +40,14 @@ CERTIFICATES = {"targets": of_targets, "menu": of_menu}
 
 def product_at(certificate: cg.Certificate, state: np.ndarray) -> float:
     """The value at one joint state: a sum over terms of products of interpolated factors, corner by corner."""
-    problem, terms = certificate.problem, certificate.value
+    problem, terms = certificate.problem, value_of(certificate)
     assert isinstance(terms, Terms)
     letter = [problem.labeling.class_at(i, state[columns, None])[:, 0] for i, columns in enumerate(problem.columns)]
     q = int(problem.automaton.next_state(np.array(problem.automaton.initial), np.concatenate(letter)))
     total = 0.0
     for row in terms.index[q]:
         term = 1.0
-        for i, (part, columns) in enumerate(zip(certificate.agents, problem.columns, strict=True)):
+        for i, (part, columns) in enumerate(zip(certificate.proof.agents, problem.columns, strict=True)):
             # One factor of 1 - share and share per axis, and the numbers of the cell's corners.
             read, table = 0.0, terms.factors[i][row[i]].reshape([2 * n for n in part.grid.shape])
             cell, share = [], []
@@ -79,7 +79,7 @@ def test_claims_at_states_are_sums_over_corners(name: str) -> None:
 def test_means_and_minima_over_boxes(name: str) -> None:
     """In one joint cell the mean is the value at the centre of the box; over several it is their weighted mean."""
     certificate, rng = CERTIFICATES[name](), np.random.default_rng(1)
-    edges = [axis for part in certificate.agents for axis in part.grid.edges]
+    edges = [axis for part in certificate.proof.agents for axis in part.grid.edges]
     for _ in range(10):
         first = [int(rng.integers(0, len(axis) - 2)) for axis in edges]
         low = np.array([axis[k] + 0.3 * (axis[k + 1] - axis[k]) for axis, k in zip(edges, first, strict=True)])
@@ -113,41 +113,43 @@ def test_files_and_rollouts_agree(name: str, tmp_path: Path) -> None:
 def test_audits_refute_inflated_values() -> None:
     """Power: the same audit refutes a value function that is a tenth too large."""
     certificate = of_targets()
-    assert isinstance(certificate.value, Terms)
-    raised = Terms((1.1 * certificate.value.factors[0], *certificate.value.factors[1:]), certificate.value.index)
+    stored = certificate.proof.tree
+    raised = Terms((1.1 * stored.factors[0], *stored.factors[1:]), stored.index)
     values = [raised, *claimed_values(certificate)[1:]]
     assert cg.audit(certificate, 4_000, values=values, seed=2, confidence=1 - FALSE_ALARM).refuted
 
 
 def part_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
     """The certificate with another first agent."""
-    return replace(certificate, agents=(replace(certificate.agents[0], **changes), *certificate.agents[1:]))
+    return changed(certificate, agents=(replace(certificate.proof.agents[0], **changes), *certificate.proof.agents[1:]))
 
 
 def relation_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
-    return part_changed(certificate, relation=certificate.agents[0].relation | changes)
+    return part_changed(certificate, relation=certificate.proof.agents[0].relation | changes)
 
 
 def raised_factor(certificate: cg.Certificate, finished: bool = False) -> cg.Certificate:
     """The largest number of a stored factor, a thousandth larger: one of a state that accepts, or of the first one."""
-    assert certificate.terms is not None
-    automaton, terms = certificate.problem.automaton, certificate.terms
+    assert certificate.proof.terms is not None
+    automaton, terms = certificate.problem.automaton, certificate.proof.terms
     q = int(np.flatnonzero(automaton.finished)[0]) if finished else automaton.initial
     factors, row = terms.factors[0].copy(), int(terms.index[q][0, 0])
     factors[row, np.argmax(factors[row])] += 1e-3
-    return replace(certificate, terms=Terms((factors, *terms.factors[1:]), terms.index))
+    return changed(certificate, terms=Terms((factors, *terms.factors[1:]), terms.index))
 
 
 def negative_corner(certificate: cg.Certificate) -> cg.Certificate:
-    assert certificate.terms is not None
-    factors = certificate.terms.factors[0].copy()
+    assert certificate.proof.terms is not None
+    factors = certificate.proof.terms.factors[0].copy()
     factors[0, 0] = -0.1
-    return replace(certificate, terms=Terms((factors, *certificate.terms.factors[1:]), certificate.terms.index))
+    return changed(
+        certificate, terms=Terms((factors, *certificate.proof.terms.factors[1:]), certificate.proof.terms.index)
+    )
 
 
 def unreachable(certificate: cg.Certificate, choice: int) -> cg.Certificate:
     """All cells choose one target, from whatever distance."""
-    return part_changed(certificate, policy=np.full_like(certificate.agents[0].policy, choice))
+    return part_changed(certificate, policy=np.full_like(certificate.proof.agents[0].policy, choice))
 
 
 def shifted(part: AgentPart, share: float) -> tuple[np.ndarray, ...]:
@@ -158,36 +160,36 @@ def flipped(certificate: cg.Certificate) -> cg.Certificate:
     """Every remainder keeps the factor of the other vertex, and is subtracted from the wrong one."""
     steps = [
         replace(step, merges=tuple(replace(merges, rest=-merges.rests) for merges in step.merges))
-        for step in certificate.skeleton
+        for step in certificate.proof.skeleton
     ]
-    return replace(certificate, skeleton=tuple(steps))
+    return changed(certificate, skeleton=tuple(steps))
 
 
 TARGETS: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
     "a stored factor raised": raised_factor,
     "a corner below 0": negative_corner,
     "targets out of reach": lambda c: unreachable(c, 0),
-    "targets out of reach, gain 1": lambda c: unreachable(c, int(np.prod(c.agents[0].lattice_shape))),
-    "the lattice shifted by half a step": lambda c: part_changed(c, lattice=shifted(c.agents[0], 0.5)),
+    "targets out of reach, gain 1": lambda c: unreachable(c, int(np.prod(c.proof.agents[0].lattice_shape))),
+    "the lattice shifted by half a step": lambda c: part_changed(c, lattice=shifted(c.proof.agents[0], 0.5)),
     "a stored factor of a finished state raised": lambda c: raised_factor(c, finished=True),
     "fewer parts": lambda c: relation_changed(c, parts=1),
     "remainders of the wrong vertices": flipped,
-    "a gap": lambda c: replace(c, gap=0.01),
-    "called exact": lambda c: replace(c, gap=0.0, exact=True),
-    "the bound raised": lambda c: replace(
+    "a gap": lambda c: changed(c, gap=0.01),
+    "called exact": lambda c: changed(c, gap=0.0),
+    "the bound raised": lambda c: changed(
         c, lower_bound=c.lower_bound + 1e-4, bounds={"nominal": c.lower_bound + 1e-4}
     ),
-    "another bound": lambda c: replace(c, bound="robust tree", bounds={"robust tree": c.lower_bound}),
+    "another bound": lambda c: changed(c, bound="robust tree", bounds={"robust tree": c.lower_bound}),
     "called an exact relation": lambda c: part_changed(c, relation={"kind": "exact"}),
 }
 MENU: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
     "a stored factor raised": raised_factor,
     "a stored factor of a finished state raised": lambda c: raised_factor(c, finished=True),
     "inputs outside their box": lambda c: relation_changed(
-        c, menu=(1.5 * np.array(c.agents[0].relation["menu"])).tolist()
+        c, menu=(1.5 * np.array(c.proof.agents[0].relation["menu"])).tolist()
     ),
-    "inputs exchanged": lambda c: relation_changed(c, menu=c.agents[0].relation["menu"][::-1]),
-    "an input that is not there": lambda c: unreachable(c, len(c.agents[0].relation["menu"])),
+    "inputs exchanged": lambda c: relation_changed(c, menu=c.proof.agents[0].relation["menu"][::-1]),
+    "an input that is not there": lambda c: unreachable(c, len(c.proof.agents[0].relation["menu"])),
     "fewer parts": lambda c: relation_changed(c, parts=1),
     "no menu": lambda c: relation_changed(c, menu=[]),
 }
@@ -227,7 +229,7 @@ def test_given_policies_are_put_on_linear_cells() -> None:
 def test_policies_that_ignore_the_time_are_certified() -> None:
     for certificate, cells in ((of_targets(), 40), (of_menu(), [30, 15])):
         found = cg.synthesize(certificate.problem, cells, relation="linear", stationary=True).certificate
-        assert found.agents[0].policy.shape[0] == 1 and cg.check(found)
+        assert found.proof.agents[0].policy.shape[0] == 1 and cg.check(found)
         assert 0.5 < found.lower_bound <= certificate.lower_bound + 1e-3
 
 

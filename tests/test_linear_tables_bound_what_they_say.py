@@ -194,7 +194,7 @@ def test_shares_of_directions_sum_to_one_in_the_check() -> None:
     for name in ("targets", "menu", "correlated"):
         certificate = cg.load_certificate(DATA / f"linear_0_2_{name}.npz")
         agent = linear(certificate.problem.agents[0])
-        shares = linear_tables.linear_tables(agent, certificate.agents[0]).shares
+        shares = linear_tables.linear_tables(agent, certificate.proof.agents[0]).shares
         assert np.all(shares >= 0.0) and shares.sum() == pytest.approx(1.0, abs=1e-12)
 
 

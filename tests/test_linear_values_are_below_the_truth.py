@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking import linear_check, regrow
 from certigym.synthesis.models.corner_forms import SubLattice, best_below
 from certigym.synthesis.values import Terms
@@ -122,7 +123,7 @@ PROBLEMS: dict[str, tuple[cg.Problem, Any]] = {
 
 def value_of(certificate: cg.Certificate, terms: Terms | None, q: NDArray, states: NDArray) -> NDArray:
     """Value in automaton states (M,) at states (M, d): interpolated terms, or who accepts where nothing is left."""
-    automaton, part = certificate.problem.automaton, certificate.agents[0]
+    automaton, part = certificate.problem.automaton, certificate.proof.agents[0]
     if terms is None:
         return automaton.accepting[q].astype(float)
     places, weights = part.places_at(np.linalg.solve(part.coordinates, states.T))
@@ -135,7 +136,7 @@ def value_of(certificate: cg.Certificate, terms: Terms | None, q: NDArray, state
 
 def expected(certificate: cg.Certificate, terms: Terms | None, q: int, mean: NDArray) -> float:
     """Expected value after the next letter from a mean: Gauss-Legendre in every cell, 12 nodes per deviation."""
-    problem, part = certificate.problem, certificate.agents[0]
+    problem, part = certificate.problem, certificate.proof.agents[0]
     agent = problem.agents[0]
     inverse = np.linalg.inv(part.coordinates)
     noise = np.diag(inverse @ agent.noise_covariance @ inverse.T)
@@ -173,13 +174,13 @@ def test_values_at_interior_points_are_below_quadrature(name: str) -> None:
 def test_so_are_those_of_files_of_0_2(name: str) -> None:
     """Linear cells had targets with two gains then, or a menu, and bends of their own."""
     certificate = cg.load_certificate(DATA / f"linear_0_2_{name}.npz")
-    assert "reach" not in certificate.agents[0].relation
+    assert "reach" not in certificate.proof.agents[0].relation
     below_quadrature(certificate)
     assert not cg.validate(certificate, 20_000, seed=1, confidence=1 - 1e-6 / 3).refuted
     # Sabotage: other choices.
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     forged = replace(part, policy=np.where(part.policy >= 0, np.roll(part.policy, 3, axis=2), -1))
-    assert not cg.check(replace(certificate, agents=(forged,)))
+    assert not cg.check(changed(certificate, agents=(forged,)))
 
 
 def below_quadrature(certificate: cg.Certificate) -> None:
@@ -196,8 +197,7 @@ def below_quadrature(certificate: cg.Certificate) -> None:
         for q in np.flatnonzero(~problem.automaton.finished):
             claimed = value_of(certificate, values[t], np.full(len(states), q), states)
             if t == 0:
-                assert isinstance(certificate.value, Terms)
-                stored = value_of(certificate, certificate.value, np.full(len(states), q), states)
+                stored = value_of(certificate, certificate.proof.tree, np.full(len(states), q), states)
                 claimed = np.maximum(claimed, stored)
             inputs, _ = controller.act(states.T[:, None], np.full(len(states), q), t, None)
             for x, u, claim in zip(states, inputs[:, 0].T, claimed, strict=True):

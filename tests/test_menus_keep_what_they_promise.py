@@ -109,7 +109,7 @@ def test_menus_of_inputs_keep_what_they_promise(kind: str, tmp_path: Path) -> No
 
 def with_one_more(permission: cg.Permission) -> cg.Permission:
     """The permission with an input on the menu of the first cell at which the claim is lost."""
-    (menus,), (part,) = permission.menus, permission.certificate.agents
+    (menus,), (part,) = permission.menus, permission.certificate.proof.agents
     controller = permission.certificate.controller.agents[0]
     start = permission.problem.agents[0].initial.low[:, None]
     cell, q = int(controller.grid.cell_of(controller.project(start))[0]), permission.problem.initial_q
@@ -134,7 +134,9 @@ def test_menus_grow_as_less_is_kept(certificate: cg.Certificate, permission: cg.
     loose = cg.permit(certificate, probability=0.2)
     sizes = [sum(len(menus.choices) for menus in found.menus) for found in (tight, permission, loose)]
     assert sizes[0] < sizes[1] < sizes[2]
-    for menus, part in zip(tight.menus, certificate.agents, strict=True):  # the certificate's own choices are on them
+    for menus, part in zip(
+        tight.menus, certificate.proof.agents, strict=True
+    ):  # the certificate's own choices are on them
         open_states = ~certificate.problem.automaton.absorbing
         assert np.all((menus.counts > 0)[:, open_states] == (part.policy >= 0)[:, open_states])
 
@@ -159,7 +161,7 @@ def test_wrong_menus_are_refused(permission: cg.Permission) -> None:
     assert any("exceeds the recomputed" in text for text in cg.check_permission(too_much).failures)
     # An input far beyond the box: the last lattice point for the first cell that has a choice.
     choices = menus[0].choices.copy()
-    choices[0] = int(np.prod(certificate.agents[0].lattice_shape)) - 1
+    choices[0] = int(np.prod(certificate.proof.agents[0].lattice_shape)) - 1
     beyond = replace(permission, menus=(Menus(menus[0].counts, choices), *menus[1:]))
     assert any("beyond its input box" in text for text in cg.check_permission(beyond).failures)
     choices = menus[0].choices.copy()

@@ -10,7 +10,7 @@ import pytest
 import certigym as cg
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.worlds import Dynamics
-from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.certificates import OnGrid, is_exact
 from certigym.validation.simulation.chunks import frames
 from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.mismatch import FAMILIES, Mismatch, as_family, degraded, disturbed
@@ -21,7 +21,7 @@ LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}
 
 
 @pytest.fixture(scope="module")
-def certificate() -> Certificate:
+def certificate() -> OnGrid:
     return cg.synthesize(two_agents("F (a & F c)", horizon=4, **LOUD), 80, relation="exact").certificate
 
 
@@ -38,14 +38,14 @@ def test_families_have_unit_variance_and_are_symmetric(family: str) -> None:
     assert np.all(np.diff(x) > 0)
 
 
-def test_no_mismatch_is_no_change(certificate: Certificate) -> None:
+def test_no_mismatch_is_no_change(certificate: OnGrid) -> None:
     plain = cg.rollout(certificate.problem, certificate.controller, 3000, seed=1)
     same = cg.rollout(certificate.problem, certificate.controller, 3000, seed=1, mismatch=Mismatch())
     np.testing.assert_array_equal(plain.success, same.success)
     assert plain.inadmissible == same.inadmissible == 0
 
 
-def test_noise_scale_is_the_same_as_a_scaled_model(certificate: Certificate) -> None:
+def test_noise_scale_is_the_same_as_a_scaled_model(certificate: OnGrid) -> None:
     louder = certificate.problem.replace(disturbance_scale=1.5)
     a = cg.rollout(certificate.problem, certificate.controller, 5000, seed=1, mismatch=Mismatch(noise_scale=1.5))
     b = cg.rollout(louder, certificate.controller, 5000, seed=1)
@@ -100,7 +100,7 @@ def test_dropped_observations_hold_the_last_one() -> None:
         np.testing.assert_array_equal(seen, worlds[0].states[0])
 
 
-def test_inputs_beyond_the_box_saturate_and_are_counted(certificate: Certificate) -> None:
+def test_inputs_beyond_the_box_saturate_and_are_counted(certificate: OnGrid) -> None:
     class Wild:
         def batch(self, dynamics: Dynamics) -> Any:
             return self
@@ -118,7 +118,7 @@ def test_inputs_beyond_the_box_saturate_and_are_counted(certificate: Certificate
     assert np.all(np.abs(second - 0.9 * first - 0.5 * 2.0) < 8)  # not 0.5 * 50
 
 
-def test_stress_reports_how_far_the_bound_survives(certificate: Certificate) -> None:
+def test_stress_reports_how_far_the_bound_survives(certificate: OnGrid) -> None:
     """False alarm 1e-6; 4,000 episodes tell .87 from .82."""
     rungs = {
         "noise scale": [Mismatch(noise_scale=s) for s in (1.001, 1.6, 3.0)],
@@ -151,7 +151,7 @@ def test_mismatches_out_of_range_are_refused(wrong: dict[str, Any]) -> None:
         Mismatch(**wrong)
 
 
-def test_under_a_mismatch_only_the_lower_bound_is_tested(certificate: Certificate) -> None:
-    assert certificate.exact
+def test_under_a_mismatch_only_the_lower_bound_is_tested(certificate: OnGrid) -> None:
+    assert is_exact(certificate)
     quiet = cg.validate(certificate, 4000, mismatch=Mismatch(noise_scale=0.3))
     assert quiet.verdict == "confirmed" and not quiet.exact

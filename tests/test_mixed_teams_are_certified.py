@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from certigym.envs.problem import Specification
 from certigym.synthesis import mixed_teams
 from certigym.synthesis.balls import check_rigorous
 from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.certificates import MixedCertificate
+from certigym.synthesis.certificates import Certificate, MixedProof, changed
 from certigym.synthesis.checking.mixed_check import _least_determinant, _Side
 from certigym.synthesis.choosing import Effort
 from certigym.synthesis.models import Settings
@@ -60,23 +59,27 @@ def team(formula: str = "F unloaded & F home & G !clash", semantics: str = "fini
     return cg.Problem(**{**given, **other}, specification=Specification(formula=formula, semantics=semantics))
 
 
-def mixed(problem: cg.Problem) -> MixedCertificate:
+def mixed(problem: cg.Problem) -> Certificate[MixedProof]:
     found: Any = cg.synthesize(problem, {"crane": 24}, relation="mixed").certificate
-    assert isinstance(found, MixedCertificate)
+    assert isinstance(found.proof, MixedProof)
     return found
 
 
 @pytest.fixture(scope="module")
-def certificate() -> MixedCertificate:
+def certificate() -> Certificate[MixedProof]:
     return mixed(team())
 
 
 def test_a_mixed_team_is_certified_checked_kept_and_met_by_rollouts(
-    certificate: MixedCertificate, tmp_path: Path
+    certificate: Certificate[MixedProof], tmp_path: Path
 ) -> None:
     report = cg.check(certificate)
     assert report.valid and certificate.lower_bound <= report.recomputed <= certificate.lower_bound + 1e-4
-    assert 0.9 < certificate.lower_bound < 0.999 and certificate.near > 1e-4 and certificate.paths.failure > 1e-5
+    assert (
+        0.9 < certificate.lower_bound < 0.999
+        and certificate.proof.near > 1e-4
+        and certificate.proof.paths.proof.failure > 1e-5
+    )
     cg.save_certificate(certificate, tmp_path / "team.npz")
     again: Any = cg.load_certificate(tmp_path / "team.npz")
     assert cg.check(again, team()) and again.lower_bound == certificate.lower_bound
@@ -85,7 +88,7 @@ def test_a_mixed_team_is_certified_checked_kept_and_met_by_rollouts(
     assert "mixed team" in str(rate) and "on grids" in repr(certificate)
 
 
-def test_one_world_moves_like_many(certificate: MixedCertificate) -> None:
+def test_one_world_moves_like_many(certificate: Certificate[MixedProof]) -> None:
     """In an environment the controllers give the inputs of batches."""
     env = cg.parallel_env(certificate.problem)
     observations, infos = env.reset(seed=3)
@@ -109,7 +112,7 @@ SABOTAGES = {
 
 @pytest.mark.parametrize("name", SABOTAGES)
 def test_a_charge_that_is_too_small_is_refused_by_the_check(
-    name: str, certificate: MixedCertificate, paths: tuple[Any, list[Any]], monkeypatch: pytest.MonkeyPatch
+    name: str, certificate: Certificate[MixedProof], paths: tuple[Any, list[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def sabotaged(*_: Any) -> Any:
         return paths[0], [SABOTAGES[name](*one) for one in paths[1]]
@@ -121,7 +124,7 @@ def test_a_charge_that_is_too_small_is_refused_by_the_check(
 
 
 @pytest.fixture(scope="module")
-def paths(certificate: MixedCertificate) -> tuple[Any, list[Any]]:
+def paths(certificate: Certificate[MixedProof]) -> tuple[Any, list[Any]]:
     found = []
 
     def noted(*arguments: Any) -> Any:
@@ -135,22 +138,22 @@ def paths(certificate: MixedCertificate) -> tuple[Any, list[Any]]:
     return found[0]
 
 
-def test_what_is_left_out_of_a_part_is_refused_by_the_check(certificate: MixedCertificate) -> None:
+def test_what_is_left_out_of_a_part_is_refused_by_the_check(certificate: Certificate[MixedProof]) -> None:
     """The slabs of paths, letters, the task of those on grids, agents, regions, pairs taken otherwise."""
-    paths, grids = certificate.paths, certificate.grids
-    certain = replace(certificate, paths=replace(paths, failure=0.0))
+    paths, grids = certificate.proof.paths, certificate.proof.grids
+    certain = changed(certificate, paths=changed(paths, failure=0.0))
     assert certain.lower_bound > certificate.lower_bound and "along paths" in str(cg.check(certain))
-    open_letters = replace(certificate, paths=replace(paths, letters=0 * paths.letters))
+    open_letters = changed(certificate, paths=changed(paths, letters=0 * paths.proof.letters))
     assert "accepted where the task is not" in str(cg.check(open_letters))
-    assert not cg.check(replace(certificate, usual=(True,)))
+    assert not cg.check(changed(certificate, usual=(True,)))
     easy = mixed(team("F home & G !clash"))
     assert cg.check(easy)
-    assert not cg.check(replace(certificate, grids=easy.grids))
+    assert not cg.check(changed(certificate, grids=easy.proof.grids))
     other = mixed(team(propositions={**REGIONS, "unloaded": cg.Proposition("crane", [2.0], [5.0])}))
-    assert "region" in str(cg.check(replace(certificate, grids=other.grids)))
+    assert "region" in str(cg.check(changed(certificate, grids=other.proof.grids)))
     strong = mixed(team(agents=[crane(input_low=[-3.0], input_high=[3.0]), car()]))
-    assert "is not that of the problem" in str(cg.check(replace(certificate, grids=strong.grids)))
-    assert not cg.check(replace(certificate, near=0.5 * certificate.near))
+    assert "is not that of the problem" in str(cg.check(changed(certificate, grids=strong.proof.grids)))
+    assert not cg.check(changed(certificate, near=0.5 * certificate.proof.near))
     assert grids.problem.horizon == HORIZON
 
 
@@ -231,7 +234,7 @@ def test_determinants_are_bounded_from_below() -> None:
             assert _least_determinant(matrix, off) <= float(np.linalg.det(moved)) + 1e-12
 
 
-def test_what_a_mixed_team_is_not_for_is_said(certificate: MixedCertificate) -> None:
+def test_what_a_mixed_team_is_not_for_is_said(certificate: Certificate[MixedProof]) -> None:
     alike = team("F unloaded & G !clash", agents=[crane(), crane(name="car")],
                  propositions={name: REGIONS[name] for name in ("unloaded", "clash")})  # fmt: skip
     with pytest.raises(RelationRefused, match="not for grids, but all are"):

@@ -13,6 +13,7 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.cli.main import main
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.network_spans import network_spans
 from certigym.synthesis.models import network_abstraction
 from certigym.synthesis.models.network_model import NetworkChoices
@@ -22,7 +23,7 @@ from certigym.synthesis.relations.network_bounds import line_around, mean_bounds
 from certigym.validation.figures import network_figure
 from certigym.validation.policies.actors import CentralActor, SharedActor, TeamActor, load_actor, save_actor
 from certigym.validation.policies.views import CentralView, SharedView
-from network_problems import RNG, changed, means_at, network, proportional, reach
+from network_problems import RNG, means_at, network, proportional, reach, with_network
 from problems import cart, linear, scalar_agent
 
 
@@ -55,7 +56,7 @@ def test_no_point_of_a_cell_leaves_its_box(hidden: list[int], activation: str, s
     abstraction = network_abstraction(problem, [actor.agent_policy(0)], 12 if d == 1 else 6, relation="boxes")
     model = abstraction.models[0]
     synthesis = certify_network(problem, actor, 12 if d == 1 else 6, relation="boxes")
-    part = synthesis.certificate.agents[0]
+    part = synthesis.certificate.proof.agents[0]
     found = model.relation.mean_boxes(model.grid.low, model.grid.high)  # type: ignore[union-attr]
     shares = np.concatenate([RNG.random((200, d)), np.array(np.meshgrid(*[[0.0, 1.0]] * d)).reshape(d, -1).T])
     for mode in range(2 * problem.automaton.n_states):
@@ -168,7 +169,7 @@ def test_a_single_agent_may_have_a_network_that_sees_all() -> None:
     assert cg.check(synthesis) and differences(synthesis.certificate, actor) == []
     ours, deployed = (cg.rollout(problem, policy, episodes=5000, seed=0) for policy in (synthesis.controller, actor))
     assert np.array_equal(ours.success, deployed.success)
-    assert not cg.check(changed(synthesis.certificate, squashed=False))
+    assert not cg.check(with_network(synthesis.certificate, squashed=False))
 
 
 def test_correlated_noise_and_two_inputs(certified: Any) -> None:
@@ -208,7 +209,7 @@ def test_other_weights_are_refused(certified: tuple[cg.Problem, SharedActor, cg.
     _, actor, synthesis = certified
     last = [bias.tolist() for bias in actor.network.biases]
     last[-1] = [-0.2]
-    wrong = changed(synthesis.certificate, biases=last)
+    wrong = with_network(synthesis.certificate, biases=last)
     assert not cg.check(wrong)
     assert differences(wrong, actor) != []
 
@@ -216,20 +217,20 @@ def test_other_weights_are_refused(certified: tuple[cg.Problem, SharedActor, cg.
 def test_squashing_matters(certified: tuple[cg.Problem, SharedActor, cg.Synthesis]) -> None:
     """A network that is squashed where the certificate was made for one that is clipped."""
     _, _, synthesis = certified
-    assert not cg.check(changed(synthesis.certificate, squashed=True))
+    assert not cg.check(with_network(synthesis.certificate, squashed=True))
 
 
 def test_the_wrong_time_is_refused(certified: tuple[cg.Problem, SharedActor, cg.Synthesis]) -> None:
     """What the network does at another time, and a view of another horizon, of another agent or of fewer states."""
     problem, _, synthesis = certified
-    part = synthesis.certificate.agents[0]
+    part = synthesis.certificate.proof.agents[0]
     shifted = part.policy.copy()
     shifted[0] = part.policy[1]
     wrong = dataclasses.replace(part, policy=shifted)
-    report = cg.check(dataclasses.replace(synthesis.certificate, agents=(wrong, synthesis.certificate.agents[1])))
+    report = cg.check(changed(synthesis.certificate, agents=(wrong, synthesis.certificate.proof.agents[1])))
     assert "another time" in str(report)
     for facts in ({"horizon": problem.horizon - 1}, {"agent": 1}):
-        assert "another problem" in str(cg.check(changed(synthesis.certificate, **facts)))
+        assert "another problem" in str(cg.check(with_network(synthesis.certificate, **facts)))
 
 
 def test_what_is_not_certified_is_refused_in_words(certified: tuple[cg.Problem, SharedActor, cg.Synthesis]) -> None:
@@ -342,7 +343,7 @@ def test_trained_actors_are_certified(algorithm: str) -> None:
     actor: Any = cg.train(problem, algorithm, steps=256, seed=0, **settings).actor
     certified = cg.certify(problem, actor, 150, raw=True)
     assert cg.check(certified) and differences(certified.certificate, actor) == []
-    found = {part.relation["network"]["activation"] for part in certified.certificate.agents}
+    found = {part.relation["network"]["activation"] for part in certified.certificate.proof.agents}
     assert found == {"tanh" if algorithm == "ippo" else "relu"}
     # False alarm 1e-6; a bound that is too large by .04 is refuted.
     report = cg.validate(certified, episodes=4000, seed=1, confidence=1.0 - 1e-6)

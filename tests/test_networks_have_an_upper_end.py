@@ -12,9 +12,10 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.baselines import RandomController
 from certigym.envs.problem import opposite_of
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking import wrong_opposite
 from certigym.synthesis.raw_networks import certify_network, differences
-from network_problems import RNG, changed, proportional, reach
+from network_problems import RNG, proportional, reach, with_network
 from problems import scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6
@@ -40,7 +41,7 @@ def test_the_truth_is_between_both_ends(ends: tuple[cg.Problem, Any, Any]) -> No
     assert binom.cdf(successes, 40_000, lower) > FALSE_ALARM
     # A bound that is too small by .03 is refuted.
     assert binom.sf(successes - 1, 40_000, upper - 0.03) < FALSE_ALARM
-    assert cg.check(certificate) and differences(certificate.opposite, actor) == []
+    assert cg.check(certificate) and differences(certificate.proof.opposite, actor) == []
 
 
 @pytest.mark.parametrize(
@@ -62,15 +63,15 @@ def test_upper_ends_that_are_wrong_are_refused(ends: tuple[cg.Problem, Any, Any]
     """The task itself, a bound that is too small, other weights."""
     problem, actor, certificate = ends
     itself = certify_network(problem, actor, 150).certificate
-    assert not cg.check(dataclasses.replace(certificate, opposite=itself))
-    lower = certificate.opposite.lower_bound + 0.01
-    small = dataclasses.replace(certificate.opposite, lower_bound=lower, bounds={certificate.opposite.bound: lower})
-    assert any("exceeds" in text for text in cg.check(dataclasses.replace(certificate, opposite=small)).failures)
-    squashed = dataclasses.replace(certificate, opposite=changed(certificate.opposite, squashed=True))
+    assert not cg.check(changed(certificate, opposite=itself))
+    lower = certificate.proof.opposite.lower_bound + 0.01
+    small = changed(certificate.proof.opposite, lower_bound=lower, bounds={"nominal": lower})
+    assert any("exceeds" in text for text in cg.check(changed(certificate, opposite=small)).failures)
+    squashed = changed(certificate, opposite=with_network(certificate.proof.opposite, squashed=True))
     assert "does not act" in cg.check(squashed).failures[0]
     RNG.random(7)  # from here on the draws are others than those of the fixture
     others = proportional(problem)
-    assert any("other" in text for text in differences(certificate.opposite, others))
+    assert any("other" in text for text in differences(certificate.proof.opposite, others))
 
 
 def test_a_network_that_fails_has_a_small_upper_end() -> None:

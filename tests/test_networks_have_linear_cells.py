@@ -12,6 +12,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.agents import LinearAgent
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.network_spans import network_maps
 from certigym.synthesis.models.network_model import network_abstraction
 from certigym.synthesis.raw_networks import certify_network, differences
@@ -19,7 +20,7 @@ from certigym.synthesis.relations import AffineBoxes, MapRelation, NetworkMaps, 
 from certigym.synthesis.relations.boxes import linear_means
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
-from network_problems import RNG, changed, means_at, network, proportional, reach
+from network_problems import RNG, means_at, network, proportional, reach, with_network
 from problems import cart, linear, scalar_agent
 
 SHAPES = [
@@ -55,7 +56,7 @@ def test_no_point_of_a_cell_leaves_its_map(
     problem, d = reach(agent, horizon=2), agent.n_states
     view = SharedView(problem)
     actor = SharedActor(problem, network([view.size, *hidden, view.n_actions], activation, squashed))
-    part = certify_network(problem, actor, 12 if d == 1 else 6, relation="linear").certificate.agents[0]
+    part = certify_network(problem, actor, 12 if d == 1 else 6, relation="linear").certificate.proof.agents[0]
     part = dataclasses.replace(part, relation={**part.relation, "cuts": cuts})
     relation = part.relation_of(agent)
     assert isinstance(relation, MapRelation) and relation.means is not None
@@ -188,17 +189,17 @@ def test_squashing_weights_and_times_matter() -> None:
     actor = proportional(problem)
     certificate = certify_network(problem, actor, 60, relation="linear").certificate
     assert cg.check(certificate)
-    assert not cg.check(changed(certificate, squashed=True))
+    assert not cg.check(with_network(certificate, squashed=True))
     last = [bias.tolist() for bias in actor.network.biases]
     last[-1] = [-0.2]
-    assert not cg.check(changed(certificate, biases=last))
-    part = certificate.agents[0]
+    assert not cg.check(with_network(certificate, biases=last))
+    part = certificate.proof.agents[0]
     shifted = part.policy.copy()
     shifted[0] = part.policy[1]
     others: list[Any] = [dataclasses.replace(part, policy=shifted)]
     others += [dataclasses.replace(part, relation={**part.relation, "reach": [2]})]
     for other in others:
-        assert not cg.check(dataclasses.replace(certificate, agents=(other,)))
+        assert not cg.check(changed(certificate, agents=(other,)))
 
 
 def test_squashing_that_was_left_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,14 +216,14 @@ def test_squashing_that_was_left_out_is_refused(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(NetworkMaps, "around", unsquashed)
     wrong = certify_network(problem, actor, 60, relation="linear").certificate
     monkeypatch.undo()
-    assert wrong.agents[0].relation["network"]["squashed"] and wrong.lower_bound > right.certificate.lower_bound
+    assert wrong.proof.agents[0].relation["network"]["squashed"] and wrong.lower_bound > right.certificate.lower_bound
     assert cg.check(right) and not cg.check(wrong)
 
 
 def test_files_with_other_choices_than_modes_are_refused() -> None:
     """A menu that is longer than there are times and automaton states."""
     problem = reach(scalar_agent("a"))
-    part = certify_network(problem, proportional(problem), 30, relation="linear").certificate.agents[0]
+    part = certify_network(problem, proportional(problem), 30, relation="linear").certificate.proof.agents[0]
     check_description(part.relation, problem.agents[0])
     with pytest.raises(ValueError, match="other choices"):
         check_description({**part.relation, "menu": [*part.relation["menu"], [0.0]]}, problem.agents[0])

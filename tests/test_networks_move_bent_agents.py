@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from functools import cache
 from typing import Any
 
@@ -11,11 +10,12 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.network_spans import _inputs_between, driven_spans
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
-from network_problems import changed
+from network_problems import with_network
 
 FALSE_ALARM = 1e-6
 """Probability with which a statistical test here fails although all is right."""
@@ -84,7 +84,7 @@ def test_rollouts_lie_between_both_ends(kind: str) -> None:
 def test_boxes_hold_what_the_deployed_network_does() -> None:
     """10,000 states: inputs and means lie in the enclosures of the check."""
     problem, actor, certificate = certified("plain")
-    (agent,), (part,) = problem.agents, certificate.agents
+    (agent,), (part,) = problem.agents, certificate.proof.agents
     assert isinstance(agent, cg.Agent)
     rng = np.random.default_rng(5)
     cells = rng.integers(part.grid.n_cells, size=10_000)
@@ -104,13 +104,13 @@ def test_boxes_hold_what_the_deployed_network_does() -> None:
 def test_other_networks_and_larger_claims_are_refused() -> None:
     problem, _, certificate = certified("plain")
     larger = certificate.lower_bound + 0.02
-    claim = dataclasses.replace(certificate, lower_bound=larger, bounds={certificate.bound: larger}, gap=None,
-                                opposite=None, exact=False)  # fmt: skip
+    claim = changed(certificate, lower_bound=larger, bounds={certificate.proof.bound: larger}, gap=None,
+                                opposite=None)  # fmt: skip
     assert "exceeds" in cg.check(claim).failures[0]
     weak = balancing(problem, 0.1).network
-    others = changed(certificate, weights=[w.tolist() for w in weak.weights])
+    others = with_network(certificate, weights=[w.tolist() for w in weak.weights])
     assert not cg.check(others)
-    assert not cg.check(changed(certificate, activation="relu"))
+    assert not cg.check(with_network(certificate, activation="relu"))
 
 
 def test_a_check_that_forgets_what_inputs_may_be_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from certigym.synthesis.checking.network_spans import network_maps, network_span
 from certigym.synthesis.models import network_abstraction
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import Network
-from network_problems import RNG, changed, means_at, reach
+from network_problems import RNG, means_at, reach, with_network
 from problems import cart, scalar_agent
 
 FORMS = [(scale, actions) for scale in ("raw", "unit") for actions in ("input", "unit")]
@@ -64,7 +64,8 @@ def test_no_point_of_a_cell_leaves_its_box_or_its_map(which: int, form: tuple[st
     model = network_abstraction(problem, [policy.agent_policy(0)], cells, relation="boxes").models[0]
     found = model.relation.mean_boxes(model.grid.low, model.grid.high)  # type: ignore[union-attr]
     parts = [
-        certify_network(problem, policy, cells, relation=kind).certificate.agents[0] for kind in ("boxes", "linear")
+        certify_network(problem, policy, cells, relation=kind).certificate.proof.agents[0]
+        for kind in ("boxes", "linear")
     ]
     shares = np.concatenate([RNG.random((100, d)), np.array(np.meshgrid(*[[0.0, 1.0]] * d)).reshape(d, -1).T])
     coordinates, n = parts[0].coordinates, np.arange(model.grid.n_cells)
@@ -116,10 +117,10 @@ def test_files_keep_the_form_and_refuse_another(certified: tuple[cg.Problem, Any
     cg.save_certificate(found.certificate, tmp_path / "c.npz")
     read = cg.load_certificate(tmp_path / "c.npz")
     assert cg.check(read) and differences(read, policy) == []
-    assert read.agents[0].relation["network"]["scale"] == "raw"
-    assert read.agents[0].relation["network"]["outputs"] == "box"
+    assert read.proof.agents[0].relation["network"]["scale"] == "raw"
+    assert read.proof.agents[0].relation["network"]["outputs"] == "box"
     for facts in ({"scale": "unit"}, {"outputs": "unit"}, {"scale": "metric"}, {"outputs": "metric"}):
-        other = changed(found.certificate, **facts)
+        other = with_network(found.certificate, **facts)
         assert not _passes(other), facts
         assert differences(other, policy) != []
 

@@ -134,7 +134,7 @@ def test_what_the_check_may_lack_is_counted(law: Law) -> None:
     means, edges = np.linspace(-1.0, 1.0, 37), np.linspace(-1.3, 1.2, 41)
     most = np.diff(probability_below(law, edges - means[:, None]), axis=1) + 2.0 * law_error(law)
     problem = reach([law])
-    part = cg.synthesize(problem, 40, relation="exact").certificate.agents[0]
+    part = cg.synthesize(problem, 40, relation="exact").certificate.proof.agents[0]
     cells = part.grid.n_cells
     lost = lost_to_rounding(problem.agents[0], part)
     assert (most - lawful_masses(law, edges, means)).sum(axis=1).max() / 40 <= lost / cells
@@ -168,7 +168,7 @@ def test_exact_values_are_those_of_dense_programming() -> None:
     law = scipy.stats.laplace(scale=0.2)
     problem = reach([DECLARED[4]])
     certificate = cg.synthesize(problem, 40, relation="exact").certificate
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     edges, targets = part.grid.edges[0], part.lattice[0]
     masses = np.diff(law.cdf(edges[None] - targets[:, None]), axis=1)
     centres = 0.5 * (edges[1:] + edges[:-1])
@@ -236,7 +236,7 @@ def test_laws_of_scipy_are_taken_with_the_error_that_is_stated(tmp_path: Path) -
     law = {"law": scipy.stats.gamma(4.0, loc=-0.4, scale=0.1), "cdf_error": 1e-12, "variation": 4.6}
     problem = reach([law])
     certificate = cg.synthesize(problem, 80).certificate
-    assert cg.check(certificate, problem).valid and certificate.agents[0].relation["kind"] == "exact"
+    assert cg.check(certificate, problem).valid and certificate.proof.agents[0].relation["kind"] == "exact"
     verdict = cg.validate(certificate, 20_000, seed=4, confidence=1.0 - 1e-6)
     assert verdict.verdict != "refuted"
     cg.save_certificate(certificate, tmp_path / "certificate.npz")

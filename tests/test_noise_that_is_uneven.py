@@ -19,7 +19,7 @@ from certigym.envs.dynamics import Dynamics, OneWorld
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.cells import LatticeAxis, RelationRefused, lattice_axes
-from certigym.synthesis.certificates import scale_charge
+from certigym.synthesis.certificates import changed, scale_charge, value_of
 from certigym.synthesis.checking import boxes_check
 from certigym.synthesis.checking.regrown_tree import regrow
 from certigym.synthesis.models import box_choices, box_kernel
@@ -195,7 +195,7 @@ def test_values_are_below_the_expectation_of_the_next_ones(problem: cg.Problem, 
     """One step at a time, at random states under the certificate's controller, with scipy's distribution functions."""
     certificate = cg.synthesize(problem, cells, relation="boxes").certificate
     assert cg.check(certificate) and certificate.lower_bound > least
-    part, agent, automaton = certificate.agents[0], problem.agents[0], problem.automaton
+    part, agent, automaton = certificate.proof.agents[0], problem.agents[0], problem.automaton
     values: dict[int, Terms] = {}
     regrow(certificate, values.__setitem__)
     rng, tight = np.random.default_rng(3), 0.0
@@ -208,7 +208,7 @@ def test_values_are_below_the_expectation_of_the_next_ones(problem: cg.Problem, 
         last = t + 1 == problem.horizon
         later = np.zeros(part.grid.n_cells) if last else worth(values[t + 1], undecided)
         following = np.where(goal, 1.0, later).reshape(part.grid.shape)
-        now = worth(certificate.value if t == 0 else values[t], undecided)
+        now = worth(value_of(certificate) if t == 0 else values[t], undecided)
         inputs, _ = certificate.controller.agents[0].act(states.T[:, None], np.full(200, undecided), t, None)
         expected = expectation(agent, part.grid.edges, following, states, inputs[:, 0].T)
         assert np.all(now[own] <= expected + 1e-12)
@@ -313,7 +313,7 @@ def test_pairs_by_subtraction_refuse_such_noise() -> None:
 def test_scales_that_may_vanish_are_worth_nothing() -> None:
     """A cell in which the scale is not seen to be positive has no choice; elsewhere nothing changes."""
     certificate = cg.synthesize(task(walker(scale="0.05 + 0.1*x")), [24, 24], relation="boxes").certificate
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     unknown = part.grid.low[:, 0] < -0.5
     assert cg.check(certificate) and np.all(part.policy[:, :, unknown] < 0) and np.any(part.policy >= 0)
     with pytest.raises(RelationRefused, match="no cell is seen to have a positive `noise_scale`"):
@@ -373,12 +373,12 @@ def test_the_check_refuses_what_a_wrong_search_claims(sabotage: str, monkeypatch
 def test_forged_lattices_are_refused() -> None:
     """Cells that are numbered otherwise; scales that stop short of the largest one; relations that are not for it."""
     certificate = cg.synthesize(task(walker()), [24, 24], relation="boxes").certificate
-    (part,) = certificate.agents
+    (part,) = certificate.proof.agents
     levels, means, numbers = part.lattice
     shifted = dataclasses.replace(part, lattice=(levels, means, numbers + 1.0))
-    assert "does not number the cells" in str(cg.check(dataclasses.replace(certificate, agents=(shifted,))).failures)
+    assert "does not number the cells" in str(cg.check(changed(certificate, agents=(shifted,))).failures)
     quiet = dataclasses.replace(part, lattice=(levels - 0.5, means, numbers))
-    assert not cg.check(dataclasses.replace(certificate, agents=(quiet,)))
+    assert not cg.check(changed(certificate, agents=(quiet,)))
     # The same policies and lattice for an agent that is louder than the one that was certified.
     louder = task(walker(scale="0.102 + 0.051*abs(x)"))
     assert not cg.check(dataclasses.replace(certificate, problem=louder))
@@ -403,7 +403,7 @@ def test_boxes_with_an_end_that_is_not_known_are_worth_nothing(side: int, monkey
 def test_the_check_makes_its_own_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sums of masses are those of the search, to rounding, though none of its code is used."""
     certificate = cg.synthesize(task(walker()), [24, 24], relation="boxes").certificate
-    (part,), (agent,) = certificate.agents, certificate.problem.agents
+    (part,), (agent,) = certificate.proof.agents, certificate.problem.agents
     mine = boxes_check.axis_tables(agent, part, {})
     theirs = box_kernel.box_kernel(part.grid, part.lattice, agent.laws, lattice_axes(agent))  # type: ignore[arg-type]
     for table, other in zip(mine, theirs.tables, strict=True):

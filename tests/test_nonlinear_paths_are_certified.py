@@ -14,7 +14,7 @@ from scipy.stats import binom, norm
 import certigym as cg
 from certigym.envs.expressions import Program, computed, read_expression
 from certigym.synthesis.agreement import agreed
-from certigym.synthesis.certificates import AgentPath, PathCertificate
+from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed, start_of_claim
 from certigym.synthesis.nominal_paths import feedback_bounds
 from certigym.synthesis.nominal_paths.counted_work import CountedWork
 from certigym.synthesis.nominal_paths.limit_rows import Worth
@@ -68,19 +68,19 @@ PROBLEMS = {"cart": bend(), "box": bend(initial_state=None, initial_low=[-0.1, -
                                        initial_high=[0.1, 0.1, 0.05, 0.55]), "tank": tank()}  # fmt: skip
 
 
-def path_of(problem: cg.Problem) -> PathCertificate:
+def path_of(problem: cg.Problem) -> AlongPath:
     found: Any = cg.synthesize(problem, relation="path").certificate
-    assert isinstance(found, PathCertificate)
+    assert isinstance(found.proof, PathProof)
     return found
 
 
 @pytest.fixture(scope="module")
-def certificates() -> dict[str, PathCertificate]:
+def certificates() -> dict[str, AlongPath]:
     return {name: path_of(problem) for name, problem in PROBLEMS.items()}
 
 
 @pytest.mark.parametrize("name", sorted(PROBLEMS))
-def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[str, PathCertificate]) -> None:
+def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[str, AlongPath]) -> None:
     certificate = certificates[name]
     report = cg.check(certificate, PROBLEMS[name])
     assert report.valid, report.failures
@@ -91,28 +91,28 @@ def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[
 
 def test_the_search_is_deterministic() -> None:
     first, second = (path_of(bend(8)) for _ in range(2))
-    assert first.failure == second.failure
-    assert np.array_equal(first.paths[0].gains, second.paths[0].gains)
+    assert first.proof.failure == second.proof.failure
+    assert np.array_equal(first.proof.paths[0].gains, second.proof.paths[0].gains)
 
 
 @pytest.mark.parametrize("start", [[-0.1, -0.1, -0.05, 0.45], [0.1, 0.1, 0.05, 0.55], [0.1, -0.1, 0.05, 0.45]])
-def test_corners_of_a_start_box_keep_the_bound(start: list[float], certificates: dict[str, PathCertificate]) -> None:
+def test_corners_of_a_start_box_keep_the_bound(start: list[float], certificates: dict[str, AlongPath]) -> None:
     certificate = certificates["box"]
-    assert certificate.start == "mean" and certificates["cart"].start == "point"
+    assert start_of_claim(certificate) == "mean" and start_of_claim(certificates["cart"]) == "point"
     problem = PROBLEMS["box"].replace(initial_state=start)
     done = cg.rollout(problem, certificate.controller, 20_000, seed=3)
     assert binom.cdf(done.successes, 20_000, certificate.lower_bound) > FALSE_ALARM / 3
 
 
 @pytest.mark.parametrize("leak", [-0.01, 0.02])
-def test_disturbances_at_their_ends_keep_the_bound(leak: float, certificates: dict[str, PathCertificate]) -> None:
+def test_disturbances_at_their_ends_keep_the_bound(leak: float, certificates: dict[str, AlongPath]) -> None:
     """Against dynamics written here once more."""
     certificate, rng, n = certificates["tank"], np.random.default_rng(4), 20_000
-    (path,) = certificate.paths
+    (path,) = certificate.proof.paths
     assert path.states is not None
     x, kept = np.ones((2, n)), np.ones(n, dtype=bool)
     reached = np.zeros(n, dtype=bool)
-    for t in range(certificate.n_steps):
+    for t in range(certificate.proof.n_steps):
         u = np.clip(path.inputs[t][:, None] + path.gains[t] @ (x - path.states[t][:, None]), 0.0, 2.0)
         upper, lower = x
         scale = np.stack([0.5 + 0.5 * upper, np.ones(n)])
@@ -137,16 +137,16 @@ def test_one_step_is_nearly_exact() -> None:
     assert cg.check(certificate)
 
 
-def shifted(certificate: PathCertificate, **changes: Any) -> PathCertificate:
-    (path,) = certificate.paths
-    return replace(certificate, paths=(replace(path, **{k: f(getattr(path, k)) for k, f in changes.items()}),))
+def shifted(certificate: AlongPath, **changes: Any) -> AlongPath:
+    (path,) = certificate.proof.paths
+    return changed(certificate, paths=(replace(path, **{k: f(getattr(path, k)) for k, f in changes.items()}),))
 
 
 FORGERIES = {
-    "failure": lambda c: replace(c, failure=0.9 * c.failure),
-    "no failure": lambda c: replace(c, failure=0.0),
-    "letters": lambda c: replace(c, letters=np.zeros_like(c.letters)),
-    "sides": lambda c: replace(c, faces=np.where(c.faces >= 0, c.faces ^ 1, -1)),
+    "failure": lambda c: changed(c, failure=0.9 * c.proof.failure),
+    "no failure": lambda c: changed(c, failure=0.0),
+    "letters": lambda c: changed(c, letters=np.zeros_like(c.proof.letters)),
+    "sides": lambda c: changed(c, faces=np.where(c.proof.faces >= 0, c.proof.faces ^ 1, -1)),
     "inputs": lambda c: shifted(c, inputs=lambda u: 0.9 * u),
     "states": lambda c: shifted(c, states=lambda x: x + 0.05),
     "start": lambda c: shifted(c, states=lambda x: np.vstack([x[:1] + 0.3, x[1:]])),
@@ -158,15 +158,15 @@ FORGERIES = {
     "narrow slabs": lambda c: shifted(c, slabs=lambda s: 0.5 * s),
     "slabs that are none": lambda c: shifted(c, slabs=lambda s: -s),
     "too large inputs": lambda c: shifted(c, inputs=lambda u: u + 3.0),
-    "one step less": lambda c: replace(
-        c, letters=c.letters[1:], faces=c.faces[1:],
-        paths=tuple(AgentPath(p.inputs[1:], p.gain[1:], p.states[1:], p.slabs[1:]) for p in c.paths)),
+    "one step less": lambda c: changed(
+        c, letters=c.proof.letters[1:], faces=c.proof.faces[1:],
+        paths=tuple(AgentPath(p.inputs[1:], p.gain[1:], p.states[1:], p.slabs[1:]) for p in c.proof.paths)),
     "form": lambda c: shifted(c, states=lambda x: x[:-1]),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", sorted(FORGERIES))
-def test_forgeries_are_refused(name: str, certificates: dict[str, PathCertificate]) -> None:
+def test_forgeries_are_refused(name: str, certificates: dict[str, AlongPath]) -> None:
     assert not cg.check(FORGERIES[name](certificates["cart"]))
 
 
@@ -187,7 +187,7 @@ def test_inputs_keep_their_box_with_their_feedback(value: float, gain: float, ad
     inputs, gains = found.path.inputs.copy(), found.path.gain.copy()
     inputs[:, 2], gains[:, 2] = value, [gain, 0.0, 0.0, 0.0]
     path = replace(found.path, inputs=inputs, gain=gains)
-    certificate = PathCertificate(problem, (path,), letters, np.full((6, 1), -1), 0.1, {})
+    certificate = cg.Certificate(problem, PathProof((path,), letters, np.full((6, 1), -1), 0.1), {})
     assert bool(cg.check(certificate)) == admissible
 
 
@@ -197,12 +197,12 @@ def noisy() -> cg.Problem:
     return bend(noise_covariance=noise, input_low=[-1, -1], input_high=[1, 1])
 
 
-def along(problem: cg.Problem) -> tuple[Found, PathCertificate]:
+def along(problem: cg.Problem) -> tuple[Found, AlongPath]:
     """What little work finds along a path, and its certificate."""
     certificate = path_of(problem)
-    found = NonlinearSearch(problem, 0, CountedWork()).quick(certificate.letters)
+    found = NonlinearSearch(problem, 0, CountedWork()).quick(certificate.proof.letters)
     assert found is not None
-    return found, replace(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
+    return found, changed(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
 
 
 def without_the_tube(*arguments: Any) -> Any:
@@ -278,30 +278,30 @@ def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: 
     feedback = found.feedback
     worth, spreads = nominal.worth(feedback)
     path = AgentPath(found.nominal.inputs, feedback.gains[0], found.nominal.states, spreads.slabs)
-    forged = replace(certificate, paths=(path,), failure=float(worth.failures()[0]))
-    assert forged.failure < 0.999 * found.failure and not cg.check(forged)
+    forged = changed(certificate, paths=(path,), failure=float(worth.failures()[0]))
+    assert forged.proof.failure < 0.999 * found.failure and not cg.check(forged)
 
 
 @pytest.mark.parametrize("slab", [3.5, np.inf])
 @pytest.mark.parametrize("forgotten", ["what the scale varies", "that the noise depends on the past"])
 def test_what_is_forgotten_of_scales_is_refused(
-    slab: float, forgotten: str, certificates: dict[str, PathCertificate], monkeypatch: pytest.MonkeyPatch
+    slab: float, forgotten: str, certificates: dict[str, AlongPath], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With slabs on the noise, and with variances of the largest scale: the nominal scale alone is not enough."""
     certificate, search = certificates["tank"], NonlinearSearch(PROBLEMS["tank"], 0, CountedWork())
-    found = search.quick(certificate.letters)
+    found = search.quick(certificate.proof.letters)
     assert found is not None
     slabs = found.feedback.slabs.copy()
     slabs[:, :, 3:] = slab
     feedback = replace(found.feedback, slabs=slabs)
 
-    def claimed() -> PathCertificate:
+    def claimed() -> AlongPath:
         worth, spreads = found.nominal.worth(feedback)
         path = replace(found.path, slabs=spreads.slabs)
-        return replace(certificate, paths=(path,), faces=found.faces, failure=float(worth.failures()[0]))
+        return changed(certificate, paths=(path,), faces=found.faces, failure=float(worth.failures()[0]))
 
     honest, scale = claimed(), search.model.scale
-    assert cg.check(honest) and honest.failure < 1.0
+    assert cg.check(honest) and honest.proof.failure < 1.0
 
     def nominal(program: Any, *rest: Any) -> Any:
         middle, half = true_remainders(program, *rest)
@@ -315,7 +315,7 @@ def test_what_is_forgotten_of_scales_is_refused(
     else:  # a slab on the noise has a tail
         monkeypatch.setattr(Worth, "add", without_noise(Worth.add))
     forged = claimed()
-    assert forged.failure < 0.999 * honest.failure and not cg.check(forged)
+    assert forged.proof.failure < 0.999 * honest.proof.failure and not cg.check(forged)
 
 
 def without_noise(add: Any) -> Any:
@@ -368,7 +368,7 @@ def test_noise_that_grows_with_the_state_is_certified_at_any_size() -> None:
     regions = {"good": cg.Proposition("plant", [0.5, 1.4], [3.0, 2.2]), "full": cg.Proposition("plant", [0, 3], [4, 4])}
     certificate = path_of(problem_of([agent], regions, "(!full) U good", 25))
     assert certificate.lower_bound > 0.97  # with slabs on the noise alone .85
-    assert cg.check(certificate) and np.any(np.isinf(certificate.paths[0].slabs[1:-1, 3:]))  # type: ignore[index]
+    assert cg.check(certificate) and np.any(np.isinf(certificate.proof.paths[0].slabs[1:-1, 3:]))  # type: ignore[index]
     assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
 
 
@@ -454,14 +454,14 @@ def test_outputs_of_which_nothing_is_known_on_the_tube_certify_nothing() -> None
     path = AgentPath(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full((2, 1), 0.505), np.full((2, 3), np.inf))
     letters, faces = np.array([[0], [-1]], dtype=np.int8), np.array([[-1], [1]])
     for failure in (0.6, 0.99):
-        assert not cg.check(PathCertificate(problem, (path,), letters, faces, failure, {}))
+        assert not cg.check(cg.Certificate(problem, PathProof((path,), letters, faces, failure), {}))
 
 
-def test_files_keep_nonlinear_paths(certificates: dict[str, PathCertificate], tmp_path: Path) -> None:
+def test_files_keep_nonlinear_paths(certificates: dict[str, AlongPath], tmp_path: Path) -> None:
     certificate = certificates["cart"]
     cg.save_certificate(certificate, tmp_path / "path.npz")
     again: Any = cg.load_certificate(tmp_path / "path.npz")
-    assert isinstance(again, PathCertificate) and again.failure == certificate.failure
+    assert isinstance(again.proof, PathProof) and again.proof.failure == certificate.proof.failure
     assert cg.check(again, certificate.problem).valid
     states = np.random.default_rng(0).normal(size=(4, 5))
     for t in range(3):
@@ -470,7 +470,7 @@ def test_files_keep_nonlinear_paths(certificates: dict[str, PathCertificate], tm
         )
 
 
-def test_reports_show_the_tube(certificates: dict[str, PathCertificate], tmp_path: Path) -> None:
+def test_reports_show_the_tube(certificates: dict[str, AlongPath], tmp_path: Path) -> None:
     content = cg.report(certificates["cart"], tmp_path / "path.html", episodes=200)
     assert content.checked is not None and content.checked.valid
     page = (tmp_path / "path.html").read_text(encoding="utf-8")
@@ -514,10 +514,10 @@ def test_undefined_expressions_have_no_expansion() -> None:
 
 def test_nonlinear_paths_are_taken_without_any_options() -> None:
     """Four states have no grid; the example has five, two obstacles and nothing else."""
-    assert isinstance(cg.synthesize(bend(8)).certificate, PathCertificate)
+    assert isinstance(cg.synthesize(bend(8)).certificate.proof, PathProof)
     example = Path(__file__).resolve().parents[1] / "examples" / "car_slalom.toml"
     certificate: Any = cg.synthesize(example).certificate
-    assert isinstance(certificate, PathCertificate) and certificate.lower_bound > 0.99999
+    assert isinstance(certificate.proof, PathProof) and certificate.lower_bound > 0.99999
     assert cg.check(certificate)
 
 
@@ -557,7 +557,7 @@ def test_outputs_may_bend() -> None:
     assert cg.check(certificate) and certificate.lower_bound > 0.9
     verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
     assert verdict.verdict != "refuted"
-    assert not cg.check(replace(certificate, failure=0.5 * certificate.failure))
+    assert not cg.check(changed(certificate, failure=0.5 * certificate.proof.failure))
 
 
 def test_what_nonlinear_paths_do_not_do_is_said() -> None:
@@ -571,7 +571,7 @@ def test_what_nonlinear_paths_do_not_do_is_said() -> None:
 def test_no_more_is_claimed_than_the_check_proves() -> None:
     """Search and check enclose expressions by code of their own: the larger failure of both is claimed."""
     _, certificate = along(noisy())
-    bold: Any = replace(certificate, failure=0.5 * certificate.failure)
+    bold: Any = changed(certificate, failure=0.5 * certificate.proof.failure)
     assert not cg.check(bold)
     modest = agreed(cg.Synthesis(bold, bold.controller, {})).certificate
     assert cg.check(modest) and modest.lower_bound <= cg.check(certificate).recomputed

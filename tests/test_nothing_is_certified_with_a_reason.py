@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.problem.problem_file import problem_from_toml
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.nominal_paths.calm_runs import most_missed, satisfies
 
 FILE = """
@@ -117,7 +117,7 @@ def narrow() -> tuple[cg.Problem, Any]:
 def test_where_noise_is_to_blame_the_controller_follows_a_run() -> None:
     asked, found = narrow()
     assert found.certificate.lower_bound == 0.0 and cg.check(found.certificate, asked).valid
-    assert satisfies(asked, [part.states for part in found.certificate.paths])
+    assert satisfies(asked, [part.states for part in found.certificate.proof.paths])
     # With hardly any noise the same controller does the task.
     calm = problem("!wall U goal", 6, 1e-6, 3.6, wall=2.4)
     rollouts = cg.rollout(calm, found.controller, 200, seed=1)
@@ -127,7 +127,7 @@ def test_where_noise_is_to_blame_the_controller_follows_a_run() -> None:
 def test_a_claim_of_nothing_along_a_path_cannot_be_made_one_of_something() -> None:
     asked, found = narrow()
     certificate = found.certificate
-    assert not cg.check(replace(certificate, failure=0.5), asked).valid
+    assert not cg.check(changed(certificate, failure=0.5), asked).valid
 
 
 def test_the_terminal_says_why(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

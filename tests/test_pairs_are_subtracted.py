@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.certificates import PairsCertificate
+from certigym.synthesis.certificates import Certificate, SubtractionProof, changed
 from certigym.synthesis.checking.pairs_check import wrong_pairs
 from certigym.synthesis.models import Settings, abstraction_of, join
 from certigym.synthesis.pairs import NearMass, relevant_pairs, usual_values, without_pairs
@@ -25,14 +25,14 @@ APART = "G !any(near) & F G goal"
 PHASES = "!any(near) U (home & (!any(near) U goal))"
 
 
-def dense(problem: cg.Problem, certificate: PairsCertificate) -> float:
+def dense(problem: cg.Problem, certificate: Certificate[SubtractionProof]) -> float:
     """Return the sum over steps and pairs of the probability of being near, on the product of all cells.
 
     Every joint cell, letter by letter, with normal distribution functions: nothing here knows of products or modes.
     """
-    base, agents = certificate.base, problem.agents
-    grids = [part.grid.centres[:, 0] for part in base.agents]
-    edges = [part.grid.edges[0] for part in base.agents]
+    base, agents = certificate.proof.base, problem.agents
+    grids = [part.grid.centres[:, 0] for part in base.proof.agents]
+    edges = [part.grid.edges[0] for part in base.proof.agents]
     spread = [float(np.sqrt(agent.noise_covariance[0, 0])) for agent in agents]
     automaton, first = problem.automaton, problem.labeling.first_pair
     q0 = int(automaton.next_state(automaton.initial, problem.labeling.letter([a.initial.low for a in agents])))
@@ -42,15 +42,15 @@ def dense(problem: cg.Problem, certificate: PairsCertificate) -> float:
     for t in range(problem.horizon):
         following: dict[tuple[int, tuple[int, ...]], float] = {}
         for (q, at), weight in mass.items():
-            points = [int(part.points(t, q)[s]) for part, s in zip(base.agents, at)]
-            means = [part.lattice[0][z] for part, z in zip(base.agents, points)]
+            points = [int(part.points(t, q)[s]) for part, s in zip(base.proof.agents, at)]
+            means = [part.lattice[0][z] for part, z in zip(base.proof.agents, points)]
             for k, pair in enumerate(problem.labeling.pairs):
                 # Does the automaton ask for this pair in q? Try all letters.
                 if asks(problem, q, first + k):
                     gap = means[pair.first] - means[pair.second]
                     std = np.hypot(spread[pair.first], spread[pair.second])
                     near = norm.cdf((pair.high[0] - gap) / std) - norm.cdf((pair.low[0] - gap) / std)
-                    total += weight * float(1.0 - near if certificate.usual[k] else near)
+                    total += weight * float(1.0 - near if certificate.proof.usual[k] else near)
             rows = [np.diff(norm.cdf((e - m) / s)) for e, m, s in zip(edges, means, spread)]
             joint = weight * rows[0]
             for row in rows[1:]:
@@ -70,10 +70,10 @@ def asks(problem: cg.Problem, q: int, p: int) -> bool:
     """Whether some letter leads elsewhere from q if proposition p is changed."""
     n = len(problem.labeling.names)
     letters = (np.arange(1 << n)[None] >> np.arange(n)[:, None] & 1).astype(bool)
-    changed = letters.copy()
-    changed[p] = ~changed[p]
+    flipped = letters.copy()
+    flipped[p] = ~flipped[p]
     states = np.full(1 << n, q)
-    return bool(np.any(problem.automaton.next_state(states, letters) != problem.automaton.next_state(states, changed)))
+    return bool(np.any(problem.automaton.next_state(states, letters) != problem.automaton.next_state(states, flipped)))
 
 
 @pytest.mark.parametrize(
@@ -93,11 +93,11 @@ def test_masses_are_those_of_a_dense_enumeration(problem: cg.Problem, is_tight: 
     truth = dense(problem, certificate)
     failures, again = wrong_pairs(certificate, problem)
     assert failures == [] and truth > 1e-6
-    for bound in (certificate.near, again):
+    for bound in (certificate.proof.near, again):
         assert bound >= min(1.0, truth) * (1.0 - 1e-9)
     if is_tight:
         assert again <= truth * (1.0 + 1e-6) + 1e-9
-        assert certificate.near <= truth * (1.0 + 1e-6) + 1e-9
+        assert certificate.proof.near <= truth * (1.0 + 1e-6) + 1e-9
     assert cg.check(certificate)
 
 
@@ -110,19 +110,21 @@ def test_bounds_are_tight_enough_to_be_used() -> None:
     assert found.stats["tried"]["exact"] == found.certificate.lower_bound  # type: ignore[index]
 
 
-def certificate_of(problem: cg.Problem) -> PairsCertificate:
+def certificate_of(problem: cg.Problem) -> Certificate[SubtractionProof]:
     certificate: Any = cg.synthesize(problem, 16, relation="exact", max_sweeps=0).certificate
     return certificate
 
 
-def near_of(certificate: PairsCertificate, problem: cg.Problem, masses: type[NearMass] = NearMass) -> float:
+def near_of(
+    certificate: Certificate[SubtractionProof], problem: cg.Problem, masses: type[NearMass] = NearMass
+) -> float:
     """Return what another problem's pairs, or a broken bound, say of the policies of a certificate."""
     usual = usual_values(problem)
     base = without_pairs(problem, usual)
     kinds = ["exact"] * problem.n_agents
     abstraction = abstraction_of(base, 16, kinds, Settings())
     bound = masses(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
-    return bound.bound(tuple(part.policy for part in certificate.base.agents))
+    return bound.bound(tuple(part.policy for part in certificate.proof.base.proof.agents))
 
 
 class OneStepEarly(NearMass):
@@ -164,19 +166,18 @@ TRIPLE = followers("G !any(near)", near=([-1.2], [0.4]), horizon=4, starts=THREE
 @pytest.mark.parametrize("broken", [OneStepEarly, OnlyTheFirstPair, Negated, Halved])
 def test_the_check_refuses_what_a_broken_bound_claims(broken: type[NearMass]) -> None:
     certificate = certificate_of(TRIPLE)
-    assert cg.check(certificate) and 1e-6 < certificate.near < 1.0
+    assert cg.check(certificate) and 1e-6 < certificate.proof.near < 1.0
     wrong = near_of(certificate, TRIPLE, broken)
-    assert wrong < certificate.near
-    report = cg.check(replace(certificate, near=wrong))
+    assert wrong < certificate.proof.near
+    report = cg.check(changed(certificate, near=wrong))
     assert not report and "pairs spoil" in str(report)
 
 
-def with_base(change: Callable[[cg.Problem], cg.Problem]) -> PairsCertificate:
+def with_base(change: Callable[[cg.Problem], cg.Problem]) -> Certificate[SubtractionProof]:
     """A certificate whose base is that of a changed problem."""
     certificate = certificate_of(TRIPLE)
-    changed = change(TRIPLE)
-    other = certificate_of(changed)
-    return replace(certificate, base=other.base, near=1e-3)
+    other = certificate_of(change(TRIPLE))
+    return changed(certificate, base=other.proof.base, near=1e-3)
 
 
 def formula(problem: cg.Problem, text: str) -> cg.Problem:
@@ -205,23 +206,23 @@ def test_the_check_refuses_the_base_of_another_problem(change: Any, message: str
 
 def test_the_check_refuses_certificates_that_know_nothing_of_pairs() -> None:
     certificate = certificate_of(TRIPLE)
-    report = cg.check(replace(certificate.base, problem=TRIPLE))
+    report = cg.check(replace(certificate.proof.base, problem=TRIPLE))
     assert not report and "of which it knows nothing" in str(report)
-    assert not cg.check(replace(certificate, near=0.0))
+    assert not cg.check(changed(certificate, near=0.0))
     assert not cg.check(certificate, TRIPLE.replace(horizon=5))
 
 
 def test_pairs_that_are_near_at_the_start_spoil_everything() -> None:
     certificate = certificate_of(followers("G !any(near)", starts=((0.0,), (0.5,))))
-    assert certificate.near == 1.0 and certificate.lower_bound == 0.0
-    assert not cg.check(replace(certificate, near=0.5))
+    assert certificate.proof.near == 1.0 and certificate.lower_bound == 0.0
+    assert not cg.check(changed(certificate, near=0.5))
 
 
 def test_certificates_travel(tmp_path: Path) -> None:
     certificate = certificate_of(TRIPLE)
     cg.save_certificate(certificate, tmp_path / "pairs.npz")
     loaded: Any = cg.load_certificate(tmp_path / "pairs.npz")
-    assert isinstance(loaded, PairsCertificate) and loaded.lower_bound == certificate.lower_bound
+    assert isinstance(loaded.proof, SubtractionProof) and loaded.lower_bound == certificate.lower_bound
     assert cg.check(loaded) and loaded.fingerprint == certificate.fingerprint
     with pytest.raises(ValueError, match="what pairs of agents may spoil is bounded for the whole run"):
         cg.audit(loaded)
@@ -287,7 +288,7 @@ def test_upper_ends_are_claimed_and_checked_where_pairs_can_save_nothing() -> No
     assert report.above <= certificate.lower_bound + certificate.gap
     wanted = certificate_of(followers("F any(near)", near=([-1.2], [0.4]), horizon=4, starts=THREE))
     assert wanted.gap is None and cg.check(wanted)
-    forged = replace(wanted, base=replace(wanted.base, gap=0.25))
+    forged = changed(wanted, base=changed(wanted.proof.base, gap=0.25))
     assert "an upper end" in str(cg.check(forged))
 
 
@@ -309,6 +310,6 @@ def test_pairs_may_compare_different_states_of_one_agent() -> None:
     task = cg.Specification("(!(far | close)) U goal", "co-safe")
     problem = cg.Problem(name="axes", horizon=3, agents=agents, propositions=regions, specification=task)
     certificate = cg.synthesize(problem, 20, relation="exact", max_sweeps=0).certificate
-    assert isinstance(certificate, PairsCertificate) and 1e-4 < certificate.near < 1.0
+    assert isinstance(certificate.proof, SubtractionProof) and 1e-4 < certificate.proof.near < 1.0
     report = cg.check(certificate)
     assert report and report.recomputed - certificate.lower_bound < 1e-6

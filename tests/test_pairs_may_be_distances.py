@@ -15,7 +15,7 @@ import certigym as cg
 from certigym.envs.agents.pair import PairRegion, pair_region
 from certigym.envs.interfaces.shaping import _joined
 from certigym.envs.problem.problem_file import problem_from_toml
-from certigym.synthesis.certificates import PathCertificate
+from certigym.synthesis.certificates import AlongPath, changed
 from pair_problems import mover
 from test_fleets_are_certified_along_paths import unicycle
 from test_nonlinear_paths_are_certified import path_of
@@ -59,12 +59,12 @@ def meeting(task: str, distance: float = 0.9, std: float = 0.05, horizon: int = 
 
 
 @pytest.fixture(scope="module")
-def apart() -> PathCertificate:
+def apart() -> AlongPath:
     return path_of(meeting("G !near_0_1 & F (right & left)", horizon=12))
 
 
 @pytest.fixture(scope="module")
-def together() -> PathCertificate:
+def together() -> AlongPath:
     return path_of(meeting("F near_0_1"))
 
 
@@ -164,14 +164,14 @@ def test_what_is_asked_inside_lies_inside(size: int) -> None:
 
 @pytest.mark.parametrize("name", ["apart", "together"])
 def test_bounds_hold_in_rollouts(name: str, request: pytest.FixtureRequest) -> None:
-    certificate: PathCertificate = request.getfixturevalue(name)
+    certificate: AlongPath = request.getfixturevalue(name)
     assert certificate.lower_bound > 0.9
     assert cg.check(certificate)
     rollouts = cg.validate(certificate, 20_000, seed=3)
     assert binom.cdf(rollouts.successes, rollouts.episodes, certificate.lower_bound) > FALSE_ALARM
 
 
-def test_a_shorter_distance_does_not_prove_a_longer_one(apart: PathCertificate, together: PathCertificate) -> None:
+def test_a_shorter_distance_does_not_prove_a_longer_one(apart: AlongPath, together: AlongPath) -> None:
     longer = meeting("G !near_0_1 & F (right & left)", distance=1.6, horizon=12)
     assert not cg.check(replace(apart, problem=longer))
     shorter = meeting("F near_0_1", distance=0.25)
@@ -179,12 +179,12 @@ def test_a_shorter_distance_does_not_prove_a_longer_one(apart: PathCertificate, 
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-170, 5e-324, 1e200])
-def test_tiny_directions_ask_for_nothing_and_are_refused(apart: PathCertificate, size: float) -> None:
+def test_tiny_directions_ask_for_nothing_and_are_refused(apart: AlongPath, size: float) -> None:
     """Squares of 1e-170 are 0, as is the length of such a direction: any half-space would be as far as the origin."""
-    assert apart.normals is not None
-    normals = np.where(np.abs(apart.normals) > 0.3, size * np.sign(apart.normals), 0.0)
+    assert apart.proof.normals is not None
+    normals = np.where(np.abs(apart.proof.normals) > 0.3, size * np.sign(apart.proof.normals), 0.0)
     longer = meeting("G !near_0_1 & F (right & left)", distance=1.6, horizon=12)
-    assert "direction" in str(cg.check(replace(apart, problem=longer, normals=normals)))
+    assert "direction" in str(cg.check(changed(apart, problem=longer, normals=normals)))
 
 
 def test_tiny_rows_have_a_variance() -> None:
@@ -205,7 +205,7 @@ def test_tiny_rows_have_a_variance() -> None:
     for written in (False, True):
         certificate: Any = cg.synthesize(problem(1.0, written), relation="path").certificate
         assert 0.3 < cg.check(certificate).recomputed < 0.4  # P(|w| < 0.1) for a deviation of 0.2 is .383
-        assert not cg.check(replace(certificate, failure=1e-6, problem=problem(1e-200, written)))
+        assert not cg.check(changed(certificate, failure=1e-6, problem=problem(1e-200, written)))
 
 
 def test_subtraction_uses_a_box_around_and_a_box_within() -> None:

@@ -14,6 +14,7 @@ import certigym as cg
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.worlds import Dynamics
 from certigym.synthesis.bounds.certified import plain_loss, robust_loss, undecided_steps
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.controllers.abstract_state import Memory, Tracker
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.input_menu import InputMenu
@@ -100,8 +101,8 @@ def test_bounds_hold_for_the_coupled_closed_loop(settings: dict[str, Any]) -> No
     problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
     result = cg.synthesize(problem, 64, relation="paper", **settings)
     certificate = result.certificate
-    assert set(certificate.bounds) in ({"nominal"}, {"a-posteriori", "robust tree"})
-    assert certificate.lower_bound == max(certificate.bounds.values()) > 0.1
+    assert set(certificate.proof.bounds) in ({"nominal"}, {"a-posteriori", "robust tree"})
+    assert certificate.lower_bound == max(certificate.proof.bounds.values()) > 0.1
     assert cg.check(certificate), str(cg.check(certificate))
     report = cg.validate(result, 50_000, seed=1, confidence=1 - FALSE_ALARM / 3)
     assert report.verdict == CONFIRMED, str(report)
@@ -113,11 +114,11 @@ def test_claiming_the_nominal_value_in_spite_of_delta_is_refused() -> None:
     problem = two_agents(horizon=4)
     certificate = cg.synthesize(problem, 64, relation="paper", epsilon=0.1).certificate
     assert cg.check(certificate)
-    assert not cg.check(replace(certificate, bound="nominal"))
-    part = replace(certificate.agents[0], relation={**certificate.agents[0].relation, "delta": 1e-5})
-    assert not cg.check(replace(certificate, agents=(part, certificate.agents[1])))
-    part = replace(certificate.agents[0], relation={**certificate.agents[0].relation, "epsilon": 0.2})
-    assert not cg.check(replace(certificate, agents=(part, certificate.agents[1])))
+    assert not cg.check(changed(certificate, bound="nominal"))
+    part = replace(certificate.proof.agents[0], relation={**certificate.proof.agents[0].relation, "delta": 1e-5})
+    assert not cg.check(changed(certificate, agents=(part, certificate.proof.agents[1])))
+    part = replace(certificate.proof.agents[0], relation={**certificate.proof.agents[0].relation, "epsilon": 0.2})
+    assert not cg.check(changed(certificate, agents=(part, certificate.proof.agents[1])))
 
 
 def test_undecided_steps_are_what_rollouts_of_the_abstract_chain_count() -> None:

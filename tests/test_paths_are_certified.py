@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.synthesis.certificates import AgentPath, PathCertificate
+from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed
 from certigym.synthesis.nominal_paths import path_search, slabs
 
 FALSE_ALARM = 1e-6
@@ -68,19 +68,19 @@ def singular() -> cg.Problem:
 PROBLEMS = {"chain": chain(3, 30), "harbour": harbour(), "singular": singular(), "short": chain(2, 5, 1.0)}
 
 
-def path_of(problem: cg.Problem) -> PathCertificate:
+def path_of(problem: cg.Problem) -> AlongPath:
     """Return the certificate along a path of a problem."""
     found: Any = cg.synthesize(problem, relation="path").certificate
-    assert isinstance(found, PathCertificate)
+    assert isinstance(found.proof, PathProof)
     return found
 
 
 @pytest.fixture(scope="module", params=sorted(PROBLEMS))
-def certificate(request: pytest.FixtureRequest) -> PathCertificate:
+def certificate(request: pytest.FixtureRequest) -> AlongPath:
     return path_of(PROBLEMS[request.param])
 
 
-def test_certificates_are_checked_and_not_refuted(certificate: PathCertificate) -> None:
+def test_certificates_are_checked_and_not_refuted(certificate: AlongPath) -> None:
     report = cg.check(certificate, certificate.problem)
     assert report.valid, report.failures
     assert certificate.lower_bound > 0.3
@@ -110,23 +110,23 @@ def test_one_step_is_exact_and_several_are_below_the_truth() -> None:
 
 def test_small_failures_are_not_rounded_to_none() -> None:
     certificate = path_of(chain(20, 5))
-    assert 0.0 < certificate.failure < 1e-200 and certificate.lower_bound < 1.0
+    assert 0.0 < certificate.proof.failure < 1e-200 and certificate.lower_bound < 1.0
     assert cg.check(certificate).valid
 
 
-def shifted(certificate: PathCertificate) -> PathCertificate:
-    letters = certificate.letters.copy()
+def shifted(certificate: AlongPath) -> AlongPath:
+    letters = certificate.proof.letters.copy()
     letters[-1] = 0
-    return replace(certificate, letters=letters)
+    return changed(certificate, letters=letters)
 
 
 FORGERIES = {
-    "failure": lambda c: replace(c, failure=0.99 * c.failure),
-    "no failure": lambda c: replace(c, failure=0.0),
+    "failure": lambda c: changed(c, failure=0.99 * c.proof.failure),
+    "no failure": lambda c: changed(c, failure=0.0),
     "letters": shifted,
-    "inputs": lambda c: replace(c, paths=tuple(AgentPath(p.inputs * 1.5 + 0.1, p.gain) for p in c.paths)),
-    "gain": lambda c: replace(c, paths=tuple(AgentPath(p.inputs, p.gain - 0.5) for p in c.paths)),
-    "too large inputs": lambda c: replace(c, paths=tuple(AgentPath(p.inputs + 5.0, p.gain) for p in c.paths)),
+    "inputs": lambda c: changed(c, paths=tuple(AgentPath(p.inputs * 1.5 + 0.1, p.gain) for p in c.proof.paths)),
+    "gain": lambda c: changed(c, paths=tuple(AgentPath(p.inputs, p.gain - 0.5) for p in c.proof.paths)),
+    "too large inputs": lambda c: changed(c, paths=tuple(AgentPath(p.inputs + 5.0, p.gain) for p in c.proof.paths)),
 }
 
 
@@ -138,8 +138,8 @@ def test_forgeries_are_refused(name: str) -> None:
 
 def test_another_side_of_a_region_is_refused() -> None:
     certificate = path_of(PROBLEMS["harbour"])
-    faces = np.where(certificate.faces >= 0, certificate.faces ^ 1, -1)
-    assert np.any(certificate.faces >= 0) and not cg.check(replace(certificate, faces=faces))
+    faces = np.where(certificate.proof.faces >= 0, certificate.proof.faces ^ 1, -1)
+    assert np.any(certificate.proof.faces >= 0) and not cg.check(changed(certificate, faces=faces))
 
 
 SABOTAGES = {
@@ -174,12 +174,12 @@ def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: 
     assert not cg.check(certificate)
 
 
-def test_files_keep_paths(certificate: PathCertificate, tmp_path: Path) -> None:
+def test_files_keep_paths(certificate: AlongPath, tmp_path: Path) -> None:
     cg.save_certificate(certificate, tmp_path / "path.npz")
     again: Any = cg.load_certificate(tmp_path / "path.npz")
-    assert isinstance(again, PathCertificate) and again.failure == certificate.failure
+    assert isinstance(again.proof, PathProof) and again.proof.failure == certificate.proof.failure
     assert cg.check(again, certificate.problem).valid
-    assert len(repr(again).splitlines()) == 5
+    assert len(repr(again).splitlines()) == 7
 
 
 def test_controllers_act_alike_in_environments_and_in_batches() -> None:
@@ -191,7 +191,7 @@ def test_controllers_act_alike_in_environments_and_in_batches() -> None:
     for t in range(3):
         actions = certificate.controller.act(observations, infos)
         for i, name in enumerate(certificate.problem.agent_names):
-            path, state = certificate.paths[i], np.asarray(infos[name]["state"])
+            path, state = certificate.proof.paths[i], np.asarray(infos[name]["state"])
             wanted = path.inputs[t] + path.gain @ (state - certificate.controller.nominal[i][t])
             np.testing.assert_allclose(actions[name], np.clip(wanted, -2.0, 2.0), atol=1e-12)
         observations, _, _, _, infos = environment.step(actions)
@@ -199,9 +199,9 @@ def test_controllers_act_alike_in_environments_and_in_batches() -> None:
 
 
 def test_paths_are_taken_where_grids_do_not_reach() -> None:
-    assert isinstance(cg.synthesize(PROBLEMS["harbour"]).certificate, PathCertificate)
-    assert isinstance(cg.synthesize(PROBLEMS["singular"]).certificate, PathCertificate)
-    assert not isinstance(cg.synthesize(chain(2, 3), 40, relation="boxes").certificate, PathCertificate)
+    assert isinstance(cg.synthesize(PROBLEMS["harbour"]).certificate.proof, PathProof)
+    assert isinstance(cg.synthesize(PROBLEMS["singular"]).certificate.proof, PathProof)
+    assert not isinstance(cg.synthesize(chain(2, 3), 40, relation="boxes").certificate.proof, PathProof)
 
 
 def test_random_problems_are_not_refuted() -> None:
@@ -261,13 +261,13 @@ def docks(agent: cg.LinearAgent) -> cg.Problem:
 
 def test_inputs_that_move_nothing_are_in_the_middle_and_may_be_at_a_face() -> None:
     certificate = cg.synthesize(docks(idle()), relation="path").certificate
-    assert isinstance(certificate, PathCertificate) and certificate.lower_bound > 0.9
-    (path,) = certificate.paths
+    assert isinstance(certificate.proof, PathProof) and certificate.lower_bound > 0.9
+    (path,) = certificate.proof.paths
     assert np.any(path.gain) and np.all(path.inputs[:, 2] == 0.5)
     assert cg.check(certificate)
     at_face = path.inputs.copy()
     at_face[:, 2] = 2.0
-    faced = replace(certificate, paths=(AgentPath(at_face, path.gain),))
+    faced = changed(certificate, paths=(AgentPath(at_face, path.gain),))
     assert cg.check(faced)
     at_face[3, 2] = np.nextafter(2.0, 3.0)
     assert not cg.check(faced)
@@ -277,10 +277,10 @@ def test_inputs_that_noise_reaches_have_no_room_at_a_face() -> None:
     """The idle input follows the first state, which is noisy, or the second one, which nothing disturbs."""
     agent = idle(noise_covariance=[[0.01, 0.0], [0.0, 0.0]], A=[[1.0, 0.1], [0.0, 0.9]])
     certificate = cg.synthesize(docks(agent), relation="path").certificate
-    assert isinstance(certificate, PathCertificate)
-    (path,) = certificate.paths
+    assert isinstance(certificate.proof, PathProof)
+    (path,) = certificate.proof.paths
     for followed, admissible in (([1e-6, 0.0], False), ([0.0, 1e-6], True)):
         inputs, gain = path.inputs.copy(), np.array([path.gain[0], [0.0, 0.0], followed])
         inputs[:, 2] = 2.0
-        report = cg.check(replace(certificate, paths=(AgentPath(inputs, gain),), failure=0.5))
+        report = cg.check(changed(certificate, paths=(AgentPath(inputs, gain),), failure=0.5))
         assert bool(report) == admissible, report

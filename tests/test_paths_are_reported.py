@@ -12,21 +12,21 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.synthesis.certificates import KEPT, PathCertificate, tube_along
+from certigym.synthesis.certificates import KEPT, AlongPath, tube_along
 from certigym.validation.simulation import Loop, paths
 
 FOLDER = Path(__file__).parents[1] / "benchmarks" / "arch"
 
 
 @pytest.fixture(scope="module")
-def building() -> PathCertificate:
+def building() -> AlongPath:
     """A building with four states, two of which are drawn."""
     found: Any = cg.synthesize(FOLDER / "bas_4_deviation.toml", relation="path").certificate
     return found
 
 
 @pytest.fixture(scope="module")
-def saved(building: PathCertificate, tmp_path_factory: pytest.TempPathFactory) -> str:
+def saved(building: AlongPath, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = str(tmp_path_factory.mktemp("saved") / "building.npz")
     cg.save_certificate(building, path)
     return path
@@ -42,7 +42,7 @@ def test_a_page_shows_claim_rollouts_and_tube(saved: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("axes", [(0,), (1, 0), (3,)])
-def test_tubes_are_kept_as_often_as_they_say(building: PathCertificate, axes: tuple[int, ...]) -> None:
+def test_tubes_are_kept_as_often_as_they_say(building: AlongPath, axes: tuple[int, ...]) -> None:
     """20,000 rollouts; false alarm 1e-6. Inputs are cut off with probability below 2.2e-4, as the certificate says."""
     rows = np.eye(4)[list(axes)]
     tube = tube_along(building, rows)
@@ -52,12 +52,12 @@ def test_tubes_are_kept_as_often_as_they_say(building: PathCertificate, axes: tu
     distances = np.einsum("tmi,tij,tmj->tm", away, np.linalg.inv(tube.covariances[1:]), away)
     # Of episodes that ended early only what was seen counts; they are failures, fewer than the certificate allows.
     kept = np.all(~(distances > tube.radius**2), axis=0).sum()
-    assert binom.cdf(kept, 20_000, KEPT - building.failure) > 1e-6
+    assert binom.cdf(kept, 20_000, KEPT - building.proof.failure) > 1e-6
     # Half the radius is left often: the tube is not merely large.
     assert np.all(~(distances > 0.25 * tube.radius**2), axis=0).mean() < 0.9
 
 
-def test_edges_of_tubes_are_where_they_are_drawn(building: PathCertificate) -> None:
+def test_edges_of_tubes_are_where_they_are_drawn(building: AlongPath) -> None:
     tube = tube_along(building, np.eye(4)[:2])
     assert tube is not None
     away = tube.outlines()[1:] - tube.middle[1:, None]

@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 import certigym as cg
 from certigym.envs.agents import Law, Tail
-from certigym.synthesis.certificates import PathCertificate
+from certigym.synthesis.certificates import PathProof, changed
 from certigym.synthesis.nominal_paths.nonlinear_model import NonlinearModel
 from certigym.synthesis.path_checking.gaussian_inequalities import Inequalities, moment_tails
 from certigym.synthesis.path_checking.law_moments import LONG as LONG_TAIL
@@ -182,14 +182,14 @@ def test_long_tails_are_above_sums_of_laplace_numbers() -> None:
 def test_paths_of_heavier_tails_are_valid_and_below_their_rollouts(name: str) -> None:
     problem = around(robot(LONG[name]))
     certificate = cg.synthesize(problem, relation="path").certificate
-    assert isinstance(certificate, PathCertificate) and certificate.lower_bound > 0.9
+    assert isinstance(certificate.proof, PathProof) and certificate.lower_bound > 0.9
     assert cg.check(certificate, problem)
     rate = cg.validate(certificate, 20_000, seed=3, confidence=1.0 - FALSE_ALARM)
     assert rate.ci_high >= certificate.lower_bound
     # The same numbers for wider noise, and with a smaller failure.
     wider = around(robot({**LONG[name], "scale": 0.05} if "scale" in LONG[name] else LONG["laplace"] | {"scale": 0.1}))
     assert not cg.check(replace(certificate, problem=wider), wider)
-    assert not cg.check(replace(certificate, failure=0.9 * certificate.failure), problem)
+    assert not cg.check(changed(certificate, failure=0.9 * certificate.proof.failure), problem)
 
 
 @pytest.mark.usefixtures("search_alone")
@@ -209,12 +209,12 @@ def test_noise_that_is_given_up_is_charged(monkeypatch: pytest.MonkeyPatch) -> N
     problem = around(robot({"law": "student-t", "scale": 0.002, "df": 5.0}, noise=[
         {"law": "student-t", "scale": 0.002, "df": 5.0}, {"law": "gaussian", "std": 0.001}]))  # fmt: skip
     honest = cg.synthesize(problem, relation="path").certificate
-    assert isinstance(honest, PathCertificate) and len(honest.letters) > 2
-    assert 1e-7 < honest.failure < 2e-6
+    assert isinstance(honest.proof, PathProof) and len(honest.proof.letters) > 2
+    assert 1e-7 < honest.proof.failure < 2e-6
     assert cg.check(honest, problem)
     monkeypatch.setattr(NonlinearModel, "lost", 0.0)
     claimed = cg.synthesize(problem, relation="path").certificate
-    assert isinstance(claimed, PathCertificate) and claimed.failure < honest.failure
+    assert isinstance(claimed.proof, PathProof) and claimed.proof.failure < honest.proof.failure
     assert not cg.check(claimed, problem)
 
 
@@ -224,7 +224,7 @@ def test_laws_without_moments_are_refused() -> None:
     with pytest.raises(ValueError, match="exponential moments are known, got scipy"):
         cg.synthesize(problem, relation="path")
     light = cg.synthesize(around(robot(LAWS["uniform"])), relation="path").certificate
-    assert isinstance(light, PathCertificate)
+    assert isinstance(light.proof, PathProof)
     report = cg.check(replace(light, problem=problem), problem)
     assert not report and "no moments" in str(report)
 
@@ -232,12 +232,12 @@ def test_laws_without_moments_are_refused() -> None:
 def test_paths_of_another_law_are_refused() -> None:
     """A mean against which no feedback helps, wider laws, and a smaller failure than is proved."""
     honest = cg.synthesize(around(robot(LAWS["uniform"])), relation="path").certificate
-    assert isinstance(honest, PathCertificate)
+    assert isinstance(honest.proof, PathProof)
     driven = {"law": "uniform", "low": 0.3, "high": 0.5}
     for law in (driven, LAWS["even triangle"], LAWS["mixture"]):
         other = around(robot(law))
         assert not cg.check(replace(honest, problem=other), other)
-    assert not cg.check(replace(honest, failure=0.9 * honest.failure), honest.problem)
+    assert not cg.check(changed(honest, failure=0.9 * honest.proof.failure), honest.problem)
 
 
 @pytest.mark.usefixtures("search_alone")

@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import beta, norm
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 
 OWN = Path(__file__).parents[1] / "examples" / "own"
 
@@ -38,11 +39,11 @@ def test_narrower_tubes_than_are_kept_are_refused() -> None:
     """Whoever says that neighbours stay nearer to their paths pays for it with inequalities that fail more often."""
     certificate = path_of(cg.load_problem(OWN / "springs.toml"))
     for share in (0.3, 0.6):
-        paths = list(certificate.paths)
+        paths = list(certificate.proof.paths)
         paths[1] = replace(paths[1], slabs=paths[1].slabs * share)
-        assert not cg.check(replace(certificate, paths=tuple(paths)))
-    paths[1] = replace(certificate.paths[1], slabs=np.zeros_like(certificate.paths[1].slabs))
-    assert not cg.check(replace(certificate, paths=tuple(paths)))
+        assert not cg.check(changed(certificate, paths=tuple(paths)))
+    paths[1] = replace(certificate.proof.paths[1], slabs=np.zeros_like(certificate.proof.paths[1].slabs))
+    assert not cg.check(changed(certificate, paths=tuple(paths)))
 
 
 def pushed(noise: float) -> cg.Problem:
@@ -71,7 +72,7 @@ def test_what_comes_from_a_neighbour_is_in_the_bound() -> None:
     certificate = path_of(problem)
     assert certificate.lower_bound <= truth
     # A claim of a path that takes its neighbour for standing still would be above it, and is refused.
-    assert not cg.check(replace(certificate, failure=0.5 * (1.0 - truth)))
+    assert not cg.check(changed(certificate, failure=0.5 * (1.0 - truth)))
     # With less noise there is something left.
     calm = path_of(pushed(0.03))
     assert 0.99 < calm.lower_bound <= 1.0 and cg.check(calm)

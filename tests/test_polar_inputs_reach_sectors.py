@@ -141,7 +141,7 @@ def test_claims_are_exact_checked_and_met_by_rollouts(name: str) -> None:
 def test_inputs_put_means_on_targets_from_everywhere_in_a_cell(name: str) -> None:
     """Every choice, at random points of its cell: inputs in their box, the mean on the lattice point."""
     certificate, rng = certificate_of(name), np.random.default_rng(1)
-    agent, part = certificate.problem.agents[0], certificate.agents[0]
+    agent, part = certificate.problem.agents[0], certificate.proof.agents[0]
     relation = certificate.controller.agents[0].relation
     assert isinstance(relation, WrittenTargets) and isinstance(agent, Agent)
     cells = np.flatnonzero(part.policy[0, 0] >= 0)
@@ -171,7 +171,7 @@ def test_no_step_is_taken_with_an_angle_of_the_interval() -> None:
 def test_defaults_find_exact_targets_of_a_patrol() -> None:
     """Its course stops short of half a turn by 5e-8 on either side, which is not all the way round."""
     certificate = cg.synthesize("patrol-robot-v0").certificate
-    assert certificate.agents[0].relation == {"kind": "exact"} and cg.check(certificate)
+    assert certificate.proof.agents[0].relation == {"kind": "exact"} and cg.check(certificate)
     assert 1.0 - 1e-6 < certificate.lower_bound < 1.0
 
 

@@ -7,7 +7,6 @@ import json
 import math
 import zipfile
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,7 @@ from certigym.envs.dynamics.worlds import Dynamics
 from certigym.envs.problem import groups as independent
 from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.bounds.dense import dense_optimum
-from certigym.synthesis.certificates import product
-from certigym.synthesis.certificates.product import ProductCertificate
+from certigym.synthesis.certificates import ProductProof, changed, is_exact, product_certificate
 from certigym.synthesis.controllers.product_controller import ProductController
 from certigym.synthesis.models.abstraction import abstract
 from certigym.validation.simulation.chunks import chunk_results, frames
@@ -88,11 +86,11 @@ def test_the_optimum_of_the_whole_is_the_product_of_the_parts(monkeypatch: pytes
         choices = [np.einsum("ab,cd->abcd", first, second) for first in parts[0] for second in parts[1]]
         assert min(np.abs(together[q] - choice).max() for choice in choices) < 1e-12
     certificate = cg.synthesize(problem, 8, relation="exact").certificate
-    assert isinstance(certificate, ProductCertificate)
+    assert isinstance(certificate.proof, ProductProof)
     cells = [abstract(whole, 8).models[i].grid.cell_of(whole.agents[i].initial.low[:, None])[0] for i in range(4)]
     optimum = together[(whole.initial_q, *cells)]
     assert 0.5 * optimum < certificate.lower_bound <= optimum
-    assert certificate.gap is not None and certificate.exact
+    assert certificate.gap is not None and is_exact(certificate)
 
 
 def test_joint_episodes_have_the_verdicts_of_the_parts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,7 +118,7 @@ def test_a_hundred_agents_are_certified_checked_and_simulated(semantics: str, tm
     problem = pairs(50, 6, semantics)
     result = cg.synthesize(problem, 40, relation="exact")
     certificate = result.certificate
-    assert isinstance(certificate, ProductCertificate)
+    assert isinstance(certificate.proof, ProductProof)
     assert result.stats["tasks"] == 50 and result.stats["distinct_tasks"] == 1
     assert certificate.gap is None or semantics != "co-safe"
     report = cg.validate(result, 20_000, seed=1, confidence=1 - FALSE_ALARM)
@@ -128,7 +126,7 @@ def test_a_hundred_agents_are_certified_checked_and_simulated(semantics: str, tm
     assert abs(report.estimate - certificate.lower_bound) < 0.02
     cg.save_certificate(certificate, tmp_path / "pairs.npz")
     loaded = cg.load_certificate(tmp_path / "pairs.npz")
-    assert isinstance(loaded, ProductCertificate) and loaded.lower_bound == certificate.lower_bound
+    assert isinstance(loaded.proof, ProductProof) and loaded.lower_bound == certificate.lower_bound
     checked = cg.check(loaded, problem)
     assert checked and checked.recomputed == pytest.approx(certificate.lower_bound, abs=1e-6)
     again = cg.validate(loaded, 20_000, seed=1, confidence=1 - FALSE_ALARM)
@@ -140,9 +138,9 @@ def test_co_safe_parts_ask_for_no_less_than_the_whole(monkeypatch: pytest.Monkey
     optimum = dense_optimum(whole, list(abstract(whole, 8).models))
     result = cg.synthesize(problem, 8, relation="exact")
     certificate = result.certificate
-    assert isinstance(certificate, ProductCertificate)
-    known = ProductCertificate(problem, tuple(replace(part, gap=0.0) for part in certificate.parts))
-    assert known.gap is None and not known.exact and "abstract_upper_bound" not in result.stats
+    assert isinstance(certificate.proof, ProductProof)
+    known = changed(certificate, parts=tuple(changed(part, gap=0.0) for part in certificate.proof.parts))
+    assert known.gap is None and "abstract_upper_bound" not in result.stats
     cells = [abstract(whole, 8).models[i].grid.cell_of(whole.agents[i].initial.low[:, None])[0] for i in range(4)]
     assert 0.0 < certificate.lower_bound <= optimum[(whole.initial_q, *cells)]
 
@@ -150,12 +148,12 @@ def test_co_safe_parts_ask_for_no_less_than_the_whole(monkeypatch: pytest.Monkey
 def test_upper_ends_of_the_parts_multiply_in_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
     certificate: Any = cg.synthesize(apart(monkeypatch, 3, starts=(-2.0, 1.0)), 16, relation="exact").certificate
     report = cg.check(certificate)
-    parts: Any = [cg.check(part).above for part in certificate.parts]
+    parts: Any = [cg.check(part).above for part in certificate.proof.parts]
     assert report and len({*parts}) == 2 and None not in parts
     assert math.prod(parts) <= report.above <= certificate.lower_bound + certificate.gap
     assert report.above == pytest.approx(math.prod(parts), rel=1e-12)
-    first, *others = certificate.parts
-    unknown = ProductCertificate(certificate.problem, (replace(first, gap=None, exact=False), *others))
+    first, *others = certificate.proof.parts
+    unknown = changed(certificate, parts=(changed(first, gap=None), *others))
     assert cg.check(unknown) and cg.check(unknown).above is None
     co_safe: Any = cg.synthesize(apart(monkeypatch, 2, semantics="co-safe"), 16, relation="exact").certificate
     assert cg.check(co_safe) and cg.check(co_safe).above is None
@@ -165,10 +163,10 @@ def test_a_bound_that_is_too_high_is_refuted(monkeypatch: pytest.MonkeyPatch) ->
     """With twice the noise, the certificates of the parts are wrong, and rollouts of the whole show it."""
     problem = pairs(12, 4, starts=(-2.5,))
     certificate = cg.synthesize(problem, 60, relation="exact").certificate
-    assert isinstance(certificate, ProductCertificate)
+    assert isinstance(certificate.proof, ProductProof)
     noisy = problem.replace(disturbance_scale=1.5)
-    sabotaged = product.product_certificate(
-        problem, tuple(replace(part, lower_bound=min(1.0, part.lower_bound * 1.02)) for part in certificate.parts)
+    sabotaged = product_certificate(
+        problem, tuple(changed(part, lower_bound=min(1.0, part.lower_bound * 1.02)) for part in certificate.proof.parts)
     )
     assert sabotaged.lower_bound > 1.2 * certificate.lower_bound
     assert cg.validate(sabotaged, 20_000, confidence=1 - FALSE_ALARM).refuted
@@ -176,22 +174,24 @@ def test_a_bound_that_is_too_high_is_refuted(monkeypatch: pytest.MonkeyPatch) ->
     assert not cg.check(sabotaged) and cg.check(certificate)
     assert not cg.check(certificate, noisy)
     with pytest.raises(ValueError, match="expected a certificate of"):
-        product.product_certificate(noisy, certificate.parts)
+        product_certificate(noisy, certificate.proof.parts)
 
 
 def test_other_starts_multiply(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = apart(monkeypatch, 2, 4, starts=(-2.0, -1.2))
     certificate = cg.synthesize(problem, 40, relation="exact").certificate
-    assert isinstance(certificate, ProductCertificate)
+    assert isinstance(certificate.proof, ProductProof)
     states = np.random.default_rng(0).uniform(-3, 3, size=(50, 4))
-    expected = certificate.parts[0].at(states[:, :2]) * certificate.parts[1].at(states[:, 2:])
+    expected = certificate.proof.parts[0].at(states[:, :2]) * certificate.proof.parts[1].at(states[:, 2:])
     np.testing.assert_allclose(certificate.at(states), expected, rtol=1e-12)
     named = dict(zip(problem.agent_names, states[0][:, None], strict=True))
     assert certificate.at(named)[0] == certificate.at(states)[0]
     low, high = [-2.0, 1.0, -1.5, 1.0], [-1.5, 2.0, -1.0, 1.5]
     smallest, mean = certificate.min(low, high), certificate.mean(low, high)
     inside = np.random.default_rng(1).uniform(low, high, size=(500, 4))
-    of_parts = [part.mean(low[k : k + 2], high[k : k + 2]) for part, k in zip(certificate.parts, (0, 2), strict=True)]
+    of_parts = [
+        part.mean(low[k : k + 2], high[k : k + 2]) for part, k in zip(certificate.proof.parts, (0, 2), strict=True)
+    ]
     assert mean == pytest.approx(math.prod(of_parts), rel=1e-12)
     assert smallest <= certificate.at(inside).min() and smallest < mean < certificate.at(inside).max()
     moved = problem.replace(initial_state=states[0])
@@ -207,8 +207,11 @@ def test_groups_that_differ_are_synthesized_apart(monkeypatch: pytest.MonkeyPatc
         problem, {name: 40 if name == "left_0" else 20 for name in problem.agent_names}, relation="exact"
     )
     assert one_finer.stats["distinct_tasks"] == 4
-    assert isinstance(one_finer.certificate, ProductCertificate)
-    assert one_finer.certificate.parts[0].agents[0].grid.n_cells > one_finer.certificate.parts[3].agents[0].grid.n_cells
+    assert isinstance(one_finer.certificate.proof, ProductProof)
+    assert (
+        one_finer.certificate.proof.parts[0].proof.agents[0].grid.n_cells
+        > one_finer.certificate.proof.parts[3].proof.agents[0].grid.n_cells
+    )
     with pytest.raises(ValueError, match="expected names of agents"):
         cg.synthesize(problem, {"nobody": 20})
 
@@ -216,11 +219,11 @@ def test_groups_that_differ_are_synthesized_apart(monkeypatch: pytest.MonkeyPatc
 def test_parts_have_to_be_those_of_the_whole_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = apart(monkeypatch, 2, 3, starts=(-2.0, -1.2))
     certificate = cg.synthesize(problem, 20, relation="exact").certificate
-    assert isinstance(certificate, ProductCertificate)
-    first, second = certificate.parts
+    assert isinstance(certificate.proof, ProductProof)
+    first, second = certificate.proof.parts
     assert cg.check(certificate)
     for parts in [(second, first), (second, second), (second,)]:
-        assert not cg.check(ProductCertificate(problem, parts))
+        assert not cg.check(changed(certificate, parts=parts))
 
 
 def test_tasks_that_differ_in_a_region_alone_differ(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -299,7 +302,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
     with np.load(path) as archive:
         arrays = {name: archive[name] for name in archive.files}
     header = json.loads(bytes(arrays["header"]).decode())
-    assert sorted(set(header["parts"])) == [0, 1]
+    assert sorted(set(header["proof"]["parts"])) == [0, 1]
     from certigym.synthesis.certificates.archive import _digest
 
     def written(**changes: object) -> Path:
@@ -311,13 +314,10 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         return file
 
     assert cg.load_certificate(written())
-    swapped = [1 - k for k in header["parts"]]
-    for changes in (
-        {"parts": swapped},
-        {"parts": header["parts"][:-1]},
-        {"parts": [7] * 12},
-        {"fingerprint": "0" * 64},
-    ):
+    parts = header["proof"]["parts"]
+    forged: list[dict[str, Any]] = [{"proof": {"kind": "product", "parts": [1 - k for k in parts]}}]
+    forged += [{"proof": {"kind": "product", "parts": wrong}} for wrong in (parts[:-1], [7] * 12)]
+    for changes in (*forged, {"fingerprint": "0" * 64}):
         with pytest.raises(ValueError, match="expected a certigym certificate"):
             cg.load_certificate(written(**changes))
     raw = bytearray(path.read_bytes())
@@ -333,7 +333,7 @@ def test_the_whole_has_no_automaton_and_says_what_to_do() -> None:
     with pytest.raises(ValueError, match=r"problem.tasks"):
         problem.automaton  # noqa: B018
     certificate = cg.synthesize(problem, 20, relation="exact").certificate
-    assert isinstance(certificate, ProductCertificate)
+    assert isinstance(certificate.proof, ProductProof)
     with pytest.raises(ValueError, match="ProductController"):
         rollout(problem, cg.synthesize(problem.tasks[0], 20, relation="exact").controller, 10)
     assert [len(task.agents) for task in problem.tasks] == [2] * 12
@@ -344,7 +344,7 @@ def test_the_whole_has_no_automaton_and_says_what_to_do() -> None:
     assert cg.synthesize(problem.tasks[0], 20, relation="exact").certificate.lower_bound ** 12 == pytest.approx(
         certificate.lower_bound, rel=1e-9
     )
-    assert math.isclose(certificate.lower_bound, math.prod([certificate.parts[0].lower_bound] * 12), rel_tol=1e-9)
+    assert math.isclose(certificate.lower_bound, math.prod([certificate.proof.parts[0].lower_bound] * 12), rel_tol=1e-9)
 
 
 def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -377,9 +377,9 @@ def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_audits_of_products_see_a_false_part() -> None:
     certificate = cg.synthesize(pairs(12, 3), 20, relation="exact").certificate
-    assert isinstance(certificate, ProductCertificate)
+    assert isinstance(certificate.proof, ProductProof)
     assert not cg.audit(certificate, 2000).refuted
-    boastful = tuple(replace(part, lower_bound=min(1.0, part.lower_bound + 0.2)) for part in certificate.parts)
-    report = cg.audit(ProductCertificate(certificate.problem, boastful), 2000)
+    boastful = tuple(changed(part, lower_bound=min(1.0, part.lower_bound + 0.2)) for part in certificate.proof.parts)
+    report = cg.audit(changed(certificate, parts=boastful), 2000)
     assert report.refuted and report.start_p < 5e-4
     assert cg.compare(certificate.problem, {"certified": certificate}, 200).entries[0].lower_bound is not None

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import AgentPath, PathCertificate, TeamCertificate
+from certigym.synthesis.certificates import AgentPath, AlongPath, JointProof, PathProof
 from certigym.synthesis.checking.team_check import _wrong_first_letter as wrong_first_letter
 from certigym.synthesis.nominal_paths import path_search
 from certigym.synthesis.pairs import joint_problem
@@ -47,7 +47,7 @@ def moved(problem: cg.Problem, start: list[float]) -> cg.Problem:
 INSIDE, OUTSIDE = [1.0, 0.0, 0.0, 0.0], [2.0 + 1e-9, 0.0, 0.0, 0.0]
 
 
-def path_from(start: list[float]) -> PathCertificate:
+def path_from(start: list[float]) -> AlongPath:
     """A path that comes back in at time 1: all that is asked from then on holds."""
     problem = returns(robot("robot", start))
     inputs = np.zeros((3, 4))
@@ -55,7 +55,8 @@ def path_from(start: list[float]) -> PathCertificate:
     letters = np.zeros((4, 1), dtype=np.int8)
     letters[3] = 1
     faces = np.full(letters.shape, -1)
-    return PathCertificate(problem, (AgentPath(inputs, np.zeros((4, 4))),), letters, faces, 1e-6, {"relation": "path"})
+    proof = PathProof((AgentPath(inputs, np.zeros((4, 4))),), letters, faces, 1e-6)
+    return cg.Certificate(problem, proof, {"relation": "path"})
 
 
 def test_paths_from_outside_are_refused_by_the_check() -> None:
@@ -84,7 +85,7 @@ def test_joint_agents_and_products_from_outside_are_refused_by_the_check(monkeyp
         cg.synthesize(returns(*agents), relation="path").certificate,
         cg.synthesize(returns(agents[0]), relation="path").certificate,
     ]
-    assert isinstance(forged[0], TeamCertificate) and all(each.lower_bound > 0.9 for each in forged)
+    assert isinstance(forged[0].proof, JointProof) and all(each.lower_bound > 0.9 for each in forged)
     monkeypatch.undo()
     for certificate in forged:
         report = cg.check(certificate)

@@ -60,7 +60,6 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
         "Permission": lambda: cg.permit(exact_one(), probability=1e-3),
         "Probe": lambda: probe_of(certificate),
         "Problem": lambda: problem,
-        "ProductCertificate": lambda: certificate,
         "Proposition": lambda: cg.Proposition("agent", np.zeros(200), np.ones(200)),
         "Rollouts": lambda: cg.rollout(problem, result, EPISODES),
         "Shield": lambda: shield_of(exact_one(), 1e-3),
@@ -121,7 +120,7 @@ def test_every_public_class_has_an_example(tree: cg.Synthesis) -> None:
 def test_public_records_are_short(name: str, size: str, request: pytest.FixtureRequest) -> None:
     record = examples(request.getfixturevalue(size))[name]()
     text = repr(record)
-    assert isinstance(record, getattr(cg, name)) or name in ("Certificate", "ProductCertificate", "Controller")
+    assert isinstance(record, getattr(cg, name)) or name == "Controller"
     assert 0 < len(text) < MOST_CHARACTERS and len(text.splitlines()) <= MOST_LINES, text
     assert "array(" not in text and " object at 0x" not in text and max(map(len, text.splitlines())) <= 250, text
 

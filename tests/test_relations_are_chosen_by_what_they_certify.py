@@ -70,7 +70,7 @@ def tried_of(found: cg.Synthesis) -> dict[str, float | str]:
 
 
 def kinds_of(certificate: Any) -> list[str]:
-    return [part.relation["kind"] for part in certificate.agents]
+    return [part.relation["kind"] for part in certificate.proof.agents]
 
 
 def test_nothing_else_is_tried_where_exact_leaves_the_inputs_to_the_policy(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,11 +197,11 @@ def test_independent_tasks_choose_for_themselves(monkeypatch: pytest.MonkeyPatch
     problem = team(formula="(F home) & (F {carts})", semantics="finite-trace")
     assert problem.groups
     found = cg.synthesize(problem, {"car": 60, "cart_0": 24})
-    first, second = found.certificate.parts  # type: ignore[attr-defined]
+    first, second = found.certificate.proof.parts
     assert kinds_of(first) == ["exact"] and kinds_of(second)[0] in ("tube", "ellipsoid")
     assert all(name.endswith(", task of cart_0") for name in tried_of(found))
     named = cg.synthesize(problem, {"car": 60, "cart_0": 24}, relation={"car": "tube", "cart_0": "tube"})
-    assert [kinds_of(part) for part in named.certificate.parts] == [["tube"], ["tube"]]  # type: ignore[attr-defined]
+    assert [kinds_of(part) for part in named.certificate.proof.parts] == [["tube"], ["tube"]]
 
 
 def test_budgets_compare_at_the_last_cells_only() -> None:
@@ -236,7 +236,7 @@ def test_settings_of_relations_that_were_not_kept_do_not_stop_horizons() -> None
 
 def test_stationary_policies_are_compared_too() -> None:
     found = cg.synthesize(cart_reach(cart(), horizon=5), 32, stationary=True)
-    assert len(tried_of(found)) > 1 and all(len(part.policy) == 1 for part in found.certificate.agents)
+    assert len(tried_of(found)) > 1 and all(len(part.policy) == 1 for part in found.certificate.proof.agents)
     assert cg.check(found.certificate)
 
 
@@ -278,9 +278,9 @@ def test_default_cells_are_doubled_where_no_relation_applies() -> None:
         specification=chain.specification,
     )
     first, second = cg.synthesize_horizons(problem, [1, 2], relation="best")
-    shapes = {part.grid.shape for part in first.certificate.agents}
+    shapes = {part.grid.shape for part in first.certificate.proof.agents}
     assert len(shapes) == 1 and min(next(iter(shapes))) > DEFAULT_CELLS[2]
-    assert {part.grid.shape for part in second.certificate.agents} == shapes
+    assert {part.grid.shape for part in second.certificate.proof.agents} == shapes
     with pytest.raises(ValueError, match="ask for more `cells`"):
         cg.synthesize(problem, DEFAULT_CELLS[2])
     with pytest.raises(ValueError, match="ask for more `cells`"):

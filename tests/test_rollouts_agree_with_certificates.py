@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 
 import certigym as cg
 from certigym.envs.dynamics.worlds import Dynamics
-from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.certificates import OnGrid, changed, is_exact, start_of_claim
 from certigym.validation.simulation.chunks import run_chunk
 from certigym.validation.statistics.binomial import CONFIRMED, CONSISTENT, REFUTED, clopper_pearson, verdict
 from problems import two_agents
@@ -71,7 +71,7 @@ def test_exact_certificates_are_right_from_both_sides(name: str) -> None:
     """Limits at 1e-6 over five claims: 200,000 episodes notice an error of about .006."""
     problem, cells = EXACT[name]
     result = cg.synthesize(problem, cells, relation="exact")
-    assert result.certificate.exact
+    assert is_exact(result.certificate)
     assert 0.05 < result.certificate.lower_bound < 0.999
     report = cg.validate(result, episodes=200_000, seed=11, confidence=1 - FALSE_ALARM / len(EXACT))
     assert report.verdict == CONSISTENT, str(report)
@@ -81,7 +81,7 @@ def test_exact_certificates_are_right_from_both_sides(name: str) -> None:
 def test_lower_bounds_with_cut_cells_and_correlated_noise_hold() -> None:
     """One-sided, 1e-6: cells cut by region boundaries cost value but never validity."""
     result = cg.synthesize(correlated(), {"plane": [40, 40], "line": 60})
-    assert not result.certificate.exact
+    assert not is_exact(result.certificate)
     assert cg.check(result.certificate)
     report = cg.validate(result, episodes=100_000, seed=5, confidence=1 - FALSE_ALARM)
     assert report.verdict != REFUTED, str(report)
@@ -92,7 +92,7 @@ def test_boxes_and_points_may_be_mixed_among_the_starts() -> None:
     """One-sided, 1e-6: the scalar agent starts in a box, the one with correlated noise at a point."""
     problem = correlated().replace(initial_low={"line": [-0.5]}, initial_high={"line": [0.5]})
     result = cg.synthesize(problem, {"plane": [24, 24], "line": 40}, max_sweeps=1)
-    assert result.certificate.start == "mean" and cg.check(result.certificate)
+    assert start_of_claim(result.certificate) == "mean" and cg.check(result.certificate)
     report = cg.validate(result, episodes=30_000, seed=5, confidence=1 - FALSE_ALARM)
     assert report.verdict != REFUTED and report.lower_bound > 0.3, str(report)
     with pytest.raises(ValueError, match="correlated noise"):
@@ -103,7 +103,7 @@ def test_weak_inputs_are_not_called_exact() -> None:
     """Where cells have no admissible target the value is a lower bound only; the automatic choice is another."""
     weak = two_agents("F (a & F c)", horizon=4, noise_covariance=[[1.5]], B=[[0.01]])
     forced = cg.synthesize(weak, 100, relation="exact").certificate
-    assert not forced.exact
+    assert not is_exact(forced)
     assert not cg.validate(forced, 20_000, confidence=1 - FALSE_ALARM / 2).refuted
     chosen = cg.synthesize(weak, 100, relation="quick")
     assert chosen.certificate.settings["relation"] in ("tube", "ellipsoid")
@@ -130,7 +130,7 @@ def test_bounds_at_other_starts_hold() -> None:
         assert report.verdict != REFUTED, (state, str(report))
 
 
-def wrong_noise(certificate: Certificate) -> Certificate:
+def wrong_noise(certificate: OnGrid) -> OnGrid:
     """The continuous system with four times the variance that was certified."""
     agents = [a.replace(noise_covariance=a.noise_covariance * 4) for a in certificate.problem.agents]
     p = certificate.problem
@@ -142,11 +142,11 @@ def wrong_noise(certificate: Certificate) -> Certificate:
     )
 
 
-def agents_swapped(certificate: Certificate) -> Certificate:
-    return replace(certificate, agents=certificate.agents[::-1])
+def agents_swapped(certificate: OnGrid) -> OnGrid:
+    return changed(certificate, agents=certificate.proof.agents[::-1])
 
 
-def one_step_too_many(certificate: Certificate) -> Certificate:
+def one_step_too_many(certificate: OnGrid) -> OnGrid:
     """The value of T steps claimed for T - 1."""
     return replace(certificate, problem=certificate.problem.replace(horizon=certificate.problem.horizon - 1))
 

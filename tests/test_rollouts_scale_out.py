@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.certificates import OnGrid
 from certigym.validation.audits.step_tests import audit
 from certigym.validation.reports.gathering import report
 from certigym.validation.simulation.cluster import dask_cluster, executor_for, processes
@@ -36,16 +36,16 @@ EPISODES, CHUNK = 21_300, 500
 
 
 @pytest.fixture(scope="module")
-def certificate() -> Certificate:
+def certificate() -> OnGrid:
     return cg.synthesize(two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]]), 60).certificate
 
 
 @pytest.fixture(scope="module")
-def alone(certificate: Certificate) -> np.ndarray:
+def alone(certificate: OnGrid) -> np.ndarray:
     return cg.rollout(certificate.problem, certificate.controller, EPISODES, seed=3, chunk=CHUNK).success
 
 
-def runs(certificate: Certificate, executor: Any, progress: Callable[[int], None] | None = None) -> np.ndarray:
+def runs(certificate: OnGrid, executor: Any, progress: Callable[[int], None] | None = None) -> np.ndarray:
     return cg.rollout(
         certificate.problem, certificate.controller, EPISODES, seed=3, chunk=CHUNK, executor=executor, progress=progress
     ).success
@@ -73,15 +73,13 @@ class Backwards:
         return self.done.pop(wanted)
 
 
-def test_order_of_completion_does_not_matter(certificate: Certificate, alone: np.ndarray) -> None:
+def test_order_of_completion_does_not_matter(certificate: OnGrid, alone: np.ndarray) -> None:
     executor = Backwards()
     np.testing.assert_array_equal(runs(certificate, executor), alone)
     assert executor.most <= 32
 
 
-def test_processes_give_the_same_bits_and_a_killed_one_loses_nothing(
-    certificate: Certificate, alone: np.ndarray
-) -> None:
+def test_processes_give_the_same_bits_and_a_killed_one_loses_nothing(certificate: OnGrid, alone: np.ndarray) -> None:
     with processes(2) as pool:
         np.testing.assert_array_equal(runs(certificate, pool), alone)
         victims = list(pool._processes)
@@ -96,9 +94,7 @@ def test_processes_give_the_same_bits_and_a_killed_one_loses_nothing(
 
 
 @pytest.mark.filterwarnings("default::ResourceWarning", "default::DeprecationWarning")
-def test_dask_gives_the_same_bits_and_a_killed_worker_loses_nothing(
-    certificate: Certificate, alone: np.ndarray
-) -> None:
+def test_dask_gives_the_same_bits_and_a_killed_worker_loses_nothing(certificate: OnGrid, alone: np.ndarray) -> None:
     pytest.importorskip("distributed")
     with dask_cluster("local", 2) as executor:
         np.testing.assert_array_equal(runs(certificate, executor), alone)
@@ -116,7 +112,7 @@ def test_dask_gives_the_same_bits_and_a_killed_worker_loses_nothing(
         np.testing.assert_array_equal(field.successes, same.successes)
 
 
-def test_sweeps_and_attempts_run_on_executors(certificate: Certificate) -> None:
+def test_sweeps_and_attempts_run_on_executors(certificate: OnGrid) -> None:
     with ThreadPoolExecutor(2) as pool:
         spread = validate_horizons(certificate.problem, [1, 2, 3], 500, executor=pool, cells=30)
         best, bounds = synthesize_best(certificate.problem, [{"cells": 20}, {"cells": 40}], executor=pool)
@@ -128,7 +124,7 @@ def test_sweeps_and_attempts_run_on_executors(certificate: Certificate) -> None:
         synthesize_best(certificate.problem, [])
 
 
-def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: Certificate) -> None:
+def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: OnGrid) -> None:
     loop = Loop(certificate.problem, certificate.controller, 0, CHUNK)
 
     def peak(episodes: int) -> int:
@@ -143,7 +139,7 @@ def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: Certifica
     assert many < 1.2 * few + 50_000
 
 
-def test_an_interrupted_validation_reports_what_was_finished(certificate: Certificate, alone: np.ndarray) -> None:
+def test_an_interrupted_validation_reports_what_was_finished(certificate: OnGrid, alone: np.ndarray) -> None:
     done = []
 
     def interrupt(count: int) -> None:
@@ -158,7 +154,7 @@ def test_an_interrupted_validation_reports_what_was_finished(certificate: Certif
     assert field.interrupted and field.episodes.sum() == CHUNK
 
 
-def test_every_verb_keeps_what_was_finished(certificate: Certificate, tmp_path: Path) -> None:
+def test_every_verb_keeps_what_was_finished(certificate: OnGrid, tmp_path: Path) -> None:
     states = [[0.3, 0.3], [1.0, 1.0]]
     search = find_weakest(certificate, 40_000, candidates=states, chunk=CHUNK, progress=_interrupt_at_once())
     assert search.interrupted and search.episodes.sum() == CHUNK
@@ -205,7 +201,7 @@ if __name__ == "__main__":
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 @pytest.mark.parametrize("place", [[], ["--workers", "2"], ["--dask", "local", "--workers", "2"]], ids=str)
-def test_control_c_leaves_a_report(certificate: Certificate, tmp_path: Path, place: list[str]) -> None:
+def test_control_c_leaves_a_report(certificate: OnGrid, tmp_path: Path, place: list[str]) -> None:
     """SIGINT to the whole process group, as a terminal sends it."""
     if "--dask" in place:
         pytest.importorskip("distributed")

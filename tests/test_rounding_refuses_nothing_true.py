@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.path_checking.path_check import Motion
 from certigym.synthesis.raw_networks import certify_network
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
-from network_problems import changed, proportional, reach
+from network_problems import proportional, reach, with_network
 from test_paths_are_certified import path_of
 
 EDGE = 0.3
@@ -69,9 +70,9 @@ def test_the_check_looks_at_narrow_cells_from_inside(relation: str, steps: int) 
     certificate = cg.synthesize(beside(steps), 20, relation=relation).certificate
     assert isinstance(certificate, cg.Certificate) and certificate.lower_bound > 0.9
     assert cg.check(certificate)
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     policy = np.where(part.policy >= 0, np.roll(part.policy, 3, axis=2), -1)
-    assert not cg.check(replace(certificate, agents=(replace(part, policy=policy),)))
+    assert not cg.check(changed(certificate, agents=(replace(part, policy=policy),)))
 
 
 def test_a_task_on_such_edges_has_a_path() -> None:
@@ -104,14 +105,14 @@ def test_the_check_of_paths_proves_the_same_in_all_units(unit: list[float]) -> N
     report = cg.check(certificate)
     assert report, report.failures
     assert report.recomputed == pytest.approx(plain.recomputed, rel=1e-9)
-    assert not cg.check(replace(certificate, failure=0.9999 * certificate.failure))
+    assert not cg.check(changed(certificate, failure=0.9999 * certificate.proof.failure))
 
 
 def test_units_in_which_digits_would_be_lost_are_not_taken() -> None:
     certificate = path_of(turned([1.0, 1.0]))
     agent = turned([1e10, 1.0], noise=np.diag([1e-320, 0.01])).agents[0]
     assert isinstance(agent, cg.LinearAgent) and agent.noise_covariance[0, 0] > 0.0
-    motion = Motion.of(agent, certificate.paths[0])
+    motion = Motion.of(agent, certificate.proof.paths[0])
     assert np.array_equal(motion.agent.units, [1.0, 1.0]) and np.array_equal(motion.agent.A, agent.A)
 
 
@@ -136,11 +137,11 @@ def test_corners_do_not_cross_edges_on_which_the_first_letter_depends() -> None:
     certificate: Any = cg.synthesize(problem, relation="path").certificate
     hull = cg.certified_starts(certificate, 0.7, rays=12)
     assert cg.check(hull), cg.check(hull).failures
-    assert hull.corners[:, 0].min() < 0.601 and hull.corners[:, 0].min() > 0.6
+    assert hull.proof.corners[:, 0].min() < 0.601 and hull.proof.corners[:, 0].min() > 0.6
     # Sabotage: one corner beyond the edge.
-    corners = hull.corners.copy()
+    corners = hull.proof.corners.copy()
     corners[np.argmin(corners[:, 0]), 0] = 0.59
-    assert "first letter" in str(cg.check(replace(hull, corners=corners)))
+    assert "first letter" in str(cg.check(changed(hull, corners=corners)))
 
 
 def test_a_start_on_such_an_edge_has_no_set_around_it() -> None:
@@ -170,12 +171,12 @@ def test_cells_that_lie_askew_keep_off_the_start() -> None:
     """Along the second axis the middle of an even number of cells is an edge; a start there gets other cells."""
     certificate = cg.synthesize(skewed([-0.5, -0.3]), 10, relation="exact").certificate
     assert isinstance(certificate, cg.Certificate)
-    coordinates = certificate.agents[0].coordinates
+    coordinates = certificate.proof.agents[0].coordinates
     assert not np.array_equal(coordinates, np.eye(2))
-    on_edge = coordinates @ np.array([-0.5, certificate.agents[0].grid.edges[1][4]])
+    on_edge = coordinates @ np.array([-0.5, certificate.proof.agents[0].grid.edges[1][4]])
     moved = cg.synthesize(skewed(on_edge.tolist()), 10, relation="exact").certificate
     assert cg.check(moved), cg.check(moved).failures
-    assert moved.agents[0].grid.shape == (10, 10)
+    assert moved.proof.agents[0].grid.shape == (10, 10)
     # The first axis is a state, which is read as it is: an edge of a region there is as good a start as any.
     edge = cg.synthesize(skewed([0.2, 0.1]), 10, relation="exact").certificate
     assert edge.lower_bound > 0.999 and cg.check(edge)
@@ -193,7 +194,7 @@ def test_networks_are_looked_at_where_something_is_claimed() -> None:
     actor = SharedActor(problem, Network((row,), (np.zeros(2, dtype=np.float32),), "tanh", False))
     certificate: Any = certify_network(problem, actor, 12, relation="boxes").certificate
     assert cg.check(certificate), cg.check(certificate).failures
-    network = certificate.agents[0].relation["network"]
+    network = certificate.proof.agents[0].relation["network"]
     weights = [np.array(layer).tolist() for layer in network["weights"]]
     weights[-1] = (-np.array(weights[-1])).tolist()
-    assert not cg.check(changed(certificate, weights=weights))
+    assert not cg.check(with_network(certificate, weights=weights))

@@ -13,6 +13,7 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.cells.grid import start_share
+from certigym.synthesis.certificates import changed, lasting_bound
 from certigym.synthesis.choosing.given_start import policies_from
 from certigym.synthesis.models import TIE
 from certigym.synthesis.models.abstraction import abstract
@@ -125,7 +126,7 @@ def test_bounds_rise_with_the_horizon(problem_id: str) -> None:
 def test_policies_are_read_by_the_time_left_and_by_the_time_gone() -> None:
     problem = cg.make_problem("reach-avoid-v0").replace(horizon=5)
     certificate = cg.synthesize(problem, 20, relation="exact").certificate
-    policies = [part.policy for part in certificate.agents]
+    policies = [part.policy for part in certificate.proof.agents]
     longer, shorter = problem.replace(horizon=7), problem.replace(horizon=3)
     kept = policies_from(certificate, longer, abstract(longer, 20))
     left, gone = kept["given start by time left"], kept["given start by time gone"]
@@ -170,21 +171,21 @@ def test_stationary_policies_are_certified_checked_and_simulated(problem_id: str
     problem = cg.make_problem(problem_id)
     result = cg.synthesize(problem, 40, stationary=True)
     certificate = result.certificate
-    assert certificate.stationary and all(len(part.policy) == 1 for part in certificate.agents)
+    assert certificate.proof.stationary and all(len(part.policy) == 1 for part in certificate.proof.agents)
     assert certificate.lower_bound <= float(result.stats["abstract_upper_bound"])  # type: ignore[arg-type]
     cg.save_certificate(certificate, tmp_path / "stationary.npz")
     loaded = cg.load_certificate(tmp_path / "stationary.npz")
-    assert loaded.stationary and cg.check(loaded, problem)
+    assert loaded.proof.stationary and cg.check(loaded, problem)
     assert cg.validate(loaded, 20_000, confidence=1 - FALSE_ALARM).verdict != REFUTED
     expected = certificate.lower_bound if problem.automaton.semantics == "co-safe" else None
-    assert certificate.unbounded == expected
+    assert lasting_bound(certificate) == expected
 
 
 def test_the_value_of_a_stationary_policy_is_that_of_dense_programming() -> None:
     problem = two_agents(horizon=6)
     joint = join(problem, abstract(problem, 12))
     certificate = cg.synthesize(problem, 12, stationary=True).certificate
-    policies = tuple(np.repeat(part.policy, 6, axis=0) for part in certificate.agents)
+    policies = tuple(np.repeat(part.policy, 6, axis=0) for part in certificate.proof.agents)
     value = at_start(problem, joint, dense_value(problem, list(joint.models), policies))
     assert certificate.lower_bound == pytest.approx(value, rel=1e-8)
     assert value <= at_start(problem, joint, dense_optimum(problem, list(joint.models))) * (1 + 64 * UNIT)
@@ -221,9 +222,9 @@ def test_without_a_deadline_one_agent_comes_to_the_optimum_from_below() -> None:
     far = problem.replace(horizon=1500)
     joint = join(far, abstract(far, 40))
     optimum = at_start(far, joint, dense_optimum(far, list(joint.models)))
-    assert certificate.problem.horizon > 8 and certificate.stationary
+    assert certificate.problem.horizon > 8 and certificate.proof.stationary
     assert optimum - 5e-6 < certificate.lower_bound <= optimum
-    assert certificate.unbounded == certificate.lower_bound
+    assert lasting_bound(certificate) == certificate.lower_bound
     patient = cg.rollout(problem.replace(horizon=400), certificate.controller, 20_000, seed=4)
     assert abs(patient.successes / 20_000 - optimum) < 5.0 * np.sqrt(0.25 / 20_000)  # 1e-6
 
@@ -236,7 +237,7 @@ def test_the_largest_bound_of_all_deadlines_is_kept(monkeypatch: pytest.MonkeyPa
         asked.append(problem.horizon)
         found = real(problem.replace(horizon=8), cells, stationary=True)
         lower = found.certificate.lower_bound * (1.0 if len(asked) == 1 else 0.9)
-        return replace(found, certificate=replace(found.certificate, problem=problem, lower_bound=lower))
+        return replace(found, certificate=changed(found.certificate, problem=problem, lower_bound=lower))
 
     real = cg.synthesize
     monkeypatch.setattr("certigym.synthesis.horizons.synthesize", worse)

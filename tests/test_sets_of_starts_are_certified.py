@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,77 +10,77 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.synthesis.certificates import StartHull
+from certigym.synthesis.certificates import Certificate, HullProof, changed, corner, from_start
 
 FOLDER = Path(__file__).parents[1] / "benchmarks" / "arch"
 
 
-def hull_of(row: str, level: float, rays: int = 16) -> StartHull:
+def hull_of(row: str, level: float, rays: int = 16) -> Certificate[HullProof]:
     """Return the set of starts of a row over its first two states."""
     certificate: Any = cg.synthesize(FOLDER / f"{row}.toml", relation="path").certificate
     return cg.certified_starts(certificate, level, (0, 1), rays)
 
 
 @pytest.fixture(scope="module")
-def chain() -> StartHull:
+def chain() -> Certificate[HullProof]:
     return hull_of("chain_2", 0.8, 64)
 
 
-def test_sets_are_at_least_as_large_as_those_published(chain: StartHull) -> None:
-    assert chain.share > 0.629 and chain.failure <= 0.2
+def test_sets_are_at_least_as_large_as_those_published(chain: Certificate[HullProof]) -> None:
+    assert chain.proof.share(chain.problem) > 0.629 and chain.proof.failure <= 0.2
     assert cg.check(chain).valid
 
 
-def test_starts_between_the_corners_have_certificates_of_their_own(chain: StartHull) -> None:
+def test_starts_between_the_corners_have_certificates_of_their_own(chain: Certificate[HullProof]) -> None:
     generator = np.random.default_rng(0)
     for _ in range(2):
-        weights = generator.dirichlet(np.full(len(chain.corners), 0.05))
-        certificate = chain.at(weights @ chain.corners)
+        weights = generator.dirichlet(np.full(len(chain.proof.corners), 0.05))
+        certificate = from_start(chain, weights @ chain.proof.corners)
         assert cg.check(certificate).valid
     with pytest.raises(ValueError, match="hull of the corners"):
-        chain.at(np.array([9.9, 9.9]))
+        from_start(chain, [9.9, 9.9])
 
 
-def test_rollouts_do_not_refute_corners(chain: StartHull) -> None:
+def test_rollouts_do_not_refute_corners(chain: Certificate[HullProof]) -> None:
     """Four corners by 20,000 rollouts each; false alarm 1e-6 altogether."""
     for i in range(0, 64, 16):
-        certificate = chain.corner(i)
+        certificate = corner(chain, i)
         verdict = cg.validate(certificate, 20_000, seed=i, confidence=1.0 - 1e-6 / 4)
         assert verdict.verdict != "refuted"
 
 
-def test_the_check_finds_what_is_wrong(chain: StartHull) -> None:
-    far = chain.corners.copy()
+def test_the_check_finds_what_is_wrong(chain: Certificate[HullProof]) -> None:
+    far = chain.proof.corners.copy()
     far[0] = 1.05 * far[0]
-    assert not cg.check(replace(chain, corners=far))
-    assert not cg.check(replace(chain, failure=0.5 * chain.failure))
-    letters = chain.letters.copy()
+    assert not cg.check(changed(chain, corners=far))
+    assert not cg.check(changed(chain, failure=0.5 * chain.proof.failure))
+    letters = chain.proof.letters.copy()
     letters[-1] = 0
-    assert not cg.check(replace(chain, letters=letters))
-    assert not cg.check(replace(chain, inputs=-chain.inputs))
+    assert not cg.check(changed(chain, letters=letters))
+    assert not cg.check(changed(chain, inputs=-chain.proof.inputs))
 
 
 def test_first_letters_must_not_depend_on_the_start() -> None:
     hull = hull_of("bas_4_deviation", 0.8)
-    assert cg.check(hull).valid and hull.share > 0.9
+    assert cg.check(hull).valid and hull.proof.share(hull.problem) > 0.9
     # A corner on the edge of the safe set, up to rounding, may be on either side of it.
-    edge = hull.corners.copy()
+    edge = hull.proof.corners.copy()
     edge[np.argmax(edge[:, 0]), 0] = 20.5
-    assert "first letter" in str(cg.check(replace(hull, corners=edge)))
+    assert "first letter" in str(cg.check(changed(hull, corners=edge)))
 
 
 def test_the_command_line_refuses_a_set_that_claims_too_much(
-    chain: StartHull, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    chain: Certificate[HullProof], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     good, bad, far = (str(tmp_path / name) for name in ("good.npz", "bad.npz", "far.npz"))
     cg.save_certificate(chain, good)
     assert main(["check", good]) == 0 and "valid" in capsys.readouterr().out
     kept: Any = cg.load_certificate(good)
-    assert np.array_equal(kept.corners, chain.corners) and kept.lower_bound == chain.lower_bound
-    cg.save_certificate(replace(chain, failure=0.5 * chain.failure), bad)
+    assert np.array_equal(kept.proof.corners, chain.proof.corners) and kept.lower_bound == chain.lower_bound
+    cg.save_certificate(changed(chain, failure=0.5 * chain.proof.failure), bad)
     assert main(["check", bad]) == 1 and "recomputed" in capsys.readouterr().out
     # Corners that vary in a state which the set does not name would count twice.
-    cg.save_certificate(replace(chain, axes=(0,)), far)
+    cg.save_certificate(changed(chain, axes=(0,)), far)
     assert main(["check", far]) == 1 and "axes" in capsys.readouterr().out
     assert cg.check(good).valid and not cg.check(chain, "reach-avoid-v0")
     pytest.importorskip("flint")
@@ -102,8 +101,8 @@ def test_the_command_line_certifies_and_validates_a_set(tmp_path: Path, capsys: 
     assert main(["certified-starts", path, "--probability", "0.8", "--axes", "7", "--out", hull]) == 2
 
 
-def test_probabilities_below_a_half_are_refused(chain: StartHull) -> None:
-    certificate = chain.corner(0)
+def test_probabilities_below_a_half_are_refused(chain: Certificate[HullProof]) -> None:
+    certificate = corner(chain, 0)
     with pytest.raises(ValueError, match="`probability`"):
         cg.certified_starts(certificate, 0.3)
 
@@ -119,5 +118,5 @@ def test_the_share_of_a_line_is_its_length() -> None:
         specification=cg.Specification("F goal", "co-safe"),
     )  # fmt: skip
     hull = cg.certified_starts(cg.synthesize(problem, relation="path").certificate, 0.9)
-    ends = hull.corners[:, 0]
-    assert hull.share == (ends.max() - ends.min()) / 8 > 0.1 and cg.check(hull)
+    ends = hull.proof.corners[:, 0]
+    assert hull.proof.share(hull.problem) == (ends.max() - ends.min()) / 8 > 0.1 and cg.check(hull)

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.certificates import ProductCertificate
+from certigym.synthesis.certificates import ProductProof
 from certigym.synthesis.shielding import ProductShield, Shield, shield_of
 from certigym.synthesis.shielding.noise_masses import NoiseAxis
 from shield_trials import anything, episodes, the_worst
@@ -78,7 +78,7 @@ def test_certified_inputs_are_worth_what_their_states_are(certificate: cg.Certif
         worth = shield.values.of_inputs(time, q, states, here)
         value = shield.values.of_states(states, np.full(300, q), np.full(300, time))
         assert np.all(worth >= value - 1e-8)  # less what the reach leaves out
-        if certificate.agents[0].relation["kind"] == "exact":
+        if certificate.proof.agents[0].relation["kind"] == "exact":
             np.testing.assert_allclose(worth, value, atol=1e-8)
 
 
@@ -207,7 +207,7 @@ def test_a_start_in_a_box_keeps_the_mean() -> None:
 
 def test_independent_tasks_share_what_is_kept() -> None:
     certificate = cg.synthesize(pairs(10, starts=(-2.0, -1.5)), 24, relation="exact", value="tree").certificate
-    assert isinstance(certificate, ProductCertificate)
+    assert isinstance(certificate.proof, ProductProof)
     shield = shield_of(certificate, 0.9 * certificate.lower_bound)
     assert isinstance(shield, ProductShield)
     kept = np.prod([part.probability for part in shield.parts])

@@ -14,7 +14,7 @@ import certigym as cg
 from certigym.envs.dynamics import Dynamics
 from certigym.envs.dynamics import worlds as core
 from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.certificates import TeamCertificate
+from certigym.synthesis.certificates import Certificate, JointProof, changed, joint_certificate
 from certigym.synthesis.checking.team_check import wrong_team
 from certigym.synthesis.pairs import joint_problem
 from certigym.synthesis.upper_ends import bound_above
@@ -39,7 +39,7 @@ def kept_close(horizon: int = 5) -> cg.Problem:
 
 
 @pytest.fixture(scope="module")
-def certificate() -> TeamCertificate:
+def certificate() -> Certificate[JointProof]:
     held: Any = cg.synthesize(kept_close(), 40, relation="joint").certificate
     return held
 
@@ -67,7 +67,7 @@ def simulated(problem: cg.Problem, controller: Any, n: int, seed: int) -> int:
     return int((automaton.accepting[q] & alive).sum())
 
 
-def test_claims_survive_an_independent_simulation(certificate: TeamCertificate) -> None:
+def test_claims_survive_an_independent_simulation(certificate: Certificate[JointProof]) -> None:
     """Fixed seed, n = 20,000, false alarm 1e-6; a claim .02 too large would be refuted."""
     assert cg.check(certificate) and certificate.lower_bound > 0.5
     successes = simulated(certificate.problem, certificate.controller, 20_000, 5)
@@ -90,7 +90,7 @@ def test_random_teams_are_certified_and_not_refuted() -> None:
         assert not report.refuted, seed
 
 
-def changed(problem: cg.Problem, edit: Callable[[dict[str, Any]], None]) -> cg.Problem:
+def edited(problem: cg.Problem, edit: Callable[[dict[str, Any]], None]) -> cg.Problem:
     """The problem of the joint agent with a change to its one agent or its regions."""
     from certigym.envs.problem.problem_file import problem_from_dict
 
@@ -137,10 +137,10 @@ def region(name: str, key: str, place: int, value: float) -> Callable[[dict[str,
         (lambda data: data["specification"]["automaton"].update(initial=1), "automaton"),
     ],
 )
-def test_the_check_refuses_another_team(certificate: TeamCertificate, edit: Any, message: str) -> None:
-    other = changed(kept_close(), edit)
+def test_the_check_refuses_another_team(certificate: Certificate[JointProof], edit: Any, message: str) -> None:
+    other = edited(kept_close(), edit)
     assert any(message in text for text in wrong_team(kept_close(), other))
-    forged = replace(certificate, base=replace(certificate.base, problem=other))
+    forged = changed(certificate, base=replace(certificate.proof.base, problem=other))
     report = cg.check(forged)
     assert not report and message in str(report)
 
@@ -149,7 +149,7 @@ def test_the_joint_problem_itself_is_not_refused() -> None:
     assert wrong_team(kept_close(), joint_problem(kept_close())) == []
 
 
-def test_agents_act_alike_in_an_environment_and_in_batches(certificate: TeamCertificate) -> None:
+def test_agents_act_alike_in_an_environment_and_in_batches(certificate: Certificate[JointProof]) -> None:
     problem, controller = certificate.problem, certificate.controller
     env = cg.parallel_env(problem)
     observations, infos = env.reset(seed=4)
@@ -167,10 +167,10 @@ def test_agents_act_alike_in_an_environment_and_in_batches(certificate: TeamCert
         controller.reset({"back": observations["back"]})
 
 
-def test_certificates_travel(certificate: TeamCertificate, tmp_path: Path) -> None:
+def test_certificates_travel(certificate: Certificate[JointProof], tmp_path: Path) -> None:
     cg.save_certificate(certificate, tmp_path / "team.npz")
     loaded: Any = cg.load_certificate(tmp_path / "team.npz")
-    assert isinstance(loaded, TeamCertificate) and cg.check(loaded)
+    assert isinstance(loaded.proof, JointProof) and cg.check(loaded)
     assert loaded.lower_bound == certificate.lower_bound == float(loaded.at([-2.0, 0.0])[0])
     assert "sees the states of all" in repr(loaded)
 
@@ -184,7 +184,7 @@ def test_large_teams_are_refused_in_words() -> None:
         cg.synthesize(kept_close(), {"front": 8}, relation="joint")
 
 
-def test_values_in_time_are_those_of_the_joint_agent(certificate: TeamCertificate) -> None:
+def test_values_in_time_are_those_of_the_joint_agent(certificate: Certificate[JointProof]) -> None:
     """Fixed seed, n = 20,000, false alarm 1e-6: with three steps left no more is promised than is kept."""
     values, problem = cg.value_in_time(certificate), certificate.problem
     start, q = np.array([-2.0, 0.0]), problem.initial_q
@@ -199,7 +199,7 @@ def test_values_in_time_are_those_of_the_joint_agent(certificate: TeamCertificat
     assert 0.0 < values.at(start, q, 3)[0] <= 1.0
 
 
-def test_fields_and_audits_test_joint_agents(certificate: TeamCertificate) -> None:
+def test_fields_and_audits_test_joint_agents(certificate: Certificate[JointProof]) -> None:
     """Fixed seeds, false alarms 1e-6: true claims stand, and those of another system are refuted in their steps."""
     states = np.array([[-2.0, 0.0], [-2.5, 0.5], [-1.5, 0.5]])
     report = cg.validate_field(certificate, states, episodes=2000, seed=1, confidence=1 - 1e-6)
@@ -207,23 +207,23 @@ def test_fields_and_audits_test_joint_agents(certificate: TeamCertificate) -> No
     found = cg.audit(certificate, episodes=4000, seed=2, confidence=1 - 1e-6)
     assert found.verdict != "refuted", found
     # Sabotage: a system with nine times the variance that the certificate counts with.
-    base: Any = certificate.base
+    base: Any = certificate.proof.base
     loud = base.problem.replace(disturbance_scale=3.0)
     assert cg.audit(base, episodes=4000, seed=2, confidence=1 - 1e-6, problem=loud).verdict == "refuted"
-    with pytest.raises(ValueError, match=r"expected one whose ..base. is about its problem"):
-        cg.audit(TeamCertificate(certificate.problem.replace(horizon=6), certificate.base))
+    with pytest.raises(ValueError, match=r"expected one whose `.proof.base` is about its problem"):
+        cg.audit(replace(certificate, problem=certificate.problem.replace(horizon=6)))
 
 
 def test_audits_read_the_cells_that_joint_agents_remember() -> None:
     held: Any = cg.synthesize(kept_close(), 40, relation="joint").certificate
-    base: Any = cg.synthesize(held.base.problem, 40, relation="tube").certificate
-    tube = TeamCertificate(held.problem, base)
+    base: Any = cg.synthesize(held.proof.base.problem, 40, relation="tube").certificate
+    tube = joint_certificate(held.problem, base)
     assert cg.check(tube)
     found = cg.audit(tube, episodes=2000, seed=3, confidence=1 - 1e-6)
     assert found.verdict != "refuted", found
 
 
-def test_shields_keep_what_joint_agents_promise(certificate: TeamCertificate) -> None:
+def test_shields_keep_what_joint_agents_promise(certificate: Certificate[JointProof]) -> None:
     """Fixed seed, n = 4,000, false alarm 1e-6: idle and random proposals behind a shield of .5 succeed that often."""
     problem, p = certificate.problem, 0.5
     assert certificate.lower_bound > p
@@ -240,19 +240,19 @@ def test_shields_keep_what_joint_agents_promise(certificate: TeamCertificate) ->
         cg.shield(problem, certificate, probability=p, form="decentralised")
 
 
-def test_upper_ends_of_joint_agents_are_verified(certificate: TeamCertificate) -> None:
+def test_upper_ends_of_joint_agents_are_verified(certificate: Certificate[JointProof]) -> None:
     end = bound_above(certificate)
     assert certificate.lower_bound <= end.upper_bound < 1.0
     assert cg.check(end).above <= end.upper_bound
     # Sabotage: the base of another team.
-    assert not cg.check(TeamCertificate(certificate.problem.replace(horizon=6), end.base))
+    assert not cg.check(replace(end, problem=certificate.problem.replace(horizon=6)))
 
 
-def test_what_is_refused_of_pairs_is_refused_for_a_true_reason(certificate: TeamCertificate) -> None:
+def test_what_is_refused_of_pairs_is_refused_for_a_true_reason(certificate: Certificate[JointProof]) -> None:
     subtracted = cg.synthesize(followers("G !any(near)", ([-0.5], [0.5])), 40, relation="exact").certificate
     for verb in (cg.audit, cg.safety_rate, lambda c: cg.permit(c, probability=0.1)):
         with pytest.raises(ValueError, match="by subtraction: what pairs of agents may spoil"):
             verb(subtracted)
     # A joint agent is on a grid, and has menus.
     assert cg.check_permission(cg.permit(certificate, probability=0.9))
-    assert cg.check(certificate.base)
+    assert cg.check(certificate.proof.base)

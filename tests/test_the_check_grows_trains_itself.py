@@ -11,6 +11,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.bounds.dense import dense_value
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking import train_check
 from certigym.synthesis.checking.train_check import ErrorBoundedTrain, regrown_trains, train_start_value
 from certigym.synthesis.models.abstraction import abstract
@@ -41,11 +42,11 @@ def trained(name: str, cells: int, tolerance: float = 1e-6) -> cg.Certificate:
     certificate = honest(name, cells).certificate
     rng = np.random.default_rng(3)
     agents = []
-    for part in certificate.agents:
+    for part in certificate.proof.agents:
         choices = rng.integers(0, len(part.lattice[0]), size=part.policy.shape).astype(np.int32)
         agents.append(replace(part, policy=np.where(rng.random(choices.shape) < 0.1, -1, choices).astype(np.int32)))
     rounding = Rounding(tolerance, (None,) * (problem.horizon + 1))
-    return replace(certificate, agents=tuple(agents), rounding=rounding)
+    return changed(certificate, agents=tuple(agents), rounding=rounding)
 
 
 def everywhere(train: ErrorBoundedTrain | None, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
@@ -61,7 +62,7 @@ def everywhere(train: ErrorBoundedTrain | None, shape: tuple[int, ...]) -> np.nd
 def exactly(certificate: cg.Certificate, cells: int) -> Any:
     """Value at time 0 by dense programming, (n_states, S_1, ..)."""
     models = abstract(certificate.problem, cells).models
-    return dense_value(certificate.problem, models, tuple(part.policy for part in certificate.agents))
+    return dense_value(certificate.problem, models, tuple(part.policy for part in certificate.proof.agents))
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
@@ -82,11 +83,11 @@ def test_cells_left_out_fail_below_and_survive_above(name: str, seed: int) -> No
     cells = 6 if name == "three agents" else 16
     certificate = trained(name, cells)
     rng = np.random.default_rng(seed)
-    sizes = [part.grid.n_cells for part in certificate.agents]
+    sizes = [part.grid.n_cells for part in certificate.proof.agents]
     visited = tuple(
         tuple(np.flatnonzero(rng.random(n) < 0.7) for n in sizes) for _ in range(certificate.problem.horizon + 1)
     )
-    certificate = replace(certificate, rounding=Rounding(1e-9, visited))
+    certificate = changed(certificate, rounding=Rounding(1e-9, visited))
     dense, there = exactly(certificate, cells), np.ix_(*visited[0])
     below, above = regrown_trains(certificate), regrown_trains(certificate, upper=True)
     strict = []
@@ -113,8 +114,8 @@ def test_the_start_is_read_on_the_side_that_was_asked_for(upper: bool) -> None:
 
 def test_a_start_outside_of_the_covered_cells_counts_for_nothing_below_and_in_full_above() -> None:
     certificate = trained("two agents", 16)
-    away = tuple(np.arange(2) for _ in certificate.agents)
-    certificate = replace(certificate, rounding=Rounding(1e-6, (away,) * 5))
+    away = tuple(np.arange(2) for _ in certificate.proof.agents)
+    certificate = changed(certificate, rounding=Rounding(1e-6, (away,) * 5))
     for upper, expected in ((False, 0.0), (True, 1.0)):
         value = train_start_value(certificate, regrown_trains(certificate, upper), upper)
         assert value == pytest.approx(expected, abs=1e-9)
@@ -124,7 +125,7 @@ def test_a_start_outside_of_the_covered_cells_counts_for_nothing_below_and_in_fu
 def test_cells_that_are_no_cells_are_refused(visited: list[list[int]]) -> None:
     certificate = trained("two agents", 16)
     wrong = (np.array(visited[0], dtype=int), np.arange(2))
-    broken = replace(certificate, rounding=Rounding(1e-6, (wrong,) * 5))
+    broken = changed(certificate, rounding=Rounding(1e-6, (wrong,) * 5))
     with pytest.raises(train_check.BrokenTrainError, match="no cells"):
         regrown_trains(broken)
     assert not cg.check(broken)
@@ -134,7 +135,7 @@ def test_cells_that_are_no_cells_are_refused(visited: list[list[int]]) -> None:
         Rounding(2.0, (None,) * 5),
     ):
         with pytest.raises(train_check.BrokenTrainError, match="horizon"):
-            regrown_trains(replace(certificate, rounding=rounding))
+            regrown_trains(changed(certificate, rounding=rounding))
 
 
 def test_a_mistake_in_the_trains_of_the_search_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -149,8 +149,8 @@ SAVED = Path(__file__).parents[1] / "examples" / "certificates" / "room_uniform_
 def moved_inputs(certificate: Any, start: np.ndarray[Any, Any]) -> list[np.ndarray[Any, Any]]:
     """The inputs that the certificate's own controllers give without noise from another start."""
     inputs, states = [], np.split(start, [columns.stop for columns in certificate.problem.columns][:-1])
-    for t in range(certificate.n_steps):
-        pairs = zip(certificate.paths, certificate.controller.nominal, states, strict=True)
+    for t in range(certificate.proof.n_steps):
+        pairs = zip(certificate.proof.paths, certificate.controller.nominal, states, strict=True)
         now = [path.inputs[t] + path.gains[t] @ (x - nominal[t]) for path, nominal, x in pairs]
         inputs.append(np.concatenate(now))
         agents = zip(certificate.problem.agents, states, now, strict=True)
@@ -162,10 +162,10 @@ def test_a_path_moved_to_another_start_is_followed_by_the_same_controllers() -> 
     """Its nominal inputs are those of the old controllers there, so that ``u`` is the same for every noise."""
     certificate: Any = cg.synthesize(FOLDER / "bas_4_deviation.toml", relation="path").certificate
     start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
-    assert np.any(certificate.paths[0].gain), "without feedback nothing would be seen"
+    assert np.any(certificate.proof.paths[0].gain), "without feedback nothing would be seen"
     moved = begun_at(certificate, start + 0.01)
     for t, inputs in enumerate(moved_inputs(certificate, start + 0.01)):
-        np.testing.assert_allclose(np.concatenate([path.inputs[t] for path in moved.paths]), inputs, rtol=1e-12)
+        np.testing.assert_allclose(np.concatenate([path.inputs[t] for path in moved.proof.paths]), inputs, rtol=1e-12)
     assert moved.lower_bound == 0.0, "it claims nothing before it is checked"
 
 

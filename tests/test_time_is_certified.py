@@ -14,7 +14,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.envs.problem import written_out
-from certigym.synthesis.certificates import PathCertificate, TimedCertificate
+from certigym.synthesis.certificates import PathProof, TimedProof, changed, timed_certificate
 from certigym.synthesis.models import AgentModel
 from certigym.synthesis.path_checking import RegionSpan
 from timed_problems import band, best_probability, follow, robot, still
@@ -68,10 +68,10 @@ def test_a_task_that_may_be_done_early_is_certified() -> None:
 
 def test_without_options_a_path_or_a_grid_is_chosen() -> None:
     calm = cg.synthesize(follow(still(noise_covariance=[[0.01]])))
-    assert isinstance(calm.certificate, PathCertificate) and calm.certificate.lower_bound > 0.99
+    assert isinstance(calm.certificate.proof, PathProof) and calm.certificate.lower_bound > 0.99
     rough = cg.synthesize(follow(robot(), horizon=3), effort=20)
-    assert isinstance(rough.certificate, TimedCertificate) and cg.check(rough.certificate)
-    assert {"path", "linear"} <= set(rough.stats["tried"])
+    assert isinstance(rough.certificate.proof, TimedProof) and cg.check(rough.certificate)
+    assert {"path", "linear"} <= set(dict[str, Any](rough.stats)["tried"])
 
 
 def test_a_reference_is_followed_for_thirty_steps() -> None:
@@ -131,7 +131,8 @@ def test_controllers_act_alike_in_loops_and_in_batches(way: str) -> None:
 # --- sabotage --------------------------------------------------------------------------------------------------
 def transplanted(forged: Any, problem: cg.Problem) -> Any:
     """Return a certificate that claims of a problem what another one claims of a problem like it."""
-    return replace(forged, problem=problem)
+    proof = timed_certificate(problem, forged.proof.base).proof if forged.proof.parts else forged.proof
+    return replace(forged, problem=problem, proof=proof)
 
 
 @pytest.mark.parametrize("way", ["exact", "linear", "boxes", "written, linear", "written, boxes", "path",
@@ -143,6 +144,14 @@ def test_the_region_of_t_in_place_of_t_plus_one_is_refused(way: str) -> None:
         forged = certified(way, shift=shift)
         assert cg.check(forged) and forged.lower_bound > 0.1
         assert not cg.check(transplanted(forged, problem))
+
+
+def test_a_region_that_stands_still_is_that_of_the_problem() -> None:
+    wide, narrow = (
+        follow(still(), formula="G (band & hall)", hall=cg.Proposition("robot", [-side], [side])) for side in (2.5, 1.0)
+    )
+    honest = cg.synthesize(wide, 60, relation="exact").certificate
+    assert cg.check(honest) and not cg.check(replace(honest, problem=narrow))
 
 
 @pytest.mark.parametrize("way", ["written, linear", "written, boxes", "written, path"])
@@ -161,14 +170,14 @@ def test_dynamics_of_another_step_are_refused(way: str, drift: str) -> None:
 @pytest.mark.parametrize("forgery", ["one step for all", "the step after", "any step"])
 def test_a_clock_that_is_not_the_time_is_refused(way: str, forgery: str) -> None:
     certificate = certified(way)
-    (part,) = certificate.base.agents
+    (part,) = certificate.proof.base.proof.agents
     horizon, count = certificate.problem.horizon, len(part.relation["menu"]) // certificate.problem.horizon
     policy = part.policy.copy()
     for t in range(horizon):
         other = {"one step for all": 0, "the step after": min(t + 1, horizon - 1), "any step": (3 * t) % horizon}
         chosen = policy[t] >= 0
         policy[t][chosen] = policy[t][chosen] % count + other[forgery] * count
-    forged = replace(certificate, base=replace(certificate.base, agents=(replace(part, policy=policy),)))
+    forged = changed(certificate, base=changed(certificate.proof.base, agents=(replace(part, policy=policy),)))
     report = cg.check(forged)
     assert not report and "clock is not the time" in str(report)
 
@@ -176,28 +185,28 @@ def test_a_clock_that_is_not_the_time_is_refused(way: str, forgery: str) -> None
 @pytest.mark.parametrize("way", ["exact", "written, boxes"])
 def test_masks_of_one_step_for_all_are_refused(way: str) -> None:
     certificate = certified(way)
-    base = certificate.base
-    (part,) = base.agents
+    base = certificate.proof.base
+    (part,) = base.proof.agents
     sizes = part.masks.sum(axis=1)
     # Every guard lets through what the widest of them does.
     masks = np.repeat(part.masks[[int(sizes.argmax())]], len(part.masks), axis=0)
-    forged = replace(certificate, base=replace(base, agents=(replace(part, masks=masks),)))
+    forged = changed(certificate, base=changed(base, agents=(replace(part, masks=masks),)))
     assert not cg.check(forged)
 
 
 def test_a_bound_that_is_a_little_too_large_is_refused() -> None:
     for way in ("exact", "written, boxes", "written, linear"):
         certificate = certified(way)
-        base = replace(certificate.base, lower_bound=certificate.lower_bound + 1e-6)
-        assert not cg.check(replace(certificate, base=base))
+        base = changed(certificate.proof.base, lower_bound=certificate.lower_bound + 1e-6)
+        assert not cg.check(changed(certificate, base=base))
     for way in ("path", "written, path"):
         certificate = certified(way)
-        assert not cg.check(replace(certificate, failure=certificate.failure * 0.999))
+        assert not cg.check(changed(certificate, failure=certificate.proof.failure * 0.999))
 
 
 def test_certificates_of_other_kinds_do_not_pass_for_problems_in_time() -> None:
     certificate = certified("exact")
-    assert not cg.check(replace(certificate.base, problem=certificate.problem))
+    assert not cg.check(replace(certificate.proof.base, problem=certificate.problem))
     along = cg.synthesize(follow(still(noise_covariance=[[0.01]])), relation="path").certificate
     assert not cg.check(replace(along, problem=follow(still(noise_covariance=[[0.01]]), band(2))))
 
@@ -292,7 +301,7 @@ def test_a_clock_that_is_free_would_claim_too_much(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(AgentModel, "offered", lambda self, time: (self.choices, 0))
     free = cg.synthesize(written_out(problem), 80, relation="boxes").certificate
     assert cg.check(honest) and cg.check(free) and free.lower_bound > honest.lower_bound + 0.05
-    forged = TimedCertificate(problem, free)
+    forged = timed_certificate(problem, free)
     assert not cg.check(forged) and "clock is not the time" in str(cg.check(forged))
     rollouts = cg.rollout(problem, forged.controller, 4000, seed=0)
     assert lies(forged.lower_bound, int(np.sum(rollouts.success)), 4000)
@@ -304,12 +313,12 @@ def test_a_door_that_opens_every_ten_steps_is_passed_when_it_is_open() -> None:
         problem = follow(agent, door, horizon=17, formula="F band")
         certificate: Any = cg.synthesize(problem, relation="path").certificate
         assert certificate.lower_bound > 0.999 and cg.check(certificate)
-        assert certificate.n_steps == 10
+        assert certificate.proof.n_steps == 10
     # At a time at which it is closed nothing is certified.
-    letters, faces = (np.roll(own, -1, axis=0)[:10] for own in (certificate.letters, certificate.faces))
-    (path,) = certificate.paths
+    letters, faces = (np.roll(own, -1, axis=0)[:10] for own in (certificate.proof.letters, certificate.proof.faces))
+    (path,) = certificate.proof.paths
     early = replace(path, inputs=path.inputs[:9])
-    assert not cg.check(replace(certificate, letters=letters, faces=faces, paths=(early,)))
+    assert not cg.check(changed(certificate, letters=letters, faces=faces, paths=(early,)))
 
 
 def test_pairs_keep_apart_beside_regions_that_move() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import JointModel, join, start_of
@@ -154,7 +154,7 @@ def test_for_invariance_the_product_of_relaxations_is_the_optimum() -> None:
 def test_the_ascent_on_trains_finds_what_the_ascent_on_trees_finds() -> None:
     problem = cg.make_problem("reach-avoid-v0", horizon=6)
     tree, train = (cg.synthesize(problem, 200, value=value) for value in ("tree", "train"))
-    assert train.certificate.rounding is not None and train.certificate.rank < tree.certificate.rank
+    assert train.certificate.proof.rounding is not None and train.certificate.proof.rank < tree.certificate.proof.rank
     assert train.certificate.lower_bound == pytest.approx(tree.certificate.lower_bound, rel=1e-4)
 
 
@@ -234,23 +234,23 @@ def test_certificates_on_trains_are_checked_and_travel(certified: cg.Synthesis, 
 @pytest.mark.parametrize("wrong", ["bound", "tolerance", "cells", "twice", "horizon"])
 def test_tampered_certificates_on_trains_are_refused(certified: cg.Synthesis, wrong: str) -> None:
     certificate = certified.certificate
-    rounding = certificate.rounding
+    rounding = certificate.proof.rounding
     assert rounding is not None
     visited = list(rounding.visited)
     if wrong == "bound":
-        bad = replace(certificate, lower_bound=certificate.lower_bound + 2 * rounding.tolerance)
+        bad = changed(certificate, lower_bound=certificate.lower_bound + 2 * rounding.tolerance)
     elif wrong == "tolerance":
-        bad = replace(certificate, rounding=Rounding(0.5, rounding.visited))
+        bad = changed(certificate, rounding=Rounding(0.5, rounding.visited))
     elif wrong == "cells":
-        visited[4] = tuple(np.arange(3) for _ in certificate.agents)
-        bad = replace(certificate, rounding=Rounding(rounding.tolerance, tuple(visited)))
+        visited[4] = tuple(np.arange(3) for _ in certificate.proof.agents)
+        bad = changed(certificate, rounding=Rounding(rounding.tolerance, tuple(visited)))
     elif wrong == "twice":
         cells = visited[4]
         assert cells is not None
         visited[4] = tuple(np.sort(np.append(own, own[-1])) for own in cells)
-        bad = replace(certificate, rounding=Rounding(rounding.tolerance, tuple(visited)))
+        bad = changed(certificate, rounding=Rounding(rounding.tolerance, tuple(visited)))
     else:
-        bad = replace(certificate, rounding=Rounding(rounding.tolerance, rounding.visited[1:]))
+        bad = changed(certificate, rounding=Rounding(rounding.tolerance, rounding.visited[1:]))
     assert not cg.check(bad)
 
 
@@ -296,5 +296,5 @@ def test_trees_too_large_for_memory_become_trains(monkeypatch: pytest.MonkeyPatc
     tree = cg.synthesize(problem, 60).certificate
     monkeypatch.setattr(policy_search, "TREE_BYTES", 8 * policy_search.FINAL_TERMS * 1000)
     train = cg.synthesize(problem, 60).certificate
-    assert tree.terms is not None and train.terms is None and cg.check(train)
+    assert tree.proof.terms is not None and train.proof.terms is None and cg.check(train)
     assert tree.lower_bound * (1 - 1e-4) <= train.lower_bound <= tree.lower_bound * (1 + 1e-4)

@@ -10,6 +10,7 @@ import pytest
 import certigym as cg
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.worlds import Dynamics
+from certigym.synthesis.certificates import changed, is_exact
 from certigym.synthesis.controllers.controller import BatchMemory
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.relations.coupled import CoupledRelation
@@ -95,7 +96,7 @@ def test_tube_bounds_hold_and_check(name: str) -> None:
     """One-sided at 1e-6 / 5, 30,000 rollouts."""
     result = cg.synthesize(cart_reach(CASES[name]), [60, 60], relation="tube", max_sweeps=1)
     certificate = result.certificate
-    assert certificate.bound == "nominal" and not certificate.exact
+    assert certificate.proof.bound == "nominal" and not is_exact(certificate)
     assert cg.check(certificate), str(cg.check(certificate))
     report = cg.validate(result, 30_000, seed=3, confidence=1 - FALSE_ALARM / 5)
     assert report.verdict != REFUTED, str(report)
@@ -104,12 +105,12 @@ def test_tube_bounds_hold_and_check(name: str) -> None:
 
 def test_a_tube_that_is_too_thin_is_refused() -> None:
     certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     assert cg.check(certificate)
     other = replace(part, relation={**part.relation, "feedback": [[0.0, 0.0]]})
-    assert not cg.check(replace(certificate, agents=(other,)))
+    assert not cg.check(changed(certificate, agents=(other,)))
     moved = replace(part, relation={**part.relation, "inputs": (np.array(part.relation["inputs"]) * 1.5).tolist()})
-    assert not cg.check(replace(certificate, agents=(moved,)))
+    assert not cg.check(changed(certificate, agents=(moved,)))
 
 
 def test_the_relation_of_every_agent_is_verified_even_if_agents_are_alike() -> None:
@@ -122,11 +123,11 @@ def test_the_relation_of_every_agent_is_verified_even_if_agents_are_alike() -> N
         specification=cg.Specification("G (s0 & s1)", "finite-trace"),
     )
     certificate = cg.synthesize(problem, [40, 40], relation="tube", max_sweeps=0).certificate
-    part = certificate.agents[0]
-    both = replace(certificate, agents=(part, part))
+    part = certificate.proof.agents[0]
+    both = changed(certificate, agents=(part, part))
     assert cg.check(both), str(cg.check(both))
     wrong = replace(part, relation={**part.relation, "inputs": (np.array(part.relation["inputs"]) * 1.5).tolist()})
-    assert not cg.check(replace(certificate, agents=(part, wrong)))
+    assert not cg.check(changed(certificate, agents=(part, wrong)))
 
 
 def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from certigym.synthesis.bounds.above import evaluate_above
 from certigym.synthesis.bounds.certified import nominal_bound, stranded_mass, train_bound
 from certigym.synthesis.bounds.dense import dense_value
 from certigym.synthesis.cells.grid import Grid
-from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.certificates import OnGrid, changed, start_of_claim
 from certigym.synthesis.certificates.checked_kernel import lost_to_rounding
 from certigym.synthesis.certificates.digits import shown_bound
 from certigym.synthesis.checking.forward_mass import TooManyProducts, masses
@@ -47,11 +47,11 @@ PROBLEMS = [
 ]
 
 
-def truth(certificate: Certificate, cells: int) -> float:
+def truth(certificate: OnGrid, cells: int) -> float:
     """What the certificate's policies attain from a point, by dense programming."""
     problem = certificate.problem
     models = abstract(problem, cells).models
-    dense = dense_value(problem, models, tuple(part.policy for part in certificate.agents))
+    dense = dense_value(problem, models, tuple(part.policy for part in certificate.proof.agents))
     where = [int(m.grid.cell_of(a.initial.low[:, None])[0]) for m, a in zip(models, problem.agents, strict=True)]
     return float(dense[(problem.initial_q, *where)])
 
@@ -64,7 +64,7 @@ def test_the_upper_end_of_exact_claims_is_verified(problem: cg.Problem, value: s
     report = cg.check(certificate)
     assert report and report.above is not None
     assert report.recomputed - 1e-12 <= report.above <= certificate.lower_bound + certificate.gap
-    if problem.n_agents == 2 and certificate.start == "point":
+    if problem.n_agents == 2 and start_of_claim(certificate) == "point":
         exactly = truth(certificate, 24)
         assert certificate.lower_bound <= exactly <= report.above
 
@@ -85,7 +85,7 @@ def test_runs_into_cells_without_a_choice_may_succeed(value: str) -> None:
     """Controllers go on where policies have no choice; 40,000 rollouts, seed 2: refuted with probability 1e-6."""
     problem = two_agents("F (a & d)", horizon=6, B=[[0.35]], input_low=[-0.32], input_high=[0.32])
     certificate = cg.synthesize(problem, 16, value=value, relation="exact").certificate
-    assert any(np.any(part.policy < 0) for part in certificate.agents)
+    assert any(np.any(part.policy < 0) for part in certificate.proof.agents)
     assert certificate.gap is not None and certificate.gap > 1e-3
     report = cg.check(certificate)
     assert report and report.above is not None and report.above > report.recomputed + 1e-3
@@ -151,7 +151,7 @@ def test_tasks_that_are_done_before_the_first_letter_have_an_upper_end(value: st
     report = cg.check(certificate)
     assert report, report
     assert report.above == pytest.approx(0.25, abs=1e-7)
-    assert not cg.check(replace(certificate, lower_bound=0.2, bounds={"nominal": 0.2}))
+    assert not cg.check(changed(certificate, lower_bound=0.2, bounds={"nominal": 0.2}))
 
 
 def test_the_start_may_lie_outside_of_what_trains_cover() -> None:
@@ -183,47 +183,47 @@ def test_upper_ends_count_everything_that_was_left_out() -> None:
 
 
 @pytest.fixture(scope="module", params=["tree", "train"])
-def certificate(request: pytest.FixtureRequest) -> Certificate:
+def certificate(request: pytest.FixtureRequest) -> OnGrid:
     return cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value=request.param, relation="exact").certificate
 
 
-def claim_nothing_above(c: Certificate) -> Certificate:
-    return replace(c, gap=0.0, exact=True)
+def claim_nothing_above(c: OnGrid) -> OnGrid:
+    return changed(c, gap=0.0)
 
 
-def call_it_inexact(c: Certificate) -> Certificate:
-    return replace(c, exact=not c.exact)
+def promise_less(c: OnGrid) -> OnGrid:
+    return changed(c, lower_bound=c.lower_bound - 0.01)
 
 
-def promise_less(c: Certificate) -> Certificate:
-    return replace(c, lower_bound=c.lower_bound - 0.01)
+def forget_a_guard(c: OnGrid) -> OnGrid:
+    kept = (
+        np.arange(len(c.proof.guard_source)) != np.flatnonzero(c.proof.guard_source == c.problem.automaton.initial)[-1]
+    )
+    guards = {
+        "guard_source": c.proof.guard_source,
+        "guard_target": c.proof.guard_target,
+        "guard_mask": c.proof.guard_mask,
+    }
+    return changed(c, **{name: own[kept] for name, own in guards.items()})
 
 
-def forget_a_guard(c: Certificate) -> Certificate:
-    kept = np.arange(len(c.guard_source)) != np.flatnonzero(c.guard_source == c.problem.automaton.initial)[-1]
-    guards = {"guard_source": c.guard_source, "guard_target": c.guard_target, "guard_mask": c.guard_mask}
-    return replace(c, **{name: own[kept] for name, own in guards.items()})
-
-
-@pytest.mark.parametrize("tamper", [claim_nothing_above, call_it_inexact, promise_less])
-def test_upper_ends_that_are_too_low_are_refused(
-    certificate: Certificate, tamper: Callable[[Certificate], Certificate]
-) -> None:
+@pytest.mark.parametrize("tamper", [claim_nothing_above, promise_less])
+def test_upper_ends_that_are_too_low_are_refused(certificate: OnGrid, tamper: Callable[[OnGrid], OnGrid]) -> None:
     assert cg.check(certificate)
     assert not cg.check(tamper(certificate))
 
 
-def test_guards_that_leave_something_out_have_no_upper_end(certificate: Certificate) -> None:
+def test_guards_that_leave_something_out_have_no_upper_end(certificate: OnGrid) -> None:
     assert inexact(certificate) == []
     assert "leave out" in inexact(forget_a_guard(certificate))[0]
 
 
-def test_what_the_check_loses_to_rounding_is_counted(certificate: Certificate, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_check_loses_to_rounding_is_counted(certificate: OnGrid, monkeypatch: pytest.MonkeyPatch) -> None:
     usual, problem = attained(certificate), certificate.problem
     assert usual is not None
-    pairs = zip(problem.agents, certificate.agents, strict=True)
+    pairs = zip(problem.agents, certificate.proof.agents, strict=True)
     assert all(1e-15 < lost_to_rounding(agent, part) < 1e-11 for agent, part in pairs)
-    if certificate.rounding is None:
+    if certificate.proof.rounding is None:
         *_, last = masses(certificate, 0.0, MOST)
         accepted = last.accepted + last.totals[problem.automaton.accepting[last.states]].sum()
         assert usual >= accepted * (1.0 + 1e-11)
@@ -234,37 +234,37 @@ def test_what_the_check_loses_to_rounding_is_counted(certificate: Certificate, m
 def test_start_guards_that_leave_something_out_have_no_upper_end() -> None:
     box: dict[str, Any] = {"initial_state": None, "initial_low": [-3.5], "initial_high": [-1.5]}
     whole = cg.synthesize(two_agents(horizon=3, **box), 16, relation="exact").certificate
-    assert inexact(whole) == [] and len(whole.start_target) > 0
+    assert inexact(whole) == [] and len(whole.proof.start_target) > 0
     for kept in np.delete(
-        ~np.eye(len(whole.start_target), dtype=bool), whole.problem.automaton.dead[whole.start_target], 0
+        ~np.eye(len(whole.proof.start_target), dtype=bool), whole.problem.automaton.dead[whole.proof.start_target], 0
     ):
-        less = replace(whole, start_target=whole.start_target[kept], start_mask=whole.start_mask[kept])
+        less = changed(whole, start_target=whole.proof.start_target[kept], start_mask=whole.proof.start_mask[kept])
         assert "leave out" in inexact(less)[0]
 
 
-def test_cells_in_other_coordinates_have_no_upper_end(certificate: Certificate) -> None:
-    first, *others = certificate.agents
+def test_cells_in_other_coordinates_have_no_upper_end(certificate: OnGrid) -> None:
+    first, *others = certificate.proof.agents
     moved = replace(first, coordinates=np.array([[2.0]]), grid=Grid((first.grid.edges[0] / 2.0,)))
-    assert "does not follow" in inexact(replace(certificate, agents=(moved, *others)))[0]
+    assert "does not follow" in inexact(changed(certificate, agents=(moved, *others)))[0]
 
 
 def test_a_pruned_tree_is_found_out() -> None:
     """A tree without its largest term proves less, and says nothing about the probability from above."""
     c = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree", relation="exact").certificate
     q = c.problem.initial_q
-    assert q is not None and c.terms is not None
-    first, terms = c.skeleton[0], c.terms
+    assert q is not None and c.proof.terms is not None
+    first, terms = c.proof.skeleton[0], c.proof.terms
     size = np.prod([own.max(axis=1)[terms.index[q][:, i]] for i, own in enumerate(terms.factors)], axis=0)
     left = np.delete(np.arange(len(size)), size.argmax())
     kept = tuple(own[left] if p == q else own for p, own in enumerate(first.kept))
     index = tuple(own[left] if p == q else own for p, own in enumerate(terms.index))
-    pruned = replace(c, skeleton=(replace(first, kept=kept), *c.skeleton[1:]), terms=replace(terms, index=index))
+    pruned = changed(c, skeleton=(replace(first, kept=kept), *c.proof.skeleton[1:]), terms=replace(terms, index=index))
     pruned.__dict__.pop("value", None)
     state = np.concatenate([agent.initial.low for agent in c.problem.agents])
     lower = float(pruned.at(state)[0])
     assert lower < c.lower_bound - 1e-3
-    below = replace(pruned, lower_bound=lower, bounds={"nominal": lower})
-    assert cg.check(replace(below, gap=None, exact=False))
+    below = changed(pruned, lower_bound=lower, bounds={"nominal": lower})
+    assert cg.check(changed(below, gap=None))
     report = cg.check(below)
     assert not report and "at most" in report.failures[0]
     above = attained(below)
@@ -274,7 +274,7 @@ def test_a_pruned_tree_is_found_out() -> None:
 def test_only_exact_relations_have_an_upper_end() -> None:
     certificate = cg.synthesize(two_agents(horizon=4), 40, relation="tube").certificate
     assert certificate.gap is None and cg.check(certificate).above is None
-    claimed = cg.check(replace(certificate, gap=0.5, exact=False))
+    claimed = cg.check(changed(certificate, gap=0.5))
     assert not claimed and "does not follow" in claimed.failures[0]
 
 
@@ -302,7 +302,7 @@ def test_uncertain_cells_have_no_upper_end() -> None:
     )
     certificate = cg.synthesize(problem, 20, relation="exact").certificate
     assert certificate.lower_bound > 0.1 and certificate.gap is None and cg.check(certificate)
-    assert "certain class" in cg.check(replace(certificate, gap=0.5)).failures[0]
+    assert "certain class" in cg.check(changed(certificate, gap=0.5)).failures[0]
 
 
 def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -313,8 +313,8 @@ def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     assert exactly is not None and coarse is not None and coarse > exactly + 1e-4
 
 
-def test_large_masses_are_left_unverified(certificate: Certificate, monkeypatch: pytest.MonkeyPatch) -> None:
-    if certificate.rounding is not None:
+def test_large_masses_are_left_unverified(certificate: OnGrid, monkeypatch: pytest.MonkeyPatch) -> None:
+    if certificate.proof.rounding is not None:
         return
     monkeypatch.setattr("certigym.synthesis.checking.upper_end.MOST", 1)
     report = cg.check(certificate)
@@ -322,14 +322,14 @@ def test_large_masses_are_left_unverified(certificate: Certificate, monkeypatch:
 
 
 def test_the_command_line_tells_what_was_verified_from_above(
-    certificate: Certificate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    certificate: OnGrid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, report = str(tmp_path / "c.npz"), cg.check(certificate)
     cg.save_certificate(certificate, path)
     assert main(["check", path, "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["above"] == report.above
     assert main(["check", path]) == 0 and "too large a computation" not in capsys.readouterr().out
-    if certificate.rounding is None:
+    if certificate.proof.rounding is None:
         monkeypatch.setattr("certigym.synthesis.checking.upper_end.MOST", 1)
         assert main(["check", path]) == 0 and "too large a computation" in capsys.readouterr().out
 

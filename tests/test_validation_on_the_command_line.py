@@ -7,7 +7,6 @@ import html.parser
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.pictures import edges
-from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.certificates import OnGrid, changed
 from certigym.validation.reports.page import _automaton, _drawing
 from certigym.validation.reports.svg import ticks
 from certigym.validation.verdicts.success_rate import ValidationReport
@@ -26,12 +25,12 @@ from problems import scalar_agent, two_agents
 
 
 @pytest.fixture(scope="module")
-def certificate() -> Certificate:
+def certificate() -> OnGrid:
     return cg.synthesize(two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]]), 40).certificate
 
 
 @pytest.fixture(scope="module")
-def file(certificate: Certificate, tmp_path_factory: pytest.TempPathFactory) -> str:
+def file(certificate: OnGrid, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("certificates") / "c.npz"
     cg.save_certificate(certificate, path)
     return str(path)
@@ -161,10 +160,10 @@ def test_a_report_is_one_self_contained_page(file: str, tmp_path: Path) -> None:
     assert embedded["validation"]["successes"] == content["validation"]["successes"]
 
 
-def test_hostile_names_and_settings_stay_text(certificate: Certificate, tmp_path: Path) -> None:
+def test_hostile_names_and_settings_stay_text(certificate: OnGrid, tmp_path: Path) -> None:
     evil = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
     named = certificate.problem.replace(name=evil)
-    hostile = replace(certificate, problem=named, method=evil, settings={evil: evil})
+    hostile = changed(certificate, problem=named, method=evil, settings={evil: evil})
     cg.report(hostile, tmp_path / "r.html", 200)
     page = parsed(tmp_path / "r.html")
     assert page.tags.count("script") == 5 and "img" not in page.tags
@@ -199,8 +198,8 @@ def test_the_page_says_when_the_automaton_moves() -> None:
     assert "any(pillar)" in text and "all(cafe) or all(lab)" in text and "..." not in text
 
 
-def test_a_refuted_certificate_is_reported_as_such(certificate: Certificate, tmp_path: Path) -> None:
-    wrong = replace(certificate, lower_bound=min(1.0, certificate.lower_bound + 0.1))
+def test_a_refuted_certificate_is_reported_as_such(certificate: OnGrid, tmp_path: Path) -> None:
+    wrong = changed(certificate, lower_bound=min(1.0, certificate.lower_bound + 0.1))
     path = tmp_path / "c.npz"
     cg.save_certificate(wrong, path)
     out = tmp_path / "r.html"

@@ -52,10 +52,12 @@ def test_with_fewer_steps_left_it_is_what_those_policies_are_certified_for(value
     """The last steps of the policies are policies of the shorter task; a certificate of these says the same."""
     certificate = value.certificate
     short = certificate.problem.replace(horizon=3)
-    tail = cg.synthesize(short, 60, relation=certificate.agents[0].relation["kind"], max_sweeps=0, start=certificate)
+    tail = cg.synthesize(
+        short, 60, relation=certificate.proof.agents[0].relation["kind"], max_sweeps=0, start=certificate
+    )
     same = [
         np.array_equal(part.policy, whole.policy[2:])
-        for part, whole in zip(tail.certificate.agents, certificate.agents, strict=True)
+        for part, whole in zip(tail.certificate.proof.agents, certificate.proof.agents, strict=True)
     ]
     assert all(same)
     states = states_of(short, 300, 2)
@@ -73,7 +75,7 @@ def test_runs_from_the_middle_reach_what_is_promised(value: ValueInTime) -> None
         bound = float(value.at(state, int(at), 3)[0])
         short = problem.replace(horizon=3, initial_state=state)
         tail = cg.synthesize(
-            short, 60, relation=certificate.agents[0].relation["kind"], max_sweeps=0, start=certificate
+            short, 60, relation=certificate.proof.agents[0].relation["kind"], max_sweeps=0, start=certificate
         ).certificate
         report = cg.validate(tail, 20_000, confidence=1.0 - FALSE_ALARM / 12)
         assert report.ci_high >= bound

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import AgentPart, axis_tables, kernel_key
+from certigym.synthesis.certificates import AgentPart, axis_tables, changed, kernel_key
 
 
 def walker(name: str, scales: list[str]) -> cg.Agent:
@@ -46,8 +46,8 @@ def fresh(agent: cg.Agent, part: AgentPart) -> list[Any]:
 def test_tables_know_what_the_axes_of_a_lattice_stand_for(certificate: cg.Certificate) -> None:
     """Logarithms of scales, means, means; or means, logarithms of scales, means: the numbers are the same."""
     left, right = walker("left", IN_X), walker("right", IN_Y)
-    scale, mean, other = certificate.agents[0].lattice
-    first = replace(certificate.agents[0], lattice=(scale, mean, other))
+    scale, mean, other = certificate.proof.agents[0].lattice
+    first = replace(certificate.proof.agents[0], lattice=(scale, mean, other))
     known: dict[Any, Any] = {}
     of_left, of_right = axis_tables(left, first, known), axis_tables(right, first, known)
     assert kernel_key(left, first) != kernel_key(right, first)
@@ -58,13 +58,13 @@ def test_tables_know_what_the_axes_of_a_lattice_stand_for(certificate: cg.Certif
 
 def test_equal_agents_share_their_tables(certificate: cg.Certificate) -> None:
     known: dict[Any, Any] = {}
-    agents = zip(certificate.problem.agents, certificate.agents, strict=True)
+    agents = zip(certificate.problem.agents, certificate.proof.agents, strict=True)
     first, second = (axis_tables(agent, part, known) for agent, part in agents)
     assert first is second
 
 
 def test_tables_know_the_coordinates_of_cells(certificate: cg.Certificate) -> None:
-    agent, part = certificate.problem.agents[0], certificate.agents[0]
+    agent, part = certificate.problem.agents[0], certificate.proof.agents[0]
     assert kernel_key(agent, part) != kernel_key(agent, replace(part, coordinates=2.0 * part.coordinates))
 
 
@@ -100,9 +100,9 @@ def test_inputs_in_common_are_known_by_name_and_place() -> None:
     assert against.agents[2].model_key == against.agents[3].model_key
     found: Any = cg.synthesize(alike, 10, relation="boxes", common=True).certificate
     assert found.lower_bound > 0.99 and cg.check(found)
-    *others, third, last = found.agents
+    *others, third, last = found.proof.agents
     copied = replace(last, policy=third.policy, relation=third.relation)
-    forged = replace(found, problem=against, agents=(*others, third, copied))
+    forged = changed(found, problem=against, agents=(*others, third, copied))
     report = cg.check(forged)
     assert not report and report.recomputed < 0.01
     assert third.sharing_key(against.agents[2]) != copied.sharing_key(against.agents[3])

@@ -14,6 +14,7 @@ from scipy.stats import norm
 import certigym as cg
 from certigym import Agent, Problem, Proposition, Specification
 from certigym.synthesis.cells import Grid, hats
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.written_linear import map_spans
 from certigym.synthesis.models import CornerChoices
 from certigym.synthesis.models.corner_model import corner_model
@@ -178,7 +179,7 @@ def test_certificates_travel_and_hold(name: str, tmp_path: Path) -> None:
     certificate = certificate_of(name)
     cg.save_certificate(certificate, tmp_path / "certificate.npz")
     loaded = cg.load_certificate(tmp_path / "certificate.npz")
-    assert isinstance(loaded, cg.Certificate) and loaded.agents[0].relation["kind"] == "linear"
+    assert isinstance(loaded, cg.Certificate) and loaded.proof.agents[0].relation["kind"] == "linear"
     assert cg.check(loaded, certificate.problem) and loaded.lower_bound == certificate.lower_bound > 0.01
     report = cg.validate(loaded, 20_000, seed=1, confidence=1 - FALSE_ALARM)
     assert report.verdict != "refuted" and report.details["inadmissible"] == 0
@@ -195,7 +196,7 @@ def test_linear_cells_lose_less_than_boxes() -> None:
 def test_defaults_take_what_certifies_more() -> None:
     certificate = cg.synthesize("windy-delivery-v0").certificate
     assert isinstance(certificate, cg.Certificate) and certificate.lower_bound > 0.9998
-    assert certificate.agents[0].relation["kind"] == "linear" and cg.check(certificate)
+    assert certificate.proof.agents[0].relation["kind"] == "linear" and cg.check(certificate)
 
 
 def test_other_laws_are_refused_in_words() -> None:
@@ -273,10 +274,10 @@ FORGERIES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("forgery", FORGERIES)
 def test_forgeries_are_refused(forgery: str, tmp_path: Path) -> None:
     certificate = certificate_of("pendulum")
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     forged = replace(part, relation=part.relation | FORGERIES[forgery])
     try:
-        cg.save_certificate(replace(certificate, agents=(forged,)), tmp_path / "forged.npz")
+        cg.save_certificate(changed(certificate, agents=(forged,)), tmp_path / "forged.npz")
         assert not cg.check(cg.load_certificate(tmp_path / "forged.npz"))
     except ValueError as refusal:
         assert str(refusal)

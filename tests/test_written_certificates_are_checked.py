@@ -16,6 +16,7 @@ from scipy.stats import norm
 import certigym as cg
 from certigym.envs.agents import Agent
 from certigym.envs.expressions import Number, Operation
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.carrying_out import wrong_actions
 from certigym.synthesis.checking.execution import execution_of
 from certigym.synthesis.relations import MeanBoxes, WrittenMeans
@@ -63,7 +64,7 @@ CERTIFICATES = {"oscillator": of_oscillator, "team": of_team, "rotated": of_rota
 def test_files_checks_and_rollouts_agree(name: str, tmp_path: Path) -> None:
     """40,000 episodes notice a claim that is too large by about .01 at a false-alarm rate of 1e-6."""
     certificate = CERTIFICATES[name]()
-    assert certificate.agents[0].relation["kind"] == "boxes" and certificate.gap is None
+    assert certificate.proof.agents[0].relation["kind"] == "boxes" and certificate.gap is None
     cg.save_certificate(certificate, tmp_path / "certificate.npz")
     loaded = cg.load_certificate(tmp_path / "certificate.npz")
     assert isinstance(loaded, cg.Certificate) and isinstance(loaded.problem.agents[0], cg.Agent)
@@ -86,9 +87,9 @@ def test_values_stay_below_dense_programming_with_an_adversary() -> None:
     """
     problem = bent_team(3)
     certificate = cg.synthesize(problem, 8, relation="boxes").certificate
-    assert cg.check(certificate) and certificate.rank >= 1
-    edges, steered = [part.grid.edges[0] for part in certificate.agents], 0
-    automaton, terms = problem.automaton, certificate.tree
+    assert cg.check(certificate) and certificate.proof.rank >= 1
+    edges, steered = [part.grid.edges[0] for part in certificate.proof.agents], 0
+    automaton, terms = problem.automaton, certificate.proof.tree
     centres = [0.5 * (axis[1:] + axis[:-1]) for axis in edges]
     n = [len(c) for c in centres]
     holds = [problem.labeling.class_at(i, c[None]) for i, c in enumerate(centres)]
@@ -101,7 +102,7 @@ def test_values_stay_below_dense_programming_with_an_adversary() -> None:
             arriving = value[following, np.arange(n[0] * n[1])].reshape(n)
             for s in np.ndindex(*n):
                 tables = []
-                for i, part in enumerate(certificate.agents):
+                for i, part in enumerate(certificate.proof.agents):
                     choice = part.policy[t, q, s[i]]
                     states = np.linspace(edges[i][s[i]], edges[i][s[i] + 1], 41)
                     u = part.relation["menu"][choice][0]
@@ -215,7 +216,7 @@ def test_controllers_that_steer_elsewhere_are_noticed() -> None:
     """Sabotage of the object that is deployed: its expression has another sign."""
     certificate = of_oscillator()
     controller: Any = certificate.controller.agents[0]
-    agent, part = certificate.problem.agents[0], certificate.agents[0]
+    agent, part = certificate.problem.agents[0], certificate.proof.agents[0]
     execution = execution_of(agent, part, controller.relation)
     assert wrong_actions(agent, part, controller, execution) == []
     [command] = controller.relation.means.commands
@@ -225,23 +226,23 @@ def test_controllers_that_steer_elsewhere_are_noticed() -> None:
     assert wrong_actions(agent, part, broken, execution) != []
 
 
-def changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
-    part = certificate.agents[0]
-    return replace(certificate, agents=(replace(part, relation=part.relation | changes), *certificate.agents[1:]))
+def with_relation(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
+    part = certificate.proof.agents[0]
+    return changed(certificate, agents=(replace(part, relation=part.relation | changes), *certificate.proof.agents[1:]))
 
 
 def test_forged_relations_are_refused(tmp_path: Path) -> None:
     certificate = of_oscillator()
-    menu = np.array(certificate.agents[0].relation["menu"])
+    menu = np.array(certificate.proof.agents[0].relation["menu"])
     gains = np.zeros((len(menu), 1, 2))
     gains[:, 0, 1] = -0.5
     for forged in (
-        changed(certificate, menu=(1.01 * menu).tolist()),
-        changed(certificate, menu=menu[::-1].tolist()),
-        changed(certificate, gains=gains.tolist()),
-        changed(certificate, steer=[not flag for flag in certificate.agents[0].relation["steer"]]),
-        changed(certificate, steer=[True] * len(menu)),
-        replace(certificate, lower_bound=certificate.lower_bound + 1e-6),
+        with_relation(certificate, menu=(1.01 * menu).tolist()),
+        with_relation(certificate, menu=menu[::-1].tolist()),
+        with_relation(certificate, gains=gains.tolist()),
+        with_relation(certificate, steer=[not flag for flag in certificate.proof.agents[0].relation["steer"]]),
+        with_relation(certificate, steer=[True] * len(menu)),
+        changed(certificate, lower_bound=certificate.lower_bound + 1e-6),
     ):
         assert not cg.check(forged)
     descriptions: tuple[dict[str, Any], ...] = (
@@ -253,7 +254,7 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
         {"steer": []},
     )
     for description in descriptions:
-        forged = changed(certificate, **description)
+        forged = with_relation(certificate, **description)
         cg.save_certificate(forged, tmp_path / "forged.npz")
         with pytest.raises(ValueError, match="expected a certigym certificate"):
             cg.load_certificate(tmp_path / "forged.npz")
@@ -269,9 +270,9 @@ def test_what_is_for_linear_agents_is_refused_in_words() -> None:
         with pytest.raises(ValueError, match=reason):
             cg.synthesize(problem, 10, relation=relation)
     for relation in ("quick", "boxes"):
-        assert cg.synthesize(problem, 10, relation=relation).certificate.agents[0].relation["kind"] == "boxes"
+        assert cg.synthesize(problem, 10, relation=relation).certificate.proof.agents[0].relation["kind"] == "boxes"
     for relation in ("auto", "best"):
-        kind = cg.synthesize(problem, 20, relation=relation).certificate.agents[0].relation["kind"]
+        kind = cg.synthesize(problem, 20, relation=relation).certificate.proof.agents[0].relation["kind"]
         assert kind in ("linear", "boxes")
     assert cg.synthesize(problem, memory=2e8, accuracy=0.2).certificate.lower_bound >= 0.0
 
@@ -295,7 +296,7 @@ def test_cells_where_a_mean_is_not_defined_are_given_up() -> None:
     certificate = cg.synthesize(problem, 28).certificate
     assert cg.check(certificate) and certificate.lower_bound > 0.5
     assert cg.validate(certificate, 4_000, seed=1, confidence=1 - FALSE_ALARM).verdict != "refuted"
-    part = certificate.agents[0]
+    part = certificate.proof.agents[0]
     left = part.grid.high[:, 0] <= 0.0
     assert left.any() and np.all(part.policy[:, 0, left] < 0)
 

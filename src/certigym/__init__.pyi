@@ -24,7 +24,6 @@ from .synthesis.balls import check_rigorous as check_rigorous
 from .synthesis.bridges import as_policy as as_policy
 from .synthesis.bridges import save_policy as save_policy
 from .synthesis.certificates import Certificate as Certificate
-from .synthesis.certificates import ProductCertificate as ProductCertificate
 from .synthesis.certificates import Synthesis as Synthesis
 from .synthesis.certificates import load_certificate as load_certificate
 from .synthesis.certificates import save_certificate as save_certificate
@@ -91,7 +90,6 @@ __all__ = [
     "Permission",
     "Probe",
     "Problem",
-    "ProductCertificate",
     "Proposition",
     "Rollouts",
     "Shield",

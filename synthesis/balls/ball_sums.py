@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from flint import arb
 
-from ..certificates import AgentPart, Certificate
+from ..certificates import AgentPart, OnGrid
 from ..checking import places_of
 from .ball_memory import UNIT, Memory, Proof
 
@@ -13,13 +13,14 @@ READ = 1e-9
 """Share of the largest value that reading a lattice may lose to rounding: a third of what readings take off for it."""
 
 
-def _operations(certificate: Certificate) -> int:
+def _operations(certificate: OnGrid) -> int:
     """Operations that any number of a value, or of a mass, goes through from one end of the horizon to the other."""
-    total, horizon = len(certificate.agents) + max(certificate.rank, len(certificate.start_target)) + 1000, 0
-    for part in certificate.agents:
+    proof = certificate.proof
+    total, horizon = len(proof.agents) + max(proof.rank, len(proof.start_target)) + 1000, 0
+    for part in proof.agents:
         total += places_of(part) + 8 * len(part.grid.shape)  # its start
         horizon += _smoothed(part)
-    for step in certificate.skeleton:
+    for step in certificate.proof.skeleton:
         total += 2 * max((len(merges.into) for merges in step.merges), default=0)
         total += max((len(kept) for kept in step.kept), default=0)
     return total + certificate.problem.horizon * horizon
@@ -35,14 +36,14 @@ def _gamma(count: int) -> float:
     return count * UNIT / (1.0 - count * UNIT) * (1.0 + 1e-9)
 
 
-def sums(memory: Memory, certificate: Certificate, recomputed: float, loss: float) -> Proof:
+def sums(memory: Memory, certificate: OnGrid, recomputed: float, loss: float) -> Proof:
     """What the sums and products of a value may have gained by rounding is remembered; readings lose what they allow.
 
     All numbers are nonnegative, so that each is off by ``gamma(n) = n u / (1 - n u)`` of its size after n operations.
     Trains carry what they are off by; their start is read with fewer operations than are counted.
     """
     failures = []
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+    for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True):
         if not part.is_additive:
             d, reach = len(part.grid.shape), max(part.relation.get("reach", [1]))
             axes = [(axis, (axis[-1] - axis[0]) / (len(axis) - 1)) for axis in part.lattice]
@@ -59,20 +60,20 @@ def sums(memory: Memory, certificate: Certificate, recomputed: float, loss: floa
     return 1, failures
 
 
-def differences(memory: Memory, base: Certificate, pairs: int, factor: float) -> Proof:
+def differences(memory: Memory, base: OnGrid, pairs: int, factor: float) -> Proof:
     """Sums that charge pairs are off by less than a factor; what differences of masses may gain is remembered."""
     # The masses of a pair are summed, and summed against tables; both are taken from one another.
-    lattice = max(int(np.prod(part.lattice_shape)) + sum(part.lattice_shape) for part in base.agents)
+    lattice = max(int(np.prod(part.lattice_shape)) + sum(part.lattice_shape) for part in base.proof.agents)
     # At every time masses of all products sum to 1 at most, for every pair.
     memory.differences += 3.0 * base.problem.horizon * pairs * _gamma(lattice + 16)
     gained = _gamma(_operations(base) + 4 * lattice)
     return 1, [] if 1.0 + gained <= factor else ["sums of masses of pairs round more than is allowed for"]
 
 
-def spare(memory: Memory, certificate: Certificate, value: float) -> Proof:
+def spare(memory: Memory, certificate: OnGrid, value: float) -> Proof:
     """Undecided mass, which is pushed forward by masses from below, lacks no more than is said, at any time."""
     missing = arb(0)
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+    for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True):
         missing += memory.missing(agent, part)
     total = certificate.problem.horizon * missing + arb(_gamma(_operations(certificate)))
     return 1, [] if total <= value else ["the undecided mass lacks more than is said"]

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from ...envs.suite import as_problem
-from ..certificates import MixedCertificate, Statement, noted
-from ..checking import check, checkable
+from ..certificates import Offer, Statement, certificate_from, members_of, noted, require
+from ..checking import check
 
 BITS = 106
 """Precision of the balls: twice that of doubles."""
@@ -62,25 +62,22 @@ def check_rigorous(certificate: Any, problem: Any = None) -> RigorousReport:
 
     Parameters
     ----------
-    certificate : Synthesis, certificate of any kind, or path
+    certificate : Synthesis, Certificate or path
     problem : Problem, id or path, optional
         As for ``check``.
 
     Raises
     ------
     ValueError
-        If python-flint is not installed, or the noise has a law that is known by the numbers of its author alone.
+        If python-flint is not installed, the certificate is one of a mixed team, or the noise has a law that is known
+        by the numbers of its author alone.
     """
     try:
         from flint import ctx
     except ImportError:
         raise ValueError("`--rigorous`: needs python-flint; pip install 'certigym[rigorous]'") from None
-    given = checkable(certificate)
-    if isinstance(given, MixedCertificate):
-        raise ValueError(
-            "`--rigorous`: expected a certificate of another kind, got one of a mixed team: what is charged for pairs "
-            "of an agent on a grid and one along a path has no proof in ball arithmetic; leave it out"
-        )
+    given = certificate_from(certificate)
+    require(given, Offer.BALLS)
     problem = given.problem if problem is None else as_problem(problem)
     if any(agent.angles for agent in problem.agents):
         raise ValueError(
@@ -97,11 +94,11 @@ def check_rigorous(certificate: Any, problem: Any = None) -> RigorousReport:
     if failures:
         return RigorousReport(False, claimed, float("nan"), numbers, tuple(dict.fromkeys(failures)))
     # Independent tasks have as many factors as there are parts, each at most 1; powers and products round.
-    parts = len(getattr(given, "parts", ())) or 1
+    parts = len(members_of(given))
     rounded = 4.0 * parts * 2.0**-53 if parts > 1 else 0.0
     lost = parts * memory.sums + memory.differences
     low = max(0.0, nextafter((plain.recomputed - lost) * (1.0 - rounded), 0.0))
-    bounds = [claimed, *getattr(given, "bounds", {}).values()]
+    bounds = [claimed, *getattr(given.proof, "bounds", {}).values()]
     wrong = tuple(f"its bound {bound:.15g} was not proved" for bound in bounds if not bound <= low)
     return RigorousReport(not wrong, claimed, low, numbers, wrong)
 

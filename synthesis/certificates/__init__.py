@@ -1,91 +1,133 @@
 """The certified claim, everything it rests on, and its file."""
 
 from .archive import packed
-from .certificate import Certificate, checked_certificate
-from .certificate_file import (
-    UNREADABLE,
-    AnyCertificate,
-    certificate_in,
-    load_certificate,
-    save_certificate,
+from .certificate import (
+    Certificate,
+    alike_members,
+    changed,
+    is_exact,
+    lasting_bound,
+    member_agents,
+    members_of,
+    nameless,
+    on_cells,
+    path_under,
+    relations_tried,
+    require,
+    seen_by,
+    start_of_claim,
+    why_nothing,
+    with_claims,
 )
+from .certificate_file import UNREADABLE, certificate_in, load_certificate, save_certificate
 from .checked_kernel import axis_tables, grid_noise, kernel_key, lost_to_rounding, smooth
 from .checked_laws import law_charge, law_error, probability_below, scale_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
-from .given_certificate import any_certificate, as_certificate, certificate_on_grids, of_one_task, speaks_of_one_start
-from .mixed_certificate import MixedCertificate
+from .given_certificate import (
+    any_certificate,
+    as_certificate,
+    certificate_from,
+    certificate_on_grids,
+    checked_certificate,
+    of_one_task,
+    speaks_of_one_start,
+)
+from .grid_proof import GridProof, OnGrid, delta_of, value_of
+from .hull_proof import HullProof, corner, from_start
+from .joint_proof import JointProof, TimedProof, joint_certificate, timed_certificate
+from .mixed_proof import MixedProof
 from .mixed_states import known_letters, pairs_between, reached_states
-from .pairs_certificate import PairsCertificate
 from .part import AgentPart
-from .path_certificate import AgentPath, PathCertificate
+from .path_proof import AgentPath, AlongPath, PathProof
 from .path_tube import KEPT, Tube, tube_along
-from .product import ProductCertificate, nameless, product_certificate
+from .product_proof import ProductProof, product_certificate, split
+from .proof import Offer, Proof
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
 from .seen import Seen
-from .start_hull import StartHull
 from .stated import Statement, noted, state
-from .team_certificate import TeamCertificate
-from .timed_certificate import TimedCertificate
-from .two_ended import Offer, TwoEnded, require
+from .subtraction_proof import SubtractionProof
 
 __all__ = [
     "AgentPart",
     "AgentPath",
-    "AnyCertificate",
+    "AlongPath",
     "BrokenTrainError",
     "Certificate",
     "Claim",
     "EXACT_GAP",
+    "GridProof",
+    "HullProof",
+    "JointProof",
     "KEPT",
-    "MixedCertificate",
+    "MixedProof",
     "Offer",
-    "PairsCertificate",
-    "PathCertificate",
-    "ProductCertificate",
+    "OnGrid",
+    "PathProof",
+    "ProductProof",
+    "Proof",
     "Seen",
-    "StartHull",
     "Statement",
+    "SubtractionProof",
     "Synthesis",
-    "TeamCertificate",
-    "TimedCertificate",
+    "TimedProof",
     "Tube",
-    "TwoEnded",
     "UNREADABLE",
+    "alike_members",
+    "path_under",
     "any_certificate",
     "as_certificate",
-    "certificate_on_grids",
     "axis_tables",
-    "packed",
     "certificate_in",
+    "certificate_on_grids",
+    "changed",
     "checked_certificate",
+    "corner",
+    "delta_of",
+    "from_start",
+    "certificate_from",
     "grid_noise",
+    "is_exact",
+    "joint_certificate",
+    "joint_states",
     "kernel_key",
     "known_letters",
-    "joint_states",
-    "load_certificate",
+    "lasting_bound",
     "law_charge",
     "law_error",
-    "probability_below",
-    "scale_charge",
+    "load_certificate",
     "lost_to_rounding",
+    "member_agents",
+    "members_of",
     "nameless",
     "noted",
     "of_one_task",
+    "on_cells",
+    "packed",
     "pairs_between",
+    "probability_below",
     "product_certificate",
     "reached_states",
     "regrow_trains",
+    "relations_tried",
     "require",
     "rounded_down",
     "rounded_up",
     "save_certificate",
+    "scale_charge",
+    "seen_by",
     "shown_bound",
     "significant_down",
     "significant_up",
-    "speaks_of_one_start",
     "smooth",
+    "speaks_of_one_start",
+    "split",
+    "start_of_claim",
     "state",
+    "timed_certificate",
     "tube_along",
+    "value_of",
+    "why_nothing",
+    "with_claims",
 ]

@@ -12,6 +12,7 @@ import io
 import json
 import math
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,8 +22,8 @@ from numpy.typing import NDArray
 FORMAT = "certigym-certificate"
 """What the header of every file says."""
 
-VERSION = 1
-"""Version of the format that is written, and the only one that is read."""
+VERSION = 2
+"""Version of the format that is written; version 1 is read as well (``version_one``)."""
 
 MAX_BYTES = 2 * 2**30
 """Largest unpacked size that is read, unless the caller allows more."""
@@ -52,15 +53,51 @@ class Pool:
         return self.numbers[key]
 
 
+@dataclass
+class Stored:
+    """What a file holds of a proof.
+
+    Parameters
+    ----------
+    entry : dict
+        Its part of the header.
+    arrays : dict
+        By their numbers, as text.
+    read : callable
+        Reads the file of a part, given its bytes.
+    """
+
+    entry: dict[str, Any]
+    arrays: dict[str, NDArray]
+    read: Callable[[bytes], Any]
+    known: dict[str, Any] = field(default_factory=dict)
+
+    def array(self, number: Any) -> NDArray:
+        """Return the array with a number."""
+        return self.arrays[str(int(number))]
+
+    def numbers(self, number: Any) -> NDArray[np.float64]:
+        """Return the array with a number as floating-point numbers."""
+        return np.asarray(self.array(number), dtype=float)
+
+    def certificate(self, number: Any) -> Any:
+        """Return the certificate whose file has a number: the same one for all who name it."""
+        name = str(int(number))
+        if name not in self.known:
+            self.known[name] = self.read(self.arrays[name].astype(np.uint8).tobytes())
+        return self.known[name]
+
+
 def packed(certificate: Any) -> bytes:
-    """Return the bytes of the file of a certificate, or of a set of starts."""
+    """Return the bytes of the file of a certificate."""
     pool = Pool()
     header = {
         "format": FORMAT,
         "version": VERSION,
         "problem": certificate.problem.to_dict(),
         "fingerprint": certificate.fingerprint,
-        **certificate.written(pool),
+        "settings": certificate.settings,
+        "proof": {"kind": certificate.proof.kind, **certificate.proof.written(pool)},
     }
     return _archived(header, pool)
 
@@ -111,7 +148,7 @@ def _check_version(header: Any) -> None:
     """Raise ValueError unless a header is that of a certificate of this version."""
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ValueError("its header does not say it is one")
-    if header.get("version") != VERSION:
+    if header.get("version") not in (1, VERSION):
         raise ValueError(f"its version is {header.get('version')!r}; use the certigym release that wrote it")
 
 

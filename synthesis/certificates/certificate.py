@@ -1,122 +1,52 @@
 """Certificates: a lower bound, the policies it belongs to, and everything needed to check it again.
 
 A certificate speaks of one problem (dynamics, regions, automaton, horizon, start: its fingerprint) and one set of
-policies. It holds the value tree's skeleton (which vertices were kept), so that the bound can be computed again from
-the policies by a short separate program (``check``). It also holds the value function at time 0, so that other starts
-can be asked for: at every state the value there is a lower bound, too (docs/theory/bounds.md, "Other starts").
+policies. Its *proof* holds these policies and the numbers from which ``check``, a short separate program, computes the
+bound again. Proofs are of several kinds: on grids, along paths, for sets of starts, by subtraction, of mixed teams, of
+joint agents, written out in time, and products of independent tasks. Whoever needs something that not every proof has
+asks for it (``require``).
 """
 
 from __future__ import annotations
 
+import json
+import math
+import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..controllers import AgentController, Controller
-from ..relations import Relation, joint_delta
-from ..values import Guards, Rounding, Skeleton, Terms, Trains
-from .archive import Pool
-from .claim import Claim, with_early_acceptance
-from .part import AgentPart
-from .regrown_trains import BrokenTrainError, regrow_trains
+from .digits import EXACT_GAP
+from .proof import Offer, Proof
+from .seen import Seen
 from .summaries import certificate_facts, certificate_html
-from .two_ended import TwoEnded
-from .written_values import put_agent, put_rounding, put_skeleton, put_terms
 
-CLAIM_FIELDS = ("method", "bound", "bounds", "start", "lower_bound", "gap", "exact", "relative_rounding", "rank")
-"""Fields of a certificate about its claim, which files hold under the same names."""
-
-CORRECTION_INFLATION = 1 + 1e-9
-"""Factor on what lost relations may cost, far above its rounding."""
-
-
-def checked_certificate(value: Any, argument: str = "certificate") -> Certificate:
-    """Return a certificate of one task, given as ``argument``, or raise ValueError with what to do."""
-    if isinstance(value, Certificate):
-        return value
-    inside = isinstance(getattr(value, "certificate", None), Certificate)
-    if hasattr(value, "parts"):
-        raise ValueError(f"`{argument}`: expected that of one task, got {len(value.parts)}; give one of its `.parts`")
-    remedy = "give its `.certificate`" if inside else "make one with `synthesize`, `certify` or `load_certificate`"
-    raise ValueError(f"`{argument}`: expected a Certificate, got {type(value).__name__}; {remedy}")
+P_co = TypeVar("P_co", bound=Proof, covariant=True)
+"""A kind of proof: functions that need a certain one say so, ``Certificate[GridProof]``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Certificate(TwoEnded):
-    """A certified lower bound on the satisfaction probability of the continuous closed loop.
+class Certificate(Generic[P_co]):
+    """A certified lower bound on the probability that controllers satisfy the task of a problem.
 
     Parameters
     ----------
     problem : Problem
-        What it is about.
-    method : str
-        Relation, bound and policy search, in words.
-    bound : str
-        Name of the bound that gives ``lower_bound``: ``nominal``, ``a-posteriori`` or ``robust tree`` (see ``bounds``).
-    bounds : dict
-        All bounds that were computed, by name.
-    start : str
-        ``"point"``: the bound holds from the problem's initial state; ``"mean"``: on average over a start drawn
-        uniformly from the initial boxes.
-    lower_bound : float
-        Certified lower bound at the problem's start.
-    gap : float or None
-        If not None, ``lower_bound + gap`` is an upper bound on the satisfaction probability of this very controller.
-    exact : bool
-        Whether the probability is known to ``EXACT_GAP``: the bound is then tested by rollouts from both sides.
-    relative_rounding : float
-        Relative reserve for floating point, also taken off in ``at``, ``mean`` and ``min``.
-    agents : tuple of AgentPart
-    guard_source, guard_target : (G,) int32 arrays
-        Automaton states that each guard connects.
-    guard_mask : (G, I) int32 array
-        Factor of each agent in each guard, an index into ``agents[i].masks``.
-    start_target : (G0,) int32 array
-        Automaton state after the letter of time 0.
-    start_mask : (G0, I) int32 array
-        The same for reading that letter, an index into ``agents[i].start_masks``.
-    skeleton : tuple of Skeleton
-        Vertices of the value tree, by time; empty if the value function is held as tensor trains.
-    terms : Terms or None
-        Value function at time 0; None for tensor trains, which are grown again from the policies when asked for.
-    rank : int
-        Largest number of terms of one automaton state, or of columns of a bond.
+        What it is about: the continuous closed loop, with its start.
+    proof : Proof
+        How the bound is proved: ``GridProof``, ``PathProof``, ``HullProof``, ``SubtractionProof``, ``MixedProof``,
+        ``JointProof``, ``TimedProof`` or ``ProductProof``. Certificates that it is put together of are its ``parts``.
     settings : dict
-        Every setting of abstraction and policy search.
-    rounding : Rounding or None
-        How tensor trains were rounded; None for a value tree.
-    opposite : Certificate or None
-        Of the same controllers and the opposite task, if ``gap`` rests on one (see ``bound_above``).
+        Every setting of abstraction and search with which it was found; nothing depends on them.
     """
 
     problem: Problem
-    method: str
-    bound: str
-    bounds: dict[str, float]
-    start: str
-    lower_bound: float
-    gap: float | None
-    exact: bool
-    relative_rounding: float
-    agents: tuple[AgentPart, ...]
-    guard_source: NDArray[np.int32]
-    guard_target: NDArray[np.int32]
-    guard_mask: NDArray[np.int32]
-    start_target: NDArray[np.int32]
-    start_mask: NDArray[np.int32]
-    skeleton: tuple[Skeleton, ...]
-    terms: Terms | None
-    rank: int
+    proof: P_co
     settings: dict[str, Any]
-    rounding: Rounding | None = None
-    opposite: Certificate | None = None
 
     def __repr__(self) -> str:
         return tree_text(f"Certificate of {self.problem.name!r}", certificate_facts(self))
@@ -125,95 +55,54 @@ class Certificate(TwoEnded):
         return certificate_html(f"Certificate of {self.problem.name}", self)
 
     @property
-    def on_cells(self) -> Any:
-        """Itself."""
-        return self
+    def fingerprint(self) -> str:
+        """Fingerprint of the problem."""
+        return self.problem.fingerprint
 
     @property
-    def has_cells(self) -> bool:
-        """Whether it is about cells of workspaces."""
-        return True
-
-    def with_claims(self, change: Callable[[Any], Any]) -> Self:
-        """Return what a function makes of it."""
-        made: Self = change(self)
-        return made
-
-    def written(self, pool: Pool) -> dict[str, Any]:
-        """Return the entries of its file."""
-        guards = self.guard_source, self.guard_target, self.guard_mask
-        entries = {
-            **{name: getattr(self, name) for name in CLAIM_FIELDS},
-            "settings": self.settings,
-            "agents": [put_agent(pool, part) for part in self.agents],
-            "guards": [pool.put(array) for array in guards],
-            "start_guards": [pool.put(self.start_target), pool.put(self.start_mask)],
-            "skeleton": [put_skeleton(pool, step) for step in self.skeleton],
-            "terms": None if self.terms is None else put_terms(pool, self.terms),
-            "rounding": None if self.rounding is None else put_rounding(pool, self.rounding),
-        }
-        return entries if self.opposite is None else {**entries, "opposite": pool.put_file(self.opposite)}
+    def lower_bound(self) -> float:
+        """Certified lower bound on the satisfaction probability at the problem's start, or each of a set of starts."""
+        bound: float = self.proof.lower_bound
+        return bound
 
     @property
-    def stationary(self) -> bool:
-        """Whether no agent looks at the time."""
-        return all(len(part.policy) == 1 for part in self.agents)
+    def gap(self) -> float | None:
+        """If not None, ``lower_bound + gap`` is an upper bound for these very controllers."""
+        return self.proof.gap_of(self.problem)
 
     @property
-    def unbounded(self) -> float | None:
-        """Lower bound on satisfying a co-safe task at any time, without a deadline; None for other tasks.
+    def upper_bound(self) -> float:
+        """Upper bound on the satisfaction probability of these very controllers; 1 where nothing is known."""
+        return 1.0 if self.gap is None else min(1.0, math.nextafter(self.lower_bound + self.gap, 2.0))
 
-        What is satisfied by the horizon stays satisfied. Afterwards controllers repeat their last choices; those of
-        stationary policies are the same at all times.
-        """
-        return self.lower_bound if self.problem.automaton.is_co_safe else None
-
-    @property
-    def delta(self) -> float:
-        """Upper bound on the probability, per step, that any relation is lost."""
-        return joint_delta([relation.delta for relation in _relations(self)])
-
-    @property
-    def guards(self) -> Guards:
-        """The guards over the cells of each agent."""
-        masks = tuple(part.masks for part in self.agents)
-        return Guards(masks, self.guard_source, self.guard_target, self.guard_mask)
-
-    @property
-    def tree(self) -> Terms:
-        """Value function at time 0 as the terms of the value tree.
+    @cached_property
+    def controller(self) -> Any:
+        """The controllers the bound belongs to.
 
         Raises
         ------
         ValueError
-            If the value function is held as tensor trains, which have no terms.
+            If the certificate is one of a set of starts, of which each has controllers of its own.
         """
-        if self.terms is None:
-            raise ValueError(
-                "`certificate`: expected one with a value tree, got tensor trains, which have no terms; synthesize "
-                'with `value="tree"` where the tree has few of them'
-            )
-        return self.terms
+        require(self, Offer.ONE_START)
+        return self.proof.controller(self.problem)
 
     @cached_property
-    def value(self) -> Terms | Trains:
-        """Value function at time 0: the stored terms, or the tensor trains grown from the policies on first use."""
-        return _value(self)
+    def claim(self) -> Any:
+        """The claim about every start, with all reserves taken off: what ``at``, ``mean`` and ``min`` read.
 
-    @cached_property
-    def controller(self) -> Controller:
-        """The controllers the bound belongs to."""
-        return _controller(self)
-
-    @cached_property
-    def claim(self) -> Claim:
-        """The value function of the certificate, read with all reserves taken off."""
-        return _claim(self)
+        Raises
+        ------
+        ValueError
+            If the certificate speaks of the problem's start alone.
+        """
+        require(self, Offer.OTHER_STARTS)
+        return self.proof.claim(self)
 
     def at(self, states: Any) -> FloatArray:
         """Return lower bounds (M,) on the satisfaction probability from each of M joint initial states.
 
-        They are read from the stored value function: bounds if ``check`` verifies the certificate, which is not asked.
+        They are bounds if ``check`` verifies the certificate, which is not asked.
 
         Parameters
         ----------
@@ -223,9 +112,10 @@ class Certificate(TwoEnded):
         Raises
         ------
         ValueError
-            If the shape does not fit.
+            If the shape does not fit, or the certificate speaks of the problem's start alone.
         """
-        return self.claim.at(states)
+        bounds: FloatArray = self.claim.at(states)
+        return bounds
 
     def mean(self, low: Any, high: Any) -> float:
         """Return a lower bound on the satisfaction probability from a start drawn uniformly from ``[low, high)``.
@@ -235,8 +125,13 @@ class Certificate(TwoEnded):
         low, high : array_like, shape (D,), or mappings from agent name to (d_i,) vector
             Corners in joint state space; equal coordinates are points. The box is averaged cell by cell, each cell with
             the letters that are certain in it.
+
+        Raises
+        ------
+        ValueError
+            If the shapes do not fit, or the certificate speaks of the problem's start alone.
         """
-        return self.claim.mean(low, high)
+        return float(self.claim.mean(low, high))
 
     def min(self, low: Any, high: Any) -> float:
         """Return a lower bound on the satisfaction probability from every start in the box: the least of its cells.
@@ -244,49 +139,152 @@ class Certificate(TwoEnded):
         Raises
         ------
         ValueError
-            If the box holds more than ``MAX_JOINT_CELLS`` joint cells.
+            If the box holds more than ``MAX_JOINT_CELLS`` joint cells, or the certificate speaks of the problem's start
+            alone.
         """
-        return self.claim.min(low, high)
+        return float(self.claim.min(low, high))
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Return what certificates of 0.2 had under a name, with a warning that says where it is now."""
+            if name[0] == "_" or name in self.__dataclass_fields__:
+                raise AttributeError(name)
+            if name not in MOVED and not hasattr(self.proof, name):
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            text, read = MOVED.get(name, (f"`.proof.{name}`", lambda held: getattr(held.proof, name)))
+            warnings.warn(f"`Certificate.{name}` will go; it is {text} now", DeprecationWarning, stacklevel=2)
+            return read(self)
 
 
-def _controller(certificate: Certificate) -> Controller:
-    """Return controllers that carry out the policies of a certificate, their relations computed anew."""
-    controllers, known = [], dict[object, Relation]()
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
-        # Agents with equal dynamics and cells share the relation of the first of them.
-        key = (*part.sharing_key(agent), id(part.grid), part.coordinates.tobytes())
-        relation = known[key] = known.get(key) or part.relation_of(agent)
-        controllers.append(AgentController(agent.name, part.grid, part.lattice, relation, part.policy, part.menu))
-    return Controller(certificate.problem, tuple(controllers))
+MOVED: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "value": ("`.claim.value`", lambda held: held.claim.value),
+    "unbounded": ("`.lower_bound`, if the task is co-safe", lambda held: lasting_bound(held)),
+    "start": ("whether the problem starts at a point", lambda held: start_of_claim(held)),
+    "exact": ("whether `.gap` is small", lambda held: is_exact(held)),
+}
+"""Names of 0.2 that are not those of entries of a proof: where they are now, and what they were."""
 
 
-def _relations(certificate: Certificate) -> tuple[Relation, ...]:
-    """Return the relation of each agent: those of the controllers, so that they are computed once."""
-    return tuple(agent.relation for agent in certificate.controller.agents)
+def members_of(certificate: Certificate) -> tuple[Certificate, ...]:
+    """Return the certificates that one is the product of: itself, but for independent tasks."""
+    return certificate.proof.factors or (certificate,)
 
 
-def _value(certificate: Certificate) -> Terms | Trains:
-    """Return the value function at time 0, tensor trains grown from the policies."""
-    if certificate.terms is not None:
-        return certificate.terms
-    if certificate.rounding is None:
-        raise BrokenTrainError("it has a value tree and no tensor trains")
-    return regrow_trains(certificate.problem, certificate.agents, certificate.guards, certificate.rounding)
+def member_agents(certificate: Certificate) -> tuple[tuple[int, ...], ...]:
+    """Return the numbers of the agents that each member is about."""
+    if certificate.proof.factors:
+        return tuple(group.agents for group in certificate.problem.groups)
+    return (tuple(range(certificate.problem.n_agents)),)
 
 
-def _claim(certificate: Certificate) -> Claim:
-    """Return the claim of a certificate about every start."""
-    problem, value, correction = certificate.problem, certificate.value, 0.0
-    # Under the a-posteriori bound a run that is undecided to the end may lose its relation at every step.
-    if certificate.bound == "a-posteriori":
-        correction = certificate.delta * problem.horizon * CORRECTION_INFLATION
-    if correction > 0.0 and isinstance(value, Terms):
-        skeleton, guards, automaton = certificate.skeleton, certificate.guards, problem.automaton
-        value = with_early_acceptance(value, skeleton, guards, automaton, problem.horizon, certificate.delta)
-    # The controllers carry out their policies up to rounding, which moves the means a little at every step.
-    relations = _relations(certificate)
-    triples = zip(problem.agents, relations, certificate.agents, strict=True)
-    per_step = sum(relation.execution_loss(agent, part.grid.edges) for agent, relation, part in triples)
-    correction += per_step * problem.horizon * CORRECTION_INFLATION
-    start = certificate.start_target, certificate.start_mask
-    return Claim(problem, certificate.agents, relations, *start, value, certificate.relative_rounding, correction)
+def alike_members(certificate: Certificate) -> tuple[tuple[int, ...], ...]:
+    """Return the numbers of the members, those that differ in nothing but names together."""
+    return alike_among(members_of(certificate))
+
+
+def alike_among(parts: tuple[Certificate, ...]) -> tuple[tuple[int, ...], ...]:
+    """Return the numbers of certificates, those that differ in nothing but names together."""
+    if len(parts) == 1:
+        return ((0,),)
+    by_content: dict[object, list[int]] = {}
+    for k, part in enumerate(parts):
+        # Tasks that differ in names alone are synthesized once, and share their proof.
+        by_content.setdefault((id(part.proof), nameless(part.problem)), []).append(k)
+    return tuple(tuple(same) for same in by_content.values())
+
+
+def on_cells(certificate: Certificate) -> Any:
+    """Return the certificate on cells whose values are those of this one; None if there is none."""
+    return certificate.proof.on_cells(certificate)
+
+
+def path_under(certificate: Certificate) -> Any:
+    """Return the certificate along a path that one is or rests on; None if there is none."""
+    return certificate.proof.along(certificate)
+
+
+def seen_by(certificate: Certificate) -> Seen:
+    """Return how runs of a certificate's problem are seen by the one ``on_cells``."""
+    return certificate.proof.seen(certificate.problem)
+
+
+def start_of_claim(certificate: Certificate) -> str:
+    """Return ``"point"`` if the bound holds from the initial state, ``"mean"``: on average over the initial boxes."""
+    return "point" if all(agent.initial.is_point for agent in certificate.problem.agents) else "mean"
+
+
+def is_exact(certificate: Certificate) -> bool:
+    """Return whether the probability is known to ``EXACT_GAP``: rollouts then test the bound from both sides."""
+    gap = certificate.gap
+    return gap is not None and gap <= EXACT_GAP
+
+
+def lasting_bound(certificate: Certificate) -> float | None:
+    """Return a lower bound on satisfying a co-safe task at any time, without a deadline; None for other tasks.
+
+    What is satisfied by the horizon stays satisfied. Afterwards controllers repeat their last choices; those of
+    stationary policies are the same at all times.
+    """
+    return certificate.lower_bound if certificate.problem.automaton.is_co_safe else None
+
+
+def relations_tried(certificate: Certificate) -> dict[str, float | str]:
+    """Return the bound of each relation that was tried, or why there is none; of tasks that are alike, those of one."""
+    if not certificate.proof.factors:
+        return dict(certificate.settings.get("relations_tried", {}))
+    tried: dict[str, float | str] = {}
+    for part in _distinct(certificate):
+        name = part.problem.agent_names[0]
+        tried |= {f"{relation}, task of {name}": outcome for relation, outcome in relations_tried(part).items()}
+    return tried
+
+
+def why_nothing(certificate: Certificate) -> str:
+    """Return why nothing was certified, as the search said; "" where something was, or that is not known."""
+    if certificate.lower_bound > 0.0:
+        return ""
+    if not certificate.proof.factors:
+        return str(certificate.settings.get("nothing", ""))
+    told = {part.problem.agent_names[0]: why_nothing(part) for part in _distinct(certificate)}
+    return "; ".join(f"task of {name}: {text}" for name, text in told.items() if text)
+
+
+def _distinct(certificate: Certificate) -> list[Certificate]:
+    """Return the members that differ in more than names."""
+    return [members_of(certificate)[same[0]] for same in alike_members(certificate)]
+
+
+def changed(certificate: Certificate[P_co], **entries: Any) -> Certificate[P_co]:
+    """Return a certificate with other entries of its own, or of its proof."""
+    outer = {name: entries.pop(name) for name in ("problem", "settings") if name in entries}
+    proof: Any = certificate.proof
+    return replace(certificate, proof=replace(proof, **entries), **outer)
+
+
+def with_claims(certificate: Certificate, change: Callable[[Any], Any]) -> Certificate:
+    """Return the same claim, with what a function makes of the certificates on cells that it is put together of."""
+    return certificate.proof.with_claims(certificate, change)
+
+
+def require(certificate: Certificate, *offers: Offer) -> None:
+    """Raise ValueError, with what can be done instead, unless a certificate and its members offer all of this."""
+    for offer in offers:
+        for member in members_of(certificate):
+            if offer in member.proof.lacks:
+                raise ValueError(f"`certificate`: expected {offer.value}, got {member.proof.lacks[offer]}")
+
+
+def nameless(problem: Problem) -> str:
+    """Return everything that a certificate of the problem depends on, as text: names of agents are left out."""
+    agents = [agent.to_dict() for agent in problem.agents]
+    places = {agent.name: i for i, agent in enumerate(problem.agents)}
+    for agent in agents:
+        del agent["name"]
+    regions = [{**region.to_dict(), "agent": places[region.agent]} for region in problem.propositions.values()]
+    automaton = problem.automaton.to_dict()
+    # Propositions are told by their place in the automaton, agents by their place in the problem.
+    order = {name: k for k, name in enumerate(automaton["propositions"])}
+    asked = [order[name] for name in problem.propositions]
+    task = {key: value for key, value in automaton.items() if key != "propositions"}
+    return json.dumps([problem.horizon, agents, regions, asked, task], sort_keys=True)

@@ -1,81 +1,82 @@
-"""The certificate that a synthesis, a certificate of either kind, or the path of a file stands for."""
+"""The certificate that a synthesis, a certificate, or the path of a file stands for."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from .certificate import Certificate
-from .certificate_file import AnyCertificate, load_certificate
-from .product import ProductCertificate
+from .certificate import Certificate, member_agents, members_of, on_cells, require
+from .certificate_file import load_certificate
+from .grid_proof import OnGrid
+from .proof import Offer
 from .result import Synthesis
-from .start_hull import StartHull
-from .team_certificate import TeamCertificate
-from .two_ended import Offer, require
 
 
-def as_certificate(value: Any) -> Any:
-    """Return the certificate on grids that a value stands for.
+def certificate_from(value: Any, argument: str = "certificate") -> Certificate:
+    """Return the certificate that a value, given as ``argument``, stands for, one of a set of starts included.
 
     Parameters
     ----------
-    value : Synthesis, Certificate, ProductCertificate, str or Path
+    value : Synthesis, Certificate, str or Path
         Text is the path of a certificate file.
 
     Raises
     ------
     ValueError
-        If `value` is none of these, if the file holds no certificate, or if it is one along a path, by subtraction, or
-        of a joint agent. That of a problem that names the time stands for the one of the problem written out.
+        If `value` is none of these, or if the file holds no certificate.
     """
-    certificate = certificate_on_grids(value)
-    require(certificate, Offer.OWN_STATES)
-    return certificate if certificate.on_cells is None else certificate.on_cells
+    if isinstance(value, Synthesis):
+        return value.certificate
+    if isinstance(value, str | Path):
+        value = load_certificate(value)
+    if not isinstance(value, Certificate):
+        raise ValueError(
+            f"`{argument}`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "
+            "one with `synthesize`, `certify` or `load_certificate`"
+        )
+    return value
 
 
-def certificate_on_grids(value: Any) -> Certificate | ProductCertificate | TeamCertificate:
-    """Return the certificate on grids that a value stands for, that of a joint agent included.
+def any_certificate(value: Any) -> Certificate:
+    """Return the certificate that a value stands for, on grids or not; ValueError for one of a set of starts, too."""
+    certificate = certificate_from(value)
+    require(certificate, Offer.ONE_START)
+    return certificate
+
+
+def certificate_on_grids(value: Any) -> Certificate:
+    """Return the certificate with values of all states that a value stands for, that of a joint agent included.
 
     Raises
     ------
     ValueError
-        As for ``as_certificate``, but for joint agents on a grid.
+        If `value` stands for no certificate, or for one along a path or by subtraction.
     """
     certificate = any_certificate(value)
     require(certificate, Offer.VALUES)
     return certificate
 
 
-def speaks_of_one_start(certificate: Any) -> bool:
-    """Whether a report shows the start alone: of certificates by subtraction, of joint agents, and along paths."""
-    return any(member.on_cells is not member for member in certificate.members)
+def as_certificate(value: Any) -> Certificate:
+    """Return the certificate on grids that a value stands for.
+
+    Raises
+    ------
+    ValueError
+        As for ``certificate_on_grids``, and for one of a joint agent. That of a problem that names the time stands for
+        the one of the problem written out.
+    """
+    certificate = certificate_on_grids(value)
+    require(certificate, Offer.OWN_STATES)
+    return on_cells(certificate) or certificate
 
 
-def any_certificate(value: Any) -> Any:
-    """Return the certificate of any kind that a value stands for, on grids or not."""
-    if isinstance(value, Synthesis):
-        return value.certificate
-    if isinstance(value, str | Path):
-        value = load_certificate(value)
-    if isinstance(value, StartHull):
-        raise ValueError(
-            "`certificate`: expected one of one start, got a set of starts; it can be checked, and `hull.at(start)` is "
-            "the certificate of a start in it (on the command line: `certigym validate HULL --initial-state X`)"
-        )
-    if not isinstance(value, AnyCertificate):
-        raise ValueError(
-            f"`certificate`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "
-            "one with `synthesize`, `certify` or `load_certificate`"
-        )
-    return value
-
-
-def of_one_task(value: Any, agent: int = 0) -> tuple[Certificate, int]:
+def of_one_task(value: Any, agent: int = 0) -> tuple[OnGrid, int]:
     """Return the certificate of the task that an agent takes part in, and the agent's number there.
 
     Parameters
     ----------
-    value : Synthesis, Certificate, ProductCertificate, str or Path
+    value : Synthesis, Certificate, str or Path
     agent : int
         Number of the agent in the whole problem.
 
@@ -87,9 +88,24 @@ def of_one_task(value: Any, agent: int = 0) -> tuple[Certificate, int]:
     certificate = as_certificate(value)
     if not 0 <= agent < certificate.problem.n_agents:
         raise ValueError(f"`agent`: expected a number from 0 to {certificate.problem.n_agents - 1}, got {agent}")
-    if certificate.on_cells is not None:
-        return certificate.on_cells, agent
-    for group, member in zip(certificate.problem.groups, certificate.members, strict=True):
-        if agent in group.agents:
-            return member.on_cells, group.agents.index(agent)
+    for agents, member in zip(member_agents(certificate), members_of(certificate), strict=True):
+        if agent in agents:
+            return on_cells(member), agents.index(agent)
     raise AssertionError("every agent takes part in one task")
+
+
+def checked_certificate(value: Any, argument: str = "certificate") -> OnGrid:
+    """Return the certificate of one task on cells that a value, given as ``argument``, stands for; else ValueError."""
+    certificate = certificate_from(value, argument)
+    if parts := certificate.proof.factors:
+        raise ValueError(f"`{argument}`: expected that of one task, got {len(parts)}; give one of its `.proof.parts`")
+    held: OnGrid | None = on_cells(certificate)
+    if held is None:
+        lack = certificate.proof.lacks[Offer.VALUES]
+        raise ValueError(f"`{argument}`: expected {Offer.VALUES.value}, got {lack}")
+    return held
+
+
+def speaks_of_one_start(certificate: Certificate) -> bool:
+    """Return whether a report shows the start alone: by subtraction, of joint agents, and along paths."""
+    return any(on_cells(member) is not member for member in members_of(certificate))

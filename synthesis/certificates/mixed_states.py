@@ -25,7 +25,7 @@ def known_letters(problem: Problem, paths: Any, usual: NDArray[np.bool_]) -> lis
     ----------
     problem : Problem
         The whole problem.
-    paths : PathCertificate
+    paths : Certificate
         Of the agents along paths.
     usual : (number of pairs,) bool array
         What pairs of an agent on a grid and one along a path are taken to be.
@@ -33,7 +33,7 @@ def known_letters(problem: Problem, paths: Any, usual: NDArray[np.bool_]) -> lis
     names, of_paths = problem.automaton.propositions, list(paths.problem.automaton.propositions)
     between = dict(pairs_between(problem, paths.problem.agent_names))
     result = []
-    for letter in paths.letters:
+    for letter in paths.proof.letters:
         known = {between[k]: bool(usual[k]) for k in between}
         for p, name in enumerate(names):
             if name in of_paths and (value := int(letter[of_paths.index(name)])):

@@ -14,7 +14,8 @@ from scipy.special import ndtri
 from ...envs.agents import Gaussian
 from ..cells import FloatArray
 from ..controllers import covariances_along
-from .path_certificate import PathCertificate
+from .certificate import member_agents, members_of, path_under
+from .path_proof import AlongPath
 
 KEPT = 0.99
 """Probability with which what is drawn stays in its tube at all times, as long as no input is cut off."""
@@ -82,22 +83,22 @@ def tube_along(certificate: Any, rows: FloatArray) -> Tube | None:
     if not moved or any(i not in paths for i in moved):
         return None
     # Independent tasks may have paths of different lengths: what is drawn ends with the shortest.
-    steps = min(paths[i][0].n_steps for i in moved)
+    steps = min(paths[i][0].proof.n_steps for i in moved)
     middle = np.zeros((steps + 1, len(rows)))
     covariances = np.zeros((steps + 1, len(rows), len(rows)))
     for i in moved:
         part, k = paths[i]
-        agent, own, path = problem.agents[i], rows[:, problem.columns[i]], part.paths[k]
+        agent, own, path = problem.agents[i], rows[:, problem.columns[i]], part.proof.paths[k]
         nominal = part.controller.nominal[k]
         middle += nominal[: steps + 1] @ own.T
         deviations = covariances_along(agent, nominal, path.inputs, path.gains)[: steps + 1]
         covariances += np.einsum("kd,tde,le->tkl", own, deviations, own)
-    is_linear = all(part.paths[k].states is None for part, k in (paths[i] for i in moved))
+    is_linear = all(part.proof.paths[k].states is None for part, k in (paths[i] for i in moved))
     laws = [law for i in moved for law in problem.agents[i].laws or ()]
     return Tube(middle, covariances, is_linear, all(isinstance(law, Gaussian) for law in laws))
 
 
-def _paths_of(certificate: Any) -> dict[int, tuple[PathCertificate, int]]:
+def _paths_of(certificate: Any) -> dict[int, tuple[AlongPath, int]]:
     """Return, for every agent with a nominal path, the certificate along it and the agent's number there."""
-    pairs = zip(certificate.member_agents, certificate.members, strict=True)
-    return {i: (member, k) for agents, member in pairs if member.along is member for k, i in enumerate(agents)}
+    pairs = zip(member_agents(certificate), members_of(certificate), strict=True)
+    return {i: (member, k) for agents, member in pairs if path_under(member) is member for k, i in enumerate(agents)}

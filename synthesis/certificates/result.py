@@ -24,7 +24,7 @@ class Synthesis:
 
     Parameters
     ----------
-    certificate : Certificate or ProductCertificate
+    certificate : Certificate
     controller : Controller
     stats : dict
         ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``starts`` (the best value from each),

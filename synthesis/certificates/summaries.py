@@ -7,76 +7,43 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
-from typing import Protocol
+from typing import Any
 
 from ...envs.agents import counted, names_text, shortened
 from ...envs.problem import Problem
 from ..cells import alike_text, shape_text
 from .digits import shown_bound
 from .part import AgentPart
-
-STARTS = {"point": "from the initial state", "mean": "on average over the initial boxes"}
-"""What a claim says about its start, in words."""
+from .proof import Offer
 
 MOST_TOLD = 3
 """Agents of which a summary says who tells them of states: a line has room for them."""
 
 
-class Certified(Protocol):
-    """What summaries read of a certificate of either kind."""
-
-    @property
-    def problem(self) -> Problem:
-        """Problem it speaks of."""
-
-    @property
-    def lower_bound(self) -> float:
-        """Certified lower bound at the problem's start."""
-
-    @property
-    def gap(self) -> float | None:
-        """If not None, ``lower_bound + gap`` is an upper bound for this controller."""
-
-    @property
-    def start(self) -> str:
-        """``"point"`` or ``"mean"``."""
-
-    @property
-    def method(self) -> str:
-        """Relation, bound and policy search, in words."""
-
-    @property
-    def bound(self) -> str:
-        """Name of the theorem that the bound rests on."""
-
-    @property
-    def has_cells(self) -> bool:
-        """Whether it is about cells."""
-
-    @property
-    def rank(self) -> int:
-        """Largest number of terms of one automaton state, or of columns of a bond."""
-
-    @property
-    def agents(self) -> tuple[AgentPart, ...]:
-        """What is stored of each agent."""
-
-
-def certificate_facts(certificate: Certified) -> list[tuple[str, str]]:
+def certificate_facts(certificate: Any) -> list[tuple[str, str]]:
     """Return the rows of a summary, name and value; the bound is rounded to the safe side."""
-    agents = certificate.agents if certificate.has_cells else ()
+    problem, proof = certificate.problem, certificate.proof
+    agents = proof.agents_of(problem) if proof.has_cells else ()
     cells = alike_text(shape_text(part.grid.shape) for part in agents)
     return [
-        ("horizon", counted(certificate.problem.horizon, "control step")),
+        ("horizon", counted(problem.horizon, "control step")),
         ("bound", shown_bound(certificate.lower_bound, certificate.gap)),
-        ("start", STARTS.get(certificate.start, certificate.start)),
-        ("method", shortened(certificate.method)),
-        ("theorem", certificate.bound),
-        ("cells", f"{cells} ({counted(len(agents), 'agent')})" if agents else "none"),
-        ("rank", str(certificate.rank)),
-        *_told(certificate.problem),
+        ("start", _start_text(certificate)),
+        ("method", shortened(proof.method)),
+        ("theorem", proof.bound),
+        *([("cells", f"{cells} ({counted(len(agents), 'agent')})"), ("rank", str(proof.rank))] if agents else []),
+        *proof.about.items(),
+        *_told(problem),
         *_in_common(agents),
     ]
+
+
+def _start_text(certificate: Any) -> str:
+    """Return what a claim says about its start, in words."""
+    if Offer.ONE_START in certificate.proof.lacks:
+        return "from any state in the set"
+    point = all(agent.initial.is_point for agent in certificate.problem.agents)
+    return "from the initial state" if point else "on average over the initial boxes"
 
 
 def _in_common(parts: Sequence[AgentPart]) -> list[tuple[str, str]]:
@@ -108,7 +75,7 @@ def table_html(title: str, facts: Sequence[tuple[str, str]]) -> str:
     return "\n".join(["<table>", f"<caption>{escape(title)}</caption>", *rows, "</table>"])
 
 
-def certificate_html(title: str, certificate: Certified, more: Sequence[tuple[str, str]] = ()) -> str:
+def certificate_html(title: str, certificate: Any, more: Sequence[tuple[str, str]] = ()) -> str:
     """Return a certificate as a table for notebooks, with ``more`` rows below."""
     problem = certificate.problem
     return table_html(title, [("task", task_text(problem)), *certificate_facts(certificate), *more])

@@ -1,6 +1,6 @@
 """The proof done again, by code that no search reaches."""
 
-from .certificate_check import CheckReport, check, checkable, wrong_base
+from .certificate_check import CheckReport, check, wrong_base
 from .checked_first import standing
 from .execution import execution_of
 from .geometry import cell_boxes
@@ -20,7 +20,6 @@ __all__ = [
     "by_cell",
     "cell_boxes",
     "check",
-    "checkable",
     "CheckReport",
     "claimed_values",
     "Enclosed",

@@ -23,7 +23,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,18 +32,21 @@ from ...envs.problem import Problem, opposite_of
 from ...envs.suite import as_problem
 from ..cells import FloatArray, lattice_axes
 from ..certificates import (
-    EXACT_GAP,
+    AlongPath,
     BrokenTrainError,
     Certificate,
-    MixedCertificate,
-    PairsCertificate,
-    PathCertificate,
-    ProductCertificate,
-    StartHull,
-    TeamCertificate,
-    TimedCertificate,
-    any_certificate,
-    load_certificate,
+    GridProof,
+    HullProof,
+    JointProof,
+    MixedProof,
+    OnGrid,
+    PathProof,
+    ProductProof,
+    SubtractionProof,
+    TimedProof,
+    alike_members,
+    certificate_from,
+    delta_of,
     noted,
     significant_down,
     significant_up,
@@ -115,7 +117,7 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
 
     Parameters
     ----------
-    certificate : Synthesis, certificate of any kind, StartHull, or path
+    certificate : Synthesis, Certificate or path
     problem : Problem, id or path, optional
         The certificate must have been made for exactly this problem (fingerprint).
 
@@ -125,26 +127,21 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
         Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere; and
         the upper end of its claim (``gap``) where it has one, unless ``above`` is None.
     """
-    certificate = checkable(certificate)
+    certificate = certificate_from(certificate)
     problem = certificate.problem if problem is None else as_problem(problem)
-    if isinstance(certificate, ProductCertificate) and not problem.joint_noise:
+    proof = type(certificate.proof)
+    if any(part.proof.kind not in proof.inside for part in certificate.proof.parts):
+        failures = ("its parts are proved in other ways than parts of it can be",)
+        return CheckReport(False, certificate.lower_bound, float("nan"), failures)
+    if proof is ProductProof and not problem.joint_noise:
         return _check_product(certificate, problem)
-    kinds: dict[type, Callable[[Any, Problem], CheckReport]] = {
-        PathCertificate: _check_path,
-        PairsCertificate: _check_pairs,
-        MixedCertificate: _check_mixed,
-        TeamCertificate: _check_written_otherwise,
-        TimedCertificate: _check_written_otherwise,
-        StartHull: _check_hull,
-    }
-    one = kinds.get(type(certificate), _check_one)
-    if problem.joint_noise and one is not _check_path:
+    if problem.joint_noise and proof is not PathProof:
         failures = ("its problem has agents that share noise, which it takes for independent",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
-    if problem.names_time and type(certificate) in (Certificate, PairsCertificate, TeamCertificate):
+    if problem.names_time and proof in (GridProof, SubtractionProof, JointProof):
         failures = ("its problem names the time, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
-    if problem.labeling.pairs and one in (_check_one, _check_hull):
+    if problem.labeling.pairs and proof in (GridProof, HullProof):
         failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     if wrong := wrong_angles(problem):
@@ -152,7 +149,7 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     try:
         # What overflows decides nothing: neither infinities nor numbers that are none are compared with anything.
         with np.errstate(over="raise", invalid="raise", divide="raise"):
-            return one(certificate, problem)
+            return CHECKS[proof](certificate, problem)
     except FloatingPointError as error:
         failures = (f"its numbers are too large or too small to be computed with ({error})",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
@@ -162,27 +159,20 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
 
 
-def checkable(certificate: Any) -> Any:
-    """Return what there is to be checked: a certificate of any kind, or a set of starts; files are read."""
-    if isinstance(certificate, str | Path):
-        certificate = load_certificate(certificate)
-    return certificate if isinstance(certificate, StartHull) else any_certificate(certificate)
-
-
-def _check_pairs(certificate: PairsCertificate, problem: Problem) -> CheckReport:
+def _check_pairs(certificate: Certificate[SubtractionProof], problem: Problem) -> CheckReport:
     """Verify a certificate by subtraction: its base like any other, and then what pairs may spoil."""
     failures: list[str] = []
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
     near, base = 1.0, CheckReport(False, 0.0, float("nan"), ())
     if not failures:
-        base = check(certificate.base)
+        base = check(certificate.proof.base)
         failures += [f"without pairs: {failure}" for failure in base.failures]
     if not failures:
         failures, near = wrong_pairs(certificate, problem)
-    if not failures and not near <= certificate.near:
+    if not failures and not near <= certificate.proof.near:
         failures.append(
-            f"it says that pairs spoil {certificate.near:.6g} at most, but what was recomputed is {near:.6g}"
+            f"it says that pairs spoil {certificate.proof.near:.6g} at most, but what was recomputed is {near:.6g}"
         )
     recomputed = float("nan") if failures else max(0.0, base.recomputed - near)
     # Runs in which a pair was not as usual may be satisfied, too.
@@ -191,7 +181,7 @@ def _check_pairs(certificate: PairsCertificate, problem: Problem) -> CheckReport
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), above)
 
 
-def _check_mixed(certificate: MixedCertificate, problem: Problem) -> CheckReport:
+def _check_mixed(certificate: Certificate[MixedProof], problem: Problem) -> CheckReport:
     """Verify a mixed team: both parts like any others, that they are about the team, and what pairs may spoil."""
     failures: list[str] = []
     if certificate.fingerprint != problem.fingerprint:
@@ -199,27 +189,27 @@ def _check_mixed(certificate: MixedCertificate, problem: Problem) -> CheckReport
     grids = paths = CheckReport(False, 0.0, float("nan"), ())
     near = 1.0
     if not failures:
-        grids, paths = check(certificate.grids), check(certificate.paths)
+        grids, paths = check(certificate.proof.grids), check(certificate.proof.paths)
         failures += [f"on grids: {failure}" for failure in grids.failures]
         failures += [f"along paths: {failure}" for failure in paths.failures]
     if not failures:
         failures, near = wrong_mixed(certificate, problem)
-    if not failures and not near <= certificate.near:
+    if not failures and not near <= certificate.proof.near:
         failures.append(
-            f"it says that pairs spoil {certificate.near:.6g} at most, but what was recomputed is {near:.6g}"
+            f"it says that pairs spoil {certificate.proof.near:.6g} at most, but what was recomputed is {near:.6g}"
         )
     recomputed = float("nan") if failures else max(0.0, grids.recomputed * paths.recomputed - near)
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
 
 
-def wrong_base(certificate: TeamCertificate | TimedCertificate) -> list[str]:
+def wrong_base(certificate: Certificate) -> list[str]:
     """Return in what the problem that a certificate rests on is not its own, written in another way."""
-    if isinstance(certificate, TimedCertificate):
+    if type(certificate.proof) is TimedProof:
         return wrong_in_time(certificate)
-    return wrong_team(certificate.problem, certificate.base.problem)
+    return wrong_team(certificate.problem, certificate.proof.base.problem)
 
 
-def _check_written_otherwise(certificate: TeamCertificate | TimedCertificate, problem: Problem) -> CheckReport:
+def _check_written_otherwise(certificate: Certificate, problem: Problem) -> CheckReport:
     """Verify the certificate of a problem that is written in another way: that it is, and its base like any other."""
     failures: list[str] = []
     if certificate.fingerprint != problem.fingerprint:
@@ -227,10 +217,10 @@ def _check_written_otherwise(certificate: TeamCertificate | TimedCertificate, pr
     failures = failures or wrong_base(certificate)
     if failures:
         return CheckReport(False, certificate.lower_bound, float("nan"), tuple(failures))
-    return check(certificate.base)
+    return check(certificate.proof.base)
 
 
-def _check_path(certificate: PathCertificate, problem: Problem) -> CheckReport:
+def _check_path(certificate: AlongPath, problem: Problem) -> CheckReport:
     """Verify a certificate along a path."""
     failures: list[str] = []
     if certificate.fingerprint != problem.fingerprint:
@@ -238,14 +228,14 @@ def _check_path(certificate: PathCertificate, problem: Problem) -> CheckReport:
     failure = 1.0
     if not failures:
         failures, failure = wrong_paths(certificate)
-    if not failures and not failure <= certificate.failure:
-        claimed = f"it says that it fails with probability {certificate.failure:.6g} at most"
+    if not failures and not failure <= certificate.proof.failure:
+        claimed = f"it says that it fails with probability {certificate.proof.failure:.6g} at most"
         failures.append(f"{claimed}, but what was recomputed is {failure:.6g}")
     recomputed = float("nan") if failures else 1.0 - failure
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
 
 
-def _check_hull(hull: StartHull, problem: Problem) -> CheckReport:
+def _check_hull(hull: Certificate[HullProof], problem: Problem) -> CheckReport:
     """Verify a convex set of starts."""
     failures, failure = ["it was made for another problem (the fingerprints differ)"], 1.0
     if hull.fingerprint == problem.fingerprint:
@@ -254,7 +244,7 @@ def _check_hull(hull: StartHull, problem: Problem) -> CheckReport:
     return CheckReport(not failures, hull.lower_bound, recomputed, tuple(failures))
 
 
-def _check_one(certificate: Certificate, problem: Problem) -> CheckReport:
+def _check_one(certificate: OnGrid, problem: Problem) -> CheckReport:
     """Verify the certificate of one task."""
     failures: list[str] = []
     recomputed, above = float("nan"), None
@@ -280,52 +270,50 @@ def _check_one(certificate: Certificate, problem: Problem) -> CheckReport:
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), above)
 
 
-def _check_product(product: ProductCertificate, problem: Problem) -> CheckReport:
+def _check_product(product: Certificate[ProductProof], problem: Problem) -> CheckReport:
     """Every part is of the task it stands for, and holds; what their product claims follows."""
     if product.fingerprint != problem.fingerprint:
         failures = ["it was made for another problem (the fingerprints differ)"]
         return CheckReport(False, product.lower_bound, float("nan"), tuple(failures))
     failures, recomputed, above = [], 1.0, 1.0
-    if [part.fingerprint for part in product.parts] != [task.fingerprint for task in problem.tasks]:
+    if [part.fingerprint for part in product.proof.parts] != [task.fingerprint for task in problem.tasks]:
         failures.append("its parts are not the independent tasks of its problem")
-    for same in product.alike:
-        report = check(part := product.parts[same[0]])
+    for same in alike_members(product):
+        report = check(part := product.proof.parts[same[0]])
         recomputed *= report.recomputed ** len(same)
         above *= (np.nan if report.above is None else report.above) ** len(same)
         failures += [f"{part.problem.name}: {failure}" for failure in report.failures]
     known = not failures and product.gap is not None and above >= 0.0
-    most = min(1.0, above * (1.0 + 4.0 * len(product.parts) * UNIT)) if known else None
+    most = min(1.0, above * (1.0 + 4.0 * len(product.proof.parts) * UNIT)) if known else None
     return CheckReport(not failures, product.lower_bound, recomputed, tuple(failures), most)
 
 
-def _check_form(certificate: Certificate) -> list[str]:
+def _check_form(certificate: OnGrid) -> list[str]:
     """Check that the value function covers the horizon and that its bound has a name that fits it."""
     failures = []
-    point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in certificate.problem.agents)
-    if certificate.start != ("point" if point else "mean"):
-        failures.append(f"its start is called {certificate.start!r}, which it is not")
     if any(
-        (part.relation["kind"] in ("boxes", "exact", "linear")) != (part.menu is None) for part in certificate.agents
+        (part.relation["kind"] in ("boxes", "exact", "linear")) != (part.menu is None)
+        for part in certificate.proof.agents
     ):
         failures.append("a relation and its choices do not belong together")
-    tree = certificate.rounding is None
-    if not all(part.is_additive for part in certificate.agents):
-        own_end = certificate.gap is not None and certificate.opposite is None
-        if not tree or certificate.bound != "nominal" or own_end:
+    tree = certificate.proof.rounding is None
+    if not all(part.is_additive for part in certificate.proof.agents):
+        own_end = certificate.gap is not None and certificate.proof.opposite is None
+        if not tree or certificate.proof.bound != "nominal" or own_end:
             failures.append("agents whose steps are not additive have a value or a bound that is not for them")
         failures += uneven_lattices(certificate)
-    if tree and len(certificate.skeleton) != certificate.problem.horizon:
+    if tree and len(certificate.proof.skeleton) != certificate.problem.horizon:
         failures.append("its tree does not cover its horizon")
-    if certificate.opposite is not None and certificate.gap is None:
+    if certificate.proof.opposite is not None and certificate.gap is None:
         failures.append("it rests on the opposite task, and says nothing of an upper end")
-    if certificate.exact != (certificate.gap is not None and certificate.gap <= EXACT_GAP):
-        failures.append("whether it is exact does not fit its gap")
-    if certificate.bound not in (("nominal", "a-posteriori", "robust tree") if tree else ("nominal", "a-posteriori")):
-        failures.append(f"its bound {certificate.bound!r} is none that is known for its value function")
+    if certificate.proof.bound not in (
+        ("nominal", "a-posteriori", "robust tree") if tree else ("nominal", "a-posteriori")
+    ):
+        failures.append(f"its bound {certificate.proof.bound!r} is none that is known for its value function")
     return failures
 
 
-def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray | None], float]:
+def _check_agents(certificate: OnGrid) -> tuple[list[str], list[FloatArray | None], float]:
     """What is wrong with relations and controllers; label margins; and what carrying the policies out can cost.
 
     Agents that share everything are verified once.
@@ -338,7 +326,7 @@ def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray 
         controllers = certificate.controller.agents
     except ValueError as error:  # a relation that cannot be made from its numbers
         return [str(error)], margins, loss
-    for agent, part, controller in zip(certificate.problem.agents, certificate.agents, controllers, strict=True):
+    for agent, part, controller in zip(certificate.problem.agents, certificate.proof.agents, controllers, strict=True):
         arrays = [part.coordinates, part.policy, *part.lattice, *([] if part.menu is None else [part.menu])]
         key = (
             *part.sharing_key(agent),
@@ -360,11 +348,11 @@ def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray 
     return failures, margins, loss * certificate.problem.horizon
 
 
-def _check_above(certificate: Certificate, gap: float, loss: float) -> tuple[float | None, list[str]]:
+def _check_above(certificate: OnGrid, gap: float, loss: float) -> tuple[float | None, list[str]]:
     """What the policies attain at most, and whether the certificate says less."""
     above: float | None
-    if certificate.opposite is not None:
-        above, failures = _check_opposite(certificate, certificate.opposite)
+    if certificate.proof.opposite is not None:
+        above, failures = _check_opposite(certificate, certificate.proof.opposite)
     else:
         failures = inexact(certificate)
         above = None if failures else attained(certificate)
@@ -375,13 +363,13 @@ def _check_above(certificate: Certificate, gap: float, loss: float) -> tuple[flo
     return above, failures
 
 
-def _check_opposite(certificate: Certificate, opposite: Certificate) -> tuple[float | None, list[str]]:
+def _check_opposite(certificate: OnGrid, opposite: OnGrid) -> tuple[float | None, list[str]]:
     """What the policies attain at most: a lower bound for the opposite task, taken off 1.
 
     The opposite task is made of the task itself, whatever problem its certificate says that it is about: names of
     agents may be others.
     """
-    if opposite.opposite is not None:
+    if opposite.proof.opposite is not None:
         return None, ["its upper end has an upper end again"]
     try:
         opposite = replace(opposite, problem=opposite_of(certificate.problem))
@@ -394,25 +382,25 @@ def _check_opposite(certificate: Certificate, opposite: Certificate) -> tuple[fl
     return min(1.0, math.nextafter(1.0 - report.recomputed, 2.0)), []
 
 
-def _regrown(certificate: Certificate) -> Terms | Value:
+def _regrown(certificate: OnGrid) -> Terms | Value:
     """Value function at time 0, grown again from the policies."""
-    return regrow(certificate) if certificate.rounding is None else regrown_trains(certificate)
+    return regrow(certificate) if certificate.proof.rounding is None else regrown_trains(certificate)
 
 
-def _start_value(certificate: Certificate, value: Terms | Value, loss: float) -> float:
+def _start_value(certificate: OnGrid, value: Terms | Value, loss: float) -> float:
     """Regrown value at the problem's start, less ``loss`` and what lost relations can cost."""
-    if certificate.bound == "nominal" and certificate.delta > 0:
+    if certificate.proof.bound == "nominal" and delta_of(certificate) > 0:
         return float("nan")  # the nominal value proves nothing then
     if not isinstance(value, Terms):
         total, steps = train_start_value(certificate, value), float(certificate.problem.horizon)
     else:
         total, steps = tree_start_value(certificate, value), 0.0
-    if certificate.bound == "a-posteriori":
-        loss += certificate.delta * (steps or _undecided(certificate)) * (1 + 1e-9)
+    if certificate.proof.bound == "a-posteriori":
+        loss += delta_of(certificate) * (steps or _undecided(certificate)) * (1 + 1e-9)
     return max(0.0, total - loss)
 
 
-def _undecided(certificate: Certificate) -> float:
+def _undecided(certificate: OnGrid) -> float:
     """Upper bound on the expected number of undecided steps."""
     try:
         passed = list(masses(certificate, DROPPED, MOST))
@@ -422,20 +410,21 @@ def _undecided(certificate: Certificate) -> float:
     return sum(min(1.0, mass.alive + mass.dropped + SPARE) for mass in passed[:-1])
 
 
-def _check_values(certificate: Certificate, terms: Terms | Value, recomputed: float) -> list[str]:
+def _check_values(certificate: OnGrid, terms: Terms | Value, recomputed: float) -> list[str]:
     """Check that no claim is larger than what was grown again."""
     failures = []
-    n = certificate.problem.horizon * sum(places_of(p) + 1 for p in certificate.agents) + len(certificate.agents)
-    counted = max((len(kept) for step in certificate.skeleton for kept in step.kept), default=0)
-    rounding = (n + max(certificate.rank, counted) + 2) * 2.0**-53
+    agents = certificate.proof.agents
+    n = certificate.problem.horizon * sum(places_of(p) + 1 for p in agents) + len(agents)
+    counted = max((len(kept) for step in certificate.proof.skeleton for kept in step.kept), default=0)
+    rounding = (n + max(certificate.proof.rank, counted) + 2) * 2.0**-53
     if not certificate.lower_bound <= recomputed * (1.0 - rounding):
         failures.append(f"the bound {certificate.lower_bound:.12g} exceeds the recomputed value {recomputed:.12g}")
-    elif any(not value <= recomputed * (1.0 - rounding) for value in certificate.bounds.values()):
+    elif any(not value <= recomputed * (1.0 - rounding) for value in certificate.proof.bounds.values()):
         failures.append(f"it lists a bound that exceeds the recomputed value {recomputed:.12g}")
-    if not rounding + 1e-11 * len(certificate.agents) <= certificate.relative_rounding <= 1.0:
+    if not rounding + 1e-11 * len(certificate.proof.agents) <= certificate.proof.relative_rounding <= 1.0:
         failures.append("its reserve for rounding is too small")
     tolerance = 1.0 + 1e-11
-    stored, regrown = certificate.terms, terms
+    stored, regrown = certificate.proof.terms, terms
     if stored is None or not isinstance(regrown, Terms):
         return failures if stored is None else [*failures, "it stores a value tree beside its tensor trains"]
     if any(len(a) != len(b) for a, b in zip(stored.index, regrown.index, strict=True)):
@@ -443,7 +432,7 @@ def _check_values(certificate: Certificate, terms: Terms | Value, recomputed: fl
     if any(not np.all(own >= 0.0) for own in stored.factors):
         return [*failures, "the stored value function has factors that are negative or no numbers"]
     for i, (mine, yours) in enumerate(zip(stored.factors, regrown.factors, strict=True)):
-        linear = certificate.agents[i].relation["kind"] == "linear"
+        linear = certificate.proof.agents[i].relation["kind"] == "linear"
         for q, rows in enumerate(stored.index):
             if linear and not certificate.problem.automaton.finished[q]:
                 continue  # these were proved one by one as the tree was grown; those of finished states are 1
@@ -453,3 +442,15 @@ def _check_values(certificate: Certificate, terms: Terms | Value, recomputed: fl
                 )
                 break
     return failures
+
+
+CHECKS: dict[type, Callable[[Any, Problem], CheckReport]] = {
+    GridProof: _check_one,
+    PathProof: _check_path,
+    HullProof: _check_hull,
+    SubtractionProof: _check_pairs,
+    MixedProof: _check_mixed,
+    JointProof: _check_written_otherwise,
+    TimedProof: _check_written_otherwise,
+}
+"""How each kind of proof is checked."""

@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import TypeVar
 from weakref import WeakKeyDictionary
 
-from ..certificates import TwoEnded
+from ..certificates import Certificate
 from .certificate_check import check
 
-Claimed = TypeVar("Claimed", bound=TwoEnded)
+Claimed = TypeVar("Claimed", bound=Certificate)
 
 _failures: WeakKeyDictionary[object, tuple[str, ...]] = WeakKeyDictionary()
 """What ``check`` found wrong with certificates, which never change: it is asked once for each."""

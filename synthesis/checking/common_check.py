@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate
+from ..certificates import AgentPart, OnGrid
 
 
-def wrong_common(certificate: Certificate) -> list[str]:
+def wrong_common(certificate: OnGrid) -> list[str]:
     """What is wrong with inputs that are said to be chosen in common; an empty list if nothing is."""
-    agents, parts = certificate.problem.agents, certificate.agents
+    agents, parts = certificate.problem.agents, certificate.proof.agents
     names = {name for part in parts for name in part.relation.get("common", {}).get("names", ())}
     times = max(len(part.policy) for part in parts)
     failures = []

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from ..cells import FloatArray
-from ..certificates import axis_tables
+from ..certificates import OnGrid, axis_tables, start_of_claim
 from .geometry import start_shares
 from .linear_check import hat_weights, masks_of
 
 if TYPE_CHECKING:
-    from ..certificates import Certificate
+    pass
 
 
 class TooManyProducts(RuntimeError):
@@ -67,7 +67,7 @@ class Mass:
         return float(self.totals.sum())
 
 
-def masses(certificate: Certificate, share: float, most: int) -> Iterator[Mass]:
+def masses(certificate: OnGrid, share: float, most: int) -> Iterator[Mass]:
     """Yield the mass at times 0 .. T; each step drops at most ``share`` and keeps at most ``most`` products.
 
     Raises
@@ -75,7 +75,7 @@ def masses(certificate: Certificate, share: float, most: int) -> Iterator[Mass]:
     TooManyProducts
         If there are more.
     """
-    problem, agents = certificate.problem, certificate.agents
+    problem, agents = certificate.problem, certificate.proof.agents
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
     kernels = [axis_tables(a, p, tables) for a, p in zip(problem.agents, agents, strict=True)]
     mass = _settled(certificate, mass_at_start(certificate), share, most)
@@ -85,32 +85,32 @@ def masses(certificate: Certificate, share: float, most: int) -> Iterator[Mass]:
         yield mass
 
 
-def mass_at_start(certificate: Certificate) -> Mass:
+def mass_at_start(certificate: OnGrid) -> Mass:
     """Mass before the first step, the first letter read."""
-    problem, agents = certificate.problem, certificate.agents
+    problem, agents = certificate.problem, certificate.proof.agents
     shares = [
         (hat_weights(a, p) if p.relation["kind"] == "linear" else start_shares(a, p))[None]
         for a, p in zip(problem.agents, agents, strict=True)
     ]
-    automaton, point = problem.automaton, certificate.start == "point"
+    automaton, point = problem.automaton, start_of_claim(certificate) == "point"
     if point or (automaton.finished[automaton.initial]):  # no letter is asked
         q = problem.initial_q if point else automaton.initial
         known = [] if q is None else [q]
         return Mass(shares, np.zeros((len(known), len(agents)), dtype=np.int64), np.array(known, dtype=np.int64))
     factors = [masks_of(part, part.start_masks) * own for part, own in zip(agents, shares, strict=True)]
-    return Mass(factors, certificate.start_mask.astype(np.int64), certificate.start_target.astype(np.int64))
+    return Mass(factors, certificate.proof.start_mask.astype(np.int64), certificate.proof.start_target.astype(np.int64))
 
 
-def _step(certificate: Certificate, kernels: list[list[FloatArray]], mass: Mass, t: int) -> Mass:
+def _step(certificate: OnGrid, kernels: list[list[FloatArray]], mass: Mass, t: int) -> Mass:
     """Mass one step later, its letter read."""
-    factors: list[list[FloatArray]] = [[np.zeros((0, part.grid.n_cells))] for part in certificate.agents]
+    factors: list[list[FloatArray]] = [[np.zeros((0, part.grid.n_cells))] for part in certificate.proof.agents]
     index, states, stranded = [], [], mass.stranded
     first, known = np.zeros(len(factors), dtype=np.int64), dict[object, FloatArray]()
     for q in np.unique(mass.states):
         own = mass.index[mass.states == q]
-        guards = np.flatnonzero(certificate.guard_source == q)
+        guards = np.flatnonzero(certificate.proof.guard_source == q)
         columns, left = [], np.ones(len(own))
-        for i, (part, axes) in enumerate(zip(certificate.agents, kernels, strict=True)):
+        for i, (part, axes) in enumerate(zip(certificate.proof.agents, kernels, strict=True)):
             used, place = np.unique(own[:, i], return_inverse=True)
             rows, points = mass.factors[i][used], part.points(t, int(q))
             left *= rows[:, points >= 0].sum(axis=1)[place]
@@ -119,14 +119,14 @@ def _step(certificate: Certificate, kernels: list[list[FloatArray]], mass: Mass,
             if alike not in known:
                 known[alike] = moved(rows, points, axes)
             pushed = known[alike]
-            names, which = np.unique(certificate.guard_mask[guards, i], return_inverse=True)
+            names, which = np.unique(certificate.proof.guard_mask[guards, i], return_inverse=True)
             masked = (pushed[:, None] * part.masks[names]).reshape(-1, part.grid.n_cells)
             columns.append(first[i] + place[:, None] * len(names) + which[None])
             factors[i].append(masked)
             first[i] += len(masked)
         stranded += max(0.0, float(mass.totals[mass.states == q].sum() - left.sum()))
         index.append(np.stack(columns, axis=-1).reshape(-1, len(factors)))
-        states.append(np.tile(certificate.guard_target[guards], len(own)))
+        states.append(np.tile(certificate.proof.guard_target[guards], len(own)))
     whole = [np.concatenate(own) for own in factors]
     empty = [np.zeros((0, len(factors)), dtype=np.int64)]
     rows, targets = np.concatenate(empty + index), np.concatenate([np.zeros(0, dtype=np.int64), *states])
@@ -145,7 +145,7 @@ def moved(rows: FloatArray, points: NDArray[np.integer], tables: list[FloatArray
     return spread.reshape(len(rows), -1)
 
 
-def _settled(certificate: Certificate, mass: Mass, share: float, most: int) -> Mass:
+def _settled(certificate: OnGrid, mass: Mass, share: float, most: int) -> Mass:
     """Return the mass that is still undecided, with similar products united and small ones dropped."""
     automaton = certificate.problem.automaton
     accepted = mass.accepted + float(mass.totals[automaton.finished[mass.states]].sum())

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent
 from ...envs.dynamics import Dynamics, Worlds, joint, neighbours
 from ..cells import FloatArray
-from ..certificates import Certificate
+from ..certificates import OnGrid, seen_by
 from .later_values import ValueInTime, claimed_values
 
 MOST_CORNERS = 64
@@ -32,7 +32,7 @@ class Greedy:
     certificate : Certificate
     """
 
-    def __init__(self, certificate: Certificate) -> None:
+    def __init__(self, certificate: OnGrid) -> None:
         self.certificate = certificate
         self._value: ValueInTime | None = None
 
@@ -62,7 +62,7 @@ class Greedy:
         """Return the certified values (M,) one step later, at the means of the next states."""
         if self._value is None:
             # What a disturbance aims at need not be a bound.
-            self._value = ValueInTime(self.certificate, claimed_values(self.certificate), self.certificate.seen)
+            self._value = ValueInTime(self.certificate, claimed_values(self.certificate), seen_by(self.certificate))
         means = []
         others = neighbours(dynamics, worlds.states, inputs)
         for block, x, u, v, beside in zip(dynamics.blocks, worlds.states, inputs, unknown, others, strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...envs.agents import AnyAgent, Box
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate, grid_noise, state
+from ..certificates import AgentPart, OnGrid, grid_noise, state
 from .execution import UNIT
 from .relation_check import wrong_for_uneven_noise
 
@@ -17,10 +17,10 @@ INVERSE = 1e-9
 """By how much, in deviations of the noise, states may change on the way to grid coordinates and back."""
 
 
-def uneven_lattices(certificate: Certificate) -> list[str]:
+def uneven_lattices(certificate: OnGrid) -> list[str]:
     """Lattices on which values are interpolated are evenly spaced, so that positions in steps are right."""
     failures = []
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+    for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True):
         if not part.is_additive:
             for axis in part.lattice:
                 even = axis[0] + (axis[-1] - axis[0]) * np.linspace(0.0, 1.0, len(axis))
@@ -30,10 +30,10 @@ def uneven_lattices(certificate: Certificate) -> list[str]:
     return failures
 
 
-def wrong_grids(certificate: Certificate) -> list[str]:
+def wrong_grids(certificate: OnGrid) -> list[str]:
     """Grids cover the workspaces and, in their coordinates, the noise is independent and positive."""
     failures = []
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+    for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True):
         low = np.array([edges[0] for edges in part.grid.edges])
         high = np.array([edges[-1] for edges in part.grid.edges])
         if not _is_inverted(part.coordinates, agent.noise_covariance):

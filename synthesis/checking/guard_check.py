@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 from ...envs.logic import followed
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate
+from ..certificates import AgentPart, OnGrid
 from .geometry import box_image, cell_boxes, classes_in_boxes, is_identity
 
 
-def wrong_guards(certificate: Certificate, margins: Sequence[FloatArray | None]) -> list[str]:
+def wrong_guards(certificate: OnGrid, margins: Sequence[FloatArray | None]) -> list[str]:
     """Guards are disjoint, stay inside the workspace, and every letter of their states leads where they say.
 
     ``margins`` (d,) say how far related states are from the centres of their cells (see ``label_margin``).
     """
-    initial = np.full(len(certificate.start_target), certificate.problem.automaton.initial)
-    agents, none = certificate.agents, [None] * len(margins)
-    arriving = [part.masks for part in agents], certificate.guard_source, certificate.guard_target
-    starting = [part.start_masks for part in agents], initial, certificate.start_target
-    failures = _wrong_guards(certificate, *arriving, certificate.guard_mask, margins)
-    return failures or _wrong_guards(certificate, *starting, certificate.start_mask, none)
+    initial = np.full(len(certificate.proof.start_target), certificate.problem.automaton.initial)
+    agents, none = certificate.proof.agents, [None] * len(margins)
+    arriving = [part.masks for part in agents], certificate.proof.guard_source, certificate.proof.guard_target
+    starting = [part.start_masks for part in agents], initial, certificate.proof.start_target
+    failures = _wrong_guards(certificate, *arriving, certificate.proof.guard_mask, margins)
+    return failures or _wrong_guards(certificate, *starting, certificate.proof.start_mask, none)
 
 
 def cell_classes(
@@ -53,7 +53,7 @@ def cell_classes(
 
 
 def _wrong_guards(
-    certificate: Certificate,
+    certificate: OnGrid,
     masks: list[NDArray],
     source: NDArray,
     target: NDArray,
@@ -69,7 +69,7 @@ def _wrong_guards(
     if any(np.any((states < 0) | (states >= automaton.n_states)) for states in (source, target)):
         return ["a guard names an automaton state that there is not"]
     meets, letters = [], []
-    for i, (part, own, margin) in enumerate(zip(certificate.agents, masks, margins, strict=True)):
+    for i, (part, own, margin) in enumerate(zip(certificate.proof.agents, masks, margins, strict=True)):
         meets.append((own.astype(np.int64) @ own.T.astype(np.int64)) > 0)
         classes, possible, inside = cell_classes(problem, i, part, margin)
         if own[:, ~inside].any():

@@ -22,7 +22,17 @@ from ...envs.agents import checked_count, tree_text
 from ...envs.arrays import on_one_thread
 from ...envs.logic import Automaton
 from ..cells import FloatArray
-from ..certificates import Certificate, Offer, TwoEnded, certificate_on_grids, require, rounded_down
+from ..certificates import (
+    Certificate,
+    Offer,
+    OnGrid,
+    certificate_on_grids,
+    members_of,
+    on_cells,
+    require,
+    rounded_down,
+    start_of_claim,
+)
 from ..values import Terms
 from .checked_first import standing
 from .regrown_tree import regrow
@@ -43,14 +53,14 @@ class SafetyRate:
         Factor per step, a lower bound.
     loss : float
         What carrying out the policy in floating point may cost per step; an upper bound.
-    certificate : Certificate or ProductCertificate
+    certificate : Certificate
         With the stationary controllers that the bound is about.
     """
 
     share: float
     rate: float
     loss: float
-    certificate: TwoEnded
+    certificate: Certificate
 
     def __repr__(self) -> str:
         name = self.certificate.problem.name
@@ -104,7 +114,7 @@ def safety_rate(certificate: Any) -> SafetyRate:
     claim = certificate_on_grids(certificate)
     require(claim, Offer.SAME_STEPS)
     # A joint agent stands for its team, which the check of the team verifies.
-    parts = [member.on_cells for member in claim.members]
+    parts = [on_cells(member) for member in members_of(claim)]
     for part in parts:
         _refuse_other_kinds(part)
     standing(claim)
@@ -114,7 +124,7 @@ def safety_rate(certificate: Any) -> SafetyRate:
     return SafetyRate(share * reserve, rate * reserve, sum(one.loss for one in rates), claim)
 
 
-def _rate(certificate: Certificate) -> SafetyRate:
+def _rate(certificate: OnGrid) -> SafetyRate:
     """Return the bound of one task, whose certificate was checked."""
     times: dict[int, Terms] = {}
 
@@ -136,18 +146,18 @@ def _rate(certificate: Certificate) -> SafetyRate:
     problem = certificate.problem
     starts = np.concatenate([agent.initial.low for agent in problem.agents])
     ends = np.concatenate([agent.initial.high for agent in problem.agents])
-    value = float(read.at(starts)[0]) if certificate.start == "point" else read.mean(starts, ends)
+    value = float(read.at(starts)[0]) if start_of_claim(certificate) == "point" else read.mean(starts, ends)
     share = min(1.0, value / largest * (1.0 - 1e-15))
     return SafetyRate(share, rate, claim.correction / problem.horizon, certificate)
 
 
-def _refuse_other_kinds(certificate: Certificate) -> None:
+def _refuse_other_kinds(certificate: OnGrid) -> None:
     """Raise ValueError if a certificate is not of the kind that has a rate."""
     if not is_safety(certificate.problem.automaton):
         raise ValueError("`certificate`: expected a safety task, which is satisfied until it fails, such as `G safe`")
-    if not certificate.stationary:
+    if not certificate.proof.stationary:
         raise ValueError("`certificate`: expected stationary policies; synthesize them with `stationary=True`")
-    if certificate.bound != "nominal" or certificate.terms is None:
+    if certificate.proof.bound != "nominal" or certificate.proof.terms is None:
         raise ValueError("`certificate`: expected delta = 0 and a value tree, got a bound of another kind")
     checked_count(certificate.problem.horizon, "horizon", SHORTEST)
 

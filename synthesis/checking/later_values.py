@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...envs.agents import tree_text
 from ...envs.arrays import is_whole
 from ..cells import FloatArray
-from ..certificates import Certificate, Claim, Seen, checked_certificate, joint_states, regrow_trains
+from ..certificates import Claim, OnGrid, Seen, checked_certificate, joint_states, regrow_trains, seen_by, value_of
 from ..values import Terms, Trains
 from .checked_first import standing
 from .regrown_tree import regrow
@@ -35,7 +35,7 @@ class ValueInTime:
         How runs of the problem that is asked about are seen by the certificate.
     """
 
-    certificate: Certificate
+    certificate: OnGrid
     functions: tuple[Terms | Trains, ...]
     seen: Seen
 
@@ -112,12 +112,12 @@ def value_in_time(certificate: Any) -> ValueInTime:
     ValueError
         If it is no such certificate, or ``check`` refuses it.
     """
-    on_cells = getattr(certificate, "on_cells", None) or checked_certificate(certificate)
+    held = checked_certificate(certificate)
     standing(certificate)
-    return ValueInTime(on_cells, claimed_values(on_cells), certificate.seen)
+    return ValueInTime(held, claimed_values(held), seen_by(certificate))
 
 
-def claimed_values(certificate: Certificate) -> tuple[Terms | Trains, ...]:
+def claimed_values(certificate: OnGrid) -> tuple[Terms | Trains, ...]:
     """Return the value functions at times 0 .. T - 1 (lower bounds up to rounding): the stored one, others regrown.
 
     They are what the certificate claims: whether they are bounds is for ``check`` to say. Audits test them.
@@ -128,14 +128,18 @@ def claimed_values(certificate: Certificate) -> tuple[Terms | Trains, ...]:
         If the certificate's tree is broken.
     """
     horizon = certificate.problem.horizon
-    if certificate.terms is None and certificate.rounding is not None:
+    if certificate.proof.terms is None and certificate.proof.rounding is not None:
         trains: dict[int, Terms | Trains] = {}
         regrow_trains(
-            certificate.problem, certificate.agents, certificate.guards, certificate.rounding, trains.__setitem__
+            certificate.problem,
+            certificate.proof.agents,
+            certificate.proof.guards,
+            certificate.proof.rounding,
+            trains.__setitem__,
         )
         return tuple(trains[time] for time in range(horizon))
     # At time 0 keep the stored value, which is the one that the bound is read from.
-    values: list[Terms | Trains] = [certificate.value] * horizon
+    values: list[Terms | Trains] = [value_of(certificate)] * horizon
 
     def note(time: int, terms: Terms) -> None:
         if time > 0:

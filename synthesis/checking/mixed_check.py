@@ -26,7 +26,7 @@ from scipy.special import erfc
 
 from ...envs.agents import AnyAgent, PairRegion
 from ..cells import FloatArray
-from ..certificates import Certificate, PairsCertificate
+from ..certificates import Certificate, OnGrid, on_cells, path_under
 from ..path_checking import Whereabouts, whereabouts_along
 from .pairs_check import (
     OWN_ERROR,
@@ -40,7 +40,7 @@ from .pairs_check import (
 
 if TYPE_CHECKING:
     from ...envs.problem import Problem
-    from ..certificates import MixedCertificate
+    from ..certificates import Certificate, MixedProof
 
 TAIL, UNIT = 1.0 + 1e-12, 2.0**-53
 """Factor on probabilities and sums that are rounded up, and half the distance from 1 to the next number."""
@@ -49,22 +49,23 @@ MOST_FACTOR = 1e3
 """Largest factor between densities with which noise along several outputs is taken together: beyond, one is better."""
 
 
-def wrong_mixed(certificate: MixedCertificate, problem: Problem) -> tuple[list[str], float]:
+def wrong_mixed(certificate: Certificate[MixedProof], problem: Problem) -> tuple[list[str], float]:
     """Return what is wrong with a mixed team's certificate apart from its parts, and what pairs may spoil at most."""
     failures = _wrong_parts(certificate, problem)
     if failures:
         return failures, 1.0
     known = _known(certificate, problem)
-    together = _followed(problem, certificate.grids.problem, known)
+    together = _followed(problem, certificate.proof.grids.problem, known)
     failures = _wrong_words(certificate, problem, together)
     between = _between(certificate, problem)
     if failures or not between:
         return failures, 0.0
-    base = certificate.grids.base if isinstance(certificate.grids, PairsCertificate) else certificate.grids
+    grids = certificate.proof.grids
+    base = grids if on_cells(grids) is grids else grids.proof.base
     failures = _wrong_agents(problem, base, between)
     if failures:
         return failures, 1.0
-    usual = np.array(certificate.usual, dtype=bool)
+    usual = np.array(certificate.proof.usual, dtype=bool)
     letter = problem.labeling.at(0).letter([agent.initial.low for agent in problem.agents])
     asked = pairs_asked(problem)
     unlike = letter[problem.labeling.first_pair :] != usual
@@ -77,11 +78,14 @@ def wrong_mixed(certificate: MixedCertificate, problem: Problem) -> tuple[list[s
 
 
 # --- parts
-def _wrong_parts(certificate: MixedCertificate, problem: Problem) -> list[str]:
+def _wrong_parts(certificate: Certificate[MixedProof], problem: Problem) -> list[str]:
     """Both parts are about the agents of the problem, each in one, and about its regions."""
-    parts = (certificate.grids.problem, certificate.paths.problem)
+    grids, paths = certificate.proof.parts
+    if not grids.proof.has_cells or path_under(paths) is not paths:
+        return ["its parts are not one on grids and one along paths"]
+    parts = (grids.problem, paths.problem)
     names = problem.agent_names
-    if len(certificate.usual) != len(problem.labeling.pairs):
+    if len(certificate.proof.usual) != len(problem.labeling.pairs):
         return ["what it takes its pairs to be does not fit the problem"]
     if sorted([*parts[0].agent_names, *parts[1].agent_names]) != sorted(names):
         return ["its agents are not those of the problem, each in one part"]
@@ -105,7 +109,7 @@ def _wrong_parts(certificate: MixedCertificate, problem: Problem) -> list[str]:
             return ["the propositions of a part are not those about its agents"]
         if any(part.propositions[name].to_dict() != problem.propositions[name].to_dict() for name in wanted):
             return ["a region of a part is not that of the problem"]
-    steps = certificate.paths.n_steps
+    steps = certificate.proof.paths.proof.n_steps
     if parts[0].horizon != steps or not 1 <= steps <= problem.horizon:
         return ["its parts do not end at the same time"]
     if parts[0].automaton.semantics != problem.automaton.semantics:
@@ -135,21 +139,21 @@ def _propositions(problem: Problem, names: set[str]) -> list[str]:
     return result
 
 
-def _between(certificate: MixedCertificate, problem: Problem) -> list[tuple[int, PairRegion]]:
+def _between(certificate: Certificate[MixedProof], problem: Problem) -> list[tuple[int, PairRegion]]:
     """Numbers of pairs with one agent on a grid and one along a path."""
-    along = [name in certificate.paths.problem.agent_names for name in problem.agent_names]
+    along = [name in certificate.proof.paths.problem.agent_names for name in problem.agent_names]
     return [(k, pair) for k, pair in enumerate(problem.labeling.pairs) if along[pair.first] != along[pair.second]]
 
 
 # --- words
-def _known(certificate: MixedCertificate, problem: Problem) -> list[NDArray[np.int8]]:
+def _known(certificate: Certificate[MixedProof], problem: Problem) -> list[NDArray[np.int8]]:
     """For each time, what is known of propositions: 1 or -1, 0 if they are open, 2 if agents on grids decide them."""
     names, first = problem.automaton.propositions, problem.labeling.first_pair
-    along = {name: p for p, name in enumerate(certificate.paths.problem.automaton.propositions)}
-    on_grids = {*certificate.grids.problem.automaton.propositions}
+    along = {name: p for p, name in enumerate(certificate.proof.paths.problem.automaton.propositions)}
+    on_grids = {*certificate.proof.grids.problem.automaton.propositions}
     between = {k for k, _ in _between(certificate, problem)}
     result = []
-    for letter in certificate.paths.letters:
+    for letter in certificate.proof.paths.proof.letters:
         row = np.zeros(len(names), dtype=np.int8)
         for p, name in enumerate(names):
             if name in on_grids:
@@ -157,7 +161,7 @@ def _known(certificate: MixedCertificate, problem: Problem) -> list[NDArray[np.i
             elif name in along:
                 row[p] = letter[along[name]]
             elif p - first in between:
-                row[p] = 1 if certificate.usual[p - first] else -1
+                row[p] = 1 if certificate.proof.usual[p - first] else -1
         result.append(row)
     return result
 
@@ -192,9 +196,12 @@ def _followed(problem: Problem, base: Problem, known: list[NDArray[np.int8]]) ->
     return result
 
 
-def _wrong_words(certificate: MixedCertificate, problem: Problem, together: list[set[tuple[int, int]]]) -> list[str]:
+def _wrong_words(
+    certificate: Certificate[MixedProof], problem: Problem, together: list[set[tuple[int, int]]]
+) -> list[str]:
     """Where the agents on grids have done their task, the whole one is done; controllers know where they are."""
-    ours, theirs = problem.automaton, certificate.grids.problem.automaton
+    ours, theirs = problem.automaton, certificate.proof.grids.problem.automaton
+    states = certificate.proof.states_on_grids(certificate.problem)
     for t, pairs in enumerate(together):
         is_judged = ours.is_co_safe or t == problem.horizon
         if is_judged and any(theirs.accepting[b] and not ours.accepting[q] for q, b in pairs):
@@ -203,12 +210,12 @@ def _wrong_words(certificate: MixedCertificate, problem: Problem, together: list
         open_pairs = {(q, b) for q, b in pairs if not theirs.absorbing[b]}
         if len({q for q, _ in open_pairs}) < len(open_pairs):
             return ["a state of the task goes with two states of the task on grids"]
-        if any(certificate.states[t, q] != b for q, b in open_pairs):
+        if any(states[t, q] != b for q, b in open_pairs):
             return ["its controllers take the task on grids to be in another state"]
     return []
 
 
-def _asked_on_grids(problem: Problem, base: Certificate, together: list[set[tuple[int, int]]]) -> NDArray[np.bool_]:
+def _asked_on_grids(problem: Problem, base: OnGrid, together: list[set[tuple[int, int]]]) -> NDArray[np.bool_]:
     """Which pairs the whole task may ask for in each state on grids: bool (Q, number of pairs)."""
     asked, is_done = pairs_asked(problem), problem.automaton.finished
     result = np.zeros((base.problem.automaton.n_states, asked.shape[1]), dtype=bool)
@@ -224,10 +231,10 @@ def _asked_on_grids(problem: Problem, base: Certificate, together: list[set[tupl
 
 
 # --- pairs
-def _wrong_agents(problem: Problem, base: Certificate, between: list[tuple[int, PairRegion]]) -> list[str]:
+def _wrong_agents(problem: Problem, base: OnGrid, between: list[tuple[int, PairRegion]]) -> list[str]:
     """Agents on grids move to lattice points and plain normal noise; what pairs compare of them are states."""
     failures = []
-    parts = dict(zip(base.problem.agent_names, base.agents, strict=True))
+    parts = dict(zip(base.problem.agent_names, base.proof.agents, strict=True))
     for _, pair in between:
         for i, outputs in zip((pair.first, pair.second), pair.outputs, strict=True):
             agent = problem.agents[i]
@@ -241,7 +248,7 @@ def _wrong_agents(problem: Problem, base: Certificate, between: list[tuple[int, 
                 failures.append(f"a pair compares outputs of agent `{agent.name}` that are no states")
             elif len({axis[0] for axis in axes if axis is not None}) < len(axes):
                 failures.append(f"a pair compares a state of agent `{agent.name}` twice")
-    for agent, part in zip(base.problem.agents, base.agents, strict=True):
+    for agent, part in zip(base.problem.agents, base.proof.agents, strict=True):
         if part.relation["kind"] != "exact" or part.menu is not None:
             failures.append(f"the relation of agent `{agent.name}` is not exact, so pairs cannot be subtracted")
         elif not np.array_equal(part.coordinates, np.eye(agent.n_states)) or not has_plain_noise(agent):
@@ -250,17 +257,20 @@ def _wrong_agents(problem: Problem, base: Certificate, between: list[tuple[int, 
 
 
 def _spoiled(
-    certificate: MixedCertificate, base: Certificate, between: list[tuple[int, PairRegion]], asked: NDArray[np.bool_]
+    certificate: Certificate[MixedProof],
+    base: OnGrid,
+    between: list[tuple[int, PairRegion]],
+    asked: NDArray[np.bool_],
 ) -> float:
     """Upper bound on the probability that a pair of both kinds is not as usual while the task is open and asks."""
-    problem, paths = certificate.problem, certificate.paths
+    problem, paths = certificate.problem, certificate.proof.paths
     compared: dict[str, list[tuple[int, ...]]] = {}
     for _, pair in between:
         for i, outputs in zip((pair.first, pair.second), pair.outputs, strict=True):
             compared.setdefault(problem.agent_names[i], []).append(outputs)
     along = {
         agent.name: {outputs: whereabouts_along(agent, path, outputs) for outputs in {*compared.get(agent.name, [])}}
-        for agent, path in zip(paths.problem.agents, paths.paths, strict=True)
+        for agent, path in zip(paths.problem.agents, paths.proof.paths, strict=True)
     }
     tables: dict[tuple[int, int], FloatArray] = {}
     charged = 0.0
@@ -276,9 +286,9 @@ def _spoiled(
             axes = [axis[0] for axis in found if axis is not None]
             if (k, t) not in tables:
                 place = along[problem.agent_names[other]][pair.outputs[1 if first else 0]][t + 1]
-                side = _Side(pair, 1.0 if first else -1.0, bool(certificate.usual[k]), place)
+                side = _Side(pair, 1.0 if first else -1.0, bool(certificate.proof.usual[k]), place)
                 noise = problem.agents[mine].noise_covariance
-                lattices = [base.agents[i].lattice[a] for a in axes]
+                lattices = [base.proof.agents[i].lattice[a] for a in axes]
                 tables[k, t] = side.bounds(lattices, np.array([noise[a, a] for a in axes]))
             near = float(np.sum(over_axes(masses[i], axes) * tables[k, t]))
             charged += near * float(np.prod(np.delete(totals, i)))

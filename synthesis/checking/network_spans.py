@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate, state
+from ..certificates import AgentPart, OnGrid, state
 from .geometry import cell_boxes
 from .mean_spans import enclosed_means
 
@@ -348,7 +348,7 @@ def _has_known_form(agent: AnyAgent, network: dict[str, Any]) -> bool:
     return network.get("scale", "unit") in ("unit", "raw") and network.get("outputs", "unit") in ("unit", "box")
 
 
-def wrong_networks(certificate: Certificate) -> list[str]:
+def wrong_networks(certificate: OnGrid) -> list[str]:
     """What networks of a certificate see or do otherwise than its problem and its policies say."""
     problem, failures = certificate.problem, []
     width = max(agent.n_states for agent in problem.agents)
@@ -359,7 +359,7 @@ def wrong_networks(certificate: Certificate) -> list[str]:
         # A single agent need not be told which one it is.
         return {"agents": 0} if problem.n_agents == 1 and network["agents"] == 0 else {}
 
-    for i, (agent, part) in enumerate(zip(problem.agents, certificate.agents, strict=True)):
+    for i, (agent, part) in enumerate(zip(problem.agents, certificate.proof.agents, strict=True)):
         network = part.relation.get("network")
         if network is None:
             continue

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...envs.problem import Problem
-from ..certificates import Certificate
+from ..certificates import OnGrid
 
 MOVES = ("root", "variable", "low", "high")
 """Arrays of an automaton that say how it moves."""
@@ -33,16 +33,18 @@ def wrong_opposite(problem: Problem, opposite: Problem) -> list[str]:
     return failures
 
 
-def other_controllers(certificate: Certificate, opposite: Certificate) -> list[str]:
+def other_controllers(certificate: OnGrid, opposite: OnGrid) -> list[str]:
     """Why the controllers of two certificates act differently before the task of the first is decided; empty if not.
 
     What they do afterwards changes nothing: an accepting state of a co-safe task, or a dead state, is not left.
     """
-    if len(certificate.agents) != len(opposite.agents):
+    if len(certificate.proof.agents) != len(opposite.proof.agents):
         return ["they are not the same agents"]
     undecided = np.flatnonzero(~certificate.problem.automaton.absorbing)
     horizon, failures = certificate.problem.horizon, []
-    for agent, mine, other in zip(certificate.problem.agents, certificate.agents, opposite.agents, strict=True):
+    for agent, mine, other in zip(
+        certificate.problem.agents, certificate.proof.agents, opposite.proof.agents, strict=True
+    ):
         ours, theirs = ([part.coordinates, *part.grid.edges, *part.lattice] for part in (mine, other))
         same = len(ours) == len(theirs) and all(map(np.array_equal, ours, theirs)) and mine.acting == other.acting
         if mine.menu is None or other.menu is None:

@@ -25,13 +25,13 @@ from scipy.special import erfc
 from ...envs.agents import AnyAgent, Gaussian, PairRegion
 from ...envs.logic import Automaton
 from ..cells import FloatArray
-from ..certificates import axis_tables, lost_to_rounding, state
+from ..certificates import OnGrid, axis_tables, lost_to_rounding, state
 from .forward_mass import moved
 from .geometry import start_shares
 
 if TYPE_CHECKING:
     from ...envs.problem import Problem
-    from ..certificates import Certificate, PairsCertificate
+    from ..certificates import Certificate, SubtractionProof
 
 MOST_PRODUCTS = 1000
 """Products of the mass at one time that are handled."""
@@ -43,9 +43,9 @@ RELATIVE = 1.0 + 1e-9
 """Factor for the rounding of all sums of nonnegative numbers."""
 
 
-def wrong_pairs(certificate: PairsCertificate, problem: Problem) -> tuple[list[str], float]:
+def wrong_pairs(certificate: Certificate[SubtractionProof], problem: Problem) -> tuple[list[str], float]:
     """Return what is wrong with a certificate by subtraction, apart from its base, and what pairs may spoil at most."""
-    base, usual = certificate.base, np.array(certificate.usual, dtype=bool)
+    base, usual = certificate.proof.base, np.array(certificate.proof.usual, dtype=bool)
     if usual.shape != (len(problem.labeling.pairs),):
         return ["what it takes its pairs to be does not fit the problem"], 1.0
     failures = _wrong_base(problem, base.problem, usual) or _wrong_agents(problem, base)
@@ -105,10 +105,10 @@ def _move_alike(ours: Automaton, theirs: Automaton, first: int, usual: NDArray[n
     return True
 
 
-def _wrong_agents(problem: Problem, base: Certificate) -> list[str]:
+def _wrong_agents(problem: Problem, base: OnGrid) -> list[str]:
     """The next state of every agent is a lattice point plus Gaussian noise that is independent along its states."""
     failures = []
-    for agent, part in zip(problem.agents, base.agents, strict=True):
+    for agent, part in zip(problem.agents, base.proof.agents, strict=True):
         if part.relation["kind"] != "exact" or part.menu is not None:
             failures.append(f"the relation of agent `{agent.name}` is not exact, so pairs cannot be subtracted")
         elif not np.array_equal(part.coordinates, np.eye(agent.n_states)) or not has_plain_noise(agent):
@@ -141,7 +141,7 @@ class _Product:
     factors: list[FloatArray]
 
 
-def _spoiled(problem: Problem, base: Certificate, usual: NDArray[np.bool_]) -> float:
+def _spoiled(problem: Problem, base: OnGrid, usual: NDArray[np.bool_]) -> float:
     """Return an upper bound on the probability that a pair is not as usual while the task is open and asks for it."""
     automaton = problem.automaton
     asked = pairs_asked(problem)
@@ -156,13 +156,13 @@ def _spoiled(problem: Problem, base: Certificate, usual: NDArray[np.bool_]) -> f
     return min(1.0, (charged + lost_on_the_way(base)) * RELATIVE)
 
 
-def lost_on_the_way(base: Certificate) -> float:
+def lost_on_the_way(base: OnGrid) -> float:
     """Return an upper bound on the mass that kernels lose on the way: it may be near, once for each agent."""
-    each = (lost_to_rounding(a, p) for a, p in zip(base.problem.agents, base.agents, strict=True))
+    each = (lost_to_rounding(a, p) for a, p in zip(base.problem.agents, base.proof.agents, strict=True))
     return sum(each) * base.problem.horizon
 
 
-def undecided_course(base: Certificate) -> Iterator[tuple[int, list[int], list[FloatArray]]]:
+def undecided_course(base: OnGrid) -> Iterator[tuple[int, list[int], list[FloatArray]]]:
     """Yield, for each step and product of the mass of undecided runs, its automaton states and lattice masses.
 
     The time is that of the step, and masses (Z_1, ..) are those of each agent on the lattice points it moves to.
@@ -173,15 +173,15 @@ def undecided_course(base: Certificate) -> Iterator[tuple[int, list[int], list[F
     modes, agents = modes_of(base), base.problem.agents
     passages = {(m, n): _passage(base, modes[m], modes[n]) for m in range(len(modes)) for n in range(len(modes))}
     kernels: dict[tuple[bytes, ...], list[FloatArray]] = {}
-    tables = [axis_tables(a, p, kernels) for a, p in zip(agents, base.agents, strict=True)]
-    shares = [start_shares(a, p) for a, p in zip(agents, base.agents, strict=True)]
+    tables = [axis_tables(a, p, kernels) for a, p in zip(agents, base.proof.agents, strict=True)]
+    shares = [start_shares(a, p) for a, p in zip(agents, base.proof.agents, strict=True)]
     products = [_Product(next(m for m, states in enumerate(modes) if q in states), shares)]
     for t in range(base.problem.horizon):
         following = []
         for product in products:
             states = modes[product.mode]
-            points = [part.points(t, states[0]) for part in base.agents]
-            yield t, states, [_on_lattice(*own) for own in zip(base.agents, product.factors, points)]
+            points = [part.points(t, states[0]) for part in base.proof.agents]
+            yield t, states, [_on_lattice(*own) for own in zip(base.proof.agents, product.factors, points)]
             pushed = [moved(own[None], to, axes)[0] for own, to, axes in zip(product.factors, points, tables)]
             for n in range(len(modes)):
                 if (open_cells := passages[product.mode, n]) is not None:
@@ -207,12 +207,12 @@ def pairs_asked(problem: Problem) -> NDArray[np.bool_]:
     return result
 
 
-def modes_of(base: Certificate) -> list[list[int]]:
+def modes_of(base: OnGrid) -> list[list[int]]:
     """Return the undecided states in groups in which every policy is the same at all times."""
     modes: list[list[int]] = []
     for q in np.flatnonzero(~base.problem.automaton.absorbing).tolist():
         for states in modes:
-            if all(np.array_equal(part.policy[:, q], part.policy[:, states[0]]) for part in base.agents):
+            if all(np.array_equal(part.policy[:, q], part.policy[:, states[0]]) for part in base.proof.agents):
                 states.append(q)
                 break
         else:
@@ -220,12 +220,12 @@ def modes_of(base: Certificate) -> list[list[int]]:
     return modes
 
 
-def _passage(base: Certificate, source: list[int], target: list[int]) -> list[NDArray[np.bool_]] | None:
+def _passage(base: OnGrid, source: list[int], target: list[int]) -> list[NDArray[np.bool_]] | None:
     """Return, per agent, the cells that some guard between two modes lets through; None if there is no guard."""
-    used = np.isin(base.guard_source, source) & np.isin(base.guard_target, target)
+    used = np.isin(base.proof.guard_source, source) & np.isin(base.proof.guard_target, target)
     if not used.any():
         return None
-    return [part.masks[base.guard_mask[used, i]].any(axis=0) for i, part in enumerate(base.agents)]
+    return [part.masks[base.proof.guard_mask[used, i]].any(axis=0) for i, part in enumerate(base.proof.agents)]
 
 
 def _on_lattice(part: object, masses: FloatArray, points: NDArray[np.integer]) -> FloatArray:
@@ -240,7 +240,7 @@ def _on_lattice(part: object, masses: FloatArray, points: NDArray[np.integer]) -
 class _Charges:
     """Probabilities that pairs are not as usual after a step, from the lattice points of their agents."""
 
-    def __init__(self, problem: Problem, base: Certificate, usual: NDArray[np.bool_]) -> None:
+    def __init__(self, problem: Problem, base: OnGrid, usual: NDArray[np.bool_]) -> None:
         self.problem, self.base, self.usual = problem, base, usual
         self.known: dict[object, FloatArray] = {}
 
@@ -281,7 +281,7 @@ class _Charges:
         """Return bounds (Z, Z') on being near along comparison n, between two states, and their name before them."""
         a, b = axes
         i, j = pair.first, pair.second
-        mine, theirs = self.base.agents[i].lattice[a], self.base.agents[j].lattice[b]
+        mine, theirs = self.base.proof.agents[i].lattice[a], self.base.proof.agents[j].lattice[b]
         agents = self.problem.agents
         variances = float(agents[i].noise_covariance[a, a]), float(agents[j].noise_covariance[b, b])
         low, high = (float(end[n]) for end in (pair.inner_box if from_below else (pair.low, pair.high)))

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray, linear_agent
-from ..certificates import AgentPart, Certificate, axis_tables, smooth
+from ..certificates import AgentPart, OnGrid, axis_tables, smooth
 from .boxes_check import BoxTables, box_tables, box_values
 from .execution import execution_of
 from .linear_check import linear_values
@@ -112,11 +112,11 @@ class Corners:
         return bool(np.all(linear_values(self.agent, part, self.tables, factors, *row, given)[1]))
 
 
-def readings_of(certificate: Certificate) -> list[Reading]:
+def readings_of(certificate: OnGrid) -> list[Reading]:
     """Return the reading of every agent; agents that are alike, policies included, have the same one."""
-    is_robust, tables = certificate.bound == "robust tree", dict[tuple[bytes, ...], list[FloatArray]]()
+    is_robust, tables = certificate.proof.bound == "robust tree", dict[tuple[bytes, ...], list[FloatArray]]()
     known, found = dict[object, Reading](), list[Reading]()
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+    for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True):
         arrays = (*part.grid.edges, *part.lattice, part.coordinates, part.policy)
         key = (*part.sharing_key(agent), *((a.shape, a.dtype.str, a.tobytes()) for a in arrays))
         if key not in known:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..certificates import Certificate
+from ..certificates import OnGrid
 from ..values import Merges, Terms
 from .forward_mass import mass_at_start
 from .linear_check import masks_of, places_of
@@ -28,17 +28,17 @@ class BrokenTreeError(ValueError):
     """A certificate's tree is not a tree of its guards."""
 
 
-def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None = None) -> Terms:
+def regrow(certificate: OnGrid, each: Callable[[int, Terms], None] | None = None) -> Terms:
     """Grow the value tree again from the policies and the list of its vertices: value function at time 0.
 
     ``each(t, terms)`` is called with the value function at every time t = T - 1 .. 0 as it is grown.
     """
     accepting = certificate.problem.automaton.accepting
-    n_agents, readings = len(certificate.agents), readings_of(certificate)
-    masks = [masks_of(part, part.masks) for part in certificate.agents]
-    ones = [np.ones((1, places_of(part))) for part in certificate.agents]
+    n_agents, readings = len(certificate.proof.agents), readings_of(certificate)
+    masks = [masks_of(part, part.masks) for part in certificate.proof.agents]
+    ones = [np.ones((1, places_of(part))) for part in certificate.proof.agents]
     factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
-    for t, step in reversed(list(enumerate(certificate.skeleton))):
+    for t, step in reversed(list(enumerate(certificate.proof.skeleton))):
         stacks, rows = [list(ones) for ones in zip(ones, strict=True)], []
         for q, kept in enumerate(step.kept):
             if certificate.problem.automaton.finished[q]:
@@ -48,13 +48,13 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
             vertices = vertices_of(certificate, t, q, Terms(tuple(factors), tuple(index)), masks)
             # Agents with one kernel whose factors are equal are smoothed once, and those that are alike read once.
             smoothed, known = dict[object, FloatArray](), dict[object, FloatArray]()
-            for i, (part, reading, vertex) in enumerate(zip(certificate.agents, readings, vertices, strict=True)):
+            for i, (part, reading, vertex) in enumerate(zip(certificate.proof.agents, readings, vertices, strict=True)):
                 distinct, where = _distinct(vertex, kept)
-                if reading.proves_given and t == 0 and certificate.terms is not None:
-                    given = certificate.terms.index[q][:, i]
+                if reading.proves_given and t == 0 and certificate.proof.terms is not None:
+                    given = certificate.proof.terms.index[q][:, i]
                     if len(given) == len(kept):
                         distinct, where = vertex[kept], np.arange(len(kept))
-                        if not reading.proved(part, distinct, (t, q), certificate.terms.factors[i][given]):
+                        if not reading.proved(part, distinct, (t, q), certificate.proof.terms.factors[i][given]):
                             raise BrokenTreeError(
                                 f"a stored factor of agent `{certificate.problem.agents[i].name}` is not proved to be "
                                 "a lower bound"
@@ -71,7 +71,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
 
 
 def vertices_of(
-    certificate: Certificate, t: int, q: int, later: Terms, masks: Sequence[NDArray[np.bool_]]
+    certificate: OnGrid, t: int, q: int, later: Terms, masks: Sequence[NDArray[np.bool_]]
 ) -> Iterator[FloatArray]:
     """Yield, agent by agent, the factors (N, places) of the vertices of time t before they are smoothed.
 
@@ -83,21 +83,21 @@ def vertices_of(
     BrokenTreeError
         If the certificate's tree is not a tree of its guards.
     """
-    step = certificate.skeleton[t]
+    step = certificate.proof.skeleton[t]
     origin, merges, kept = step.origin[q], step.merges[q], step.kept[q]
     guard, child = origin[:, 0], origin[:, 1]
-    if np.any(guard >= len(certificate.guard_source)) or np.any(certificate.guard_source[guard] != q):
+    if np.any(guard >= len(certificate.proof.guard_source)) or np.any(certificate.proof.guard_source[guard] != q):
         raise BrokenTreeError("its tree uses a guard of another automaton state")
     if len(np.unique(origin, axis=0)) != len(origin):
         raise BrokenTreeError("its tree lists a vertex twice")
-    below = _children(list(later.index), certificate.guard_target[guard], child, len(certificate.agents))
+    below = _children(list(later.index), certificate.proof.guard_target[guard], child, len(certificate.proof.agents))
     _check_merges(merges, kept)
-    for i, part in enumerate(certificate.agents):
-        keys = np.stack([certificate.guard_mask[guard, i], below[:, i]], axis=1)
+    for i, part in enumerate(certificate.proof.agents):
+        keys = np.stack([certificate.proof.guard_mask[guard, i], below[:, i]], axis=1)
         yield _unite(masks[i], later.factors[i], keys, merges, i, 1.0 if part.is_additive else KEPT)
 
 
-def tree_start_value(certificate: Certificate, terms: Terms) -> float:
+def tree_start_value(certificate: OnGrid, terms: Terms) -> float:
     """Value at the start of the problem, over the products that the start falls into."""
     start = mass_at_start(certificate)
     shares = [own @ factors.T for own, factors in zip(start.factors, terms.factors, strict=True)]  # (K_i, terms)

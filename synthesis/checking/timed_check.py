@@ -12,31 +12,34 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...envs.agents import TIME, Agent, AnyAgent, Proposition
-from ...envs.problem import Places, states_in_time
-from ..certificates import AgentPart, Certificate, TimedCertificate
+from ...envs.problem import Places, states_in_time, written_out
+from ..certificates import AgentPart, Certificate, TimedProof, on_cells
 from ..path_checking import RegionSpan
 
 if TYPE_CHECKING:
     from ...envs.problem import Problem
 
 
-def wrong_in_time(certificate: TimedCertificate) -> list[str]:
+def wrong_in_time(certificate: Certificate[TimedProof]) -> list[str]:
     """Return what is wrong with a certificate of a problem that names the time, apart from that of its base."""
-    problem, base = certificate.problem, certificate.base.problem
-    if not isinstance(certificate.base, Certificate):
+    problem, base = certificate.problem, certificate.proof.base.problem
+    if on_cells(certificate.proof.base) is not certificate.proof.base:
         return ["its base is not on grids"]
     if not problem.names_time or problem.labeling.pairs or base.names_time or base.labeling.pairs:
         return ["it is not about single agents and the time"]
     if base.horizon != problem.horizon or base.n_agents != problem.n_agents:
         return ["its base has another horizon or other agents"]
-    failures = _wrong_agents(problem, base) + _wrong_places(problem, base)
-    if failures:
-        return failures
     try:
+        if written_out(problem).fingerprint != base.fingerprint:
+            return ["its base is not the problem written out"]
         states_in_time(problem, base)
     except ValueError as error:
         return [f"its base is not the problem written out: {error}"]
-    for agent, part in zip(base.agents, certificate.base.agents, strict=True):
+    # Writing out is not taken for granted: where regions are, and what agents do, is looked at again.
+    failures = _wrong_agents(problem, base) + _wrong_places(problem, base)
+    if failures:
+        return failures
+    for agent, part in zip(base.agents, certificate.proof.base.proof.agents, strict=True):
         if agent.has_clock and (wrong := _wrong_clock(agent, part, problem.horizon)):
             failures.append(f"agent `{agent.name}`: {wrong}")
     return failures

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..certificates import BrokenTrainError, Certificate, axis_tables, smooth
+from ..certificates import BrokenTrainError, OnGrid, axis_tables, smooth
 from .forward_mass import mass_at_start
 
 ROUNDOFF = 2.0**-52
@@ -65,7 +65,7 @@ Value = tuple[ErrorBoundedTrain | None, ...]
 """Value function at one time, by automaton state; None where it is 0."""
 
 
-def regrown_trains(certificate: Certificate, upper: bool = False) -> Value:
+def regrown_trains(certificate: OnGrid, upper: bool = False) -> Value:
     """Compute the value function at time 0, with bounds on its errors.
 
     Parameters
@@ -82,10 +82,10 @@ def regrown_trains(certificate: Certificate, upper: bool = False) -> Value:
     BrokenTrainError
         If the certificate's rounding does not fit its horizon or its cells.
     """
-    problem, agents, automaton = certificate.problem, certificate.agents, certificate.problem.automaton
+    problem, agents, automaton = certificate.problem, certificate.proof.agents, certificate.problem.automaton
     visited = _covered(certificate)
-    assert certificate.rounding is not None
-    tolerance = CAREFUL * certificate.rounding.tolerance / problem.horizon
+    assert certificate.proof.rounding is not None
+    tolerance = CAREFUL * certificate.proof.rounding.tolerance / problem.horizon
     memory: dict[tuple[bytes, ...], list[FloatArray]] = {}
     tables = [axis_tables(a, part, memory) for a, part in zip(problem.agents, agents, strict=True)]
     sizes = [part.grid.n_cells for part in agents]
@@ -108,7 +108,7 @@ def regrown_trains(certificate: Certificate, upper: bool = False) -> Value:
     return value
 
 
-def train_start_value(certificate: Certificate, value: Value, upper: bool = False) -> float:
+def train_start_value(certificate: OnGrid, value: Value, upper: bool = False) -> float:
     """Compute a bound on the value at the start: a lower bound, or an upper bound if ``upper``.
 
     Parameters
@@ -145,9 +145,9 @@ def _averaged(train: ErrorBoundedTrain | None, shares: Sequence[FloatArray], cel
     return max(0.0, float(row[0]) - error)
 
 
-def _covered(certificate: Certificate) -> tuple[Cells, ...]:
+def _covered(certificate: OnGrid) -> tuple[Cells, ...]:
     """Return the covered cells at times 0 .. T, after checking that they are cells."""
-    rounding, sizes = certificate.rounding, [part.grid.n_cells for part in certificate.agents]
+    rounding, sizes = certificate.proof.rounding, [part.grid.n_cells for part in certificate.proof.agents]
     if rounding is None:
         raise BrokenTrainError("it has a value tree and no tensor trains")
     if len(rounding.visited) != certificate.problem.horizon + 1 or not 0 < rounding.tolerance < 1:
@@ -166,16 +166,14 @@ def _ones(sizes: Sequence[int], cells: Cells) -> ErrorBoundedTrain:
 
 
 # --- the masked sum ------------------------------------------------------------------------------------------
-def _masked_sum(
-    certificate: Certificate, value: Value, q: int, cells: Cells, tolerance: float
-) -> ErrorBoundedTrain | None:
+def _masked_sum(certificate: OnGrid, value: Value, q: int, cells: Cells, tolerance: float) -> ErrorBoundedTrain | None:
     """``W_q`` over the covered cells, cut down to few columns; None if no successor has a value."""
     summands: list[tuple[ErrorBoundedTrain, Reader]] = []
-    rows = np.flatnonzero(certificate.guard_source == q)
-    for p in np.unique(certificate.guard_target[rows]):
+    rows = np.flatnonzero(certificate.proof.guard_source == q)
+    for p in np.unique(certificate.proof.guard_target[rows]):
         train = value[int(p)]
         if train is not None:
-            cubes = certificate.guard_mask[rows[certificate.guard_target[rows] == p]]
+            cubes = certificate.proof.guard_mask[rows[certificate.proof.guard_target[rows] == p]]
             summands.append((train, _reader(certificate, cubes, cells)))
     if not summands:
         return None
@@ -186,11 +184,11 @@ def _masked_sum(
     return ErrorBoundedTrain(tuple(cores), error * (1 + 1e-12))
 
 
-def _reader(certificate: Certificate, cubes: NDArray[np.integer], cells: Cells) -> Reader:
+def _reader(certificate: OnGrid, cubes: NDArray[np.integer], cells: Cells) -> Reader:
     """A reader of the union of disjoint cubes ``cubes`` (G, I), each a mask number per agent."""
     nodes: list[frozenset[int]] = [frozenset(range(len(cubes)))]
     following = []
-    for i, part in enumerate(certificate.agents):
+    for i, part in enumerate(certificate.proof.agents):
         masks = part.masks if cells is None else part.masks[:, cells[i]]
         inside = masks[cubes[:, i]]  # (G, n): the cubes that go on at each cell
         patterns, pattern_of_cell = np.unique(inside, axis=1, return_inverse=True)

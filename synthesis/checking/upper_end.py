@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from ..certificates import Certificate, kernel_key, lost_to_rounding
+from ..certificates import OnGrid, kernel_key, lost_to_rounding, start_of_claim
 from .forward_mass import TooManyProducts, masses
 from .geometry import is_identity
 from .guard_check import cell_classes, joint_cells_by_target
@@ -30,9 +30,9 @@ SPARED = 0.25
 """Share of the reserve for rounding that dropped mass may take."""
 
 
-def inexact(certificate: Certificate) -> list[str]:
+def inexact(certificate: OnGrid) -> list[str]:
     """Return reasons why a certificate cannot have an upper end, although its lower bound holds."""
-    problem, agents = certificate.problem, certificate.agents
+    problem, agents = certificate.problem, certificate.proof.agents
     claim = "it says how far above its bound the probability may be, but "
     classes = []
     for i, (agent, part) in enumerate(zip(problem.agents, agents, strict=True)):
@@ -44,11 +44,11 @@ def inexact(certificate: Certificate) -> list[str]:
     starting = [part.start_masks.sum(axis=1).tolist() for part in agents]
     sets = []
     for q in range(problem.automaton.n_states):
-        own = certificate.guard_source == q
+        own = certificate.proof.guard_source == q
         if not problem.automaton.absorbing[q]:
-            sets.append((q, arriving, certificate.guard_mask[own], certificate.guard_target[own]))
-    if certificate.start == "mean" and not problem.automaton.absorbing[problem.automaton.initial]:
-        sets.append((problem.automaton.initial, starting, certificate.start_mask, certificate.start_target))
+            sets.append((q, arriving, certificate.proof.guard_mask[own], certificate.proof.guard_target[own]))
+    if start_of_claim(certificate) == "mean" and not problem.automaton.absorbing[problem.automaton.initial]:
+        sets.append((problem.automaton.initial, starting, certificate.proof.start_mask, certificate.proof.start_target))
     for q, sizes, mask, target in sets:
         for p, number in joint_cells_by_target(problem, q, classes).items():
             covered = sum(math.prod(s[m] for s, m in zip(sizes, row, strict=True)) for row in mask[target == p])
@@ -57,7 +57,7 @@ def inexact(certificate: Certificate) -> list[str]:
     return []
 
 
-def attained(certificate: Certificate) -> float | None:
+def attained(certificate: OnGrid) -> float | None:
     """Compute an upper bound on what the policies of an exact certificate attain; None if it would take too long.
 
     Raises
@@ -65,7 +65,7 @@ def attained(certificate: Certificate) -> float | None:
     ValueError
         If it should have tensor trains, but has none that can be grown again.
     """
-    problem, agents = certificate.problem, certificate.agents
+    problem, agents = certificate.problem, certificate.proof.agents
     lost, known = 0.0, dict[object, float]()
     for agent, part in zip(problem.agents, agents, strict=True):
         # Agents with equal noise, cells and means lose alike.
@@ -74,10 +74,10 @@ def attained(certificate: Certificate) -> float | None:
             known[key] = lost_to_rounding(agent, part)
         lost += known[key]
     lost *= problem.horizon
-    if certificate.rounding is not None:
+    if certificate.proof.rounding is not None:
         value = regrown_trains(certificate, upper=True)
         return min(1.0, train_start_value(certificate, value, upper=True) + lost)
-    share = SPARED * certificate.relative_rounding * certificate.lower_bound / (problem.horizon + 1)
+    share = SPARED * certificate.proof.relative_rounding * certificate.lower_bound / (problem.horizon + 1)
     try:
         *_, last = masses(certificate, share, MOST)
     except TooManyProducts:

@@ -16,14 +16,14 @@ import numpy as np
 
 from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
-from ..certificates import AgentPart, Certificate, checked_certificate
+from ..certificates import AgentPart, OnGrid, checked_certificate
 from ..models import KINDS_WITH, Abstraction, AgentModel, Policies, Settings
 
 NUMBERS: dict[str, tuple[type, ...]] = {"epsilon": (int, float), "feedback": (int, float), "inputs": (int,)}
 """Settings whose types are not looked at where they are made."""
 
 
-def policies_from(certificate: Certificate, problem: Problem, abstraction: Abstraction) -> dict[str, Policies]:
+def policies_from(certificate: OnGrid, problem: Problem, abstraction: Abstraction) -> dict[str, Policies]:
     """Return the policies of a certificate at the horizon of ``problem``, by how their times are read.
 
     Raises
@@ -31,7 +31,7 @@ def policies_from(certificate: Certificate, problem: Problem, abstraction: Abstr
     ValueError
         If it was made for other agents, another automaton, other cells or another relation.
     """
-    agents = checked_certificate(certificate).agents
+    agents = checked_certificate(certificate).proof.agents
     fits: bool = (
         len(agents) == problem.n_agents and certificate.problem.automaton.n_states == problem.automaton.n_states
     )
@@ -53,7 +53,7 @@ def policies_from(certificate: Certificate, problem: Problem, abstraction: Abstr
     return by_name if certificate.problem.horizon != problem.horizon else dict([by_name.popitem()])
 
 
-def settings_of(certificate: Certificate, kinds: Sequence[str]) -> dict[str, Any]:
+def settings_of(certificate: OnGrid, kinds: Sequence[str]) -> dict[str, Any]:
     """Return the settings of relations that a certificate was made with, as far as these kinds have them.
 
     Agents get the same models again only with them. They come from a file: what they are not is refused.

@@ -149,7 +149,7 @@ def finer_levels(
     problem: Problem, settings: Settings, first: Synthesis, run: Run, effort: Effort
 ) -> tuple[Synthesis, Record]:
     """Return the best of a synthesis and of those on finer cells under its relations, and the bound of every level."""
-    parts = first.certificate.agents
+    parts = first.certificate.proof.agents
     kinds = [part.relation["kind"] for part in parts]
     shapes = {agent.name: part.grid.shape for agent, part in zip(problem.agents, parts, strict=True)}
 
@@ -233,11 +233,11 @@ class _Levels:
         self.rank = min(self.terms_of(result), MOST_GUESSED_RANK)
         self.record.append(
             {
-                "cells": [list(part.grid.shape) for part in certificate.agents],
+                "cells": [list(part.grid.shape) for part in certificate.proof.agents],
                 "lower_bound": float(certificate.lower_bound),
             }
         )
-        self.before = abstraction, tuple(part.policy for part in certificate.agents)
+        self.before = abstraction, tuple(part.policy for part in certificate.proof.agents)
         # Where agents that trust the team lose nothing on coarse cells they do so on finer ones: no sweep is needed.
         self.follows = result.stats["starts"].keys() == {RELAXED}  # type: ignore[attr-defined]
         self.effort.has_result = True
@@ -249,9 +249,9 @@ class _Levels:
 
         Linear cells are read in all states, those of other relations only where there is something to decide.
         """
-        terms = result.certificate.terms
+        terms = result.certificate.proof.terms
         if "linear" in self.kinds or terms is None:
-            return int(result.certificate.rank)
+            return int(result.certificate.proof.rank)
         return math.ceil(sum(len(rows) for rows in terms.index) / max(1, self.undecided))
 
     def climb(self, width: float) -> None:

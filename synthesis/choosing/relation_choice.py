@@ -313,7 +313,7 @@ class Tries:
 
     def _of(self, synthesis: Synthesis) -> Combination:
         """Return the relations of a synthesis."""
-        kinds = [part.relation["kind"] for part in synthesis.certificate.agents]
+        kinds = [part.relation["kind"] for part in synthesis.certificate.proof.agents]
         return tuple(kinds[group.members[0]] for group in self.groups)
 
     def _passed_over(self, combination: Combination, chosen: Combination, best: Synthesis) -> str | None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ..cells import NoRunFound, RelationRefused, to_who_asked_for_none
@@ -167,20 +167,19 @@ def leading(results: Results) -> Synthesis | None:
         return None
     best = max(results.values(), key=_bound)
     if _bound(best) <= 0.0:
-        return next((one for one in results.values() if not one.certificate.has_cells), best)
-    if best.certificate.has_cells:
+        return next((one for one in results.values() if not one.certificate.proof.has_cells), best)
+    if best.certificate.proof.has_cells:
         return best
     least = 1.0 - NEARLY * (1.0 - _bound(best))
-    grids = (one for one in results.values() if one.certificate.has_cells and _bound(one) >= least)
+    grids = (one for one in results.values() if one.certificate.proof.has_cells and _bound(one) >= least)
     return max(grids, key=_bound, default=best)
 
 
 def with_settings(result: Synthesis, more: Mapping[str, Any]) -> Synthesis:
-    """Return a synthesis whose certificate says more about how it was made, if it says such things."""
-    certificate: Any = result.certificate
-    if not more or "settings" not in {field.name for field in fields(certificate)}:
+    """Return a synthesis whose certificate says more about how it was made."""
+    if not more:
         return result
-    certificate = replace(certificate, settings={**certificate.settings, **more})
+    certificate = replace(result.certificate, settings={**result.certificate.settings, **more})
     return replace(result, certificate=certificate, controller=certificate.controller)
 
 
@@ -250,7 +249,7 @@ def _why_nothing(best: Synthesis, results: Results, stats: Mapping[str, Any], no
         return f"{too_hard}; {no_run}" if no_run else too_hard
     if no_run:
         return f"{no_run}; the task may ask for too much"
-    if not best.certificate.has_cells:
+    if not best.certificate.proof.has_cells:
         weakest = best.certificate.settings.get("weakest", "")
         lost = f", with noise most is lost at {weakest}" if weakest else ""
         return f"the task can be done: a run without noise satisfies it{lost}; the controllers follow that run"

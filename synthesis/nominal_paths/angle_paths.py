@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem, Unrolled, unrolled
-from ..certificates import PathCertificate, Synthesis
+from ..certificates import AlongPath, Synthesis, changed
 from .counted_work import CountedWork
 
 SearchOf = Callable[[Problem, CountedWork], Synthesis]
@@ -20,42 +20,40 @@ def along_angles(problem: Problem, search: SearchOf, work: CountedWork) -> Synth
     """Return a certificate along a path of a problem with angles, from that of the problem unrolled."""
     flat = unrolled(problem)
     found = search(flat.problem, work)
-    certificate = _rolled(problem, flat, found.certificate)  # type: ignore[arg-type]
-    return replace(found, certificate=certificate, controller=certificate.controller)  # type: ignore[arg-type]
+    certificate = _rolled(problem, flat, found.certificate)
+    return replace(found, certificate=certificate, controller=certificate.controller)
 
 
-def _rolled(problem: Problem, flat: Unrolled, found: PathCertificate) -> PathCertificate:
+def _rolled(problem: Problem, flat: Unrolled, found: AlongPath) -> AlongPath:
     """Return the certificate of the problem itself: the same paths, and letters of regions in place of their copies."""
     there = {name: p for p, name in enumerate(flat.problem.automaton.propositions)}
     names = problem.automaton.propositions
-    shape = (len(found.letters), len(names))
-    letters, faces = np.zeros(shape, dtype=found.letters.dtype), np.full(shape, -1, dtype=found.faces.dtype)
+    shape = (len(found.proof.letters), len(names))
+    letters, faces = np.zeros(shape, dtype=found.proof.letters.dtype), np.full(shape, -1, dtype=found.proof.faces.dtype)
     for p, name in enumerate(names):
         if name not in flat.copies:
-            letters[:, p], faces[:, p] = found.letters[:, there[name]], found.faces[:, there[name]]
+            letters[:, p], faces[:, p] = found.proof.letters[:, there[name]], found.proof.faces[:, there[name]]
             continue
         columns = [there[copy] for copy in flat.copies[name]]
-        own = found.letters[:, columns]
+        own = found.proof.letters[:, columns]
         letters[:, p] = np.where(np.any(own > 0, axis=1), 1, np.where(np.all(own < 0, axis=1), -1, 0))
         faces[:, p] = _sides(problem, flat, found, name, columns)
-    return replace(found, problem=problem, letters=letters, faces=np.where(letters < 0, faces, -1))
+    return changed(replace(found, problem=problem), letters=letters, faces=np.where(letters < 0, faces, -1))
 
 
-def _sides(
-    problem: Problem, flat: Unrolled, found: PathCertificate, name: str, columns: list[int]
-) -> NDArray[np.int64]:
+def _sides(problem: Problem, flat: Unrolled, found: AlongPath, name: str, columns: list[int]) -> NDArray[np.int64]:
     """Return the sides (S + 1,) on which a region is passed.
 
     Between two copies, unless one of the two is passed along another output, which then passes all copies.
     """
     i = problem.agent_names.index(problem.propositions[name].agent)
-    agent, states = flat.problem.agents[i], found.paths[i].states
+    agent, states = flat.problem.agents[i], found.proof.paths[i].states
     assert states is not None
     outputs, angles = agent.outputs(states.T), problem.agents[i].angle_outputs
     sides = np.full(len(states), -1)
     regions = [flat.problem.propositions[copy] for copy in flat.copies[name]]
     for t in range(len(states)):
-        chosen = [int(found.faces[t, column]) for column in columns]
+        chosen = [int(found.proof.faces[t, column]) for column in columns]
         # Copies differ along angles alone; those next to the path come first.
         k = next((face // 2 for face in chosen if face >= 0 and face // 2 in angles), angles[0])
         centres = [0.5 * float(region.low[k] + region.high[k]) for region in regions]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray, NoRunFound, RelationRefused
-from ..certificates import PathCertificate, Synthesis
+from ..certificates import Certificate, PathProof, Synthesis
 from .calm_runs import most_missed, satisfies
 from .counted_work import CountedWork
 from .nonlinear_search import Found, NonlinearSearch
@@ -312,11 +312,11 @@ def nonlinear_certificate(problem: Problem, sources: Sequence[PlansOf], work: Co
         "relation": "path", "jumps": list(best.times), "candidates": tried, "weakest": best.weakest,
     }  # fmt: skip
     paths = tuple(one.path for one in best.found)
-    certificate = PathCertificate(problem, paths, best.letters, faces, failure, settings, best.normals)
+    certificate = Certificate(problem, PathProof(paths, best.letters, faces, failure, best.normals), settings)
     seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
     stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
-    return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+    return Synthesis(certificate, certificate.controller, stats)
 
 
 def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: CountedWork) -> tuple[int, Refined]:

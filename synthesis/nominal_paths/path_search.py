@@ -14,7 +14,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 from ...envs.agents import LinearAgent, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
-from ..certificates import AgentPath, PathCertificate, Synthesis
+from ..certificates import AgentPath, AlongPath, Certificate, PathProof, Synthesis
 from ..controllers import covariances_of, nominal_states
 from .angle_paths import along_angles
 from .counted_work import CountedWork
@@ -83,16 +83,16 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
         return nonlinear_certificate(problem, SOURCES, work)
     failure, plan, (paths, letters, faces) = best
     settings = {"relation": "path", "jumps": list(plan.times), "plans": finder.tried}
-    certificate = PathCertificate(problem, tuple(paths), letters, faces, failure, settings)
+    certificate = Certificate(problem, PathProof(tuple(paths), letters, faces, failure), settings)
     seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
     stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
-    return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+    return Synthesis(certificate, certificate.controller, stats)
 
 
 def certified_paths(
     problem: Problem, agents: Sequence[int], part_of: Callable[[int], Problem], work: CountedWork
-) -> tuple[PathCertificate, list[Whereabouts]]:
+) -> tuple[AlongPath, list[Whereabouts]]:
     """Return a certificate that some agents of a team keep the letters of their paths; see ``paths_of_some``."""
     refuse_without_path(problem)
     return paths_of_some(problem, agents, part_of, SOURCES, work)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
-from ..certificates import PathCertificate
+from ..certificates import AlongPath, Certificate, PathProof
 from .counted_work import CountedWork
 from .nonlinear_search import Found
 from .nonlinear_team import WORTHLESS, PlansOf, found_for_team
@@ -29,7 +29,7 @@ def paths_of_some(
     part_of: Callable[[int], Problem],
     sources: Sequence[PlansOf],
     work: CountedWork,
-) -> tuple[PathCertificate, list[Whereabouts]]:
+) -> tuple[AlongPath, list[Whereabouts]]:
     """Return a certificate that some agents keep the letters of their paths, and where they are along these.
 
     Parameters
@@ -67,7 +67,7 @@ def paths_of_some(
     settings = {"relation": "path", "jumps": list(best.times), "candidates": tried, "weakest": team.weakest}
     normals = team.rows.normals if part.labeling.pairs else None
     paths = tuple(one.path for one in team.found)
-    certificate = PathCertificate(part, paths, letters, faces, failure, settings, normals)
+    certificate = Certificate(part, PathProof(paths, letters, faces, failure, normals), settings)
     return certificate, [_whereabouts(one) for one in team.found]
 
 

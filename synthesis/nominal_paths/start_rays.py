@@ -14,7 +14,7 @@ from scipy.special import ndtr
 from ...envs.agents import LinearAgent, with_matrices
 from ...envs.arrays import on_one_thread
 from ..cells import FloatArray, RelationRefused
-from ..certificates import PathCertificate, StartHull, any_certificate
+from ..certificates import AlongPath, Certificate, HullProof, any_certificate, path_under
 from ..controllers import covariances_of
 from .nominal import Response, nominal_inputs
 from .slabs import OUTWARD, Slabs, input_slabs, limits_of, state_slabs
@@ -38,7 +38,7 @@ MOST_LETTERS = 256
 @on_one_thread
 def certified_starts(
     certificate: Any, probability: float, axes: Sequence[int] | None = None, rays: int = 64
-) -> StartHull:
+) -> Certificate[HullProof]:
     """Return a convex set of starts from all of which the task is satisfied with at least a given probability.
 
     Letters, faces and feedback are those of the certificate, whose start is in the middle of the rays; every corner has
@@ -49,7 +49,7 @@ def certified_starts(
 
     Parameters
     ----------
-    certificate : Synthesis, PathCertificate or path of a file
+    certificate : Synthesis, Certificate or path of a file
         Along a nominal path (``relation="path"``), of one agent.
     probability : float
         Probability in [0.5, 1) that is to be kept.
@@ -65,7 +65,7 @@ def certified_starts(
         is out of range.
     """
     certificate = any_certificate(certificate)
-    if not isinstance(certificate, PathCertificate):
+    if path_under(certificate) is not certificate:
         raise ValueError(
             "`certificate`: expected one along a path, got one on grids, which knows its bound at every start already; "
             'see `at`, or synthesize with relation="path"'
@@ -73,7 +73,7 @@ def certified_starts(
     problem, agent = certificate.problem, certificate.problem.agents[0]
     if problem.n_agents != 1 or not isinstance(agent, LinearAgent):
         raise RelationRefused("sets of starts are for one agent; certify the agents one by one")
-    if certificate.paths[0].states is not None:
+    if certificate.proof.paths[0].states is not None:
         raise RelationRefused(
             "sets of starts of a linear agent with a start that is a point can be found; certify others with a start "
             "box, `initial_low` and `initial_high`"
@@ -101,10 +101,10 @@ def certified_starts(
         raise RelationRefused(f"no starts around the middle keep a probability of {probability}; ask for less")
     # Each of the two bounds is no worse between corners than at the worst of them; of the two the better counts.
     failure = min(1.0, float(np.array(failures).max(axis=0).min()))
-    path = certificate.paths[0]
-    return StartHull(
-        problem, axes, np.array(corners), np.array(inputs), path.gain, certificate.letters, certificate.faces, failure
-    )
+    path = certificate.proof
+    same = path.paths[0].gain, path.letters, path.faces
+    proof = HullProof(axes, np.array(corners), np.array(inputs), *same, failure)
+    return Certificate(problem, proof, {"relation": "path"})
 
 
 def _directions(d: int, count: int) -> FloatArray:
@@ -128,14 +128,15 @@ def _directions(d: int, count: int) -> FloatArray:
 class _Rays:
     """Starts along rays with the nominal inputs that are found for them; what all starts share is computed once."""
 
-    def __init__(self, certificate: PathCertificate) -> None:
-        problem, path = certificate.problem, certificate.paths[0]
+    def __init__(self, certificate: AlongPath) -> None:
+        problem, path = certificate.problem, certificate.proof.paths[0]
         agent = problem.agents[0]
         agent = with_matrices(agent)
-        steps = certificate.n_steps
+        steps = certificate.proof.n_steps
         covariances = covariances_of(agent, path.gain, steps)
         self.agent = agent
-        self.states = state_slabs(limits_of(problem, 0, certificate.letters, certificate.faces), covariances)
+        proof = certificate.proof
+        self.states = state_slabs(limits_of(problem, 0, proof.letters, proof.faces), covariances)
         self.inputs = input_slabs(agent, path.gain, covariances, steps)
         self.response = Response.of(agent, steps)
         self.powers = [np.linalg.matrix_power(agent.A, t) for t in range(steps + 1)]

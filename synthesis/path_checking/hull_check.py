@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from ...envs.agents import LinearAgent, Proposition
-from ..certificates import StartHull
+from ..certificates import Certificate, HullProof, corner
 from .own_regions import RegionSpan
 from .path_check import both_failures, wrong_paths
 
@@ -21,7 +21,7 @@ MOST_LETTERS = 1024
 """First letters that are looked at."""
 
 
-def wrong_hull(hull: StartHull) -> tuple[list[str], float]:
+def wrong_hull(hull: Certificate[HullProof]) -> tuple[list[str], float]:
     """What is wrong with a convex set of starts, and an upper bound on failing from any of them.
 
     Raises nothing: what does not fit is told.
@@ -30,45 +30,45 @@ def wrong_hull(hull: StartHull) -> tuple[list[str], float]:
     if failures:
         return failures, 1.0
     boole = correlated = 0.0
-    for i in range(len(hull.corners)):
-        corner = hull.corner(i)
-        failures, _ = wrong_paths(corner)
+    for i in range(len(hull.proof.corners)):
+        path = corner(hull, i)
+        failures, _ = wrong_paths(path)
         if failures:
             return [f"corner {i}: {failure}" for failure in failures], 1.0
-        first, second = both_failures(corner)
+        first, second = both_failures(path)
         boole, correlated = max(boole, first), max(correlated, second)
     failure = min(boole, correlated)
-    if not failure <= hull.failure:
-        claimed = f"it says that starts fail with probability {hull.failure:.6g} at most"
+    if not failure <= hull.proof.failure:
+        claimed = f"it says that starts fail with probability {hull.proof.failure:.6g} at most"
         return [f"{claimed}, but what was recomputed is {failure:.6g}"], failure
     return [], failure
 
 
-def _wrong_corners(hull: StartHull) -> list[str]:
+def _wrong_corners(hull: Certificate[HullProof]) -> list[str]:
     """Return what is wrong with the agent, the corners, or where the first letter leads from them."""
-    problem, n = hull.problem, len(hull.corners)
+    problem, n = hull.problem, len(hull.proof.corners)
     agent = problem.agents[0]
     if problem.n_agents != 1 or not isinstance(agent, LinearAgent) or not agent.initial.is_point:
         return ["it is not about one linear agent that starts from a point"]
-    if hull.corners.shape != (n, agent.n_states) or hull.inputs.shape[:1] != (n,) or n == 0:
+    if hull.proof.corners.shape != (n, agent.n_states) or hull.proof.inputs.shape[:1] != (n,) or n == 0:
         return ["its corners and inputs do not fit"]
     # What a set says about states beyond its axes would not be seen in its share of the workspace.
-    still = sorted(set(range(agent.n_states)) - set(hull.axes))
-    if len(still) + len(hull.axes) != agent.n_states:
+    still = sorted(set(range(agent.n_states)) - set(hull.proof.axes))
+    if len(still) + len(hull.proof.axes) != agent.n_states:
         return ["its axes are not different states of the agent"]
-    if not np.all(hull.corners[:, still] == agent.initial.low[still]):
+    if not np.all(hull.proof.corners[:, still] == agent.initial.low[still]):
         return ["corners differ from the start in states that are not among its axes"]
-    if not np.all((agent.state_low <= hull.corners) & (hull.corners <= agent.state_high)):
+    if not np.all((agent.state_low <= hull.proof.corners) & (hull.proof.corners <= agent.state_high)):
         return ["a corner is outside of the workspace"]
     if not _one_first_state(hull, agent):
         return ["where the automaton is after the first letter depends on the start"]
     return []
 
 
-def _one_first_state(hull: StartHull, agent: LinearAgent) -> bool:
+def _one_first_state(hull: Certificate[HullProof], agent: LinearAgent) -> bool:
     """Whether the first letter leads to the same state from all starts, letters that no start may have included."""
     automaton, regions = hull.problem.automaton, hull.problem.propositions
-    outputs = hull.corners @ agent.output_matrix.T
+    outputs = hull.proof.corners @ agent.output_matrix.T
     low, high = outputs.min(axis=0), outputs.max(axis=0)
     spare = 1e-9 * (1.0 + np.abs(outputs).max(axis=0))  # far above the rounding of outputs
     values: list[tuple[bool, ...]] = []

@@ -32,7 +32,7 @@ from ...envs.agents import AnyAgent, Proposition, place_of
 from ...envs.expressions import Number, Operation, Tree
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import AgentPath, PathCertificate
+from ..certificates import AgentPath, AlongPath
 from .gaussian_inequalities import Inequalities
 from .law_moments import NORMAL, moments_of
 from .linear_deviations import Chain
@@ -142,7 +142,7 @@ class Moment:
         """Outputs around the nominal state."""
         return expansion(self.moving.outputs, self.moving.states, self.at, self.box, len(self.at))
 
-    def limits(self, certificate: PathCertificate, rows: Inequalities) -> None:
+    def limits(self, certificate: AlongPath, rows: Inequalities) -> None:
         """Add the inequalities on the state: workspace, tube, and regions that are to hold or not."""
         eye = np.eye(len(self.at))
         # Nothing leaves its workspace by turning.
@@ -179,11 +179,11 @@ class Moment:
         least, most = copy_of(low, high, value) if holds else gap_of(low, high, value)
         return k, least + ROUNDED, most - ROUNDED
 
-    def _regions(self, certificate: PathCertificate) -> Iterator[tuple[FloatArray, float, float, float, float, float]]:
+    def _regions(self, certificate: AlongPath) -> Iterator[tuple[FloatArray, float, float, float, float, float]]:
         """Yield row, nominal value from below and above, both limits, and the remainder, of forms of regions."""
         problem = certificate.problem
         for p, name in enumerate(problem.automaton.propositions):
-            value = int(certificate.letters[self.t, p])
+            value = int(certificate.proof.letters[self.t, p])
             if value == 0 or p >= problem.labeling.first_pair:
                 continue
             proposition = problem.propositions[name]
@@ -197,7 +197,7 @@ class Moment:
             limits = [self._of_copies(*limit, holds=True) for limit in limits]
             if value < 0:
                 limits = [(k, float(region.low[0, k]), float(region.high[1, k])) for k in faces]
-                face = int(certificate.faces[self.t, p])
+                face = int(certificate.proof.faces[self.t, p])
                 if not 0 <= face < 2 * len(limits):
                     raise NothingKnownError(f"region `{name}` is passed on no side at step {self.t}")
                 k, low, high = limits[face // 2]
@@ -445,13 +445,13 @@ def named_states(problem: Problem, i: int, members: Container[int]) -> dict[int,
     return found
 
 
-def nonlinear_failures(certificate: PathCertificate) -> tuple[dict[int, float], bool]:
+def nonlinear_failures(certificate: AlongPath) -> tuple[dict[int, float], bool]:
     """Return upper bounds on the probability that an inequality of each agent with a nonlinear path fails.
 
     Beside them is whether inequalities of agents rest on those of others: then these probabilities add up.
     """
     problem = certificate.problem
-    paths = {i: path for i, path in enumerate(certificate.paths) if path.states is not None}
+    paths = {i: path for i, path in enumerate(certificate.proof.paths) if path.states is not None}
     are_tied = any(named_states(problem, i, paths) for i in paths)
     rows = {i: Inequalities() for i in paths}
     try:

@@ -22,7 +22,7 @@ import numpy as np
 
 from ...envs.agents import PairRegion
 from ..cells import FloatArray
-from ..certificates import PathCertificate
+from ..certificates import AlongPath
 from .gaussian_inequalities import Inequalities
 from .nonlinear_check import Moment, NothingKnownError, shortened, side_by_side
 from .own_regions import pair_spans
@@ -42,15 +42,15 @@ class Form:
     high: float
 
 
-def wrong_normals(certificate: PathCertificate) -> list[str]:
+def wrong_normals(certificate: AlongPath) -> list[str]:
     """What is wrong with the form of a team whose task speaks of pairs: paths of other kinds, directions."""
     problem = certificate.problem
-    normals, pairs = certificate.normals, problem.labeling.pairs
+    normals, pairs = certificate.proof.normals, problem.labeling.pairs
     if not pairs:
         return [] if normals is None else ["it has directions of pairs, and its problem has no pairs"]
-    if any(path.states is None for path in certificate.paths):
+    if any(path.states is None for path in certificate.proof.paths):
         return ["a task about pairs of agents asks for nominal states of all agents"]
-    shape = (certificate.n_steps + 1, sum(pair.size for pair in pairs))
+    shape = (certificate.proof.n_steps + 1, sum(pair.size for pair in pairs))
     if normals is None or normals.shape != shape or not np.all(np.isfinite(normals)):
         return ["its directions of pairs do not fit, or are no numbers"]
     # Any multiple of a direction says the same, but tiny ones underflow, and ask for nothing then.
@@ -61,10 +61,10 @@ def wrong_normals(certificate: PathCertificate) -> list[str]:
     return []
 
 
-def team_failure(certificate: PathCertificate) -> float:
+def team_failure(certificate: AlongPath) -> float:
     """Return an upper bound on the probability that an inequality of an agent or of a pair fails."""
     rows, problem = Inequalities(), certificate.problem
-    paths = dict(enumerate(certificate.paths))
+    paths = dict(enumerate(certificate.proof.paths))
     try:
         # All agents at time 0, then all at time 1: pairs compare what they are at one time.
         for now in (list(each.values()) for each in side_by_side(problem, paths, dict.fromkeys(paths, rows))):
@@ -77,14 +77,14 @@ def team_failure(certificate: PathCertificate) -> float:
     return rows.failure()
 
 
-def _forms(certificate: PathCertificate, t: int) -> list[Form]:
+def _forms(certificate: AlongPath, t: int) -> list[Form]:
     """Return what is asked of pairs at time t."""
     labeling, forms, at = certificate.problem.labeling, list[Form](), 0
-    assert certificate.normals is not None
+    assert certificate.proof.normals is not None
     for p, pair in enumerate(labeling.pairs, start=labeling.first_pair):
-        normal = certificate.normals[t, at : at + pair.size]
+        normal = certificate.proof.normals[t, at : at + pair.size]
         at += pair.size
-        value = int(certificate.letters[t, p])
+        value = int(certificate.proof.letters[t, p])
         if not value:
             continue
         inner, outer = pair_spans(pair, t)

@@ -17,7 +17,7 @@ from scipy.special import erfc
 from ...envs.agents import LinearAgent, Proposition, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import AgentPath, PathCertificate, state
+from ..certificates import AgentPath, AlongPath, state
 from .nonlinear_check import nonlinear_failures, wrong_nonlinear_path
 from .own_regions import RegionSpan
 from .pair_limits_check import team_failure, wrong_normals
@@ -166,7 +166,7 @@ def _near(width: FloatArray) -> FloatArray:
     return np.asarray(2.0 ** np.round(np.log2(np.where(width > 0.0, width, 1.0))))
 
 
-def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
+def wrong_paths(certificate: AlongPath) -> tuple[list[str], float]:
     """What is wrong with a certificate along a path, and an upper bound on the probability of failing."""
     problem = certificate.problem
     failures = _wrong_form(certificate)
@@ -180,7 +180,7 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
     each: list[float] = []
     log_kept = 0.0
     nonlinear, are_tied = nonlinear_failures(certificate)
-    for i, (agent, path) in enumerate(zip(problem.agents, certificate.paths, strict=True)):
+    for i, (agent, path) in enumerate(zip(problem.agents, certificate.proof.paths, strict=True)):
         if i in nonlinear:
             failure = nonlinear[i]
         else:
@@ -196,32 +196,32 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
     return [], any_failure
 
 
-def both_failures(certificate: PathCertificate) -> tuple[float, float]:
+def both_failures(certificate: AlongPath) -> tuple[float, float]:
     """Return upper bounds on the probability that the one agent of a certificate fails: Boole's, and by correlation.
 
     A bound is 1 unless every nominal value is on the right side of its limits, where both are convex in them.
     """
     agent = certificate.problem.agents[0]
     agent = with_matrices(agent)
-    return _both(certificate, Motion.of(agent, certificate.paths[0]))[1:]
+    return _both(certificate, Motion.of(agent, certificate.proof.paths[0]))[1:]
 
 
-def _wrong_form(certificate: PathCertificate) -> list[str]:
+def _wrong_form(certificate: AlongPath) -> list[str]:
     """Shapes, signs, kinds of agents, starts."""
-    problem, steps = certificate.problem, certificate.n_steps
+    problem, steps = certificate.problem, certificate.proof.n_steps
     shape = (steps + 1, len(problem.automaton.propositions))
     failures = []
     if problem.groups:
         failures.append("it is of independent tasks, which have certificates of their own")
-    elif not 1 <= steps <= problem.horizon or len(certificate.paths) != problem.n_agents:
+    elif not 1 <= steps <= problem.horizon or len(certificate.proof.paths) != problem.n_agents:
         failures.append("its path does not fit the horizon or the agents")
-    elif certificate.letters.shape != shape or certificate.faces.shape != shape:
+    elif certificate.proof.letters.shape != shape or certificate.proof.faces.shape != shape:
         failures.append("its letters do not fit the path")
-    elif not np.all(np.isin(certificate.letters, (-1, 0, 1))):
+    elif not np.all(np.isin(certificate.proof.letters, (-1, 0, 1))):
         failures.append("its letters are none")
-    elif not 0.0 <= certificate.failure <= 1.0:
+    elif not 0.0 <= certificate.proof.failure <= 1.0:
         failures.append("its probability of failing is none")
-    for agent, path in zip(problem.agents, certificate.paths):
+    for agent, path in zip(problem.agents, certificate.proof.paths):
         if path.states is not None:
             failures += wrong_nonlinear_path(agent, path, steps)
         elif not isinstance(agent, LinearAgent) or agent.laws is not None:
@@ -237,15 +237,15 @@ def _wrong_form(certificate: PathCertificate) -> list[str]:
     return failures or wrong_normals(certificate) or wrong_start(problem)
 
 
-def _wrong_word(certificate: PathCertificate) -> list[str]:
+def _wrong_word(certificate: AlongPath) -> list[str]:
     """Whether every word that agrees with the letters is accepted."""
     problem, automaton = certificate.problem, certificate.problem.automaton
     assert problem.initial_q is not None  # others were refused
     states = {problem.initial_q}
-    for t in range(1, certificate.n_steps + 1):
-        known = _known(problem, certificate.letters[t].tolist(), t)
+    for t in range(1, certificate.proof.n_steps + 1):
+        known = _known(problem, certificate.proof.letters[t].tolist(), t)
         states = {target for q in states for target in _targets(certificate, q, known)}
-    if not automaton.is_co_safe and certificate.n_steps != problem.horizon:
+    if not automaton.is_co_safe and certificate.proof.n_steps != problem.horizon:
         return ["its path ends before the horizon, and the task is judged there"]
     if not all(automaton.accepting[q] for q in states):
         return ["a word that agrees with its letters is not accepted"]
@@ -279,7 +279,7 @@ def _region(problem: Problem, name: str, t: int) -> tuple[str, RegionSpan]:
     return proposition.agent, RegionSpan.of(proposition, t)
 
 
-def _targets(certificate: PathCertificate, q: int, known: dict[int, bool]) -> set[int]:
+def _targets(certificate: AlongPath, q: int, known: dict[int, bool]) -> set[int]:
     """States to which a state leads by the letters that agree with what is known."""
     automaton = certificate.problem.automaton
     entries, seen, targets = [int(automaton.root[q])], set(), set()
@@ -297,12 +297,12 @@ def _targets(certificate: PathCertificate, q: int, known: dict[int, bool]) -> se
     return targets
 
 
-def _failure(certificate: PathCertificate, motion: Motion) -> float:
+def _failure(certificate: AlongPath, motion: Motion) -> float:
     """Upper bound on the probability that an inequality of an agent fails."""
     return min(_both(certificate, motion))
 
 
-def _both(certificate: PathCertificate, motion: Motion) -> tuple[float, float, float]:
+def _both(certificate: AlongPath, motion: Motion) -> tuple[float, float, float]:
     """Upper bounds on the probability that an inequality of an agent fails, in the units of its motion.
 
     By Boole, whatever the nominal values; the same where every nominal value keeps its limits, else 1; and by the
@@ -310,7 +310,7 @@ def _both(certificate: PathCertificate, motion: Motion) -> tuple[float, float, f
     """
     agent, path = motion.agent, motion.path
     below, above = [], []
-    for t in range(1, certificate.n_steps + 1):
+    for t in range(1, certificate.proof.n_steps + 1):
         rows, low, high = _limits(certificate, motion.name, agent, t)
         off = np.linalg.norm(rows, axis=1) * motion.off[t] * TAIL
         tails = _tails(rows @ motion.states[t], off, motion.variances(t, rows), low, high)
@@ -353,21 +353,19 @@ def _moved_inputs(agent: System, path: AgentPath) -> NDArray[np.bool_]:
     return np.array(moved)
 
 
-def _limits(
-    certificate: PathCertificate, owner: str, agent: System, t: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _limits(certificate: AlongPath, owner: str, agent: System, t: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Rows (J, d) of the inequalities on the state of an agent at time t, and their limits."""
     problem = certificate.problem
     # Limits are those of the problem: rows give outputs and states in its units.
     rows, low, high = [*np.diag(agent.units)], [*(agent.state_low * agent.units)], [*(agent.state_high * agent.units)]
     for p, name in enumerate(problem.automaton.propositions):
-        value = int(certificate.letters[t, p])
+        value = int(certificate.proof.letters[t, p])
         if problem.propositions[name].agent != owner or value == 0:
             continue
         region = _region(problem, name, t)[1]
         outputs = range(len(agent.output_matrix))
         if value < 0:
-            face = int(certificate.faces[t, p])
+            face = int(certificate.proof.faces[t, p])
             if not 0 <= face < 2 * len(agent.output_matrix):
                 return np.zeros((1, len(agent.A))), np.array([1.0]), np.array([1.0])  # no side: it never holds
             k = face // 2

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate, rounded_down
+from ..certificates import AgentPart, OnGrid, rounded_down
 from ..controllers import AgentController
 
 
@@ -88,7 +88,7 @@ class Permission:
         Lower bound on the success probability of every behaviour that keeps to the menus, from the problem's start.
     """
 
-    certificate: Certificate
+    certificate: OnGrid
     menus: tuple[Menus, ...]
     lower_bound: float
 
@@ -120,7 +120,7 @@ class Permission:
         points = np.atleast_2d(np.asarray(states, dtype=float)).T
         cells = controller.grid.cell_of(controller.project(points))
         menus = self.menus[i]
-        allowed = np.zeros((points.shape[1], count_of_choices(self.certificate.agents[i])), dtype=bool)
+        allowed = np.zeros((points.shape[1], count_of_choices(self.certificate.proof.agents[i])), dtype=bool)
         states_q = np.broadcast_to(np.asarray(q, dtype=np.int64), cells.shape)
         _, n_states, n_cells = menus.counts.shape
         for m, (cell, state) in enumerate(zip(cells.tolist(), states_q.tolist(), strict=True)):

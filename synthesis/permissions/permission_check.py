@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate
+from ..certificates import AgentPart, OnGrid
 from ..checking import (
     BrokenTreeError,
     CheckReport,
@@ -52,7 +52,9 @@ def check_permission(permission: Permission) -> CheckReport:
     failures = failures or _wrong_form(permission)
     loss = 0.0
     if not failures:
-        for agent, part, menus in zip(certificate.problem.agents, certificate.agents, permission.menus, strict=True):
+        for agent, part, menus in zip(
+            certificate.problem.agents, certificate.proof.agents, permission.menus, strict=True
+        ):
             wrong, lost = _wrong_menus(agent, part, menus)
             failures += wrong
             loss += lost
@@ -62,7 +64,7 @@ def check_permission(permission: Permission) -> CheckReport:
             recomputed = permitted_value(permission) - loss * certificate.problem.horizon
         except BrokenTreeError as error:
             failures.append(str(error))
-    if not failures and not permission.lower_bound <= recomputed * (1.0 - certificate.relative_rounding):
+    if not failures and not permission.lower_bound <= recomputed * (1.0 - certificate.proof.relative_rounding):
         failures.append(f"the bound {permission.lower_bound:.12g} exceeds the recomputed value {recomputed:.12g}")
     return CheckReport(not failures, permission.lower_bound, recomputed, tuple(failures))
 
@@ -70,10 +72,10 @@ def check_permission(permission: Permission) -> CheckReport:
 def _wrong_form(permission: Permission) -> list[str]:
     """What is wrong with the sizes of menus."""
     certificate = permission.certificate
-    if len(permission.menus) != len(certificate.agents):
+    if len(permission.menus) != len(certificate.proof.agents):
         return ["it has not one set of menus for each agent"]
     shape = certificate.problem.horizon, certificate.problem.automaton.n_states
-    for part, menus in zip(certificate.agents, permission.menus, strict=True):
+    for part, menus in zip(certificate.proof.agents, permission.menus, strict=True):
         if part.relation["kind"] not in KINDS or "common" in part.relation:
             return ["it has menus for an agent whose relation has none"]
         if menus.counts.shape != (*shape, part.grid.n_cells) or np.any(menus.counts < 0):
@@ -109,27 +111,27 @@ def permitted_value(permission: Permission) -> float:
     """Value at the start under the worst behaviour within the menus, a lower bound up to rounding."""
     certificate = permission.certificate
     known: dict[tuple[bytes, ...], list[FloatArray]] = {}
-    parts = [with_all_choices(*pair) for pair in zip(certificate.agents, permission.menus, strict=True)]
+    parts = [with_all_choices(*pair) for pair in zip(certificate.proof.agents, permission.menus, strict=True)]
     readings = [
         reading_of(agent, part, known, False) for agent, part in zip(certificate.problem.agents, parts, strict=True)
     ]
 
     def step(i: int, factors: FloatArray, t: int, q: int) -> FloatArray:
-        return least_on_menus(readings[i], certificate.agents[i], permission.menus[i].layers(t, q), factors)
+        return least_on_menus(readings[i], certificate.proof.agents[i], permission.menus[i].layers(t, q), factors)
 
     return value_under(certificate, step)
 
 
-def value_under(certificate: Certificate, step: Callable[[int, FloatArray, int, int], FloatArray]) -> float:
+def value_under(certificate: OnGrid, step: Callable[[int, FloatArray, int, int], FloatArray]) -> float:
     """Value at the start if ``step(i, factors, t, q)`` takes factors (n, places) of agent i one step back."""
-    automaton, n_agents = certificate.problem.automaton, len(certificate.agents)
-    masks = [masks_of(part, part.masks) for part in certificate.agents]
-    ones = tuple(np.ones((1, part.n_places)) for part in certificate.agents)
+    automaton, n_agents = certificate.problem.automaton, len(certificate.proof.agents)
+    masks = [masks_of(part, part.masks) for part in certificate.proof.agents]
+    ones = tuple(np.ones((1, part.n_places)) for part in certificate.proof.agents)
     terms = Terms(ones, tuple(np.zeros((int(a), n_agents), dtype=np.int64) for a in automaton.accepting))
     for t in reversed(range(certificate.problem.horizon)):
         stacks: list[list[FloatArray]] = [[one] for one in ones]
         index: list[Any] = []
-        for q, kept in enumerate(certificate.skeleton[t].kept):
+        for q, kept in enumerate(certificate.proof.skeleton[t].kept):
             if automaton.finished[q]:
                 index.append(np.zeros((1, n_agents), dtype=np.int64))
                 continue

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...envs.agents import AnyAgent
 from ...envs.arrays import on_one_thread
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate, certificate_on_grids, rounded_down
+from ..certificates import AgentPart, OnGrid, certificate_on_grids, on_cells, rounded_down
 from ..checking import Reading, by_cell, execution_of, reading_of, standing
 from ..relations import ExactRelation, WrittenTargets
 from .permission import Menus, Permission, count_of_choices, in_layers
@@ -65,7 +65,7 @@ def permit(certificate: Any, *, probability: float) -> Permission:
     if isinstance(probability, bool) or not isinstance(probability, int | float) or not 0.0 < probability <= 1.0:
         raise ValueError(f"`probability`: expected a number above 0 and at most 1, got {probability!r}")
     offered = [
-        _offered(agent, part) for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True)
+        _offered(agent, part) for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True)
     ]
     menus, bound = _pass(certificate, offered, 0.0)
     if bound < probability:
@@ -84,22 +84,22 @@ def permit(certificate: Any, *, probability: float) -> Permission:
     return Permission(certificate, menus, bound)
 
 
-def _checked(certificate: Any) -> Certificate:
+def _checked(certificate: Any) -> OnGrid:
     """Return a certificate that has menus, or raise ValueError with what to do."""
-    certificate = certificate.on_cells  # the menus of a team are those of its joint agent
+    certificate = on_cells(certificate)  # the menus of a team are those of its joint agent
     if certificate is None:
-        raise ValueError("`certificate`: expected that of one task; give one of its `.parts`")
-    if certificate.terms is None:
+        raise ValueError("`certificate`: expected that of one task; give one of its `.proof.parts`")
+    if certificate.proof.terms is None:
         raise ValueError('`certificate`: expected one with a value tree; synthesize with `value="tree"`')
-    kinds = {part.relation["kind"] for part in certificate.agents} - set(KINDS)
+    kinds = {part.relation["kind"] for part in certificate.proof.agents} - set(KINDS)
     if kinds:
         raise ValueError(
             "`certificate`: expected the relation 'exact', 'boxes' or 'linear' for all agents, got "
             f"{', '.join(sorted(kinds))}; synthesize with one of these"
         )
-    if any(part.is_linear and not part.relation["menu"] for part in certificate.agents):
+    if any(part.is_linear and not part.relation["menu"] for part in certificate.proof.agents):
         raise ValueError("`certificate`: expected linear cells with inputs, got those of 0.2; synthesize it anew")
-    if any("common" in part.relation for part in certificate.agents):
+    if any("common" in part.relation for part in certificate.proof.agents):
         raise ValueError(
             "`certificate`: expected one without inputs that are chosen in common, which leave nothing to choose cell "
             "by cell; synthesize with `common=False`"
@@ -141,20 +141,20 @@ def _admissible(
     return np.concatenate([nothing, *cells]), np.concatenate([nothing, *points])
 
 
-def _pass(certificate: Certificate, offered: list[NDArray[np.int32]], eps: float) -> tuple[tuple[Menus, ...], float]:
+def _pass(certificate: OnGrid, offered: list[NDArray[np.int32]], eps: float) -> tuple[tuple[Menus, ...], float]:
     """Return the menus of a tolerance, and what they keep from the start: a lower bound."""
     problem, known = certificate.problem, dict[tuple[bytes, ...], list[FloatArray]]()
-    pairs = list(zip(problem.agents, certificate.agents, strict=True))
+    pairs = list(zip(problem.agents, certificate.proof.agents, strict=True))
     readings = [
         reading_of(agent, _with_offered(part, layers), known, False)
         for (agent, part), layers in zip(pairs, offered, strict=True)
     ]
     shape = problem.horizon, problem.automaton.n_states
-    counts = [np.zeros((*shape, part.grid.n_cells), np.int32) for part in certificate.agents]
+    counts = [np.zeros((*shape, part.grid.n_cells), np.int32) for part in certificate.proof.agents]
     chosen: list[dict[tuple[int, int], NDArray[np.int32]]] = [{} for _ in pairs]
 
     def step(i: int, factors: FloatArray, t: int, q: int) -> FloatArray:
-        part, reading = certificate.agents[i], readings[i]
+        part, reading = certificate.proof.agents[i], readings[i]
         own = part.policy[min(t, len(part.policy) - 1), q]
         cells, choices = _on_the_menu(reading, part, own, offered[i], factors, eps)
         counts[i][t, q] = np.bincount(cells, minlength=part.grid.n_cells)
@@ -166,7 +166,7 @@ def _pass(certificate: Certificate, offered: list[NDArray[np.int32]], eps: float
         execution_of(agent, _with_offered(part, layers), part.relation_of(agent)).loss
         for (agent, part), layers in zip(pairs, offered, strict=True)
     )
-    value = (value - loss * problem.horizon) * (1.0 - certificate.relative_rounding) - RESERVE
+    value = (value - loss * problem.horizon) * (1.0 - certificate.proof.relative_rounding) - RESERVE
     nothing = np.zeros(0, dtype=np.int32)
     menus = tuple(
         Menus(count, np.concatenate([nothing, *(steps[key] for key in sorted(steps))]))

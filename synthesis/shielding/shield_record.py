@@ -20,12 +20,17 @@ from ..cells import FloatArray
 from ..certificates import (
     Certificate,
     Offer,
-    ProductCertificate,
+    OnGrid,
+    ProductProof,
     Seen,
-    TwoEnded,
+    alike_members,
     certificate_on_grids,
+    members_of,
+    on_cells,
     rounded_down,
+    seen_by,
     shown_bound,
+    start_of_claim,
 )
 from ..checking import standing
 from .shield_rule import Case, Choice, decentralised_choice, joint_choice
@@ -165,13 +170,13 @@ class ProductShield:
 
     Parameters
     ----------
-    certificate : ProductCertificate
+    certificate : Certificate
     probability : float
     parts : tuple of Shield
         One for each of ``problem.tasks``, in order.
     """
 
-    certificate: ProductCertificate
+    certificate: Certificate[ProductProof]
     probability: float
     parts: tuple[Shield, ...]
 
@@ -199,11 +204,11 @@ class _Source:
     seen: Seen
 
     @classmethod
-    def of(cls, whole: TwoEnded) -> _Source:
+    def of(cls, whole: Certificate) -> _Source:
         """Return the source of a certificate that can be a shield, and stands."""
-        certificate: Certificate = whole.on_cells
+        certificate: OnGrid = on_cells(whole)
         values, problem = action_values(certificate), certificate.problem
-        if certificate.start == "mean":
+        if start_of_claim(certificate) == "mean":
             # The claim takes rounding off, so that it is below the mean of what is read at starts.
             claim = replace(certificate.claim, value=values.values[0])
             low, high = (np.concatenate([getattr(a.initial, side) for a in problem.agents]) for side in ("low", "high"))
@@ -214,11 +219,11 @@ class _Source:
             q = problem.automaton.next_state(np.full(1, problem.automaton.initial), holds)
             least = float(values.of_states(states, q, np.zeros(1, dtype=np.int64))[0])
         most = max(0.0, (least * (1.0 - values.relative_loss) - values.loss) * (1.0 - 1e-14))
-        return cls(values, mean, most, whole.seen)
+        return cls(values, mean, most, seen_by(whole))
 
-    def renamed(self, whole: TwoEnded) -> _Source:
+    def renamed(self, whole: Certificate) -> _Source:
         """Return the source of a certificate that differs in names alone."""
-        return replace(self, values=replace(self.values, certificate=whole.on_cells), seen=whole.seen)
+        return replace(self, values=replace(self.values, certificate=on_cells(whole)), seen=seen_by(whole))
 
     def shield(self, p: float, form: str) -> Shield:
         """Return the shield that keeps p, at most ``most``."""
@@ -227,14 +232,14 @@ class _Source:
         return Shield(self.values, p, form, owed, self.mean, self.seen)
 
 
-def _check_certificate(certificate: Certificate) -> None:
+def _check_certificate(certificate: OnGrid) -> None:
     """Raise ValueError, with what to do, unless a certificate of one task can be a shield."""
-    if certificate.terms is None:
+    if certificate.proof.terms is None:
         raise ValueError(
             "`certificate`: expected one with a value tree, got tensor trains, whose values a shield does not read; "
             'synthesize with `value="tree"`'
         )
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+    for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True):
         relation = part.relation_of(agent)
         if part.is_linear and agent.laws is not None and any(law.name != "gaussian" for law in agent.laws):
             raise ValueError(
@@ -283,28 +288,28 @@ def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shie
         If the certificate cannot be a shield, ``check`` refuses it, or p is out of range; the text says what to do.
     """
     certificate, p = certificate_on_grids(certificate), _checked(probability, form)
-    for member in certificate.members:
-        _check_certificate(member.on_cells)
+    for member in members_of(certificate):
+        _check_certificate(on_cells(member))
     certificate = standing(certificate)
-    if form != "joint" and Offer.OWN_STATES in certificate.lacks:
+    if form != "joint" and Offer.OWN_STATES in certificate.proof.lacks:
         raise ValueError(
             f"`form`: expected 'joint' for a joint agent, got {form!r}; the certificate is about the inputs of all "
             "agents together, and says nothing of one agent's input alone"
         )
-    if certificate.on_cells is not None:
+    if on_cells(certificate) is not None:
         source = _Source.of(certificate)
         if p > source.most:
             raise ValueError(_too_much(p, source.most))
         return source.shield(p, form)
     # Tasks that differ in names alone share their tables.
-    sources = {k: _Source.of(certificate.members[same[0]]) for same in certificate.alike for k in same}
+    sources = {k: _Source.of(members_of(certificate)[same[0]]) for same in alike_members(certificate) for k in same}
     most = math.prod(source.most for source in sources.values())
     if p > most:
         raise ValueError(_too_much(p, most))
     # The same power of each bound: tasks that are surer keep more. With p = 1 = bound any power will do.
     power = math.log(p) / math.log(most) if most < 1.0 else 1.0
     parts = []
-    for k, part in enumerate(certificate.members):
+    for k, part in enumerate(members_of(certificate)):
         # Rounded up, as far as possible: the product must not fall below p.
         kept = min(sources[k].most ** power * (1.0 + 1e-13), sources[k].most)
         parts.append(sources[k].renamed(part).shield(kept, form))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, place_of, tree_text
 from ..cells import FloatArray, linear_agent
-from ..certificates import Certificate
+from ..certificates import OnGrid
 from ..checking import masks_of, regrow, vertices_of
 from ..relations import Relation, mean_loss, mean_off
 from ..values import Terms
@@ -67,7 +67,7 @@ class ActionValues:
         By time and automaton state; empty where the task is finished.
     """
 
-    certificate: Certificate
+    certificate: OnGrid
     relations: tuple[Relation, ...]
     axes: tuple[tuple[Axis, ...], ...]
     values: tuple[Terms, ...]
@@ -99,7 +99,9 @@ class ActionValues:
     def _read(self, terms: Terms, q: int, states: tuple[FloatArray, ...]) -> FloatArray:
         """Return the sum of products (M,) of one automaton state at states (d_i, M) inside the workspaces."""
         product = np.ones((len(terms.index[q]), states[0].shape[1]))
-        for i, (part, relation, x) in enumerate(zip(self.certificate.agents, self.relations, states, strict=True)):
+        for i, (part, relation, x) in enumerate(
+            zip(self.certificate.proof.agents, self.relations, states, strict=True)
+        ):
             places, weights = part.places_at(relation.to_grid(x))
             rows, which = np.unique(terms.index[q][:, i], return_inverse=True)
             # One place is the cell itself, several are its corners.
@@ -116,14 +118,14 @@ class ActionValues:
         agent = self.certificate.problem.agents[i]
         if isinstance(agent, Agent):
             moving, beside = (self.relations[i].to_grid(states[i]), inputs), self.beside(i, states)
-            box = MeanBox.of(agent, self.certificate.agents[i].coordinates, self.axes[i], moving, beside)
+            box = MeanBox.of(agent, self.certificate.proof.agents[i].coordinates, self.axes[i], moving, beside)
         elif agent.has_plain_noise:
             return self.smoothed(time, q, i, self.mean(i, states[i], inputs))
         else:
             # Where there is no noise it matters what means are off by.
             means, off = (
                 self.mean(i, states[i], inputs),
-                mean_off(linear_agent(agent, "exact"), self.certificate.agents[i].coordinates),
+                mean_off(linear_agent(agent, "exact"), self.certificate.proof.agents[i].coordinates),
             )
             known = np.ones(means.shape[1], dtype=bool)
             box = MeanBox.around(means - off[:, None], means + off[:, None], self.axes[i], known)
@@ -202,7 +204,7 @@ class ActionValues:
         Per step: a sum over the numbers of each factor and the unions of its vertices, products over the agents and a
         sum over the terms for a state and for an input, weights of corners, and what is done to a budget.
         """
-        skeleton, agents = self.certificate.skeleton, self.certificate.agents
+        skeleton, agents = self.certificate.proof.skeleton, self.certificate.proof.agents
         places = sum(part.n_places + 4 * 2 ** len(part.lattice) + 2 for part in agents)
         united = max((len(merges.into) for step in skeleton for merges in step.merges), default=0)
         rank = max(max(v.rank for time in self.vertices for v in time), max(terms.rank for terms in self.values))
@@ -216,16 +218,16 @@ class ActionValues:
         The means are those of the certified controllers, and those of any input.
         """
         per_step = 0.0
-        triples = zip(self.certificate.problem.agents, self.certificate.agents, self.relations, strict=True)
+        triples = zip(self.certificate.problem.agents, self.certificate.proof.agents, self.relations, strict=True)
         for agent, part, relation in triples:
             per_step += relation.execution_loss(agent, part.grid.edges)
             if isinstance(agent, Agent) or not agent.has_plain_noise:
                 continue  # what means are off by is in their boxes
             per_step += mean_loss(linear_agent(agent, "exact"), part.coordinates, part.grid.edges)
-        return per_step * len(self.certificate.skeleton) * (1.0 + 1e-9)
+        return per_step * len(self.certificate.proof.skeleton) * (1.0 + 1e-9)
 
 
-def action_values(certificate: Certificate) -> ActionValues:
+def action_values(certificate: OnGrid) -> ActionValues:
     """Return the values of states and inputs under a certificate with a value tree and relations without memory.
 
     Growing the tree again takes about as long as ``check``.
@@ -236,27 +238,28 @@ def action_values(certificate: Certificate) -> ActionValues:
         If the certificate's tree is broken.
     """
     problem, n_states = certificate.problem, certificate.problem.automaton.n_states
-    grown: list[Terms] = [certificate.tree] * problem.horizon
+    grown: list[Terms] = [certificate.proof.tree] * problem.horizon
     regrow(certificate, grown.__setitem__)
-    masks = [masks_of(part, part.masks) for part in certificate.agents]
+    masks = [masks_of(part, part.masks) for part in certificate.proof.agents]
     # At the horizon a run has the value 1 in accepting states.
-    ones = tuple(np.ones((1, part.n_places)) for part in certificate.agents)
+    ones = tuple(np.ones((1, part.n_places)) for part in certificate.proof.agents)
     rows = tuple(np.zeros((int(a), len(ones)), dtype=np.int64) for a in problem.automaton.accepting)
     later = [*grown[1:], Terms(ones, rows)]
     vertices = tuple(
         tuple(_vertices(certificate, t, q, later[t], masks) for q in range(n_states)) for t in range(problem.horizon)
     )
-    relations = tuple(part.relation_of(agent) for agent, part in zip(problem.agents, certificate.agents, strict=True))
-    axes = tuple(noise_axes(agent, part) for agent, part in zip(problem.agents, certificate.agents, strict=True))
+    parts = certificate.proof.agents
+    relations = tuple(part.relation_of(agent) for agent, part in zip(problem.agents, parts, strict=True))
+    axes = tuple(noise_axes(agent, part) for agent, part in zip(problem.agents, parts, strict=True))
     return ActionValues(certificate, relations, axes, tuple(grown), vertices)
 
 
-def _vertices(certificate: Certificate, t: int, q: int, later: Terms, masks: list[NDArray[np.bool_]]) -> Vertices:
+def _vertices(certificate: OnGrid, t: int, q: int, later: Terms, masks: list[NDArray[np.bool_]]) -> Vertices:
     """Return the vertices that are kept at a time in an automaton state, equal factors stored once."""
     if certificate.problem.automaton.absorbing[q]:
-        nothing = tuple(np.zeros((0, part.n_places)) for part in certificate.agents)
+        nothing = tuple(np.zeros((0, part.n_places)) for part in certificate.proof.agents)
         return Vertices(nothing, tuple(np.zeros(0, dtype=np.int64) for _ in nothing))
-    kept, distinct, which = certificate.skeleton[t].kept[q], [], []
+    kept, distinct, which = certificate.proof.skeleton[t].kept[q], [], []
     for factors in vertices_of(certificate, t, q, later, masks):
         number: dict[bytes, int] = {}
         place = np.array([number.setdefault(factors[k].tobytes(), len(number)) for k in kept], dtype=np.int64)

@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.dynamics import Dynamics, Worlds
-from ...synthesis.certificates import Certificate
+from ...synthesis.certificates import OnGrid
 from ...synthesis.values import Terms
 from .value_at import PRODUCTS
 
 
-def terminal_values(certificate: Certificate) -> Terms:
+def terminal_values(certificate: OnGrid) -> Terms:
     """Return the value function at the horizon (exact): 1 in accepting automaton states, 0 in others."""
-    n = len(certificate.agents)
-    ones = tuple(np.ones((1, agent.grid.n_cells)) for agent in certificate.agents)
+    n = len(certificate.proof.agents)
+    ones = tuple(np.ones((1, agent.grid.n_cells)) for agent in certificate.proof.agents)
     rows = (np.zeros((int(yes), n), dtype=np.int64) for yes in certificate.problem.automaton.accepting)
     return Terms(ones, tuple(rows))
 
@@ -40,21 +40,21 @@ def agents_outside(dynamics: Dynamics, worlds: Worlds) -> NDArray[np.bool_]:
     return result
 
 
-def tree_fits(certificate: Certificate, time: int, now: Terms, following: Terms) -> bool:
+def tree_fits(certificate: OnGrid, time: int, now: Terms, following: Terms) -> bool:
     """Return whether the terms at ``time`` and one step later have the sizes of the certificate's tree."""
-    step = certificate.skeleton[time]
+    step = certificate.proof.skeleton[time]
     final = certificate.problem.automaton.finished
     for q in np.flatnonzero(~final):
         # Every kept vertex needs its term now, and every child that a vertex points to a term one step later.
         guard, child = step.origin[q].T
-        sizes = np.array([len(rows) for rows in following.index])[certificate.guard_target[guard]]
+        sizes = np.array([len(rows) for rows in following.index])[certificate.proof.guard_target[guard]]
         if len(now.index[q]) != len(step.kept[q]) or np.any(child >= sizes):
             return False
     return True
 
 
 def levels_by_agent(
-    certificate: Certificate,
+    certificate: OnGrid,
     time: int,
     now: Terms,
     following: Terms,
@@ -82,7 +82,7 @@ def levels_by_agent(
     # Worlds in the same automaton state share their terms; pieces of at most PRODUCTS numbers bound the memory.
     for state in np.unique(q):
         here = np.flatnonzero(q == state)
-        size = max(1, len(certificate.skeleton[time].origin[state]))
+        size = max(1, len(certificate.proof.skeleton[time].origin[state]))
         for rows in np.array_split(here, max(1, -(-len(here) * size // PRODUCTS))):
             claimed = _factors_now(now, int(state), cells[rows])
             met = _factors_met(certificate, time, int(state), following, next_cells[rows], outside[rows])
@@ -97,22 +97,27 @@ def _factors_now(now: Terms, q: int, cells: NDArray[Any]) -> list[NDArray[Any]]:
 
 
 def _factors_met(
-    certificate: Certificate, time: int, q: int, following: Terms, next_cells: NDArray[Any], outside: NDArray[np.bool_]
+    certificate: OnGrid,
+    time: int,
+    q: int,
+    following: Terms,
+    next_cells: NDArray[Any],
+    outside: NDArray[np.bool_],
 ) -> list[NDArray[Any]]:
     """Return per agent (R, n) the masked factors one step later behind those terms, at the cells that were met."""
-    step = certificate.skeleton[time]
+    step = certificate.proof.skeleton[time]
     origin, merges, kept_rows = step.origin[q], step.merges[q], step.kept[q]
     # Each vertex that was formed applies a guard to a child, which is a term of the guard's target state.
     guard, child = origin[:, 0], origin[:, 1]
-    target = certificate.guard_target[guard]
+    target = certificate.proof.guard_target[guard]
     below = np.zeros((len(guard), next_cells.shape[1]), dtype=np.int64)
     for state in np.unique(target):
         into = target == state
         below[into] = following.index[state][child[into]]
     result = []
-    for i, agent in enumerate(certificate.agents):
+    for i, agent in enumerate(certificate.proof.agents):
         s = next_cells[:, i]
-        met = agent.masks[certificate.guard_mask[guard, i]][:, s] * following.factors[i][below[:, i]][:, s]
+        met = agent.masks[certificate.proof.guard_mask[guard, i]][:, s] * following.factors[i][below[:, i]][:, s]
         met = met * ~outside[:, i]
         # Repeat how the tree united vertices: sums in the agent in which they differ, minima in all others.
         columns = (merges.into, merges.absorbed, merges.agent, merges.rests)

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from ...envs.dynamics import Dynamics
 from ...envs.dynamics import worlds as core
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate, ProductCertificate, certificate_on_grids
+from ...synthesis.certificates import Certificate, OnGrid, ProductProof, alike_members, certificate_on_grids, on_cells
 from ...synthesis.checking import claimed_values, wrong_base
 from ...synthesis.values import Terms, Trains
 from ..simulation import (
@@ -65,7 +65,7 @@ class _Setup:
     """The data that every chunk of an audit needs."""
 
     loop: Loop
-    certificate: Certificate
+    certificate: OnGrid
     values: tuple[Terms | Trains, ...]
     charge: Charge | None
 
@@ -84,7 +84,7 @@ def audit(
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate, TeamCertificate or path
+    certificate : Synthesis, Certificate or path
         Independent tasks are audited one by one; of tasks that differ in names alone, one is audited. Of a team that is
         certified as one agent, the problem of this agent is audited: its steps are not split among the team's members.
         Of a problem that names the time, the problem written out is.
@@ -109,17 +109,19 @@ def audit(
     settled = planned(plan, trial, 20_000)
     check_confidence(settled.confidence)
     certificate = certificate_on_grids(certificate)
-    if certificate.on_cells not in (None, certificate):
+    if (held := on_cells(certificate)) not in (None, certificate):
         if not problem is controller is values is charge is None:
             raise ValueError(
                 "`certificate`: expected one about the problem itself beside other arguments, got one that rests on "
-                "the same problem written in another way; give its `.base`, and the problem of that"
+                "the same problem written in another way; give its `.proof.base`, and the problem of that"
             )
         # Values are functions of the states of a joint agent, or of an automaton that counts steps.
         if wrong := wrong_base(certificate):
-            raise ValueError(f"`certificate`: expected one whose `.base` is about its problem, got another: {wrong[0]}")
-        return audit(certificate.on_cells, settled)
-    if certificate.on_cells is None:
+            raise ValueError(
+                f"`certificate`: expected one whose `.proof.base` is about its problem, got another: {wrong[0]}"
+            )
+        return audit(held, settled)
+    if held is None:
         if not problem is controller is values is charge is None:
             raise ValueError(
                 "`certificate`: expected the certificate of one task beside other arguments, got one of independent "
@@ -146,9 +148,9 @@ def audit(
     return report_of(problem, ledger, replace(settled, episodes=done), interrupted, certificate.lower_bound)
 
 
-def _audit_of_product(product: ProductCertificate, plan: Plan) -> AuditReport:
+def _audit_of_product(product: Certificate[ProductProof], plan: Plan) -> AuditReport:
     """Audit each of the tasks that differ; together they share the probability of a false alarm."""
-    distinct = [product.parts[group[0]] for group in product.alike]
+    distinct = [product.proof.parts[group[0]] for group in alike_members(product)]
     each = replace(plan, confidence=1.0 - (1.0 - plan.confidence) / len(distinct))
     reports: list[AuditReport] = []
     for certificate in distinct:
@@ -235,7 +237,7 @@ def _enter(setup: _Setup, ledger: Ledger, dynamics: Dynamics, before: _Moment, a
         and isinstance(following, Terms)
         and not remembers(before.frame.memory)
         and setup.charge is None
-        and all(part.is_additive for part in certificate.agents)
+        and all(part.is_additive for part in certificate.proof.agents)
         and tree_fits(certificate, time, now, following)
     ):
         outside = agents_outside(dynamics, after.frame.worlds)[rows]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.dynamics import worlds as core
-from ...synthesis.certificates import Certificate
+from ...synthesis.certificates import OnGrid, delta_of
 from ...synthesis.values import Terms, ValueFunction, term_depths
 
 PRODUCTS = 4_000_000
@@ -44,17 +44,21 @@ def values_at(terms: ValueFunction, q: NDArray[Any], cells: NDArray[Any]) -> NDA
 
 
 def values_between(
-    certificate: Certificate, terms: ValueFunction, q: NDArray[Any], cells: NDArray[Any], states: NDArray[Any]
+    certificate: OnGrid,
+    terms: ValueFunction,
+    q: NDArray[Any],
+    cells: NDArray[Any],
+    states: NDArray[Any],
 ) -> NDArray[Any]:
     """Return the values (M,) in automaton states (M,) at joint cells (M, I), as ``values_at`` does.
 
     Factors of linear agents are interpolated: they are read at joint states (M, D).
     """
-    if not any(part.is_linear for part in certificate.agents):
+    if not any(part.is_linear for part in certificate.proof.agents):
         return values_at(terms, q, cells)
     assert isinstance(terms, Terms)  # linear agents have no trains
     read = []
-    for i, (part, columns) in enumerate(zip(certificate.agents, certificate.problem.columns, strict=True)):
+    for i, (part, columns) in enumerate(zip(certificate.proof.agents, certificate.problem.columns, strict=True)):
         if part.is_linear:
             read.append(part.places_at(certificate.controller.agents[i].project(states[:, columns].T)))
         else:
@@ -69,14 +73,14 @@ def values_between(
     return values
 
 
-def charge_of(certificate: Certificate, values: Sequence[ValueFunction]) -> Charge | None:
+def charge_of(certificate: OnGrid, values: Sequence[ValueFunction]) -> Charge | None:
     """Return what the certificate's bound subtracts: ``Delta Theta``, an upper bound; None if it subtracts nothing.
 
     For trees, Theta is read off the depths of the terms (docs/theory/bounds.md, "A-posteriori").
     """
-    if certificate.bound != "a-posteriori":
+    if certificate.proof.bound != "a-posteriori":
         return None
-    if any(part.is_linear for part in certificate.agents):
+    if any(part.is_linear for part in certificate.proof.agents):
         raise ValueError(
             "`certificate`: expected the same loss in a whole cell, got the a-posteriori bound with linear agents; "
             "use `validate`, or give the other agents a relation that is not lost"
@@ -85,10 +89,12 @@ def charge_of(certificate: Certificate, values: Sequence[ValueFunction]) -> Char
     trees = [value for value in values if isinstance(value, Terms)]
     # Trains have no terms with depths: every step that is left is charged.
     if len(trees) < len(values):
-        return StepCharge(certificate.delta * (1 + CHARGE_MARGIN), horizon)
+        return StepCharge(delta_of(certificate) * (1 + CHARGE_MARGIN), horizon)
     settled = automaton.accepting, automaton.absorbing
-    depths = [tuple(term_depths(certificate.skeleton[t:], certificate.guards, *settled)) for t in range(horizon)]
-    worth = certificate.delta * (1 + CHARGE_MARGIN)
+    depths = [
+        tuple(term_depths(certificate.proof.skeleton[t:], certificate.proof.guards, *settled)) for t in range(horizon)
+    ]
+    worth = delta_of(certificate) * (1 + CHARGE_MARGIN)
     return DepthCharge(tuple(trees), tuple(depths), worth, horizon, automaton.is_co_safe)
 
 
@@ -131,9 +137,7 @@ class DepthCharge:
         return np.asarray(self.delta * (left - saved * (1 - CHARGE_MARGIN)))
 
 
-def standing_cells(
-    certificate: Certificate, dynamics: Dynamics, worlds: Worlds, policy: Any, memory: Any
-) -> NDArray[Any]:
+def standing_cells(certificate: OnGrid, dynamics: Dynamics, worlds: Worlds, policy: Any, memory: Any) -> NDArray[Any]:
     """Return the joint cells (M, I) on which the controller acts: those it remembers, otherwise those of the states."""
     cells = cells_of(certificate, core.joint(dynamics, worlds))
     if remembers(memory):
@@ -149,13 +153,13 @@ def remembers(memory: Any) -> bool:
     return any(of_group is not None for groups in getattr(memory, "groups", ()) for of_group in groups)
 
 
-def cells_of(certificate: Certificate, states: NDArray[Any]) -> NDArray[Any]:
+def cells_of(certificate: OnGrid, states: NDArray[Any]) -> NDArray[Any]:
     """Return the joint cells (M, I) of joint states (M, D); a state outside a grid counts as in the nearest cell."""
     pairs = zip(certificate.controller.agents, certificate.problem.columns, strict=True)
     return np.stack([agent.grid.cell_of(agent.project(states[:, columns].T)) for agent, columns in pairs], axis=1)
 
 
-def bound_by_steps_left(certificate: Certificate, values: Sequence[ValueFunction], state: Any) -> NDArray[Any]:
+def bound_by_steps_left(certificate: OnGrid, values: Sequence[ValueFunction], state: Any) -> NDArray[Any]:
     """Return lower bounds (T,) from one joint state if only the last 1, 2, .., T steps of the policies are played."""
     state = np.atleast_2d(np.asarray(state, dtype=float))
     problem = certificate.problem
@@ -168,6 +172,6 @@ def bound_by_steps_left(certificate: Certificate, values: Sequence[ValueFunction
     charge, bounds = charge_of(certificate, values), []
     for time in reversed(range(len(values))):
         value = values_between(certificate, values[time], q, cells, state)[0]
-        bound = value * (1.0 - certificate.relative_rounding)
+        bound = value * (1.0 - certificate.proof.relative_rounding)
         bounds.append(bound - (0.0 if charge is None else charge(time, q, cells)[0]))
     return np.clip(np.array(bounds), 0.0, 1.0)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...envs.pictures import coordinate_name, have_one_scale
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate, as_certificate, of_one_task, regrow_trains, shown_bound
+from ...synthesis.certificates import OnGrid, as_certificate, of_one_task, on_cells, regrow_trains, shown_bound
 from ...synthesis.relations import CoupledRelation
 from ...synthesis.values import Trains
 from ..audits import standing_cells
@@ -58,7 +58,7 @@ def value_figure(
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate or path
+    certificate : Synthesis, Certificate or path
     axes : sequence of int, optional
         One or two joint coordinates; default: the first coordinate of the first two agents.
     at : array_like (D,), optional
@@ -80,8 +80,8 @@ def value_figure(
     states = slice_starts(problem, shown, (count,) * len(shown), at)
     bounds = certificate.at(states)
     names = [f"start of {coordinate_name(problem, k)} (state units)" for k in shown]
-    title = f"{problem.name}, horizon {problem.horizon}: {certificate.bound} bound"
-    if certificate.on_cells is certificate and certificate.rounding is not None:
+    title = f"{problem.name}, horizon {problem.horizon}: {certificate.proof.bound} bound"
+    if on_cells(certificate) is certificate and certificate.proof.rounding is not None:
         title += ", 0 at cells that runs from its start do not reach"
     if len(shown) == 1:
         figure, (plot,) = new_figure(6.4, 3.8)
@@ -215,27 +215,28 @@ def rank_figure(certificate: Any) -> Figure:
     plot.set_ylabel("terms of the value function")
     legend_above(plot, 2)
     rows = -(-(min(len(order), STATES_SHOWN) + 1 + (rest > 0)) // 2)
-    title = f"{problem.name}, horizon {problem.horizon}: rank {certificate.rank}"
+    title = f"{problem.name}, horizon {problem.horizon}: rank {certificate.proof.rank}"
     plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=10 + 14 * rows)
     return figure
 
 
-def _counts(certificate: Certificate) -> tuple[NDArray[Any], NDArray[Any]]:
+def _counts(certificate: OnGrid) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the numbers (Q, T) of terms that each automaton state keeps at each time, and that it formed (exact).
 
     Tensor trains form no terms: their ranks take the place of both.
     """
-    if certificate.on_cells is certificate and certificate.rounding is not None:
+    if on_cells(certificate) is certificate and certificate.proof.rounding is not None:
         # Trains are computed again from the last time to the first.
         columns: list[list[int]] = []
 
         def note(time: int, value: Trains) -> None:
             columns.append([0 if train is None else train.rank for train in value.states])
 
-        regrow_trains(certificate.problem, certificate.agents, certificate.guards, certificate.rounding, note)
+        proof = certificate.proof
+        regrow_trains(certificate.problem, proof.agents, proof.guards, proof.rounding, note)
         ranks = np.array(columns[::-1]).T
         return ranks, ranks
-    steps, states = certificate.skeleton, range(certificate.problem.automaton.n_states)
+    steps, states = certificate.proof.skeleton, range(certificate.problem.automaton.n_states)
     kept = [[len(step.kept[q]) for step in steps] for q in states]
     return np.array(kept), np.array([[len(step.origin[q]) for step in steps] for q in states])
 
@@ -245,7 +246,7 @@ def relation_figure(certificate: Any, agent: int = 0, coordinate: int = 0, seed:
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate or path
+    certificate : Synthesis, Certificate or path
     agent, coordinate : int
         Position of the agent, and of one of its grid coordinates.
     seed : int
@@ -261,7 +262,7 @@ def relation_figure(certificate: Any, agent: int = 0, coordinate: int = 0, seed:
     if not 0 <= coordinate < problem.agents[agent].n_states:
         raise ValueError(f"`coordinate`: expected a number below {problem.agents[agent].n_states}, got {coordinate}")
     times, states, centres, reach = _followed(certificate, agent, coordinate, seed)
-    kind = certificate.agents[agent].relation["kind"]
+    kind = certificate.proof.agents[agent].relation["kind"]
     figure, (plot,) = new_figure(6.8, 3.8)
     for t, centre, half in zip(times, centres, reach, strict=True):
         band: dict[str, Any] = {"color": BOUND, "alpha": 0.22, "linewidth": 0}
@@ -281,7 +282,7 @@ def relation_figure(certificate: Any, agent: int = 0, coordinate: int = 0, seed:
 
 
 def _followed(
-    certificate: Certificate, agent: int, k: int, seed: int
+    certificate: OnGrid, agent: int, k: int, seed: int
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Return times, states, cell centres and half widths of the relation, up to the step that decides the episode."""
     from ...envs.dynamics import worlds as core

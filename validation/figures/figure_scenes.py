@@ -9,7 +9,7 @@ import numpy as np
 from ...envs.logic import Automaton
 from ...envs.pictures import edges, panels, places
 from ...envs.suite import as_problem
-from ...synthesis.certificates import Certificate, any_certificate, of_one_task, shown_bound, tube_along
+from ...synthesis.certificates import OnGrid, any_certificate, of_one_task, shown_bound, tube_along
 from ..simulation import Loop, paths
 from .figure_regions import rollouts_panel
 from .figure_style import FAILURE, INK, PALE, SERIES, SOFT, legend_above, new_figure
@@ -49,7 +49,7 @@ def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figu
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate or path
+    certificate : Synthesis, Certificate or path
     episodes : int
     seed : int
 
@@ -213,11 +213,11 @@ Vertex = tuple[int, int]
 """Automaton state and number of the term."""
 
 
-def _layers(certificate: Certificate) -> list[dict[Vertex, list[Vertex]]]:
+def _layers(certificate: OnGrid) -> list[dict[Vertex, list[Vertex]]]:
     """Return per time the vertices (automaton state, term) to which the start leads, each with its children."""
-    automaton, skeleton = certificate.problem.automaton, certificate.skeleton
-    started = dict.fromkeys(certificate.start_target.tolist())
-    roots = [(int(q), k) for q in started for k in range(len(certificate.tree.index[q]))]
+    automaton, skeleton = certificate.problem.automaton, certificate.proof.skeleton
+    started = dict.fromkeys(certificate.proof.start_target.tolist())
+    roots = [(int(q), k) for q in started for k in range(len(certificate.proof.tree.index[q]))]
     layers: list[dict[Vertex, list[Vertex]]] = [{root: [] for root in roots}]
     # Follow the terms forward in time; only those that the start needs are drawn.
     for step in skeleton:
@@ -231,7 +231,7 @@ def _layers(certificate: Certificate) -> list[dict[Vertex, list[Vertex]]]:
                 merged = [b for a, b in zip(merges.into.tolist(), merges.absorbed.tolist()) if a == candidate]
                 for row in (candidate, *merged):
                     guard, term = (int(v) for v in step.origin[q][row])
-                    children.append((int(certificate.guard_target[guard]), term))
+                    children.append((int(certificate.proof.guard_target[guard]), term))
             following.update({child: [] for child in children})
         layers.append(dict(sorted(following.items())))
     return layers

@@ -45,7 +45,7 @@ def menu_figure(permission: Permission, agent: int = 0, q: int | None = None, ti
     for name, (number, count) in limits.items():
         if not 0 <= number < count:
             raise ValueError(f"`{name}`: expected a number from 0 to {count - 1}, got {number}")
-    part, counts = permission.certificate.agents[agent], permission.menus[agent].counts[:, state]
+    part, counts = permission.certificate.proof.agents[agent], permission.menus[agent].counts[:, state]
     if len(part.lattice) > 2:
         raise ValueError(f"`agent`: expected one of one or two components, got {len(part.lattice)}")
     figure, (plot,) = new_figure(6.8, 4.2)

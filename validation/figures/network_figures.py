@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...synthesis.certificates import Certificate, rounded_down
+from ...synthesis.certificates import OnGrid, rounded_down
 from ...synthesis.raw_networks import WeakPlaces
 from .figure_style import MAP, new_figure
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def network_figure(places: WeakPlaces, certificate: Certificate | None = None, agent: int | None = None) -> Figure:
+def network_figure(places: WeakPlaces, certificate: OnGrid | None = None, agent: int | None = None) -> Figure:
     """Draw what a network loses: a scalar agent over its cells and all times, a planar one over its cells.
 
     Losses are summed over automaton states, and over times for planar agents.
@@ -48,7 +48,7 @@ def network_figure(places: WeakPlaces, certificate: Certificate | None = None, a
     image = plot.pcolormesh(x, y, sizes, cmap=MAP, vmin=0, shading="flat", rasterized=True)
     figure.colorbar(image, ax=plot, label="loss (probability)", pad=0.02)
     if certificate is not None and len(edges) == 1:
-        policy = certificate.agents[chosen].policy
+        policy = certificate.proof.agents[chosen].policy
         replaced = np.any(policy >= problem.horizon * problem.automaton.n_states, axis=1)
         times, cells = np.nonzero(replaced)
         plot.plot(0.5 * (x[cells] + x[cells + 1]), times, ".", markersize=2, color="tab:red", label="replaced")

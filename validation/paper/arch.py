@@ -96,7 +96,7 @@ def _certified(entry: Row, folder: Path, episodes: int = EPISODES) -> Row:
     bound, met, high = (
         (value - entry.get("sure", 0.0)) / share for value in (certificate.lower_bound, successes / episodes, high)
     )
-    published, failure = entry["published"], getattr(certificate, "failure", 1.0 - bound)
+    published, failure = entry["published"], getattr(certificate.proof, "failure", 1.0 - bound)
     outcome = "no published number"
     if published is not None:
         outcome = "not below" if bound >= published else "below the published number"
@@ -130,7 +130,7 @@ def _starts(entry: Row, certificate: Any) -> Row:
     report = check(hull)
     if not report:
         raise AssertionError(f"a set of starts does not pass its check: {report}")
-    return {"starts": hull.share, "published_starts": wanted["published"]}
+    return {"starts": hull.proof.share(hull.problem), "published_starts": wanted["published"]}
 
 
 def _asked(entry: Row) -> str:

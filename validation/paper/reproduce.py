@@ -125,7 +125,7 @@ def _fig4_columns(setting: str, n: int, horizon: int) -> Found:
     exact = []
     for t in range(1, horizon + 1):
         certificate = synthesize(problem.replace(horizon=t), 100, relation="exact").certificate
-        centres = certificate.agents[0].grid.centres[list(FIGURE_4_CELLS), 0]
+        centres = certificate.proof.agents[0].grid.centres[list(FIGURE_4_CELLS), 0]
         exact.append(float(np.mean(certificate.at(np.repeat(centres[:, None], n, axis=1)))))
     columns = {f"robust_tree_{setting}_{n}": robust, f"exact_{setting}_{n}": exact}
     return Found(columns, f"exact relation {rounded_down(exact[-1], 6)} at T = {horizon}")
@@ -158,9 +158,9 @@ def _bytes(name: str, cells: int, published_joint: float, published_term: float)
     problem = make_problem(name)
     small = problem.replace(horizon=min(problem.horizon, 7))
     certificate = synthesize(small, cells, max_sweeps=1).certificate
-    sizes = [agent.grid.n_cells for agent in certificate.agents]
-    measured = sum(factors.nbytes for factors in certificate.tree.factors)
-    terms = sum(len(index) for index in certificate.tree.index)
+    sizes = [agent.grid.n_cells for agent in certificate.proof.agents]
+    measured = sum(factors.nbytes for factors in certificate.proof.tree.factors)
+    terms = sum(len(index) for index in certificate.proof.tree.index)
     row = {
         "problem": name,
         "agents": problem.n_agents,

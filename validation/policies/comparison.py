@@ -24,7 +24,7 @@ from ...envs.agents import counted, shortened, tree_text, write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.bridges import is_model
-from ...synthesis.certificates import AnyCertificate, Synthesis, any_certificate, shown_bound
+from ...synthesis.certificates import Certificate, Synthesis, any_certificate, shown_bound
 from ...synthesis.controllers import LOCAL, Controller
 from ..shields import ShieldedController
 from ..simulation import Batchable, Rollouts, TrialOptions, TrialPlan, html_table, planned, rollout
@@ -286,7 +286,7 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
             for member, seed in zip(members, seeds, strict=True)
         ]
     # A certificate brings its bound along, which holds for its problem only.
-    if isinstance(policy, Synthesis | AnyCertificate):
+    if isinstance(policy, Synthesis | Certificate):
         certificate = any_certificate(policy)
         if certificate.fingerprint != problem.fingerprint:
             raise ValueError(

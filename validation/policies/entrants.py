@@ -11,12 +11,7 @@ from typing import Any
 from ...envs.agents import write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem, problem_ids
-from ...synthesis.certificates import (
-    AnyCertificate,
-    Synthesis,
-    load_certificate,
-    save_certificate,
-)
+from ...synthesis.certificates import Certificate, Synthesis, load_certificate, save_certificate
 from ...synthesis.synthesize import synthesize
 from .actors import load_actor
 from .comparison import Contestant, contestants_of
@@ -88,7 +83,7 @@ class Entrants:
         return [self._learned(policy, seed) for seed in self.sources.seeds]
 
     @cached_property
-    def certificate(self) -> AnyCertificate:
+    def certificate(self) -> Certificate:
         """The certificate in the folder, or the one of the defaults.
 
         Raises

@@ -28,7 +28,7 @@ from ...envs.agents import checked_count, counted, tree_text, write_json
 from ...envs.arrays import on_one_thread
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ...synthesis.certificates import AnyCertificate, shown_bound
+from ...synthesis.certificates import Certificate, shown_bound
 from ...synthesis.controllers import LOCAL
 from ..simulation import Plan, TrialOptions, TrialPlan, planned, rollout
 from ..statistics import clopper_pearson, paired_difference
@@ -233,7 +233,7 @@ class _Best:
     actor: Actor
 
 
-def _judged(held: AnyCertificate, best: _Best, seconds: float, plan: tuple[Plan, int]) -> Probe:
+def _judged(held: Certificate, best: _Best, seconds: float, plan: tuple[Plan, int]) -> Probe:
     """Return the record of a probe, from episodes that nothing has been chosen by."""
     (settled, judging), problem = plan, held.problem
     ours, theirs = (rollout(problem, policy, replace(settled, seed=judging)).success for policy in (held, best.actor))
@@ -268,7 +268,7 @@ class _Search:
     """Where the attempts of a probe take place, and what they are judged by."""
 
     problem: Problem
-    certificate: AnyCertificate
+    certificate: Certificate
     seed: int
     choosing: int
     learned: Progress | None

@@ -29,7 +29,7 @@ import numpy as np
 from ...envs.agents import checked_count, counted, tree_text, write_bytes, write_json, write_text
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ...synthesis.certificates import AnyCertificate, any_certificate
+from ...synthesis.certificates import Certificate, any_certificate
 from ...synthesis.shielding import Shield
 from ...synthesis.synthesize import synthesize
 from ..simulation import rollout
@@ -225,7 +225,7 @@ def view_of(problem: Problem, algorithm: str) -> View:
     return view
 
 
-def certificate_of(problem: Problem, given: Any) -> AnyCertificate:
+def certificate_of(problem: Problem, given: Any) -> Certificate:
     """Return a certificate of the problem, of any kind: the one given, or for "certificate" that of ``synthesize``.
 
     Raises
@@ -235,7 +235,7 @@ def certificate_of(problem: Problem, given: Any) -> AnyCertificate:
     """
     if isinstance(given, str) and given == "certificate":
         return synthesize(problem).certificate
-    certificate: AnyCertificate = any_certificate(given)
+    certificate: Certificate = any_certificate(given)
     if certificate.fingerprint != problem.fingerprint:
         raise ValueError(
             f"`warm_start`: expected a certificate of {problem.name!r}, got one about another problem "

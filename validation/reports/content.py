@@ -9,10 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
-from ...synthesis.certificates import (
-    AnyCertificate,
-    shown_bound,
-)
+from ...synthesis.certificates import Certificate, shown_bound
 from ...synthesis.checking import CheckReport
 from ..audits import AuditReport
 from ..statistics import REFUTED
@@ -29,7 +26,7 @@ class ReportContent:
 
     Parameters
     ----------
-    certificate : certificate of any kind
+    certificate : Certificate
         Those about pairs and along paths speak of one start: they have neither audit nor tests at other starts nor
         bounds by steps, which are None.
     validation : ValidationReport
@@ -49,7 +46,7 @@ class ReportContent:
         What the value explorer shows; None if the check failed.
     """
 
-    certificate: AnyCertificate
+    certificate: Certificate
     validation: ValidationReport
     audit: AuditReport | None
     checked: CheckReport

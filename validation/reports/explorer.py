@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 
 from ...envs.pictures import AGENTS, MOST_STRETCHED, Curve, Panel, coordinate_name, have_one_scale, panels
 from ...envs.problem import Problem
-from ...synthesis.certificates import (
-    speaks_of_one_start,
-)
+from ...synthesis.certificates import members_of, on_cells, seen_by, speaks_of_one_start
 from ...synthesis.checking import ValueInTime, claimed_values
 from ..simulation import Loop, paths
 from ..verdicts import slice_axes, slice_starts, start_box
@@ -108,7 +106,7 @@ def explored(certificate: Any, seed: int, axes: Sequence[int] | None = None) -> 
 
 def has_values(certificate: Any) -> bool:
     """Whether a certificate knows its bound at every start: on grids, of joint agents and of written out times, too."""
-    return all(member.on_cells is not None for member in certificate.members)
+    return all(on_cells(member) is not None for member in members_of(certificate))
 
 
 def _around_one_start(
@@ -156,12 +154,12 @@ def _shape(problem: Problem, axes: int) -> tuple[int, ...]:
 
 def _in_time(certificate: Any, starts: NDArray[Any]) -> tuple[tuple[int, ...], NDArray[Any]]:
     """Return times, and lower bounds (times, Q, N) in the middle of a run; none of either for independent tasks."""
-    if certificate.on_cells is None:
+    if on_cells(certificate) is None:
         return (), np.zeros((0, 0, len(starts)))
     horizon, n_states = certificate.problem.horizon, certificate.problem.automaton.n_states
     most = max(2, MOST_NUMBERS // (n_states * len(starts)))
     times = tuple(sorted(set(np.linspace(0, horizon - 1, min(horizon, most)).astype(int).tolist())))
-    value = ValueInTime(certificate.on_cells, claimed_values(certificate.on_cells), certificate.seen)
+    value = ValueInTime(on_cells(certificate), claimed_values(on_cells(certificate)), seen_by(certificate))
     table = [[value.at(starts, q, horizon - time) for q in range(n_states)] for time in times]
     return times, np.array(table).reshape(len(times), n_states, len(starts))
 

@@ -15,11 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import write_text
-from ...synthesis.certificates import (
-    any_certificate,
-    as_certificate,
-    speaks_of_one_start,
-)
+from ...synthesis.certificates import any_certificate, as_certificate, members_of, on_cells, speaks_of_one_start, split
 from ...synthesis.checking import CheckReport, check, claimed_values
 from ..audits import audit, bound_by_steps_left
 from ..simulation import Loop, Plan, TrialOptions, TrialPlan, paths, planned
@@ -54,7 +50,7 @@ def report(
 
     Parameters
     ----------
-    certificate : Synthesis, certificate of any kind, or path
+    certificate : Synthesis, Certificate or path
         Those about pairs of agents and along paths speak of one start: their pages have neither audit nor tests at
         other starts; the explorer shows what the check proves of the same controllers from other starts, if anything.
     path : str or Path
@@ -120,7 +116,7 @@ def _bounds(certificate: Any, state: NDArray[Any]) -> NDArray[Any]:
 
     For independent tasks they are the products of the bounds of all tasks.
     """
-    if certificate.on_cells is certificate:
+    if on_cells(certificate) is certificate:
         return bound_by_steps_left(certificate, claimed_values(certificate), state)
-    pairs = certificate.split(state)
-    return np.prod([_bounds(of_task, state_of_task) for of_task, state_of_task in pairs], axis=0)
+    pairs = zip(members_of(certificate), split(certificate.problem, state), strict=True)
+    return np.prod([_bounds(of_task, states[0]) for of_task, states in pairs], axis=0)

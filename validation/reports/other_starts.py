@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
-from ...synthesis.certificates import AgentPath, PathCertificate
+from ...synthesis.certificates import AgentPath, AlongPath, Certificate, changed, member_agents, members_of, path_under
 from ...synthesis.checking import check
 from ..verdicts import start_box
 
@@ -42,11 +42,11 @@ def _elsewhere(certificate: Any, starts: NDArray[Any]) -> NDArray[Any]:
     """Return what is proved from starts, or NaN."""
     if not along_paths(certificate):
         return np.full(len(starts), np.nan)
-    if certificate.along is not None:
+    if path_under(certificate) is not None:
         return np.array([_proved(certificate, start) for start in starts])
     # Of independent tasks only those whose start differs are asked about.
     product = np.ones(len(starts))
-    for part, columns in zip(certificate.members, task_columns(certificate), strict=True):
+    for part, columns in zip(members_of(certificate), task_columns(certificate), strict=True):
         own, numbers = np.unique(starts[:, columns], axis=0, return_inverse=True)
         product *= bounds_from(part, own)[numbers.ravel()] * (1.0 - 2.0**-50)
     return product
@@ -55,18 +55,18 @@ def _elsewhere(certificate: Any, starts: NDArray[Any]) -> NDArray[Any]:
 def task_columns(certificate: Any) -> list[NDArray[np.int64]]:
     """Return which components of a joint state belong to each task."""
     components = [np.arange(columns.start, columns.stop) for columns in certificate.problem.columns]
-    return [np.concatenate([components[i] for i in agents]) for agents in certificate.member_agents]
+    return [np.concatenate([components[i] for i in agents]) for agents in member_agents(certificate)]
 
 
 def along_paths(certificate: Any) -> bool:
     """Whether a certificate, or every part of it, is along a path, of one agent or of a joint one."""
-    return all(member.along is not None for member in certificate.members)
+    return all(path_under(member) is not None for member in members_of(certificate))
 
 
 def work_of(certificate: Any) -> int:
     """Return how many states of paths a check goes through, of the largest part."""
-    paths = [member.along for member in certificate.members if member.along is not None]
-    return max(path.n_steps * path.problem.n_states for path in paths)
+    paths = [path_under(member) for member in members_of(certificate) if path_under(member) is not None]
+    return max(path.proof.n_steps * path.problem.n_states for path in paths)
 
 
 def reach(certificate: Any, axes: tuple[int, ...]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -90,22 +90,26 @@ def reach(certificate: Any, axes: tuple[int, ...]) -> tuple[NDArray[Any], NDArra
 
 def _proved(certificate: Any, start: NDArray[Any]) -> float:
     """Return the lower bound that the check proves from a start (D,); 0 if it proves nothing."""
-    moved: Any = begun_at(certificate.along, start)
-    if certificate.along is not certificate:
-        moved = replace(certificate, problem=certificate.problem.replace(initial_state=start.tolist()), base=moved)
+    moved: Certificate = begun_at(path_under(certificate), start)
+    if path_under(certificate) is not certificate:
+        problem = certificate.problem.replace(initial_state=start.tolist())
+        moved = changed(replace(certificate, problem=problem), base=moved)
     report = check(moved)
     # What it computes is rounded to the nearest number: the one below it is no more.
     return max(0.0, math.nextafter(report.recomputed, 0.0)) if report else 0.0
 
 
-def begun_at(certificate: PathCertificate, start: NDArray[Any]) -> PathCertificate:
+def begun_at(certificate: AlongPath, start: NDArray[Any]) -> AlongPath:
     """Return a certificate that claims nothing, for the same inputs from another start (D,)."""
     problem, paths = certificate.problem, []
     nominal = certificate.controller.nominal
-    for agent, path, xbar, columns in zip(problem.agents, certificate.paths, nominal, problem.columns, strict=True):
+    for agent, path, xbar, columns in zip(
+        problem.agents, certificate.proof.paths, nominal, problem.columns, strict=True
+    ):
         linear = path.states is None and isinstance(agent, LinearAgent)
         paths.append(_from(agent, path, xbar, start[columns]) if linear else path)  # type: ignore[arg-type]
-    return replace(certificate, problem=problem.replace(initial_state=start.tolist()), paths=tuple(paths), failure=1.0)
+    moved = replace(certificate, problem=problem.replace(initial_state=start.tolist()))
+    return changed(moved, paths=tuple(paths), failure=1.0)
 
 
 def _from(agent: LinearAgent, path: AgentPath, nominal: NDArray[Any], state: NDArray[Any]) -> AgentPath:

@@ -14,10 +14,13 @@ from ...envs.pictures import AGENTS, LOOKS, Panel, coordinate_name, edges, panel
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
     KEPT,
-    AnyCertificate,
+    Certificate,
     Tube,
+    alike_members,
+    members_of,
     rounded_down,
     shown_bound,
+    start_of_claim,
     tube_along,
 )
 from ..statistics import REFUTED, VACUOUS
@@ -169,7 +172,8 @@ def _explorer_script(content: ReportContent) -> str:
 def _answer(content: ReportContent) -> str:
     """Return the box at the head: what is certified, beside what rollouts gave, and what each test says."""
     v, certificate = content.validation, content.certificate
-    start = {"point": "from the initial state", "mean": "on average over the initial box"}.get(certificate.start, "")
+    point = start_of_claim(certificate) == "point"
+    start = "from the initial state" if point else "on average over the initial box"
     upper = None if v.gap is None else min(1.0, v.lower_bound + v.gap)
     above = "the probability is at least this" if upper is None else "the probability lies between these"
     # What stands in brackets is not broken at the minus of an exponent.
@@ -312,7 +316,7 @@ def _steps(content: ReportContent) -> str:
     if audit is None or content.bounds is None:
         return ""
     # The curve is about one start; rollouts from a box of starts estimate a mean, which is not on it.
-    estimate = (v.estimate, v.ci_low, v.ci_high) if content.certificate.start == "point" else None
+    estimate = (v.estimate, v.ci_low, v.ci_high) if start_of_claim(content.certificate) == "point" else None
     where = "the start" if estimate else "the middle of the initial box"
     end = f" {_key('run')}the rollouts with their limits." if estimate else ""
     note = f"{_key('bound')}certified from {where} if only the last k steps of the policies are played.{end}"
@@ -332,9 +336,9 @@ def _steps(content: ReportContent) -> str:
     return _section("Step by step", f"<div class=row>{curve}{tested}</div>")
 
 
-def _tasks(certificate: AnyCertificate) -> list[Problem]:
+def _tasks(certificate: Certificate) -> list[Problem]:
     """Return the problem, or of independent tasks those that differ in more than names."""
-    return [certificate.members[same[0]].problem for same in certificate.alike][:MOST_AUTOMATA]
+    return [members_of(certificate)[same[0]].problem for same in alike_members(certificate)][:MOST_AUTOMATA]
 
 
 def _drawing(problem: Problem) -> str:
@@ -369,8 +373,8 @@ def _trust(content: ReportContent) -> str:
     certificate, v, details = content.certificate, content.validation, content.validation.details
     text = json.dumps(certificate.settings, indent=1, sort_keys=True, default=str)
     facts = {
-        "method": f"{v.method} ({certificate.bound} bound, rank {v.rank})",
-        **certificate.about_pairs,
+        "method": f"{v.method} ({certificate.proof.bound} bound, rank {v.rank})",
+        **certificate.proof.about,
         **({"tried": "; ".join(tried)} if (tried := tried_lines(v.details)) else {}),
         "separate check": _checked(content),
         "fingerprint": certificate.fingerprint,

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...envs.pictures import AGENTS, panels
 from ...envs.problem import problem_from_toml
-from ...synthesis.certificates import Synthesis, rounded_down, rounded_up, save_certificate, shown_bound
+from ...synthesis.certificates import Synthesis, rounded_down, rounded_up, save_certificate, shown_bound, start_of_claim
 from ...synthesis.checking import check
 from ...synthesis.synthesize import synthesize
 from ..simulation import Loop, paths, rollout
@@ -135,8 +135,8 @@ def result_facts(result: Synthesis) -> dict[str, Any]:
         "claim": shown_bound(certificate.lower_bound, certificate.gap),
         "above": above,
         "above_shown": None if above is None else rounded_up(above),
-        "method": certificate.method,
-        "start": certificate.start,
+        "method": certificate.proof.method,
+        "start": start_of_claim(certificate),
         "fingerprint": certificate.problem.fingerprint,
         "nothing": result.stats.get("nothing"),
         "tried": [[name, rounded_down(x) if isinstance(x, float) else str(x)] for name, x in tried.items()],

@@ -211,7 +211,7 @@ def validate_field(
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate, TeamCertificate or path
+    certificate : Synthesis, Certificate or path
     states : array_like, shape (N, D)
         Joint initial states (see ``validation.verdicts.starts``).
     plan, **trial
@@ -284,7 +284,7 @@ def find_weakest(
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate, TeamCertificate or path
+    certificate : Synthesis, Certificate or path
     plan, **trial
         Episodes in all (default 100,000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``.
     candidates : array_like, shape (N, D), optional

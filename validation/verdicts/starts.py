@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate, ProductCertificate, TeamCertificate
+from ...synthesis.certificates import Certificate
 
 Box = tuple[Any, Any]
 """Both corners (D,) of a box of joint states."""
@@ -116,14 +116,16 @@ def slice_axes(problem: Problem, axes: Sequence[int] | None) -> tuple[int, ...]:
 
 
 def neighbours(
-    certificate: Certificate | ProductCertificate | TeamCertificate, states: NDArray[Any], rng: np.random.Generator
+    certificate: Certificate,
+    states: NDArray[Any],
+    rng: np.random.Generator,
 ) -> NDArray[Any]:
     """Return one neighbour of each state (N, D): one random coordinate is moved by up to two cells of its grid.
 
     Neighbours stay inside the workspaces.
     """
     low, high = workspace_box(certificate.problem)
-    width = np.concatenate([2.0 * agent.grid.half_widths.max(axis=0) for agent in certificate.agents])
+    width = np.concatenate([2.0 * agent.grid.half_widths.max(axis=0) for agent in certificate.proof.agents])
     moved, rows = states.copy(), np.arange(len(states))
     axis = rng.integers(states.shape[1], size=len(states))
     moved[rows, axis] += 2.0 * width[axis] * rng.uniform(-1.0, 1.0, size=len(states))

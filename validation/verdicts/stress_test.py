@@ -181,7 +181,7 @@ def stress(
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate or path
+    certificate : Synthesis, Certificate or path
     plan, **trial
         Episodes per mismatch (default 20,000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``.
         After Ctrl-C the report is about the rungs that were finished.

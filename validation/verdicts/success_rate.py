@@ -17,11 +17,14 @@ from ...envs.problem import Problem
 from ...synthesis.certificates import (
     EXACT_GAP,
     Certificate,
-    ProductCertificate,
     Synthesis,
     any_certificate,
+    on_cells,
+    relations_tried,
     rounded_up,
     shown_bound,
+    start_of_claim,
+    why_nothing,
 )
 from ...synthesis.checking import CheckReport, greedy_disturbance
 from ..simulation import (
@@ -289,7 +292,7 @@ def validate(
 
     Parameters
     ----------
-    result : Synthesis, Certificate, ProductCertificate or path
+    result : Synthesis, Certificate or path
     plan, **trial
         Episodes (default 100,000; if ``sequential``, the largest number), seed, confidence of the two-sided limits
         (.999), chunk, executor, progress; see ``TrialPlan``. After Ctrl-C the report is about the episodes finished by
@@ -348,13 +351,13 @@ class _Trial:
     disturbance: Behaviour
 
 
-def _behaviours(certificate: Certificate | ProductCertificate) -> dict[str, Behaviour]:
+def _behaviours(certificate: Certificate) -> dict[str, Behaviour]:
     """Return all behaviours of disturbances that are simulated, by name; one if there are no disturbances."""
     agents = certificate.problem.agents
     if not any(agent.disturbances for agent in agents):
         return {"zero": "zero"}
     named: dict[str, Behaviour] = {name: name for name in BEHAVIOURS}
-    if certificate.on_cells is certificate:
+    if on_cells(certificate) is certificate:
         named["greedy"] = greedy_disturbance(certificate)
     return named
 
@@ -363,9 +366,7 @@ def _name(behaviour: Behaviour) -> str:
     return behaviour if isinstance(behaviour, str) else type(behaviour).__name__.lower()
 
 
-def _validated(
-    result: Any, certificate: Certificate | ProductCertificate, settled: Plan, how: _Trial
-) -> ValidationReport:
+def _validated(result: Any, certificate: Certificate, settled: Plan, how: _Trial) -> ValidationReport:
     """Test a claim under one behaviour of disturbances."""
     began = time.perf_counter()
     initial_state, sequential, mismatch = how.initial_state, how.sequential, how.mismatch
@@ -408,7 +409,7 @@ def _validated(
     return ValidationReport(
         problem=problem.name,
         horizon=problem.horizon,
-        method=certificate.method,
+        method=certificate.proof.method,
         lower_bound=lower,
         exact=gap is not None and gap <= EXACT_GAP,
         gap=gap,
@@ -419,30 +420,28 @@ def _validated(
         ci_high=ci_high,
         confidence=settled.confidence,
         verdict=found,
-        rank=certificate.rank,
+        rank=certificate.proof.rank,
         seconds={**seconds, "validate": time.perf_counter() - began},
         details=details,
     )
 
 
-def claim_at(
-    certificate: Certificate | ProductCertificate, initial_state: Any = None
-) -> tuple[Problem, float, float | None, str]:
+def claim_at(certificate: Certificate, initial_state: Any = None) -> tuple[Problem, float, float | None, str]:
     """Return the problem with this start, the lower bound there, its ``gap`` (or None), and ``point`` or ``mean``."""
     problem = certificate.problem
     if initial_state is None:
-        return problem, certificate.lower_bound, certificate.gap, certificate.start
+        return problem, certificate.lower_bound, certificate.gap, start_of_claim(certificate)
     # At another start the certificate claims its value there, and no upper end.
     problem = problem.replace(initial_state=initial_state)
     joint = np.concatenate([agent.initial.low for agent in problem.agents])
     return problem, float(certificate.at(joint)[0]), None, "point"
 
 
-def _facts_of_search(result: Any, certificate: Certificate | ProductCertificate) -> dict[str, Any]:
+def _facts_of_search(result: Any, certificate: Certificate) -> dict[str, Any]:
     """Return what a certificate, or a synthesis if there is one, tells about the search that made it."""
-    tried = certificate.relations_tried
+    tried = relations_tried(certificate)
     facts: dict[str, Any] = {"tried": tried} if tried else {}
-    facts |= {"nothing": why} if (why := certificate.why_nothing) else {}
+    facts |= {"nothing": why} if (why := why_nothing(certificate)) else {}
     if isinstance(result, Synthesis):
         facts |= {name: result.stats[name] for name in _ABOUT_SEARCH if name in result.stats}
     return facts
@@ -453,12 +452,12 @@ def _finite(value: float) -> float:
     return float(min(max(value, -LARGEST_LOG_E), LARGEST_LOG_E))
 
 
-def _details(certificate: Certificate | ProductCertificate, start: str, plan: TrialPlan) -> dict[str, Any]:
+def _details(certificate: Certificate, start: str, plan: TrialPlan) -> dict[str, Any]:
     """Return what a report says about the claim, the random record and the versions."""
     return {
         "start": start,
-        "bound": certificate.bound,
-        "has_cells": certificate.has_cells,
+        "bound": certificate.proof.bound,
+        "has_cells": certificate.proof.has_cells,
         "fingerprint": certificate.fingerprint,
         "settings": certificate.settings,
         "seed": plan.seed,

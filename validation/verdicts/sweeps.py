@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate
+from ...synthesis.certificates import OnGrid
 from ...synthesis.checking import check
 from ...synthesis.horizons import each_horizon
 from ...synthesis.synthesize import synthesize
@@ -51,7 +51,7 @@ def each_report(
 
 def synthesize_best(
     problem: Problem, attempts: Sequence[Mapping[str, Any]], *, executor: Executor | None = None
-) -> tuple[Certificate, list[float]]:
+) -> tuple[OnGrid, list[float]]:
     """Return the certificate with the largest lower bound among several attempts, and the lower bounds of all.
 
     Parameters
@@ -69,7 +69,7 @@ def synthesize_best(
     """
     if not attempts:
         raise ValueError("`attempts`: expected at least one, got none")
-    best: Certificate | None = None
+    best: OnGrid | None = None
     bounds = []
     for certificate in in_order(_attempt, problem, attempts, executor):
         bounds.append(certificate.lower_bound)
@@ -79,6 +79,6 @@ def synthesize_best(
     return best, bounds
 
 
-def _attempt(problem: Problem, settings: Mapping[str, Any]) -> Certificate:
+def _attempt(problem: Problem, settings: Mapping[str, Any]) -> OnGrid:
     """Run one synthesis; executors can import this function."""
     return synthesize(problem, **settings).certificate

@@ -16,7 +16,7 @@ import numpy as np
 from ..envs.agents import write_bytes
 from ..envs.pictures import Picture, verdict_text
 from ..envs.problem import Problem
-from ..synthesis.certificates import Certificate, ProductCertificate, shown_bound
+from ..synthesis.certificates import Certificate, shown_bound
 from ..synthesis.checking import ValueInTime, value_in_time
 from ..validation.simulation import Batchable, Loop, paths, task_tracks
 
@@ -46,12 +46,12 @@ class Player:
         """Return a policy in any form that ``compare`` takes, of several seeds the first."""
         policy = policy[0] if isinstance(policy, (list, tuple)) else policy
         claim = getattr(policy, "certificate", policy)
-        if isinstance(claim, Certificate | ProductCertificate):
+        if isinstance(claim, Certificate):
             return cls(claim.controller, f"certified {shown_bound(claim.lower_bound, None)}", _values(claim))
         return cls(getattr(policy, "controller", policy), Path(name).stem)
 
 
-def _values(claim: Certificate | ProductCertificate) -> ValueInTime | None:
+def _values(claim: Certificate) -> ValueInTime | None:
     """Return the values of a certificate at all times; None for kinds that have none."""
     try:
         return value_in_time(claim)

@@ -12,7 +12,14 @@ from ..envs.agents import Agent, AnyAgent, LinearAgent, Pair, Proposition, count
 from ..envs.problem import Problem
 from ..envs.suite import make_problem, problem_ids, tier_of_id
 from ..synthesis.balls import check_rigorous
-from ..synthesis.certificates import load_certificate, save_certificate, shown_bound
+from ..synthesis.certificates import (
+    is_exact,
+    lasting_bound,
+    load_certificate,
+    save_certificate,
+    shown_bound,
+    start_of_claim,
+)
 from ..synthesis.checking import check as check_certificate
 from ..synthesis.checking import safety_rate
 from ..synthesis.nominal_paths import certified_starts as starts_around
@@ -104,11 +111,11 @@ def run(options: Namespace) -> int:
 def _lasting(result: Any) -> dict[str, Any]:
     """Return what is certified without a deadline: in words, and as a number where one holds for every horizon."""
     certificate = result.certificate
-    if certificate.unbounded is not None:
-        said = f"the bound holds for every longer horizon, too, and without any: P >= {certificate.unbounded:.6g}"
+    if (lasting := lasting_bound(certificate)) is not None:
+        said = f"the bound holds for every longer horizon, too, and without any: P >= {lasting:.6g}"
     else:
         said = f"P(safe for k steps) >= {safety_rate(certificate)}, for every k"
-    return {"no_deadline": said, "unbounded": certificate.unbounded}
+    return {"no_deadline": said, "unbounded": lasting}
 
 
 def synthesize(options: Namespace) -> int:
@@ -119,13 +126,13 @@ def synthesize(options: Namespace) -> int:
     summary = {
         "problem": certificate.problem.name,
         "horizon": certificate.problem.horizon,
-        "method": certificate.method,
-        "bound": certificate.bound,
-        "start": certificate.start,
+        "method": certificate.proof.method,
+        "bound": certificate.proof.bound,
+        "start": start_of_claim(certificate),
         "lower_bound": certificate.lower_bound,
         "gap": certificate.gap,
-        "exact": certificate.exact,
-        "rank": certificate.rank,
+        "exact": is_exact(certificate),
+        "rank": certificate.proof.rank,
         "fingerprint": certificate.fingerprint,
         "seconds": result.stats["seconds"],
         "certificate": options.out,
@@ -141,18 +148,19 @@ def synthesize(options: Namespace) -> int:
 def certified_starts(options: Namespace) -> int:
     """Certify a set of starts around that of a certificate along a path, and save it."""
     hull = starts_around(options.certificate, options.probability, options.axes, options.rays)
+    share = hull.proof.share(hull.problem)
     save_certificate(hull, options.out)
     summary = {
         "problem": hull.problem.name,
-        "axes": list(hull.axes),
-        "corners": len(hull.corners),
-        "share": hull.share,
+        "axes": list(hull.proof.axes),
+        "corners": len(hull.proof.corners),
+        "share": share,
         "lower_bound": hull.lower_bound,
         "fingerprint": hull.fingerprint,
         "certificate": options.out,
     }
-    claim = f"{shown_bound(hull.lower_bound, None)} from {hull.share:.4f} of the workspace"
-    text = f"{hull.problem.name}, horizon {hull.problem.horizon}: {claim}, {len(hull.corners)} corners"
+    claim = f"{shown_bound(hull.lower_bound, None)} from {share:.4f} of the workspace"
+    text = f"{hull.problem.name}, horizon {hull.problem.horizon}: {claim}, {len(hull.proof.corners)} corners"
     show(options, f"{text}\nsaved to {options.out}", summary)
     return 0
 

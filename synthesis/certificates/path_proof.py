@@ -1,4 +1,4 @@
-"""Certificates along a path: no grid, any number of states, noise that need not reach all of them.
+"""Proofs along a path: no grid, any number of states, noise that need not reach all of them.
 
 Agents with Gaussian noise start from a point and apply ``u_t = ubar_t + K (x_t - xbar_t)``, where xbar is the
 nominal path under the nominal inputs ubar. Then all deviations of linear agents are jointly Gaussian with mean 0; those
@@ -12,20 +12,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import tree_text
 from ...envs.arrays import is_whole
-from ...envs.problem import Problem, problem_from_dict
+from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..controllers import PathController
-from .archive import Pool
-from .two_ended import Offer, TwoEnded
+from .archive import Pool, Stored
+from .certificate import Certificate
+from .digits import significant_up
+from .proof import Offer, Proof
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +66,12 @@ class AgentPath:
         return self.gain if self.gain.ndim == 3 else np.broadcast_to(self.gain, (self.n_steps, *self.gain.shape))
 
 
+OTHER_STARTS = (
+    "one along a path, which says nothing of other starts; synthesize the problem with another `initial_state`, or "
+    "certify a set of starts (`certified_starts`)"
+)
+"""What certificates along paths answer to whoever asks for other starts."""
+
 ONE_RUN = (
     "one along a path, which says nothing of other states and times; it can be checked, validated, stressed, "
     "simulated, compared and reported, and `certified_starts` certifies a set of starts around its own"
@@ -74,12 +80,11 @@ ONE_RUN = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PathCertificate(TwoEnded):
-    """A certified lower bound from a start that is known, along a nominal path.
+class PathProof(Proof):
+    """A bound from a start that is known, along a nominal path.
 
     Parameters
     ----------
-    problem : Problem
     paths : tuple of AgentPath
         One for each agent, for S steps; S is the horizon unless the task is satisfied earlier.
     letters : (S + 1, P) int8 array
@@ -89,58 +94,28 @@ class PathCertificate(TwoEnded):
         limit of output k, ``2 k + 1`` for above the upper one; -1 elsewhere.
     failure : float
         Upper bound on the probability that the task is not satisfied.
-    settings : dict
-        How the path was found.
     normals : (S + 1, sum of p) array, optional
         Of a task about pairs of agents, pair after pair: where one is not to hold, the direction (p,) of the half-space
         ``n.(y_a - y_b) > max over the box of n.z`` in which its difference stays; elsewhere they say nothing.
     """
 
-    problem: Problem
     paths: tuple[AgentPath, ...]
     letters: NDArray[np.int8]
     faces: NDArray[np.int64]
     failure: float
-    settings: dict[str, Any]
     normals: FloatArray | None = None
 
-    lacks = MappingProxyType({Offer.VALUES: ONE_RUN})
+    kind = "path"
+    lacks = MappingProxyType({Offer.VALUES: ONE_RUN, Offer.OTHER_STARTS: OTHER_STARTS})
     bound = "path"
-    rank = 1
     gap = None
-    exact = False
-
-    def __repr__(self) -> str:
-        rows = [
-            ("horizon", f"{self.problem.horizon} control steps"),
-            ("path", f"{self.n_steps} steps"),
-            ("failure", f"at most {self.failure:.3g}"),
-            ("bound", f"P >= {self.lower_bound:.10g}"),
-        ]
-        return tree_text(f"PathCertificate of {self.problem.name!r}", rows)
+    rank = 1
+    parts = ()
 
     @property
-    def along(self) -> Any:
-        """Itself."""
-        return self
-
-    def written(self, pool: Pool) -> dict[str, Any]:
-        """Return the entries of its file."""
-        return {
-            "settings": self.settings,
-            "failure": float(self.failure),
-            "path": {
-                "letters": pool.put(self.letters),
-                "faces": pool.put(self.faces),
-                "agents": [[pool.put(array) for array in path.arrays] for path in self.paths],
-                **({} if self.normals is None else {"normals": pool.put(self.normals)}),
-            },
-        }
-
-    @property
-    def start(self) -> str:
-        """``"mean"`` where starts are drawn from a box, though the bound holds for each of them; else ``"point"``."""
-        return "point" if all(agent.initial.is_point for agent in self.problem.agents) else "mean"
+    def about(self) -> dict[str, str]:  # type: ignore[override]
+        """What summaries say of it besides: how it may fail."""
+        return {"failure": f"at most {significant_up(self.failure, 3)}"}
 
     @property
     def n_steps(self) -> int:
@@ -153,61 +128,58 @@ class PathCertificate(TwoEnded):
         return max(0.0, math.nextafter(1.0 - self.failure, 0.0))
 
     @property
-    def has_cells(self) -> bool:
-        """Whether it is about cells: it is not, but about one path."""
-        return False
-
-    @property
     def method(self) -> str:
         """How the bound was found, in words."""
         gains = any(np.any(path.gain) for path in self.paths)
         return f"nominal path of {self.n_steps} steps, {'with feedback' if gains else 'open loop'}"
 
-    def at(self, states: Any) -> NoReturn:
-        """Refuse: the certificate speaks of the problem's start alone (ValueError)."""
-        raise ValueError(
-            "`certificate`: expected one on grids, got one along a path, which says nothing of other starts; "
-            "synthesize the problem with another `initial_state`, or certify a set of starts (`certified_starts`)"
-        )
+    def along(self, certificate: Certificate) -> Certificate:
+        """Return the certificate itself."""
+        return certificate
 
-    @cached_property
-    def controller(self) -> PathController:
-        """The controllers the bound belongs to."""
-        return PathController(self.problem, tuple((path.inputs, path.gain, path.states) for path in self.paths))
+    def controller(self, problem: Problem) -> PathController:
+        """Return the controllers the bound belongs to."""
+        return PathController(problem, tuple((path.inputs, path.gain, path.states) for path in self.paths))
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        return {
+            "failure": float(self.failure),
+            "letters": pool.put(self.letters),
+            "faces": pool.put(self.faces),
+            "agents": [[pool.put(array) for array in path.arrays] for path in self.paths],
+            **({} if self.normals is None else {"normals": pool.put(self.normals)}),
+        }
+
+    @classmethod
+    def read(cls, problem: Problem, stored: Stored) -> Self:
+        """Return the proof in a file; raise ValueError if there is none."""
+        failure, letters, faces = kept_in(problem, stored)
+        entries = stored.entry["agents"]
+        if len(entries) != problem.n_agents:
+            raise ValueError("its agents are not those of a path")
+        paths = []
+        for agent, numbers in zip(problem.agents, entries, strict=True):
+            steps, d, m = len(letters) - 1, agent.n_states, agent.n_inputs
+            shapes = [(steps, m), (m, d)] if len(numbers) == 2 else [(steps, m), (steps, m, d)]
+            shapes += [] if len(numbers) == 2 else [(steps + 1, d), (steps + 1, 2 * d + m)]
+            arrays = [stored.numbers(number) for number in numbers]
+            if [array.shape for array in arrays] != shapes or not all(np.all(np.isfinite(a)) for a in arrays[:3]):
+                raise ValueError(f"the inputs of agent {agent.name!r} do not fit")
+            if len(numbers) == 4 and not np.all(arrays[3] >= 0.0):
+                raise ValueError(f"the slabs of agent {agent.name!r} are none")
+            paths.append(AgentPath(*arrays))
+        return cls(tuple(paths), letters, faces, failure, _normals(problem, stored, len(letters)))
 
 
-def path_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> PathCertificate:
-    """Return the certificate along a path that a header and its arrays describe; raise ValueError if they do not."""
-    entry = header["path"]
-    problem, failure, letters, faces = kept_in(header, entry, arrays)
-    if not isinstance(header["settings"], dict) or len(entry["agents"]) != problem.n_agents:
-        raise ValueError("its settings or its agents are not those of a path")
-    paths = []
-    for agent, numbers in zip(problem.agents, entry["agents"], strict=True):
-        steps, d, m = len(letters) - 1, agent.n_states, agent.n_inputs
-        shapes = [(steps, m), (m, d)] if len(numbers) == 2 else [(steps, m), (steps, m, d)]
-        shapes += [] if len(numbers) == 2 else [(steps + 1, d), (steps + 1, 2 * d + m)]
-        stored = [np.asarray(arrays[str(int(number))], dtype=float) for number in numbers]
-        if [array.shape for array in stored] != shapes or not all(np.all(np.isfinite(array)) for array in stored[:3]):
-            raise ValueError(f"the inputs of agent {agent.name!r} do not fit")
-        if len(numbers) == 4 and not np.all(stored[3] >= 0.0):
-            raise ValueError(f"the slabs of agent {agent.name!r} are none")
-        paths.append(AgentPath(*stored))
-    normals = _normals(problem, entry, arrays, len(letters))
-    return PathCertificate(problem, tuple(paths), letters, faces, failure, header["settings"], normals)
+AlongPath = Certificate[PathProof]
+"""A certificate along a path."""
 
 
-def kept_in(
-    header: dict[str, Any], entry: dict[str, Any], arrays: dict[str, NDArray[Any]]
-) -> tuple[Problem, float, NDArray[Any], NDArray[Any]]:
-    """Return problem, probability of failing, letters and faces (S + 1, P) that a header and its entry describe."""
-    problem = problem_from_dict(header["problem"])
-    if header["fingerprint"] != problem.fingerprint:
-        raise ValueError("the fingerprint does not belong to the problem in it")
-    failure = header["failure"]
-    if isinstance(failure, bool) or not isinstance(failure, int | float) or not 0.0 <= failure <= 1.0:
-        raise ValueError("its probability of failing is none")
-    letters, faces = (np.asarray(arrays[str(int(entry[name]))]) for name in ("letters", "faces"))
+def kept_in(problem: Problem, stored: Stored) -> tuple[float, NDArray[Any], NDArray[Any]]:
+    """Return the probability of failing, letters and faces (S + 1, P) in a file."""
+    failure = probability(stored.entry["failure"])
+    letters, faces = (stored.array(stored.entry[name]) for name in ("letters", "faces"))
     if (
         not (is_whole(letters, signed=True) and is_whole(faces, signed=True))
         or letters.ndim != 2
@@ -216,19 +188,24 @@ def kept_in(
         raise ValueError("its letters are no whole numbers")
     if not 2 <= len(letters) <= problem.horizon + 1:
         raise ValueError("its letters do not fit the horizon")
-    return problem, float(failure), letters, faces
+    return failure, letters, faces
 
 
-def _normals(
-    problem: Problem, entry: dict[str, Any], arrays: dict[str, NDArray[Any]], times: int
-) -> NDArray[np.float64] | None:
+def probability(value: Any) -> float:
+    """Return a number of a file if it is a probability; raise ValueError otherwise."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+        raise ValueError("what it says is a probability is none")
+    return float(value)
+
+
+def _normals(problem: Problem, stored: Stored, times: int) -> NDArray[np.float64] | None:
     """Return the directions of pairs (S + 1, sum of p); None for tasks that are about none."""
     pairs = problem.labeling.pairs
-    if ("normals" in entry) != bool(pairs):
+    if ("normals" in stored.entry) != bool(pairs):
         raise ValueError("it has directions of pairs and its problem has no pairs, or the other way round")
     if not pairs:
         return None
-    normals = np.asarray(arrays[str(int(entry["normals"]))], dtype=float)
+    normals = stored.numbers(stored.entry["normals"])
     if normals.shape != (times, sum(pair.size for pair in pairs)) or not np.all(np.isfinite(normals)):
         raise ValueError("its directions of pairs do not fit")
     return normals

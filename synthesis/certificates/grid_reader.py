@@ -1,7 +1,7 @@
-"""From the header and the arrays of a file to a certificate; nothing in them is trusted.
+"""From the header and the arrays of a file to a proof on grids; nothing in them is trusted.
 
-Shapes, ranges of all indices and numbers are checked before they are used. Only ``check`` says whether the certificate
-is true.
+Shapes, ranges of all indices and numbers are checked before they are used. Only ``check`` says whether the
+certificate is true.
 """
 
 from __future__ import annotations
@@ -12,37 +12,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.problem import problem_from_dict
+from ...envs.problem import Problem
 from ..cells import Grid, lattice_axes
 from ..relations import check_description
 from ..values import Merges, Rounding, Skeleton, Terms
-from .certificate import CLAIM_FIELDS, Certificate
+from .archive import Stored
 from .part import AgentPart
+
+CLAIM_FIELDS = ("method", "bound", "bounds", "lower_bound", "gap", "relative_rounding", "rank")
+"""Fields of a proof about its claim, which files hold under the same names."""
 
 LARGEST_ROUNDING = 1e-3
 """Largest relative reserve for floating point that makes sense: more of it would hide a wrong value."""
 
 
-class CertificateReader:
-    """Rebuilds a certificate from header and arrays, checking every shape and index on the way.
+class GridReader:
+    """Rebuilds what a proof on grids holds, checking every shape and index on the way.
 
     Parameters
     ----------
-    header : dict
-    arrays : dict
-        By their numbers, as text.
+    problem : Problem
+    stored : Stored
     """
 
-    def __init__(self, header: dict[str, Any], arrays: dict[str, NDArray]) -> None:
-        self.header, self.arrays = header, arrays
-        self.problem = problem_from_dict(header["problem"])
-        self.n_agents, self.n_states = self.problem.n_agents, self.problem.automaton.n_states
+    def __init__(self, problem: Problem, stored: Stored) -> None:
+        self.problem, self.header, self.arrays = problem, stored.entry, stored.arrays
+        self.n_agents, self.n_states = problem.n_agents, problem.automaton.n_states
 
-    def certificate(self) -> Certificate:
-        """Return the certificate, or raise ValueError (KeyError, TypeError, .. if the header has another form)."""
+    def fields(self) -> dict[str, Any]:
+        """Return the fields of the proof but for the opposite task's; raise ValueError (KeyError, ..) otherwise."""
         header = self.header
-        if header["fingerprint"] != self.problem.fingerprint:
-            raise ValueError("the fingerprint does not belong to the problem in it")
         agents = self._each(header["agents"], self.n_agents, self._agent)
         # Guards point at automaton states and at the masks of the agents.
         source, target = (self._integers(header["guards"][k], (None,), self.n_states) for k in (0, 1))
@@ -59,8 +58,7 @@ class CertificateReader:
         trains = header.get("rounding") is not None
         if trains and (header["terms"] is not None or header["skeleton"]):
             raise ValueError("it holds a value tree beside its tensor trains")
-        return Certificate(
-            problem=self.problem,
+        return dict(
             agents=tuple(agents),
             guard_source=source,
             guard_target=target,
@@ -70,7 +68,6 @@ class CertificateReader:
             skeleton=() if trains else tuple(self._each(header["skeleton"], self.problem.horizon, self._step)),
             terms=None if trains else self._terms(agents),
             rounding=self._rounding(agents) if trains else None,
-            settings=dict(header["settings"]),
             **claim,
         )
 
@@ -197,14 +194,14 @@ class CertificateReader:
 def _check_claim(claim: dict[str, Any]) -> None:
     """Raise ValueError unless the fields of a claim have the right types and ranges."""
     lower, gap, relative = claim["lower_bound"], claim["gap"], claim["relative_rounding"]
-    texts = all(isinstance(claim[k], str) for k in ("method", "bound", "start"))
+    texts = all(isinstance(claim[k], str) for k in ("method", "bound"))
     bounds = claim["bounds"]
     if any(isinstance(value, bool) for value in (lower, gap)):
         raise ValueError("its bound is not a number")
     if not isinstance(bounds, dict) or not all(isinstance(v, float | int) and abs(v) <= 1e9 for v in bounds.values()):
         raise ValueError("its bounds are not numbers")
     is_rank = isinstance(claim["rank"], int) and not isinstance(claim["rank"], bool) and 0 <= claim["rank"] < 2**53
-    if not texts or not isinstance(claim["exact"], bool) or not is_rank:
+    if not texts or not is_rank:
         raise ValueError("its header holds values of the wrong type")
     is_probability = isinstance(lower, float | int) and 0 <= lower <= 1
     if not is_probability or not (isinstance(relative, float) and 0 <= relative <= LARGEST_ROUNDING):
