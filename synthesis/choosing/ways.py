@@ -29,8 +29,11 @@ NEARLY = 1.05
 PATH = "path"
 """Name of the way along a path: where nothing is certified so far it is asked first whether a run exists at all."""
 
-LEAST_ALLOWED, OFF = 30.0, 2.0
+LEAST_ALLOWED, OFF = 1000.0, 2.0
 """Counted work that every way may take, in core seconds, and how much more than was estimated."""
+
+GIVEN_UP = 0.5
+"""Share of what is left of the effort that a way that is given up takes from it."""
 
 Results = Mapping[str, Synthesis]
 """What the ways so far gave, by name."""
@@ -126,7 +129,8 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
             if alone:
                 raise  # what gave a certificate is whoever called this
             tried[way.name] = effort.given_up
-            effort.spent = max(effort.spent, before + min(effort.counted - counted, allowed))
+            # Something is left for the others, whatever it took.
+            effort.spent = max(effort.spent, before + min(effort.counted - counted, GIVEN_UP * max(0.0, effort.left)))
             given_up.append(way)
             continue
         finally:
