@@ -50,10 +50,8 @@ from ..agents import (
 from ..logic import (
     Automaton,
     FormulaError,
-    NormalForm,
     automaton_from_hoa,
     automaton_from_transitions,
-    parse_formula,
 )
 from .families import AnyProposition, about_pairs, checked_propositions, expand, keys_of, refuse_shape
 from .record import Problem
@@ -266,8 +264,7 @@ def _specification(
         raise ValueError(f"{where}: expected exactly one of {', '.join(_ALTERNATIVES)}, got {got}")
     if written_as == ["formula"]:
         _check_keys(table, where, ("formula",), ("semantics",))
-        usual = None if "semantics" in table else _usual_semantics(table["formula"], propositions, agents)
-        return _prefixed(where, lambda: Specification(table["formula"], table.get("semantics", usual)))
+        return _prefixed(where, lambda: Specification(table["formula"], table.get("semantics")))
     # Automata are stated over single propositions, so families are expanded.
     names, families = expand(propositions, [agent.name for agent in agents])
     if written_as == ["hoa"]:
@@ -282,16 +279,6 @@ def _specification(
     else:
         automaton = _prefixed(where, lambda: _by_hand(table, list(names), families))
     return _prefixed(where, lambda: Specification(semantics=table.get("semantics"), automaton=automaton))
-
-
-def _usual_semantics(formula: Any, propositions: Mapping[str, AnyProposition], agents: Sequence[AnyAgent]) -> str:
-    """Return the semantics of a formula that says none: co-safe if a finite prefix can prove it."""
-    names, families = expand(propositions, [agent.name for agent in agents])
-    try:
-        NormalForm(list(names), families, co_safe=True).read(parse_formula(formula))
-    except (FormulaError, TypeError):
-        return "finite-trace"  # what is wrong in a formula is said where it is read
-    return "co-safe"
 
 
 def _hoa_text(value: Any, folder: Path | None) -> str:
