@@ -186,10 +186,7 @@ def _agent_cells(
     ]
     if math.prod(map(len, options)) > MOST_COMBINATIONS:
         few = max(1, int(MOST_COMBINATIONS ** (1.0 / agent.n_states)))
-        options = [
-            sorted(own, key=lambda option, number=number: abs(math.log(option[0] / number)))[:few]
-            for own, number in zip(options, wanted, strict=True)
-        ]
+        options = [_nearest(own, number)[:few] for own, number in zip(options, wanted, strict=True)]
     automatic = ("auto", "best", "quick")
     by_target = relation == "exact" or (relation in automatic and has_full_rank(agent))
     # Compare all combinations: fewest lattice points first, then most axes of equal cells, then nearest to the wish.
@@ -225,6 +222,11 @@ def _numbers(low: float, high: float, boundaries: Sequence[float], wanted: float
     if len(even) > MOST_NUMBERS:
         even = sorted(even, key=lambda option: (_roughness(option[0]), abs(option[0] - centre)))[:MOST_NUMBERS]
     return even or [(centre, False)]
+
+
+def _nearest(options: list[tuple[int, bool]], wanted: float) -> list[tuple[int, bool]]:
+    """Return numbers of cells in the order of how near they are to the wish."""
+    return sorted(options, key=lambda option: abs(math.log(option[0] / wanted)))
 
 
 def _roughness(number: int) -> int:
