@@ -159,3 +159,8 @@ def test_what_a_path_certifies_stays_where_grids_hold_too_few_cells() -> None:
     assert "it has 12 states, 10 cells along each of them are 1e+12 in all" in str(result.stats["tried"])
     with pytest.raises(ValueError, match="ask for fewer"):
         cg.synthesize(problem, cells=10)
+    noisy = cg.Problem(
+        name="noisy", horizon=6, agents=[chain.replace(noise_covariance=0.04 * np.eye(12))],
+        propositions=problem.declared, specification=problem.specification,
+    )  # fmt: skip
+    assert "more states than grids hold as a rule" in str(cg.synthesize(noisy).stats["tried"])
