@@ -174,7 +174,7 @@ def test_outputs_may_be_expressions() -> None:
         ({"disturbances": {"wind": 1}}, "shape"),
         ({"outputs": ["u"]}, r"`outputs\[0\]`: unknown name 'u'"),
         ({"noise": [{"law": "gaussian", "std": 0.1}] * 2}, "either `noise` or `noise_covariance`"),
-        ({"noise_covariance": None}, "either `noise` or `noise_covariance`"),
+        ({"noise_covariance": None}, "got none; give one, such as `noise_std = "),
         ({"noise_covariance": None, "noise": [{"law": "cauchy", "std": 1}] * 2}, "one of the laws gaussian"),
         ({"noise_covariance": None, "noise": [{"law": "gaussian", "std": -1}] * 2}, "std of at least 0"),
         ({"noise_covariance": None, "noise": [{"law": "gaussian", "std": 1}]}, "2 laws"),
@@ -192,6 +192,7 @@ def test_mistakes_in_files_are_named_with_a_caret_under_expressions(tmp_path: Pa
         ("damping*rate", "dampin*rate", "did you mean 'damping'"),
         ('inputs = ["torque"]', "", "without inputs, got .*; give `inputs`"),
         ("dynamics =", "dynamic =", "did you mean `dynamics`"),
+        ("damping*rate", "c*rate", "a number goes into `parameters`, such as { c = 0.1 }, a bounded unknown into"),
         ("parameters =", "A =", "unknown key 'A'"),
     ):
         path = tmp_path / "problem.toml"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +14,7 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.choosing.cell_budget import cells_at, snapping_loss
+from certigym.synthesis.choosing.cell_budget import MOST_COMBINATIONS, cells_at, snapping_loss
 from certigym.synthesis.choosing.cell_choice import Budget, refine
 from certigym.synthesis.models.abstraction import abstract
 from problems import two_agents
@@ -142,3 +143,25 @@ def test_the_largest_bound_of_all_runs_is_kept() -> None:
 
     best, record = refine(cg.make_problem("reach-avoid-v0"), run, ["auto"] * 2, Budget(memory=2e7))
     assert best.certificate.lower_bound == record["lower_bound"] == 0.5
+
+
+def test_many_axes_are_not_compared_in_all_combinations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twelve axes with three numbers each would make half a million combinations."""
+    compared = list[tuple[int, ...]]()
+
+    def counted(agent: cg.LinearAgent, shape: np.ndarray, even: Sequence[bool]) -> tuple[int, ...]:
+        compared.append(tuple(shape.tolist()))
+        return (1,) * len(shape)
+
+    monkeypatch.setattr("certigym.synthesis.choosing.cell_budget._points_per_cell", counted)
+    chain = cg.LinearAgent(
+        name="chain", A=np.eye(12), B=np.eye(12)[:, :1], noise_covariance=0.01 * np.eye(12), state_low=[-5] * 12,
+        state_high=[5] * 12, input_low=[-1], input_high=[1], initial_state=[0] * 12,
+    )  # fmt: skip
+    problem = cg.Problem(
+        name="chain", horizon=3, agents=[chain], propositions={"rest": cg.Proposition("chain", [-1], [1], of=[0])},
+        specification=cg.Specification("F rest", "co-safe"),
+    )  # fmt: skip
+    cells = cells_at(problem, 0.2, ["linear"])["chain"]
+    assert cells.shape in compared
+    assert len(compared) <= MOST_COMBINATIONS

@@ -141,3 +141,26 @@ def test_levels_end_where_no_run_is_known() -> None:
     tried = cg.synthesize(problem("F goal", 2, 0.1), effort=1).stats["tried"]
     assert isinstance(tried, dict)
     assert any("no run without noise was found" in str(told) for told in tried.values())
+
+
+def test_what_a_path_certifies_stays_where_grids_hold_too_few_cells() -> None:
+    """Nobody asked for cells, so that none are to be fewer: twelve states, one of them without noise."""
+    chain = cg.LinearAgent(
+        name="chain", A=0.9 * np.eye(12), B=np.eye(12)[:, :2], noise_covariance=0.04 * np.diag([0] + [1] * 11),
+        state_low=[-5] * 12, state_high=[5] * 12, input_low=[-1] * 2, input_high=[1] * 2, initial_state=[0] * 12,
+    )  # fmt: skip
+    problem = cg.Problem(
+        name="chain", horizon=6, agents=[chain],
+        propositions={"rest": cg.Proposition("chain", [-0.5] * 12, [0.5] * 12)},
+        specification=cg.Specification("G rest", "finite-trace"),
+    )  # fmt: skip
+    result = cg.synthesize(problem)
+    assert 0.0 < result.certificate.lower_bound < 0.01
+    assert "it has 12 states, 10 cells along each of them are 1e+12 in all" in str(result.stats["tried"])
+    with pytest.raises(ValueError, match="ask for fewer"):
+        cg.synthesize(problem, cells=10)
+    noisy = cg.Problem(
+        name="noisy", horizon=6, agents=[chain.replace(noise_covariance=0.04 * np.eye(12))],
+        propositions=problem.declared, specification=problem.specification,
+    )  # fmt: skip
+    assert "more states than grids hold as a rule" in str(cg.synthesize(noisy).stats["tried"])

@@ -106,11 +106,28 @@ def test_members_of_families_must_be_new_names() -> None:
             )
 
 
+@pytest.mark.parametrize(
+    ("formula", "semantics"),
+    [
+        ("F a", "co-safe"),
+        ("!a U (b & X[3] all(c))", "co-safe"),
+        ("G[0,5] a & F any(c)", "co-safe"),
+        ("!(G a)", "co-safe"),
+        ("!(a W b) | !all(c)", "co-safe"),
+        ("G (a -> F[0,3] b)", "finite-trace"),
+        ("F G all(c)", "finite-trace"),
+        ("!F a", "finite-trace"),
+        ("a W b", "finite-trace"),
+        ("F (a &", "finite-trace"),  # the problem says what is wrong with it
+    ],
+)
+def test_a_formula_says_its_semantics(formula: str, semantics: str) -> None:
+    assert cg.Specification(formula).semantics == semantics
+
+
 def test_specification() -> None:
     with pytest.raises(ValueError, match=r"`formula`: expected exactly one of a formula and an automaton, got none"):
         cg.Specification()
-    with pytest.raises(ValueError, match=r"`semantics`: expected 'co-safe' or 'finite-trace', got None"):
-        cg.Specification("F a")
     with pytest.raises(ValueError, match=r"`semantics`: .*got 'LTL'"):
         cg.Specification("F a", "LTL")
     automaton = cg.translate("F a", ["a"], "co-safe")

@@ -88,7 +88,7 @@ BAD = [
     (TOML.replace("horizon = 12", "horizon = 1.5"), "task.toml: `horizon`: expected a whole number"),
     (
         TOML.replace("noise_covariance = [[0.25]]", ""),
-        "number 1 ('left'): `noise`: expected either `noise` or",
+        "number 1 ('left'): `noise`: expected `noise`, `noise_covariance` or, in a file, `noise_std`, got none",
     ),
     (TOML.replace("A = [[0.9]]", "A = [['0.9']]"), "task.toml: [[agents]] number 1 ('left'): `A`: expected numbers"),
     (TOML.replace("input_low", "input_lo", 1), "unknown key 'input_lo'; did you mean `input_low`?"),
@@ -120,6 +120,15 @@ BAD = [
     (HEAD + BY_HAND.replace('accepting = ["done"]', "accepting = 3"), "`accepting`: expected a list of names, got 3"),
     (HEAD + "automaton = 3", "`automaton`: expected a table, got 3"),
     ("a = " + "[" * 5000, "expected TOML"),
+    # words of other tools, and things that stand elsewhere
+    ("[agents.left]\n" + TOML, "[[agents]] and [agents.NAME] do not mix"),
+    (TOML.replace("noise_covariance = [[0.25]]", "sigma = [0.5]"), "standard deviations, one for each state, are"),
+    (TOML.replace("A = [[0.9]]", "c = [0.1]\nA = [[0.9]]"), "what is added at every step is `offset`"),
+    (TOML.replace("A = [[0.9]]", "noise_scale = ['1']\nA = [[0.9]]"), "write the agent as expressions"),
+    (TOML.replace("high = [5.0] }", "high = [5.0], radius = 1 }"), "such as `disc = { centre = [0, 0], radius = 1 }`"),
+    (TOML.replace("high = [5.0] }", "high = [5.0], t = [3, 8] }"), "times stand in the formula, such as `F[3,8] goal`"),
+    (TOML.replace("semantics =", "probability = 0.9\nsemantics ="), "there is no threshold: a run computes"),
+    (TOML.replace('"drone_*"', '"drone"'), "there are 3 of it: write 'drone_*' for each of them, or 'drone_0' for one"),
     ("a = " + "9" * 5000, "expected TOML"),
 ]
 

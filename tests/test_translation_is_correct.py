@@ -241,6 +241,10 @@ def test_names_are_declared() -> None:
         ("F safe", "all(safe), any(safe)"),
         ("Ftarget", "F target"),
         ("F targt", "did you mean target"),
+        ("F (target & not safe_0)", "write ! for not"),
+        ("eventually target", "write F for eventually"),
+        ("F target > 2", "numbers are compared in `[propositions]`"),
+        ("F[<=10] target", "at most 10 is F[0,10]"),
         ("all(sofe)", "unknown family 'sofe'; declared families: safe"),
         ("all(target)", "unknown family 'target'"),
     ]:

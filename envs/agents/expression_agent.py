@@ -437,6 +437,11 @@ class Agent(AnyAgent):
             timed = argument == "outputs" and "unknown name 't'" in str(error)
             more = "; outputs are the same at all times, but ends of their regions may name `t`" if timed else ""
             told, *place = str(error).split("\n", 1)
+            if "unknown name" in told and not timed and "did you mean" not in told:
+                name = told.split("'")[1]
+                more = f"; a number goes into `parameters`, such as {{ {name} = 0.1 }}" if "." not in name else ""
+                if argument != "outputs" and more:
+                    more += f", a bounded unknown into `disturbances`, such as {{ {name} = [-0.1, 0.1] }}"
             raise ValueError("\n".join([f"`{argument}[{k}]`: {told}{more}", *place])) from None
 
     @property

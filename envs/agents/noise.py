@@ -38,7 +38,10 @@ def laws_of(noise: Any, d: int) -> tuple[Law, ...]:
         If a law is unknown, or a number is missing or makes no sense.
     """
     if not isinstance(noise, Sequence) or isinstance(noise, str) or len(noise) != d:
-        raise ValueError(f"`noise`: expected a list of {d} laws, one for each state, got {shown(noise)}")
+        raise ValueError(
+            f"`noise`: expected a list of {d} laws, one for each state, such as "
+            f'{{ law = "gaussian", std = 0.1 }}, got {shown(noise)}'
+        )
     return tuple(entry if isinstance(entry, Law) else _law(entry) for entry in noise)
 
 
@@ -143,8 +146,13 @@ def declared_noise(noise: Any, covariance: Any, axes: Any, d: int) -> Noise:
     ValueError
         If both or none are given, or a law, the covariance or the axes are wrong.
     """
-    if (noise is None) == (covariance is None):
-        raise ValueError("`noise`: expected either `noise` or `noise_covariance`, got both or none; give one")
+    if noise is None and covariance is None:
+        raise ValueError(
+            "`noise`: expected `noise`, `noise_covariance` or, in a file, `noise_std`, got none; give one, such as "
+            f"`noise_std = {[0.1] * d}`, with 0.0 for a state without noise"
+        )
+    if noise is not None and covariance is not None:
+        raise ValueError("`noise`: expected either `noise` or `noise_covariance`, got both; leave one of them out")
     identity = read_only(np.eye(d))
     if noise is None:
         if axes is not None:

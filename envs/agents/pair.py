@@ -265,7 +265,8 @@ def _checked_names(agents: Any) -> tuple[str, str] | str:
             raise ValueError(f"`agents`: expected two names, or one pattern with one `*`, got {shown(agents)}")
         return agents
     if not isinstance(agents, Sequence) or len(agents) != 2 or not all(isinstance(name, str) for name in agents):
-        raise ValueError(f"`agents`: expected two names, or one pattern with one `*`, got {shown(agents)}")
+        alone = "; a proposition about one agent has `agent`" if isinstance(agents, list) and len(agents) == 1 else ""
+        raise ValueError(f"`agents`: expected two names, or one pattern with one `*`, got {shown(agents)}{alone}")
     first, second = agents
     if first.count("*") + second.count("*") > 1:
         raise ValueError(f"`agents`: expected at most one `*` in two names, got {shown(list(agents))}")

@@ -459,8 +459,9 @@ def _moving_heading(first: End, last: End, of: Sequence[int | str] | None) -> Ma
         state, form = _angle(frame, of)
         if state in frame.angles:
             raise ValueError(
-                "expected `from` and `to` that stand still where the state wraps, got some that name the time; give "
-                "the agent the `outputs` `cos` and `sin` of the angle, and a region of these"
+                "expected `from` and `to` that stand still where the state wraps, got some that name the time; "
+                "leave the state out of `angles`, with a workspace of the turns that it may make, such as -7 to 7, or "
+                "give the agent the `outputs` `cos` and `sin` of the angle, and a region of these"
             )
         times = np.arange(max(frame.times, 1), dtype=float)
         start, stop = (_over(end, times) for end in (first, last))

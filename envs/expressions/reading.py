@@ -53,6 +53,7 @@ _HINTS = {
     ">": "there are no comparisons; use min, max, clip or abs",
     "%": "there is no remainder",
 }
+_CHOICES = ("if", "else", "and", "or", "not")
 _OPERATORS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 
 
@@ -146,7 +147,8 @@ def _check_characters(text: str) -> None:
         if number and not float(number) <= LARGEST:
             raise ExpressionError(f"expected numbers of at most {LARGEST:g}", text, place)
         if name and keyword.iskeyword(name):
-            raise ExpressionError(f"{name!r} is a word of Python; use another name", text, place)
+            remedy = "there are no conditions; use min, max, clip or abs" if name in _CHOICES else "use another name"
+            raise ExpressionError(f"{name!r} is a word of Python; {remedy}", text, place)
         depth += {"(": 1, ")": -1}.get(operator, 0)
         signs = signs + 1 if operator in ("+", "-") else 0
         powers += operator == "**"
@@ -233,5 +235,5 @@ class _Reader:
 
 def _nearest(name: str, known: list[str]) -> str:
     """Return a remedy: the known name that resembles a wrong one, or all of them."""
-    close = get_close_matches(name, known, n=1)
+    close = get_close_matches(name, [one for one in known if len(one) > 1], n=1)  # `dt` is not a mistyped `t`
     return f"did you mean {close[0]!r}?" if close else f"there are {', '.join(known[:12])}"

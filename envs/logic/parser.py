@@ -50,11 +50,16 @@ _HINTS = {
     "iff": "write <-> for if and only if",
     "0": "write false",
     "1": "write true",
-    "<": "the operators with < are <->; eventually is written F",
-    "=": "implication is written ->, equivalence <->",
+    "<": "the operators with < are <->; eventually is written F; numbers are compared in `[propositions]`",
+    ">": 'numbers are compared in `[propositions]`, such as `fast = { agent = "car", low = [2], high = [9] }`',
+    "=": "implication is written ->, equivalence <->; numbers are compared in `[propositions]`",
     "-": "the operators with - are -> and <->",
     "[": "bounds follow one of X, N, F, G; always is written G",
     ":": "bounds are written with a comma: F[0,3]",
+    **dict.fromkeys(("eventually", "finally"), "write F for eventually"),
+    **dict.fromkeys(("always", "globally"), "write G for always"),
+    "until": "write U for until",
+    "next": "write X for next",
 }
 
 
@@ -92,7 +97,7 @@ def parse_formula(text: str) -> Formula:
     except FormulaError as error:
         raise error.with_traceback(None) from None  # leaves out the hundreds of frames of a deep nest
     if not parser.token.is_a("end"):
-        raise parser.unexpected("expected an operator or the end of the formula")
+        raise parser.unexpected("expected an operator or the end of the formula", after=parser.before())
     return formula
 
 
@@ -131,11 +136,15 @@ class _Parser:
     def error(self, problem: str, token: _Token) -> FormulaError:
         return FormulaError(problem, self.text, token.start, token.end)
 
-    def unexpected(self, problem: str) -> FormulaError:
+    def before(self) -> str:
+        """Return the last token that was read: `not a` reads `not` as a name, and stumbles over `a`."""
+        return self.tokens[self.at - 1].text if self.at else ""
+
+    def unexpected(self, problem: str, after: str = "") -> FormulaError:
         token = self.token
         if token.is_a("end"):
             return self.error(f"{problem}, but the formula ends here" if self.text.strip() else "empty formula", token)
-        hint = _HINTS.get(token.text)
+        hint = _HINTS.get(token.text) or (_HINTS.get(after) if token.is_a("name") or token.text == "(" else None)
         shown = token.text if len(token.text) <= 40 else token.text[:40] + "..."
         return self.error(f"{problem}, got {shown!r}" + (f"; {hint}" if hint else ""), token)
 
@@ -212,7 +221,8 @@ class _Parser:
             self.advance()
             formula = self.binary(0)
             if self.token.text != ")":
-                raise self.unexpected(f"expected an operator or ) for the ( at character {token.start + 1}")
+                problem = f"expected an operator or ) for the ( at character {token.start + 1}"
+                raise self.unexpected(problem, after=self.before())
             self.advance()
             return formula
         raise self.unexpected("expected a formula")
@@ -241,6 +251,10 @@ class _Parser:
         if not token.is_a("number"):
             form = f"{operator.text}[a,b]" if operator.text in ("F", "G") else f"{operator.text}[k]"
             hint = f"; without a bound write {operator.text} alone" if token.is_a("name") else ""
+            if token.text == "<":
+                raise self.error(
+                    f"expected a whole number of letters in {form}; at most 10 is {operator.text}[0,10]", token
+                )
             raise self.unexpected(f"expected a whole number of letters in {form}{hint}")
         self.advance()
         if len(token.text) > 18 or int(token.text) > MAX_BOUND:

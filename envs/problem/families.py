@@ -171,5 +171,12 @@ def _check_agent(name: str, agent: str, declared_agents: frozenset[str]) -> None
     """Raise ValueError unless the agent of a proposition is declared; suggest the closest name."""
     if agent not in declared_agents:
         close = get_close_matches(agent, sorted(declared_agents), n=1)
-        remedy = f"; did you mean {close[0]!r}?" if close else ""
+        remedy = (
+            f"; did you mean {close[0]!r}?" if close else f"; the agents are {', '.join(sorted(declared_agents)[:8])}"
+        )
+        copies = sorted(one for one in declared_agents if one.removeprefix(f"{agent}_").isdigit())
+        if copies:
+            remedy = (
+                f"; there are {len(copies)} of it: write {agent + '_*'!r} for each of them, or {copies[0]!r} for one"
+            )
         raise ValueError(f"`propositions.{name}`: expected the name of an agent, got {shown(agent)}{remedy}")

@@ -50,10 +50,8 @@ from ..agents import (
 from ..logic import (
     Automaton,
     FormulaError,
-    NormalForm,
     automaton_from_hoa,
     automaton_from_transitions,
-    parse_formula,
 )
 from .families import AnyProposition, about_pairs, checked_propositions, expand, keys_of, refuse_shape
 from .record import Problem
@@ -63,11 +61,33 @@ from .spelling import spelled_out, starts_of_copies
 _BY_HAND = ("states", "initial", "accepting", "transitions")
 _ALTERNATIVES = ("formula", "hoa", "states", "automaton")
 """Keys of which a specification has exactly one; it says how the task is written."""
+_PROBABILITY = "there is no threshold: a run computes a probability that is proved, and prints it"
+_DEVIATION = "standard deviations, one for each state, are `noise_std`"
+_ONE_STEP = "write `dynamics`, the mean of each state one step later, such as `x + 0.1*v` for a step of 0.1 s"
+_SHAPE = "it stands in the table of a shape, such as `disc = { centre = [0, 0], radius = 1 }`"
+_WINDOW = 'times stand in the formula, such as `F[3,8] goal`; corners in quotes may name the time, such as `"0.1*t"`'
 _ELSEWHERE = {
-    "angles": "write the agent as expressions, with `states` and `dynamics`",
-    "formula": "it stands in the table `[specification]`, or above all tables as `specification`",
+    "": {
+        "angles": "write the agent as expressions, with `states` and `dynamics`",
+        "c": "what is added at every step is `offset`",
+        "noise_scale": "write the agent as expressions, with `states` and `dynamics`",
+        **dict.fromkeys(("sigma", "std", "stddev", "noise_sigma", "w"), _DEVIATION),
+        **dict.fromkeys(("cov", "covariance", "Q", "W"), "variances and covariances are `noise_covariance`"),
+        **dict.fromkeys(("ode", "xdot", "derivative", "derivatives", "f"), _ONE_STEP),
+        **dict.fromkeys(("x0", "start", "initial", "init"), "the start is `initial_state`"),
+        **dict.fromkeys(("low", "high"), "the workspace is `state_low` and `state_high`"),
+    },
+    "[propositions]": {
+        **dict.fromkeys(("centre", "center", "radius", "corners", "tip", "axis", "normal", "offset"), _SHAPE),
+        **dict.fromkeys(("t", "time", "window", "steps", "start", "end", "until"), _WINDOW),
+    },
+    "[specification]": dict.fromkeys(("probability", "threshold", "p", "at_least", "confidence"), _PROBABILITY),
+    "the problem": {
+        "formula": "it stands in the table `[specification]`, or above all tables as `specification`",
+        **dict.fromkeys(("probability", "threshold"), _PROBABILITY),
+    },
 }
-"""What to do with a key that is known in another place."""
+"""What to do with a key that is known in another place, or is the word of another tool, by the start of the place."""
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -113,7 +133,9 @@ def problem_from_toml(text: str, source: str = "problem file", folder: Path | No
     try:
         data = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
-        raise ValueError(f"{source}: expected TOML, got: {_line(error)}") from error
+        headings = {form for form in (r"\[\[agents\]\]", r"\[agents\.") if re.search(rf"(?m)^\s*{form}", text)}
+        both = "; the headings [[agents]] and [agents.NAME] do not mix: write all agents in one of the two ways"
+        raise ValueError(f"{source}: expected TOML, got: {_line(error)}{both if len(headings) > 1 else ''}") from error
     except RecursionError as error:
         raise ValueError(f"{source}: expected TOML, got arrays or tables nested too deeply") from error
     try:
@@ -174,7 +196,8 @@ def _of_table(table: Any, horizon: Any, tables: Sequence[Any], most: int) -> Seq
     """Return the agents of one table, `most` at most."""
     kind = _kind(table)
     table = spelled_out(table, horizon, tables)
-    _check_keys(table, "", *_keys(kind))
+    required, besides = _keys(kind)
+    _check_keys(table, "", required, [*besides, "noise_std"])
     copies = table.get("copies")
     given = {key: value for key, value in table.items() if key != "copies"}
     if copies is None:
@@ -241,8 +264,7 @@ def _specification(
         raise ValueError(f"{where}: expected exactly one of {', '.join(_ALTERNATIVES)}, got {got}")
     if written_as == ["formula"]:
         _check_keys(table, where, ("formula",), ("semantics",))
-        usual = None if "semantics" in table else _usual_semantics(table["formula"], propositions, agents)
-        return _prefixed(where, lambda: Specification(table["formula"], table.get("semantics", usual)))
+        return _prefixed(where, lambda: Specification(table["formula"], table.get("semantics")))
     # Automata are stated over single propositions, so families are expanded.
     names, families = expand(propositions, [agent.name for agent in agents])
     if written_as == ["hoa"]:
@@ -257,16 +279,6 @@ def _specification(
     else:
         automaton = _prefixed(where, lambda: _by_hand(table, list(names), families))
     return _prefixed(where, lambda: Specification(semantics=table.get("semantics"), automaton=automaton))
-
-
-def _usual_semantics(formula: Any, propositions: Mapping[str, AnyProposition], agents: Sequence[AnyAgent]) -> str:
-    """Return the semantics of a formula that says none: co-safe if a finite prefix can prove it."""
-    names, families = expand(propositions, [agent.name for agent in agents])
-    try:
-        NormalForm(list(names), families, co_safe=True).read(parse_formula(formula))
-    except (FormulaError, TypeError):
-        return "finite-trace"  # what is wrong in a formula is said where it is read
-    return "co-safe"
 
 
 def _hoa_text(value: Any, folder: Path | None) -> str:
@@ -331,7 +343,9 @@ def _check_keys(table: Any, where: str, required: Iterable[str], optional: Itera
         if key not in allowed:
             close = get_close_matches(str(key), allowed, n=1)
             remedy = f"did you mean `{close[0]}`?" if close else f"the keys are {', '.join(allowed)}"
-            raise ValueError(f"{where}unknown key {shown(key)}; {_ELSEWHERE.get(str(key), remedy)}")
+            told = next((words for place, words in _ELSEWHERE.items() if place and where.startswith(place)), {})
+            told = told if where else _ELSEWHERE[""]
+            raise ValueError(f"{where}unknown key {shown(key)}; {told.get(str(key), remedy)}")
     for key in required:
         if key not in table:
             raise ValueError(f"{where}`{key}` is missing")

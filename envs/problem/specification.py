@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..agents import shortened, shown
-from ..logic import SEMANTICS, Automaton
+from ..logic import SEMANTICS, Automaton, Formula, FormulaError, NormalForm, parse_formula
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -18,7 +18,8 @@ class Specification:
     formula : str or None
         Temporal-logic formula over the propositions.
     semantics : str
-        "co-safe" (satisfied as soon as the automaton accepts) or "finite-trace" (judged at the horizon).
+        "co-safe" (satisfied as soon as the automaton accepts) or "finite-trace" (judged at the horizon). A formula that
+        is given without them is co-safe if a finite prefix can prove it.
     automaton : Automaton or None
         An automaton in place of a formula; it carries its semantics.
 
@@ -43,8 +44,8 @@ class Specification:
         if automaton is not None and not isinstance(automaton, Automaton):
             raise ValueError(f"`automaton`: expected an Automaton, got {shown(automaton)}")
         # An automaton says its semantics; naming them as well is allowed, contradicting them is not.
-        if semantics is None and automaton is not None:
-            semantics = automaton.semantics
+        if semantics is None:
+            semantics = usual_semantics(formula or "") if automaton is None else automaton.semantics
         if semantics not in SEMANTICS:
             raise ValueError(f"`semantics`: expected 'co-safe' or 'finite-trace', got {shown(semantics)}")
         if automaton is not None and automaton.semantics != semantics:
@@ -69,3 +70,33 @@ class Specification:
         if self.automaton is not None:
             return {"automaton": self.automaton.to_dict()}
         return {"formula": self.formula, "semantics": self.semantics}
+
+
+def usual_semantics(formula: str) -> str:
+    """Return the semantics of a formula that is given without them: co-safe if a finite prefix can prove it.
+
+    Examples
+    --------
+    >>> usual_semantics("F[0,9] goal"), usual_semantics("G all(safe)")
+    ('co-safe', 'finite-trace')
+    """
+    try:
+        read = parse_formula(formula)
+        nodes, atoms, families = [read], dict[str, None](), dict[str, list[str]]()
+        while nodes:
+            node = nodes.pop()
+            nodes += node.operands
+            if node.operator == "atom":
+                atoms[node.name] = None
+            elif node.operator in ("all", "any"):
+                families[node.name] = [_member(node)]
+        names = [*atoms, *(name for members in families.values() for name in members)]
+        NormalForm([*dict.fromkeys(names)], families, co_safe=True).read(read)
+    except FormulaError:
+        return "finite-trace"  # what is wrong in a formula is said where it is read
+    return "co-safe"
+
+
+def _member(family: Formula) -> str:
+    """Return the name of a member: what a family has does not matter here."""
+    return f"{family.name}_0"

@@ -163,8 +163,17 @@ def label_room(problem: Problem, i: int) -> FloatArray:
 
 
 def cells_of_agent(agent: AnyAgent, cells: CellCounts) -> tuple[int, ...]:
-    """Return the cells per axis of one agent, or raise ValueError if they are no positive whole numbers."""
+    """Return the cells per axis of one agent.
+
+    Raises
+    ------
+    RelationRefused
+        If nobody asked for cells, and the agent has too many states for a grid.
+    ValueError
+        If they are no positive whole numbers, or too many.
+    """
     wanted = cells.get(agent.name) if isinstance(cells, Mapping) else cells
+    is_asked_for = wanted is not None
     if wanted is None:
         wanted = DEFAULT_CELLS.get(agent.n_states, 10)
         if agent.n_states == 2 and isinstance(agent, LinearAgent) and np.linalg.matrix_rank(agent.B) == 2:
@@ -176,7 +185,13 @@ def cells_of_agent(agent: AnyAgent, cells: CellCounts) -> tuple[int, ...]:
             f"`cells`: expected a positive whole number or {agent.n_states} of them (cells per axis) for agent "
             f"`{agent.name}`, got {wanted!r}"
         )
-    if math.prod(int(n) for n in per_axis) > MOST_CELLS:
+    in_all = math.prod(int(n) for n in per_axis)
+    if in_all > MOST_CELLS and not is_asked_for:
+        raise RelationRefused(
+            f"agent `{agent.name}`: it has {agent.n_states} states, {per_axis[0]} cells along each of them are "
+            f"{in_all:.2g} in all, and grids hold {MOST_CELLS:.2g} at most"
+        )
+    if in_all > MOST_CELLS:
         raise ValueError(
             f"`cells`: expected at most {MOST_CELLS} in all for agent `{agent.name}`, got {wanted!r}; ask for fewer"
         )

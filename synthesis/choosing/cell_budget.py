@@ -42,6 +42,9 @@ MOST_CELLS_PER_AXIS = 4000
 MOST_NUMBERS = 24
 """Most numbers of cells per axis that are compared: for three axes they make some ten thousand combinations."""
 
+MOST_COMBINATIONS = MOST_NUMBERS**3
+"""Combinations of numbers of cells that are compared: all of three axes; of more axes fewer numbers each."""
+
 POINTS_OF_BOXES = 4
 """Lattice points per cell and axis under the relation ``boxes``, about."""
 
@@ -181,6 +184,9 @@ def _agent_cells(
         _numbers(float(low), float(high), inside, number)
         for low, high, inside, number in zip(agent.state_low, agent.state_high, boundaries, wanted, strict=True)
     ]
+    if math.prod(map(len, options)) > MOST_COMBINATIONS:
+        few = max(1, int(MOST_COMBINATIONS ** (1.0 / agent.n_states)))
+        options = [_nearest(own, number)[:few] for own, number in zip(options, wanted, strict=True)]
     automatic = ("auto", "best", "quick")
     by_target = relation == "exact" or (relation in automatic and has_full_rank(agent))
     # Compare all combinations: fewest lattice points first, then most axes of equal cells, then nearest to the wish.
@@ -216,6 +222,11 @@ def _numbers(low: float, high: float, boundaries: Sequence[float], wanted: float
     if len(even) > MOST_NUMBERS:
         even = sorted(even, key=lambda option: (_roughness(option[0]), abs(option[0] - centre)))[:MOST_NUMBERS]
     return even or [(centre, False)]
+
+
+def _nearest(options: list[tuple[int, bool]], wanted: float) -> list[tuple[int, bool]]:
+    """Return numbers of cells in the order of how near they are to the wish."""
+    return sorted(options, key=lambda option: abs(math.log(option[0] / wanted)))
 
 
 def _roughness(number: int) -> int:

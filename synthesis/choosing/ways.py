@@ -140,9 +140,15 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
         tried |= _outcomes(way, result)
         if result.certificate.lower_bound >= way.ends:
             ended_by = f"after `{way.name}` hardly anything is left to gain"
+            if way.ends <= 0.0 and result.certificate.lower_bound < HARDLY_LEFT:
+                ended_by = f"agents have more states than grids hold as a rule, which `{way.name}` is for"
     if not results:
         raise _refused(ways, refusals)
     return _recorded(results, tried | effort.left_out, began, effort.no_run)
+
+
+HARDLY_LEFT = 0.99
+"""Bound from which hardly anything is said to be left to gain."""
 
 
 def _allowed(way: Way, effort: Effort, has_result: bool, alone: bool) -> float:

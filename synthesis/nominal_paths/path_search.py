@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from itertools import islice
+from itertools import islice, zip_longest
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .some_paths import Whereabouts, paths_of_some
 from .timed_words import timed_ways
+from .whatever_others_do import Reach, whatever_others_do
 from .words import Cube, Plan, Way, letters_of, ways_of, without_needless
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
@@ -70,7 +71,7 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
         return nonlinear_certificate(problem, SOURCES, work)
     finder = _Finder(problem)
     best: tuple[float, Plan, Any] | None = None
-    for plans, enough in zip((source(problem) for source in SOURCES), (ENOUGH, GOOD, GOOD), strict=True):
+    for plans, enough in zip((source(problem) for source in SOURCES), (GOOD, ENOUGH, GOOD, GOOD), strict=True):
         for plan in islice(plans, MOST_PLANS):
             if best is not None and (best[0] <= enough or work.is_over()):
                 break
@@ -158,7 +159,16 @@ def _segmented_plans(problem: Problem) -> Iterator[Plan]:
         yield from _possible(problem, drifts, way, times)
 
 
-SOURCES = (_plans, _segmented_plans, _timed_plans)
+def _plans_whatever_others_do(problem: Problem) -> Iterator[Plan]:
+    """Yield plans that ask nothing of agents nobody steers, if there are such agents: one of each kind in turn."""
+    freed = whatever_others_do(problem)
+    if freed is not None:
+        rows = [source(freed) for source in (_segmented_plans, _plans, _timed_plans)]
+        reach = Reach(freed)
+        yield from (plan for row in zip_longest(*rows) for plan in row if plan is not None and reach.has(plan))
+
+
+SOURCES = (_plans_whatever_others_do, _plans, _segmented_plans, _timed_plans)
 """Where plans come from, in the order in which they are asked: the next one only where those before gave too little."""
 
 

@@ -97,7 +97,7 @@ class _Visits:
         about_pairs = np.any(self.letters[:, problem.labeling.first_pair :] > 0, axis=1)
         self.visits = np.flatnonzero(self.asks.any(axis=(0, 2)) | about_pairs)
         self.between = range(min(len(self.letters), MOST_BETWEEN))
-        self.fastest = np.concatenate([_fastest(agent) for agent in problem.agents])
+        self.fastest = np.concatenate([fastest_moves(agent) for agent in problem.agents])
         self._next: dict[tuple[int, int, bytes], int] = {}
 
     def words(self) -> Iterator[NDArray[np.int8]]:
@@ -136,7 +136,7 @@ class _Visits:
     def _start(self) -> _Visit:
         """Return the start."""
         assert self.problem.initial_q is not None
-        here = [agent.outputs((0.5 * (agent.initial.low + agent.initial.high))[:, None])[:, 0] / _spans(agent)
+        here = [agent.outputs((0.5 * (agent.initial.low + agent.initial.high))[:, None])[:, 0] / spans_of(agent)
                 for agent in self.problem.agents]  # fmt: skip
         at = np.concatenate(here)
         return _Visit(0, self.problem.initial_q, -1, 0, None, at, at, np.zeros(len(at)))
@@ -242,20 +242,20 @@ class _Visits:
                 asked = np.flatnonzero(self.letters[:, p] > 0)
                 low[:, asked] = np.maximum(low[:, asked], (first + INWARD * width)[:, None])
                 high[:, asked] = np.minimum(high[:, asked], (last - INWARD * width)[:, None])
-            lows.append(low / _spans(agent))
-            highs.append(high / _spans(agent))
+            lows.append(low / spans_of(agent))
+            highs.append(high / spans_of(agent))
         low, high = np.concatenate(lows, axis=2), np.concatenate(highs, axis=2)
         # Regions that meet nowhere farther in do so nearer to their faces, or are refused by the planner.
         return np.minimum(low, high), np.maximum(low, high)
 
 
-def _spans(agent: AnyAgent) -> FloatArray:
+def spans_of(agent: AnyAgent) -> FloatArray:
     """Return the ranges (p,) of outputs over the workspace; 1 where they have none."""
     low, high = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
     return np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
 
 
-def _fastest(agent: AnyAgent) -> FloatArray:
+def fastest_moves(agent: AnyAgent) -> FloatArray:
     """Return the largest move (p,) of outputs within one step, as shares of their ranges, as far as samples tell."""
     rng = np.random.default_rng(20261125)
     states = rng.uniform(agent.state_low[:, None], agent.state_high[:, None], (agent.n_states, SAMPLES))
@@ -263,4 +263,4 @@ def _fastest(agent: AnyAgent) -> FloatArray:
     after = NonlinearModel(agent).step(states, inputs, 0)
     with np.errstate(all="ignore"):
         move = np.abs(agent.outputs(after) - agent.outputs(states))
-    return FASTER * np.max(np.where(np.isfinite(move), move, 0.0), axis=1) / _spans(agent)
+    return FASTER * np.max(np.where(np.isfinite(move), move, 0.0), axis=1) / spans_of(agent)
