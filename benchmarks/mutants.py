@@ -266,7 +266,7 @@ MUTANTS = [
         ),
         ("        state, values = np.ones(agent.n_states), {", "        values = {"),
         ("if problem.propositions[name].agent != owner or value == 0:", "if value == 0:"),
-        ("    if problem.joint_noise:\n        # Agents", "    if False:\n        # Agents"),
+        ("    if problem.joint_noise or are_tied:\n        # Agents", "    if False:\n        # Agents"),
     ),
     *_in(
         "synthesis/path_checking/linear_deviations.py",

@@ -3,7 +3,7 @@
 Tubes are nominal states, slabs and drifts, met with the workspace. They depend on each other, step by step, so agents
 are planned in turn, each with the tubes that the others have so far; the first plans take the others for standing
 still. What is found is as consistent as it happens to be: the check goes through all agents side by side, and what it
-proves is claimed (docs/theory/paths.md, "Agents that name each other").
+proves is claimed (docs/theory/paths.md, "Agents of any dynamics").
 """
 
 from __future__ import annotations
