@@ -286,6 +286,7 @@ MUTANTS = [
         ("if np.any((u < low) | (u > high)):", "if False:"),
         ("        ends[0][here],", "        (ends[0] + np.inf)[here],"),
         ("remainder = (remainder + more) * TAIL", "remainder = remainder * TAIL"),
+        ("low, high = now[j].box[:, state]", "low = high = now[j].at[state]"),
     ),
     *_in(
         "synthesis/path_checking/gaussian_inequalities.py",
