@@ -145,13 +145,13 @@ def forged(spec: Spec, file: Path, forgery: Forgery, episodes: int, level: float
     except (ValueError, TypeError, IndexError, OverflowError, KeyError):
         return "no such forgery", ""
     try:
-        certificate = cg.load_certificate(target)
+        certificate = cg.load(target)
         report = cg.check(certificate)
         if report.recomputed > 0:  # the forger learns, and claims what would be proved
             lower = report.recomputed * (1 - 1e-9) - 1e-12
             header["proof"] |= {"lower_bound": lower, "bounds": {header["proof"]["bound"]: lower}, "gap": None}
             written(target, header, arrays)
-            certificate = cg.load_certificate(target)
+            certificate = cg.load(target)
             report = cg.check(certificate)
     except ValueError:
         return "refused when read", ""
@@ -187,7 +187,7 @@ def forge_all(trials: int, episodes: int, first: int, per_array: int, relation: 
             done += 1
             kinds.update("+".join(sorted({part.relation["kind"] for part in certificate.proof.agents})).split("|"))
             file = Path(folder) / "certificate.npz"
-            cg.save_certificate(certificate, file)
+            cg.save(certificate, file)
             rng = np.random.default_rng(seed)
             for forgery in list(forgeries(*opened(file), rng, per_array)):
                 outcome, finding = forged(spec, file, forgery, episodes, FALSE_ALARM / (1000 * trials))

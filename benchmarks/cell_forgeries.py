@@ -16,6 +16,7 @@ import numpy as np
 
 import certigym as cg
 from certigym.synthesis.certificates import HullProof, PathProof, changed
+from certigym.synthesis.permissions import Permission
 from certigym.synthesis.values import Terms
 
 Forged = tuple[str, Any]
@@ -24,7 +25,7 @@ Forged = tuple[str, Any]
 
 def forgeries_of(claim: Any, rng: np.random.Generator, each: int) -> Iterator[Forged]:
     """Forgeries of a claim, ``each`` of every sort."""
-    if isinstance(claim, cg.Permission):
+    if isinstance(claim, Permission):
         for name, menus in _repeated(_menus, claim, rng, each):
             yield name, replace(claim, menus=menus)
         for name, inside in _of_parts(claim.certificate, rng, 1):

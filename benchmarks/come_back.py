@@ -428,7 +428,7 @@ def judged(name: str, package: str, train: Callable[[float], Trained], seconds: 
         wrapped = f"{cg.certify(problem, policy, CELLS).certificate.lower_bound:.5f}"
         why = policy.why_not_as_it_is
         if not why:
-            found = cg.certify(problem, policy, CELLS, raw=True)
+            found = cg.certify(problem, policy, CELLS, as_is=True)
             assert cg.check(found)
             raw = f"{found.certificate.lower_bound:.5f}"
     text = (train.__doc__ or "").strip().rstrip(".")

@@ -43,7 +43,7 @@ def digest_of_result(certificate: Any, stats: dict[str, Any]) -> dict[str, Any]:
     """Return what must not change: the bound, the file, the rollouts, and the bounds from above."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "certificate.npz"
-        cg.save_certificate(certificate, path)
+        cg.save(certificate, path)
         file = digest_of_file(path)
     rollouts = cg.rollout(certificate.problem, certificate.controller, EPISODES, seed=7)
     above = [stats.get(name) for name in ("abstract_upper_bound", "continuous_upper_bound")]

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from certigym import load_problem, rollout, synthesize
+from certigym import load, rollout, synthesize
 from certigym.envs.expressions import Affine, enclosed
 from certigym.envs.problem import problem_from_dict
 
@@ -71,7 +71,7 @@ def oscillator() -> list[str]:
     """Return how often the oscillator reaches its target from one start, as it is run and as it is meant."""
     lines = []
     for name in ("as_run", "as_meant"):
-        problem: Any = load_problem(ROWS / f"van_der_pol_free_{name}.toml")
+        problem: Any = load(ROWS / f"van_der_pol_free_{name}.toml")
         problem = problem.replace(initial_state=[-0.8, -1.8])
         found: Any = synthesize(problem, 40, relation="linear").certificate  # no input: every policy does the same
         share = rollout(problem, found.controller, EPISODES, seed=0).successes / EPISODES
@@ -81,7 +81,7 @@ def oscillator() -> list[str]:
 
 def samples() -> list[str]:
     """Return the range of a mean of the vehicle over one cell: of its corners, of a point inside, and enclosed."""
-    agent: Any = load_problem(ROWS / "vehicle_3_largest.toml").agents[0]
+    agent: Any = load(ROWS / "vehicle_3_largest.toml").agents[0]
     speed, steering = 4.0, 0.4
     low, high = np.array([0.25, 0.25, -0.4]), np.array([0.75, 0.75, 0.0])
     corners = np.stack([axis.ravel() for axis in np.meshgrid(*zip(low, high), indexing="ij")])

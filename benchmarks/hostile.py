@@ -63,11 +63,11 @@ def problem(task: str, semantics: str = "co-safe", horizon: int = 4, **changes: 
 def forged(folder: Path, forge: Callable[[dict[str, Any], list[np.ndarray]], None], **options: Any) -> object:
     """Check a small certificate whose header or arrays were changed, the digest computed anew."""
     file = folder / "certificate.npz"
-    cg.save_certificate(cg.synthesize(problem("F g"), 12, **options), file)
+    cg.save(cg.synthesize(problem("F g"), 12, **options), file)
     header, arrays = opened(file)
     forge(header, arrays)
     written(file, header, arrays)
-    return cg.check(cg.load_certificate(file))
+    return cg.check(cg.load(file))
 
 
 def _in_header(key: str, value: Any, **options: Any) -> Case:
@@ -95,7 +95,7 @@ def _bytes(data: bytes) -> Case:
     def case(folder: Path) -> object:
         file = folder / "certificate.npz"
         file.write_bytes(data)
-        return cg.load_certificate(file)
+        return cg.load(file)
 
     return case
 
@@ -108,7 +108,7 @@ def long_header(folder: Path) -> object:
     np.lib.format.write_array(text, np.frombuffer(header, dtype=np.uint8))
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("header.npy", text.getvalue())
-    return cg.load_certificate(file)
+    return cg.load(file)
 
 
 def zip_bomb(folder: Path) -> object:
@@ -122,7 +122,7 @@ def zip_bomb(folder: Path) -> object:
         np.lib.format.write_array_header_1_0(entry, description)
         for _ in range(256):
             entry.write(bytes(2**24))
-    return cg.load_certificate(file)
+    return cg.load(file)
 
 
 def nested_header(folder: Path) -> object:
@@ -131,7 +131,7 @@ def nested_header(folder: Path) -> object:
     np.lib.format.write_array(text, np.frombuffer(b"[" * 100_000 + b"]" * 100_000, dtype=np.uint8))
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("header.npy", text.getvalue())
-    return cg.load_certificate(file)
+    return cg.load(file)
 
 
 def many_cells(folder: Path) -> object:
@@ -155,7 +155,7 @@ def problem_file(text: str) -> Case:
     def case(folder: Path) -> object:
         file = folder / "problem.toml"
         file.write_text(text, encoding="utf-8")
-        return cg.load_problem(file)
+        return cg.load(file)
 
     return case
 

@@ -17,6 +17,8 @@ from scipy.stats import binom
 import certigym as cg
 from cell_forgeries import forgeries_of
 from certigym.synthesis.certificates import AgentPath, GridProof, HullProof, PathProof, ProductProof, changed
+from certigym.synthesis.nominal_paths import certified_starts
+from certigym.synthesis.permissions import Permission
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import Network
 from certigym.synthesis.upper_ends import bound_above
@@ -135,7 +137,7 @@ def _of_nonlinear(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
 def _of_hull(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """A set of starts: mixtures of few corners, and a corner that is hardly mixed."""
     certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
-    hull = cg.certified_starts(certificate, spec["probability"], rays=10)
+    hull = certified_starts(certificate, spec["probability"], rays=10)
     rng, claims = np.random.default_rng([5, len(hull.proof.corners)]), list[Any]()
     for alpha in (0.05, 1e-4)[:STARTS]:
         weights = rng.dirichlet(np.full(len(hull.proof.corners), alpha) + 1e-6)
@@ -153,7 +155,7 @@ def _of_menus(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     if isinstance(certificate.proof, ProductProof):
         raise ValueError("of independent tasks")
     permission = cg.permit(certificate, probability=spec["share"] * certificate.lower_bound)
-    report = cg.check_permission(permission)
+    report = cg.check(permission)
     ways = ("random", "lowest", "highest", "outermost")
 
     def behaving(way: str) -> Callable[[int, int], Act]:
@@ -242,15 +244,15 @@ def _honest(problem: cg.Problem, spec: Spec) -> tuple[Any, Callable[[Any], Any]]
     if isinstance(certificate.proof, ProductProof):
         return None, cg.check
     if "share" in spec:
-        return cg.permit(certificate, probability=spec["share"] * certificate.lower_bound), cg.check_permission
+        return cg.permit(certificate, probability=spec["share"] * certificate.lower_bound), cg.check
     if "probability" in spec:
-        return cg.certified_starts(certificate, spec["probability"], rays=10), cg.check
+        return certified_starts(certificate, spec["probability"], rays=10), cg.check
     return certificate, cg.check
 
 
 def _claiming(claim: Any, lower: float) -> Any:
     """The same claim with another bound."""
-    if isinstance(claim, cg.Permission):
+    if isinstance(claim, Permission):
         return replace(claim, lower_bound=lower)
     if isinstance(claim.proof, PathProof | HullProof):
         return changed(claim, failure=1.0 - lower)
@@ -298,7 +300,7 @@ def _judged(spec: Spec, honest: Any, forged: Any, verify: Callable[[Any], Any], 
 
 def _behaviours(spec: Spec, claim: Any) -> Iterator[tuple[Spec, Act]]:
     """Problems and controllers that a claim is about."""
-    if isinstance(claim, cg.Permission):
+    if isinstance(claim, Permission):
         for way in ("random", "lowest", "highest", "outermost"):
             yield spec, Permitted(claim, way, FIRST, 1)
     elif isinstance(claim.proof, HullProof):

@@ -19,6 +19,7 @@ from typing import Any
 
 import certigym as cg
 from certigym.baselines import RandomController
+from certigym.validation.policies import Comparison
 
 TASKS: dict[str, tuple[str, dict[str, Any], int]] = {
     "RA2, T = 7": ("reach-avoid-v0", {}, 2000),
@@ -29,7 +30,7 @@ TASKS: dict[str, tuple[str, dict[str, Any], int]] = {
 """Id, arguments and cells per axis."""
 
 
-def compared(name: str, seeds: list[int], steps: int | None, episodes: int) -> cg.Comparison:
+def compared(name: str, seeds: list[int], steps: int | None, episodes: int) -> Comparison:
     """Simulate all policies of one task on common random numbers."""
     id, arguments, cells = TASKS[name]
     problem = cg.make_problem(id, **arguments)

@@ -41,7 +41,7 @@ Its numbers are exact 99.9 % limits from 20,000 rollouts.
 
 def measured(file: Path) -> dict[str, Any]:
     """Return what one file gets: way, bound, share of rollouts, seconds and check."""
-    problem = cg.load_problem(file)
+    problem = cg.load(file)
     began = time.process_time()
     row: dict[str, Any] = {"file": file.name, "what": _what(problem)}
     try:
@@ -102,7 +102,7 @@ if __name__ == "__main__":
     rows = {row["file"]: row for row in json.loads(NUMBERS.read_text(encoding="utf-8"))}
     known = {file.name for file in FOLDER.glob("*.toml")}
     for file in files:
-        found = rows[file.name] | {"by_hand": by_hand(cg.load_problem(file), SEED)} if only_by_hand else measured(file)
+        found = rows[file.name] | {"by_hand": by_hand(cg.load(file), SEED)} if only_by_hand else measured(file)
         print(json.dumps(found), flush=True)
         rows |= {file.name: found} if file.resolve().parent == FOLDER else {}
         # After each file: what was measured stays if the rest is broken off.

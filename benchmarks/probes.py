@@ -35,10 +35,10 @@ def certificate_of(name: str, folder: Path | None) -> cg.Certificate:
     """Return the certificate of the defaults, from the folder if it is there."""
     path = None if folder is None else folder / f"{name}.npz"
     if path is not None and path.is_file():
-        return cg.load_certificate(path)
+        return cg.load(path)
     certificate = cg.synthesize(name).certificate
     if path is not None:
-        cg.save_certificate(certificate, path)
+        cg.save(certificate, path)
     return certificate
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import certigym as cg
 from certigym.synthesis.certificates import rounded_down
+from certigym.synthesis.raw_networks import repair_network
 
 ROWS: dict[str, dict[str, Any]] = {
     "reach-avoid-v0, T = 5": {"id": "reach-avoid-v0", "horizon": 5, "steps": 200_000, "cells": 1000},
@@ -31,7 +32,7 @@ def measured(row: dict[str, Any], episodes: int) -> dict[str, Any]:
     warm = {name: row[name] for name in ("warm_start", "worlds") if name in row}
     actor: Any = cg.train(problem, "ppo", steps=row["steps"], seed=0, **warm).actor
     began = time.perf_counter()
-    raw = cg.certify(problem, actor, row["cells"], raw=True)
+    raw = cg.certify(problem, actor, row["cells"], as_is=True)
     seconds, began = time.perf_counter() - began, time.perf_counter()
     report = cg.check(raw)
     of_check = time.perf_counter() - began
@@ -39,7 +40,7 @@ def measured(row: dict[str, Any], episodes: int) -> dict[str, Any]:
     wrapped = cg.certify(problem, actor, row["cells"])
     # Boxes of planar agents, on which repairs are made, take as long again as the maps.
     planar = any(agent.n_states > 1 for agent in problem.agents)
-    repaired, places = (raw, None) if planar else cg.repair_network(problem, actor, row["cells"])
+    repaired, places = (raw, None) if planar else repair_network(problem, actor, row["cells"])
     rate = cg.rollout(problem, cg.as_controller(problem, actor), episodes=episodes, seed=1).success.mean()
     of_repaired = cg.rollout(problem, repaired.controller, episodes=episodes, seed=1).success.mean()
     return {

@@ -93,7 +93,7 @@ def _leaving(problem: cg.Problem, cells: int, most: Array) -> Array:
 
 def parking() -> Rows:
     """Return bounds and seconds on the parking problem on a line."""
-    problem: Any = cg.load_problem(PARKING)
+    problem: Any = cg.load(PARKING)
     assert problem.automaton
     base, found = once(lambda: cg.synthesize(problem, 80, relation="linear"))
     rows = [_row("certigym, linear, 80 cells", found.certificate.lower_bound, base, base)]

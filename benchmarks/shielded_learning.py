@@ -40,7 +40,7 @@ def learned(name: str, seed: int, options: argparse.Namespace) -> dict[str, Any]
         episodes = sum(point["episodes"] for point in training.curve)
         failures = sum(point["episodes"] * (1.0 - point["success"]) for point in training.curve)
         played = cg.rollout(problem, training.actor, EPISODES, seed=77).successes / EPISODES
-        guarded = cg.rollout(problem, cg.shielded(training, shield), EPISODES, seed=77).successes / EPISODES
+        guarded = cg.rollout(problem, cg.shield(training, shield), EPISODES, seed=77).successes / EPISODES
         row[way] = {"episodes": episodes, "failures": round(failures), "actor": played, "behind": guarded}
         row[way] |= {"curve": [[point["steps"], point["success"]] for point in training.curve]}
         row[way]["seconds"] = training.seconds

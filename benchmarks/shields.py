@@ -106,7 +106,7 @@ def untrained(problem: cg.Problem, seed: int = 0) -> Any:
 
 def trial(policy: Any, shield: cg.Shield, episodes: int, seed: int) -> dict[str, Any]:
     """Run episodes of a policy behind a shield; return counts and the share of proposals that were overridden."""
-    loop = Loop(shield.problem, cg.shielded(policy, shield), seed)
+    loop = Loop(shield.problem, cg.shield(policy, shield), seed)
     dynamics, batch = loop.arranged
     successes = done = overridden = steps = 0
     began = time.process_time()

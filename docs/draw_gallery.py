@@ -37,8 +37,8 @@ def certificate(id: str) -> cg.Certificate:
     file = CERTIFICATES / f"{id}.npz"
     if not file.exists():
         CERTIFICATES.mkdir(exist_ok=True)
-        cg.save_certificate(cg.synthesize(cg.make_problem(id)).certificate, file)
-    return cg.load_certificate(file)
+        cg.save(cg.synthesize(cg.make_problem(id)).certificate, file)
+    return cg.load(file)
 
 
 def write(frames: list[np.ndarray], path: Path, width: int, height: int) -> None:

@@ -41,7 +41,7 @@ def measured(id: str) -> dict[str, Any]:
         seconds = time.process_time() - began
         certificate = found.certificate
         CERTIFICATES.mkdir(exist_ok=True)
-        cg.save_certificate(certificate, CERTIFICATES / f"{id}.npz")
+        cg.save(certificate, CERTIFICATES / f"{id}.npz")
         # A certificate about pairs stands on one without them.
         base = getattr(certificate.proof, "base", certificate)
         on_cells = base.proof.has_cells  # a certificate along a path has none

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import certigym as cg
-from certigym.synthesis.controllers import AgentController
+from certigym.synthesis.controllers import AgentController, Controller
+from certigym.validation.simulation import Rollouts
+from certigym.validation.verdicts import ValidationReport
 
 problem = cg.make_problem("reach-avoid-v0", horizon=6)
 result: cg.Synthesis = cg.synthesize(problem, cells=400)
@@ -22,24 +24,24 @@ assert verified
 
 # the same with a proof in ball arithmetic of every number that the check takes from libraries: extra `rigorous`
 try:
-    print(cg.check_rigorous(certificate))
+    print(cg.check(certificate, rigorous=True))
 except ValueError as error:
     print(error)
 
 # tested by simulation, which proves nothing
-report: cg.ValidationReport = cg.validate(result, episodes=20_000, seed=0)
+report: ValidationReport = cg.validate(result, episodes=20_000, seed=0)
 print(report)
 assert report.verdict != "refuted"
-rollouts: cg.Rollouts = cg.rollout(problem, result.controller, 5_000, seed=1, initial_state=[-20.0, -3.0])
+rollouts: Rollouts = cg.rollout(problem, result.controller, 5_000, seed=1, initial_state=[-20.0, -3.0])
 print(f"{rollouts.successes} of {rollouts.episodes} from the far corner")
 
 # written and read: a certificate is a file that can be passed on
-cg.save_certificate(certificate, "reach_avoid.npz")
-again = cg.load_certificate("reach_avoid.npz")
+cg.save(certificate, "reach_avoid.npz")
+again = cg.load("reach_avoid.npz")
 assert again.lower_bound == certificate.lower_bound
 
 # the controllers act on the observations of the environment
-controller: cg.Controller = again.controller
+controller: Controller = again.controller
 env = cg.parallel_env(problem)
 observations, infos = env.reset(seed=0)
 controller.reset(observations, infos)

@@ -59,5 +59,5 @@ except cg.FormulaError as error:
     print(error)
 
 # the same from a TOML file
-convoy = cg.load_problem(Path(__file__).parent / "courier_and_drones.toml")
+convoy = cg.load(Path(__file__).parent / "courier_and_drones.toml")
 print(convoy, f"certified {cg.synthesize(convoy, cells=100).certificate.lower_bound:.6f}")

@@ -10,12 +10,11 @@ print(automaton)
 assert automaton.accepts([["load"], [], ["goal"]]) and not automaton.accepts([["goal"], ["load"]])
 
 # by hand: whoever falls into the hole has to fetch another load
-by_hand = cg.automaton_from_transitions(
-    ["load", "hole", "goal"],
-    ["empty", "loaded", "done"],
-    "empty",
-    ["done"],
-    [
+rows = {
+    "states": ["empty", "loaded", "done"],
+    "initial": "empty",
+    "accepting": ["done"],
+    "transitions": [
         ("empty", "load", "loaded"),
         ("empty", "!load", "empty"),
         ("loaded", "hole", "empty"),
@@ -23,8 +22,8 @@ by_hand = cg.automaton_from_transitions(
         ("loaded", "!hole & !goal", "loaded"),
         ("done", "true", "done"),
     ],
-    semantics="co-safe",
-)
+}
+by_hand = cg.translate(rows, ["load", "hole", "goal"])
 cart = cg.LinearAgent(
     name="cart",
     A=[[1.0]],
@@ -59,4 +58,4 @@ State: 1 {0}
 [t] 1
 --END--
 """
-print(automaton_to_dot(cg.automaton_from_hoa(hoa, ["goal"])))
+print(automaton_to_dot(cg.translate(hoa, ["goal"])))

@@ -22,7 +22,8 @@ for cells in (25, 100, 400):
 best, bounds = synthesize_best(problem, [{"cells": 50}, {"cells": 100}, {"cells": 100, "max_sweeps": 12}])
 print("attempts", bounds, "best", best.lower_bound)
 
-for report in cg.validate_horizons(problem, range(1, 8), 2_000, cells=100):
+for result in cg.synthesize(problem, 100, horizon=range(1, 8)):
+    report = cg.validate(result, 2_000)
     print(f"T = {report.horizon}: certified {report.lower_bound:.4f}, rollouts {report.estimate:.4f}")
 
 # a robot whose axes do not depend on each other can be treated as two agents of one state each

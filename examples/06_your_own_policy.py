@@ -9,7 +9,8 @@ import numpy as np
 import certigym as cg
 from certigym.baselines import IdleController, RandomController
 from certigym.synthesis.cells import Grid
-from certigym.synthesis.controllers import vectorized
+from certigym.synthesis.controllers import InputTable, vectorized
+from certigym.validation.policies import Comparison
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
 
@@ -34,10 +35,10 @@ assert improved.certificate.lower_bound >= certified.certificate.lower_bound
 # a table of inputs: full speed below 0, hardly any above
 grid = Grid((np.array([-20.0, 0.0, 5.0]),))
 inputs = np.tile(np.array([[5.0], [0.5]]), (1, problem.automaton.n_states, 1, 1))
-mixed = cg.certify(problem, {"agent_0": cg.InputTable(grid, inputs), "agent_1": resting}, cells=100)
+mixed = cg.certify(problem, {"agent_0": InputTable(grid, inputs), "agent_1": resting}, cells=100)
 print(f"a table and a function {mixed.certificate.lower_bound:.4f}")
 
-comparison: cg.Comparison = cg.compare(
+comparison: Comparison = cg.compare(
     problem,
     {
         "raw": policy,

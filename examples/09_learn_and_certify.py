@@ -5,6 +5,7 @@ from __future__ import annotations
 import certigym as cg
 from certigym.baselines import Training, load_actor
 from certigym.synthesis.controllers import Decentralised
+from certigym.validation.policies import Probe
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
 training: Training = cg.train(problem, "ppo", steps=10_000, seed=0)
@@ -19,12 +20,13 @@ improved = cg.improve(problem, actor, cells=100)
 print(cg.compare(problem, {"raw": training, "certified": certified, "improved": improved}, episodes=4_000))
 
 # The network as it is deployed, wrapped in nothing; and repaired where it loses most.
-raw = cg.certify(problem, actor, cells=500, raw=True)
-repaired, places = cg.repair_network(problem, actor, cells=500)
+raw = cg.certify(problem, actor, cells=500, as_is=True)
+repaired = cg.improve(problem, actor, cells=500, as_is=True)
+places = repaired.stats["weak_places"]
 print(f"the network itself: P >= {raw.certificate.lower_bound:.4f}")
 print(f"repaired: P >= {repaired.certificate.lower_bound:.4f}")
 print(places)
 
 # Can a learner that starts from the certified controllers do better than they do?
-found: cg.Probe = cg.probe(problem, improved, episodes=4_000, steps=1_000)
+found: Probe = cg.probe(problem, improved, episodes=4_000, steps=1_000)
 print(found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ProcessPoolExecutor
 
 import certigym as cg
-from certigym.validation.simulation import DaskExecutor
+from certigym.validation.simulation import DaskExecutor, TrialPlan
 
 
 def main() -> None:
@@ -13,7 +13,7 @@ def main() -> None:
     certificate = cg.synthesize(problem, cells=100).certificate
     here = cg.validate(certificate, 20_000)
     with ProcessPoolExecutor(2) as pool:
-        plan = cg.TrialPlan(episodes=20_000, executor=pool)  # one record for every verb that simulates
+        plan = TrialPlan(episodes=20_000, executor=pool)  # one record for every verb that simulates
         there = cg.validate(certificate, plan)
     assert (here.successes, here.verdict) == (there.successes, there.verdict)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import certigym as cg
+from certigym.synthesis.nominal_paths import certified_starts
 
 problem = cg.make_problem("reach-avoid-v0")
-for result in cg.synthesize_horizons(problem, (5, 6, 7), 100):
+for result in cg.synthesize(problem, 100, horizon=(5, 6, 7)):
     certificate = result.certificate
     print(f"T = {certificate.problem.horizon}: {certificate.lower_bound:.5f}, starts {result.stats['starts']}")
 
@@ -15,22 +16,22 @@ print(f"{more.certificate.lower_bound:.5f}, one agent alone can gain about {more
 
 # policies that do not look at the time: the bound rises with the horizon, and holds for every longer one
 parking = cg.make_problem("car-park-v0")
-stationary = cg.without_deadline(parking, 60, longest=150).certificate
+stationary = cg.synthesize(parking, 60, horizon=None, accuracy=0.01).certificate
 print(f"within {stationary.problem.horizon} steps, and so without a deadline: P >= {stationary.lower_bound}")
 assert stationary.proof.stationary
 
 # Safety without a deadline: a bound that holds for every number of steps at once.
-safe = cg.without_deadline("invariance-b-20-v0", 100)
+safe = cg.synthesize("invariance-b-20-v0", 100, horizon=None)
 lasting = cg.safety_rate(safe)
 print("safe for k steps:", lasting, lasting.at([1, 100, 10_000]))
 
 # The other end: how often these controllers succeed at most, under any relation with cells.
-parked = cg.bound_above(cg.synthesize(parking))
+parked = cg.synthesize(parking, above=True).certificate
 print(f"the controllers park with a probability of {parked.lower_bound} at least, {parked.upper_bound} at most")
 assert parked.lower_bound <= parked.upper_bound and cg.check(parked)
 
 # Along a path: starts from all of which a probability is kept, as a convex set that the check takes, too.
 along = cg.synthesize("integrator-chain-v0", relation="path")
-hull = cg.certified_starts(along, probability=0.9, rays=16)
+hull = certified_starts(along, probability=0.9, rays=16)
 print(hull)
 assert cg.check(hull)

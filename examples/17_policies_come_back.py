@@ -19,5 +19,5 @@ print(policy.information, "| certified as it is:", policy.why_not_as_it_is or "y
 print(cg.compare(problem, {"network": policy, "certified": cg.synthesize(problem, 100)}, episodes=2_000))
 
 # the other way: the tables of a certified controller as C, with the same inputs to the last bit
-header = cg.save_policy(cg.synthesize(problem, 100, relation="exact"), Path(mkdtemp()) / "robots.h")
+header = cg.save(cg.synthesize(problem, 100, relation="exact"), Path(mkdtemp()) / "robots.h")
 print(header.name, header.stat().st_size, "bytes,", header.read_text().splitlines()[0])

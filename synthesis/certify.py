@@ -45,7 +45,7 @@ from .models import (
     start_of,
 )
 from .pairs import NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
-from .raw_networks import certify_network
+from .raw_networks import COVERED, certify_network, repair_network
 from .search import FINAL, Limits, Search, Sweep, sweep
 from .together import joint_cells
 from .upper_ends import synthesis_above
@@ -61,13 +61,13 @@ def certify(
     cells: CellCounts = None,
     *,
     relation: Relations = "auto",
-    raw: bool = False,
+    as_is: bool = False,
     above: bool = False,
     **settings: Any,
 ) -> Synthesis:
     """Compute a certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
 
-    With ``raw`` the bound is about networks as they are deployed (``certify_network``).
+    With ``as_is`` the bound is about networks as they are deployed (``certify_network``).
 
     Parameters
     ----------
@@ -79,10 +79,10 @@ def certify(
         Cells per axis; with more cells the wrapped policy is closer to the raw one.
     relation : str, or mapping from agent name to str
         As for ``abstract``; ``exact`` or ``joint`` for tasks about pairs. Relations are not compared.
-    raw : bool
+    as_is : bool
         Whether to certify a trained actor as it is, not wrapped: the relation is ``linear`` or ``boxes`` then.
     above : bool
-        Whether to bound it from above, too (``upper_bound`` of the certificate; see ``bound_above``).
+        Whether to bound it from above, too (``upper_bound`` of the certificate).
     **settings
         Further settings of the relation, passed to ``abstract``.
 
@@ -90,7 +90,7 @@ def certify(
     -------
     Synthesis
         ``certificate`` and ``controller`` belong to the wrapped policy. Simulate the raw one with
-        ``rollout(problem, as_controller(problem, policy), ...)``; no bound holds for it but with ``raw``.
+        ``rollout(problem, as_controller(problem, policy), ...)``; no bound holds for it but with ``as_is``.
 
     Raises
     ------
@@ -98,10 +98,10 @@ def certify(
         If the policy has an unknown form or returns inputs that are not finite, or the relation does not apply.
     """
     if above:
-        return synthesis_above(certify(problem, policy, cells, relation=relation, raw=raw, **settings))
-    if raw:
+        return synthesis_above(certify(problem, policy, cells, relation=relation, as_is=as_is, **settings))
+    if as_is:
         if not isinstance(relation, str):
-            raise ValueError("`relation`: expected one for all agents with `raw`, got a mapping; leave it out")
+            raise ValueError("`relation`: expected one for all agents with `as_is`, got a mapping; leave it out")
         kind = "auto" if relation == "quick" else relation
         return certify_network(problem, policy, cells, relation=kind, **settings)
     problem = as_problem(problem)
@@ -211,12 +211,15 @@ def improve(
     max_sweeps: int = 8,
     limits: Limits | None = None,
     progress: Callable[[str, float], None] | None = None,
+    as_is: bool = False,
+    share: float = COVERED,
     **settings: Any,
 ) -> Synthesis:
     """Improve ``policy`` by coordinate ascent; return the best policies and a certified lower bound for them.
 
     The bound is at least that of ``certify`` with the same cells and settings: the wrapped policy is one of the
-    candidates, and all candidates are evaluated in the same way.
+    candidates, and all candidates are evaluated in the same way. With ``as_is`` networks stay as they are deployed, and
+    are replaced only where they lose most (``repair_network``).
 
     Parameters
     ----------
@@ -228,7 +231,20 @@ def improve(
         How trees are pruned during the search.
     progress : callable, optional
         Called with a short text and the best value so far after each sweep.
+    as_is : bool
+        Whether the networks themselves act wherever they are not replaced; relations and sweeps are not chosen then.
+    share : float
+        With ``as_is``, the share of all that is lost that the replaced places make up for, as few of them as can be:
+        from 0 (nothing is replaced) to 1 (everything that gains).
+
+    Returns
+    -------
+    Synthesis
+        With ``as_is``, ``stats["weak_places"]`` says where the networks lose.
     """
+    if as_is:
+        found, places = repair_network(problem, policy, cells, share=share, **settings)
+        return replace(found, stats={**found.stats, "weak_places": places})
     clock, problem = _Clock(), as_problem(problem)
     search = Search(max_sweeps, Limits() if limits is None else limits, progress=progress)
     wrapped = _wrapped(problem, certifiable(problem, policy), cells, relation, settings)

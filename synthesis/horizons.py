@@ -5,16 +5,12 @@ For co-safe tasks the value of T steps is a lower bound on the value without a d
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from ..envs.arrays import on_one_thread
 from ..envs.problem import Problem
-from ..envs.suite import as_problem
-from .cells import CellCounts
-from .certificates import Synthesis
+from .certificates import Certificate, Synthesis
 from .checking import SHORTEST, is_safety, safety_rate
-from .synthesize import synthesize
 
 TOLERANCE = 1e-6
 """Gain of a doubled horizon at which ``without_deadline`` stops: a smaller gain is not worth twice the time."""
@@ -22,62 +18,47 @@ TOLERANCE = 1e-6
 LONGEST = 1000
 """Longest horizon that ``without_deadline`` tries: seven doublings of the horizon 7."""
 
-
-@on_one_thread
-def synthesize_horizons(
-    problem: Any, horizons: Iterable[int], cells: CellCounts = None, **settings: Any
-) -> list[Synthesis]:
-    """Synthesize at every horizon, in increasing order, each from the policies of the one before.
-
-    Parameters
-    ----------
-    problem : Problem, id or path
-        The horizon of this problem does not matter.
-    horizons : iterable of int
-        Numbers of control steps.
-    cells, **settings
-        As for ``synthesize``.
-
-    Returns
-    -------
-    list of Synthesis
-        In the order of ``horizons``.
-    """
-    asked = list(horizons)
-    results = each_horizon(problem, asked, cells, **settings)
-    of_horizon = {result.certificate.problem.horizon: result for result in results}
-    return [of_horizon[horizon] for horizon in asked]
+Once = Callable[[Problem, Certificate | None], Synthesis]
+"""Synthesizes a problem, from the policies of a certificate if there is one."""
 
 
-def each_horizon(
-    problem: Any, horizons: Iterable[int], cells: CellCounts = None, **settings: Any
-) -> Iterator[Synthesis]:
-    """Yield the results of ``synthesize_horizons`` one by one, in increasing order of the horizon."""
-    problem = as_problem(problem)
+def horizons_of(horizon: Any) -> list[int]:
+    """Return the horizons (N,) that are asked for; raise ValueError if they are none."""
+    try:
+        asked = [*horizon]
+    except TypeError:
+        asked = []
+    if not asked or isinstance(horizon, str):
+        raise ValueError(
+            f"`horizon`: expected control steps, a list of them, or None for no deadline, got {horizon!r}; leave it "
+            "out for that of the problem"
+        )
+    return asked
+
+
+def each_horizon(problem: Problem, horizons: Iterable[int], once: Once) -> Iterator[Synthesis]:
+    """Yield what is found at each horizon, in increasing order, each search from the policies of the one before."""
     last: Synthesis | None = None
     for horizon in sorted(set(horizons)):
-        last = _from(last, problem.replace(horizon=horizon), cells, settings)
+        task = problem.replace(horizon=horizon)
+        last = once(task, _begun_with(last, task))
         yield last
 
 
-def _from(last: Synthesis | None, problem: Problem, cells: CellCounts, settings: dict[str, Any]) -> Synthesis:
-    """Synthesize from the policies of the last horizon, unless there are none, or cells and relation are open."""
-    chosen_anew = {"memory", "accuracy"} & {*settings} or settings.get("relation") == "best"
+def _begun_with(last: Synthesis | None, problem: Problem) -> Certificate | None:
+    """Return the certificate of the last horizon, if its policies are of use for a problem."""
     # What names the time is another problem for every horizon.
-    anew = problem.groups or problem.labeling.pairs or problem.names_time or chosen_anew
-    if last is None or anew or not last.certificate.proof.has_cells:
-        return synthesize(problem, cells, **settings)
+    if last is None or problem.groups or problem.labeling.pairs or problem.names_time:
+        return None
+    if not last.certificate.proof.has_cells:
+        return None
     # A shorter horizon may have needed fewer states of the automaton: its policies know nothing of the others.
-    if last.certificate.problem.automaton.n_states != problem.automaton.n_states:
-        return synthesize(problem, cells, **settings)
-    return synthesize(problem, cells, start=last.certificate, **settings)
+    same = last.certificate.problem.automaton.n_states == problem.automaton.n_states
+    return last.certificate if same else None
 
 
-@on_one_thread
-def without_deadline(
-    problem: Any, cells: CellCounts = None, *, tolerance: float = TOLERANCE, longest: int = LONGEST, **settings: Any
-) -> Synthesis:
-    """Compute stationary policies for a task without a deadline, and what is certified about them.
+def without_deadline(problem: Problem, once: Once, tolerance: float = TOLERANCE) -> Synthesis:
+    """Compute policies for a task without a deadline, and what is certified about them.
 
     For a co-safe task that is a lower bound on the probability of ever satisfying it: the horizon of the problem is
     doubled until the bound gains less than ``tolerance``. For a safety task nothing lasts for ever under unbounded
@@ -86,14 +67,12 @@ def without_deadline(
 
     Parameters
     ----------
-    problem : Problem, id or path
+    problem : Problem
         One co-safe or safety task; the search begins with its horizon.
-    cells, **settings
-        As for ``synthesize``.
+    once : callable
+        Synthesizes stationary policies.
     tolerance : float
         Gain at which to stop. It is an observation, not a bound on what longer horizons would add.
-    longest : int
-        Longest horizon, in control steps.
 
     Returns
     -------
@@ -106,7 +85,6 @@ def without_deadline(
     ValueError
         If the task is neither, because then more time can lower the probability; or if it decomposes.
     """
-    problem = as_problem(problem)
     if problem.names_time:
         raise ValueError(
             "`problem`: expected one that is the same at every step, got one that names the time `t`: policies without "
@@ -120,11 +98,11 @@ def without_deadline(
         )
     if problem.groups:
         raise ValueError("`problem`: expected one task, got independent ones; take the problems of `problem.tasks`")
-    settings = {**settings, "stationary": True}
     problem = problem if automaton.is_co_safe else problem.replace(horizon=max(problem.horizon, SHORTEST))
-    best = _from(None, problem, cells, settings)
-    while 2 * best.certificate.problem.horizon <= longest:
-        longer = _from(best, problem.replace(horizon=2 * best.certificate.problem.horizon), cells, settings)
+    best = once(problem, None)
+    while (doubled := 2 * best.certificate.problem.horizon) <= LONGEST:
+        task = problem.replace(horizon=doubled)
+        longer = once(task, _begun_with(best, task))
         if _worth(longer) <= _worth(best) + tolerance:
             return max(best, longer, key=_worth)
         best = longer

@@ -202,7 +202,7 @@ def _policies(problem: Problem, actor: Any) -> list[NetworkPolicy]:
     if not hasattr(actor, "agent_policy"):
         raise ValueError(
             f"`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
-            f"{type(actor).__name__}; train `ppo`, `ippo` or `mappo`, or leave out `raw`"
+            f"{type(actor).__name__}; train `ppo`, `ippo` or `mappo`, or leave out `as_is`"
         )
     if actor.problem.fingerprint != problem.fingerprint:
         actor = replace(actor, problem=problem)

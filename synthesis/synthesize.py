@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, overload
+
+import numpy as np
 
 from ..envs.arrays import on_one_thread
 from ..envs.problem import JOINT_NOISE_REFUSAL, Problem
@@ -23,6 +25,7 @@ from .certificates import (
     timed_certificate,
 )
 from .choosing import Budget, Effort, Way, best_of, in_order, settings_of
+from .horizons import TOLERANCE, each_horizon, horizons_of, without_deadline
 from .models import (
     RELATIONS,
     Relations,
@@ -31,6 +34,7 @@ from .models import (
     check_settings,
     relations_of,
 )
+from .nominal_paths import certified_starts
 from .on_cells import Plan, continued
 from .parts import synthesize_parts
 from .search import Limits, Search, sweep_bar
@@ -48,14 +52,29 @@ from .together import ways_together
 from .upper_ends import synthesis_above
 from .values import HOST, device_put
 
+OWN = "own"
+"""Stands for the horizon of the problem."""
 
-# Sixteen parameters, because this is the door of the package: its options are flat, as users and the command line have
+
+@overload
+def synthesize(problem: Any, cells: CellCounts = None, *, horizon: int | None = None, **options: Any) -> Synthesis: ...
+
+
+@overload
+def synthesize(
+    problem: Any, cells: CellCounts = None, *, horizon: Iterable[int], **options: Any
+) -> list[Synthesis]: ...
+
+
+# Eighteen parameters, because this is the door of the package: its options are flat, as users and the command line have
 # them, and become records (`Plan`) at once.
 @on_one_thread
 def synthesize(
     problem: Any,
     cells: CellCounts = None,
     *,
+    horizon: int | Iterable[int] | str | None = OWN,
+    starts: float | None = None,
     relation: Relations = "auto",
     max_sweeps: int = 8,
     limits: Limits | None = None,
@@ -71,7 +90,7 @@ def synthesize(
     stationary: bool = False,
     above: bool = False,
     **settings: Any,
-) -> Synthesis:
+) -> Any:
     """Compute per-agent controllers for ``problem`` and a certified lower bound on its satisfaction probability.
 
     Parameters
@@ -82,6 +101,14 @@ def synthesize(
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis. More cells cost time and raise the bound. The default depends on the dimension (see
         ``abstract``); it is doubled where relations are compared and none applies.
+    horizon : int, iterable of int or None, optional
+        Control steps (default: the problem's). Several give a list of syntheses, in their order: each search begins
+        with the policies of the next shorter one. None: no deadline. Then policies do not look at the time, and the
+        horizon is doubled until the bound, or the rate at which a safety task is kept (``safety_rate``), gains less
+        than ``accuracy`` (default: 1e-6).
+    starts : float, optional
+        Probability in [0.5, 1) that is to hold from every start of a set: a convex set around the problem's start, of
+        one linear agent, along a path (see ``certified_starts``). Not with other ways.
     relation : str, or mapping from agent name to str
         ``"exact"`` (inputs reach every mean), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the
         caller's choice), ``"paper"`` (scalar agents), ``"path"`` (Gaussian noise, no cells, any number of states),
@@ -122,18 +149,19 @@ def synthesize(
         be the same, its horizon need not (see ``horizons``); ``"auto"`` then stands for its relations, and settings
         that are not given are its own. Its policies are evaluated anew, and nothing that it claims is trusted.
     stationary : bool
-        Whether policies must not depend on the time, for tasks without a deadline (see ``without_deadline``).
+        Whether policies must not depend on the time, as for tasks without a deadline.
     above : bool
-        Whether the certificate is to say, too, how often its controllers succeed at most (``upper_bound``; see
-        ``bound_above``). Relations in which nothing is lost say so in any case.
+        Whether the certificate is to say, too, how often its controllers succeed at most (``upper_bound``). That takes
+        about as long as an evaluation of the policies; relations in which nothing is lost say so in any case.
     **settings
         Further settings of the relation (see ``Settings``).
 
     Returns
     -------
-    Synthesis
+    Synthesis, or list of Synthesis
         ``certificate.lower_bound`` holds at the problem's start: at its initial state, or on average over its start
-        box. With delta > 0 all bounds that apply are computed and the largest one is reported.
+        box; with ``starts``, at every point of the set. With delta > 0 all bounds that apply are computed and the
+        largest one is reported.
 
     Raises
     ------
@@ -142,22 +170,49 @@ def synthesize(
     """
     pruning = Limits() if limits is None else limits
     told = sweep_bar() if progress is True else progress or None
-    spending = Effort(effort, seconds, progress=told)
-    search = Search(max_sweeps, pruning, value, restarts, told, stationary, device)
     check_settings(settings)
     device_put(device)  # refuses a device that does not exist before any work is done
-    budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
     problem = as_problem(problem)
-    _refuse_outside(problem)
-    start = None if start is None else certificate_from(start, "start")
-    if start is not None and not problem.groups and not problem.labeling.pairs:
-        settings = {**_settings_of_start(problem, relation, checked_certificate(start, "start")), **settings}
-    plan = Plan(Settings(**settings), search, budget, spending)
-    try:
-        found = _of_problem(problem, cells, relation, plan, start)
-        return synthesis_above(found) if above else found
-    except RelationRefused as refusal:
-        raise RelationRefused(to_who_asked_for_none(refusal) if cells is None else str(refusal)) from None
+    endless = horizon is None
+    relation = "path" if starts is not None and relation == "auto" else relation
+    gain, accuracy = (accuracy, None) if endless else (None, accuracy)
+    budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
+    search = Search(max_sweeps, pruning, value, restarts, told, stationary or endless, device)
+
+    def once(task: Problem, begun: Certificate | None) -> Synthesis:
+        _refuse_outside(task)
+        own = settings
+        if begun is not None and not task.groups and not task.labeling.pairs:
+            own = {**_settings_of_start(task, relation, checked_certificate(begun, "start")), **settings}
+        plan = Plan(Settings(**own), search, budget, Effort(effort, seconds, progress=told))
+        try:
+            found = _of_problem(task, cells, relation, plan, begun)
+            return synthesis_above(found) if above else found
+        except RelationRefused as refusal:
+            raise RelationRefused(to_who_asked_for_none(refusal) if cells is None else str(refusal)) from None
+
+    def carried(task: Problem, begun: Certificate | None) -> Synthesis:
+        # Cells and relation that are chosen anew at every horizon have nothing to begin with.
+        return once(task, None if budget is not None or relation == "best" else begun)
+
+    begun = None if start is None else certificate_from(start, "start")
+    if isinstance(horizon, int | np.integer):
+        problem, horizon = problem.replace(horizon=int(horizon)), OWN
+    if horizon == OWN:
+        return once(problem, begun) if starts is None else _around(once(problem, begun), starts)
+    if begun is not None or starts is not None:
+        raise ValueError("`horizon`: expected one number with `start` or `starts`, got several, or None; leave it out")
+    if endless:
+        return without_deadline(problem, carried, TOLERANCE if gain is None else gain)
+    asked = horizons_of(horizon)
+    of_horizon = {found.certificate.problem.horizon: found for found in each_horizon(problem, asked, carried)}
+    return [of_horizon[number] for number in asked]
+
+
+def _around(found: Synthesis, probability: float) -> Synthesis:
+    """Return what is certified of a set of starts around that of a synthesis along a path."""
+    hull = certified_starts(found.certificate, probability)
+    return Synthesis(hull, hull.controller, found.stats)
 
 
 def _of_problem(

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.special import ndtri
@@ -22,8 +23,10 @@ from scipy.special import ndtri
 import certigym as cg
 from certigym.baselines import RandomController
 from certigym.envs.agents import LinearAgent
+from certigym.synthesis import horizons
 from certigym.synthesis.certificates import any_certificate, changed, with_claims
 from certigym.synthesis.relations import Network
+from certigym.synthesis.upper_ends import bound_above
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 
@@ -372,7 +375,7 @@ def train(row: str, folder: Path) -> Claims:
 
 def own_upper_end(row: str, folder: Path) -> Claims:
     """What the policies attain at most: part of the certificate, saved with it and met by rollouts."""
-    return ended(cg.bound_above(certificate_of(row)), folder)
+    return ended(bound_above(certificate_of(row)), folder)
 
 
 def ended(certificate: Any, folder: Path) -> Claims:
@@ -381,7 +384,7 @@ def ended(certificate: Any, folder: Path) -> Claims:
         raise ValueError("no upper end of its own")
     report = cg.check(certificate)
     assert report and certificate.lower_bound <= report.above <= certificate.upper_bound
-    cg.save_certificate(certificate, folder / "ends.npz")
+    cg.save(certificate, folder / "ends.npz")
     loaded: Any = any_certificate(folder / "ends.npz")
     assert loaded.upper_bound == certificate.upper_bound and cg.check(loaded).above == report.above
     validation = cg.validate(certificate, EPISODES, confidence=1.0 - FALSE_ALARM)
@@ -392,7 +395,7 @@ def ended(certificate: Any, folder: Path) -> Claims:
 def opposite_end(row: str, folder: Path) -> Claims:
     """What the policies attain at most by the opposite task, also where nothing is lost and the end is known anyway."""
     bare = with_claims(certificate_of(row), lambda one: changed(one, gap=None))
-    return ended(cg.bound_above(bare), folder)
+    return ended(bound_above(bare), folder)
 
 
 def checked(row: str, folder: Path) -> Claims:
@@ -402,7 +405,7 @@ def checked(row: str, folder: Path) -> Claims:
 
 
 def rigorous(row: str, folder: Path) -> Claims:
-    report = cg.check_rigorous(certificate_of(row))
+    report = cg.check(certificate_of(row), rigorous=True)
     assert report and report.numbers >= 10, report  # nothing is proved by a check that states nothing
     return Claims((float(report.low),))
 
@@ -411,7 +414,7 @@ def shield(row: str, folder: Path) -> Claims:
     """Random inputs behind a shield: as good as was promised, by rollouts."""
     certificate = certificate_of(row)
     promised = 0.8 * certificate.lower_bound
-    policy = cg.shielded(RandomController(), certificate, probability=promised)
+    policy = cg.shield(RandomController(), certificate, probability=promised)
     report = cg.compare(certificate.problem, {"shielded": policy}, EPISODES, confidence=1.0 - FALSE_ALARM)
     assert report.entries[0].ci_high >= promised
     return Claims((promised,))
@@ -420,7 +423,7 @@ def shield(row: str, folder: Path) -> Claims:
 def permission(row: str, folder: Path) -> Claims:
     certificate = certificate_of(row)
     permission = cg.permit(certificate, probability=0.8 * certificate.lower_bound)
-    report = cg.check_permission(permission)
+    report = cg.check(permission)
     assert report, report
     return Claims((0.8 * certificate.lower_bound,))
 
@@ -449,7 +452,7 @@ def network(row: str, folder: Path) -> Claims:
     layers = Network((first, last), (np.full(4, 0.5, np.float32), np.zeros(view.n_actions, np.float32)), "tanh", False)
     kind = ROWS[row].options["relation"]
     options = {"relation": kind} if kind in ("linear", "boxes") else {}
-    result = cg.certify(problem, SharedActor(problem, layers), ROWS[row].cells, raw=True, **options)
+    result = cg.certify(problem, SharedActor(problem, layers), ROWS[row].cells, as_is=True, **options)
     assert cg.check(result.certificate)
     return Claims((result.certificate.lower_bound,))
 
@@ -512,7 +515,9 @@ def start_box(row: str, folder: Path) -> Claims:
 
 def no_deadline(row: str, folder: Path) -> Claims:
     options = {**ROWS[row].settings}
-    result = cg.without_deadline(problem_of(row), options.pop("cells", None), longest=4, **options)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(horizons, "LONGEST", 4)
+        result = cg.synthesize(problem_of(row), options.pop("cells", None), horizon=None, **options)
     assert cg.check(result.certificate)
     return Claims(exceeded_by_none=(1.0,))
 
@@ -559,7 +564,7 @@ def reported(row: str, folder: Path) -> Claims:
 
 def kept(row: str, folder: Path) -> Claims:
     """Saved, loaded, and checked."""
-    cg.save_certificate(certificate_of(row), folder / "certificate.npz")
+    cg.save(certificate_of(row), folder / "certificate.npz")
     loaded: Any = any_certificate(folder / "certificate.npz")
     assert loaded.lower_bound == certificate_of(row).lower_bound and cg.check(loaded)
     return Claims((loaded.lower_bound,))

@@ -75,7 +75,7 @@ def _certified(first: int, relation: str | None = None) -> tuple[dict, cg.Certif
 def test_forgeries_are_refused_or_true(first: int, relation: str | None, tmp_path: Path) -> None:
     spec, certificate = _certified(first, relation)
     file = tmp_path / "own.npz"
-    cg.save_certificate(certificate, file)
+    cg.save(certificate, file)
     rng = np.random.default_rng(first)
     every = list(forgeries(*opened(file), rng, 4))
     for k in rng.permutation(len(every))[:FORGERIES]:

@@ -32,7 +32,7 @@ def independent_step(state: Any, u: float, z: Any) -> Any:
 
 
 def test_files_fingerprints_and_pickles_keep_the_agent() -> None:
-    problem = cg.load_problem(EXAMPLE)
+    problem = cg.load(EXAMPLE)
     pendulum = problem.agents[0]
     assert isinstance(pendulum, cg.Agent) and isinstance(problem.agents[1], cg.LinearAgent)
     assert pendulum.noise_covariance.tolist() == [[0.1 * 0.1, 0.0], [0.0, 0.2 * 0.2]]
@@ -117,7 +117,7 @@ def test_linear_agents_written_as_expressions_move_alike() -> None:
 
 
 def test_environments_pass_the_checkers_of_their_interfaces() -> None:
-    problem = cg.load_problem(EXAMPLE)
+    problem = cg.load(EXAMPLE)
     parallel_api_test(cg.parallel_env(problem), num_cycles=50)
     check_env(cg.central_env(problem), skip_render_check=True)
     env = cg.central_env(oscillator_reach(5), render_mode="rgb_array")
@@ -198,7 +198,7 @@ def test_mistakes_in_files_are_named_with_a_caret_under_expressions(tmp_path: Pa
         path = tmp_path / "problem.toml"
         path.write_text(text.replace(old, new, 1), encoding="utf-8")
         with pytest.raises(ValueError, match=message) as caught:
-            cg.load_problem(path)
+            cg.load(path)
         said, *below = str(caught.value).split("\n")
         assert "[[agents]] number 1 ('pendulum')" in said
         assert not below or (new in below[0] and below[0].index(new) == below[1].index("^"))

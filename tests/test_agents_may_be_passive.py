@@ -65,7 +65,7 @@ def linear(**changes: Any) -> cg.LinearAgent:
 def problem(tmp_path_factory: pytest.TempPathFactory) -> cg.Problem:
     path: Path = tmp_path_factory.mktemp("own") / "crossing.toml"
     path.write_text(FILE, encoding="utf-8")
-    return cg.load_problem(path)
+    return cg.load(path)
 
 
 @pytest.mark.parametrize("make", [expression, linear])
@@ -93,8 +93,8 @@ def test_it_is_certified_checked_and_simulated_without_options(problem: cg.Probl
     certificate = found.certificate
     assert certificate.lower_bound > 0.9 and cg.check(certificate)
     assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
-    cg.save_certificate(certificate, tmp_path / "again.npz")
-    again = cg.load_certificate(tmp_path / "again.npz")
+    cg.save(certificate, tmp_path / "again.npz")
+    again = cg.load(tmp_path / "again.npz")
     assert cg.check(again) and again.problem.fingerprint == problem.fingerprint
 
 

@@ -186,7 +186,7 @@ def test_a_path_goes_on_where_a_turn_ends(on_path: Any) -> None:
 def test_certificates_with_angles_travel(on_path: Any, on_grid: Any, tmp_path: Any) -> None:
     for number, result in enumerate((on_path, on_grid)):
         file = tmp_path / f"{number}.npz"
-        cg.save_certificate(result.certificate, file)
+        cg.save(result.certificate, file)
         assert cg.check(file)
 
 

@@ -47,8 +47,8 @@ CERTIFICATES = {"cart": of_cart, "team": of_team}
 def test_files_and_rollouts_agree(name: str, tmp_path: Path) -> None:
     """40,000 episodes notice a claim that is too large by about .01 at a false-alarm rate of 1e-6."""
     certificate = CERTIFICATES[name]()
-    cg.save_certificate(certificate, tmp_path / "certificate.npz")
-    loaded = cg.load_certificate(tmp_path / "certificate.npz")
+    cg.save(certificate, tmp_path / "certificate.npz")
+    loaded = cg.load(tmp_path / "certificate.npz")
     assert isinstance(loaded, cg.Certificate) and loaded.gap is None
     assert cg.check(loaded, certificate.problem) and loaded.lower_bound == certificate.lower_bound > 0.8
     state = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
@@ -147,8 +147,8 @@ FORGERIES: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
 def test_forgeries_are_refused_in_words(forgery: str, name: str, tmp_path: Path) -> None:
     certificate = CERTIFICATES[name]()
     try:
-        cg.save_certificate(FORGERIES[forgery](certificate), tmp_path / "forged.npz")
-        report = cg.check(cg.load_certificate(tmp_path / "forged.npz"))
+        cg.save(FORGERIES[forgery](certificate), tmp_path / "forged.npz")
+        report = cg.check(cg.load(tmp_path / "forged.npz"))
     except ValueError as refusal:
         assert str(refusal)
     else:

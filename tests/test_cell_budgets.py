@@ -87,8 +87,8 @@ def test_runs_end_when_the_bound_changes_little(tmp_path: Path) -> None:
         abs(bounds[-1] - bounds[-2]) < 0.0005 <= min(abs(a - b) for a, b in zip(bounds[:-2], bounds[1:-1], strict=True))
     )
     path = tmp_path / "c.npz"
-    cg.save_certificate(found.certificate, path)
-    assert cg.load_certificate(path).settings["cells_chosen"] == record
+    cg.save(found.certificate, path)
+    assert cg.load(path).settings["cells_chosen"] == record
     assert cg.check(found.certificate, problem)
 
 
@@ -126,7 +126,7 @@ def test_impossible_budgets_are_refused(settings: dict[str, Any], message: str) 
 def test_budgets_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "c.npz"
     assert main(["synthesize", "reach-avoid-v0", "--horizon", "2", "--memory", "2M", "--out", str(out)]) == 0
-    assert cg.load_certificate(out).settings["cells_chosen"]["memory"] == 2 * 2**20
+    assert cg.load(out).settings["cells_chosen"]["memory"] == 2 * 2**20
     assert "finer cells need more memory" in capsys.readouterr().out
     assert main(["synthesize", "reach-avoid-v0", "--memory", "much", "--out", str(out)]) == 2
     assert "`--memory`: expected a number of bytes such as 500M or 2G, got 'much'" in capsys.readouterr().err

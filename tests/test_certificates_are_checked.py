@@ -47,8 +47,8 @@ def test_certificates_check_and_survive_the_disk(problem: cg.Problem, tmp_path: 
     report = cg.check(certificate, problem)
     assert report, report
     assert certificate.lower_bound <= report.recomputed <= certificate.lower_bound + 1e-8
-    cg.save_certificate(certificate, tmp_path / "c.npz")
-    loaded = cg.load_certificate(tmp_path / "c.npz")
+    cg.save(certificate, tmp_path / "c.npz")
+    loaded = cg.load(tmp_path / "c.npz")
     assert cg.check(loaded, problem)
     assert loaded.lower_bound == certificate.lower_bound
     assert loaded.fingerprint == problem.fingerprint
@@ -317,23 +317,23 @@ def rewrite_header(path: Path, change: Callable[[dict[str, Any]], None]) -> None
 )
 def test_inconsistent_files_are_refused_in_one_line(certificate: OnGrid, tmp_path: Path, change: Any) -> None:
     path = tmp_path / "c.npz"
-    cg.save_certificate(certificate, path)
+    cg.save(certificate, path)
     rewrite_header(path, change)
     with pytest.raises(ValueError, match="expected a certigym certificate"):
-        cg.load_certificate(path)
+        cg.load(path)
 
 
 def test_damaged_and_hostile_files_are_refused(certificate: OnGrid, tmp_path: Path) -> None:
     path = tmp_path / "c.npz"
-    cg.save_certificate(certificate, path)
+    cg.save(certificate, path)
     data = path.read_bytes()
     for bad in (b"", b"hello", data[: len(data) // 2], data[:-7]):
         path.write_bytes(bad)
         with pytest.raises(ValueError, match="expected a certigym certificate"):
-            cg.load_certificate(path)
+            cg.load(path)
     np.savez(path, header=np.array([{"format": "certigym-certificate"}], dtype=object), allow_pickle=True)
     with pytest.raises(ValueError, match="expected a certigym certificate"):
-        cg.load_certificate(path)
+        cg.load(path)
 
 
 def test_the_exact_relation_needs_inputs_for_every_state() -> None:

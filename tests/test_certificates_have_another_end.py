@@ -13,6 +13,7 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.envs.problem import opposite_of
 from certigym.synthesis.certificates import changed
+from certigym.synthesis.upper_ends import bound_above
 from problems import two_agents
 from written_problems import oscillator_reach
 
@@ -56,9 +57,9 @@ def test_a_claim_whose_upper_end_is_too_small_is_refuted_by_rollouts() -> None:
 def test_the_upper_end_is_near_that_of_exact_claims() -> None:
     """Claims of `exact` have an upper end of their own; that by the opposite task adds what leaves the workspace."""
     certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 60, relation="exact").certificate
-    assert cg.bound_above(certificate) is certificate
+    assert bound_above(certificate) is certificate
     bare = changed(certificate, gap=None)
-    end = cg.bound_above(bare)
+    end = bound_above(bare)
     assert cg.check(end) and certificate.upper_bound - 1e-9 <= end.upper_bound < certificate.upper_bound + 0.1
 
 
@@ -104,14 +105,14 @@ def test_upper_ends_that_do_not_hold_are_refused(said: int) -> None:
 
 def test_both_ends_are_saved_and_products_have_them(tmp_path: Path) -> None:
     certificate = parked(60)
-    cg.save_certificate(certificate, tmp_path / "both.npz")
-    loaded: Any = cg.load_certificate(tmp_path / "both.npz")
+    cg.save(certificate, tmp_path / "both.npz")
+    loaded: Any = cg.load(tmp_path / "both.npz")
     assert loaded.upper_bound == certificate.upper_bound and cg.check(loaded)
     apart = two_agents("G !a & G !c", "finite-trace", horizon=4)
     both = cg.synthesize(apart, 30, relation="linear", above=True).certificate
     assert cg.check(both) and both.lower_bound <= both.upper_bound < 1.0
-    cg.save_certificate(both, tmp_path / "both.npz")
-    assert cg.load_certificate(tmp_path / "both.npz").upper_bound == both.upper_bound
+    cg.save(both, tmp_path / "both.npz")
+    assert cg.load(tmp_path / "both.npz").upper_bound == both.upper_bound
 
 
 def test_paths_have_no_upper_end() -> None:

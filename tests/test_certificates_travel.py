@@ -40,7 +40,7 @@ def certificate() -> OnGrid:
 @pytest.fixture(scope="module")
 def raw(certificate: OnGrid, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("certificates") / "c.npz"
-    cg.save_certificate(certificate, path)
+    cg.save(certificate, path)
     return path.read_bytes()
 
 
@@ -80,7 +80,7 @@ def test_every_truncation_is_refused(raw: bytes, tmp_path: Path) -> None:
     for length in [*range(0, 60, 7), *np.linspace(60, len(raw) - 1, 60).astype(int)]:
         path.write_bytes(raw[:length])
         with pytest.raises(ValueError, match=REFUSED):
-            cg.load_certificate(path)
+            cg.load(path)
 
 
 def test_flipped_bits_are_refused_or_without_effect(raw: bytes, certificate: OnGrid, tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_flipped_bits_are_refused_or_without_effect(raw: bytes, certificate: OnG
         bad[rng.integers(len(raw))] ^= 1 << int(rng.integers(8))
         path.write_bytes(bytes(bad))
         try:
-            loaded = cg.load_certificate(path)
+            loaded = cg.load(path)
         except ValueError as error:
             assert REFUSED in str(error)
             refused += 1
@@ -103,12 +103,12 @@ def test_content_that_was_changed_is_noticed(raw: bytes, tmp_path: Path) -> None
     header, arrays = contents(raw)
     header["settings"]["note"] = "mine"
     with pytest.raises(ValueError, match="digest differs"):
-        cg.load_certificate(packed(header, arrays, tmp_path / "a.npz", renew=False))
+        cg.load(packed(header, arrays, tmp_path / "a.npz", renew=False))
     header, arrays = contents(raw)
     big = max(range(len(arrays)), key=lambda k: arrays[k].size if arrays[k].dtype.kind == "f" else 0)
     arrays[big] = arrays[big] * 1.0000001
     with pytest.raises(ValueError, match="digest differs"):
-        cg.load_certificate(packed(header, arrays, tmp_path / "b.npz", renew=False))
+        cg.load(packed(header, arrays, tmp_path / "b.npz", renew=False))
 
 
 def test_a_forger_who_renews_the_digest_is_caught_by_the_check(raw: bytes, tmp_path: Path) -> None:
@@ -116,16 +116,16 @@ def test_a_forger_who_renews_the_digest_is_caught_by_the_check(raw: bytes, tmp_p
         header, arrays = contents(raw)
         header["proof"]["lower_bound"] = min(1.0, header["proof"]["lower_bound"] + raise_by)
         path = packed(header, arrays, tmp_path / "c.npz")
-        assert not cg.check(cg.load_certificate(path))
+        assert not cg.check(cg.load(path))
         assert main(["check", str(path)]) == 1
     header, arrays = contents(raw)
     for k in header["proof"]["terms"]["factors"]:
         arrays[k] = arrays[k] * 1.01
-    assert not cg.check(cg.load_certificate(packed(header, arrays, tmp_path / "c.npz")))
+    assert not cg.check(cg.load(packed(header, arrays, tmp_path / "c.npz")))
 
 
 def test_renewed_digests_alone_change_nothing(raw: bytes, certificate: OnGrid, tmp_path: Path) -> None:
-    loaded = cg.load_certificate(packed(*contents(raw), tmp_path / "c.npz"))
+    loaded = cg.load(packed(*contents(raw), tmp_path / "c.npz"))
     assert cg.check(loaded, certificate.problem) and loaded.lower_bound == certificate.lower_bound
 
 
@@ -204,17 +204,17 @@ def test_hostile_headers_are_refused_in_one_line(
         assert len(said) == 1 and REFUSED in said[0], said
     if "version" in name:
         with pytest.raises(ValueError, match="its version is"):
-            cg.load_certificate(path)
+            cg.load(path)
 
 
 def test_settings_may_be_anything_but_deep(raw: bytes, tmp_path: Path) -> None:
     header, arrays = contents(raw)
     HOSTILE["deep settings"](header)
-    cg.load_certificate(packed(header, arrays, tmp_path / "c.npz"))
+    cg.load(packed(header, arrays, tmp_path / "c.npz"))
     text = b'{"format": ' + b"[" * 200_000 + b"]" * 200_000 + b"}"
     np.savez(tmp_path / "d.npz", header=np.frombuffer(text, dtype=np.uint8))
     with pytest.raises(ValueError, match=REFUSED):
-        cg.load_certificate(tmp_path / "d.npz")
+        cg.load(tmp_path / "d.npz")
 
 
 def npy_header(shape: tuple[int, ...], dtype: str) -> bytes:
@@ -244,7 +244,7 @@ def test_hostile_arrays_are_refused_before_memory_is_taken(raw: bytes, member: b
             new.writestr(name, member if name == "1.npy" else old.read(name))
     tracemalloc.start()
     with pytest.raises(ValueError, match=REFUSED):
-        cg.load_certificate(path)
+        cg.load(path)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 50e6
@@ -256,10 +256,10 @@ def test_archives_that_unpack_to_too_much_are_refused(raw: bytes, tmp_path: Path
     packed(header, [*arrays, np.zeros(4_000_000)], path)
     assert path.stat().st_size < 1_000_000
     with pytest.raises(ValueError, match="would unpack to more than"):
-        cg.load_certificate(path, max_bytes=10_000_000)
-    assert cg.check(cg.load_certificate(path))
+        cg.load(path, max_bytes=10_000_000)
+    assert cg.check(cg.load(path))
     with pytest.raises(ValueError, match="more than 100"):
-        cg.load_certificate(path, max_bytes=100)
+        cg.load(path, max_bytes=100)
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
@@ -269,7 +269,7 @@ def test_two_arrays_of_one_name_are_refused(raw: bytes, tmp_path: Path) -> None:
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("0.npy", archive.read("1.npy"))
     with pytest.raises(ValueError, match="two arrays of one name"):
-        cg.load_certificate(path)
+        cg.load(path)
 
 
 def test_directories_and_missing_files_are_no_surprise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

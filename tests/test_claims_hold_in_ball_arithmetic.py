@@ -364,7 +364,7 @@ def test_networks_are_proved_as_they_are(relation: str, monkeypatch: pytest.Monk
     first = 0.2 * rng.normal(size=(4, view.size)).astype(np.float32)
     last = np.full((view.n_actions, 4), 0.2, dtype=np.float32)
     layers = Network((first, last), (np.full(4, 0.5, np.float32), np.zeros(view.n_actions, np.float32)), "tanh", False)
-    certificate = cg.certify(problem, SharedActor(problem, layers), 24, raw=True, relation=relation).certificate
+    certificate = cg.certify(problem, SharedActor(problem, layers), 24, as_is=True, relation=relation).certificate
     report = check_rigorous(certificate)
     assert report and certificate.lower_bound <= report.low, report
     # Sabotage: a hyperbolic tangent that is off by less than single precision is.
@@ -413,10 +413,10 @@ def test_joint_agents_and_subtractions_are_proved() -> None:
 def test_the_command_line_proves_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "own.npz"
     for options in ({}, {"value": "train"}):
-        cg.save_certificate(synthesized("reach-avoid-v0", 40, **options), file)
+        cg.save(synthesized("reach-avoid-v0", 40, **options), file)
         assert main(["check", str(file), "--rigorous"]) == 0
         assert "proved in balls" in capsys.readouterr().out
     forged = synthesized("reach-avoid-v0", 40)
-    cg.save_certificate(changed(forged, lower_bound=1.0, bounds={"nominal": 1.0}), file)
+    cg.save(changed(forged, lower_bound=1.0, bounds={"nominal": 1.0}), file)
     assert main(["check", str(file), "--rigorous"]) == 1
     assert "NOT proved" in capsys.readouterr().out

@@ -89,7 +89,7 @@ def test_commands_fail_with_the_check(
     broken: OnGrid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "c.npz"
-    cg.save_certificate(broken, file)
+    cg.save(broken, file)
     assert main(["report", str(file), "--out", str(tmp_path / "p.html"), "--episodes", "300"]) == 1
     assert "nothing is certified" in capsys.readouterr().out
     words = ["run", "reach-avoid-v0", "--horizon", "2", "--cells", "30", "--relation", "exact", "--episodes", "300"]
@@ -107,7 +107,7 @@ def test_commands_fail_with_the_check(
     assert "nothing is certified: sabotage" in capsys.readouterr().out
     assert json.loads((tmp_path / "r.json").read_text())["check"] == {"valid": False, "failures": ["sabotage"]}
     monkeypatch.setattr("certigym.validation.verdicts.sweeps.check", refuse)
-    rows = ["run", "reach-avoid-v0", "--horizons", "1", "2", "--cells", "30", "--episodes", "300"]
+    rows = ["run", "reach-avoid-v0", "--horizon", "1", "2", "--cells", "30", "--episodes", "300"]
     assert main(rows) == 1
     assert capsys.readouterr().out.count("invalid") == 2
 

@@ -144,7 +144,7 @@ def test_the_command_line_compares_and_certifies(task: str, tmp_path: Path, caps
     raw, certified, improved = json.loads(out.read_text())["entries"]
     assert raw["lower_bound"] is None and raw["inadmissible"] > 0
     assert 0.0 < certified["lower_bound"] < improved["lower_bound"]
-    assert cg.load_certificate(saved).lower_bound == improved["lower_bound"]
+    assert cg.load(saved).lower_bound == improved["lower_bound"]
     assert main(["compare", task, "--policies", saved, "--episodes", "100"]) == 0
     for wrong in ("nobody", f"{tmp_path / 'mine.py'}:nobody", "nowhere.py:here"):
         assert main(["certify", task, "--policy", wrong]) == 2

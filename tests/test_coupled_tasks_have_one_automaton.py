@@ -26,7 +26,7 @@ SECONDS = 5.0
 
 
 def data(formula: str) -> dict[str, Any]:
-    return {**cg.load_problem(EXAMPLE).to_dict(), "specification": {"formula": formula, "semantics": "finite-trace"}}
+    return {**cg.load(EXAMPLE).to_dict(), "specification": {"formula": formula, "semantics": "finite-trace"}}
 
 
 def made(formula: str) -> cg.Problem:
@@ -36,7 +36,7 @@ def made(formula: str) -> cg.Problem:
 
 
 def test_a_window_of_eight_zones_has_few_states() -> None:
-    problem = cg.load_problem(EXAMPLE)
+    problem = cg.load(EXAMPLE)
     assert problem.groups == () and problem.automaton.n_states == 23
     # 20 states for each of eight zones: the product is far above the limit that was compared with it.
     alone = translate("G[8,20] a", ["a"], "finite-trace")

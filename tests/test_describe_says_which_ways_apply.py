@@ -53,7 +53,7 @@ def test_cells_that_nobody_gave_fit() -> None:
 
 def test_who_asks_for_cells_is_told_to_ask_for_fewer() -> None:
     with pytest.raises(ValueError, match="ask for fewer `cells`"):
-        cg.synthesize(cg.load_problem(OWN / "unicycle.toml"), (60, 60, 60), relation="linear")
+        cg.synthesize(cg.load(OWN / "unicycle.toml"), (60, 60, 60), relation="linear")
 
 
 def test_laws_without_paths_are_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -72,7 +72,7 @@ def test_laws_without_paths_are_named(capsys: pytest.CaptureFixture[str], tmp_pa
 
 
 def test_what_is_said_is_what_is_tried() -> None:
-    problem = cg.load_problem(OWN / "response.toml")
+    problem = cg.load(OWN / "response.toml")
     ((task, ways),) = ways_ahead(problem)
     assert task is problem
     tried = cg.synthesize(problem).stats["tried"]

@@ -144,8 +144,8 @@ def test_environments_take_behaviours_by_name() -> None:
 
 def test_the_command_line_names_a_behaviour(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     calm, windy = tmp_path / "calm.npz", tmp_path / "windy.npz"
-    cg.save_certificate(cg.synthesize("reach-avoid-v0", 20).certificate, calm)
-    cg.save_certificate(cg.synthesize("windy-delivery-v0", 12, relation="boxes").certificate, windy)
+    cg.save(cg.synthesize("reach-avoid-v0", 20).certificate, calm)
+    cg.save(cg.synthesize("windy-delivery-v0", 12, relation="boxes").certificate, windy)
     assert main(["validate", str(windy), "--disturbance", "greedy", "--episodes", "200"]) == 0
     assert "disturbance   greedy" in capsys.readouterr().out
     assert main(["validate", str(calm), "--disturbance", "greedy", "--episodes", "200"]) == 2

@@ -96,9 +96,9 @@ def test_certificates_travel_and_are_checked_without_the_solver(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     certificate = synthesis("diagonal", 0.01).certificate
-    cg.save_certificate(certificate, tmp_path / "c.npz")
+    cg.save(certificate, tmp_path / "c.npz")
     monkeypatch.setitem(sys.modules, "cvxpy", None)
-    loaded = cg.load_certificate(tmp_path / "c.npz")
+    loaded = cg.load(tmp_path / "c.npz")
     assert loaded.proof.agents[0].relation == certificate.proof.agents[0].relation
     assert loaded.lower_bound == certificate.lower_bound
     assert cg.check(loaded, CASES["diagonal"])
@@ -145,6 +145,6 @@ def test_the_command_line_takes_relation_and_delta(tmp_path: Path, capsys: pytes
     arguments = ["reach-avoid-v0", "--horizon", "3", "--cells", "100", "--out", out]
     assert main(["synthesize", *arguments, "--relation", "ellipsoid", "--delta", "0.001"]) == 0
     assert main(["check", out]) == 0
-    assert cg.load_certificate(out).proof.agents[0].relation["delta"] <= 0.001
+    assert cg.load(out).proof.agents[0].relation["delta"] <= 0.001
     assert main(["synthesize", *arguments, "--relation", "tube", "--delta", "0.001"]) == 2
     assert "`delta`: expected none" in capsys.readouterr().err

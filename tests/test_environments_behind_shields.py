@@ -119,12 +119,12 @@ def test_tasks_side_by_side_are_shielded_one_by_one() -> None:
     while env.agents:
         *_, infos = env.step({name: rng.uniform(-2.0, 2.0, 1) for name in env.agents})
         assert all(info["budget"] <= info["value"] for info in infos.values())
-    policy = cg.shielded(RandomController(), env.shield)
+    policy = cg.shield(RandomController(), env.shield)
     assert not refuted(cg.rollout(certificate.problem, policy, 2000).successes, 2000, env.shield.probability)
 
 
 def test_policies_behind_shields_are_compared_with_what_they_keep(problem: cg.Problem, shield: Shield) -> None:
-    policies: dict[str, Any] = {"random": RandomController(), "shielded": cg.shielded(RandomController(), shield)}
+    policies: dict[str, Any] = {"random": RandomController(), "shielded": cg.shield(RandomController(), shield)}
     found = cg.compare(problem, policies, 4000, confidence=1 - FALSE_ALARM)
     assert found.entry("shielded").lower_bound == shield.probability <= found.entry("shielded").ci_high
     assert found.entry("random").ci_high < shield.probability
@@ -147,6 +147,6 @@ def test_what_does_not_fit_is_refused_in_words(problem: cg.Problem, shield: Shie
     with pytest.raises(ValueError, match=r"`initial_state`: expected a start from which 0[.]75 can be kept"):
         cg.shield(problem, shield).reset(seed=0, options={"initial_state": [-19.0, -4.0]})
     with pytest.raises(ValueError, match=r"`starts`: expected starts from which 0[.]75"):
-        cg.rollout(problem, cg.shielded(RandomController(), shield), 10, initial_state=[-19.0, -4.0])
+        cg.rollout(problem, cg.shield(RandomController(), shield), 10, initial_state=[-19.0, -4.0])
     with pytest.raises(ValueError, match="`policy`: expected a function or a table, or a model"):
-        cg.shielded(3, shield)
+        cg.shield(3, shield)

@@ -15,6 +15,7 @@ import certigym as cg
 from certigym.cli.given import plain
 from certigym.cli.main import main
 from certigym.cli.parser import MODULES, build_parser
+from certigym.validation.policies import Probe
 from certigym.validation.studio import Studio
 
 PAGE = Path(__file__).parents[1] / "docs" / "command_line.md"
@@ -25,11 +26,10 @@ COMMANDS: dict[str, list[list[str]]] = {
     "describe": [[], ["task.toml"]],
     "run": [
         [*TASK, *FEW, "--out", "made.npz"],
-        [*TASK, *FEW, "--horizons", "2", "3"],
-        [*TASK, *FEW, "--no-deadline"],
+        [*TASK, *FEW, "--horizon", "2", "3"],
+        [*TASK, *FEW, "--horizon", "none"],
     ],
     "synthesize": [[*TASK, "--out", "made.npz"]],
-    "certified-starts": [["path.npz", "--probability", "0.5", "--rays", "4", "--out", "hull.npz"]],
     "check": [["c.npz"], ["c.npz", "--rigorous"]],
     "validate": [["c.npz", *FEW]],
     "validate-field": [["c.npz", "--random", "3", *FEW]],
@@ -80,9 +80,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("json")
     (place / "task.toml").write_text(TEXT)
     (place / "mine.py").write_text(MINE)
-    problem = cg.load_problem(place / "task.toml")
-    cg.save_certificate(cg.synthesize(problem, 20), place / "c.npz")
-    cg.save_certificate(cg.synthesize(problem, relation="path"), place / "path.npz")
+    problem = cg.load(place / "task.toml")
+    cg.save(cg.synthesize(problem, 20), place / "c.npz")
+    cg.save(cg.synthesize(problem, relation="path"), place / "path.npz")
     return place
 
 
@@ -138,18 +138,18 @@ def test_results_of_learning_are_json_with_keys_that_are_explained(
 
 
 def test_the_keys_of_probes_are_explained() -> None:
-    check_keys(dict.fromkeys({*cg.Probe.__dataclass_fields__, "verdict"} - {"actor"}))
+    check_keys(dict.fromkeys({*Probe.__dataclass_fields__, "verdict"} - {"actor"}))
 
 
 def test_numbers_are_not_rounded(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    certificate = cg.load_certificate(folder / "c.npz")
+    certificate = cg.load(folder / "c.npz")
     said: Callable[..., Any] = lambda *words: spoken(words[0], [*words[1:]], folder, capsys, monkeypatch)  # noqa: E731
     assert said("check", "c.npz")["lower_bound"] == certificate.lower_bound
     assert said("validate", "c.npz", *FEW)["lower_bound"] == certificate.lower_bound
     made = said("run", *TASK, *FEW, "--out", "made.npz")
-    assert made["lower_bound"] == cg.load_certificate(folder / made["certificate"]).lower_bound
+    assert made["lower_bound"] == cg.load(folder / made["certificate"]).lower_bound
     # The same in a file.
     main(["check", "c.npz", "--json", "check.json"])
     assert json.loads((folder / "check.json").read_text())["lower_bound"] == certificate.lower_bound

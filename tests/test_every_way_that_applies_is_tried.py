@@ -106,7 +106,7 @@ def test_a_path_that_leaves_hardly_anything_to_gain_spares_the_grids() -> None:
     assert not found.certificate.proof.has_cells and found.certificate.lower_bound > 0.993
     assert "after `path` hardly anything is left to gain" in tried_of(found)["linear"]
     assert cg.check(found.certificate)
-    first, second = cg.synthesize_horizons("integrator-chain-v0", [4, 5])
+    first, second = cg.synthesize("integrator-chain-v0", horizon=[4, 5])
     assert second.certificate.lower_bound == found.certificate.lower_bound < first.certificate.lower_bound
 
 

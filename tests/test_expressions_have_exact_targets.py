@@ -202,8 +202,8 @@ def test_automatic_choice_takes_exact_targets() -> None:
 
 def test_files_hold_exact_targets(tmp_path: Any) -> None:
     certificate = certificate_of("ring")
-    cg.save_certificate(certificate, tmp_path / "ring.npz")
-    read = cg.load_certificate(tmp_path / "ring.npz")
+    cg.save(certificate, tmp_path / "ring.npz")
+    read = cg.load(tmp_path / "ring.npz")
     assert cg.check(read) and read.lower_bound == certificate.lower_bound
 
 
@@ -211,7 +211,7 @@ def test_menus_of_targets_are_permitted() -> None:
     """A permission offers targets in a disk; its check verifies each, and inputs put means there."""
     certificate = certificate_of("turn")
     permission = cg.permit(certificate, probability=0.9 * certificate.lower_bound)
-    assert permission.lower_bound >= 0.9 * certificate.lower_bound and cg.check_permission(permission)
+    assert permission.lower_bound >= 0.9 * certificate.lower_bound and cg.check(permission)
     agent = certificate.problem.agents[0]
     start = agent.initial.low
     choices = np.flatnonzero(permission.mask("robot", start, certificate.problem.initial_q, 0)[0])

@@ -43,7 +43,8 @@ def test_a_map_shows_the_bounds_of_the_certificate(certificate: cg.Certificate) 
 
 
 def test_a_bound_against_the_horizon_is_drawn_as_a_bound(certificate: cg.Certificate) -> None:
-    reports = cg.validate_horizons(certificate.problem, [1, 2], 200, cells=20, relation="paper", epsilon=0.7)
+    found = cg.synthesize(certificate.problem, 20, horizon=[1, 2], relation="paper", epsilon=0.7)
+    reports = [cg.validate(result, 200) for result in found]
     figure = figures.horizon_figure(reports)
     (plot,) = figure.axes
     bound = plot.lines[0]
@@ -135,7 +136,7 @@ def test_the_command_draws_every_kind(
     certificate: cg.Certificate, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "c.npz"
-    cg.save_certificate(certificate, file)
+    cg.save(certificate, file)
     for kind in ("value", "rollouts", "automaton", "rank", "relation", "tree"):
         out = tmp_path / f"{kind}.png"
         assert main(["plot", kind, str(file), "--out", str(out)]) == 0

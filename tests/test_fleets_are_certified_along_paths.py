@@ -262,8 +262,8 @@ def test_starts_that_leave_the_first_letter_open_are_refused_in_words() -> None:
 
 def test_files_keep_fleets(certificates: dict[str, AlongPath], tmp_path: Path) -> None:
     certificate = certificates["mixed"]
-    cg.save_certificate(certificate, tmp_path / "fleet.npz")
-    again: Any = cg.load_certificate(tmp_path / "fleet.npz")
+    cg.save(certificate, tmp_path / "fleet.npz")
+    again: Any = cg.load(tmp_path / "fleet.npz")
     assert certificate.proof.normals is not None and np.array_equal(again.proof.normals, certificate.proof.normals)
     assert cg.check(again, certificate.problem).valid
     content = cg.report(certificate, tmp_path / "fleet.html", episodes=200)

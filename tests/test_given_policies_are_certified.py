@@ -12,7 +12,7 @@ from certigym.synthesis.cells import Grid
 from certigym.synthesis.cells.grid import aligned_edges
 from certigym.synthesis.certificates import is_exact
 from certigym.synthesis.certify import wrap
-from certigym.synthesis.controllers import vectorized
+from certigym.synthesis.controllers import InputTable, vectorized
 from certigym.synthesis.controllers.given_policies import decentralised
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.target_windows import TargetWindows
@@ -62,7 +62,7 @@ def test_all_forms_of_one_policy_get_one_certificate() -> None:
     tables = {}
     for name, function in POLICY.items():
         values = [[[function(c, q, t) for c in grid.centres] for q in range(3)] for t in range(4)]
-        tables[name] = cg.InputTable(grid, np.array(values))
+        tables[name] = InputTable(grid, np.array(values))
     forms: list[Any] = [{name: vectorized(f) for name, f in POLICY.items()}, tables]
     n_q = PROBLEM.automaton.n_states
     assert n_q == 3
@@ -205,7 +205,7 @@ def test_agents_with_fewer_inputs_than_states_are_wrapped_in_tubes() -> None:
 
 def test_a_stationary_table_holds_at_all_times() -> None:
     grid = Grid((np.array([-4.0, 0.0, 4.0]),))
-    table = cg.InputTable(grid, np.array([[[[1.0], [-1.0]]] * 3]))
+    table = InputTable(grid, np.array([[[[1.0], [-1.0]]] * 3]))
     states = np.array([[-9.0, -1.0, 0.0, 9.0, np.nan]])
     for time in (0, 7):
         assert table.at(states, np.zeros(5, dtype=int), time).tolist() == [[1.0, 1.0, -1.0, -1.0, 1.0]]
@@ -219,7 +219,7 @@ def test_wrong_policies_are_refused() -> None:
         (lambda x, q, t: [1.0, 2.0], "1 finite inputs"),
         (lambda x, q, t: x * np.nan, "finite inputs"),
         (vectorized(lambda x, q, t: x[:, :1]), "finite inputs"),
-        (cg.InputTable(Grid((np.array([-4.0, 4.0]),)), np.zeros((1, 1, 1, 1))), "automaton states"),
+        (InputTable(Grid((np.array([-4.0, 4.0]),)), np.zeros((1, 1, 1, 1))), "automaton states"),
         (cg.synthesize(PROBLEM, 80, relation="paper", epsilon=0.3, max_sweeps=0).controller, "without memory"),
         (cg.certify(_renamed(), stay, 10).controller, "of this problem's agents"),
     ]
@@ -227,7 +227,7 @@ def test_wrong_policies_are_refused() -> None:
         with pytest.raises(ValueError, match=message):
             cg.certify(PROBLEM, policy, 40)
     with pytest.raises(ValueError, match="finite numbers of shape"):
-        cg.InputTable(Grid((np.array([-4.0, 4.0]),)), np.zeros((1, 1, 2, 1)))
+        InputTable(Grid((np.array([-4.0, 4.0]),)), np.zeros((1, 1, 2, 1)))
     with pytest.raises(ValueError, match="`max_sweeps`"):
         cg.improve(PROBLEM, stay, 40, max_sweeps=-1)
 

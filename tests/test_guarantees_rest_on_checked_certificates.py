@@ -64,7 +64,7 @@ def test_rates_of_forged_certificates_are_refused(
     """Sabotage: grown by the code of the check alone, the forged certificate would have a rate that is too large."""
     honest, forged = cg.safety_rate(safe), forge(safe)
     file = tmp_path / "forged.npz"
-    cg.save_certificate(forged, file)
+    cg.save(forged, file)
     for given in (forged, file):
         with pytest.raises(ValueError, match="`check` verifies, got one that it refuses"):
             cg.safety_rate(given)

@@ -168,7 +168,7 @@ def test_rooms_may_have_noise_whose_scale_depends_on_their_state() -> None:
 
 def test_the_example_holds_and_a_joint_agent_does_better() -> None:
     """A joint agent of both zones looks at both of them when it chooses the heat; five zones have no joint grid."""
-    building = cg.load_problem(EXAMPLE).replace(horizon=4)
+    building = cg.load(EXAMPLE).replace(horizon=4)
     certificate = certified(building, 64)
     assert cg.check(certificate)
     five = with_zones(5).replace(horizon=3)
@@ -210,8 +210,8 @@ def with_zones(n: int) -> cg.Problem:
 def test_certificates_say_what_was_assumed_known(boiled: OnGrid, tmp_path: Any) -> None:
     assert "in common" in repr(boiled) and "boiler.heat" in repr(boiled)
     path = tmp_path / "boiled.cert"
-    cg.save_certificate(boiled, path)
-    again = cg.load_certificate(path)
+    cg.save(boiled, path)
+    again = cg.load(path)
     assert cg.check(again) and again.proof.agents[1].relation == boiled.proof.agents[1].relation
     assert set(boiled.proof.agents[1].relation["common"]) == {"names", "numbers"}
 

@@ -96,8 +96,8 @@ def test_both_are_worth_more_than_targets_and_no_less_than_inputs(monkeypatch: p
 
 def test_they_travel_in_files(tmp_path: Any) -> None:
     certificate, file = certified(False), tmp_path / "both.npz"
-    cg.save_certificate(certificate, file)
-    loaded = cg.load_certificate(file)
+    cg.save(certificate, file)
+    loaded = cg.load(file)
     assert loaded.lower_bound == certificate.lower_bound and cg.check(loaded)
     problem = certificate.problem
     again = cg.synthesize(problem, 14, relation="linear", start=loaded, max_sweeps=0).certificate
@@ -134,9 +134,9 @@ def test_files_without_the_word_have_no_targets(tmp_path: Any) -> None:
     silent = {name: value for name, value in part.relation.items() if name != "aims"}
     other = changed(certificate, agents=(replace(part, relation=silent),))
     file = tmp_path / "silent.npz"
-    cg.save_certificate(other, file)
+    cg.save(other, file)
     with pytest.raises(ValueError, match="out of range"):
-        cg.load_certificate(file)
+        cg.load(file)
 
 
 def test_what_is_read_between_lattice_points_is_charged(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,22 +39,17 @@ def test_the_order_of_the_agents_does_not_matter(problem: cg.Problem) -> None:
 
 
 def test_splitting_guards_and_renaming_states_does_not_matter(problem: cg.Problem) -> None:
-    by_hand = cg.automaton_from_transitions(
-        propositions=["a", "b", "c", "d"],
-        states=["idle", "half", "done"],
-        initial="idle",
-        accepting=["done"],
-        transitions=[
-            ("idle", "a & c & b", "done"),
-            ("idle", "a & c & !b", "done"),
-            ("idle", "a & !c & d", "half"),
-            ("idle", "a & !c & !d", "half"),
-            ("idle", "!a", "idle"),
-            ("half", "c", "done"),
-            ("half", "!c", "half"),
-        ],
-        semantics="co-safe",
-    )
+    rows = [
+        ("idle", "a & c & b", "done"),
+        ("idle", "a & c & !b", "done"),
+        ("idle", "a & !c & d", "half"),
+        ("idle", "a & !c & !d", "half"),
+        ("idle", "!a", "idle"),
+        ("half", "c", "done"),
+        ("half", "!c", "half"),
+    ]
+    table = {"states": ["idle", "half", "done"], "initial": "idle", "accepting": ["done"], "transitions": rows}
+    by_hand = cg.translate(table, ["a", "b", "c", "d"])
     other = cg.Problem(
         name="by-hand",
         horizon=problem.horizon,

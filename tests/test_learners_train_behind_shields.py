@@ -35,7 +35,7 @@ def test_training_episodes_succeed_as_promised(shield: Shield, algorithm: str) -
     assert episodes > 300
     assert binom.cdf(successes, episodes, shield.probability) >= FALSE_ALARM
     assert "behind a shield that keeps 0.75" in training.information
-    rate = cg.rollout(shield.problem, cg.shielded(training, shield), 2000)
+    rate = cg.rollout(shield.problem, cg.shield(training, shield), 2000)
     assert binom.cdf(rate.successes, 2000, shield.probability) >= FALSE_ALARM
 
 
@@ -50,7 +50,7 @@ def test_a_learner_that_is_not_shielded_fails_more_often(shield: Shield) -> None
 def test_the_command_line_trains_behind_a_shield(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     problem = cg.make_problem("reach-avoid-v0", horizon=5)
     file = str(tmp_path / "certificate.npz")
-    cg.save_certificate(cg.synthesize(problem, 60, relation="exact").certificate, file)
+    cg.save(cg.synthesize(problem, 60, relation="exact").certificate, file)
     command = ["train", "reach-avoid-v0", "--horizon", "5", "--steps", "1000", "--out", str(tmp_path / "out")]
     assert main([*command, "--shield", file, "--probability", "0.7"]) == 0
     assert "trained behind a shield that keeps 0.7" in capsys.readouterr().out

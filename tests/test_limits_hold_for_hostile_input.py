@@ -75,7 +75,7 @@ def test_states_beyond_the_horizon_are_left_out_and_nothing_else_changes() -> No
 
 
 def test_a_longer_horizon_needs_more_states_and_starts_anew() -> None:
-    results = cg.synthesize_horizons(problem("X[60] g", horizon=2, noise_covariance=[[1e-4]]), [2, 65], 12)
+    results = cg.synthesize(problem("X[60] g", horizon=2, noise_covariance=[[1e-4]]), 12, horizon=[2, 65])
     assert [result.certificate.lower_bound > 0 for result in results] == [False, True]
 
 
@@ -104,7 +104,7 @@ def certificate() -> Any:
 
 
 WRITERS: dict[str, Callable[[Path], object]] = {
-    "own.npz": lambda path: cg.save_certificate(certificate(), path),
+    "own.npz": lambda path: cg.save(certificate(), path),
     "own.csv": lambda path: reproduce._write(path, [{"a": 1}]),
     "own.svg": lambda path: reproduce._curves(path, [{"T": 1, "exact": 0.5}], "T", "P", "one"),
 }

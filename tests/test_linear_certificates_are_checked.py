@@ -99,8 +99,8 @@ def test_means_and_minima_over_boxes(name: str) -> None:
 def test_files_and_rollouts_agree(name: str, tmp_path: Path) -> None:
     """40,000 episodes notice a claim that is too large by about .01 at a false-alarm rate of 1e-6."""
     certificate = CERTIFICATES[name]()
-    cg.save_certificate(certificate, tmp_path / "certificate.npz")
-    loaded = cg.load_certificate(tmp_path / "certificate.npz")
+    cg.save(certificate, tmp_path / "certificate.npz")
+    loaded = cg.load(tmp_path / "certificate.npz")
     assert isinstance(loaded, cg.Certificate)
     assert cg.check(loaded, certificate.problem) and loaded.lower_bound == certificate.lower_bound
     state = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
@@ -198,8 +198,8 @@ MENU: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
 def refused(forge: Callable[[cg.Certificate], cg.Certificate], certificate: cg.Certificate, file: Path) -> bool:
     """Whether a forgery is refused, in words, by the record, the reader or the check."""
     try:
-        cg.save_certificate(forge(certificate), file)
-        return not cg.check(cg.load_certificate(file))
+        cg.save(forge(certificate), file)
+        return not cg.check(cg.load(file))
     except ValueError:
         return True
 

@@ -192,7 +192,7 @@ def test_bends_cover_directions_that_bend_most_at_different_points(seed: int) ->
 def test_shares_of_directions_sum_to_one_in_the_check() -> None:
     """Whatever the shares are, the largest s_k / share_k is at least the sum of the largest s_k if they sum to 1."""
     for name in ("targets", "menu", "correlated"):
-        certificate = cg.load_certificate(DATA / f"linear_0_2_{name}.npz")
+        certificate = cg.load(DATA / f"linear_0_2_{name}.npz")
         agent = linear(certificate.problem.agents[0])
         shares = linear_tables.linear_tables(agent, certificate.proof.agents[0]).shares
         assert np.all(shares >= 0.0) and shares.sum() == pytest.approx(1.0, abs=1e-12)

@@ -173,7 +173,7 @@ def test_values_at_interior_points_are_below_quadrature(name: str) -> None:
 @pytest.mark.parametrize("name", ["targets", "menu", "correlated"])
 def test_so_are_those_of_files_of_0_2(name: str) -> None:
     """Linear cells had targets with two gains then, or a menu, and bends of their own."""
-    certificate = cg.load_certificate(DATA / f"linear_0_2_{name}.npz")
+    certificate = cg.load(DATA / f"linear_0_2_{name}.npz")
     assert "reach" not in certificate.proof.agents[0].relation
     below_quadrature(certificate)
     assert not cg.validate(certificate, 20_000, seed=1, confidence=1 - 1e-6 / 3).refuted

@@ -13,7 +13,7 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.envs.dynamics import Dynamics
 from certigym.envs.dynamics import worlds as core
-from certigym.synthesis.permissions import Menus
+from certigym.synthesis.permissions import Menus, Permission
 from certigym.synthesis.shielding import ActionValues, action_values
 from certigym.validation.figures import menu_figure
 from composing import certificate_of, problem_of
@@ -32,11 +32,11 @@ def certificate() -> cg.Certificate:
 
 
 @pytest.fixture(scope="module")
-def permission(certificate: cg.Certificate) -> cg.Permission:
+def permission(certificate: cg.Certificate) -> Permission:
     return cg.permit(certificate, probability=0.6)
 
 
-def successes(permission: cg.Permission, worst: bool, seed: int, values: ActionValues) -> int:
+def successes(permission: Permission, worst: bool, seed: int, values: ActionValues) -> int:
     """Episodes that succeed under choices from the menus: random ones, or the worst of eight joint ones."""
     problem, rng = permission.problem, np.random.default_rng(seed)
     dynamics = Dynamics.of(problem)
@@ -61,7 +61,7 @@ def successes(permission: cg.Permission, worst: bool, seed: int, values: ActionV
     return int(core.satisfied(dynamics, worlds).sum())
 
 
-def chosen(permission: cg.Permission, name: str, x: Any, q: int, time: int, rng: np.random.Generator) -> np.ndarray:
+def chosen(permission: Permission, name: str, x: Any, q: int, time: int, rng: np.random.Generator) -> np.ndarray:
     """Random choices from the menus of one agent at states (d, M), as inputs; the middle where there is no menu."""
     allowed = permission.mask(name, x.T, q, time)
     points = np.argmax(rng.random(allowed.shape) * allowed, axis=1)
@@ -71,7 +71,7 @@ def chosen(permission: cg.Permission, name: str, x: Any, q: int, time: int, rng:
 
 
 @pytest.mark.parametrize("worst", [False, True])
-def test_whoever_keeps_to_the_menus_succeeds(permission: cg.Permission, worst: bool) -> None:
+def test_whoever_keeps_to_the_menus_succeeds(permission: Permission, worst: bool) -> None:
     values = action_values(permission.certificate)
     found = successes(permission, worst, 3, values)
     assert permission.lower_bound >= 0.6
@@ -93,21 +93,21 @@ def test_menus_of_inputs_keep_what_they_promise(kind: str, tmp_path: Path) -> No
     """Relations whose choices are inputs: random and adversarial behaviours, the check, files and forgeries."""
     found = certificate_of(kind)
     permission = cg.permit(found, probability=0.7 * found.lower_bound)
-    assert cg.check_permission(permission) and permission.lower_bound >= 0.7 * found.lower_bound
+    assert cg.check(permission) and permission.lower_bound >= 0.7 * found.lower_bound
     values = action_values(permission.certificate)
     for seed, worst in enumerate((False, True)):
         assert binom.cdf(successes(permission, worst, seed, values), EPISODES, permission.lower_bound) >= FALSE_ALARM
     (menus,) = permission.menus
     assert len(menus.choices) > 1.5 * np.count_nonzero(menus.counts)
-    cg.save_permission(permission, tmp_path / "menus.npz")
-    assert cg.check_permission(cg.load_permission(tmp_path / "menus.npz"))
+    cg.save(permission, tmp_path / "menus.npz")
+    assert cg.check(cg.load(tmp_path / "menus.npz"))
     # One more choice on the menu of one cell, where the run begins: the worst input there is.
     forged = with_one_more(permission)
-    report = cg.check_permission(forged)
+    report = cg.check(forged)
     assert not report and any("exceeds the recomputed" in text for text in report.failures)
 
 
-def with_one_more(permission: cg.Permission) -> cg.Permission:
+def with_one_more(permission: Permission) -> Permission:
     """The permission with an input on the menu of the first cell at which the claim is lost."""
     (menus,), (part,) = permission.menus, permission.certificate.proof.agents
     controller = permission.certificate.controller.agents[0]
@@ -122,14 +122,14 @@ def with_one_more(permission: cg.Permission) -> cg.Permission:
         counts[0, q, cell] += 1
         at = end - len(there) + int(np.searchsorted(there, choice))
         forged = replace(permission, menus=(Menus(counts, np.insert(menus.choices, at, choice).astype(np.int32)),))
-        value = cg.check_permission(forged).recomputed
+        value = cg.check(forged).recomputed
         if least is None or value < least[0]:
             least = value, forged
     assert least is not None
     return least[1]
 
 
-def test_menus_grow_as_less_is_kept(certificate: cg.Certificate, permission: cg.Permission) -> None:
+def test_menus_grow_as_less_is_kept(certificate: cg.Certificate, permission: Permission) -> None:
     tight = cg.permit(certificate, probability=0.79)
     loose = cg.permit(certificate, probability=0.2)
     sizes = [sum(len(menus.choices) for menus in found.menus) for found in (tight, permission, loose)]
@@ -141,29 +141,29 @@ def test_menus_grow_as_less_is_kept(certificate: cg.Certificate, permission: cg.
         assert np.all((menus.counts > 0)[:, open_states] == (part.policy >= 0)[:, open_states])
 
 
-def test_menus_are_checked_and_saved(permission: cg.Permission, tmp_path: Path) -> None:
-    report = cg.check_permission(permission)
+def test_menus_are_checked_and_saved(permission: Permission, tmp_path: Path) -> None:
+    report = cg.check(permission)
     assert report and report.recomputed >= permission.lower_bound
-    cg.save_permission(permission, tmp_path / "menus.npz")
-    loaded = cg.load_permission(tmp_path / "menus.npz")
-    assert cg.check_permission(loaded) and loaded.lower_bound == permission.lower_bound
+    cg.save(permission, tmp_path / "menus.npz")
+    loaded = cg.load(tmp_path / "menus.npz")
+    assert cg.check(loaded) and loaded.lower_bound == permission.lower_bound
     assert [path.name for path in tmp_path.iterdir()] == ["menus.npz"]
     for mine, yours in zip(permission.menus, loaded.menus, strict=True):
         np.testing.assert_array_equal(mine.choices, yours.choices)
     (tmp_path / "other.npz").write_bytes(b"nothing")
     with pytest.raises(ValueError, match="expected a permissive certificate"):
-        cg.load_permission(tmp_path / "other.npz")
+        cg.load(tmp_path / "other.npz")
 
 
-def test_wrong_menus_are_refused(permission: cg.Permission) -> None:
+def test_wrong_menus_are_refused(permission: Permission) -> None:
     certificate, menus = permission.certificate, permission.menus
     too_much = replace(permission, lower_bound=permission.lower_bound + 1e-6)
-    assert any("exceeds the recomputed" in text for text in cg.check_permission(too_much).failures)
+    assert any("exceeds the recomputed" in text for text in cg.check(too_much).failures)
     # An input far beyond the box: the last lattice point for the first cell that has a choice.
     choices = menus[0].choices.copy()
     choices[0] = int(np.prod(certificate.proof.agents[0].lattice_shape)) - 1
     beyond = replace(permission, menus=(Menus(menus[0].counts, choices), *menus[1:]))
-    assert any("beyond its input box" in text for text in cg.check_permission(beyond).failures)
+    assert any("beyond its input box" in text for text in cg.check(beyond).failures)
     choices = menus[0].choices.copy()
     choices[0] = 10**6
     for wrong, words in (
@@ -172,10 +172,10 @@ def test_wrong_menus_are_refused(permission: cg.Permission) -> None:
         ((Menus(menus[0].counts[1:], choices), *menus[1:]), "do not fit"),
         (menus[:1], "one set of menus"),
     ):
-        assert any(words in text for text in cg.check_permission(replace(permission, menus=wrong)).failures)
+        assert any(words in text for text in cg.check(replace(permission, menus=wrong)).failures)
 
 
-def test_menus_are_drawn(permission: cg.Permission) -> None:
+def test_menus_are_drawn(permission: Permission) -> None:
     pytest.importorskip("matplotlib")
     figure = menu_figure(permission)
     q = int(np.flatnonzero(~permission.problem.automaton.absorbing)[0])

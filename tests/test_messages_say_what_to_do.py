@@ -117,7 +117,7 @@ MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     (lambda: cg.synthesize(PROBLEM, relation="exakt"), "relation", "one of auto, boxes"),
     (lambda: cg.synthesize(PROBLEM, cells=20, relation="paper"), "epsilon", "more `cells`"),
     (lambda: cg.translate("F a", ["a"], "co-safe", backend="ltl2ba"), "backend", "one of builtin, mona"),
-    (lambda: cg.automaton_from_hoa("hello", ["a"]), "hoa", "HOA: v1 at the beginning"),
+    (lambda: cg.translate("hello", ["a"]), "hoa", "HOA: v1 at the beginning"),
     # environments
     (lambda: cg.parallel_env("reach-avoid"), "id", "did you mean 'reach-avoid-v0'?"),
     (lambda: cg.parallel_env(PROBLEM, render_mode="rgb"), "render_mode", "'rgb_array'"),
@@ -135,8 +135,8 @@ MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     ),
     (lambda: cg.report(PROBLEM, "page.html"), "certificate", "make one with `synthesize`"),
     (lambda: cg.validate_field(PROBLEM, [[0, 0]]), "certificate", "make one with `synthesize`"),
-    (lambda: cg.save_certificate(PROBLEM, "c.npz"), "certificate", "make one with `synthesize`"),  # type: ignore[arg-type]
-    (lambda: cg.load_certificate("nowhere.npz"), "nowhere.npz", "write one with `save_certificate`"),
+    (lambda: cg.save(PROBLEM, "c.npz"), "kept", "make one with `synthesize`"),
+    (lambda: cg.load("nowhere.npz"), "nowhere.npz", "write one with `save`"),
     (lambda: cg.rollout(PROBLEM, 3, 10), "controller", "`as_policy`"),
     (lambda: cg.rollout(PROBLEM, RESULT, 0), "episodes", "at least 1"),
     (lambda: cg.validate(RESULT, executor="tcp://here:8786"), "executor", "open one with `executor_for`"),  # type: ignore[arg-type]
@@ -219,7 +219,7 @@ FILES = [
 def test_problem_files_name_file_and_key(text: str, remedy: str, tmp_path: Path) -> None:
     (tmp_path / "task.toml").write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=r"^task\.toml: ") as caught:
-        cg.load_problem(tmp_path / "task.toml")
+        cg.load(tmp_path / "task.toml")
     assert remedy in str(caught.value)
 
 
@@ -254,7 +254,7 @@ def test_missing_extras_are_named(
 COMMANDS = [
     (["run", "reach-avoid-v1"], "see `certigym describe`"),
     (["run", "reach-avoid-v0", "--horizon", "0"], "expected a whole number from 1"),
-    (["run", "reach-avoid-v0", "--initial-state", "a", "b"], "expected numbers, got 'a b'"),
+    (["describe", "reach-avoid-v0", "--initial-state", "a", "b"], "expected numbers, got 'a b'"),
     (["run", "reach-avoid-v0", "--json", "nowhere/r.json"], "make the folder first"),
     (["synthesize", "reach-avoid-v0", "--out", "nowhere/c.npz"], "make the folder first"),
     (["validate", "nowhere.npz"], "expected a certificate file, found none"),

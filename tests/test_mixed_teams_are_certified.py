@@ -80,8 +80,8 @@ def test_a_mixed_team_is_certified_checked_kept_and_met_by_rollouts(
         and certificate.proof.near > 1e-4
         and certificate.proof.paths.proof.failure > 1e-5
     )
-    cg.save_certificate(certificate, tmp_path / "team.npz")
-    again: Any = cg.load_certificate(tmp_path / "team.npz")
+    cg.save(certificate, tmp_path / "team.npz")
+    again: Any = cg.load(tmp_path / "team.npz")
     assert cg.check(again, team()) and again.lower_bound == certificate.lower_bound
     rate = cg.validate(again, 20_000, seed=1, confidence=1.0 - FALSE_ALARM)
     assert rate.verdict != "refuted"

@@ -28,7 +28,7 @@ def test_every_file_is_in_the_table_and_on_the_page() -> None:
 )
 @pytest.mark.thorough
 def test_without_options_they_get_what_the_table_says(name: str) -> None:
-    problem = cg.load_problem(ROOT / "examples" / "own" / f"{name}.toml")
+    problem = cg.load(ROOT / "examples" / "own" / f"{name}.toml")
     certificate = cg.synthesize(problem).certificate
     assert certificate.lower_bound >= 0.999
     # Failures are about those of the table on other machines, too.

@@ -141,8 +141,8 @@ def test_certificates_travel_and_fly(tmp_path: Path) -> None:
     actor = proportional(problem)
     synthesis = certify_network(problem, actor, 50, relation="linear")
     assert synthesis.certificate.lower_bound > 0.01
-    cg.save_certificate(synthesis.certificate, tmp_path / "c.npz")
-    loaded = cg.load_certificate(tmp_path / "c.npz")
+    cg.save(synthesis.certificate, tmp_path / "c.npz")
+    loaded = cg.load(tmp_path / "c.npz")
     assert cg.check(loaded) and differences(loaded, actor) == []
     ours = cg.rollout(problem, loaded.controller, episodes=5000, seed=1)
     deployed = cg.rollout(problem, cg.as_controller(problem, actor), episodes=5000, seed=1)

@@ -12,6 +12,7 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking.network_spans import _inputs_between, driven_spans
+from certigym.synthesis.raw_networks import repair_network
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
@@ -66,7 +67,7 @@ PROBLEMS = {
 def certified(kind: str) -> tuple[cg.Problem, Any, Any]:
     problem = PROBLEMS[kind]()
     actor = balancing(problem)
-    return problem, actor, cg.certify(problem, actor, 150, raw=True, above=True).certificate
+    return problem, actor, cg.certify(problem, actor, 150, as_is=True, above=True).certificate
 
 
 @pytest.mark.parametrize("kind", PROBLEMS)
@@ -125,7 +126,7 @@ def test_a_check_that_forgets_what_inputs_may_be_is_caught(monkeypatch: pytest.M
 
     monkeypatch.setattr(driven_means, "mean_bounds", careless)
     problem = PROBLEMS["plain"]()
-    forged = cg.certify(problem, balancing(problem), 30, raw=True).certificate
+    forged = cg.certify(problem, balancing(problem), 30, as_is=True).certificate
     monkeypatch.undo()
     assert not cg.check(forged)
 
@@ -133,8 +134,8 @@ def test_a_check_that_forgets_what_inputs_may_be_is_caught(monkeypatch: pytest.M
 def test_repairs_and_refusals() -> None:
     problem = PROBLEMS["plain"]()
     poor = balancing(problem, 0.1)
-    as_is = cg.certify(problem, poor, 40, raw=True).certificate
-    repaired, _ = cg.repair_network(problem, poor, 40)
+    as_is = cg.certify(problem, poor, 40, as_is=True).certificate
+    repaired, _ = repair_network(problem, poor, 40)
     assert cg.check(repaired) and repaired.certificate.lower_bound > as_is.lower_bound + 0.05
     with pytest.raises(ValueError, match="linear dynamics"):
-        cg.certify(problem, poor, 40, raw=True, relation="linear")
+        cg.certify(problem, poor, 40, as_is=True, relation="linear")

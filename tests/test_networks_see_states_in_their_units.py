@@ -99,7 +99,7 @@ def goal_seeker(problem: cg.Problem) -> Network:
 def certified() -> tuple[cg.Problem, Any, cg.Synthesis]:
     problem = reach(scalar_agent("a"), scalar_agent("b"))
     policy = cg.as_policy(goal_seeker(problem), problem, "parallel_env")
-    return problem, policy, cg.certify(problem, policy, 100, raw=True)
+    return problem, policy, cg.certify(problem, policy, 100, as_is=True)
 
 
 def test_the_bound_is_that_of_the_network_itself(certified: tuple[cg.Problem, Any, cg.Synthesis]) -> None:
@@ -114,8 +114,8 @@ def test_the_bound_is_that_of_the_network_itself(certified: tuple[cg.Problem, An
 
 def test_files_keep_the_form_and_refuse_another(certified: tuple[cg.Problem, Any, cg.Synthesis], tmp_path: Any) -> None:
     _, policy, found = certified
-    cg.save_certificate(found.certificate, tmp_path / "c.npz")
-    read = cg.load_certificate(tmp_path / "c.npz")
+    cg.save(found.certificate, tmp_path / "c.npz")
+    read = cg.load(tmp_path / "c.npz")
     assert cg.check(read) and differences(read, policy) == []
     assert read.proof.agents[0].relation["network"]["scale"] == "raw"
     assert read.proof.agents[0].relation["network"]["outputs"] == "box"

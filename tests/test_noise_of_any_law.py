@@ -225,8 +225,8 @@ def test_files_keep_laws(tmp_path: Path) -> None:
     """Certificates hold their problem; mixtures are nested."""
     problem = reach([DECLARED[-1]])
     certificate = cg.synthesize(problem, 40).certificate
-    cg.save_certificate(certificate, tmp_path / "certificate.npz")
-    again = cg.load_certificate(tmp_path / "certificate.npz")
+    cg.save(certificate, tmp_path / "certificate.npz")
+    again = cg.load(tmp_path / "certificate.npz")
     assert again.problem.agents[0].laws == problem.agents[0].laws
     assert again.problem.fingerprint == problem.fingerprint and cg.check(again).valid
 
@@ -239,8 +239,8 @@ def test_laws_of_scipy_are_taken_with_the_error_that_is_stated(tmp_path: Path) -
     assert cg.check(certificate, problem).valid and certificate.proof.agents[0].relation["kind"] == "exact"
     verdict = cg.validate(certificate, 20_000, seed=4, confidence=1.0 - 1e-6)
     assert verdict.verdict != "refuted"
-    cg.save_certificate(certificate, tmp_path / "certificate.npz")
-    assert cg.check(cg.load_certificate(tmp_path / "certificate.npz"), problem).valid
+    cg.save(certificate, tmp_path / "certificate.npz")
+    assert cg.check(cg.load(tmp_path / "certificate.npz"), problem).valid
 
 
 @pytest.mark.parametrize(

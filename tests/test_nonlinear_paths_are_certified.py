@@ -459,8 +459,8 @@ def test_outputs_of_which_nothing_is_known_on_the_tube_certify_nothing() -> None
 
 def test_files_keep_nonlinear_paths(certificates: dict[str, AlongPath], tmp_path: Path) -> None:
     certificate = certificates["cart"]
-    cg.save_certificate(certificate, tmp_path / "path.npz")
-    again: Any = cg.load_certificate(tmp_path / "path.npz")
+    cg.save(certificate, tmp_path / "path.npz")
+    again: Any = cg.load(tmp_path / "path.npz")
     assert isinstance(again.proof, PathProof) and again.proof.failure == certificate.proof.failure
     assert cg.check(again, certificate.problem).valid
     states = np.random.default_rng(0).normal(size=(4, 5))

@@ -79,14 +79,14 @@ def test_storm_gets_the_same_values() -> None:
 
 def test_storm_gets_the_value_of_interval_models() -> None:
     pytest.importorskip("stormpy", reason="needs the extra `storm`")
-    problem = cg.load_problem(PARKING)
+    problem = cg.load(PARKING)
     for row in by_storm(problem, 80, 1.0):
         assert row["bound"] == pytest.approx(robust_value(problem, 80), rel=0, abs=TOLERANCE)
 
 
 def test_interval_models_stay_below_what_any_policy_attains() -> None:
     """Bounds of our interval model rise with its cells, and stay below the upper bound of the continuous system."""
-    problem = cg.load_problem(PARKING)
+    problem = cg.load(PARKING)
     above: Any = cg.synthesize(problem, 80, relation="linear").stats["continuous_upper_bound"]
     coarse, fine = robust_value(problem, 80), robust_value(problem, 240)
     assert 0.8 < coarse < fine < above < 0.93

@@ -220,8 +220,8 @@ def test_pairs_that_are_near_at_the_start_spoil_everything() -> None:
 
 def test_certificates_travel(tmp_path: Path) -> None:
     certificate = certificate_of(TRIPLE)
-    cg.save_certificate(certificate, tmp_path / "pairs.npz")
-    loaded: Any = cg.load_certificate(tmp_path / "pairs.npz")
+    cg.save(certificate, tmp_path / "pairs.npz")
+    loaded: Any = cg.load(tmp_path / "pairs.npz")
     assert isinstance(loaded.proof, SubtractionProof) and loaded.lower_bound == certificate.lower_bound
     assert cg.check(loaded) and loaded.fingerprint == certificate.fingerprint
     with pytest.raises(ValueError, match="what pairs of agents may spoil is bounded for the whole run"):

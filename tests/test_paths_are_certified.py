@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed
-from certigym.synthesis.nominal_paths import path_search, slabs
+from certigym.synthesis.nominal_paths import certified_starts, path_search, slabs
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""
@@ -175,8 +175,8 @@ def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: 
 
 
 def test_files_keep_paths(certificate: AlongPath, tmp_path: Path) -> None:
-    cg.save_certificate(certificate, tmp_path / "path.npz")
-    again: Any = cg.load_certificate(tmp_path / "path.npz")
+    cg.save(certificate, tmp_path / "path.npz")
+    again: Any = cg.load(tmp_path / "path.npz")
     assert isinstance(again.proof, PathProof) and again.proof.failure == certificate.proof.failure
     assert cg.check(again, certificate.problem).valid
     assert len(repr(again).splitlines()) == 7
@@ -237,7 +237,7 @@ def test_what_paths_do_not_do_is_said() -> None:
     problem = chain(2, 3)
     box = problem.replace(initial_low=[-0.1, -0.1], initial_high=[0.1, 0.1])
     with pytest.raises(ValueError, match="certify others with a start box"):
-        cg.certified_starts(cg.synthesize(box, relation="path"), 0.5)
+        certified_starts(cg.synthesize(box, relation="path"), 0.5)
     with pytest.raises(ValueError, match="which has no grid"):
         cg.synthesize(problem, 40, relation="path")
     far = problem_of(list(problem.agents), {"goal": cg.Proposition("chain", [8, -10], [9, 10])}, "F goal", 3)

@@ -28,7 +28,7 @@ def building() -> AlongPath:
 @pytest.fixture(scope="module")
 def saved(building: AlongPath, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = str(tmp_path_factory.mktemp("saved") / "building.npz")
-    cg.save_certificate(building, path)
+    cg.save(building, path)
     return path
 
 

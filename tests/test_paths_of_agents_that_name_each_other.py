@@ -25,7 +25,7 @@ def path_of(problem: cg.Problem) -> Any:
 
 @pytest.mark.parametrize(("file", "least"), [("springs.toml", 0.999), ("tanks_side_by_side.toml", 0.99)])
 def test_coupled_agents_are_certified_and_the_claim_holds_in_rollouts(file: str, least: float) -> None:
-    problem = cg.load_problem(OWN / file)
+    problem = cg.load(OWN / file)
     certificate = path_of(problem)
     assert certificate.lower_bound > least
     assert cg.check(certificate)
@@ -37,7 +37,7 @@ def test_coupled_agents_are_certified_and_the_claim_holds_in_rollouts(file: str,
 
 def test_narrower_tubes_than_are_kept_are_refused() -> None:
     """Whoever says that neighbours stay nearer to their paths pays for it with inequalities that fail more often."""
-    certificate = path_of(cg.load_problem(OWN / "springs.toml"))
+    certificate = path_of(cg.load(OWN / "springs.toml"))
     for share in (0.3, 0.6):
         paths = list(certificate.proof.paths)
         paths[1] = replace(paths[1], slabs=paths[1].slabs * share)

@@ -16,6 +16,7 @@ import certigym as cg
 from certigym.baselines import central_vec_env, load_actor, shared_vec_env
 from certigym.cli.main import main
 from certigym.envs.dynamics import Dynamics, Worlds
+from certigym.synthesis.raw_networks import repair_network
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor, save_actor
 from certigym.validation.policies.entrants import given
@@ -259,18 +260,18 @@ def test_every_verb_takes_a_model(problem: cg.Problem, tmp_path: Path) -> None:
     """One module: compared, certified wrapped and as it is, improved, bounded above, repaired, shielded, recorded."""
     actor = seeker(proportional(problem).network)
     policy = cg.as_policy(actor, problem, "shared_vec_env")
-    raw = cg.certify(problem, policy, 100, raw=True)
+    raw = cg.certify(problem, policy, 100, as_is=True)
     assert cg.check(raw) and raw.certificate.lower_bound > 0.3
     wrapped, improved = cg.certify(problem, policy, 40), cg.improve(problem, policy, 40)
     assert improved.certificate.lower_bound >= wrapped.certificate.lower_bound > 0.3
-    ended = cg.certify(problem, policy, 100, raw=True, above=True).certificate
+    ended = cg.certify(problem, policy, 100, as_is=True, above=True).certificate
     assert raw.certificate.lower_bound == ended.lower_bound <= ended.upper_bound < 1.0
-    repaired, _ = cg.repair_network(problem, policy, 60)
+    repaired, _ = repair_network(problem, policy, 60)
     assert repaired.certificate.lower_bound > 0.3
     result = cg.compare(problem, {"model": policy, "raw": raw, "wrapped": wrapped}, 2000)
     assert result.entry("model").successes == result.entry("raw").successes
     assert result.entry("model").information == "own state, automaton state, time"
-    kept = cg.shielded(policy, improved, probability=0.3)
+    kept = cg.shield(policy, improved, probability=0.3)
     assert cg.rollout(problem, kept, 500).successes > 0.25 * 500
     assert cg.record(problem, policy, 50).satisfied.shape == (50,)
     assert given(problem, "mine", policy)[0].contestant.information == policy.information
@@ -285,12 +286,12 @@ def test_models_that_say_what_they_see_need_no_bridge(problem: cg.Problem, tmp_p
     result = cg.compare(problem, {"model": model, "file": file, "seeds": [model, model]}, 200)
     assert len({entry.successes for entry in result.entries}) == 1 and len(result.entries) == 4
     assert cg.rollout(problem, model, 200).successes == result.entries[0].successes
-    bounds = {cg.certify(problem, each, 30, raw=True).certificate.lower_bound for each in (model, file)}
+    bounds = {cg.certify(problem, each, 30, as_is=True).certificate.lower_bound for each in (model, file)}
     assert len(bounds) == 1
     assert cg.certify(problem, model, 20).certificate.lower_bound >= 0.0
     assert cg.improve(problem, model, 20, max_sweeps=1).certificate.lower_bound >= 0.0
     certificate = cg.synthesize(problem, 30).certificate
-    assert cg.rollout(problem, cg.shielded(model, certificate, probability=0.2), 100).episodes == 100
+    assert cg.rollout(problem, cg.shield(model, certificate, probability=0.2), 100).episodes == 100
 
 
 def test_arrays_modules_and_files_are_the_same_policy(problem: cg.Problem, tmp_path: Path) -> None:
@@ -366,7 +367,7 @@ def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None
         policy = cg.as_policy(module, problem, "team_env")
         assert words in policy.why_not_as_it_is and words in repr(policy)
         with pytest.raises(ValueError, match=words):
-            cg.certify(problem, policy, 20, raw=True)
+            cg.certify(problem, policy, 20, as_is=True)
         assert cg.certify(problem, policy, 20).certificate.lower_bound >= 0.0  # wrapped
     torn = torch.nn.Sequential(torch.nn.Linear(n, 4), torch.nn.Tanh(), torch.nn.Linear(5, 1))
     with pytest.raises(ValueError, match="layers that fit together, got 4 outputs before 5 inputs"):
@@ -376,7 +377,7 @@ def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None
         with pytest.raises(ValueError, match=r"sees states of all agents.*rollouts"):
             verb(problem, central, 20)
     with pytest.raises(ValueError, match="sees states of all agents"):
-        cg.certify(problem, central, 20, raw=True)
+        cg.certify(problem, central, 20, as_is=True)
 
 
 class Wrong(Module):
@@ -487,7 +488,7 @@ def test_the_command_line_takes_files(problem: cg.Problem, tmp_path: Path, capsy
     assert main([*given, "--json", str(tmp_path / "c.json")]) == 0
     sees = {entry["information"] for entry in json.loads((tmp_path / "c.json").read_text())["entries"]}
     assert "own state, automaton state, time" in sees
-    for more in ([], ["--raw"]):
+    for more in ([], ["--as-is"]):
         command = ["certify", "reach-avoid-v0", "--horizon", "5", "--policy", str(tmp_path / "m.zip"), *more]
         assert main([*command, "--cells", "30", "--episodes", "200"]) == 0
     header = str(tmp_path / "policy.h")
@@ -531,7 +532,7 @@ def test_c_gives_the_same_inputs_to_the_last_bit(relation: str, make: Any, tmp_p
         agents = [scalar_agent("a"), scalar_agent("b")] if make is scalar_agent else [cart()]
     problem = reach(*agents, horizon=3)
     found = cg.synthesize(problem, 12, relation=relation)
-    cg.save_policy(found, tmp_path / "ctl.h")
+    cg.save(found, tmp_path / "ctl.h")
     names = problem.agent_names
     calls = "\n".join(f"if (agent == {i}) ctl_{name}_act(x, q, time, u);" for i, name in enumerate(names))
     (tmp_path / "main.c").write_text(MAIN.replace("CALLS", calls))
@@ -556,19 +557,19 @@ def test_c_gives_the_same_inputs_to_the_last_bit(relation: str, make: Any, tmp_p
 def test_writing_refuses_what_it_cannot_write(problem: cg.Problem, tmp_path: Path) -> None:
     found = cg.synthesize(problem, 12)
     with pytest.raises(ValueError, match=r"\.onnx or \.h"):
-        cg.save_policy(found, tmp_path / "c.txt")
+        cg.save(found, tmp_path / "c.txt")
     with pytest.raises(ValueError, match="C header"):
-        cg.save_policy(found, tmp_path / "c.onnx")
+        cg.save(found, tmp_path / "c.onnx")
     with pytest.raises(ValueError, match="controllers of a certificate"):
-        cg.save_policy(proportional(problem), tmp_path / "c.h")
+        cg.save(proportional(problem), tmp_path / "c.h")
     with pytest.raises(ValueError, match="agent of the problem"):
-        cg.save_policy(found, tmp_path / "c.h", agent="z")
+        cg.save(found, tmp_path / "c.h", agent="z")
 
 
 def test_without_onnx_the_message_names_the_extra(problem: cg.Problem, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setitem(__import__("sys").modules, "onnx", None)
     (tmp_path / "m.onnx").write_bytes(b"")
-    for act in (lambda: cg.save_policy(proportional(problem), tmp_path / "a.onnx"),
+    for act in (lambda: cg.save(proportional(problem), tmp_path / "a.onnx"),
                 lambda: cg.as_policy(tmp_path / "m.onnx", problem)):  # fmt: skip
         with pytest.raises(ValueError, match=r"certigym\[onnx\]"):
             act()
@@ -584,11 +585,11 @@ def test_networks_go_out_and_come_back_as_onnx(problem: cg.Problem, tmp_path: Pa
         proportional(problem),
         cg.as_policy(chain(n, 1), problem, "parallel_env"),
         cg.as_policy(chain(n, 1), problem, "team_env"),
-        cg.certify(problem, cg.as_policy(chain(n, 1), problem, "parallel_env"), 20, raw=True),
+        cg.certify(problem, cg.as_policy(chain(n, 1), problem, "parallel_env"), 20, as_is=True),
     ]
     for source in sources:
         agent = "a" if source is sources[3] else None
-        cg.save_policy(source, tmp_path / "p.onnx", agent=agent)
+        cg.save(source, tmp_path / "p.onnx", agent=agent)
         back = cg.as_policy(tmp_path / "p.onnx", problem)
         assert back.why_not_as_it_is == ""
         policy = getattr(source, "controller", source)
@@ -629,7 +630,7 @@ def test_policies_of_torchrl(problem: cg.Problem) -> None:
     half = float(problem.agents[0].input_high[0])
     wanted = half * np.tanh(net(torch.as_tensor(rows))[0].detach().numpy()).T
     assert np.allclose(policy.inputs(0, states, q, 0), wanted, atol=1e-5)
-    assert cg.certify(problem, policy, 30, raw=True).certificate.lower_bound >= 0.0
+    assert cg.certify(problem, policy, 30, as_is=True).certificate.lower_bound >= 0.0
 
 
 def test_policies_of_tianshou(problem: cg.Problem) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.validation.policies import imitation
+from certigym.validation.policies import Probe, imitation
 from certigym.validation.policies.imitation import Demonstrations, demonstrate
 from certigym.validation.policies.views import CentralView, SharedView
 from certigym.validation.statistics import clopper_pearson, paired_difference
@@ -91,12 +91,12 @@ def test_limits_of_a_paired_difference_cover_exactly() -> None:
 
 
 @pytest.fixture(scope="module")
-def found(certificate: Any) -> cg.Probe:
+def found(certificate: Any) -> Probe:
     pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
     return cg.probe(RA2, certificate, 3000, steps=300, seed=5, confidence=1 - 1e-6)
 
 
-def test_a_probe_is_judged_on_common_episodes(found: cg.Probe, certificate: Any) -> None:
+def test_a_probe_is_judged_on_common_episodes(found: Probe, certificate: Any) -> None:
     """Clone and controllers of a nearly certain task both succeed nearly always; the limits fail once in 1e6 seeds."""
     assert found.only_learned - found.only_certified == found.learned - found.certified
     assert found.gain == pytest.approx((found.learned - found.certified) / 3000)
@@ -108,7 +108,7 @@ def test_a_probe_is_judged_on_common_episodes(found: cg.Probe, certificate: Any)
     assert all(300 <= attempt.steps <= 600 for attempt in found.attempts)
 
 
-def test_a_probe_repeats_with_its_seed(found: cg.Probe, certificate: Any) -> None:
+def test_a_probe_repeats_with_its_seed(found: Probe, certificate: Any) -> None:
     again = cg.probe("reach-avoid-v0", certificate, 3000, steps=300, seed=5, confidence=1 - 1e-6)
     assert again.attempts == found.attempts and again.learned == found.learned
     record = found.to_dict()
@@ -118,7 +118,7 @@ def test_a_probe_repeats_with_its_seed(found: cg.Probe, certificate: Any) -> Non
 
 def test_the_command_prints_and_writes(certificate: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
-    cg.save_certificate(certificate, tmp_path / "c.npz")
+    cg.save(certificate, tmp_path / "c.npz")
     words = ["probe", "reach-avoid-v0", "--certificate", str(tmp_path / "c.npz"), "--steps", "300", "--episodes", "500"]
     assert main([*words, "--out", str(tmp_path / "actor.npz"), "--json", str(tmp_path / "probe.json")]) == 0
     assert "gain" in capsys.readouterr().out

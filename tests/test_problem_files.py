@@ -51,7 +51,7 @@ def write(tmp_path: Path, text: str, name: str = "task.toml") -> Path:
 
 
 def test_the_example_of_the_readme_of_files(tmp_path: Path) -> None:
-    problem = cg.load_problem(write(tmp_path, TOML))
+    problem = cg.load(write(tmp_path, TOML))
     assert problem.agent_names == ("left", "drone_0", "drone_1", "drone_2")
     assert problem.horizon == 12 and problem.name == "my-task"
     assert problem.automaton.propositions == ("p1", "safe_0", "safe_1", "safe_2")
@@ -65,16 +65,16 @@ def test_the_example_of_the_readme_of_files(tmp_path: Path) -> None:
 
 
 def test_automata_by_hand_and_from_hoa_equal_the_formula(tmp_path: Path) -> None:
-    reach = cg.load_problem(write(tmp_path, HEAD + 'formula = "F p1"\nsemantics = "co-safe"\n'))
-    inline = cg.load_problem(write(tmp_path, HEAD + f"hoa = '''{HOA}'''\n"))
+    reach = cg.load(write(tmp_path, HEAD + 'formula = "F p1"\nsemantics = "co-safe"\n'))
+    inline = cg.load(write(tmp_path, HEAD + f"hoa = '''{HOA}'''\n"))
     write(tmp_path, HOA, "reach.hoa")
-    file = cg.load_problem(write(tmp_path, HEAD + 'hoa = "reach.hoa"\n'))
+    file = cg.load(write(tmp_path, HEAD + 'hoa = "reach.hoa"\n'))
     for problem in (inline, file):
         assert problem.automaton.semantics == "co-safe"
         words: list[list[set[str]]] = [[set()], [{"p1"}], [{"safe_0"}, {"p1"}], [{"p1"}, set()], []]
         for word in words:
             assert problem.automaton.accepts(word) == reach.automaton.accepts(word)
-    by_hand = cg.load_problem(write(tmp_path, HEAD + BY_HAND))
+    by_hand = cg.load(write(tmp_path, HEAD + BY_HAND))
     assert by_hand.automaton.n_states == 3
     assert not by_hand.automaton.accepts([{"safe_0"}, {"p1"}])
     assert by_hand.automaton.accepts([{"safe_0", "safe_1", "safe_2"}, {"p1"}])
@@ -136,7 +136,7 @@ BAD = [
 @pytest.mark.parametrize(("text", "message"), BAD)
 def test_errors_name_file_table_and_field(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError) as caught:
-        cg.load_problem(write(tmp_path, text))
+        cg.load(write(tmp_path, text))
     said = str(caught.value)
     assert message in said
     assert said.startswith("task.toml: ") and len(said.splitlines()) == 1
@@ -144,14 +144,14 @@ def test_errors_name_file_table_and_field(text: str, message: str, tmp_path: Pat
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected a readable problem file, got: No such file"):
-        cg.load_problem(tmp_path / "none.toml")
+        cg.load(tmp_path / "none.toml")
     with pytest.raises(ValueError, match="expected a readable problem file"):
-        cg.load_problem(tmp_path)
+        cg.load(tmp_path)
     with pytest.raises(ValueError, match="expected a readable problem file"):
-        cg.load_problem("a\0b")
+        cg.load("a\0b")
     (tmp_path / "bytes.toml").write_bytes(b"name = '\xff'")
     with pytest.raises(ValueError, match="expected UTF-8 text, got an invalid byte at 8"):
-        cg.load_problem(tmp_path / "bytes.toml")
+        cg.load(tmp_path / "bytes.toml")
 
 
 # Fuzzing: arbitrary text; arbitrary values at arbitrary places of a good file; arbitrary formulas.

@@ -124,8 +124,8 @@ def test_a_hundred_agents_are_certified_checked_and_simulated(semantics: str, tm
     report = cg.validate(result, 20_000, seed=1, confidence=1 - FALSE_ALARM)
     assert report.verdict != REFUTED and report.details["inadmissible"] == 0
     assert abs(report.estimate - certificate.lower_bound) < 0.02
-    cg.save_certificate(certificate, tmp_path / "pairs.npz")
-    loaded = cg.load_certificate(tmp_path / "pairs.npz")
+    cg.save(certificate, tmp_path / "pairs.npz")
+    loaded = cg.load(tmp_path / "pairs.npz")
     assert isinstance(loaded.proof, ProductProof) and loaded.lower_bound == certificate.lower_bound
     checked = cg.check(loaded, problem)
     assert checked and checked.recomputed == pytest.approx(certificate.lower_bound, abs=1e-6)
@@ -298,7 +298,7 @@ def test_workers_see_the_same_episodes() -> None:
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "pairs.npz"
-    cg.save_certificate(cg.synthesize(pairs(12, 3, starts=(-2.0, -1.2)), 20, relation="exact").certificate, path)
+    cg.save(cg.synthesize(pairs(12, 3, starts=(-2.0, -1.2)), 20, relation="exact").certificate, path)
     with np.load(path) as archive:
         arrays = {name: archive[name] for name in archive.files}
     header = json.loads(bytes(arrays["header"]).decode())
@@ -313,18 +313,18 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         np.savez_compressed(file, allow_pickle=False, **data)
         return file
 
-    assert cg.load_certificate(written())
+    assert cg.load(written())
     parts = header["proof"]["parts"]
     forged: list[dict[str, Any]] = [{"proof": {"kind": "product", "parts": [1 - k for k in parts]}}]
     forged += [{"proof": {"kind": "product", "parts": wrong}} for wrong in (parts[:-1], [7] * 12)]
     for changes in (*forged, {"fingerprint": "0" * 64}):
         with pytest.raises(ValueError, match="expected a certigym certificate"):
-            cg.load_certificate(written(**changes))
+            cg.load(written(**changes))
     raw = bytearray(path.read_bytes())
     with zipfile.ZipFile(io.BytesIO(bytes(raw))) as archive:
         assert len(archive.namelist()) == 3
     with pytest.raises(ValueError, match="more than 1000"):
-        cg.load_certificate(path, max_bytes=1000)
+        cg.load(path, max_bytes=1000)
 
 
 def test_the_whole_has_no_automaton_and_says_what_to_do() -> None:

@@ -13,8 +13,10 @@ import pytest
 import certigym as cg
 from certigym.baselines import IdleController
 from certigym.synthesis.cells import Grid
+from certigym.synthesis.controllers import InputTable
 from certigym.synthesis.shielding import shield_of
-from certigym.validation.policies import Attempt
+from certigym.validation.policies import Attempt, Probe
+from certigym.validation.simulation import TrialPlan
 
 MOST_CHARACTERS, MOST_LINES = 1500, 15
 EPISODES = 100
@@ -53,7 +55,7 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
         "Controller": lambda: result.controller,
         "FieldReport": lambda: cg.validate_field(result, [starts] * 20, 20),
         "FormulaError": lambda: refused("F a & " * 400),
-        "InputTable": lambda: cg.InputTable(grid, np.zeros((20, 5, 500, 1))),
+        "InputTable": lambda: InputTable(grid, np.zeros((20, 5, 500, 1))),
         "LinearAgent": lambda: problem.agents[0],
         "Mismatch": lambda: cg.Mismatch(noise_scale=1.5, noise_family="student-t", dropout=0.1),
         "Pair": lambda: cg.Pair("agent_*", np.zeros(200), np.ones(200)),
@@ -66,7 +68,7 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
         "Specification": lambda: cg.Specification(formula, "co-safe"),
         "StressReport": lambda: cg.stress(result, EPISODES),
         "Synthesis": lambda: result,
-        "TrialPlan": lambda: cg.TrialPlan(EPISODES, seed=3),
+        "TrialPlan": lambda: TrialPlan(EPISODES, seed=3),
         "ValidationReport": lambda: cg.validate(result, EPISODES),
     }
 
@@ -94,14 +96,14 @@ def exact_one() -> cg.Synthesis:
     return cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=4), 60, relation="exact")
 
 
-def probe_of(certificate: Any) -> cg.Probe:
+def probe_of(certificate: Any) -> Probe:
     """The record of a probe that was never made: it needs learners, which are an extra."""
-    names, problem = inspect.signature(cg.Probe).parameters, certificate.problem
+    names, problem = inspect.signature(Probe).parameters, certificate.problem
     numbers: dict[str, Any] = dict.fromkeys(names, 50)
     numbers |= {"problem": problem.name, "information": "own state", "fingerprint": problem.fingerprint}
     numbers |= {"gap": None, "lower_bound": certificate.lower_bound, "confidence": 0.99, "episodes": EPISODES}
     numbers |= {"attempts": (Attempt(0, 0.1, 1000, 0.5),) * 50, "actor": np.zeros(1000)}
-    return cg.Probe(**numbers)
+    return Probe(**numbers)
 
 
 def refused(formula: str) -> cg.FormulaError:

@@ -14,7 +14,7 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.problem import groups as independent
-from certigym.synthesis import task_ways
+from certigym.synthesis import horizons, task_ways
 from certigym.synthesis.cells.agent_grids import DEFAULT_CELLS
 from certigym.synthesis.choosing import relation_choice
 from certigym.synthesis.choosing.relation_choice import Tries, groups_of
@@ -127,8 +127,8 @@ def test_agents_of_one_team_have_different_relations(tmp_path: Path) -> None:
     assert f"exact for car, {kinds[1]} for cart_0" in tried_of(found)
     assert cg.check(found.certificate)
     assert cg.validate(found, 20_000, confidence=1 - 1e-6).verdict != REFUTED
-    cg.save_certificate(found.certificate, tmp_path / "c.npz")
-    loaded = cg.load_certificate(tmp_path / "c.npz")
+    cg.save(found.certificate, tmp_path / "c.npz")
+    loaded = cg.load(tmp_path / "c.npz")
     assert loaded.settings["relations_tried"] == tried_of(found)
     assert f"tried         exact for car, {kinds[1]} for cart_0: P >= " in str(cg.validate(loaded, 200))
 
@@ -187,7 +187,7 @@ def test_relations_can_be_named_per_agent(tmp_path: Path, capsys: pytest.Capture
     out = str(tmp_path / "c.npz")
     scalar = ["synthesize", "reach-avoid-v0", "--horizon", "2", "--cells", "40", "--out", out]
     assert main([*scalar, "--relation", "agent_0=tube", "agent_1=exact"]) == 0
-    assert kinds_of(cg.load_certificate(out)) == ["tube", "exact"]
+    assert kinds_of(cg.load(out)) == ["tube", "exact"]
     assert main([*scalar, "--relation", "tube", "exact"]) == 2
     assert "`--relation`: expected one name, or AGENT=NAME once per agent" in capsys.readouterr().err
 
@@ -214,18 +214,19 @@ def test_budgets_compare_at_the_last_cells_only() -> None:
 
 
 def test_horizons_go_on_with_the_relation_of_the_first() -> None:
-    short, longer = cg.synthesize_horizons(cart_reach(cart()), [4, 6], 32)
+    short, longer = cg.synthesize(cart_reach(cart()), 32, horizon=[4, 6])
     assert kinds_of(short.certificate) == kinds_of(longer.certificate)
     assert "tried" in short.stats and "tried" not in longer.stats
     assert longer.certificate.lower_bound >= short.certificate.lower_bound > 0
 
 
-def test_settings_of_relations_that_were_not_kept_do_not_stop_horizons() -> None:
+def test_settings_of_relations_that_were_not_kept_do_not_stop_horizons(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = cart_reach(cart(), 4)
     for setting in ({"delta": 0.01}, {"share": 0.5}):
-        found = cg.synthesize_horizons(problem, [3, 4], [16, 16], **setting)
+        found = cg.synthesize(problem, [16, 16], horizon=[3, 4], **setting)
         assert [kinds_of(one.certificate) for one in found] == [["tube"], ["tube"]]
-        endless = cg.without_deadline(problem, [16, 16], longest=8, **setting)
+        monkeypatch.setattr(horizons, "LONGEST", 8)
+        endless = cg.synthesize(problem, [16, 16], horizon=None, **setting)
         assert kinds_of(endless.certificate) == ["tube"]
     start = found[0].certificate
     with pytest.raises(ValueError, match="`share`: expected none with relation `tube`"):
@@ -277,7 +278,7 @@ def test_default_cells_are_doubled_where_no_relation_applies() -> None:
         propositions=chain.declared,
         specification=chain.specification,
     )
-    first, second = cg.synthesize_horizons(problem, [1, 2], relation="best")
+    first, second = cg.synthesize(problem, horizon=[1, 2], relation="best")
     shapes = {part.grid.shape for part in first.certificate.proof.agents}
     assert len(shapes) == 1 and min(next(iter(shapes))) > DEFAULT_CELLS[2]
     assert {part.grid.shape for part in second.certificate.proof.agents} == shapes

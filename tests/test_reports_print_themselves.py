@@ -13,10 +13,12 @@ import pytest
 import certigym as cg
 from certigym.baselines import IdleController, RandomController
 from certigym.synthesis.certificates import Synthesis
+from certigym.validation.audits import AuditReport
 from certigym.validation.audits.audit_report import Finding
+from certigym.validation.policies import Comparison
 from certigym.validation.simulation import Loop, Rollouts, html_table, labelled_lines
 from certigym.validation.statistics import CONFIRMED, CONSISTENT, REFUTED
-from certigym.validation.verdicts import tried_lines
+from certigym.validation.verdicts import FieldReport, StressReport, ValidationReport, tried_lines
 from problems import scalar_agent
 
 MOST_CHARACTERS, MOST_LINES = 1500, 12
@@ -91,7 +93,7 @@ def test_every_report_is_short(size: str, request: pytest.FixtureRequest) -> Non
         text = repr(record)
         assert 0 < len(text) <= MOST_CHARACTERS and len(text.splitlines()) <= MOST_LINES, text
         assert "array(" not in text and max(map(len, text.splitlines())) <= 200, text
-        if isinstance(record, cg.ValidationReport | cg.FieldReport | cg.AuditReport | cg.StressReport | cg.Comparison):
+        if isinstance(record, ValidationReport | FieldReport | AuditReport | StressReport | Comparison):
             table = record._repr_html_()
             assert len(table) <= 3 * MOST_CHARACTERS and "<b>" not in table, table
             assert len(set(Table(table).rows)) == 1, table

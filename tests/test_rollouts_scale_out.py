@@ -21,13 +21,14 @@ import certigym as cg
 from certigym.synthesis.certificates import OnGrid
 from certigym.validation.audits.step_tests import audit
 from certigym.validation.reports.gathering import report
+from certigym.validation.simulation import TrialPlan
 from certigym.validation.simulation.cluster import dask_cluster, executor_for, processes
 from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.rollouts import NUMBERS_SIDE_BY_SIDE, stream
 from certigym.validation.simulation.spread import in_order
 from certigym.validation.verdicts.fields import find_weakest, validate_field
 from certigym.validation.verdicts.stress_test import stress
-from certigym.validation.verdicts.sweeps import synthesize_best, validate_horizons
+from certigym.validation.verdicts.sweeps import each_report, synthesize_best
 from problems import two_agents
 
 pytestmark = pytest.mark.slow
@@ -114,9 +115,10 @@ def test_dask_gives_the_same_bits_and_a_killed_worker_loses_nothing(certificate:
 
 def test_sweeps_and_attempts_run_on_executors(certificate: OnGrid) -> None:
     with ThreadPoolExecutor(2) as pool:
-        spread = validate_horizons(certificate.problem, [1, 2, 3], 500, executor=pool, cells=30)
+        plan = TrialPlan(500, executor=pool)
+        spread = [*each_report(certificate.problem, [3, 1, 2], plan, {"cells": 30})]
         best, bounds = synthesize_best(certificate.problem, [{"cells": 20}, {"cells": 40}], executor=pool)
-    here = validate_horizons(certificate.problem, [1, 2, 3], 500, cells=30)
+    here = [*each_report(certificate.problem, [1, 2, 3], TrialPlan(500), {"cells": 30})]
     assert [r.successes for r in spread] == [r.successes for r in here]
     assert [r.horizon for r in spread] == [1, 2, 3]
     assert best.lower_bound == max(bounds) and len(bounds) == 2
@@ -205,7 +207,7 @@ def test_control_c_leaves_a_report(certificate: OnGrid, tmp_path: Path, place: l
     """SIGINT to the whole process group, as a terminal sends it."""
     if "--dask" in place:
         pytest.importorskip("distributed")
-    cg.save_certificate(certificate, tmp_path / "c.npz")
+    cg.save(certificate, tmp_path / "c.npz")
     (tmp_path / "driver.py").write_text(DRIVER)
     out = tmp_path / "r.json"
     command = [

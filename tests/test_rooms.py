@@ -52,7 +52,8 @@ MAY_IMPORT = {
     "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES}",
     "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
-    "synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking synthesis.bridges",
+    "synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking synthesis.bridges synthesis.balls "
+    "synthesis.permissions",
     "validation.statistics": "",
     "validation.simulation": f"{ENVS} envs.suite synthesis.bridges",
     "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",

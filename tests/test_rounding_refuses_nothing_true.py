@@ -13,6 +13,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
+from certigym.synthesis.nominal_paths import certified_starts
 from certigym.synthesis.path_checking.path_check import Motion
 from certigym.synthesis.raw_networks import certify_network
 from certigym.synthesis.relations import Network
@@ -135,7 +136,7 @@ def test_corners_do_not_cross_edges_on_which_the_first_letter_depends() -> None:
     """A set around a start near an edge stays on its side of it, and is verified."""
     problem = hull_problem([0.62, 0.0])
     certificate: Any = cg.synthesize(problem, relation="path").certificate
-    hull = cg.certified_starts(certificate, 0.7, rays=12)
+    hull = certified_starts(certificate, 0.7, rays=12)
     assert cg.check(hull), cg.check(hull).failures
     assert hull.proof.corners[:, 0].min() < 0.601 and hull.proof.corners[:, 0].min() > 0.6
     # Sabotage: one corner beyond the edge.
@@ -147,7 +148,7 @@ def test_corners_do_not_cross_edges_on_which_the_first_letter_depends() -> None:
 def test_a_start_on_such_an_edge_has_no_set_around_it() -> None:
     certificate: Any = cg.synthesize(hull_problem([0.6, 0.0]), relation="path").certificate
     with pytest.raises(ValueError, match="on such an edge"):
-        cg.certified_starts(certificate, 0.7, rays=12)
+        certified_starts(certificate, 0.7, rays=12)
 
 
 SKEW = np.array([[0.02, 0.012], [0.012, 0.03]])

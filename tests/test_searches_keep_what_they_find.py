@@ -11,6 +11,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
+from certigym.synthesis import horizons
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.cells.grid import start_share
 from certigym.synthesis.certificates import changed, lasting_bound
@@ -112,7 +113,7 @@ def test_perturbed_plans_are_the_plans_of_other_times() -> None:
 def test_bounds_rise_with_the_horizon(problem_id: str) -> None:
     problem = cg.make_problem(problem_id)
     asked = [5, 3, 4, 8, 3]
-    found = cg.synthesize_horizons(problem, asked, 40)
+    found = cg.synthesize(problem, 40, horizon=asked)
     assert [one.certificate.problem.horizon for one in found] == asked
     by_horizon = {one.certificate.problem.horizon: one.certificate.lower_bound for one in found}
     ordered = [by_horizon[horizon] for horizon in sorted(by_horizon)]
@@ -173,8 +174,8 @@ def test_stationary_policies_are_certified_checked_and_simulated(problem_id: str
     certificate = result.certificate
     assert certificate.proof.stationary and all(len(part.policy) == 1 for part in certificate.proof.agents)
     assert certificate.lower_bound <= float(result.stats["abstract_upper_bound"])  # type: ignore[arg-type]
-    cg.save_certificate(certificate, tmp_path / "stationary.npz")
-    loaded = cg.load_certificate(tmp_path / "stationary.npz")
+    cg.save(certificate, tmp_path / "stationary.npz")
+    loaded = cg.load(tmp_path / "stationary.npz")
     assert loaded.proof.stationary and cg.check(loaded, problem)
     assert cg.validate(loaded, 20_000, confidence=1 - FALSE_ALARM).verdict != REFUTED
     expected = certificate.lower_bound if problem.automaton.semantics == "co-safe" else None
@@ -217,7 +218,7 @@ def one_agent() -> cg.Problem:
 def test_without_a_deadline_one_agent_comes_to_the_optimum_from_below() -> None:
     """Value iteration over 1500 steps, far beyond its convergence, bounds what any policy attains at any time."""
     problem = one_agent()
-    found = cg.without_deadline(problem, 40)
+    found = cg.synthesize(problem, 40, horizon=None)
     certificate = found.certificate
     far = problem.replace(horizon=1500)
     joint = join(far, abstract(far, 40))
@@ -229,19 +230,17 @@ def test_without_a_deadline_one_agent_comes_to_the_optimum_from_below() -> None:
     assert abs(patient.successes / 20_000 - optimum) < 5.0 * np.sqrt(0.25 / 20_000)  # 1e-6
 
 
-def test_the_largest_bound_of_all_deadlines_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_largest_bound_of_all_deadlines_is_kept() -> None:
     """A doubled horizon may be searched worse; what was proved for the shorter one still holds."""
     asked: list[int] = []
 
-    def worse(problem: cg.Problem, cells: int, **settings: Any) -> Any:
+    def worse(problem: cg.Problem, begun: Any) -> Any:
         asked.append(problem.horizon)
-        found = real(problem.replace(horizon=8), cells, stationary=True)
+        found = cg.synthesize(problem.replace(horizon=8), 40, stationary=True)
         lower = found.certificate.lower_bound * (1.0 if len(asked) == 1 else 0.9)
         return replace(found, certificate=changed(found.certificate, problem=problem, lower_bound=lower))
 
-    real = cg.synthesize
-    monkeypatch.setattr("certigym.synthesis.horizons.synthesize", worse)
-    kept = cg.without_deadline(one_agent().replace(horizon=8), 40).certificate
+    kept = horizons.without_deadline(one_agent().replace(horizon=8), worse).certificate
     assert asked == [8, 16] and kept.problem.horizon == 8
 
 
@@ -256,29 +255,22 @@ def test_bounds_for_continuous_policies_say_nothing_where_relations_can_be_lost(
     assert isinstance(paper["abstract_upper_bound"], float) and paper["abstract_upper_bound"] > 0.1
 
 
-def test_deadlines_are_left_out_up_to_the_longest_horizon() -> None:
-    shortened = cg.without_deadline(one_agent(), 60, longest=20)
+def test_deadlines_are_left_out_up_to_the_longest_horizon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(horizons, "LONGEST", 20)
+    shortened = cg.synthesize(one_agent(), 60, horizon=None)
     assert shortened.certificate.problem.horizon == 16
 
 
-def test_the_command_line_asks_for_restarts_and_stationary_policies(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = [
-        "run",
-        "reach-avoid-v0",
-        "--cells",
-        "40",
-        "--episodes",
-        "2000",
-        "--horizon",
-        "5",
-        "--relation",
-        "exact",
-    ]
+def test_the_command_line_asks_for_restarts_and_stationary_policies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "c.npz")
+    settings = ["--cells", "40", "--horizon", "5", "--relation", "exact", "--out", out]
+    arguments = ["synthesize", "reach-avoid-v0", *settings]
     assert main([*arguments, "--restarts", "1"]) == 0
-    assert "no single agent can gain more than about" in capsys.readouterr().out
+    assert cg.load(out).settings["restarts"] == 1
     assert main([*arguments, "--stationary"]) == 0
-    shown = capsys.readouterr().out
-    assert "stationary policies" in shown and "an agent gains" not in shown
+    assert cg.load(out).proof.stationary and "saved to" in capsys.readouterr().out
     assert main([*arguments, "--restarts", "-1"]) == 2
     assert "`restarts`" in capsys.readouterr().err
 
@@ -349,6 +341,9 @@ def test_the_bound_from_above_counts_every_letter_of_a_start() -> None:
 
 
 @pytest.mark.parametrize("settings", [{"relation": "best"}, {"memory": 2e6}])
-def test_horizons_are_doubled_under_budgets_and_several_relations(settings: dict[str, Any]) -> None:
-    found = cg.without_deadline(cg.make_problem("car-park-v0").replace(horizon=2), longest=4, **settings)
+def test_horizons_are_doubled_under_budgets_and_several_relations(
+    settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(horizons, "LONGEST", 4)
+    found = cg.synthesize(cg.make_problem("car-park-v0").replace(horizon=2), horizon=None, **settings)
     assert found.certificate.problem.horizon == 4 and cg.check(found.certificate)

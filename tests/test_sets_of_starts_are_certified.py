@@ -11,6 +11,7 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.certificates import Certificate, HullProof, changed, corner, from_start
+from certigym.synthesis.nominal_paths import certified_starts
 
 FOLDER = Path(__file__).parents[1] / "benchmarks" / "arch"
 
@@ -18,7 +19,7 @@ FOLDER = Path(__file__).parents[1] / "benchmarks" / "arch"
 def hull_of(row: str, level: float, rays: int = 16) -> Certificate[HullProof]:
     """Return the set of starts of a row over its first two states."""
     certificate: Any = cg.synthesize(FOLDER / f"{row}.toml", relation="path").certificate
-    return cg.certified_starts(certificate, level, (0, 1), rays)
+    return certified_starts(certificate, level, (0, 1), rays)
 
 
 @pytest.fixture(scope="module")
@@ -73,14 +74,14 @@ def test_the_command_line_refuses_a_set_that_claims_too_much(
     chain: Certificate[HullProof], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     good, bad, far = (str(tmp_path / name) for name in ("good.npz", "bad.npz", "far.npz"))
-    cg.save_certificate(chain, good)
+    cg.save(chain, good)
     assert main(["check", good]) == 0 and "valid" in capsys.readouterr().out
-    kept: Any = cg.load_certificate(good)
+    kept: Any = cg.load(good)
     assert np.array_equal(kept.proof.corners, chain.proof.corners) and kept.lower_bound == chain.lower_bound
-    cg.save_certificate(changed(chain, failure=0.5 * chain.proof.failure), bad)
+    cg.save(changed(chain, failure=0.5 * chain.proof.failure), bad)
     assert main(["check", bad]) == 1 and "recomputed" in capsys.readouterr().out
     # Corners that vary in a state which the set does not name would count twice.
-    cg.save_certificate(changed(chain, axes=(0,)), far)
+    cg.save(changed(chain, axes=(0,)), far)
     assert main(["check", far]) == 1 and "axes" in capsys.readouterr().out
     assert cg.check(good).valid and not cg.check(chain, "reach-avoid-v0")
     pytest.importorskip("flint")
@@ -89,22 +90,24 @@ def test_the_command_line_refuses_a_set_that_claims_too_much(
 
 
 def test_the_command_line_certifies_and_validates_a_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, hull = str(tmp_path / "path.npz"), str(tmp_path / "hull.npz")
-    cg.save_certificate(cg.synthesize(FOLDER / "chain_2.toml", relation="path"), path)
-    assert main(["certified-starts", path, "--probability", "0.8", "--rays", "8", "--out", hull]) == 0
+    hull = str(tmp_path / "hull.npz")
+    chain = str(FOLDER / "chain_2.toml")
+    assert main(["synthesize", chain, "--starts", "0.8", "--out", hull]) == 0
+    assert "64 corners" in capsys.readouterr().out
     assert main(["check", hull]) == 0
     # 5000 rollouts at the limits of .999: a false alarm is no failure of this test, it would be one of its fixed seed
     assert main(["validate", hull, "--initial-state", "1", "0", "--episodes", "5000"]) == 0
     capsys.readouterr()
     assert main(["validate", hull]) == 2 and "--initial-state" in capsys.readouterr().err
     assert main(["validate", hull, "--initial-state", "9.9", "9.9"]) == 2 and "hull" in capsys.readouterr().err
-    assert main(["certified-starts", path, "--probability", "0.8", "--axes", "7", "--out", hull]) == 2
+    assert main(["synthesize", chain, "--starts", "1.5", "--out", hull]) == 2
+    assert main(["synthesize", chain, "--starts", "0.8", "--relation", "linear", "--cells", "8", "--out", hull]) == 2
 
 
 def test_probabilities_below_a_half_are_refused(chain: Certificate[HullProof]) -> None:
     certificate = corner(chain, 0)
     with pytest.raises(ValueError, match="`probability`"):
-        cg.certified_starts(certificate, 0.3)
+        certified_starts(certificate, 0.3)
 
 
 def test_the_share_of_a_line_is_its_length() -> None:
@@ -117,6 +120,6 @@ def test_the_share_of_a_line_is_its_length() -> None:
         name="line", horizon=3, agents=[cart], propositions={"goal": cg.Proposition("cart", [1], [4])},
         specification=cg.Specification("F goal", "co-safe"),
     )  # fmt: skip
-    hull = cg.certified_starts(cg.synthesize(problem, relation="path").certificate, 0.9)
+    hull = certified_starts(cg.synthesize(problem, relation="path").certificate, 0.9)
     ends = hull.proof.corners[:, 0]
     assert hull.proof.share(hull.problem) == (ends.max() - ends.min()) / 8 > 0.1 and cg.check(hull)

@@ -168,8 +168,8 @@ def test_agents_act_alike_in_an_environment_and_in_batches(certificate: Certific
 
 
 def test_certificates_travel(certificate: Certificate[JointProof], tmp_path: Path) -> None:
-    cg.save_certificate(certificate, tmp_path / "team.npz")
-    loaded: Any = cg.load_certificate(tmp_path / "team.npz")
+    cg.save(certificate, tmp_path / "team.npz")
+    loaded: Any = cg.load(tmp_path / "team.npz")
     assert isinstance(loaded.proof, JointProof) and cg.check(loaded)
     assert loaded.lower_bound == certificate.lower_bound == float(loaded.at([-2.0, 0.0])[0])
     assert "sees the states of all" in repr(loaded)
@@ -227,7 +227,7 @@ def test_shields_keep_what_joint_agents_promise(certificate: Certificate[JointPr
     """Fixed seed, n = 4,000, false alarm 1e-6: idle and random proposals behind a shield of .5 succeed that often."""
     problem, p = certificate.problem, 0.5
     assert certificate.lower_bound > p
-    shielded = cg.shielded(cg.as_controller(problem, lambda *_: np.zeros(1)), certificate, probability=p)
+    shielded = cg.shield(cg.as_controller(problem, lambda *_: np.zeros(1)), certificate, probability=p)
     runs = cg.rollout(problem, shielded, episodes=4000, seed=4)
     assert clopper_pearson(runs.successes, runs.episodes, 1 - 1e-6)[1] >= p
     alone = cg.rollout(problem, cg.as_controller(problem, lambda *_: np.zeros(1)), episodes=4000, seed=4)
@@ -254,5 +254,5 @@ def test_what_is_refused_of_pairs_is_refused_for_a_true_reason(certificate: Cert
         with pytest.raises(ValueError, match="by subtraction: what pairs of agents may spoil"):
             verb(subtracted)
     # A joint agent is on a grid, and has menus.
-    assert cg.check_permission(cg.permit(certificate, probability=0.9))
+    assert cg.check(cg.permit(certificate, probability=0.9))
     assert cg.check(certificate.proof.base)

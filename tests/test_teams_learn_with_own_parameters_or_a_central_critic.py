@@ -136,7 +136,7 @@ def test_limits_of_a_mean_are_student_limits() -> None:
 
 def test_the_certified_bound_is_a_line_in_the_picture_of_a_training(certificate: Any, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra `viz`")
-    cg.save_certificate(certificate, tmp_path / "c.npz")
+    cg.save(certificate, tmp_path / "c.npz")
     words = ["train", "reach-avoid-v0", "--steps", "300", "--worlds", "4", "--out", str(tmp_path / "out")]
     for picture, more in (("plain.svg", []), ("bound.svg", ["--bound", str(tmp_path / "c.npz")])):
         assert main([*words, "--plot", str(tmp_path / picture), *more]) == 0

@@ -29,7 +29,7 @@ def towards(x, q, t):
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the certificate of the small problem."""
     place: Path = tmp_path_factory.mktemp("certificates")
-    cg.save_certificate(cg.synthesize(RA2, 60, relation="exact").certificate, place / "reach-avoid-v0.npz")
+    cg.save(cg.synthesize(RA2, 60, relation="exact").certificate, place / "reach-avoid-v0.npz")
     return place
 
 
@@ -37,7 +37,7 @@ def test_rows_hold_what_rollouts_say(folder: Path) -> None:
     board = cg.leaderboard(["reach-avoid-v0"], ["certified", "random"], 500, sources=Sources(folder), seed=4)
     plan = judging_plan(planned(500, {"seed": 4}, 500))
     assert plan.seed != 4, "judging has episodes of its own"
-    held = cg.load_certificate(folder / "reach-avoid-v0.npz")
+    held = cg.load(folder / "reach-avoid-v0.npz")
     for row, policy in zip(board.rows, (held, RandomController()), strict=True):
         successes = cg.rollout(RA2, policy, plan).successes
         assert row.successes == (successes,) and row.rate == successes / 500

@@ -169,7 +169,7 @@ def test_errors_are_those_of_the_command_line_and_marked_where_they_are(
 def test_what_can_be_moved_is_drawn_where_the_task_has_it(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     seen = look(text, path.name, path.parent)
-    assert seen["error"] is None and seen["fingerprint"] == cg.load_problem(path).fingerprint
+    assert seen["error"] is None and seen["fingerprint"] == cg.load(path).fingerprint
     data = tomllib.loads(text)
     for panel in seen["picture"]["panels"]:
         for shape in panel["shapes"]:
@@ -577,8 +577,8 @@ def test_from_an_empty_file_to_a_certificate(browser: Chromium, tmp_path: Path) 
         tab.until("studio.link.state.message === 'saved task.toml'")
         assert tab.run("wrong") == []
         # What was saved is what was shown, and holds.
-        certificate = cg.load_certificate(tmp_path / "task.npz")
-        assert certificate.problem.fingerprint == cg.load_problem(tmp_path / "task.toml").fingerprint
+        certificate = cg.load(tmp_path / "task.npz")
+        assert certificate.problem.fingerprint == cg.load(tmp_path / "task.toml").fingerprint
         assert cg.check(certificate) and float(bound.removeprefix("P ≥ ").split()[0]) <= certificate.lower_bound
         assert sorted(path.name for path in tmp_path.iterdir()) == ["task.npz", "task.toml"]
     finally:

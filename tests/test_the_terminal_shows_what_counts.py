@@ -149,6 +149,6 @@ def test_a_bound_far_below_the_rollouts_comes_with_advice() -> None:
     )
     coarse = cg.validate(cg.synthesize(problem, 12, relation="boxes"), episodes=20_000, seed=0)
     assert coarse.ci_low - coarse.lower_bound > 0.02
-    assert "advice        rollouts lie at least" in str(coarse) and "--accuracy" in str(coarse)
+    assert "advice        rollouts lie at least" in str(coarse) and "--effort" in str(coarse)
     exact = cg.validate(cg.synthesize(problem, 40, relation="exact"), episodes=2000, seed=0)
     assert "advice" not in str(exact)

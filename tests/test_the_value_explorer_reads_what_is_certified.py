@@ -172,7 +172,7 @@ def test_a_path_moved_to_another_start_is_followed_by_the_same_controllers() -> 
 @pytest.mark.parametrize("source", ["bas_4_deviation.toml", "saved"])
 def test_what_is_shown_elsewhere_is_what_rollouts_keep(source: str) -> None:
     """2000 episodes from five starts; 1e-6 for all of them. A linear path and a nonlinear one; outside nothing is."""
-    found = cg.load_certificate(SAVED) if source == "saved" else cg.synthesize(FOLDER / source, relation="path")
+    found = cg.load(SAVED) if source == "saved" else cg.synthesize(FOLDER / source, relation="path")
     certificate: Any = getattr(found, "certificate", found)
     problem = certificate.problem
     start = np.concatenate([agent.initial.low for agent in problem.agents])

@@ -241,7 +241,7 @@ semantics = "finite-trace"
 """
     path = tmp_path / "follow.toml"
     path.write_text(text)
-    problem = cg.load_problem(path)
+    problem = cg.load(path)
     assert problem.fingerprint == follow(robot()).fingerprint
     assert pickle.loads(pickle.dumps(problem)).fingerprint == problem.fingerprint
     assert follow(robot(), band(shift=1)).fingerprint != problem.fingerprint

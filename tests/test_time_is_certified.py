@@ -88,8 +88,8 @@ def test_a_reference_is_followed_for_thirty_steps() -> None:
 @pytest.mark.parametrize("way", ["exact", "written, linear", "written, boxes", "path", "written, path"])
 def test_files_are_read_back_and_checked(way: str, tmp_path: Path) -> None:
     certificate, path = certified(way), tmp_path / "kept.npz"
-    cg.save_certificate(certificate, path)
-    again = cg.load_certificate(path)
+    cg.save(certificate, path)
+    again = cg.load(path)
     assert type(again) is type(certificate) and again.lower_bound == certificate.lower_bound
     assert cg.check(path) and cg.check(again, certificate.problem)
     assert not cg.check(again, follow(still(), band(1)))
@@ -98,7 +98,7 @@ def test_files_are_read_back_and_checked(way: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("way", ["exact", "written, boxes", "written, linear", "path", "written, path"])
 def test_every_number_is_proved_in_balls(way: str) -> None:
     pytest.importorskip("flint")
-    report = cg.check_rigorous(certified(way))
+    report = cg.check(certified(way), rigorous=True)
     assert report and report.low >= certified(way).lower_bound
 
 
@@ -223,7 +223,7 @@ def test_corners_are_enclosed_by_intervals_of_the_check() -> None:
 
 # --- refusals --------------------------------------------------------------------------------------------------
 REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
-    "no deadline": (lambda: cg.without_deadline(follow(robot())), "the same at every step"),
+    "no deadline": (lambda: cg.synthesize(follow(robot()), horizon=None), "the same at every step"),
     "stationary": (lambda: cg.synthesize(follow(robot()), 30, stationary=True), "stationary"),
     "exact targets": (lambda: cg.synthesize(follow(robot()), 30, relation="exact"), "`linear`, `boxes` or `path`"),
     "coupled": (lambda: cg.synthesize(follow(robot()), 30, relation="tube"), "name the time|`t`"),
@@ -240,7 +240,7 @@ def test_what_is_not_certified_is_refused_in_words(what: str) -> None:
 
 
 def test_horizons_are_certified_one_by_one() -> None:
-    results = cg.synthesize_horizons(follow(still()), [2, 4], 40, relation="exact")
+    results = cg.synthesize(follow(still()), 40, horizon=[2, 4], relation="exact")
     assert [r.certificate.problem.horizon for r in results] == [2, 4]
     assert all(cg.check(r.certificate) for r in results)
     assert results[0].certificate.lower_bound > results[1].certificate.lower_bound
@@ -288,7 +288,7 @@ def test_independent_tasks_in_time_are_certified_one_by_one(monkeypatch: pytest.
     assert len(fleet.tasks) == 70
     result = cg.synthesize(fleet, 40, relation="exact")
     assert cg.check(result.certificate)
-    cg.save_certificate(result.certificate, tmp_path / "fleet.npz")
+    cg.save(result.certificate, tmp_path / "fleet.npz")
     assert cg.check(tmp_path / "fleet.npz")
     assert cg.validate(result.certificate, 200, seed=0).verdict != "refuted"
 

@@ -162,21 +162,15 @@ def cyclic(n_robots: int = 3) -> cg.Problem:
     """Robots on a line that pick up together and deliver together; a robot that strays sends all back."""
     names = ("pickup", "loss", "delivery")
     members = {name: tuple(f"{name}_{robot}" for robot in range(n_robots)) for name in names}
-    automaton = cg.automaton_from_transitions(
-        [name for family in members.values() for name in family],
-        ["empty", "carrying", "done"],
-        "empty",
-        ["done"],
-        [
-            ("empty", "all(pickup)", "carrying"),
-            ("empty", "!all(pickup)", "empty"),
-            ("carrying", "any(loss)", "empty"),
-            ("carrying", "all(delivery) & !any(loss)", "done"),
-            ("carrying", "!all(delivery) & !any(loss)", "carrying"),
-        ],
-        "co-safe",
-        families=members,
-    )
+    rows = [
+        ("empty", "all(pickup)", "carrying"),
+        ("empty", "!all(pickup)", "empty"),
+        ("carrying", "any(loss)", "empty"),
+        ("carrying", "all(delivery) & !any(loss)", "done"),
+        ("carrying", "!all(delivery) & !any(loss)", "carrying"),
+    ]
+    by_hand = {"states": ["empty", "carrying", "done"], "initial": "empty", "accepting": ["done"], "transitions": rows}
+    automaton = cg.translate(by_hand, [name for family in members.values() for name in family], families=members)
     robot = cg.LinearAgent(
         name="robot",
         A=[[0.9]],
@@ -220,8 +214,8 @@ def test_a_cyclic_task_is_certified_close_to_what_rollouts_show(certified: cg.Sy
 def test_certificates_on_trains_are_checked_and_travel(certified: cg.Synthesis, tmp_path: Path) -> None:
     certificate = certified.certificate
     assert cg.check(certificate)
-    cg.save_certificate(certificate, tmp_path / "c.npz")
-    loaded = cg.load_certificate(tmp_path / "c.npz")
+    cg.save(certificate, tmp_path / "c.npz")
+    loaded = cg.load(tmp_path / "c.npz")
     assert cg.check(loaded) and loaded.lower_bound == certificate.lower_bound
     start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
     assert loaded.at(start)[0] >= certificate.lower_bound

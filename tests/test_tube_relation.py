@@ -144,8 +144,8 @@ def test_tubes_travel(tmp_path: object) -> None:
 
     path = Path(str(tmp_path)) / "c.npz"
     certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
-    cg.save_certificate(certificate, path)
-    loaded = cg.load_certificate(path)
+    cg.save(certificate, path)
+    loaded = cg.load(path)
     assert cg.check(loaded, cart_reach(cart()))
     first, again = (cg.rollout(c.problem, c.controller, 2000, seed=5).successes for c in (certificate, loaded))
     assert first == again

@@ -325,7 +325,7 @@ def test_the_command_line_tells_what_was_verified_from_above(
     certificate: OnGrid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, report = str(tmp_path / "c.npz"), cg.check(certificate)
-    cg.save_certificate(certificate, path)
+    cg.save(certificate, path)
     assert main(["check", path, "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["above"] == report.above
     assert main(["check", path]) == 0 and "too large a computation" not in capsys.readouterr().out

@@ -32,7 +32,7 @@ def certificate() -> OnGrid:
 @pytest.fixture(scope="module")
 def file(certificate: OnGrid, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("certificates") / "c.npz"
-    cg.save_certificate(certificate, path)
+    cg.save(certificate, path)
     return str(path)
 
 
@@ -70,7 +70,7 @@ def test_mismatch_on_the_command_line(file: str, tmp_path: Path) -> None:
 
 def test_runs_go_over_horizons(tmp_path: Path) -> None:
     out = tmp_path / "r.json"
-    arguments = ("run", "reach-avoid-v0", "--horizons", "2", "4", "--cells", "50", "--episodes", "500")
+    arguments = ("run", "reach-avoid-v0", "--horizon", "2", "4", "--cells", "50", "--episodes", "500")
     status, rows = run(*arguments, out=out)
     assert status == 0 and [row["horizon"] for row in rows] == [2, 4]
     assert rows[0]["lower_bound"] <= rows[1]["lower_bound"]
@@ -85,7 +85,7 @@ def test_interrupted_runs_over_horizons_leave_what_is_finished(
 
     monkeypatch.setattr("certigym.cli.validation_commands.each_report", interrupted)
     path = tmp_path / "sweep.json"
-    arguments = ["run", "reach-avoid-v0", "--horizons", "4", "2", "--cells", "50", "--episodes", "500"]
+    arguments = ["run", "reach-avoid-v0", "--horizon", "4", "2", "--cells", "50", "--episodes", "500"]
     assert main([*arguments, "--json", str(path)]) == 130
     assert [own["horizon"] for own in json.loads(path.read_text())] == [2]
     assert len(capsys.readouterr().out.splitlines()) == 2
@@ -101,7 +101,7 @@ def test_interrupted_runs_over_horizons_leave_what_is_finished(
         ["audit", "nowhere.npz"],
         ["report", "FILE", "--axes", "0", "0", "--out", "r.html"],
         ["report", "FILE", "--out", "/nowhere/at/all.html", "--episodes", "10"],
-        ["run", "nothing-v0", "--horizons", "1"],
+        ["run", "nothing-v0", "--horizon", "1", "2"],
         ["validate", "FILE", "--workers", "0"],
     ],
 )
@@ -156,7 +156,7 @@ def test_a_report_is_one_self_contained_page(file: str, tmp_path: Path) -> None:
     inside = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)
     assert inside is not None
     embedded = json.loads(inside.group(1))
-    assert embedded["fingerprint"] == content["fingerprint"] == cg.load_certificate(file).fingerprint
+    assert embedded["fingerprint"] == content["fingerprint"] == cg.load(file).fingerprint
     assert embedded["validation"]["successes"] == content["validation"]["successes"]
 
 
@@ -201,7 +201,7 @@ def test_the_page_says_when_the_automaton_moves() -> None:
 def test_a_refuted_certificate_is_reported_as_such(certificate: OnGrid, tmp_path: Path) -> None:
     wrong = changed(certificate, lower_bound=min(1.0, certificate.lower_bound + 0.1))
     path = tmp_path / "c.npz"
-    cg.save_certificate(wrong, path)
+    cg.save(wrong, path)
     out = tmp_path / "r.html"
     assert main(["report", str(path), "--out", str(out), "--episodes", "2000"]) == 1
     assert 'class="verdict refuted"' in out.read_text()

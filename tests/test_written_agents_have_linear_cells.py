@@ -177,8 +177,8 @@ def certificate_of(name: str) -> cg.Certificate:
 def test_certificates_travel_and_hold(name: str, tmp_path: Path) -> None:
     """20,000 episodes notice a claim that is too large by about .02 at a false-alarm rate of 1e-6."""
     certificate = certificate_of(name)
-    cg.save_certificate(certificate, tmp_path / "certificate.npz")
-    loaded = cg.load_certificate(tmp_path / "certificate.npz")
+    cg.save(certificate, tmp_path / "certificate.npz")
+    loaded = cg.load(tmp_path / "certificate.npz")
     assert isinstance(loaded, cg.Certificate) and loaded.proof.agents[0].relation["kind"] == "linear"
     assert cg.check(loaded, certificate.problem) and loaded.lower_bound == certificate.lower_bound > 0.01
     report = cg.validate(loaded, 20_000, seed=1, confidence=1 - FALSE_ALARM)
@@ -277,7 +277,7 @@ def test_forgeries_are_refused(forgery: str, tmp_path: Path) -> None:
     part = certificate.proof.agents[0]
     forged = replace(part, relation=part.relation | FORGERIES[forgery])
     try:
-        cg.save_certificate(changed(certificate, agents=(forged,)), tmp_path / "forged.npz")
-        assert not cg.check(cg.load_certificate(tmp_path / "forged.npz"))
+        cg.save(changed(certificate, agents=(forged,)), tmp_path / "forged.npz")
+        assert not cg.check(cg.load(tmp_path / "forged.npz"))
     except ValueError as refusal:
         assert str(refusal)

@@ -65,8 +65,8 @@ def test_files_checks_and_rollouts_agree(name: str, tmp_path: Path) -> None:
     """40,000 episodes notice a claim that is too large by about .01 at a false-alarm rate of 1e-6."""
     certificate = CERTIFICATES[name]()
     assert certificate.proof.agents[0].relation["kind"] == "boxes" and certificate.gap is None
-    cg.save_certificate(certificate, tmp_path / "certificate.npz")
-    loaded = cg.load_certificate(tmp_path / "certificate.npz")
+    cg.save(certificate, tmp_path / "certificate.npz")
+    loaded = cg.load(tmp_path / "certificate.npz")
     assert isinstance(loaded, cg.Certificate) and isinstance(loaded.problem.agents[0], cg.Agent)
     report = cg.check(loaded, certificate.problem)
     assert report, report
@@ -255,9 +255,9 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
     )
     for description in descriptions:
         forged = with_relation(certificate, **description)
-        cg.save_certificate(forged, tmp_path / "forged.npz")
+        cg.save(forged, tmp_path / "forged.npz")
         with pytest.raises(ValueError, match="expected a certigym certificate"):
-            cg.load_certificate(tmp_path / "forged.npz")
+            cg.load(tmp_path / "forged.npz")
 
 
 def test_what_is_for_linear_agents_is_refused_in_words() -> None:

@@ -11,16 +11,16 @@ Reference: docs/theory/setting.md, "Letters and words" and "Satisfaction".
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from .automaton import Automaton, check_semantics
+from .by_hand import automaton_from_transitions
 from .decision_diagram import DecisionDiagrams, DiagramSizeError
 from .hoa import automaton_from_hoa
 from .minimal import StateGraph, minimal_automaton, saturated
 from .normal_form import NormalForm, Term, Terms, check_names
 from .obligations import Obligations
 from .parser import Formula, FormulaError, parse_formula
-
-__all__ = ["BACKENDS", "AutomatonSizeError", "automaton_from_hoa", "translate"]
 
 BACKENDS = ("builtin", "mona")
 
@@ -39,20 +39,22 @@ class AutomatonSizeError(FormulaError):
 
 
 def translate(
-    formula: str | Formula,
+    task: str | Formula | Mapping[str, Any],
     propositions: Sequence[str],
-    semantics: str,
+    semantics: str = "co-safe",
     families: Mapping[str, Sequence[str]] | None = None,
     backend: str = "builtin",
     max_states: int = 10_000,
     max_nodes: int = MOST_NODES,
 ) -> Automaton:
-    """Return the minimal complete automaton of `formula` (exact).
+    """Return the complete automaton of a task (exact): minimal, but for one that is written state by state.
 
     Parameters
     ----------
-    formula : str or Formula
-        The task; its syntax is described in `certigym.envs.logic.parser`.
+    task : str, Formula or mapping
+        A formula, whose syntax is described in `certigym.envs.logic.parser`; the text of a terminal deterministic Buchi
+        automaton in HOA format, which begins with ``HOA:``; or states and guarded transitions as in problem files:
+        ``states``, ``initial``, ``accepting``, ``transitions``, ``otherwise`` (see ``automaton_from_transitions``).
     propositions : sequence of str
         All propositions; their order becomes the variable order of the diagrams.
     semantics : str
@@ -74,7 +76,7 @@ def translate(
     AutomatonSizeError
         If the automaton needs more states or nodes than may be built; a ``FormulaError``.
     ValueError
-        If another argument is wrong, or the back end is not available.
+        If another argument is wrong, or the back end is not available; or if an automaton is not of that form.
 
     Examples
     --------
@@ -82,8 +84,19 @@ def translate(
     2
     >>> translate("G a", ["a"], "finite-trace").accepts([{"a"}, set()])
     False
+    >>> rows = [("wait", "a", "done"), ("wait", "!a", "wait")]
+    >>> by_hand = {"states": ["wait", "done"], "initial": "wait", "accepting": ["done"], "transitions": rows}
+    >>> translate(by_hand, ["a"]).accepts([{"a"}])
+    True
     """
     check_semantics(semantics)
+    if isinstance(task, Mapping):
+        return automaton_from_transitions(propositions, semantics=semantics, families=families, **task)
+    if isinstance(task, str) and task.lstrip().startswith("HOA:"):
+        if semantics != "co-safe":
+            raise ValueError(f"`semantics`: expected 'co-safe' for an automaton in HOA format, got {semantics!r}")
+        return automaton_from_hoa(task, propositions)
+    formula = task
     if backend not in BACKENDS:
         raise ValueError(f"`backend`: expected one of {', '.join(BACKENDS)}, got {backend!r}")
     families = families or {}

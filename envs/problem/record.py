@@ -522,8 +522,7 @@ def checked_problem(value: Any) -> Problem:
     """Return `value` if it is a Problem, or raise ValueError with what to do."""
     if not isinstance(value, Problem):
         raise ValueError(
-            f"`problem`: expected a Problem, got {shown(value)}; make one with `make_problem`, `load_problem` or "
-            "`Problem`"
+            f"`problem`: expected a Problem, got {shown(value)}; make one with `make_problem`, `load` or `Problem`"
         )
     return value
 

@@ -7,7 +7,7 @@ from .found import Found, Reader
 from .local_policies import LocalBatch, LocalController
 from .model_policies import OwnModels, TeamModels
 from .sights import Sight
-from .writing import save_policy
+from .writing import is_written_policy, save_policy
 
 __all__ = [
     "Found",
@@ -23,6 +23,7 @@ __all__ = [
     "brought",
     "certifiable",
     "is_model",
+    "is_written_policy",
     "save_policy",
     "sight_of",
     "stored",

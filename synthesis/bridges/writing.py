@@ -17,6 +17,11 @@ FORMAT = "certigym policy 1"
 """Name and version of what is said in the metadata of a file of ONNX."""
 
 
+def is_written_policy(path: str | Path) -> bool:
+    """Whether a path is that of a policy for other programs, by its ending."""
+    return Path(path).suffix in (".onnx", ".h")
+
+
 def save_policy(policy: Any, path: str | Path, agent: str | None = None) -> Path:
     """Write a policy as a file that runs elsewhere; return its path.
 
@@ -37,7 +42,7 @@ def save_policy(policy: Any, path: str | Path, agent: str | None = None) -> Path
         If the policy is no network (``.onnx``) or no such table (``.h``), or if onnx is not installed.
     """
     path = Path(path)
-    if path.suffix not in (".onnx", ".h"):
+    if not is_written_policy(path):
         raise ValueError(f"`path`: expected a file name that ends in .onnx or .h, got {str(path)!r}")
     for attribute in ("controller", "actor"):
         policy = getattr(policy, attribute, policy)

@@ -56,7 +56,7 @@ def save_certificate(certificate: Synthesis | Certificate, path: str | Path) -> 
     if not isinstance(certificate, Certificate):
         raise ValueError(
             f"`certificate`: expected a Certificate, got {type(certificate).__name__}; make one with `synthesize`, "
-            "`certify` or `load_certificate`"
+            "`certify` or `load`"
         )
     write_bytes(path, packed(certificate))
 
@@ -82,8 +82,7 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
     """
     if not Path(path).is_file():
         raise FileNotFoundError(
-            f"`{path}`: expected a certificate file, found none; write one with `save_certificate`, or "
-            "`certigym run ID --out FILE`"
+            f"`{path}`: expected a certificate file, found none; write one with `save`, or `certigym run ID --out FILE`"
         )
     try:
         if (size := Path(path).stat().st_size) > max_bytes:

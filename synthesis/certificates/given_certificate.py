@@ -32,7 +32,7 @@ def certificate_from(value: Any, argument: str = "certificate") -> Certificate:
     if not isinstance(value, Certificate):
         raise ValueError(
             f"`{argument}`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "
-            "one with `synthesize`, `certify` or `load_certificate`"
+            "one with `synthesize`, `certify` or `load`"
         )
     return value
 

@@ -67,7 +67,7 @@ class GridProof(Proof):
     rounding : Rounding or None
         How tensor trains were rounded; None for a value tree.
     opposite : Certificate or None
-        Of the same controllers and the opposite task, if ``gap`` rests on one (see ``bound_above``).
+        Of the same controllers and the opposite task, if ``gap`` rests on one (see ``upper_ends``).
     """
 
     method: str

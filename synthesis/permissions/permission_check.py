@@ -39,8 +39,8 @@ LAYERS_AT_ONCE = 32
 """Policies that are read at once around factors that are smoothed once."""
 
 
-def check_permission(permission: Permission) -> CheckReport:
-    """Verify a permissive certificate: menus and lower bound.
+def check_permission(permission: Permission, problem: Any = None) -> CheckReport:
+    """Verify a permissive certificate: menus and lower bound, for a problem (by default the one inside it).
 
     Returns
     -------
@@ -48,7 +48,7 @@ def check_permission(permission: Permission) -> CheckReport:
         Truthy if every behaviour within the menus was proved to keep the bound.
     """
     certificate = permission.certificate
-    failures = list(check(certificate).failures)
+    failures = list(check(certificate, problem).failures)
     failures = failures or _wrong_form(permission)
     loss = 0.0
     if not failures:

@@ -39,6 +39,15 @@ def save_permission(permission: Permission, path: str | Path) -> None:
     write_bytes(path, file.getvalue())
 
 
+def is_permission_file(path: str | Path) -> bool:
+    """Whether a file looks like one of a permission, by the names of its arrays alone."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {"certificate.npy", "counts_0.npy"} <= {*archive.namelist()}
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
 def load_permission(path: str | Path) -> Permission:
     """Return the permissive certificate in a file; it is well-formed then, not yet checked (``check_permission``).
 

@@ -56,7 +56,7 @@ def permit(certificate: Any, *, probability: float) -> Permission:
     >>> problem = cg.make_problem("reach-avoid-v0", horizon=5)
     >>> certificate = cg.synthesize(problem, 60, relation="exact").certificate
     >>> permission = cg.permit(certificate, probability=0.7)
-    >>> permission.lower_bound >= 0.7, bool(cg.check_permission(permission))
+    >>> permission.lower_bound >= 0.7, bool(cg.check(permission))
     (True, True)
     """
     certificate = certificate_on_grids(certificate)

@@ -140,7 +140,7 @@ def horizon_figure(reports: Sequence[ValidationReport] | Mapping[str, Sequence[V
     Parameters
     ----------
     reports : sequence of ValidationReport, or mapping from a name to one
-        Reports as ``validate_horizons`` returns them.
+        Reports of ``validate``, one per horizon.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def horizon_figure(reports: Sequence[ValidationReport] | Mapping[str, Sequence[V
     """
     series = reports if isinstance(reports, Mapping) else {"": reports}
     if not series or not all(len(line) for line in series.values()):
-        raise ValueError("`reports`: expected at least one report per series, got none; see `validate_horizons`")
+        raise ValueError("`reports`: expected at least one report per series, got none; see `validate`")
     figure, (plot,) = new_figure(6.8, 4.2)
     several = len(series) > 1
     for k, (name, line) in enumerate(series.items()):

@@ -273,7 +273,7 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
     if isinstance(policy, str) and not Path(policy.rpartition("@")[0] or policy).exists():
         raise ValueError(
             f"`policies`: expected a policy, certificate or training for {name!r}, or the path of a file that exists, "
-            f"got the text {policy!r}; load certificates from elsewhere with `load_certificate`"
+            f"got the text {policy!r}; load certificates from elsewhere with `load`"
         )
     # Several training seeds: one contestant each, which share the name as their group.
     if isinstance(policy, Sequence) and not isinstance(policy, str) and not is_model(policy):

@@ -176,7 +176,7 @@ def train(
     shield : Shield, optional
         What keeps a success probability in every episode that begins at the problem's start, while the learner is
         trained (`synthesis.shielding.shield_of`). The actor that is returned acts without it; put it behind the same
-        shield (`shielded`) to keep the probability.
+        shield (`shield`) to keep the probability.
     progress : callable, optional
         Called with the world steps taken since the last call and the latest success rate.
     **settings

@@ -1,6 +1,6 @@
 """Environments and policies behind shields, which keep a success probability whoever proposes the inputs."""
 
-from .behind import shield, shielded
+from .behind import shield
 from .shielded_batches import ShieldedTeamEnv, ShieldedVectorEnv
 from .shielded_envs import ShieldedCentralEnv, ShieldedEnv, ShieldedTasksEnv
 from .shielded_policy import ShieldedController
@@ -13,5 +13,4 @@ __all__ = [
     "ShieldedTeamEnv",
     "ShieldedVectorEnv",
     "shield",
-    "shielded",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,19 +16,23 @@ from .shielded_batches import ShieldedTeamEnv, ShieldedVectorEnv
 from .shielded_envs import ShieldedCentralEnv, ShieldedEnv, ShieldedTasksEnv
 from .shielded_policy import ShieldedController
 
+ENVIRONMENTS = (ProblemEnv, TasksEnv, CentralEnv, ProblemVectorEnv, TeamEnv)
+"""Environments that go behind shields."""
 
-def shield(env_or_problem: Any, certificate: Any, *, probability: float | None = None, form: str = "joint") -> Any:
-    """Return an environment in which every episode succeeds with a probability of at least ``probability``.
+
+def shield(guarded: Any, certificate: Any, *, probability: float | None = None, form: str = "joint") -> Any:
+    """Put an environment or a policy behind a shield: every episode succeeds with at least ``probability``.
 
     The guarantee holds whoever proposes the actions, also while a learner is trained (docs/theory/shields.md, "The
     guarantee"): from the problem's start, and from others at which the certificate's value is large enough.
 
     Parameters
     ----------
-    env_or_problem : environment, Problem, id or path
+    guarded : environment, Problem, id or path of a problem; or a policy
         An environment of this package, not wrapped by anything else: `parallel_env`, `central_env`, `vector_env` or
         `team_env`. It stays as it is; a new one of the same kind with the same options is returned. A problem gives its
-        parallel environment.
+        parallel environment. A policy is anything that ``as_policy`` takes, the path of an actor included, or a
+        Synthesis, a certificate or a Training; it becomes one for ``rollout`` and ``compare``.
     certificate : Synthesis, certificate, path of one, Shield or ProductShield
         About the same problem.
     probability : float
@@ -38,14 +43,14 @@ def shield(env_or_problem: Any, certificate: Any, *, probability: float | None =
 
     Returns
     -------
-    environment
-        Its infos say `budget`, `value` and `overridden`.
+    environment or policy
+        The infos of an environment say `budget`, `value` and `overridden`.
 
     Raises
     ------
     ValueError
         If the certificate cannot be a shield, does not fit, or the probability is out of range; if the environment has
-        noisy sensors.
+        noisy sensors, or is one of another package.
 
     Examples
     --------
@@ -57,19 +62,33 @@ def shield(env_or_problem: Any, certificate: Any, *, probability: float | None =
     >>> bool(0.0 < infos["agent_0"]["budget"] <= infos["agent_0"]["value"])
     True
     """
-    env = env_or_problem
-    known = (ProblemEnv, TasksEnv, CentralEnv, ProblemVectorEnv, TeamEnv)
-    if not isinstance(env, (*known, Problem, str)) and not hasattr(env, "__fspath__"):
+    if isinstance(guarded, Problem) or _names_problem(guarded):
+        guarded = parallel_env(as_problem(guarded))
+    if isinstance(guarded, ENVIRONMENTS):
+        return _environment(guarded, certificate, probability, form)
+    if hasattr(guarded, "reset") and hasattr(guarded, "step"):
         raise ValueError(
-            f"`env_or_problem`: expected a problem or an environment of certigym, got {type(env).__name__}; shield the "
-            "environment first, then wrap it"
+            f"`guarded`: expected a problem, a policy or an environment of certigym, got {type(guarded).__name__}; "
+            "shield the environment first, then wrap it"
         )
-    if not isinstance(env, known):
-        env = parallel_env(as_problem(env))
+    made = _made(None, certificate, probability, form)
+    return ShieldedController(as_policy(guarded, made.problem), made)
+
+
+def _names_problem(guarded: Any) -> bool:
+    """Whether something names a problem: an id, or the path of a problem file; others are paths of actors."""
+    if not isinstance(guarded, str) and not hasattr(guarded, "__fspath__"):
+        return False
+    path = Path(guarded)
+    return path.suffix == ".toml" or not (path.suffix or path.exists())
+
+
+def _environment(env: Any, certificate: Any, probability: float | None, form: str) -> Any:
+    """Return an environment of the same kind behind a shield."""
     if np.any(env.options.get("sensor_noise", 0.0)):
         raise ValueError(
-            "`env_or_problem`: expected exact sensors, got `sensor_noise`; the certificate is about controllers that "
-            "see the true states"
+            "`guarded`: expected exact sensors, got `sensor_noise`; the certificate is about controllers that see the "
+            "true states"
         )
     made = _made(env.problem, certificate, probability, form)
     if isinstance(made, ProductShield):
@@ -82,24 +101,6 @@ def shield(env_or_problem: Any, certificate: Any, *, probability: float | None =
     if isinstance(env, CentralEnv):
         return ShieldedCentralEnv(env.problem, made, env.render_mode, **env.options)
     return ShieldedEnv(env.problem, made, env.render_mode, **env.options)
-
-
-def shielded(policy: Any, certificate: Any, *, probability: float | None = None, form: str = "joint") -> Any:
-    """Return a policy behind a shield, for ``rollout`` and ``compare``.
-
-    Parameters
-    ----------
-    policy : object with ``batch(dynamics)``, Synthesis, certificate, Training, or what ``as_policy`` takes
-    certificate, probability, form
-        As for ``shield``.
-
-    Raises
-    ------
-    ValueError
-        As for ``shield``.
-    """
-    made = _made(None, certificate, probability, form)
-    return ShieldedController(as_policy(policy, made.problem), made)
 
 
 def _made(problem: Problem | None, certificate: Any, probability: float | None, form: str) -> Shield | ProductShield:

@@ -4,7 +4,7 @@ from .fields import FieldReport, find_weakest, validate_field
 from .starts import corner_starts, random_starts, slice_axes, slice_starts, start_box, workspace_box
 from .stress_test import LADDERS, StressReport, stress
 from .success_rate import MEANINGS, NOT_CERTIFIED, ValidationReport, tried_lines, validate
-from .sweeps import each_report, synthesize_best, validate_horizons
+from .sweeps import each_report, synthesize_best
 
 __all__ = [
     "MEANINGS",
@@ -25,6 +25,5 @@ __all__ = [
     "tried_lines",
     "validate",
     "validate_field",
-    "validate_horizons",
     "workspace_box",
 ]

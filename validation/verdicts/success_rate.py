@@ -225,7 +225,7 @@ class ValidationReport:
         if loose < FAR or self.gap is not None or self.refuted or self.is_invalid or not self.details["has_cells"]:
             return []
         less = f"rollouts lie at least {loose:.2g} above the bound: the cells lose this, not the task"
-        return [("advice", f"{less}; try --accuracy {FAR / 2:g}, or more --cells")]
+        return [("advice", f"{less}; try a larger --effort, or more --cells")]
 
     def _limits_of_search(self) -> Rows:
         """Return what no policy exceeds, what each relation gave, and what one agent alone could gain."""

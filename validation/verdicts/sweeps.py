@@ -6,46 +6,39 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from ...envs.problem import Problem
-from ...synthesis.certificates import OnGrid
+from ...envs.suite import as_problem
+from ...synthesis.certificates import Certificate, OnGrid, Synthesis
 from ...synthesis.checking import check
 from ...synthesis.horizons import each_horizon
 from ...synthesis.synthesize import synthesize
-from ..simulation import Executor, TrialOptions, TrialPlan, in_order, planned
+from ..simulation import Executor, TrialPlan, in_order
 from .success_rate import ValidationReport, validate
 
 
-def validate_horizons(
-    problem: Any, horizons: Iterable[int], plan: TrialPlan | int | None = None, **options: Any
-) -> list[ValidationReport]:
-    """Synthesize and validate the problem at every horizon; return the reports in the order of ``horizons``.
+def each_report(
+    problem: Any, horizons: Iterable[int], plan: TrialPlan, settings: Mapping[str, Any] | None = None
+) -> Iterator[ValidationReport]:
+    """Synthesize, check and validate the problem at every horizon; yield the reports one by one, as horizons increase.
 
-    The horizons are taken in increasing order, and each search begins with the policies of the one before (see
-    ``synthesis.horizons``).
+    Each search begins with the policies of the horizon before (``synthesize`` with several horizons).
 
     Parameters
     ----------
     problem : Problem, id or path
     horizons : iterable of int
         Control steps.
-    plan : TrialPlan or int, optional
-        Plan of each validation; default: 20,000 episodes.
-    **options
-        Fields of ``TrialPlan``, such as ``episodes``; all others are arguments of ``synthesize``, such as ``cells``.
+    plan : TrialPlan
+        Plan of each validation.
+    settings : mapping, optional
+        Arguments of ``synthesize``, such as ``cells``.
     """
-    # ``progress`` goes to the synthesis, which takes an argument of that name, too.
-    trial: TrialOptions = {}
-    for name in [name for name in options if name in TrialOptions.__optional_keys__ and name != "progress"]:
-        trial[name] = options.pop(name)  # type: ignore[literal-required]
-    wanted, settled = list(horizons), planned(plan, trial, 20_000)
-    reports = {report.horizon: report for report in each_report(problem, wanted, settled, options)}
-    return [reports[horizon] for horizon in wanted]
+    settings = dict(settings or {})
+    anew = {"memory", "accuracy"} & {*settings} or settings.get("relation") == "best"
 
+    def once(task: Problem, begun: Certificate | None) -> Synthesis:
+        return synthesize(task, start=None if anew else begun, **settings)
 
-def each_report(
-    problem: Any, horizons: Iterable[int], plan: TrialPlan, settings: Mapping[str, Any] | None = None
-) -> Iterator[ValidationReport]:
-    """Yield the reports of ``validate_horizons`` one by one, in increasing order of horizons."""
-    for result in each_horizon(problem, horizons, **(settings or {})):
+    for result in each_horizon(as_problem(problem), horizons, once):
         yield validate(result, plan).with_check(check(result.certificate))
 
 

@@ -34,9 +34,32 @@ def named_problem(name: str, horizon: int | None = None) -> Problem:
 
 def problem_of(options: Namespace) -> Problem:
     """Return the problem that ``problem``, ``--horizon``, ``--initial-state`` and ``--split`` (last) describe."""
-    problem, state = named_problem(options.problem, options.horizon), state_of(options)
+    problem, state = named_problem(options.problem, _one_horizon(options)), state_of(options)
     problem = problem if state is None else problem.replace(initial_state=state)
     return split_axes(problem) if getattr(options, "split", False) else problem
+
+
+def _one_horizon(options: Namespace) -> int | None:
+    """Return the horizon of the options if it is one number; None for others, which searches take care of."""
+    asked = options.horizon
+    if isinstance(asked, list):
+        return asked[0] if len(asked) == 1 else None
+    return asked
+
+
+def several_horizons(options: Namespace) -> list[int] | None:
+    """Return the horizons of the options if they are several; raise ValueError if `none` is among them."""
+    asked = options.horizon
+    if not isinstance(asked, list) or len(asked) == 1:
+        return None
+    if None in asked:
+        raise ValueError("`--horizon`: expected numbers, or `none` alone, got both; leave `none` out")
+    return asked
+
+
+def is_endless(options: Namespace) -> bool:
+    """Whether the options ask for no deadline."""
+    return bool(options.horizon == [None])
 
 
 def state_of(options: Namespace) -> list[float] | None:

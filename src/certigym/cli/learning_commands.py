@@ -190,7 +190,7 @@ def compare(options: Namespace) -> int:
 
 
 def certify(options: Namespace) -> int:
-    """Certify a policy wrapped on a grid, or as it is (``--raw``); the status is 1 if its rollouts refute the bound."""
+    """Certify a policy wrapped on a grid, or as it is (``--as-is``); the status is 1 if rollouts refute the bound."""
     if is_actor(options):
         problem, file = problem_of_actor(options.problem, options.horizon), options.problem
     elif options.policy is None:
@@ -198,7 +198,7 @@ def certify(options: Namespace) -> int:
     else:
         problem, file = problem_of(options), options.policy
     policy = policy_of_file(problem, file)
-    if options.raw or options.repair is not None:
+    if options.as_is or options.repair is not None:
         return certify_raw(options, problem, policy)
     cells = cells_of(options)
     # All forms of the policy are simulated beside each other; the last one is saved.

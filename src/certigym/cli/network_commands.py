@@ -1,4 +1,4 @@
-"""What ``certify --raw`` and ``certify --repair`` do: certificates of networks as they are deployed."""
+"""What ``certify --as-is`` and ``certify --repair`` do: certificates of networks as they are deployed."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def is_actor(options: Namespace) -> bool:
 def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
     """Certify networks as they are, and repaired; the status is 1 if rollouts refute a bound."""
     if options.relation != ["auto"] or options.delta is not None or options.improve:
-        raise ValueError("`--raw`: expected none of --relation, --delta and --improve beside it; leave them out")
+        raise ValueError("`--as-is`: expected none of --relation, --delta and --improve beside it; leave them out")
     cells, settings = cells_of(options), {"targets_per_cell": options.targets}
     policies: dict[str, Any] = {"deployed": policy}
-    last = policies["certified"] = certify_policy(problem, policy, cells, raw=True, above=options.above, **settings)
+    last = policies["certified"] = certify_policy(problem, policy, cells, as_is=True, above=options.above, **settings)
     places: WeakPlaces | None = None
     if options.repair is not None:
         last, places = repair_network(problem, policy, cells, share=options.repair, **settings)

@@ -3,15 +3,60 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 MISMATCH = "noise_scale=1.2, noise_family=laplace, actuator_bias=0.1, delay=1 or dropout=0.05; several are allowed"
 """Examples for the help of ``--mismatch``."""
+
+
+USUAL: dict[str, Any] = {
+    "initial_state": None,
+    "split": False,
+    "delta": None,
+    "targets": None,
+    "memory": None,
+    "accuracy": None,
+    "restarts": 0,
+    "stationary": False,
+    "device": "numpy",
+    "starts": None,
+    "confidence": 0.999,
+    "workers": None,
+    "dask": None,
+    "sequential": False,
+    "mismatch": None,
+    "disturbance": None,
+}
+"""What ``synthesize`` and ``validate`` ask for and ``run`` takes as usual."""
+
+
+def add_task(parser: argparse.ArgumentParser) -> None:
+    """Add the problem and its horizon, several, or none."""
+    parser.add_argument("problem", metavar="ID|FILE", help="suite id or TOML problem file")
+    parser.add_argument(
+        "--horizon",
+        nargs="+",
+        type=_horizon,
+        metavar="T",
+        help="control steps (default: the problem's); several: a row for each; none: no deadline, policies that do not "
+        "look at the time, and a horizon that is doubled until the bound gains less than 1e-6",
+    )
+
+
+def _horizon(word: str) -> int | None:
+    """Return a number of control steps, or None for the word `none`."""
+    return None if word == "none" else int(word)
 
 
 def add_problem(parser: argparse.ArgumentParser) -> None:
     """Add the problem, its horizon and its start."""
     parser.add_argument("problem", metavar="ID|FILE", help="suite id or TOML problem file")
     add_horizon(parser)
+    add_how_it_starts(parser)
+
+
+def add_how_it_starts(parser: argparse.ArgumentParser) -> None:
+    """Add the start of a problem, and whether its agents are split."""
     add_start(parser)
     parser.add_argument("--split", action="store_true", help="make agents of independent axes agents of their own")
 
@@ -38,7 +83,7 @@ def add_start(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--initial-state", nargs="+", metavar="X", help="joint initial state, agent after agent")
 
 
-def add_models(parser: argparse.ArgumentParser, automatic: str = "what certifies most") -> None:
+def add_cells(parser: argparse.ArgumentParser, automatic: str = "what certifies most") -> None:
     """Add relation and cells of the finite models; ``automatic`` says what ``auto`` means."""
     parser.add_argument(
         "--relation",
@@ -48,23 +93,22 @@ def add_models(parser: argparse.ArgumentParser, automatic: str = "what certifies
         help=f"auto (default: {automatic}), quick (no comparison), best (no shortcut), exact, linear, "
         "boxes, tube, ellipsoid, paper or path (no grid); AGENT=NAME for single agents",
     )
+    parser.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
+
+
+def add_models(parser: argparse.ArgumentParser, automatic: str = "what certifies most") -> None:
+    """Add relation and cells of the finite models, and what some relations are told besides."""
+    add_cells(parser, automatic)
     parser.add_argument(
         "--delta", type=float, metavar="P", help="failure probability per step and agent of `ellipsoid` or `paper`"
     )
-    parser.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
     parser.add_argument(
         "--targets", type=int, metavar="N", help="target means per cell and axis (default: by relation and dimension)"
     )
 
 
-def add_search(parser: argparse.ArgumentParser) -> None:
-    """Add how cells and policies are searched for."""
-    parser.add_argument(
-        "--memory", metavar="BYTES", help="instead of --cells: the finest that fit (bytes, or with K, M, G)"
-    )
-    parser.add_argument(
-        "--accuracy", type=float, metavar="P", help="instead of --cells: finer until the bound changes by less"
-    )
+def add_effort(parser: argparse.ArgumentParser) -> None:
+    """Add how much is spent on the search, and whether the claim has an upper end."""
     parser.add_argument(
         "--effort",
         type=float,
@@ -74,16 +118,31 @@ def add_search(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, metavar="S", help="the best certificate that the clock leaves time for (no default)"
     )
+    add_above(parser)
+
+
+def add_search(parser: argparse.ArgumentParser) -> None:
+    """Add how cells and policies are searched for."""
+    add_effort(parser)
+    parser.add_argument(
+        "--memory", metavar="BYTES", help="instead of --cells: the finest that fit (bytes, or with K, M, G)"
+    )
+    parser.add_argument(
+        "--accuracy",
+        type=float,
+        metavar="P",
+        help="instead of --cells: finer until the bound changes by less; with --horizon none: longer until then",
+    )
     parser.add_argument(
         "--restarts", type=int, default=0, metavar="N", help="further searches from perturbed plans (default: 0)"
     )
-    parser.add_argument(
-        "--no-deadline",
-        action="store_true",
-        help="stationary policies, and a horizon that is doubled until the bound gains less than --accuracy (1e-6)",
-    )
     parser.add_argument("--stationary", action="store_true", help="policies that do not look at the time")
-    add_above(parser)
+    parser.add_argument(
+        "--starts",
+        type=float,
+        metavar="P",
+        help="along a path: certify a convex set of starts around that of the problem that keep this probability",
+    )
     parser.add_argument(
         "--device",
         default="numpy",
@@ -99,12 +158,17 @@ def add_above(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_trials(parser: argparse.ArgumentParser, episodes: int, per: str = "", confidence: float = 0.999) -> None:
-    """Add how many rollouts are made, from which seed, how sure their limits are, and where they are computed."""
+def add_rollouts(parser: argparse.ArgumentParser, episodes: int, per: str = "") -> None:
+    """Add how many rollouts are made, and from which seed."""
     parser.add_argument(
         "--episodes", type=int, default=episodes, metavar="M", help=f"rollouts{per} (default: {episodes})"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the rollouts (default: 0)")
+
+
+def add_trials(parser: argparse.ArgumentParser, episodes: int, per: str = "", confidence: float = 0.999) -> None:
+    """Add how many rollouts are made, from which seed, how sure their limits are, and where they are computed."""
+    add_rollouts(parser, episodes, per)
     parser.add_argument(
         "--confidence", type=float, default=confidence, metavar="C", help=f"of limits (default: {confidence})"
     )

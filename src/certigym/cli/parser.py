@@ -7,16 +7,22 @@ from typing import Any
 
 from .. import __version__
 from .options import (
+    USUAL,
     add_above,
+    add_cells,
     add_certificate,
+    add_effort,
     add_horizon,
+    add_how_it_starts,
     add_json,
     add_models,
     add_picture,
     add_problem,
+    add_rollouts,
     add_search,
     add_source,
     add_start,
+    add_task,
     add_test,
     add_trials,
 )
@@ -26,7 +32,6 @@ MODULES = {
     "run": "synthesis_commands",
     "synthesize": "synthesis_commands",
     "certify": "learning_commands",
-    "certified-starts": "synthesis_commands",
     "check": "synthesis_commands",
     "validate": "validation_commands",
     "validate-field": "validation_commands",
@@ -96,30 +101,19 @@ def _add_synthesis(commands: Any) -> None:
     describe.add_argument("--split", action="store_true", help="make agents of independent axes agents of their own")
 
     run = commands.add_parser("run", help="synthesize controllers, test their bound by rollouts, print a report")
-    add_problem(run)
-    add_models(run)
-    add_search(run)
-    add_trials(run, 100_000)
-    add_test(run)
-    run.add_argument("--horizons", nargs="+", type=int, metavar="T", help="one row for each of several horizons")
+    add_task(run)
+    add_cells(run)
+    add_effort(run)
+    add_rollouts(run, 100_000)
     run.add_argument("--out", metavar="CERT", help="also save the certificate (.npz)")
+    run.set_defaults(**USUAL)
 
     synthesize = commands.add_parser("synthesize", help="synthesize controllers and save the certificate")
-    add_problem(synthesize)
+    add_task(synthesize)
+    add_how_it_starts(synthesize)
     add_models(synthesize)
     add_search(synthesize)
     synthesize.add_argument("--out", metavar="CERT", required=True, help="certificate file to write (.npz)")
-
-    starts = commands.add_parser(
-        "certified-starts", help="certify a convex set of starts around that of a certificate along a path"
-    )
-    add_certificate(starts)
-    starts.add_argument(
-        "--probability", type=float, required=True, metavar="P", help="success probability that all starts keep"
-    )
-    starts.add_argument("--axes", nargs="+", type=int, metavar="K", help="states that vary (default: all)")
-    starts.add_argument("--rays", type=int, default=64, metavar="N", help="corners that are looked for (default: 64)")
-    starts.add_argument("--out", metavar="HULL", required=True, help="file of the set to write (.npz)")
 
     check = commands.add_parser("check", help="verify a saved certificate by separate code, without simulation")
     add_certificate(check)
@@ -299,7 +293,7 @@ def _add_comparing(commands: Any) -> None:
         metavar="POLICY",
         help="actor (.npz, .zip, .onnx, .pt[@ENV]) or FILE.py:NAME (default: the actor in place of the problem)",
     )
-    certify.add_argument("--raw", action="store_true", help="certify the network itself as it is deployed")
+    certify.add_argument("--as-is", action="store_true", help="certify the network itself as it is deployed")
     add_above(certify)
     certify.add_argument(
         "--repair",

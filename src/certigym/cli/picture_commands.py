@@ -11,7 +11,8 @@ from ..synthesis.certificates import load_certificate
 from ..synthesis.synthesize import synthesize
 from ..validation import figures
 from ..validation.figures import check_format
-from ..validation.verdicts import validate_horizons
+from ..validation.simulation import TrialPlan
+from ..validation.verdicts import each_report
 from .given import cells_of, problem_of, relation_of, show
 from .moving_pictures import Player, check_film, render_episode
 from .policy_words import policy_of_word
@@ -51,8 +52,8 @@ def _horizon_figure(options: Namespace) -> Any:
     problem = _problem(options)
     horizons = options.horizons or range(1, problem.horizon + 1)
     settings = {"cells": cells_of(options), **relation_of(options)}
-    plan = {"episodes": options.episodes or 2000, "seed": options.seed}
-    return figures.horizon_figure(validate_horizons(problem, horizons, **settings, **plan))
+    plan = TrialPlan(options.episodes or 2000, options.seed)
+    return figures.horizon_figure([*each_report(problem, horizons, plan, settings)])
 
 
 def _rollouts_figure(options: Namespace) -> Any:

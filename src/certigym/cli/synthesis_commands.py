@@ -11,20 +11,12 @@ import numpy as np
 from ..envs.agents import Agent, AnyAgent, LinearAgent, Pair, Proposition, counted
 from ..envs.problem import Problem
 from ..envs.suite import make_problem, problem_ids, tier_of_id
-from ..synthesis.balls import check_rigorous
-from ..synthesis.certificates import (
-    is_exact,
-    lasting_bound,
-    load_certificate,
-    save_certificate,
-    shown_bound,
-    start_of_claim,
-)
-from ..synthesis.checking import check as check_certificate
+from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, shown_bound, start_of_claim
 from ..synthesis.checking import safety_rate
-from ..synthesis.nominal_paths import certified_starts as starts_around
+from ..synthesis.in_files import check as check_claim
+from ..synthesis.in_files import load
 from ..synthesis.synthesize import ways_ahead
-from .given import named_problem, problem_of, say, show, write_json
+from .given import is_endless, named_problem, problem_of, say, several_horizons, show, write_json
 from .validation_commands import print_horizons, validate_result
 from .work import synthesized
 
@@ -94,17 +86,17 @@ def _ways(problem: Problem) -> list[str]:
 
 
 def run(options: Namespace) -> int:
-    """Synthesize, check, validate, and print the report; with ``--horizons``, a row for each."""
-    if options.horizons is not None:
-        if options.out or options.horizon is not None:
-            raise ValueError("`--horizons`: expected neither --horizon nor --out beside it; leave them out")
-        return print_horizons(options)
+    """Synthesize, check, validate, and print the report; with several horizons, a row for each."""
+    if (horizons := several_horizons(options)) is not None:
+        if options.out:
+            raise ValueError("`--out`: expected none with several horizons: each has a certificate; leave it out")
+        return print_horizons(options, horizons)
     result = synthesized(options)
     if options.out:
         save_certificate(result.certificate, options.out)
     more = {"certificate": options.out} if options.out else {}
-    told = _lasting(result) if options.no_deadline else {}
-    status = validate_result(options, result, None, check_certificate(result.certificate), more | told)
+    told = _lasting(result) if is_endless(options) else {}
+    status = validate_result(options, result, None, check_claim(result.certificate), more | told)
     return status
 
 
@@ -120,6 +112,8 @@ def _lasting(result: Any) -> dict[str, Any]:
 
 def synthesize(options: Namespace) -> int:
     """Synthesize, save the certificate, and print the claim."""
+    if several_horizons(options) is not None:
+        raise ValueError("`--horizon`: expected one number, or `none`, for one certificate; got several")
     result = synthesized(options)
     certificate = result.certificate
     save_certificate(certificate, options.out)
@@ -145,33 +139,14 @@ def synthesize(options: Namespace) -> int:
     return 0
 
 
-def certified_starts(options: Namespace) -> int:
-    """Certify a set of starts around that of a certificate along a path, and save it."""
-    hull = starts_around(options.certificate, options.probability, options.axes, options.rays)
-    share = hull.proof.share(hull.problem)
-    save_certificate(hull, options.out)
-    summary = {
-        "problem": hull.problem.name,
-        "axes": list(hull.proof.axes),
-        "corners": len(hull.proof.corners),
-        "share": share,
-        "lower_bound": hull.lower_bound,
-        "fingerprint": hull.fingerprint,
-        "certificate": options.out,
-    }
-    claim = f"{shown_bound(hull.lower_bound, None)} from {share:.4f} of the workspace"
-    text = f"{hull.problem.name}, horizon {hull.problem.horizon}: {claim}, {len(hull.proof.corners)} corners"
-    show(options, f"{text}\nsaved to {options.out}", summary)
-    return 0
-
-
 def check(options: Namespace) -> int:
     """Verify a saved certificate without simulation."""
-    certificate = load_certificate(options.certificate)
+    claim = load(options.certificate)
+    certificate = getattr(claim, "certificate", claim)  # a permission is about one, too
     problem = None if options.problem is None else named_problem(options.problem, options.horizon)
     if options.rigorous:
-        return _check_in_balls(options, certificate, problem)
-    report = check_certificate(certificate, problem)
+        return _check_in_balls(options, claim, certificate, problem)
+    report = check_claim(claim, problem)
     # A valid certificate may claim an upper end that is too large a computation to verify; say so.
     unverified = report and report.above is None and certificate.gap is not None
     rest = "; the upper end of the claim would take too large a computation" if unverified else ""
@@ -190,9 +165,9 @@ def check(options: Namespace) -> int:
     return 0 if report else 1
 
 
-def _check_in_balls(options: Namespace, certificate: Any, problem: Any) -> int:
+def _check_in_balls(options: Namespace, claim: Any, certificate: Any, problem: Any) -> int:
     """Verify a certificate's lower bound in ball arithmetic."""
-    report = check_rigorous(certificate, problem)
+    report = check_claim(claim, problem, rigorous=True)
     outcome = {
         "valid": report.valid,
         "lower_bound": report.claimed,

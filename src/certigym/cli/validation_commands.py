@@ -71,7 +71,7 @@ def validate_result(
     return 130 if report.interrupted else int(report.refuted or report.is_invalid)
 
 
-def print_horizons(options: Namespace) -> int:
+def print_horizons(options: Namespace, horizons: Sequence[int]) -> int:
     """Synthesize and validate at several horizons, and print each row when it is ready; Ctrl-C keeps finished rows."""
     problem = problem_of(options)
     settings = {"cells": cells_of(options), **relation_of(options), **budget_of(options), **search_of(options)}
@@ -80,7 +80,7 @@ def print_horizons(options: Namespace) -> int:
     interrupted = False
     with trials(options) as plan:
         try:
-            for report in each_report(problem, options.horizons, plan, settings):
+            for report in each_report(problem, horizons, plan, settings):
                 if report.interrupted:
                     raise KeyboardInterrupt
                 reports.append(report)

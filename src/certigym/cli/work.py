@@ -16,13 +16,12 @@ from tqdm import tqdm
 from ..envs.agents import counted
 from ..envs.problem import Problem
 from ..synthesis.certificates import Synthesis
-from ..synthesis.horizons import without_deadline
 from ..synthesis.search import BAR, shown_on
 from ..synthesis.synthesize import synthesize
 from ..validation.policies import Training
 from ..validation.policies import train as train_baseline
 from ..validation.simulation import TrialPlan, executor_for
-from .given import budget_of, cells_of, problem_of, relation_of, say, search_of
+from .given import budget_of, cells_of, is_endless, problem_of, relation_of, say, search_of
 
 TICK, PATIENCE = 1.0, 3.0
 """Seconds from one showing of the clock to the next, what it counts; and seconds after which a way is told of that
@@ -34,14 +33,11 @@ def synthesized(options: Namespace) -> Synthesis:
     problem, cells = problem_of(options), cells_of(options)
     with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
         report = shown_on(bar)
-        if getattr(options, "no_deadline", False):
-            # --accuracy is about the horizon here
-            asked = search_of(options)
-            gain = {} if options.accuracy is None else {"tolerance": options.accuracy}
-            kept = {name: asked[name] for name in ("restarts", "device")}
-            gain |= {name: value for name, value in budget_of(options).items() if name in ("effort", "seconds")}
-            return without_deadline(problem, cells, **relation_of(options), **kept, **gain, progress=report)
         chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
+        if options.starts is not None:
+            chosen["starts"] = options.starts
+        if is_endless(options):
+            chosen["horizon"] = None
         result = synthesize(problem, cells, **chosen, progress=report)
     record = result.stats.get("cells")
     if isinstance(record, dict):

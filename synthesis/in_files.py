@@ -1,0 +1,121 @@
+"""What is kept in files, whatever it is: ``save`` it, ``load`` it, and ``check`` what it claims."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal, overload
+
+from ..envs.problem import load_problem
+from .balls import RigorousReport, check_rigorous
+from .bridges import is_written_policy, save_policy
+from .certificates import Certificate, Synthesis, load_certificate, save_certificate
+from .checking import CheckReport
+from .checking import check as check_certificate
+from .permissions import Permission, check_permission, is_permission_file, load_permission, save_permission
+
+
+def save(kept: Any, path: str | Path, *, agent: str | None = None) -> Path:
+    """Write what has a file to ``path``, completely or not at all; return it.
+
+    Parameters
+    ----------
+    kept : Certificate, Synthesis or Permission; or a policy, if the path ends in ``.onnx`` or ``.h``
+        Certificates and permissions become ``.npz`` files, which ``load`` and ``check`` read. A policy becomes a file
+        that runs elsewhere: ``.onnx`` for networks, as a graph from rows (N, n) to actions (N, m), float32 (the extra
+        ``onnx``), which ``as_policy`` reads; ``.h`` for the tables of certified controllers of the relations ``exact``
+        and ``linear`` as C, with the same inputs to the last bit.
+    path : str or Path
+    agent : str, optional
+        Whose policy, if the path is that of one: needed for ONNX where agents have networks of their own.
+
+    Raises
+    ------
+    ValueError
+        If it has no file, or not one of that form.
+    """
+    if is_written_policy(path):
+        save_policy(kept, path, agent)
+    elif agent is not None:
+        raise ValueError(f"`agent`: expected none for `{path}`, which holds no policy; leave it out")
+    elif isinstance(kept, Permission):
+        save_permission(kept, path)
+    elif isinstance(kept, Certificate | Synthesis):
+        save_certificate(kept, path)
+    else:
+        raise ValueError(
+            f"`kept`: expected a certificate or a permission for `{path}`, got {type(kept).__name__}; make one with "
+            "`synthesize`, `certify` or `permit`; policies are saved as .onnx or .h"
+        )
+    return Path(path)
+
+
+def load(path: str | Path, max_bytes: int | None = None) -> Any:
+    """Return what a file holds: a Problem (``.toml``), a Certificate or a Permission (``.npz``).
+
+    What is read is well-formed, and nothing it claims is trusted: its numbers are what the file says until ``check``
+    has verified them. Certificates of 0.1 and 0.2 are read as well.
+
+    Parameters
+    ----------
+    path : str or Path
+    max_bytes : int, optional
+        Largest size, packed or unpacked, of a certificate that is read (default: 2 GiB).
+
+    Raises
+    ------
+    ValueError
+        If the file holds none of these, or one that is damaged or inconsistent.
+    OSError
+        If it cannot be read.
+    """
+    if Path(path).suffix == ".toml":
+        return load_problem(path)
+    if is_permission_file(path):
+        return load_permission(path)
+    return load_certificate(path) if max_bytes is None else load_certificate(path, max_bytes)
+
+
+@overload
+def check(claim: Any, problem: Any = None, *, rigorous: Literal[False] = False) -> CheckReport: ...
+
+
+@overload
+def check(claim: Any, problem: Any = None, *, rigorous: Literal[True]) -> RigorousReport: ...
+
+
+@overload
+def check(claim: Any, problem: Any = None, *, rigorous: bool) -> CheckReport | RigorousReport: ...
+
+
+def check(claim: Any, problem: Any = None, *, rigorous: bool = False) -> CheckReport | RigorousReport:
+    """Verify what a certificate or a permission claims, by separate code that no search reaches.
+
+    Parameters
+    ----------
+    claim : Synthesis, Certificate, Permission, or path of one
+    problem : Problem, id or path, optional
+        What is claimed must have been made for exactly this problem (fingerprint); by default the one inside it.
+    rigorous : bool
+        Whether every number that the check takes from libraries is proved in ball arithmetic, too (the extra
+        ``rigorous``): a proof down to the last bit, of the lower bound of a certificate.
+
+    Returns
+    -------
+    CheckReport or RigorousReport
+        Truthy if the lower bounds were verified: at the start and, factor by factor, elsewhere; and the upper end of
+        the claim (``gap``) where it has one, unless ``above`` is None. Of a permission: that every behaviour within
+        its menus keeps the bound.
+
+    Raises
+    ------
+    ValueError
+        If it is none of these; if ``rigorous`` is asked for and python-flint is not installed, or nothing of that kind
+        can be proved in balls.
+    """
+    if isinstance(claim, str | Path) and is_permission_file(claim):
+        claim = load_permission(claim)
+    if isinstance(claim, Permission):
+        if rigorous:
+            raise ValueError("`rigorous`: expected a certificate to prove in balls, got a permission; leave it out")
+        return check_permission(claim, problem)
+    return check_rigorous(claim, problem) if rigorous else check_certificate(claim, problem)
