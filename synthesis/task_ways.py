@@ -25,6 +25,7 @@ from .choosing import (
     Way,
     best_of,
     box_work,
+    cells_where_scarce,
     finer_levels,
     first_cells,
     has_linear_cells,
@@ -218,8 +219,8 @@ def path_way(problem: Problem, plan: Plan) -> Way:
 def _exact(problem: Problem, plan: Plan) -> Way:
     """Return the way of agents of several states whose inputs reach all means: often nothing is left to gain.
 
-    Linear agents have default cells; those with expressions, whose targets are judged one by one, half as many along
-    each axis.
+    Linear agents have as many cells as by default, narrower where inputs are scarce; those with expressions, whose
+    targets are judged one by one, half as many along each axis.
     """
     kinds = ["exact"] * problem.n_agents
     halves = {
@@ -228,7 +229,7 @@ def _exact(problem: Problem, plan: Plan) -> Way:
         if isinstance(agent, Agent)
     }
     try:
-        abstraction = abstraction_of(problem, halves or None, kinds, plan.settings)
+        abstraction = abstraction_of(problem, halves | cells_where_scarce(problem) or None, kinds, plan.settings)
     except RelationRefused as error:
         return refused("exact", error)
     return Way("exact", lambda results: _of_models(problem, abstraction, plan), work_of(abstraction, problem))

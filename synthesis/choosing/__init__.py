@@ -5,6 +5,7 @@ from .effort import Effort
 from .given_start import policies_from, settings_of
 from .levels import Run, box_work, finer_levels, first_cells, linear_levels, linear_work, work_of
 from .relation_choice import Tries, groups_of, has_linear_cells
+from .scarce_inputs import cells_where_scarce
 from .ways import GOOD, SOLVED, Results, Way, best_of, in_order, leading, refused, with_settings
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "Way",
     "best_of",
     "box_work",
+    "cells_where_scarce",
     "finer_levels",
     "first_cells",
     "groups_of",
