@@ -91,7 +91,7 @@ class NonlinearSearch:
         shared = problem.shared_noise[i]
         self.model = NonlinearModel(self.agent, shared if np.any(shared) else None)
         self.rng = np.random.default_rng([20261123, i])
-        self.tried = 0
+        self.tried, self.tries_inputs = 0, False
         agent = self.agent
         self.width = agent.state_high - agent.state_low
         self.half = np.maximum(0.5 * (agent.input_high - agent.input_low), 1e-9)
@@ -122,7 +122,7 @@ class NonlinearSearch:
                     break
             if best is not None and (best.score < np.log(0.5) or best.score > bar):
                 return best
-        run = tried_run(self.problem, self.model, letters, start, self.work)
+        run = tried_run(self.problem, self.model, letters, start, self.work) if self.tries_inputs else None
         if run is not None:
             seen, _ = self.model.outputs(rolled(self.model, start, run))
             found = self._along(letters, seen, run, warm)
