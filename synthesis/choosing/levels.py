@@ -22,6 +22,8 @@ from ...envs.problem import Problem
 from ..cells import MOST_CELLS, RelationRefused, agent_grid, deviations_of, grid_laws, region_boundaries
 from ..certificates import Synthesis
 from ..models import (
+    MOST_SCALED,
+    MOST_SCALES,
     Abstraction,
     BoxChoices,
     Policies,
@@ -202,6 +204,9 @@ def box_work(problem: Problem, cells: Mapping[str, tuple[int, ...]]) -> float:
             grid, coordinates = agent_grid(problem, problem.agent_names.index(agent.name), cells[agent.name])
             points = points_per_cell(grid, grid_laws(agent, coordinates))
             lattice = math.prod(n * count for n, count in zip(grid.shape, points, strict=True))
+            if agent.noise_scale is not None:
+                lattice = max(lattice, min(lattice * MOST_SCALES, MOST_SCALED))
+                total += lattice * max(grid.shape) / MULTIPLICATIONS_PER_SECOND
             total += lattice / LATTICE_PER_SECOND + grid.n_cells / BoxChoices.read_per_second
     return READINGS * problem.horizon * int((~problem.automaton.absorbing).sum()) * total
 

@@ -83,10 +83,12 @@ class TeamModel:
             groups.setdefault(i if ties[i] else key_of(model.agent), []).append(i)
         self.alike = []
         for members in groups.values():
-            places = [np.array([first[i, k] + np.arange(sizes[i][k]) for i in members]) for k in range(3)]
+            states, inputs, outputs = (
+                np.array([first[i, k] + np.arange(sizes[i][k]) for i in members]) for k in range(3)
+            )
             d, m, _ = sizes[members[0]]
             named = tuple((d + m + k, int(first[j, 0]) + state) for k, j, state in ties[members[0]])
-            self.alike.append(_Alike(models[members[0]], *places, named))
+            self.alike.append(_Alike(models[members[0]], states, inputs, outputs, named))
         self.agent = TeamBounds(
             np.concatenate([agent.state_low for agent in agents]),
             np.concatenate([agent.state_high for agent in agents]),

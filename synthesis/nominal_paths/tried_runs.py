@@ -11,6 +11,7 @@ are when the agent has time for them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -68,13 +69,12 @@ def tried_run(
         return places.cost(x, spare), q
 
     steps = len(letters) - 1
-    *_, last = _explored(model, (start, 0), steps, read, work)
-    return None if last is None else last.inputs(int(np.argmin(last.total)))
+    fronts = [*_explored(model, (start, 0), steps, read, work)]
+    return fronts[-1].inputs(int(np.argmin(fronts[-1].total))) if len(fronts) == steps else None
 
 
 def plans_of_runs(problem: Problem) -> Iterator[Plan]:
-    """Yield the plan of a run that the automaton accepts, for problems of one agent of few states; none if none is
-    found."""
+    """Yield the plan of a run that the automaton accepts, if one is found, of problems of one agent of few states."""
     agent, automaton, q = problem.agents[0], problem.automaton, problem.initial_q
     if problem.n_agents > 1 or agent.n_states not in CELLS or not agent.n_inputs or q is None:
         return
@@ -87,15 +87,15 @@ def plans_of_runs(problem: Problem) -> Iterator[Plan]:
         return np.where(automaton.dead[q], np.inf, cost), q
 
     model, start = NonlinearModel(agent), 0.5 * (agent.initial.low + agent.initial.high)
-    best: tuple[float, FloatArray] | None = None
-    for front in _explored(model, (start, q), problem.horizon, read, CountedWork(), automaton.finished):
-        if front is None or not (automaton.is_co_safe or front.is_last):
-            continue
-        total = np.where(automaton.accepting[front.q], front.total, np.inf)
-        if len(total) and (least := int(np.argmin(total))) >= 0 and total[least] < (np.inf if best is None else best[0]):
-            best = float(total[least]), front.inputs(least)
-    if best is not None:
-        yield from _plan_along(problem, model, start, best[1])
+    cheapest, inputs = np.inf, np.zeros((0, agent.n_inputs))
+    fronts = _explored(model, (start, q), problem.horizon, read, CountedWork(), automaton.finished)
+    for t, front in enumerate(fronts, start=1):
+        if automaton.is_co_safe or t == problem.horizon:
+            total = np.where(automaton.accepting[front.q], front.total, np.inf)
+            at = int(np.argmin(total))
+            if total[at] < cheapest:
+                cheapest, inputs = float(total[at]), front.inputs(at)
+    yield from _plan_along(problem, model, start, inputs)
 
 
 def _plan_along(problem: Problem, model: NonlinearModel, start: FloatArray, inputs: FloatArray) -> Iterator[Plan]:
@@ -121,22 +121,22 @@ def _plan_along(problem: Problem, model: NonlinearModel, start: FloatArray, inpu
         yield Plan(Way(read, read[1:]), times, len(cubes))
 
 
+@dataclass(frozen=True, eq=False)
 class _Front:
-    """States that were come to at a time, the cheapest of each cell, and how."""
+    """Automaton states (n,) of runs that were come to at a time, what the runs cost (n,), and how they came, by steps:
+    numbers of runs (n,) one step before, and inputs (m, n)."""
 
-    def __init__(
-        self, x: FloatArray, q: NDArray[np.int64], total: FloatArray, came: list[tuple[NDArray[np.int64], FloatArray]],
-        is_last: bool,
-    ) -> None:  # fmt: skip
-        self.x, self.q, self.total, self.came, self.is_last = x, q, total, came, is_last
+    q: NDArray[np.int64]
+    total: FloatArray
+    came: tuple[tuple[NDArray[np.int64], FloatArray], ...]
 
     def inputs(self, at: int) -> FloatArray:
-        """Return the inputs (t, m) that led to one of the states."""
+        """Return the inputs (t, m) of one run."""
         found = list[FloatArray]()
         for parents, inputs in reversed(self.came):
-            found.append(inputs[:, at].T)
+            found.append(inputs[:, at])
             at = int(parents[at])
-        return np.concatenate([np.repeat(u[None], 1, axis=0) for u in found[::-1]])
+        return np.array(found[::-1])
 
 
 def _explored(
@@ -146,8 +146,8 @@ def _explored(
     read: Read,
     work: CountedWork,
     over: NDArray[np.bool_] | None = None,
-) -> Iterator[_Front | None]:
-    """Yield the states that are come to after each step; None, once, where there are none.
+) -> Iterator[_Front]:
+    """Yield the runs after each step, as long as there are any.
 
     From automaton states that are ``over`` nothing is gone on with.
     """
@@ -181,10 +181,9 @@ def _explored(
         usable = np.isfinite(total)
         x, q, total, u, push = x[:, usable], q[usable], total[usable], u[:, usable], push[usable]
         if not len(total):
-            yield None
             return
         came.append((parents[usable], u))
-        yield _Front(x, q, total, [*came], t == steps)
+        yield _Front(q, total, tuple(came))
         if over is not None and np.any(over[q]):
             going = ~over[q]
             if not going.any():
@@ -210,7 +209,7 @@ class _Places:
         self.spans = spans_of(agent)[:, None]
 
     def depths(self, t: int, x: FloatArray) -> list[FloatArray]:
-        """Return how deep (n,) in each of its regions states (d, n) are, as a share of ranges; outside it is below 0."""
+        """Return how deep (n,) in each region states (d, n) are, as shares of ranges; below 0 outside."""
         outputs, result = self.agent.outputs(x), list[FloatArray]()
         for low, high in self.corners:
             beyond = np.minimum(outputs - low[t][:, None], high[t][:, None] - outputs) / self.spans
