@@ -153,7 +153,9 @@ class _Apart:
 
     def with_tried_inputs(self) -> None:
         """Look for paths of the best plan, and along a run that the automaton accepts, from inputs that were tried."""
+        # Feedbacks that were the best of hopeless plans are nothing to begin with.
         self.known.clear()
+        self.warm = [None] * len(self.searches)
         for search in self.searches:
             search.tries_inputs = True
         for plan in (*([] if self.best is None else [self.best[1]]), *plans_of_runs(self.problem)):
@@ -347,7 +349,7 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
                 break
         if team.best is not None and (team.best[0] < HARDLY or work.is_over()):
             break
-    if team.best is None or (team.best[0] >= HARDLY and not work.is_over()):
+    if team.best is None or team.best[0] >= HARDLY:
         team.with_tried_inputs()
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""

@@ -30,7 +30,7 @@ from .words import Cube, Plan, Way, cubes_of
 CELLS = {1: 200, 2: 60, 3: 24}
 """Cells per axis, by the number of states: of more states cells say too little of where one is."""
 
-LEVELS, OFFERED = {1: 9, 2: 5}, 3
+LEVELS, OFFERED = {1: 7, 2: 3}, 3
 """Levels of each input, by their number, and beyond."""
 
 DECISIONS = 20
@@ -168,7 +168,7 @@ def _explored(
             numbers = np.ravel_multi_index((q, *cells), (int(q.max()) + 1, *(count,) * d))
             order = np.lexsort((total, numbers))
             kept = order[np.flatnonzero(np.diff(numbers[order], prepend=-1))]
-            kept = kept[np.argsort(total[kept], kind="stable")[:most]]
+            kept = kept[np.argsort(_ranks(q[kept], total[kept]), kind="stable")[:most]]
             parents = np.repeat(kept, k)
             u, push = np.tile(menu, len(kept)), np.tile(effort, len(kept))
         else:
@@ -190,6 +190,15 @@ def _explored(
                 return
             x, q, total, u, push = x[:, going], q[going], total[going], u[:, going], push[going]
             came[-1] = came[-1][0][going], u
+
+
+def _ranks(q: NDArray[np.int64], total: FloatArray) -> NDArray[np.int64]:
+    """Return how many runs (n,) in the same automaton state are cheaper: the cheapest of all wait where they are."""
+    order = np.lexsort((total, q))
+    firsts = np.flatnonzero(np.diff(q[order], prepend=-1))
+    ranks = np.empty(len(q), dtype=np.int64)
+    ranks[order] = np.arange(len(q)) - np.repeat(firsts, np.diff(firsts, append=len(q)))
+    return ranks
 
 
 def _menu(agent: AnyAgent) -> FloatArray:
