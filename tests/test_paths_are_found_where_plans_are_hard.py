@@ -1,4 +1,7 @@
-"""Nominal paths are found where others are named, where slopes lead nowhere, and where there is no room on one side."""
+"""Nominal paths are found where others are named, where slopes lead nowhere, and where there is no room on one side.
+
+Noise that grows from next to nothing has tables that fit, and cells to begin with.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import AgentPart, axis_tables, changed
+from certigym.synthesis.choosing import first_cells
 from certigym.synthesis.models import box_model
 from certigym.synthesis.nominal_paths import CountedWork, path_certificate
 from certigym.synthesis.nominal_paths.feedback_bounds import Feedback, NominalPath, _Walk
@@ -40,7 +44,7 @@ def chase(horizon: int = 10) -> cg.Problem:
         name="wolf", dynamics=["x + 0.2*(hare.x - x)", "y + 0.2*(hare.y - y)"], noise=[noise(0.05)] * 2,
         initial_state=[0.5, 2.5], **PLANE,
     )  # fmt: skip
-    regions = {
+    regions: dict[str, Any] = {
         "burrow": cg.Proposition("hare", [2, -1], [4, 1]),
         "caught": cg.Pair(["hare", "wolf"], distance=0.6),
     }
@@ -182,3 +186,9 @@ def test_noise_that_is_next_to_nothing_in_few_cells_asks_for_no_finer_lattice() 
     assert len(result.certificate.proof.agents[0].lattice[1]) < 1000
     assert result.certificate.lower_bound > 0.99
     assert cg.check(result.certificate)
+
+
+def test_first_cells_are_widened_no_further_than_they_can_be() -> None:
+    problem = growing().replace(horizon=100_000)
+    (cells,) = (first_cells(problem) or {}).values()
+    assert 8 <= cells[0] <= 100
