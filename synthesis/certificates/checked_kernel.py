@@ -104,9 +104,12 @@ def _uneven_tables(agent: AnyAgent, part: AgentPart, deviations: FloatArray) -> 
             normal = partial(_gaussian_masses, edges, deviation=float(deviations[k]))
             tables.append(_over_windings(agent, k, points["mean", k], normal))
         else:
-            scales = np.exp(points.get(("scale", k), np.zeros(1)))
-            laws = [partial(lawful_masses, agent.laws[k], edges, scale=scale) for scale in scales]
-            tables.append(np.concatenate([_over_windings(agent, k, points["mean", k], law) for law in laws]))
+            scales, means = np.exp(points.get(("scale", k), np.zeros(1))), points["mean", k]
+            # There is room for one such table, not for two.
+            table = np.empty((len(scales), len(means), len(edges) - 1))
+            for own, scale in zip(table, scales, strict=True):
+                own[...] = _over_windings(agent, k, means, partial(lawful_masses, agent.laws[k], edges, scale=scale))
+            tables.append(table.reshape(-1, len(edges) - 1))
     return tables
 
 

@@ -22,6 +22,8 @@ from ...envs.problem import Problem
 from ..cells import MOST_CELLS, RelationRefused, agent_grid, deviations_of, grid_laws, region_boundaries
 from ..certificates import Synthesis
 from ..models import (
+    MOST_SCALED,
+    MOST_SCALES,
     Abstraction,
     BoxChoices,
     Policies,
@@ -45,6 +47,9 @@ FIRST_TUBE_WIDTH = 2.0
 WIDER, MOST_FIRST_WORK = 1.25, 40.0
 """By how much these first cells are widened until they take no more work than this: where noise is small against the
 workspace they would be many, and certify nothing, either."""
+
+MOST_WIDENINGS = 16
+"""How often they are made wider: beyond, cells are as few as can be, and long horizons take what they take."""
 
 FINER = (2.0, 1.5, 1.25)
 """By how much cells are made finer: the most that time allows for; less than the first is tried only once."""
@@ -179,9 +184,9 @@ def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
             reached[agent.model_key] = reaches_every_mean(agent)
     if all(reached.values()):
         return None
-    width = FIRST_TUBE_WIDTH
-    while True:
-        fitting = cells_at(problem, 1.0 / width, ["tube"] * problem.n_agents)
+    cells: dict[str, tuple[int, ...]] = {}
+    for number in range(MOST_WIDENINGS + 1):
+        fitting = cells_at(problem, 1.0 / (FIRST_TUBE_WIDTH * WIDER**number), ["tube"] * problem.n_agents)
         cells = {
             agent.name: fitting[agent.name].shape
             for agent in problem.agents
@@ -190,8 +195,8 @@ def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
             and math.prod(fitting[agent.name].shape) <= MOST_CELLS  # others have default cells, which always fit
         }
         if box_work(problem, cells) <= MOST_FIRST_WORK:
-            return cells or None
-        width *= WIDER
+            break
+    return cells or None
 
 
 def box_work(problem: Problem, cells: Mapping[str, tuple[int, ...]]) -> float:
@@ -202,6 +207,9 @@ def box_work(problem: Problem, cells: Mapping[str, tuple[int, ...]]) -> float:
             grid, coordinates = agent_grid(problem, problem.agent_names.index(agent.name), cells[agent.name])
             points = points_per_cell(grid, grid_laws(agent, coordinates))
             lattice = math.prod(n * count for n, count in zip(grid.shape, points, strict=True))
+            if agent.noise_scale is not None:
+                lattice = max(lattice, min(lattice * MOST_SCALES, MOST_SCALED))
+                total += lattice * max(grid.shape) / MULTIPLICATIONS_PER_SECOND
             total += lattice / LATTICE_PER_SECOND + grid.n_cells / BoxChoices.read_per_second
     return READINGS * problem.horizon * int((~problem.automaton.absorbing).sum()) * total
 

@@ -17,7 +17,7 @@ from .abstraction import (
 from .agent_models import SNAPPED_POINTS, has_full_rank, reaches_every_mean
 from .bends import Bends
 from .box_choices import BoxChoices
-from .box_kernel import BoxKernel, points_per_cell
+from .box_kernel import MOST_SCALED, MOST_SCALES, BoxKernel, points_per_cell
 from .box_model import INPUT_LEVELS
 from .choices import TIE, Choices, Policies, StepPolicy, best_offered, gather, shifted
 from .common_choices import CommonGroup, common_inputs_of
@@ -30,6 +30,8 @@ from .network_model import network_abstraction, network_tables
 from .target_windows import BAND_BYTES, TargetWindows
 
 __all__ = [
+    "MOST_SCALES",
+    "MOST_SCALED",
     "Abstraction",
     "AgentModel",
     "BAND_BYTES",

@@ -251,6 +251,8 @@ def reaches_every_mean(agent: AnyAgent) -> bool:
         return False  # only mean boxes have masses over all windings
     if agent.has_clock:
         return False  # targets would have to be solved for at every step by itself
+    if not agent.has_plain_noise:
+        return False  # only mean boxes know noise that varies, or is none
     try:
         return bool(written_targets(agent, agent.noise_axes if agent.laws is not None else np.eye(agent.n_states)))
     except RelationRefused:

@@ -284,7 +284,7 @@ LEAST_LEVELS, LEAST_STEP = 3, 1e-3
 LEVELS_OF_A_CELL = 6.0
 """Levels within the scales of one cell beyond which more are not worth it: the least value over them costs more."""
 
-MOST_SCALED, MOST_LEVELS = 3_000_000, 128
+MOST_SCALED, MOST_SCALES = 3_000_000, 128
 """Lattice points, and combinations of scales, up to which scales get more levels."""
 
 

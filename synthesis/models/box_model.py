@@ -24,7 +24,7 @@ from ..cells import (
 )
 from ..relations import BoxRelation, CommonMeans, WrittenMeans, box_relation
 from .box_choices import BoxChoices, box_choices
-from .box_kernel import MOST_LEVELS, MOST_SCALED, BoxKernel, box_kernel, box_lattice, points_per_cell, scale_levels
+from .box_kernel import MOST_SCALED, MOST_SCALES, BoxKernel, box_kernel, box_lattice, points_per_cell, scale_levels
 
 INPUT_LEVELS = {1: 17, 2: 7, 3: 4}
 """Levels of each input, by the number of inputs; 3 beyond."""
@@ -56,6 +56,13 @@ MOST_BOXES = 20_000_000
 MOST_LATTICE = 50_000_000
 """Most lattice points of an agent: 400 MB for each factor."""
 
+MOST_MASSES = 60_000_000
+"""Masses of cells around the lattice points of one state, up to which its noise gets more scales: 480 MB."""
+
+FEW = 0.1
+"""Share of the cells whose noise may be so small that the lattice is coarse for it: it may be next to nothing where a
+population is, and would ask for many times the points."""
+
 
 def box_model(
     agent: AnyAgent,
@@ -68,8 +75,8 @@ def box_model(
     relation = relation_of(agent, grid, coordinates) if relation is None else relation
     menu, gains = relation.menu, relation.gains
     laws, spread = grid_laws(agent, coordinates), scale_range(agent, relation, grid)
-    if spread is not None:  # the lattice of the means is made for the smallest noise
-        smallest = [law.scaled(least) for law, least in zip(laws, spread[0].tolist(), strict=True)]
+    if spread is not None:  # the lattice of the means is made for the smallest noise, but for that of a few cells
+        smallest = [law.scaled(least) for law, least in zip(laws, spread[3].tolist(), strict=True)]
     else:
         smallest = list(laws)
     deviations = np.sqrt(np.diag(agent.noise_covariance)) if spread is not None else np.array([w.std for w in laws])
@@ -93,8 +100,9 @@ def box_model(
     by_kind = {"mean": lambda k: means[k], "cell": lambda k: cell_points(grid.shape[k])}
     if spread is not None:
         n_scaled = sum(axis.kind == "scale" for axis in axes)
-        levels = min(MOST_LEVELS, MOST_SCALED / math.prod(map(len, means))) ** (1.0 / max(1, n_scaled))
-        least, most, usual = (numbers.tolist() for numbers in spread)
+        levels = min(MOST_SCALES, MOST_SCALED / math.prod(map(len, means))) ** (1.0 / max(1, n_scaled))
+        levels = min(levels, *(MOST_MASSES / (len(axis) * n) for axis, n in zip(means, grid.shape, strict=True)))
+        least, most, usual = (numbers.tolist() for numbers in spread[:3])
         by_kind["scale"] = lambda k: scale_levels(least[k], most[k], usual[k], laws[k], levels)
     lattice = tuple(by_kind[axis.kind](axis.state) for axis in axes)
     choices = box_choices(grid, lattice, relation, axes)
@@ -105,15 +113,16 @@ def box_model(
     return relation, lattice, box_kernel(grid, lattice, laws, axes, agent.wrapped_axes.tolist()), choices
 
 
-def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return least and largest positive scales (d,) of the noise, and how much logarithms vary in a cell on average.
+def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[FloatArray, ...] | None:
+    """Return numbers (d,): least and largest positive scales of the noise, how much logarithms vary in a cell on
+    average, and the scale that all but a ``FEW`` of the cells are above.
 
     None if the noise is the same everywhere.
     """
     if agent.noise_scale is None:
         return None
     least, most = np.full(agent.n_states, np.inf), np.zeros(agent.n_states)
-    within = list[FloatArray]()
+    within, smallest = list[FloatArray](), list[FloatArray]()
     for first in range(0, grid.n_cells, CELLS_AT_ONCE):
         block = slice(first, first + CELLS_AT_ONCE)
         scales = relation.scales(grid.low[block], grid.high[block])
@@ -122,6 +131,7 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
         least = np.minimum(least, scales[0][usable].min(axis=0, initial=np.inf))
         most = np.maximum(most, scales[1][usable].max(axis=0, initial=0.0))
         within.append(np.log(scales[1][usable] / scales[0][usable]))
+        smallest.append(scales[0][usable])
     if not np.all(most > 0.0):
         raise RelationRefused(f"agent `{agent.name}`: no cell is seen to have a positive `noise_scale`")
     for law, low, high, text in zip(agent.laws or (), least, most, agent.noise_scale, strict=True):
@@ -133,7 +143,7 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
                 f"{law.std * low:.3g} to {law.std * high:.3g}; expected from {LEAST_DEVIATION:g} to {MOST_DEVIATION:g} "
                 "on the workspace; bound the expression, or make the workspace smaller"
             )
-    return least, most, np.mean(np.concatenate(within), axis=0)
+    return least, most, np.mean(np.concatenate(within), axis=0), np.quantile(np.concatenate(smallest), FEW, axis=0)
 
 
 def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:

@@ -205,11 +205,15 @@ class _Walk:
         steps, d = self.steps, self.d
         self.products = np.zeros((self.n, steps + 1, d, d))
         self.drifts, self.shifts = np.zeros((2, self.n, steps + 1, d))
-        # The set of starts stands before the first remainder.
+        # The set of starts stands before the first remainder. Steps that leave none, as those of linear agents do, have
+        # no place here: what they round has a covariance.
         self.products[:, 0] = np.eye(d)
+        self.keeps_all = self.model.tail == Tail.LONG or self.shared is not None
+        self.faint = np.zeros((self.n, d, d))
         starts = [np.maximum(p.model.agent.initial.high - p.states[0], p.states[0] - p.model.agent.initial.low)
                   for p in paths]  # fmt: skip
         self.drifts[:, 0] = np.array(starts)[which]
+        self.count = int(self.keeps_all or bool(np.any(self.drifts[:, 0])))
         self.covariance, self.each_noise = np.zeros((self.n, d, d)), np.zeros((self.n, steps, d, d))
         self.worth = Worth(tail=self.model.tail, lost=steps * self.model.lost)
         width = agent.state_high - agent.state_low
@@ -220,9 +224,12 @@ class _Walk:
     def of_rows(self, t: int, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return shifts, drifts and variances (N, J) of rows (J, d) or (N, J, d) at time t."""
         rows = np.broadcast_to(rows, (self.n, *rows.shape[-2:]))
-        moved = np.matmul(rows[:, None], self.products[:, : t + 1])
-        shift = np.einsum("nsjd,nsd->nj", moved, self.shifts[:, : t + 1])
-        drift = np.einsum("nsjd,nsd->nj", np.abs(moved), self.drifts[:, : t + 1])
+        moved = np.matmul(rows[:, None], self.products[:, : self.count])
+        shift = np.einsum("nsjd,nsd->nj", moved, self.shifts[:, : self.count])
+        drift = np.einsum("nsjd,nsd->nj", np.abs(moved), self.drifts[:, : self.count])
+        # A sum of t d numbers is at most the root of t d times the sum of their squares.
+        faint = np.maximum(np.sum(np.matmul(rows, self.faint) * rows, axis=2), 0.0)
+        drift = drift + np.sqrt(t * self.d * faint)
         return shift, drift * OUTWARD, np.sum(np.matmul(rows, self.covariance) * rows, axis=2)
 
     def largest(self, t: int, rows: FloatArray) -> FloatArray | None:
@@ -386,14 +393,21 @@ class _Walk:
         # What is lost stays so; numbers remain finite, so that scores can be compared.
         is_known = np.isfinite(off) & np.isfinite(middle) & (np.abs(middle) < self.lost)
         middle = np.where(is_known, middle, 0.0)
-        off = np.where(is_known, np.minimum(off, self.lost), self.lost) + 1e-13 * width
-        closed = A + np.matmul(B, gain)
-        self.products[:, : t + 1] = np.clip(np.matmul(closed[:, None], self.products[:, : t + 1]), -1e30, 1e30)
-        self.products[:, t + 1] = np.eye(d)
-        self.shifts[:, t + 1], self.drifts[:, t + 1], self.each_noise[:, t] = middle, off, noise
-        covariance = np.matmul(np.matmul(closed, self.covariance), closed.swapaxes(1, 2)) + noise
-        self.covariance = np.clip(covariance, -1e60, 1e60)
+        off = np.where(is_known, np.minimum(off, self.lost), self.lost)
+        closed, k = A + np.matmul(B, gain), self.count
+        self.products[:, :k] = np.clip(np.matmul(closed[:, None], self.products[:, :k]), -1e30, 1e30)
+        if self.keeps_all or np.any(off) or np.any(middle):
+            self.products[:, k] = np.eye(d)
+            self.shifts[:, k], self.drifts[:, k], self.each_noise[:, t] = middle, off, noise
+            self.count += 1
+        self.faint = _moved(self.faint, closed) + np.diag((1e-13 * width) ** 2)
+        self.covariance = _moved(self.covariance, closed) + noise
         return sd, drift, shift, np.concatenate([slab, noise_slab], axis=1)
+
+
+def _moved(covariance: FloatArray, closed: FloatArray) -> FloatArray:
+    """Return covariances (N, d, d) after a step of closed loops (N, d, d), as far as numbers reach."""
+    return np.clip(np.matmul(np.matmul(closed, covariance), closed.swapaxes(1, 2)), -1e60, 1e60)
 
 
 def both_sources(first: FloatArray, second: FloatArray) -> FloatArray:

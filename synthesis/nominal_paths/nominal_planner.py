@@ -63,6 +63,14 @@ class Aim:
         return bool(np.any(self.weight)) or bool(len(self.limits.limited)) or bool(self.pairs)
 
 
+def rolled(model: NonlinearModel, start: FloatArray, inputs: FloatArray) -> FloatArray:
+    """Return the states (S + 1, d) that inputs (S, m) lead to from a start (d,)."""
+    states = [start]
+    for t, u in enumerate(inputs):
+        states.append(model.step(states[-1][:, None], u[:, None], t)[:, 0])
+    return np.array(states)
+
+
 class Planner:
     """Plans for one agent and one aim; what they take is counted."""
 
@@ -74,10 +82,7 @@ class Planner:
 
     def rolled(self, inputs: FloatArray) -> FloatArray:
         """Return the states (S + 1, d) that inputs (S, m) lead to."""
-        states = [self.start]
-        for t, u in enumerate(inputs):
-            states.append(self.model.step(states[-1][:, None], u[:, None], t)[:, 0])
-        return np.array(states)
+        return rolled(self.model, self.start, inputs)
 
     def cost(self, states: FloatArray, inputs: FloatArray) -> FloatArray:
         """Return the costs (n,) of states (S + 1, d, n) and inputs (S, m, n)."""

@@ -20,10 +20,11 @@ from .coarse_ways import guesses
 from .counted_work import CountedWork
 from .feedback_bounds import Feedback, NominalPath, Spreads, worth_of
 from .limit_rows import Worth
-from .nominal_planner import Aim, Planner
+from .nominal_planner import Aim, Planner, rolled
 from .nonlinear_model import NonlinearModel
 from .path_limits import limits_along, sides_of
 from .regulators import regulators
+from .tried_runs import tried_run
 
 BATCH = 24
 """Candidates that are looked at at once."""
@@ -90,7 +91,7 @@ class NonlinearSearch:
         shared = problem.shared_noise[i]
         self.model = NonlinearModel(self.agent, shared if np.any(shared) else None)
         self.rng = np.random.default_rng([20261123, i])
-        self.tried = 0
+        self.tried, self.tries_inputs = 0, False
         agent = self.agent
         self.width = agent.state_high - agent.state_low
         self.half = np.maximum(0.5 * (agent.input_high - agent.input_low), 1e-9)
@@ -120,7 +121,12 @@ class NonlinearSearch:
                 if best is not None and best.score < WELL:
                     break
             if best is not None and (best.score < np.log(0.5) or best.score > bar):
-                break
+                return best
+        run = tried_run(self.problem, self.model, letters, start, self.work) if self.tries_inputs else None
+        if run is not None:
+            seen, _ = self.model.outputs(rolled(self.model, start, run))
+            found = self._along(letters, seen, run, warm)
+            best = min([one for one in (best, found) if one is not None], key=lambda one: one.score, default=None)
         return best
 
     def full(self, letters: NDArray[np.int8], found: Found) -> Found:

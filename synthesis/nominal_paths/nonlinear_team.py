@@ -22,6 +22,7 @@ from .path_limits import corners_along
 from .polish import polished
 from .team_search import TeamFound, TeamSearch, search_key
 from .tied_paths import Ties
+from .tried_runs import plans_of_runs
 from .words import Plan, letters_of
 
 MOST_PLANS, MOST_HOPELESS = 6, 18
@@ -146,8 +147,19 @@ class _Apart:
         if self.ties.are_any:
             found = self.ties.settled(letters, found, NonlinearSearch.planned_anew)
         score = float(np.logaddexp.reduce([one.score for one in found]))
-        if all(plan != other for _, other, _, _ in self.seen):
-            self.seen.append((score, plan, letters, found))
+        before = next((one for one in self.seen if one[1] == plan), None)
+        if before is None or score < before[0]:
+            self.seen = [*(one for one in self.seen if one is not before), (score, plan, letters, found)]
+
+    def with_tried_inputs(self) -> None:
+        """Look for paths of the best plan, and along a run that the automaton accepts, from inputs that were tried."""
+        # Feedbacks that were the best of hopeless plans are nothing to begin with.
+        self.known.clear()
+        self.warm = [None] * len(self.searches)
+        for search in self.searches:
+            search.tries_inputs = True
+        for plan in (*([] if self.best is None else [self.best[1]]), *plans_of_runs(self.problem)):
+            self.of_plan(plan)
 
     def refined(self, count: int = 1) -> Refined:
         """Return the best of a few plans, the best of all after little work, after more work."""
@@ -266,6 +278,9 @@ class _Together:
         if found is not None and letters is not None and (self.best is None or found.score < self.best[0]):
             self.best = found.score, plan, letters, found
 
+    def with_tried_inputs(self) -> None:
+        """Do nothing: what one agent does alone does not tell what a team does together."""
+
     def refined(self, count: int = 1) -> Refined:
         """Return the best plan after more work; plans of teams take so long that there is time for one."""
         assert self.best is not None
@@ -328,10 +343,14 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
         for number, plan in enumerate(islice(possible, MOST_HOPELESS if pairs <= FEW_PAIRS else 2), start=1):
             team.of_plan(plan)
             best_so_far = np.inf if team.best is None else team.best[0]
-            if best_so_far < PROMISING or work.is_over() or (number >= MOST_PLANS and best_so_far < 0.0):
+            # Half of the work is left for what is hopeless in all plans that are drawn without the dynamics.
+            is_late = work.is_over() if best_so_far < HARDLY else not work.allows(work.spent)
+            if best_so_far < PROMISING or is_late or (number >= MOST_PLANS and best_so_far < 0.0):
                 break
         if team.best is not None and (team.best[0] < HARDLY or work.is_over()):
             break
+    if team.best is None or team.best[0] >= HARDLY:
+        team.with_tried_inputs()
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""
         raise NoRunFound(f"{NO_PATH}{more}")

@@ -103,8 +103,21 @@ def sides_of(
     for q, name in enumerate(problem.automaton.propositions):
         if q >= problem.labeling.first_pair or problem.propositions[name].agent != agent.name:
             continue
-        low, high = corners_along(problem, name, len(letters))
-        beyond = np.stack([low - outputs, outputs - high], axis=2) / sharp[None, :, None]
-        best = np.argmax(beyond.reshape(len(letters), -1), axis=1)
+        best = farthest_sides(agent, *corners_along(problem, name, len(letters)), outputs, sharp)
         faces[letters[:, q] < 0, q] = best[letters[:, q] < 0]
     return faces
+
+
+def farthest_sides(
+    agent: AnyAgent, low: FloatArray, high: FloatArray, outputs: FloatArray, sharp: FloatArray
+) -> NDArray[np.int64]:
+    """Return the sides (S + 1,) of a region on which outputs (S + 1, p) are farthest beyond it, in units ``sharp``.
+
+    Sides where the workspace leaves no room count only where no other one has any: a plan that is outside of it, as an
+    empty battery is, would be kept there.
+    """
+    beyond = np.stack([low - outputs, outputs - high], axis=2) / np.broadcast_to(sharp, low.shape)[:, :, None]
+    bottom, top = agent.output_ends
+    room = np.stack([low > bottom, high < top], axis=2).reshape(len(low), -1)
+    beyond = beyond.reshape(len(low), -1)
+    return np.asarray(np.argmax(np.where(room | ~room.any(axis=1, keepdims=True), beyond, -np.inf), axis=1))

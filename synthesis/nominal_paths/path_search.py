@@ -21,7 +21,7 @@ from .counted_work import CountedWork
 from .drifts import Drifts
 from .nominal import ENOUGH, Response, nominal_inputs
 from .nonlinear_team import any_failure, nonlinear_certificate, refuse_other_noise
-from .path_limits import corners_along, without_far_ends
+from .path_limits import corners_along, farthest_sides, without_far_ends
 from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .some_paths import Whereabouts, paths_of_some
@@ -367,8 +367,7 @@ def chosen_faces(
             continue
         low, high = corners_along(problem, name, len(letters))
         width = np.maximum(high - low, NARROWEST)
-        beyond = np.stack([low - outputs, outputs - high], axis=2) / width[:, :, None]
-        best = np.argmax(beyond.reshape(len(letters), -1), axis=1)
+        best = farthest_sides(agent, low, high, outputs, width)
         faces[letters[:, p] < 0, p] = best[letters[:, p] < 0]
     return faces
 

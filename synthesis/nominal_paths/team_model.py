@@ -1,4 +1,7 @@
-"""A team as one agent with block-diagonal dynamics, for plans: agents that move alike are stepped together."""
+"""A team as one agent, for plans: agents that move alike are stepped together.
+
+Dynamics are block-diagonal but for agents that name states of others: those are where the plan has them.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray
 from .nonlinear_model import NonlinearModel
+from .tied_paths import Tie
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +45,15 @@ class _Alike:
     states: NDArray[np.int64]
     inputs: NDArray[np.int64]
     outputs: NDArray[np.int64]
+    named: tuple[tuple[int, int], ...] = ()
+    """What the agent names, which is alone then: its variable k is a state of the team."""
+
+    def variables(self, x: FloatArray, u: FloatArray, time: ArrayLike) -> FloatArray:
+        """Return the variables (v, n k) of the model for states (D, n) and inputs (M, n) of the team at steps."""
+        values = self.model.variables(_flat(x, self.states), _flat(u, self.inputs), time)
+        for k, column in self.named:
+            values[k] = x[column]
+        return values
 
 
 class TeamOutputs:
@@ -60,18 +73,22 @@ class TeamOutputs:
 class TeamModel:
     """Steps, derivatives and outputs of a team, as ``NonlinearModel`` has them of one agent."""
 
-    def __init__(self, models: Sequence[NonlinearModel]) -> None:
+    def __init__(self, models: Sequence[NonlinearModel], ties: Sequence[Sequence[Tie]]) -> None:
         agents = [model.agent for model in models]
         sizes = [(agent.n_states, agent.n_inputs, agent.n_outputs) for agent in agents]
         first = np.concatenate([np.zeros((1, 3), dtype=int), np.cumsum(sizes, axis=0)])
         self.sizes = tuple(int(n) for n in first[-1])
         groups: dict[object, list[int]] = {}
         for i, model in enumerate(models):
-            groups.setdefault(key_of(model.agent), []).append(i)
+            groups.setdefault(i if ties[i] else key_of(model.agent), []).append(i)
         self.alike = []
         for members in groups.values():
-            places = [np.array([first[i, k] + np.arange(sizes[i][k]) for i in members]) for k in range(3)]
-            self.alike.append(_Alike(models[members[0]], *places))
+            states, inputs, outputs = (
+                np.array([first[i, k] + np.arange(sizes[i][k]) for i in members]) for k in range(3)
+            )
+            d, m, _ = sizes[members[0]]
+            named = tuple((d + m + k, int(first[j, 0]) + state) for k, j, state in ties[members[0]])
+            self.alike.append(_Alike(models[members[0]], states, inputs, outputs, named))
         self.agent = TeamBounds(
             np.concatenate([agent.state_low for agent in agents]),
             np.concatenate([agent.state_high for agent in agents]),
@@ -90,7 +107,7 @@ class TeamModel:
         """Return the means (D, n) of the next states for states (D, n) and inputs (M, n) at a step."""
         result = np.empty_like(x)
         for part in self.alike:
-            moved = part.model.step(_flat(x, part.states), _flat(u, part.inputs), time)
+            moved = part.model.motion.values(part.variables(x, u, time))
             result[part.states] = _each(moved, len(part.states))
         return result
 
@@ -100,11 +117,14 @@ class TeamModel:
         A, B = np.zeros((s, d, d)), np.zeros((s, d, m))
         for part in self.alike:
             k, own = part.states.shape
-            own_A, own_B = part.model.linear(states[:, part.states].reshape(s * k, own),
-                                             inputs[:, part.inputs].reshape(s * k, -1),
-                                             np.repeat(np.arange(s), k))  # fmt: skip
-            A[:, part.states[:, :, None], part.states[:, None, :]] = own_A.reshape(s, k, own, own)
-            B[:, part.states[:, :, None], part.inputs[:, None, :]] = own_B.reshape(s, k, own, -1)
+            times = np.tile(np.arange(s), k)
+            _, slopes = part.model.motion.slopes(part.variables(states.T, inputs.T, times))
+            both = np.moveaxis(np.broadcast_to(slopes, (*slopes.shape[:2], s * k)), 2, 0).reshape(k, s, own, -1)
+            both, ends = both.swapaxes(0, 1), own + part.inputs.shape[1]
+            A[:, part.states[:, :, None], part.states[:, None, :]] = both[..., :own]
+            B[:, part.states[:, :, None], part.inputs[:, None, :]] = both[..., own:ends]
+            for place, column in part.named:
+                A[:, part.states[0], column] += both[:, 0, :, place]
         return A, B
 
     def outputs(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -26,6 +26,7 @@ from .pair_costs import PairAim, PairLimits, pair_limits
 from .pair_rows import PairRows, deviations_of, pair_rows
 from .path_limits import Limits, limits_along, sides_of
 from .team_model import TeamModel, key_of
+from .tied_paths import ROUNDS, Ties
 
 BENDS = (0.25, -0.25, 0.5, 0.0)
 """How far straight lines are bent to the right, as shares of their lengths."""
@@ -70,7 +71,8 @@ class TeamSearch:
     def __init__(self, problem: Problem, work: CountedWork) -> None:
         self.problem, self.work = problem, work
         self.searches = [NonlinearSearch(problem, i, work) for i in range(problem.n_agents)]
-        self.model: Any = TeamModel([search.model for search in self.searches])
+        self.ties = Ties(problem, self.searches)
+        self.model: Any = TeamModel([search.model for search in self.searches], self.ties.of_agent)
         self.columns = sum(pair.size for pair in problem.labeling.pairs)
 
     @property
@@ -84,6 +86,7 @@ class TeamSearch:
         Those whose first feedbacks score above ``bar`` are not planned anew.
         """
         limits = pair_limits(self.problem, letters)
+        self.ties.begin()
         best: tuple[float, Any] | None = None
         for bend in BENDS:
             planned = self._planned(letters, limits, self._guesses(letters, bend))
@@ -259,6 +262,7 @@ class TeamSearch:
         self, letters: NDArray[np.int8], states: FloatArray, u: FloatArray, faces: NDArray[np.int64]
     ) -> list[NominalPath]:
         columns, inputs = self.problem.columns, self.problem.input_columns
+        self.ties.follow([states[:, own] for own in columns])
         return [
             search.snapped(letters, states[:, columns[i]], u[:, inputs[i]], faces)
             for i, search in enumerate(self.searches)
@@ -346,7 +350,20 @@ class TeamSearch:
         return [replace(one.nominal, pairs=own) for one, own in zip(team.found, asked, strict=True)]
 
     def judged(self, found: Sequence[Found], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
-        """Return the team with the rows of all agents and pairs together."""
+        """Return the team with the rows of all agents and pairs together.
+
+        Agents that name others are between the tubes of these, which the judgement tells in turn.
+        """
+        team = self._judged(found, faces, limits)
+        for _ in range(ROUNDS if self.ties.are_any else 0):
+            models = self.ties.between(team.found)
+            between = [replace(one, nominal=replace(one.nominal, model=model))
+                       for one, model in zip(team.found, models, strict=True)]  # fmt: skip
+            team = self._judged(between, faces, limits)
+        return team
+
+    def _judged(self, found: Sequence[Found], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
+        """Return the team, each agent beside what its model says of others."""
         rows = self._rows(limits, found)
         asked = rows.asked([{}] * len(found))
         nominals = [replace(one.nominal, pairs=own) for one, own in zip(found, asked, strict=True)]
@@ -371,7 +388,8 @@ def search_key(search: NonlinearSearch) -> object:
     agent = search.agent
     ends = (agent.state_low, agent.state_high, agent.input_low, agent.input_high)
     shared = search.model.shared
-    return key_of(agent), None if shared is None else shared.tobytes(), tuple(end.tobytes() for end in ends)
+    shared_key = None if shared is None else shared.tobytes()
+    return key_of(agent), search.model.watched, shared_key, tuple(end.tobytes() for end in ends)
 
 
 def _within(limits: FloatArray, spread: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:

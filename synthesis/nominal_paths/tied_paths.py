@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...envs.agents import place_of
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from .nonlinear_model import NonlinearModel
 from .nonlinear_search import Found, NonlinearSearch
 
 ROUNDS = 3
@@ -71,6 +72,22 @@ class Ties:
                     start = self.searches[j].agent.initial
                     ranges[:, 0, k] = 0.5 * (start.low[state] + start.high[state])
                 search.model = search.model.changed(beside=ranges)
+
+    def follow(self, states: Sequence[FloatArray]) -> None:
+        """Take all that is named for being where nominal states (S + 1, d) of all agents have it."""
+        for search, ties in zip(self.searches, self.of_agent, strict=True):
+            if ties:
+                ranges = np.repeat(search.model.unknown[:, None], len(states[0]), axis=1)
+                for k, j, state in ties:
+                    ranges[:, :, k] = states[j][:, state]
+                search.model = search.model.changed(beside=ranges)
+
+    def between(self, found: Sequence[Found]) -> list[NonlinearModel]:
+        """Return the models of all agents between the tubes that others have; these are those of searches from now."""
+        for i, search in enumerate(self.searches):
+            if self.of_agent[i]:
+                search.model = search.model.changed(beside=self._ranges(i, found))
+        return [search.model for search in self.searches]
 
     def settled(
         self,

@@ -1,0 +1,194 @@
+"""Nominal paths are found where others are named, where slopes lead nowhere, and where there is no room on one side.
+
+Noise that grows from next to nothing has tables that fit, and cells to begin with.
+"""
+
+from __future__ import annotations
+
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.certificates import AgentPart, axis_tables, changed
+from certigym.synthesis.choosing import first_cells
+from certigym.synthesis.models import box_model
+from certigym.synthesis.nominal_paths import CountedWork, path_certificate
+from certigym.synthesis.nominal_paths.feedback_bounds import Feedback, NominalPath, _Walk
+from certigym.synthesis.nominal_paths.nominal_planner import rolled
+from certigym.synthesis.nominal_paths.nonlinear_model import NonlinearModel
+from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
+from certigym.synthesis.nominal_paths.path_limits import farthest_sides, limits_along
+from certigym.synthesis.nominal_paths.team_search import TeamSearch
+from certigym.synthesis.nominal_paths.tied_paths import Ties
+from certigym.synthesis.nominal_paths.tried_runs import plans_of_runs, tried_run
+from certigym.synthesis.nominal_paths.words import letters_of
+
+PLANE: dict[str, Any] = {"states": ["x", "y"], "state_low": [-6, -6], "state_high": [6, 6]}
+
+
+def noise(std: float) -> dict[str, Any]:
+    """Return normal noise."""
+    return {"law": "gaussian", "std": std}
+
+
+def chase(horizon: int = 10) -> cg.Problem:
+    """Return a hare on its way to its burrow, and a wolf that runs after it."""
+    hare = cg.Agent(
+        name="hare", inputs=["u", "v"], dynamics=["x + u", "y + v"], noise=[noise(0.05)] * 2, input_low=[-0.9, -0.9],
+        input_high=[0.9, 0.9], initial_state=[-2, 0], **PLANE,
+    )  # fmt: skip
+    wolf = cg.Agent(
+        name="wolf", dynamics=["x + 0.2*(hare.x - x)", "y + 0.2*(hare.y - y)"], noise=[noise(0.05)] * 2,
+        initial_state=[0.5, 2.5], **PLANE,
+    )  # fmt: skip
+    regions: dict[str, Any] = {
+        "burrow": cg.Proposition("hare", [2, -1], [4, 1]),
+        "caught": cg.Pair(["hare", "wolf"], distance=0.6),
+    }
+    task = cg.Specification("!caught U burrow", "co-safe")
+    return cg.Problem(name="chase", horizon=horizon, agents=[hare, wolf], propositions=regions, specification=task)
+
+
+def rover(**changes: Any) -> cg.Problem:
+    """Return a rover on a line whose battery fills at one place alone, away from its way."""
+    arguments: dict[str, Any] = {
+        "states": ["x", "charge"], "inputs": ["u"], "dynamics": ["x + u", "charge - 0.1 + 0.5*exp(-9*(x + 2)**2)"],
+        "noise": [noise(0.03), noise(0.01)], "state_low": [-5, 0], "state_high": [9, 4], "input_low": [-1],
+        "input_high": [1], "initial_state": [0, 0.6],
+    }  # fmt: skip
+    regions = {"goal": cg.Proposition("rover", [7, 0], [9, 4]), "empty": cg.Proposition("rover", [-5, 0], [9, 0.1])}
+    task = cg.Specification("F goal & G !empty", "finite-trace")
+    agent = cg.Agent(name="rover", **{**arguments, **changes})
+    return cg.Problem(name="rover", horizon=20, agents=[agent], propositions=regions, specification=task)
+
+
+@pytest.fixture(scope="module")
+def chased() -> cg.Synthesis:
+    """Return the certificate of the chase."""
+    return path_certificate(chase(), CountedWork(limit=1.0))
+
+
+def test_teams_with_pairs_may_name_each_other(chased: cg.Synthesis) -> None:
+    assert chased.certificate.lower_bound > 0.999
+    assert cg.check(chased.certificate)
+    assert cg.validate(chased, 2000, seed=0).verdict != "refuted"
+
+
+def test_less_room_for_whom_others_name_is_refused(chased: cg.Synthesis) -> None:
+    hare, wolf = chased.certificate.proof.paths
+    narrow = type(hare)(hare.inputs, hare.gains, hare.states, 0.3 * hare.slabs)
+    assert not cg.check(changed(chased.certificate, paths=(narrow, wolf)))
+
+
+def test_a_search_that_takes_others_for_certain_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def certain(ties: Ties, i: int, found: Any) -> Any:
+        ranges = np.repeat(ties.searches[i].model.unknown[:, None], len(found[i].nominal.states), axis=1)
+        for k, j, state in ties.of_agent[i]:
+            ranges[:, :, k] = found[j].nominal.states[:, state]
+        return ranges
+
+    monkeypatch.setattr(Ties, "_ranges", certain)
+    assert not cg.check(path_certificate(chase(), CountedWork(limit=0.5)).certificate)
+
+
+def test_slopes_of_teams_are_those_of_differences() -> None:
+    model = TeamSearch(chase(), CountedWork()).model
+    rng, m = np.random.default_rng(0), len(model.agent.input_low)
+    x, u = rng.normal(size=(3, 4)), rng.normal(size=(3, m))
+    A, B = model.linear(x, u)
+    assert np.any(A[:, 2:, :2])
+    for t in range(3):
+        for k, matrix, moved in (*((k, A, x) for k in range(4)), *((k, B, u) for k in range(m))):
+            ends = []
+            for step in (-1e-6, 1e-6):
+                other = moved.copy()
+                other[t, k] += step
+                here = (other, u) if moved is x else (x, other)
+                ends.append(model.step(here[0][t][:, None], here[1][t][:, None], t)[:, 0])
+            np.testing.assert_allclose(matrix[t, :, k], (ends[1] - ends[0]) / 2e-6, atol=1e-8)
+
+
+def test_sides_without_room_are_not_chosen() -> None:
+    agent = rover().agents[0]
+    low, high = np.array([[-np.inf, 0.0]]), np.array([[np.inf, 0.1]])
+    # A plan whose battery is below empty has no other way out than up.
+    assert farthest_sides(agent, low, high, np.array([[0.0, -0.5]]), np.ones(2)).tolist() == [3]
+    assert farthest_sides(agent, low, high, np.array([[0.0, 0.5]]), np.ones(2)).tolist() == [3]
+
+
+def test_runs_of_tried_inputs_find_what_no_slope_leads_to() -> None:
+    problem = rover()
+    (plan,) = plans_of_runs(problem)
+    letters = letters_of(problem, plan)
+    assert letters is not None
+    model, start = NonlinearModel(problem.agents[0]), problem.agents[0].initial.low
+    inputs = tried_run(problem, model, letters, start, CountedWork())
+    assert inputs is not None
+    states = rolled(model, start, inputs)
+    assert states[:, 1].min() > 0.1
+    assert states[-1, 0] > 7 and states[:, 0].min() < -1.5
+
+
+def test_a_battery_that_fills_at_one_place_is_kept_from_running_dry() -> None:
+    team = _Apart(rover(), CountedWork(limit=3.0))
+    team.with_tried_inputs()
+    assert team.refined().failure < 0.1
+
+
+def test_steps_without_remainders_take_no_place_in_a_walk() -> None:
+    problem = rover(dynamics=["x + u", "charge - 0.1"])
+    model, steps = NonlinearModel(problem.agents[0]), 30
+    letters = np.zeros((steps + 1, 2), dtype=np.int8)
+    limits = limits_along(problem, problem.agents[0], letters, np.full(letters.shape, -1))
+    inputs = np.zeros((steps, 1))
+    path = NominalPath(model, limits, rolled(model, problem.agents[0].initial.low, inputs), inputs)
+    feedback = Feedback(np.full((1, steps, 1, 2), -0.3), np.full((1, steps + 1, 5), 4.0))
+    walk = _Walk([path], feedback, np.zeros(1, dtype=np.int64))
+    walk.walked()
+    assert walk.count == 0
+    # What is rounded counts all the same: 1e-13 of the ranges at each step, some of which feedback takes back.
+    _, drift, _ = walk.of_rows(steps, np.eye(2))
+    assert np.all(drift > 1e-13) and np.all(drift < 1e-10)
+
+
+def growing() -> cg.Problem:
+    """Return a stock whose noise grows with it, from next to nothing."""
+    agent = cg.Agent(
+        name="stock", states=["x"], inputs=["catch"], dynamics=["x + 0.3*x*(1 - x/10) - catch"], noise=[noise(1.0)],
+        noise_scale=["0.1*x"], state_low=[0], state_high=[16], input_low=[0], input_high=[1], initial_state=[6],
+    )  # fmt: skip
+    regions = {"alive": cg.Proposition("stock", [2], [16])}
+    task = cg.Specification("G alive", "finite-trace")
+    return cg.Problem(name="growing", horizon=3, agents=[agent], propositions=regions, specification=task)
+
+
+def test_tables_of_noise_that_grows_are_held_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(box_model, "MOST_MASSES", 500_000)
+    result = cg.synthesize(growing(), cells=60, relation="boxes")
+    part: AgentPart = result.certificate.proof.agents[0]
+    scales, means = part.lattice
+    entries = len(scales) * len(means) * 60
+    # One level more than asked for at either end, and one and a half to spare.
+    assert entries < 2 * 500_000
+    tracemalloc.start()
+    (table,) = axis_tables(result.certificate.problem.agents[0], part, {})
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert table.shape == (len(scales) * len(means), 60)
+    assert peak < 1.7 * 8 * entries
+
+
+def test_noise_that_is_next_to_nothing_in_few_cells_asks_for_no_finer_lattice() -> None:
+    result = cg.synthesize(growing(), cells=60, relation="boxes")
+    assert len(result.certificate.proof.agents[0].lattice[1]) < 1000
+    assert result.certificate.lower_bound > 0.99
+    assert cg.check(result.certificate)
+
+
+def test_first_cells_are_widened_no_further_than_they_can_be() -> None:
+    problem = growing()
+    wide, usual = (first_cells(problem.replace(horizon=steps)) or {} for steps in (100_000, 3))
+    assert 1 <= wide["stock"][0] <= usual["stock"][0]
