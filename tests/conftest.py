@@ -7,6 +7,7 @@ same code. Tests of how much is found say so: ``pytest.mark.thorough``.
 from __future__ import annotations
 
 import gc
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,8 +17,9 @@ from hypothesis import settings
 
 import certigym as cg
 from certigym.synthesis import agreement
-from certigym.synthesis.choosing import effort
-from certigym.synthesis.models import ellipsoid_search
+from certigym.synthesis.cells import in_grid_coordinates
+from certigym.synthesis.choosing import cell_budget, effort
+from certigym.synthesis.models import box_model, common_choices, ellipsoid_program, ellipsoid_search
 from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team
 from certigym.synthesis.permissions import permitting
 from certigym.validation.policies import imitation, probing
@@ -31,11 +33,13 @@ settings.load_profile("same")
 
 SMALLER: tuple[tuple[Any, str, Any], ...] = (
     # Ways to certify are tried as long as effort is left, which is about a minute for users.
-    (effort, "EFFORT", 4.0),
-    # A sixth of the semidefinite programs, of which each ellipsoid takes hundreds.
-    (ellipsoid_search, "LABEL_SHARES", (2.0, 1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1)),
+    (effort, "EFFORT", 2.0),
+    # An eighth of the semidefinite programs, of which each ellipsoid takes hundreds.
+    (ellipsoid_search, "LABEL_SHARES", (2.0, 1.0, 0.7, 0.45, 0.2, 0.1)),
     (ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95)),
     (ellipsoid_search, "LAST_STEP", 2e-2),
+    # Menus of inputs: less than half of them in each dimension.
+    *((module, "INPUT_LEVELS", {1: 7, 2: 5, 3: 3}) for module in (box_model, common_choices, cell_budget)),
     # Paths are planned with more times, refined and moved a little a hundred times: the first few gain the most.
     (nonlinear_search, "GENERATIONS", 3),
     (nonlinear_team, "MOST_MOVES", 2),
@@ -58,7 +62,22 @@ def smaller_searches() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for module, name, value in SMALLER:
             patch.setattr(module, name, value)
+        patch.setattr(ellipsoid_search, "EllipsoidProgram", known_program)
         yield
+
+
+PROGRAMS: dict[tuple[Any, ...], ellipsoid_program.EllipsoidProgram] = {}
+
+
+def known_program(agent: cg.LinearAgent, *numbers: Any) -> ellipsoid_program.EllipsoidProgram:
+    """The semidefinite program of an ellipsoid: one with the same numbers is compiled, and asked the same, once."""
+    coordinates, half, room, delta = numbers
+    moves, box = in_grid_coordinates(agent, coordinates), agent.input_box
+    arrays = (moves.A, moves.B, moves.covariance, box.low, box.high, coordinates, half, room)
+    key = (delta, *((np.shape(array), np.asarray(array, dtype=float).tobytes()) for array in arrays))
+    if key not in PROGRAMS or sys.modules.get("cvxpy") is None:
+        PROGRAMS[key] = ellipsoid_program.EllipsoidProgram(agent, *numbers)
+    return PROGRAMS[key]
 
 
 USUAL = [getattr(module, name) for module, name, _ in SMALLER]
