@@ -225,14 +225,20 @@ def certificate_of(row: str) -> Any:
 
 
 # --- the dense program -----------------------------------------------------------------------------------------
-@cache
-def optimum(row: str) -> float:
+def optimum(row: str, start: NDArray[Any] | None = None) -> float:
     """What no policy exceeds, up to ``RESOLUTION``: dynamic programming on the joint states, all inputs in one hand."""
-    return _optimum(problem_of(row))
+    problem = problem_of(row)
+    if problem.fingerprint not in KNOWN:
+        KNOWN[problem.fingerprint] = _dense(problem)
+    return KNOWN[problem.fingerprint](initial_state(problem) if start is None else start)
 
 
-def _optimum(problem: cg.Problem) -> float:
-    return float(_dense(problem)(np.concatenate([agent.initial.low for agent in problem.agents])))
+KNOWN: dict[str, Callable[[NDArray[Any]], float]] = {}
+"""Optimal values of problems by their fingerprints: several rows are about one problem."""
+
+
+def initial_state(problem: cg.Problem) -> NDArray[Any]:
+    return np.concatenate([agent.initial.low for agent in problem.agents])
 
 
 def _dense(problem: cg.Problem) -> Callable[[NDArray[Any]], float]:
@@ -358,7 +364,7 @@ class Claims:
 
     attained: tuple[float, ...] = ()
     exceeded_by_none: tuple[float, ...] = ()
-    problem: cg.Problem | None = None
+    start: NDArray[Any] | None = None
 
 
 def tree(row: str, folder: Path) -> Claims:
@@ -393,7 +399,12 @@ def ended(certificate: Any, folder: Path) -> Claims:
 
 
 def opposite_end(row: str, folder: Path) -> Claims:
-    """What the policies attain at most by the opposite task, also where nothing is lost and the end is known anyway."""
+    """What the policies attain at most by the opposite task, also where nothing is lost and the end is known anyway.
+
+    Where something is lost, this is the column before.
+    """
+    if certificate_of(row).gap is None:
+        return own_upper_end(row, folder)
     bare = with_claims(certificate_of(row), lambda one: changed(one, gap=None))
     return ended(bound_above(bare), folder)
 
@@ -451,8 +462,9 @@ def network(row: str, folder: Path) -> Claims:
     last = np.full((view.n_actions, 4), 0.2, dtype=np.float32)
     layers = Network((first, last), (np.full(4, 0.5, np.float32), np.zeros(view.n_actions, np.float32)), "tanh", False)
     kind = ROWS[row].options["relation"]
-    options = {"relation": kind} if kind in ("linear", "boxes") else {}
-    result = cg.certify(problem, SharedActor(problem, layers), ROWS[row].cells, as_is=True, **options)
+    # A network of a problem along a path is on cells like any other: no relations need be compared for it.
+    options = {"relation": kind} if kind in ("linear", "boxes") else {"relation": "boxes"} if kind == "path" else {}
+    result = cg.certify(problem, SharedActor(problem, layers), ROWS[row].cells or 24, as_is=True, **options)
     assert cg.check(result.certificate)
     return Claims((result.certificate.lower_bound,))
 
@@ -460,19 +472,17 @@ def network(row: str, folder: Path) -> Claims:
 def elsewhere(row: str, folder: Path) -> Claims:
     """The bound at other starts."""
     certificate = certificate_of(row)
-    start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
+    start = initial_state(certificate.problem)
     values = certificate.at(np.stack([start, start + 0.1]))
     assert abs(values[0] - certificate.lower_bound) < 1e-3
-    names, state = certificate.problem.agent_names, start + 0.1
-    moved = {n: state[c].tolist() for n, c in zip(names, certificate.problem.columns, strict=True)}
-    return Claims((float(values[1]),), problem=certificate.problem.replace(initial_state=moved))
+    return Claims((float(values[1]),), start=start + 0.1)
 
 
 def values_in_time(row: str, folder: Path) -> Claims:
     """The bound in the middle of a run."""
     certificate = certificate_of(row)
     value = cg.value_in_time(certificate)
-    start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])[None]
+    start = initial_state(certificate.problem)[None]
     q = np.array([certificate.problem.initial_q])
     left = certificate.problem.horizon
     return Claims(tuple(float(value.at(start, q, np.array([n]))[0]) for n in (left, left - 1)))
@@ -485,7 +495,7 @@ def audit(row: str, folder: Path) -> Claims:
 
 def fields(row: str, folder: Path) -> Claims:
     certificate = certificate_of(row)
-    start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
+    start = initial_state(certificate.problem)
     report = cg.validate_field(certificate, np.stack([start, start + 0.1]), 200, confidence=1.0 - FALSE_ALARM)
     assert report.verdict != "refuted"
     return Claims()

@@ -78,6 +78,7 @@ def test_other_controllers_are_refused() -> None:
     assert not cg.check(changed(good, agents=(dataclasses.replace(part, policy=policy),)))
 
 
+@cache
 def forgeries() -> dict[str, Any]:
     """Upper ends that do not hold, by what is wrong with them."""
     good = parked(60)

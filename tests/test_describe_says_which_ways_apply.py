@@ -15,6 +15,9 @@ from certigym.synthesis.synthesize import ways_ahead
 
 OWN = Path(__file__).parent.parent / "examples" / "own"
 
+LONG = {"agv", "cascade", "drone_and_balls", "epidemic", "patrol", "reactor"}
+"""Examples about which nearly all is counted that there is to count, with the ways of others."""
+
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[str]:
     assert main(["describe", *arguments]) == 0
@@ -29,7 +32,7 @@ def test_ways_stand_in_the_order_in_which_they_are_tried(capsys: pytest.CaptureF
 
 
 def test_no_one_is_asked_for_fewer_of_what_nobody_gave(capsys: pytest.CaptureFixture[str]) -> None:
-    for file in sorted(OWN.glob("*.toml")):
+    for file in sorted(file for file in OWN.glob("*.toml") if file.stem not in LONG):
         for line in said(capsys, str(file)):
             assert "fewer `cells`" not in line, (file.name, line)
 

@@ -332,7 +332,7 @@ def test_groups_may_have_several_owners_and_inputs() -> None:
     problem = two_boilers()
     joint = join(problem, abstract(problem, 12, relation="boxes", common=True))
     [group] = joint.common
-    assert group.members == (0, 1, 3) and group.names == ("boiler.heat", "second.heat") and len(group.numbers) == 49
+    assert group.members == (0, 1, 3) and group.names == ("boiler.heat", "second.heat") and len(group.numbers) == 25
     certificate = certified(problem, 12)
     assert cg.check(certificate)
     assert cg.validate(certificate, 10_000, seed=1, confidence=1.0 - FALSE_ALARM).verdict != "refuted"

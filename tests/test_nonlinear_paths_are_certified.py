@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -263,10 +264,17 @@ def bowl() -> cg.Problem:
     return problem_of([agent], {"dear": cg.Proposition("ball", [-2, 0.4], [2, 1])}, "G !dear", 6)
 
 
+@cache
+def honest(bowled: bool) -> tuple[Found, AlongPath]:
+    """What is found for the ball, or for noisy agents; the check accepts it."""
+    found, certificate = along(bowl() if bowled else noisy())
+    assert cg.check(certificate), "honest"
+    return found, certificate
+
+
 @pytest.mark.parametrize("name", [*sorted(SABOTAGES), "remainder of the other sign", "jacobian of a later step"])
 def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    found, certificate = along(noisy() if name in SABOTAGES else bowl())
-    assert cg.check(certificate), "honest"
+    found, certificate = honest(name not in SABOTAGES)
     nominal = found.nominal
     if name in SABOTAGES:
         monkeypatch.setattr(feedback_bounds, *SABOTAGES[name])

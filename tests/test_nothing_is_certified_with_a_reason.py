@@ -133,7 +133,7 @@ def test_a_claim_of_nothing_along_a_path_cannot_be_made_one_of_something() -> No
 def test_the_terminal_says_why(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "try.toml"
     file.write_text(FILE.format(name="try", formula="F goal", horizon=2, std=0.02, high=9.0, wall=2.75))
-    assert main(["synthesize", str(file), "--out", str(tmp_path / "c.npz"), "--effort", "1"]) == 0
+    assert main(["synthesize", str(file), "--out", str(tmp_path / "c.npz"), "--effort", "0.5"]) == 0
     assert re.search(r"nothing was certified \(P >= 0.*\): .* short of `goal` at step 2", capsys.readouterr().out)
 
 

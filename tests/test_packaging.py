@@ -117,9 +117,9 @@ def test_the_wheel_works_without_the_checkout(wheel: Path, tmp_path: Path) -> No
     assert said.stdout.split() == [str(tmp_path / "site" / "certigym" / "__init__.py"), "2"]
 
 
-@pytest.mark.parametrize("kind", ["wheel", "sdist"])
-def test_archives_work_where_they_are_installed(kind: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    binary = installed(request.getfixturevalue(kind), tmp_path / "environment")
+def test_archives_work_where_they_are_installed(sdist: Path, tmp_path: Path) -> None:
+    """Of the sources a wheel is made, of the same files as the other one, and that is installed."""
+    binary = installed(sdist, tmp_path / "environment")
     clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
 
     def said(*words: str) -> str:

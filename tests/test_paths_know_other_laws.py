@@ -260,8 +260,10 @@ def test_the_check_reads_the_noise_itself() -> None:
 
 
 def test_claims_are_proved_in_balls() -> None:
+    """Each kind of law once; those that are even are cases of those that are not."""
     pytest.importorskip("flint")
-    for law in (*LAWS.values(), *LONG.values()):
+    even = ("uniform", "even triangle", "cut evenly", "laplace")
+    for law in (law for name, law in (LAWS | LONG).items() if name not in even):
         result = cg.synthesize(around(robot(law), 9), relation="path")
         report = cg.check(result.certificate, rigorous=True)
         assert report, str(report)

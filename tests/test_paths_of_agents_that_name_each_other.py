@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +20,19 @@ FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""
 
 
+@cache
+def own_path(file: str) -> Any:
+    """The path of an example, found once."""
+    return path_of(cg.load(OWN / file))
+
+
 def path_of(problem: cg.Problem) -> Any:
     return cg.synthesize(problem, relation="path").certificate
 
 
 @pytest.mark.parametrize(("file", "least"), [("springs.toml", 0.999), ("tanks_side_by_side.toml", 0.99)])
 def test_coupled_agents_are_certified_and_the_claim_holds_in_rollouts(file: str, least: float) -> None:
-    problem = cg.load(OWN / file)
-    certificate = path_of(problem)
+    certificate = own_path(file)
     assert certificate.lower_bound > least
     assert cg.check(certificate)
     episodes = 20_000
@@ -37,7 +43,7 @@ def test_coupled_agents_are_certified_and_the_claim_holds_in_rollouts(file: str,
 
 def test_narrower_tubes_than_are_kept_are_refused() -> None:
     """Whoever says that neighbours stay nearer to their paths pays for it with inequalities that fail more often."""
-    certificate = path_of(cg.load(OWN / "springs.toml"))
+    certificate = own_path("springs.toml")
     for share in (0.3, 0.6):
         paths = list(certificate.proof.paths)
         paths[1] = replace(paths[1], slabs=paths[1].slabs * share)

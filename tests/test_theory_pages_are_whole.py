@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 import certigym
+from certigym.synthesis.choosing import cell_budget
+from certigym.synthesis.models import box_model, common_choices
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = sorted((DOCS / "theory").glob("*.md"))
@@ -71,6 +73,7 @@ def test_formulas_become_markup_without_a_network() -> None:
     assert all("http" not in path.read_text(encoding="utf-8") for path in (DOCS / "_static").iterdir())
 
 
+@pytest.mark.thorough(box_model, common_choices, cell_budget)
 @pytest.mark.parametrize("name", ["linear", "bounds", "boxes"])
 def test_worked_examples_print_what_the_page_says(name: str) -> None:
     text = (DOCS / "theory" / f"{name}.md").read_text(encoding="utf-8")

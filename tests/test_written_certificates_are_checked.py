@@ -250,7 +250,7 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
         {"parts": 0},
         {"kind": "exact"},
         {"parts": "two"},
-        {"steer": [1] * 34},
+        {"steer": [1] * len(menu)},
         {"steer": []},
     )
     for description in descriptions:
@@ -317,6 +317,6 @@ def test_boxes_are_mean_boxes() -> None:
     """What the relation hands to the kernel is what the protocol asks for."""
     controller: Any = of_oscillator().controller.agents[0]
     boxes = controller.relation.mean_boxes(np.array([[0.0, 0.0]]), np.array([[0.1, 0.1]]))
-    assert isinstance(boxes, MeanBoxes) and boxes.low.shape == (1, 34, 2) and boxes.admissible[0, :17].all()
+    assert isinstance(boxes, MeanBoxes) and boxes.low.shape == (1, 14, 2) and boxes.admissible[0, :7].all()
     # Choices that steer have the mean of y on a point, as far as inputs reach; the first and the last have no reserve.
-    assert np.all((boxes.high - boxes.low)[0, 18:33, 1] < 1e-10) and not boxes.admissible[0, [17, 33]].any()
+    assert np.all((boxes.high - boxes.low)[0, 8:13, 1] < 1e-10) and not boxes.admissible[0, [7, 13]].any()

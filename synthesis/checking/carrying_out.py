@@ -182,9 +182,11 @@ def _wrong_written(
             others[place] = numbers
         means = agent.mean(states[:, which], inputs[:, which], None, others)
         commands = commands_of(knowing)
-        # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate.
-        first, _ = steered_spans(knowing, low[cells[which]], high[cells[which]], menu[choice[which]], commands, 1)
-        known = ~np.isnan(first).any(axis=1)
+        # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate. Many points share a cell.
+        pairs, place_of = np.unique(cells[which] * np.int64(len(menu)) + choice[which], return_inverse=True)
+        cell, chosen = np.divmod(pairs, len(menu))
+        first, _ = steered_spans(knowing, low[cell], high[cell], menu[chosen], commands, 1)
+        known = np.all(~np.isnan(first), axis=1)[place_of]
         for command in commands:
             off = np.abs(means[command.axis] - targets[command.axis])
             size = np.abs(agent.workspace.low[command.axis]) + np.abs(agent.workspace.high[command.axis])

@@ -208,7 +208,8 @@ class _Grid:
                 window = tuple(slice(reach - s, reach - s + self.count) for s in shift)
                 moved = padded[window] + length
                 less = moved < best
-                best, which = np.where(less, moved, best), np.where(less, k, which)
+                np.copyto(best, moved, where=less)
+                np.copyto(which, k, where=less)
             value = best + self.costs[t] + charge
             came.append(which)
         if not np.isfinite(value.min()):
