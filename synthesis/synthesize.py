@@ -212,7 +212,7 @@ def synthesize(
 def _around(found: Synthesis, probability: float) -> Synthesis:
     """Return what is certified of a set of starts around that of a synthesis along a path."""
     hull = certified_starts(found.certificate, probability)
-    return Synthesis(hull, hull.controller, found.stats)
+    return Synthesis(hull, found.controller, found.stats)
 
 
 def _of_problem(

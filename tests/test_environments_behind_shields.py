@@ -139,7 +139,7 @@ def test_what_does_not_fit_is_refused_in_words(problem: cg.Problem, shield: Shie
         ((problem, certificate), {}, "`probability`: expected the success probability"),
         ((problem, shield), {"probability": 0.5}, "`probability`: expected none with a shield"),
         ((problem, certificate), {"probability": 0.9}, "`probability`: expected at most 0.79"),
-        ((object(), shield), {}, "`env_or_problem`: expected a problem or an environment"),
+        ((object(), shield), {}, "`policy`: expected a function or a table"),
     ]
     for arguments, named, words in cases:
         with pytest.raises(ValueError, match=words):

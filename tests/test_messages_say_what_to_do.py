@@ -16,6 +16,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
+from certigym.envs.logic import automaton_from_hoa
 
 PROBLEM = cg.make_problem("reach-avoid-v0", horizon=3)
 RESULT = cg.synthesize(PROBLEM, cells=20)
@@ -117,7 +118,7 @@ MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     (lambda: cg.synthesize(PROBLEM, relation="exakt"), "relation", "one of auto, boxes"),
     (lambda: cg.synthesize(PROBLEM, cells=20, relation="paper"), "epsilon", "more `cells`"),
     (lambda: cg.translate("F a", ["a"], "co-safe", backend="ltl2ba"), "backend", "one of builtin, mona"),
-    (lambda: cg.translate("hello", ["a"]), "hoa", "HOA: v1 at the beginning"),
+    (lambda: automaton_from_hoa("hello", ["a"]), "hoa", "HOA: v1 at the beginning"),
     # environments
     (lambda: cg.parallel_env("reach-avoid"), "id", "did you mean 'reach-avoid-v0'?"),
     (lambda: cg.parallel_env(PROBLEM, render_mode="rgb"), "render_mode", "'rgb_array'"),
@@ -147,7 +148,7 @@ MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     (lambda: wrapped(lambda x, q, t: np.zeros(3)), "policy", "`vectorized`"),
     (lambda: wrapped(lambda x, q, t: None), "policy", "return its input"),
     (lambda: wrapped("mine.py"), "policy", "a function or a table"),
-    (lambda: cg.compare(PROBLEM, {"ours": "c.npz"}), "policies", "`load_certificate`"),
+    (lambda: cg.compare(PROBLEM, {"ours": "c.npz"}), "policies", "`load`"),
     (lambda: cg.train(PROBLEM, "dqn"), "algorithm", "'ppo'"),
     (lambda: cg.Mismatch(noise_family="cauchy"), "noise_family", "one of gaussian"),
 ]

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import certigym as cg
+from certigym.envs.problem import load_problem
 from certigym.envs.problem.problem_file import problem_from_dict, problem_from_toml
 from problems import linear
 from sample_problems import TOML, mixed_problem
@@ -144,14 +145,14 @@ def test_errors_name_file_table_and_field(text: str, message: str, tmp_path: Pat
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected a readable problem file, got: No such file"):
-        cg.load(tmp_path / "none.toml")
+        load_problem(tmp_path / "none.toml")
     with pytest.raises(ValueError, match="expected a readable problem file"):
-        cg.load(tmp_path)
+        load_problem(tmp_path)
     with pytest.raises(ValueError, match="expected a readable problem file"):
-        cg.load("a\0b")
+        load_problem("a\0b")
     (tmp_path / "bytes.toml").write_bytes(b"name = '\xff'")
     with pytest.raises(ValueError, match="expected UTF-8 text, got an invalid byte at 8"):
-        cg.load(tmp_path / "bytes.toml")
+        load_problem(tmp_path / "bytes.toml")
 
 
 # Fuzzing: arbitrary text; arbitrary values at arbitrary places of a good file; arbitrary formulas.

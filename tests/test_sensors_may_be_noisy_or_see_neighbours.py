@@ -179,7 +179,7 @@ def test_certified_controllers_and_shields_refuse_noisy_sensors() -> None:
     actions = result.controller.act(observations, infos), result.controller.act(plain, told_infos)
     assert all(np.array_equal(actions[0][name], actions[1][name]) for name in plain)
     for make in (cg.parallel_env, cg.central_env, cg.vector_env, cg.team_env):
-        with pytest.raises(ValueError, match="`env_or_problem`: expected exact sensors"):
+        with pytest.raises(ValueError, match="`guarded`: expected exact sensors"):
             cg.shield(make(problem, sensor_noise=0.1), result, probability=0.1)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from ...envs.problem import Problem
-from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, OnGrid, Synthesis
 from ...synthesis.checking import check
 from ...synthesis.horizons import each_horizon
@@ -16,7 +15,7 @@ from .success_rate import ValidationReport, validate
 
 
 def each_report(
-    problem: Any, horizons: Iterable[int], plan: TrialPlan, settings: Mapping[str, Any] | None = None
+    problem: Problem, horizons: Iterable[int], plan: TrialPlan, settings: Mapping[str, Any] | None = None
 ) -> Iterator[ValidationReport]:
     """Synthesize, check and validate the problem at every horizon; yield the reports one by one, as horizons increase.
 
@@ -24,7 +23,7 @@ def each_report(
 
     Parameters
     ----------
-    problem : Problem, id or path
+    problem : Problem
     horizons : iterable of int
         Control steps.
     plan : TrialPlan
@@ -38,7 +37,7 @@ def each_report(
     def once(task: Problem, begun: Certificate | None) -> Synthesis:
         return synthesize(task, start=None if anew else begun, **settings)
 
-    for result in each_horizon(as_problem(problem), horizons, once):
+    for result in each_horizon(problem, horizons, once):
         yield validate(result, plan).with_check(check(result.certificate))
 
 
