@@ -21,12 +21,12 @@ NEEDS = {"09_learn_and_certify.py": "stable_baselines3", "10_many_workers.py": "
 QUICKER: dict[str, dict[str, str]] = {
     "09_learn_and_certify.py": {"steps=10_000": "steps=2_000", "cells=500": "cells=80",
                                 "episodes=4_000": "episodes=1_000", "steps=1_000": "steps=500"},
-    "12_horizons_and_deadlines.py": {"(5, 6, 7), 100": "(5, 6, 7), 40", "horizon=6), 100": "horizon=6), 40",
-                                     "parking, 60, longest=150": "parking, 30, longest=60",
-                                     "(parking)": "(parking, 40)",
+    "12_horizons_and_deadlines.py": {"100, horizon=(5": "40, horizon=(5", "horizon=6), 100": "horizon=6), 40",
+                                     "parking, 60, horizon": "parking, 30, horizon",
+                                     "(parking, above": "(parking, 40, above",
                                      '"invariance-b-20-v0", 100': '"invariance-b-20-v0", 40', "rays=16": "rays=4"},
     "05_cells_and_relations.py": {"(25, 100, 400)": "(25, 50)", "range(1, 8)": "range(1, 4)",
-                                  "cells=100)": "cells=50)", "episodes=4_000": "episodes=1_000"},
+                                  "100, horizon": "50, horizon", "episodes=4_000": "episodes=1_000"},
 }  # fmt: skip
 """Numbers of examples that say how long something takes, and smaller ones with which it is run here."""
 

@@ -151,7 +151,7 @@ def test_menus_are_checked_and_saved(permission: Permission, tmp_path: Path) -> 
     for mine, yours in zip(permission.menus, loaded.menus, strict=True):
         np.testing.assert_array_equal(mine.choices, yours.choices)
     (tmp_path / "other.npz").write_bytes(b"nothing")
-    with pytest.raises(ValueError, match="expected a permissive certificate"):
+    with pytest.raises(ValueError, match="expected a certigym certificate"):
         cg.load(tmp_path / "other.npz")
 
 

@@ -42,11 +42,13 @@ def test_other_names_are_unknown() -> None:
 
 def test_old_verbs_are_new_ones(problem: cg.Problem, result: cg.Synthesis) -> None:
     with pytest.warns(DeprecationWarning):
-        several = cg.synthesize(problem, 24, horizon=[3, 2], relation="exact")
+        synthesize_horizons, validate_horizons = (
+            getattr(cg, f"{verb}_horizons") for verb in ("synthesize", "validate")
+        )
+    several = old[0](problem, [3, 2], 24, relation="exact")
     assert [one.certificate.problem.horizon for one in several] == [3, 2]
     assert several[0].certificate.lower_bound >= several[1].certificate.lower_bound > 0.0
-    with pytest.warns(DeprecationWarning):
-        (report,) = cg.validate_horizons(problem, [3], 200, cells=24, relation="exact")  # type: ignore[attr-defined]
+    (report,) = old[1](problem, [3], 200, cells=24, relation="exact")
     assert report.episodes == 200 and report.lower_bound == result.certificate.lower_bound
 
 

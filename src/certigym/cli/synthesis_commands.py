@@ -134,6 +134,10 @@ def synthesize(options: Namespace) -> int:
     claim = shown_bound(certificate.lower_bound, certificate.gap)
     if why := result.stats.get("nothing"):
         claim = f"nothing was certified ({claim}): {why}"
+    if options.starts is not None:
+        share = certificate.proof.share(certificate.problem)
+        claim += f" from {share:.4f} of the workspace, {len(certificate.proof.corners)} corners"
+        summary |= {"share": share, "corners": len(certificate.proof.corners)}
     text = f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {claim}\nsaved to {options.out}"
     show(options, text, summary)
     return 0
