@@ -42,9 +42,7 @@ def test_other_names_are_unknown() -> None:
 
 def test_old_verbs_are_new_ones(problem: cg.Problem, result: cg.Synthesis) -> None:
     with pytest.warns(DeprecationWarning):
-        synthesize_horizons, validate_horizons = (
-            getattr(cg, f"{verb}_horizons") for verb in ("synthesize", "validate")
-        )
+        old = [getattr(cg, f"{verb}_horizons") for verb in ("synthesize", "validate")]
     several = old[0](problem, [3, 2], 24, relation="exact")
     assert [one.certificate.problem.horizon for one in several] == [3, 2]
     assert several[0].certificate.lower_bound >= several[1].certificate.lower_bound > 0.0

@@ -38,8 +38,9 @@ LINEAR_LIMITS = Limits(contribution=1e-5, elsewhere=1e-2, mass=1e-6, rank=40)
 LINEAR_FINAL = Limits(contribution=1e-6, elsewhere=1e-2, mass=1e-7, rank=60)
 """What their evaluation leaves out."""
 
-HOPE = 0.02
-"""What the evaluation of linear agents may be below their last sweep without being tried in another way."""
+HOPE, HOPE_SHARE = 0.02, 0.5
+"""What the evaluation of linear agents may be below their last sweep without being tried in another way; and without
+other policies being evaluated in the same way, as a share of what is left to 1."""
 
 SPENT = (0.0, 0.05, None)
 """Shares that unions from below may lose, one after the other; None: nothing is united."""
@@ -344,13 +345,16 @@ class _TreeAscent:
         ends = sorted(self.ends, key=lambda end: -end.value)
         tried = [policies, *(end.policies for end in ends if end.policies is not policies)][:MOST_ENDS]
         best: Sweep | None = None
-        for own in tried:
-            for spent in SPENT:
+        for spent in SPENT:
+            for own in tried:
                 found = sweep(self.joint, own, self.start, LINEAR_FINAL, improve=False, climb=spent)
                 best = found if best is None or found.value > best.value else best
-                if best.value >= seen - HOPE:
+                if best.value >= seen - min(HOPE, HOPE_SHARE * (1.0 - seen)):
                     return best
-        assert best is not None  # there is something to evaluate
+            assert best is not None  # there is something to evaluate
+            if best.value >= seen - HOPE:
+                return best
+        assert best is not None
         return best
 
     @property
