@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.cli.main import main
 from certigym.cli.parser import build_parser
 from certigym.old_names import MOVED, RENAMED, REWRITTEN
 from certigym.synthesis.certificates import changed
@@ -89,6 +90,20 @@ def test_shields_take_environments_and_policies(problem: cg.Problem, result: cg.
 def test_other_horizons_are_refused(problem: cg.Problem, horizon: Any) -> None:
     with pytest.raises(ValueError, match="`horizon`: expected control steps"):
         cg.synthesize(problem, 24, horizon=horizon)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--memory", "4G"], "`certigym synthesize` and `certigym validate` have all options"),
+        (["--no-deadline"], "write `--horizon none`"),
+        (["--nothing"], "unrecognized arguments: --nothing\n"),
+    ],
+)
+def test_run_says_where_its_old_options_are(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["run", "reach-avoid-v0", *words])
+    assert says in capsys.readouterr().err
 
 
 def test_run_has_ten_options() -> None:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext, redirect_stdout
 from importlib import import_module
 
-from .parser import MODULES, build_parser
+from .parser import MODULES, build_parser, elsewhere
 
 NUMBER = re.compile(r"-(\d|\.\d)")
 """How a negative number begins, which must not be taken for an option."""
@@ -36,7 +36,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not words:
         print(_WELCOME)
         return 0
-    options = build_parser().parse_args([f" {word}" if NUMBER.match(word) else word for word in words])
+    parser = build_parser()
+    options, unknown = parser.parse_known_args([f" {word}" if NUMBER.match(word) else word for word in words])
+    if unknown:
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}{elsewhere(options.command, unknown)}")
     from .given import check_places
 
     # The command's file, and with it the rest of the package, is loaded only now, so that --help is quick.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import Any
 
 from .. import __version__
@@ -85,6 +86,18 @@ def build_parser() -> argparse.ArgumentParser:
     for command in commands.choices.values():
         add_json(command)
     return parser
+
+
+def elsewhere(command: str, unknown: Sequence[str]) -> str:
+    """Return where an unknown option of `run` is to be found, in words; nothing if it is nowhere."""
+    names = [word.partition("=")[0] for word in unknown if word.startswith("--")]
+    if command != "run" or not names:
+        return ""
+    if names[0] in ("--no-deadline", "--horizons"):
+        return "; write `--horizon none`, or several numbers after `--horizon`"
+    if names[0].lstrip("-").replace("-", "_") in USUAL:
+        return "; `certigym synthesize` and `certigym validate` have all options, `run` has the ten that matter most"
+    return ""
 
 
 def _add_synthesis(commands: Any) -> None:

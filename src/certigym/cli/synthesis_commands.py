@@ -152,7 +152,7 @@ def check(options: Namespace) -> int:
         return _check_in_balls(options, claim, certificate, problem)
     report = check_claim(claim, problem)
     # A valid certificate may claim an upper end that is too large a computation to verify; say so.
-    unverified = report and report.above is None and certificate.gap is not None
+    unverified = report and report.above is None and claim is certificate and certificate.gap is not None
     rest = "; the upper end of the claim would take too large a computation" if unverified else ""
     rest += VACUOUS_CHECK if report and report.claimed <= 0.0 else ""
     text = f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}{rest}"
