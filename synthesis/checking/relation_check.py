@@ -71,7 +71,8 @@ def wrong_for_uneven_noise(agent: AnyAgent, part: AgentPart) -> list[str]:
     if not np.array_equal(part.coordinates, np.eye(agent.n_states)):
         return [f"the grid axes of agent `{agent.name}` are not its states"]
     for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
-        if axis.kind == "cell" and not np.array_equal(points, np.arange(-1.0, part.grid.shape[axis.state] + 1.0)):
+        numbers = np.arange(-1.0, part.grid.shape[axis.state] + 1.0)
+        if not axis.is_interpolated and not np.array_equal(points, numbers):
             return [f"the lattice of agent `{agent.name}` does not number the cells of a state without noise"]
     return []
 

@@ -14,8 +14,11 @@ from scipy.linalg import qr
 from ...envs.agents import Agent, AnyAgent, Box, LinearAgent, shortened
 from ..cells import (
     FEWER,
+    CellAxis,
     FloatArray,
     Grid,
+    LatticeAxis,
+    MeanAxis,
     RelationRefused,
     cell_points,
     grid_laws,
@@ -97,14 +100,19 @@ def box_model(
             f"{grid.n_cells * len(menu)} and {count}{FEWER}"
         )
     means = box_lattice(grid, deviations, points, low, high, agent.wrapped_axes.tolist())
-    by_kind = {"mean": lambda k: means[k], "cell": lambda k: cell_points(grid.shape[k])}
+    points_of = dict[LatticeAxis, FloatArray]()
+    for k, n in enumerate(grid.shape):
+        points_of |= {MeanAxis(k): means[k], CellAxis(k): cell_points(n)}
     if spread is not None:
-        n_scaled = sum(axis.kind == "scale" for axis in axes)
+        n_scaled = sum(axis.is_logarithmic for axis in axes)
         levels = min(MOST_SCALES, MOST_SCALED / math.prod(map(len, means))) ** (1.0 / max(1, n_scaled))
         levels = min(levels, *(MOST_MASSES / (len(axis) * n) for axis, n in zip(means, grid.shape, strict=True)))
         least, most, usual = (numbers.tolist() for numbers in spread[:3])
-        by_kind["scale"] = lambda k: scale_levels(least[k], most[k], usual[k], laws[k], levels)
-    lattice = tuple(by_kind[axis.kind](axis.state) for axis in axes)
+        for axis in axes:
+            k = axis.state
+            if axis.is_logarithmic:
+                points_of[axis] = scale_levels(least[k], most[k], usual[k], laws[k], levels)
+    lattice = tuple(points_of[axis] for axis in axes)
     choices = box_choices(grid, lattice, relation, axes)
     if relation.common is not None:
         choices = replace(choices, n_parts=len(relation.common.numbers))
