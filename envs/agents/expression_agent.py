@@ -444,6 +444,15 @@ class Agent(AnyAgent):
                     more += f", a bounded unknown into `disturbances`, such as {{ {name} = [-0.1, 0.1] }}"
             raise ValueError("\n".join([f"`{argument}[{k}]`: {told}{more}", *place])) from None
 
+    is_affine = False  # as far as is known: affine expressions are expressions
+
+    @property
+    def motion_text(self) -> str:
+        """How it moves, in symbols."""
+        named = [f"{name} = {value:g}" for name, value in self.parameters.items()]
+        named += [f"{name} in [{low:g}, {high:g}]" for name, (low, high) in self.disturbances.items()]
+        return ", ".join([*(f"{x}' = {text} + w" for x, text in zip(self.states, self.dynamics, strict=True)), *named])
+
     @property
     def n_outputs(self) -> int:
         """Number of output components p."""
@@ -507,6 +516,11 @@ class Agent(AnyAgent):
         parts: tuple[object, ...] = (self.states, self.output_expressions, tuple(self.parameters.items()))
         parts = (*parts, self.added_outputs) if self.added_outputs else parts
         return (b"expressions", repr(parts).encode())
+
+    @property
+    def stack_key(self) -> tuple[object, ...]:
+        """What agents have in common that move in one stack: everything that is written."""
+        return (self.motion_key, self.output_key)
 
     def mean(
         self,
@@ -601,6 +615,13 @@ class Agent(AnyAgent):
         if self.angles:
             data["angles"] = list(self.angles)
         return data
+
+
+def with_expressions(agent: AnyAgent) -> Agent:
+    """Return an agent that is known to have expressions (TypeError if it has not)."""
+    if not isinstance(agent, Agent):
+        raise TypeError(f"agent `{agent.name}`: expected expressions, got matrices")
+    return agent
 
 
 def _times(time: Any, x: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent, with_matrices
+from ...envs.agents import Agent, AnyAgent, LinearAgent, with_expressions, with_matrices
 from ..cells import FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
 from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth, state
 from ..relations import commands_of
@@ -158,9 +158,9 @@ def box_tables(
             (STRAIGHT if e == k else CROSSED) * own**2 * other**2 / 64.0 for e, other in enumerate(r.tolist())
         )
     slack = slack + ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent, part)
-    written = WrittenBoxes.of(agent, part) if isinstance(agent, Agent) else None
-    if isinstance(agent, LinearAgent):
-        _state_boxes(agent, part, off)
+    if agent.is_affine:
+        _state_boxes(with_matrices(agent), part, off)
+    written = None if agent.is_affine else WrittenBoxes.of(with_expressions(agent), part)
     return BoxTables(axis_tables(agent, part, known), slack, bent, off, written)
 
 

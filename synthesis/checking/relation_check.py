@@ -137,7 +137,7 @@ def _verify_affine(agent: AnyAgent, part: AgentPart, relation: LinearRelation, e
 def _verify_boxes(agent: AnyAgent, part: AgentPart, relation: BoxRelation, execution: Execution) -> list[str]:
     """Every input that is chosen is admissible at every point of its cells, with what is fed back there."""
     menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
-    if not isinstance(agent, LinearAgent) and np.any(gains):
+    if not agent.is_affine and np.any(gains):
         return ["it feeds states back inside its cells, which boxes of expressions do not know of"]
     low, high = cell_boxes(part)
     rows = part.policy.reshape(-1, part.policy.shape[-1])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import qr
 
-from ...envs.agents import Agent, AnyAgent, Box, LinearAgent, shortened
+from ...envs.agents import AnyAgent, Box, LinearAgent, shortened, with_expressions, with_matrices
 from ..cells import (
     FEWER,
     CellAxis,
@@ -156,14 +156,14 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
 
 def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:
     """Return the relation with the choices that are offered by default."""
-    if isinstance(agent, LinearAgent):
-        menu, gains = input_menu(agent, grid, coordinates)
+    if agent.is_affine:
+        menu, gains = input_menu(with_matrices(agent), grid, coordinates)
         return box_relation(agent, coordinates, menu, gains)
     if agent.has_clock:
         return in_fitting_parts(agent, grid, coordinates, clock_menu(agent, INPUT_LEVELS), {"steer": None})
     menu, steer = with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)), None
     # Where inputs command axes, every input is offered twice: as it is, and with targets for these axes.
-    if isinstance(agent, Agent) and WrittenMeans(agent, coordinates, 1).commands:
+    if WrittenMeans(with_expressions(agent), coordinates, 1).commands:
         menu, steer = np.concatenate([menu, menu]), np.arange(2 * len(menu)) >= len(menu)
     return in_fitting_parts(agent, grid, coordinates, menu, {"steer": steer})
 

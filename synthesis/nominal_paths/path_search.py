@@ -64,9 +64,7 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
     refuse_without_path(problem)
     if any(agent.angles for agent in problem.agents):
         return along_angles(problem, path_certificate, work)
-    linear = all(
-        isinstance(agent, LinearAgent) and agent.initial.is_point and agent.laws is None for agent in problem.agents
-    )
+    linear = all(agent.is_linear_gaussian and agent.initial.is_point for agent in problem.agents)
     if problem.labeling.pairs or not linear:
         return nonlinear_certificate(problem, SOURCES, work)
     finder = _Finder(problem)

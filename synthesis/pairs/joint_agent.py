@@ -29,9 +29,9 @@ def joint_problem(problem: Problem) -> Problem:
     refuse_shared_noise(problem)
     if any(pair.is_round for pair in problem.labeling.pairs):
         raise RelationRefused("a joint agent has boxes of differences, got a distance of several outputs")
-    agents = [agent for agent in problem.agents if isinstance(agent, LinearAgent) and agent.laws is None]
-    if len(agents) < problem.n_agents:
+    if not all(agent.is_linear_gaussian for agent in problem.agents):
         raise RelationRefused("a joint agent is made of linear agents with Gaussian noise, got others")
+    agents = [with_matrices(agent) for agent in problem.agents]
     rows = [block_diag(*(agent.output_matrix for agent in agents))]
     for pair in problem.labeling.pairs:
         rows.append(_difference(problem, pair))

@@ -224,7 +224,7 @@ def _wrong_form(certificate: AlongPath) -> list[str]:
     for agent, path in zip(problem.agents, certificate.proof.paths):
         if path.states is not None:
             failures += wrong_nonlinear_path(agent, path, steps)
-        elif not isinstance(agent, LinearAgent) or agent.laws is not None:
+        elif not agent.is_linear_gaussian:
             failures.append(f"agent `{agent.name}` is not linear with Gaussian noise")
         elif not np.array_equal(agent.initial.low, agent.initial.high):
             failures.append(f"the start of agent `{agent.name}` is no point")

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent, counted
+from ...envs.agents import Agent, AnyAgent, counted, with_expressions
 from ...envs.expressions import (
     Affine,
     Interval,
@@ -343,11 +343,11 @@ def map_relation(
         raise RelationRefused(f"agent `{agent.name}`: the linear relation needs inputs inside their box")
     parts, cuts, reach = numbers or (1, 1, (0,) * d)
     means: AffineMaps
-    if not isinstance(agent, Agent):
+    if agent.is_affine:
         means = MatrixMaps(
             linear_means(linear_agent(agent, "linear"), coordinates, np.zeros((1, agent.n_inputs, d))), cuts
         )
     else:
-        means = AffineMeans(agent, coordinates, cuts)
+        means = AffineMeans(with_expressions(agent), coordinates, cuts)
     aims = aimed_relation(agent, coordinates) if with_aims else None
     return MapRelation(means, coordinates, menu, parts, tuple(int(n) for n in reach), aims)
