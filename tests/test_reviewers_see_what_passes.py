@@ -12,7 +12,7 @@ import pytest
 
 from certigym.cli.main import main
 from certigym.validation.paper import RECORDED, Reproduction, computed, lines_text, summary_text
-from certigym.validation.paper.judged_lines import Bound, Measured, judged_lines
+from certigym.validation.paper.judged_lines import Bound, Line, judged_lines
 from certigym.validation.paper.reproduce import WORDS, words_of
 from certigym.validation.paper.reproduction import Found
 from certigym.validation.simulation import processes
@@ -28,7 +28,7 @@ def record(tmp_path: Path) -> Path:
 
 
 def test_a_line_says_what_is_expected_and_found_and_whether_it_passes(record: Path) -> None:
-    lines = [Bound("a", 0.25, 0.75), Measured("b", None, 3.0), Measured("new", None, 1.0)]
+    lines = [Bound("a", 0.25, 0.75), Line("b", None, 3.0), Line("new", None, 1.0)]
     judged = judged_lines("own", lines, record)
     rows = {row.split()[0]: row for row in lines_text(judged).splitlines()}
     assert rows["a"].split() == ["a", "0.25", "0.5", "0.75", "higher", "pass"]
@@ -40,7 +40,7 @@ def test_a_line_says_what_is_expected_and_found_and_whether_it_passes(record: Pa
 
 
 def test_the_summary_counts_every_line_once(record: Path) -> None:
-    lines = [Bound("a", 0.25, 0.75), Measured("b", None, 3.0)]
+    lines = [Bound("a", 0.25, 0.75), Line("b", None, 3.0)]
     told = {"own": judged_lines("own", lines, record), "other": judged_lines("own", lines[:1], record, only="a")}
     rows = [row.split() for row in summary_text(told).splitlines()]
     assert rows[1:] == [["own", "3", "1", "2"], ["other", "1", "1", "0"], ["all", "4", "2", "2"]]

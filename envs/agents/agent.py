@@ -175,17 +175,6 @@ class LinearAgent(AnyAgent):
         """Number of output components p."""
         return int(self.output_matrix.shape[0])
 
-    @cached_property
-    def has_identity_output(self) -> bool:
-        """Whether y = x exactly."""
-        return self.n_outputs == self.n_states and bool((self.output_matrix == np.eye(self.n_states)).all())
-
-    @cached_property
-    def state_outputs(self) -> int:
-        """How many outputs, from the first on, are read as the states that they are: d if y = x but for added ones."""
-        first = self.output_matrix[: self.n_outputs - self.added_outputs]
-        return self.n_states if len(first) == self.n_states and bool((first == np.eye(self.n_states)).all()) else 0
-
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the states; empty where they have numbers alone."""

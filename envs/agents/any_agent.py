@@ -74,10 +74,10 @@ class AnyAgent(ABC):
     def n_outputs(self) -> int:
         """Number of output components p."""
 
-    @property
-    @abstractmethod
+    @cached_property
     def has_identity_output(self) -> bool:
         """Whether y = x exactly."""
+        return self.n_outputs == self.n_states and self._begins_with_states
 
     is_affine: ClassVar[bool]
     """Whether means are known to be affine in state and input, `A x + B u + c`: matrices say how it moves."""
@@ -120,9 +120,14 @@ class AnyAgent(ABC):
         return tuple(k for k, axis in enumerate(axes) if axis is not None and self.wrapped_axes[axis[0]])
 
     @property
-    @abstractmethod
     def state_outputs(self) -> int:
         """How many outputs, from the first on, are read as the states that they are: d if y = x but for added ones."""
+        return self.n_states if self.n_outputs - self.added_outputs == self.n_states and self._begins_with_states else 0
+
+    @cached_property
+    def _begins_with_states(self) -> bool:
+        """Whether the first d outputs, of at least as many, are the states."""
+        return all(self.output_axis(k) == (k, 1.0) for k in range(self.n_states))
 
     @property
     @abstractmethod

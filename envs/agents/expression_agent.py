@@ -468,17 +468,6 @@ class Agent(AnyAgent):
         """Outputs as they are written, those that were added for shapes left out."""
         return self.output_expressions[: self.n_outputs - self.added_outputs]
 
-    @cached_property
-    def has_identity_output(self) -> bool:
-        """Whether y = x exactly."""
-        return self.output_trees == tuple(Name(state) for state in self.states)
-
-    @cached_property
-    def state_outputs(self) -> int:
-        """How many outputs, from the first on, are read as the states that they are: d if y = x but for added ones."""
-        first = self.output_trees[: self.n_outputs - self.added_outputs]
-        return self.n_states if first == tuple(Name(state) for state in self.states) else 0
-
     @property
     def disturbance_low(self) -> np.ndarray:
         """Lower ends of the disturbances, shape (k,)."""

@@ -36,7 +36,9 @@ class LatticeAxis:
 
     def of(self, means: FloatArray, scales: FloatArray | None) -> FloatArray:
         """Return which numbers (..) of means (.., d) and scales (.., d) of the noise have their place on the axis."""
-        return np.asarray(means[..., self.state])
+        numbers = scales if self.is_logarithmic else means
+        assert numbers is not None  # an axis of scales is there for noise that has some
+        return np.asarray(numbers[..., self.state])
 
 
 class MeanAxis(LatticeAxis):
@@ -53,11 +55,6 @@ class ScaleAxis(LatticeAxis):
     """Logarithms of what the noise is multiplied with."""
 
     is_logarithmic = True
-
-    def of(self, means: FloatArray, scales: FloatArray | None) -> FloatArray:
-        """Return the scales (..) of the state."""
-        assert scales is not None  # an axis of scales is there for noise that has some
-        return np.asarray(scales[..., self.state])
 
 
 def lattice_axes(agent: AnyAgent) -> tuple[LatticeAxis, ...]:

@@ -276,17 +276,16 @@ class MapRelation(ReadsCoordinates):
         aims = "" if self.aims is None else ", and targets"
         return f"MapRelation({counted(d, 'state')}, {counted(m, 'input')}, {counted(len(self.menu), 'choice')}{aims})"
 
-    common = None
-
     @property
     def network(self) -> Any:
         """The network whose modes are the choices, if one moves the agent."""
         return self.means.network
 
     @property
-    def aims_are_matrices(self) -> bool:
-        """Whether inputs put means on targets by matrices, or there are no targets."""
-        return isinstance(self.aims, ExactRelation | None)
+    def matrices(self) -> tuple[Any, FloatArray] | None:
+        """The exact relation of its targets, or None, and its inputs; None beside networks, and targets of others."""
+        aims = (None, None) if self.aims is None else self.aims.matrices
+        return None if self.network is not None or aims is None else (aims[0], np.asarray(self.menu, dtype=float))
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent, AnyAgent, LinearAgent, counted
 from ..cells import FloatArray, RelationRefused, linear_agent
 from .common_means import CommonInputs, CommonMeans, common_inputs, common_means
-from .coordinates import ReadsCoordinates
+from .coordinates import ReadsCoordinates, Unsteered
 from .driven_means import DrivenMeans
 from .exact import INPUT_MARGIN
 from .network_bounds import mean_bounds
@@ -79,7 +79,7 @@ class Enclosing(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class LinearMeans:
+class LinearMeans(Unsteered):
     """Boxes around the means of a linear agent. Matrices are in grid coordinates.
 
     Parameters
@@ -112,17 +112,6 @@ class LinearMeans:
         extent = np.einsum("aij,nj->nai", closed, half) + self.rounding
         return middle - extent, middle + extent
 
-    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> None:
-        """Return None: the noise is the same everywhere."""
-
-    def steered(
-        self, choices: NDArray[np.intp], points: FloatArray, centres: FloatArray, inputs: FloatArray, beside: Any
-    ) -> FloatArray:
-        """Return inputs (m, ...) of choices (...) as they are: none steers."""
-        return inputs
-
-    network = None
-
     @property
     def description(self) -> dict[str, Any]:
         """What files hold of it."""
@@ -135,7 +124,7 @@ class LinearMeans:
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkMeans:
+class NetworkMeans(Unsteered):
     """Boxes around the means of a linear agent that a network may move.
 
     The first choices are the modes of the network (``NetworkPolicy``): choice ``t * states + q`` is what the network
@@ -166,15 +155,6 @@ class NetworkMeans:
         ends = mean_bounds(self.policy, moves, self.coordinates, (low, high), self.parts)
         first[:, :modes], last[:, :modes] = ends[0] - self.linear.rounding, ends[1] + self.linear.rounding
         return first, last
-
-    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> None:
-        """Return None: the noise is the same everywhere."""
-
-    def steered(
-        self, choices: NDArray[np.intp], points: FloatArray, centres: FloatArray, inputs: FloatArray, beside: Any
-    ) -> FloatArray:
-        """Return inputs (m, ...) of choices (...) as they are: none steers."""
-        return inputs
 
     @property
     def network(self) -> NetworkPolicy:

@@ -7,7 +7,7 @@ from typing import Any
 
 from . import reproduce
 from .arch import arch
-from .judged_lines import Bound, Claim, Digits, Line, Measured, judged_lines
+from .judged_lines import Bound, Claim, Digits, Line, judged_lines
 from .refutation import refutation
 from .reproduction import Reproduction
 
@@ -42,7 +42,7 @@ def _fig3(rows: Sequence[dict[str, Any]]) -> list[Line]:
         at, robust, posterior = f"T = {row['T']}: ", row["published"], row["a_posteriori_published"]
         lines += [
             Digits(f"{at}robust tree, variance as deviation", robust, row["robust_tree_variance_as_std"]),
-            Measured(f"{at}robust tree, stated noise", robust, row["robust_tree"]),
+            Line(f"{at}robust tree, stated noise", robust, row["robust_tree"]),
             Bound(f"{at}robust tree, certified", robust, row["robust_tree_certified"]),
             Bound(f"{at}a-posteriori, certified", posterior, row["a_posteriori"]),
             Bound(f"{at}exact relation, certified", robust, row["exact"]),
@@ -57,7 +57,7 @@ def _fig4(rows: Sequence[dict[str, Any]]) -> list[Line]:
         for name in [key for key in row if key != "T"]:
             kind, setting, n = name.rsplit("_", 2)
             what = "exact relation" if kind == "exact" else "robust tree"
-            judged = Bound if kind == "exact" else Measured
+            judged = Bound if kind == "exact" else Line
             lines.append(judged(f"T = {row['T']}, setting {setting}, {n} agents: {what}", None, row[name]))
     return lines
 
@@ -68,8 +68,8 @@ def _table1(rows: Sequence[dict[str, Any]]) -> list[Line]:
     for row in rows:
         name = row["problem"]
         lines += [
-            Measured(f"{name}: joint bytes", row["published_joint_bytes"], row["joint_bytes"]),
-            Measured(f"{name}: bytes per term", row["published_bytes_per_term"], row["bytes_per_term"]),
+            Line(f"{name}: joint bytes", row["published_joint_bytes"], row["joint_bytes"]),
+            Line(f"{name}: bytes per term", row["published_bytes_per_term"], row["bytes_per_term"]),
         ]
     return lines
 
@@ -86,7 +86,7 @@ def _table2(rows: Sequence[dict[str, Any]]) -> list[Line]:
             ]
         lines += [
             Bound(f"{name}exact relation", row["published"], row["exact"]),
-            Measured(f"{name}rollouts", row["published"], row["estimate"]),
+            Line(f"{name}rollouts", row["published"], row["estimate"]),
         ]
     return lines
 
@@ -95,18 +95,18 @@ def _refutation(result: dict[str, Any]) -> list[Line]:
     """Return the lines of the refutation of the certificate at T = 6."""
     right = result["right_noise"]
     return [
-        Measured("initial states at which the claim is refuted", None, result["refuted"]),
-        Measured("initial states", None, result["initial_states"]),
-        Measured("share of states with a success rate below the claim", None, result["fraction_below_claim"]),
-        Measured("largest excess of a claim", None, result["worst_excess"]),
-        Measured("worst start, x1", None, result["worst_initial_state"][0]),
-        Measured("worst start, x2", None, result["worst_initial_state"][1]),
+        Line("initial states at which the claim is refuted", None, result["refuted"]),
+        Line("initial states", None, result["initial_states"]),
+        Line("share of states with a success rate below the claim", None, result["fraction_below_claim"]),
+        Line("largest excess of a claim", None, result["worst_excess"]),
+        Line("worst start, x1", None, result["worst_initial_state"][0]),
+        Line("worst start, x2", None, result["worst_initial_state"][1]),
         Claim("success rate at the worst start", result["worst_claim"], result["worst_estimate"]),
-        Measured("mean over the region", result["published_mean"], result["simulated_mean"]),
+        Line("mean over the region", result["published_mean"], result["simulated_mean"]),
         *(
             judged(f"{name} relation at the stated noise, {what}", None, right[name][key])
             for name in ("paper", "exact")
-            for what, key, judged in (("certified", "lower_bound", Bound), ("rollouts", "estimate", Measured))
+            for what, key, judged in (("certified", "lower_bound", Bound), ("rollouts", "estimate", Line))
         ),
     ]
 
