@@ -34,12 +34,6 @@ class LatticeAxis:
     is_interpolated: ClassVar[bool] = True
     is_logarithmic: ClassVar[bool] = False
 
-    def of(self, means: FloatArray, scales: FloatArray | None) -> FloatArray:
-        """Return which numbers (..) of means (.., d) and scales (.., d) of the noise have their place on the axis."""
-        numbers = scales if self.is_logarithmic else means
-        assert numbers is not None  # an axis of scales is there for noise that has some
-        return np.asarray(numbers[..., self.state])
-
 
 class MeanAxis(LatticeAxis):
     """Means of the next state."""

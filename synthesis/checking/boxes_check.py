@@ -311,7 +311,7 @@ def _positions(agent: AnyAgent, part: AgentPart, means: FloatArray, scales: Floa
     """Places (C, D) on the lattice of means and scales (C, d); not numbers where a scale is not positive."""
     columns = []
     for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
-        value = axis.of(means, scales)
+        value = (scales if axis.is_logarithmic else means)[:, axis.state]
         if not axis.is_interpolated:
             # The number of edges at or below, 0 and the last number being outside; the workspace holds its upper face.
             edges = part.grid.edges[axis.state]

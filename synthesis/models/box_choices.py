@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray, Grid, LatticeAxis, MeanAxis, RelationRefused, shape_text
-from ..relations import Enclosing, MeanBoxes
+from ..relations import BoxRelation, MeanBoxes
 from ..values import beside, to_host
 from .box_minima import least_over_boxes, window_minima
 from .choices import TIE, Choices, MeansAt, StepPolicy, shifted
@@ -42,7 +42,7 @@ class BoxChoices(Choices):
         Evenly spaced lattice axes; a point is numbered in C order.
     axes : tuple of LatticeAxis
         What they stand for.
-    relation : Enclosing
+    relation : BoxRelation
         Whose boxes these are.
     low, high : (S, A, D) arrays
         Corners of boxes in lattice steps; -1 for boxes that leave the lattice, where the value is 0.
@@ -62,7 +62,7 @@ class BoxChoices(Choices):
     grid: Grid
     lattice: tuple[FloatArray, ...]
     axes: tuple[LatticeAxis, ...]
-    relation: Enclosing
+    relation: BoxRelation
     low: FloatArray
     high: FloatArray
     sizes: NDArray[np.int64]
@@ -252,9 +252,9 @@ def steps_of(lattice: tuple[FloatArray, ...]) -> FloatArray:
 
 
 def box_choices(
-    grid: Grid, lattice: tuple[FloatArray, ...], agent: Enclosing, axes: tuple[LatticeAxis, ...] | None = None
+    grid: Grid, lattice: tuple[FloatArray, ...], agent: BoxRelation, axes: tuple[LatticeAxis, ...]
 ) -> BoxChoices:
-    """Return the choices of an agent on a lattice, whose axes are those of the means by default.
+    """Return the choices of an agent on a lattice.
 
     Raises
     ------
@@ -262,7 +262,6 @@ def box_choices(
         If no choice is admissible in any cell.
     """
     n_cells, n_choices, d = grid.n_cells, agent.n_choices, len(lattice)
-    axes = tuple(MeanAxis(k) for k in range(d)) if axes is None else axes
     low, high = (np.empty((n_cells, n_choices, d)) for _ in range(2))
     exponents = np.empty((n_cells, n_choices, d), dtype=np.int8)
     corners = np.empty((n_cells, n_choices, 2**d), dtype=np.int32)
@@ -306,7 +305,9 @@ def positions(
     for side in (0, 1):
         columns = []
         for axis, points in zip(axes, lattice, strict=True):
-            column = axis.of((boxes.low, boxes.high)[side], boxes.scales and boxes.scales[side])
+            numbers = boxes.scales if axis.is_logarithmic else (boxes.low, boxes.high)
+            assert numbers is not None  # an axis of scales is there for noise that has some
+            column = numbers[side][..., axis.state]
             if not axis.is_interpolated:
                 columns.append(cells_at(column, grid.edges[axis.state], side))
                 continue

@@ -20,6 +20,7 @@ from ..cells import (
     LatticeAxis,
     MeanAxis,
     RelationRefused,
+    ScaleAxis,
     cell_points,
     grid_laws,
     in_grid_coordinates,
@@ -100,18 +101,15 @@ def box_model(
             f"{grid.n_cells * len(menu)} and {count}{FEWER}"
         )
     means = box_lattice(grid, deviations, points, low, high, agent.wrapped_axes.tolist())
-    points_of = dict[LatticeAxis, FloatArray]()
-    for k, n in enumerate(grid.shape):
-        points_of |= {MeanAxis(k): means[k], CellAxis(k): cell_points(n)}
+    points_of: dict[LatticeAxis, FloatArray] = {MeanAxis(k): own for k, own in enumerate(means)}
+    points_of |= {CellAxis(k): cell_points(n) for k, n in enumerate(grid.shape)}
     if spread is not None:
         n_scaled = sum(axis.is_logarithmic for axis in axes)
         levels = min(MOST_SCALES, MOST_SCALED / math.prod(map(len, means))) ** (1.0 / max(1, n_scaled))
         levels = min(levels, *(MOST_MASSES / (len(axis) * n) for axis, n in zip(means, grid.shape, strict=True)))
         least, most, usual = (numbers.tolist() for numbers in spread[:3])
-        for axis in axes:
-            k = axis.state
-            if axis.is_logarithmic:
-                points_of[axis] = scale_levels(least[k], most[k], usual[k], laws[k], levels)
+        for k in (axis.state for axis in axes if axis.is_logarithmic):
+            points_of[ScaleAxis(k)] = scale_levels(least[k], most[k], usual[k], laws[k], levels)
     lattice = tuple(points_of[axis] for axis in axes)
     choices = box_choices(grid, lattice, relation, axes)
     if relation.common is not None:

@@ -7,7 +7,7 @@ cell s with centre c, choice a applies the input
 
 which is admissible on the whole closed cell. All that the finite model knows of the mean is that it lies in the box
 ``M(s, a)``; the kernel takes the least value over it (docs/theory/boxes.md). So nothing depends on how the boxes were
-made, and an agent needs no more than ``Enclosing``: boxes for all points of a cell, and inputs. Here they are made for
+made, and an agent needs no more than boxes for all points of a cell, and inputs. Here they are made for
 linear agents, in ``written_means`` for those whose dynamics are expressions, in ``network_bounds`` for linear agents
 that a network moves; kernel, search and tree are the same.
 """
@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,20 +62,6 @@ class MeanBoxes:
     high: FloatArray
     admissible: NDArray[np.bool_]
     scales: tuple[FloatArray, FloatArray] | None = None
-
-
-class Enclosing(Protocol):
-    """What mean boxes need to know of an agent."""
-
-    @property
-    def n_choices(self) -> int:
-        """Number of choices A of every cell."""
-
-    def mean_boxes(self, low: FloatArray, high: FloatArray) -> MeanBoxes:
-        """Return boxes around the means from the closed cells ``[low, high]``, (n, d) each (outer bounds)."""
-
-    def inputs(self, choices: NDArray[np.intp], offsets: FloatArray) -> FloatArray:
-        """Return the inputs (m, ...) of choices (...) at states ``offsets`` (d, ...) from the centres of cells."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +160,7 @@ class NetworkMeans(Unsteered):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BoxRelation(ReadsCoordinates):
-    """Mean boxes of an agent (delta = 0, no memory); it is ``Enclosing``.
+    """Mean boxes of an agent (delta = 0, no memory).
 
     Parameters
     ----------
