@@ -135,9 +135,9 @@ class AnyAgent(ABC):
         """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
 
     @property
-    @abstractmethod
     def stack_key(self) -> tuple[object, ...]:
-        """What agents of equal sizes have in common that move in one stack of arrays."""
+        """What agents of equal sizes have in common that move in one stack of arrays: all that is written."""
+        return (self.motion_key, self.output_key)
 
     @property
     @abstractmethod

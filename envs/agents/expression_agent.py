@@ -506,11 +506,6 @@ class Agent(AnyAgent):
         parts = (*parts, self.added_outputs) if self.added_outputs else parts
         return (b"expressions", repr(parts).encode())
 
-    @property
-    def stack_key(self) -> tuple[object, ...]:
-        """What agents have in common that move in one stack: everything that is written."""
-        return (self.motion_key, self.output_key)
-
     def mean(
         self,
         x: np.ndarray,
