@@ -118,6 +118,4 @@ def _asked(problem: Problem, p: int) -> tuple[FloatArray, tuple[FloatArray, Floa
 
 
 def _matrix(problem: Problem, i: int) -> FloatArray:
-    agent = problem.agents[i]
-    agent = with_matrices(agent)  # others were refused
-    return agent.output_matrix
+    return with_matrices(problem.agents[i]).output_matrix  # others were refused

@@ -290,8 +290,7 @@ class _Finder:
         return self.gains[i, number]
 
     def _solved(self, i: int, letters: NDArray[np.int8], own: list[int]) -> tuple[float, AgentPath | None, Any]:
-        agent, steps = self.problem.agents[i], len(letters) - 1
-        agent = with_matrices(agent)
+        agent, steps = with_matrices(self.problem.agents[i]), len(letters) - 1
         response = Response.of(agent, steps)
         best: tuple[float, AgentPath | None, Any] = (1.0, None, np.full((len(letters), len(own)), -1))
         for number in range(len(GAIN_COSTS) + 1):

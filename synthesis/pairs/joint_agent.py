@@ -70,8 +70,7 @@ def _difference(problem: Problem, pair: PairRegion) -> FloatArray:
     """Return the rows (p, D) that take a joint state to the differences that a pair compares."""
     rows = np.zeros((len(pair.low), problem.n_states))
     for i, outputs, sign in ((pair.first, pair.outputs[0], 1.0), (pair.second, pair.outputs[1], -1.0)):
-        agent = problem.agents[i]
-        agent = with_matrices(agent)
+        agent = with_matrices(problem.agents[i])
         rows[:, problem.columns[i]] += sign * agent.output_matrix[list(outputs)]
     return rows
 

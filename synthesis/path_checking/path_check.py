@@ -201,8 +201,7 @@ def both_failures(certificate: AlongPath) -> tuple[float, float]:
 
     A bound is 1 unless every nominal value is on the right side of its limits, where both are convex in them.
     """
-    agent = certificate.problem.agents[0]
-    agent = with_matrices(agent)
+    agent = with_matrices(certificate.problem.agents[0])
     return _both(certificate, Motion.of(agent, certificate.proof.paths[0]))[1:]
 
 
