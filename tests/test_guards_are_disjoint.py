@@ -61,7 +61,7 @@ def outcome(problem: cg.Problem, q: int, sets: list[np.ndarray]) -> int | None:
 def assert_guards_are_right(problem: cg.Problem, label_sets: list[np.ndarray], guards: Guards) -> None:
     automaton = problem.automaton
     for q in range(automaton.n_states):
-        own = guards.out_of(q)
+        own = np.flatnonzero(guards.source == q)
         if automaton.dead[q] or (automaton.semantics == "co-safe" and automaton.accepting[q]):
             assert len(own) == 0
             continue

@@ -18,7 +18,7 @@ from certigym.envs.agents.noise import laws_of
 from certigym.envs.dynamics import Dynamics, OneWorld
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.problem import problem_from_dict
-from certigym.synthesis.cells import LatticeAxis, RelationRefused, lattice_axes
+from certigym.synthesis.cells import CellAxis, MeanAxis, RelationRefused, ScaleAxis, lattice_axes
 from certigym.synthesis.certificates import changed, scale_charge, value_of
 from certigym.synthesis.checking import boxes_check
 from certigym.synthesis.checking.regrown_tree import regrow
@@ -102,9 +102,9 @@ def docking() -> cg.Problem:
 
 
 def test_axes_of_lattices_say_what_they_stand_for() -> None:
-    assert lattice_axes(walker()) == (LatticeAxis("scale", 0), LatticeAxis("mean", 0), LatticeAxis("cell", 1))
-    assert lattice_axes(drifter()) == (LatticeAxis("cell", 0), LatticeAxis("mean", 1))
-    assert lattice_axes(walker(scale="1")) == (LatticeAxis("mean", 0), LatticeAxis("cell", 1))
+    assert lattice_axes(walker()) == (ScaleAxis(0), MeanAxis(0), CellAxis(1))
+    assert lattice_axes(drifter()) == (CellAxis(0), MeanAxis(1))
+    assert lattice_axes(walker(scale="1")) == (MeanAxis(0), CellAxis(1))
 
 
 def test_agents_keep_their_scales() -> None:
@@ -432,6 +432,6 @@ def test_a_scale_of_one_is_no_scale(law: dict[str, Any], scale: str) -> None:
 
 def test_scales_of_one_beside_others_have_no_axis() -> None:
     agent = walker(noise=[GAUSSIAN, {"law": "gaussian", "std": 0.1}], noise_scale=["0.1 + 0.05*abs(x)", "2/2"])
-    assert [(axis.kind, axis.state) for axis in lattice_axes(agent)] == [("scale", 0), ("mean", 0), ("mean", 1)]
+    assert lattice_axes(agent) == (ScaleAxis(0), MeanAxis(0), MeanAxis(1))
     with pytest.raises(ValueError, match="expected beside `noise`"):
         walker(noise=None, noise_covariance=np.eye(2), noise_scale=["1", "1"])

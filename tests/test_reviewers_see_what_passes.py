@@ -12,7 +12,7 @@ import pytest
 
 from certigym.cli.main import main
 from certigym.validation.paper import RECORDED, Reproduction, computed, lines_text, summary_text
-from certigym.validation.paper.judged_lines import Line, judged_lines
+from certigym.validation.paper.judged_lines import Bound, Line, judged_lines
 from certigym.validation.paper.reproduce import WORDS, words_of
 from certigym.validation.paper.reproduction import Found
 from certigym.validation.simulation import processes
@@ -28,19 +28,19 @@ def record(tmp_path: Path) -> Path:
 
 
 def test_a_line_says_what_is_expected_and_found_and_whether_it_passes(record: Path) -> None:
-    lines = [Line("a", 0.25, 0.75, "bound"), Line("b", None, 3.0, "measured"), Line("new", None, 1.0, "measured")]
+    lines = [Bound("a", 0.25, 0.75), Line("b", None, 3.0), Line("new", None, 1.0)]
     judged = judged_lines("own", lines, record)
     rows = {row.split()[0]: row for row in lines_text(judged).splitlines()}
     assert rows["a"].split() == ["a", "0.25", "0.5", "0.75", "higher", "pass"]
     assert rows["b"].endswith("FAIL: far from the recorded 2") and rows["new"].endswith("FAIL: not recorded")
     assert rows["gone"].endswith("FAIL: not computed") and " 1 " in rows["gone"]
     # A bound that fell fails, by however little.
-    (fallen,) = judged_lines("own", [Line("a", 0.25, 0.5 - 1e-12, "bound")], record, only="a")
+    (fallen,) = judged_lines("own", [Bound("a", 0.25, 0.5 - 1e-12)], record, only="a")
     assert lines_text([fallen]).splitlines()[1].endswith("FAIL: below the recorded 0.5")
 
 
 def test_the_summary_counts_every_line_once(record: Path) -> None:
-    lines = [Line("a", 0.25, 0.75, "bound"), Line("b", None, 3.0, "measured")]
+    lines = [Bound("a", 0.25, 0.75), Line("b", None, 3.0)]
     told = {"own": judged_lines("own", lines, record), "other": judged_lines("own", lines[:1], record, only="a")}
     rows = [row.split() for row in summary_text(told).splitlines()]
     assert rows[1:] == [["own", "3", "1", "2"], ["other", "1", "1", "0"], ["all", "4", "2", "2"]]
@@ -128,7 +128,7 @@ def test_the_command_says_on_standard_error_what_it_computes_and_finds(
 
 
 def test_the_keys_of_lines_are_explained(record: Path) -> None:
-    (line,) = judged_lines("own", [Line("a", 0.25, 0.5, "bound")], record, only="a")
+    (line,) = judged_lines("own", [Bound("a", 0.25, 0.5)], record, only="a")
     page = (PAGE.parent / "command_line.md").read_text(encoding="utf-8")
     (row,) = [row for row in page.splitlines() if row.startswith("| each of `lines` |")]
     assert all(f"`{key}`" in row for key in line)

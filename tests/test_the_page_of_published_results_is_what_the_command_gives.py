@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 
 from certigym.cli.main import main
 from certigym.validation.paper import RECORDED, TARGETS, arch
-from certigym.validation.paper.judged_lines import Line, judged_lines, lines_text
+from certigym.validation.paper.judged_lines import Bound, Claim, Digits, judged_lines, lines_text
 from certigym.validation.paper.reproduce import fig3
 from certigym.validation.paper.reproduction import Found, Reproduction
 from certigym.validation.paper.targets import lines_of, target_of
@@ -138,14 +139,13 @@ def test_the_refutation_is_as_recorded(tmp_path: Path) -> None:
 
 
 def test_a_number_that_falls_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lines = [Line("bound", 0.5, 0.6, "bound"), Line("digits", 0.5, 0.5, "digits"), Line("claim", 0.9, 0.7, "claim")]
+    lines = [Bound("bound", 0.5, 0.6), Digits("digits", 0.5, 0.5), Claim("claim", 0.9, 0.7)]
     record = tmp_path / "recorded.json"
     told = {"bound": [0.6, "higher"], "digits": [0.5, "agrees"], "claim": [0.7, "published claim refuted"]}
     record.write_text(json.dumps({"own": told}))
     assert [line["wrong"] for line in judged_lines("own", lines, record)] == [None] * 3
     for k, value, word in ((0, 0.5999, "below"), (1, 0.501, "recorded as agrees"), (2, 0.95, "recorded as")):
-        changed = [Line(line.name, line.published, value if i == k else line.ours, line.kind) for i, line in
-                   enumerate(lines)]  # fmt: skip
+        changed = [replace(line, ours=value) if i == k else line for i, line in enumerate(lines)]
         wrong = [line["wrong"] for line in judged_lines("own", changed, record)]
         assert word in str(wrong[k]) and wrong.count(None) == 2
     missing = judged_lines("own", lines[:2], record)

@@ -15,7 +15,7 @@ from .checks import (
     unknown_argument,
 )
 from .declared_names import MOST_OUTPUTS, MOST_STATES
-from .expression_agent import Agent
+from .expression_agent import Agent, with_expressions
 from .headings import heading_of
 from .labeling import MOVING_REFUSAL, Labeling, contains, inside, of_hint
 from .laws import Gaussian, Law, Uniform
@@ -23,7 +23,7 @@ from .majorants import Majorant, Tail
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
 from .pair import FLAT, REFUSAL, Pair, PairRegion, ball_box, holds
 from .pieces import TURN, Combined, Form, Frame, Limit, Piece
-from .printing import box_text, counted, names_text, shortened, tree_text
+from .printing import box_text, counted, matrix_text, names_text, shortened, tree_text, vector_text
 from .products import linear, row_times
 from .proposition import Proposition
 from .saving import write_bytes, write_json, write_text
@@ -72,6 +72,7 @@ __all__ = [
     "holds",
     "inside",
     "linear",
+    "matrix_text",
     "names_text",
     "neighbour",
     "of_hint",
@@ -86,6 +87,8 @@ __all__ = [
     "tree_text",
     "unknown_argument",
     "values_over",
+    "vector_text",
+    "with_expressions",
     "wrapped",
     "with_matrices",
     "write_bytes",

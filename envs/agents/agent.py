@@ -19,7 +19,7 @@ from .any_agent import AnyAgent, checked_added, is_passive, shared_fields, summa
 from .checks import float_array, read_only, shown
 from .declared_names import checked_names
 from .laws import Law
-from .printing import counted, tree_text
+from .printing import counted, matrix_text, tree_text, vector_text
 from .products import linear
 
 _ARRAYS = (
@@ -175,17 +175,6 @@ class LinearAgent(AnyAgent):
         """Number of output components p."""
         return int(self.output_matrix.shape[0])
 
-    @cached_property
-    def has_identity_output(self) -> bool:
-        """Whether y = x exactly."""
-        return self.n_outputs == self.n_states and bool((self.output_matrix == np.eye(self.n_states)).all())
-
-    @cached_property
-    def state_outputs(self) -> int:
-        """How many outputs, from the first on, are read as the states that they are: d if y = x but for added ones."""
-        first = self.output_matrix[: self.n_outputs - self.added_outputs]
-        return self.n_states if len(first) == self.n_states and bool((first == np.eye(self.n_states)).all()) else 0
-
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the states; empty where they have numbers alone."""
@@ -212,6 +201,7 @@ class LinearAgent(AnyAgent):
         """Outputs as sums of products."""
         return tuple(affine(row, self.states, 0.0) for row in self.output_matrix)
 
+    is_affine = True
     has_straight_outputs = True
     disturbances = MappingProxyType({})
 
@@ -219,6 +209,20 @@ class LinearAgent(AnyAgent):
     def motion_key(self) -> tuple[bytes, ...]:
         """What determines how the agent moves, apart from noise, boxes and names of agents; it serves comparisons."""
         return (b"linear", self.A.tobytes(), self.B.tobytes(), self.offset.tobytes())
+
+    stack_key = ()  # matrices of equal sizes are stacked, whatever their entries
+
+    @cached_property
+    def has_full_rank(self) -> bool:
+        """Whether B has full row rank: every mean can be commanded."""
+        return bool(np.linalg.matrix_rank(self.B) == self.n_states)
+
+    @property
+    def motion_text(self) -> str:
+        """How it moves, in symbols."""
+        states = f" with x = ({', '.join(self.state_names)})" if self.state_names else ""
+        numbers = f"A = {matrix_text(self.A)}, B = {matrix_text(self.B)}, c = {vector_text(self.offset)}"
+        return f"x' = A x + B u + c + w{states}, {numbers}"
 
     @property
     def output_key(self) -> tuple[bytes, ...]:
@@ -251,6 +255,10 @@ class LinearAgent(AnyAgent):
         row = self.output_matrix[k]
         axes = np.flatnonzero(row)
         return (int(axes[0]), float(row[axes[0]])) if len(axes) == 1 else None
+
+    def output_row(self, k: int) -> np.ndarray:
+        """Return the row (d,) of output k."""
+        return np.asarray(self.output_matrix[k])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the agent as plain lists and numbers, keyed as in problem files (exact)."""

@@ -7,7 +7,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -74,10 +74,23 @@ class AnyAgent(ABC):
     def n_outputs(self) -> int:
         """Number of output components p."""
 
-    @property
-    @abstractmethod
+    @cached_property
     def has_identity_output(self) -> bool:
         """Whether y = x exactly."""
+        return self.n_outputs == self.n_states and self._begins_with_states
+
+    is_affine: ClassVar[bool]
+    """Whether means are known to be affine in state and input, `A x + B u + c`: matrices say how it moves."""
+
+    @property
+    def is_linear_gaussian(self) -> bool:
+        """Whether means are affine and the noise is Gaussian: states are then Gaussian under linear feedback."""
+        return self.is_affine and self.laws is None
+
+    @property
+    def has_full_rank(self) -> bool:
+        """Whether B is known to have full row rank: every mean can be commanded."""
+        return False
 
     added_outputs: int = 0
     """How many of the last outputs are there for shapes alone; the others are those that the agent has without them."""
@@ -107,14 +120,29 @@ class AnyAgent(ABC):
         return tuple(k for k, axis in enumerate(axes) if axis is not None and self.wrapped_axes[axis[0]])
 
     @property
-    @abstractmethod
     def state_outputs(self) -> int:
         """How many outputs, from the first on, are read as the states that they are: d if y = x but for added ones."""
+        return self.n_states if self.n_outputs - self.added_outputs == self.n_states and self._begins_with_states else 0
+
+    @cached_property
+    def _begins_with_states(self) -> bool:
+        """Whether the first d outputs, of at least as many, are the states."""
+        return all(self.output_axis(k) == (k, 1.0) for k in range(self.n_states))
 
     @property
     @abstractmethod
     def motion_key(self) -> tuple[bytes, ...]:
         """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
+
+    @property
+    def stack_key(self) -> tuple[object, ...]:
+        """What agents of equal sizes have in common that move in one stack of arrays: all that is written."""
+        return (self.motion_key, self.output_key)
+
+    @property
+    @abstractmethod
+    def motion_text(self) -> str:
+        """How it moves, in symbols."""
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -211,6 +239,12 @@ class AnyAgent(ABC):
     @abstractmethod
     def output_axis(self, k: int) -> tuple[int, float] | None:
         """Return state and factor of output k if it is a multiple of a single state, or None."""
+
+    def output_row(self, k: int) -> np.ndarray:
+        """Return the row (d,) of an output that is linear in the states."""
+        found = self.output_axis(k)
+        assert found is not None  # outputs that bend have no row
+        return np.asarray(found[1] * np.eye(self.n_states)[found[0]])
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:

@@ -444,6 +444,15 @@ class Agent(AnyAgent):
                     more += f", a bounded unknown into `disturbances`, such as {{ {name} = [-0.1, 0.1] }}"
             raise ValueError("\n".join([f"`{argument}[{k}]`: {told}{more}", *place])) from None
 
+    is_affine = False  # as far as is known: affine expressions are expressions
+
+    @property
+    def motion_text(self) -> str:
+        """How it moves, in symbols."""
+        named = [f"{name} = {value:g}" for name, value in self.parameters.items()]
+        named += [f"{name} in [{low:g}, {high:g}]" for name, (low, high) in self.disturbances.items()]
+        return ", ".join([*(f"{x}' = {text} + w" for x, text in zip(self.states, self.dynamics, strict=True)), *named])
+
     @property
     def n_outputs(self) -> int:
         """Number of output components p."""
@@ -458,17 +467,6 @@ class Agent(AnyAgent):
     def output_names(self) -> tuple[str, ...]:
         """Outputs as they are written, those that were added for shapes left out."""
         return self.output_expressions[: self.n_outputs - self.added_outputs]
-
-    @cached_property
-    def has_identity_output(self) -> bool:
-        """Whether y = x exactly."""
-        return self.output_trees == tuple(Name(state) for state in self.states)
-
-    @cached_property
-    def state_outputs(self) -> int:
-        """How many outputs, from the first on, are read as the states that they are: d if y = x but for added ones."""
-        first = self.output_trees[: self.n_outputs - self.added_outputs]
-        return self.n_states if first == tuple(Name(state) for state in self.states) else 0
 
     @property
     def disturbance_low(self) -> np.ndarray:
@@ -601,6 +599,13 @@ class Agent(AnyAgent):
         if self.angles:
             data["angles"] = list(self.angles)
         return data
+
+
+def with_expressions(agent: AnyAgent) -> Agent:
+    """Return an agent that is known to have expressions (TypeError if it has not)."""
+    if not isinstance(agent, Agent):
+        raise TypeError(f"agent `{agent.name}`: expected expressions, got matrices")
+    return agent
 
 
 def _times(time: Any, x: np.ndarray) -> np.ndarray:

@@ -52,6 +52,16 @@ def names_text(names: Sequence[str]) -> str:
     return f"{', '.join(listed)}, ..., {shortened(names[-1], 40)}"
 
 
+def matrix_text(rows: Sequence[FloatArray] | FloatArray) -> str:
+    """Return a matrix in square brackets, without the digits that rounding leaves behind."""
+    return "[" + ", ".join("[" + ", ".join(f"{v:.12g}" for v in row) + "]" for row in rows) + "]"
+
+
+def vector_text(values: FloatArray) -> str:
+    """Return a vector in round brackets."""
+    return "(" + ", ".join(f"{v:g}" for v in values) + ")"
+
+
 def box_text(low: FloatArray, high: FloatArray, closed: bool = True) -> str:
     """Return a box as a product of intervals, equal ones as a power: "[-1, 1]^2 x [0, 4]".
 

@@ -14,13 +14,14 @@ from ..agents import (
     TIME,
     Agent,
     AnyAgent,
-    LinearAgent,
     PairRegion,
     counted,
     linear,
     neighbour,
     place_of,
     read_only,
+    with_expressions,
+    with_matrices,
 )
 from ..arrays import double, is_host, is_whole, namespace
 from ..expressions import Compiled
@@ -434,9 +435,9 @@ def _motion(
 ) -> LinearMotion | WrittenMotion:
     """Return how the agents of a block move: all of them are linear, or all have the same expressions."""
     first = agents[0]
-    if isinstance(first, Agent):
-        return WrittenMotion(first)
-    linear_agents = [agent for agent in agents if isinstance(agent, LinearAgent)]
+    if not first.is_affine:
+        return WrittenMotion(with_expressions(first))
+    linear_agents = [with_matrices(agent) for agent in agents]
     return LinearMotion(
         A=stacked([a.A for a in linear_agents]),
         B=stacked([a.B for a in linear_agents]),

@@ -30,7 +30,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..agents import Agent, contains, counted, holds, inside, read_only, shortened, tree_text, wrapped
+from ..agents import contains, counted, holds, inside, read_only, shortened, tree_text, wrapped
 from ..arrays import concatenated, double, is_host, namespace, to_host
 from ..logic import Automaton
 from ..problem import Problem
@@ -90,8 +90,7 @@ class Dynamics:
         members: dict[object, list[int]] = {}
         for i, agent in enumerate(problem.agents):
             sizes = (agent.n_states, agent.n_inputs, agent.n_outputs)
-            written = (agent.motion_key, agent.output_key) if isinstance(agent, Agent) else None
-            members.setdefault((sizes, written, agent.laws), []).append(i)
+            members.setdefault((sizes, agent.stack_key, agent.laws), []).append(i)
         place = {i: (b, k) for b, group in enumerate(members.values()) for k, i in enumerate(group)}
         blocks = tuple(placed(block_of(problem, group), put) for group in members.values())
         places = tuple(place[i] for i in range(problem.n_agents))

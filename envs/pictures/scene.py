@@ -282,7 +282,7 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
     axes = np.flatnonzero(restricted)[:2] if restricted.any() else np.arange(min(2, agent.n_outputs))
     rows = np.zeros((len(axes), problem.n_states))
     for row, axis in zip(rows, axes):
-        row[problem.columns[i]] = _output_row(agent, int(axis))
+        row[problem.columns[i]] = agent.output_row(int(axis))
     regions = tuple(
         Region(
             name,
@@ -361,15 +361,6 @@ def _bent(problem: Problem, i: int, number: int) -> _Shown:
     rows = np.zeros((len(axes), problem.n_states))
     rows[axes, problem.columns[i].start + axes] = 1.0
     return _Shown(Curve(agent.name, number, rows), Box(agent.state_low[axes], agent.state_high[axes]), ())
-
-
-def _output_row(agent: AnyAgent, k: int) -> np.ndarray:
-    """Return the row (d,) of an output that is linear in the states."""
-    if isinstance(agent, LinearAgent):
-        return agent.output_matrix[k]
-    found = agent.output_axis(k)
-    assert found is not None
-    return found[1] * np.eye(agent.n_states)[found[0]]
 
 
 def _robot(name: str, x: _Shown, y: _Shown) -> _Shown:

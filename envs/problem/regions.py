@@ -27,6 +27,8 @@ from ..agents import (
     Proposition,
     of_hint,
     shown,
+    with_expressions,
+    with_matrices,
 )
 from ..expressions import Name
 from ..logic import Formula
@@ -325,8 +327,8 @@ class _Fitted:
 def _with_forms(agent: AnyAgent, forms: Sequence[Form]) -> _Fitted:
     """Return an agent with an output for each form: one that it has, or one more."""
     fitted: AnyAgent
-    if isinstance(agent, LinearAgent) and all(form.row for form in forms):
-        fitted, places = _with_rows(agent, forms)
+    if agent.is_affine and all(form.row for form in forms):
+        fitted, places = _with_rows(with_matrices(agent), forms)
     else:
         fitted, places = _with_texts(written_linear(agent), forms)
     low, high = (end[0] for end in fitted.output_range(fitted.state_low[None], fitted.state_high[None]))
@@ -384,9 +386,9 @@ def _with_texts(agent: Agent, forms: Sequence[Form]) -> tuple[Agent, dict[Form, 
 
 def written_linear(agent: AnyAgent) -> Agent:
     """Return a linear agent as one with expressions: the same mean, noise, boxes and start; others as they are."""
-    if not isinstance(agent, LinearAgent):
-        assert isinstance(agent, Agent)
-        return agent
+    if not agent.is_affine:
+        return with_expressions(agent)
+    agent = with_matrices(agent)
     states = _fresh("x", agent.state_names, agent.n_states, agent.input_names)
     inputs = _fresh("u", agent.input_names, agent.n_inputs, states)
     data = {key: value for key, value in agent.to_dict().items() if key not in _MATRICES}

@@ -143,8 +143,9 @@ def _blocks(agent: AnyAgent) -> list[Block]:
     Agents whose dynamics are expressions are left whole.
     """
     d = agent.n_states
-    if not isinstance(agent, LinearAgent):
+    if not agent.is_affine:
         return [(list(range(d)), list(range(agent.n_inputs)), list(range(agent.n_outputs)))]
+    agent = with_matrices(agent)
     # Two components are linked if an entry of A or of the covariance couples them, or if one input acts on both or one
     # output reads both.
     linked = (agent.A != 0) | (agent.noise_covariance != 0) | (agent.noise_axes != 0)

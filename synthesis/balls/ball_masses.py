@@ -12,7 +12,7 @@ from flint import arb, arb_mat
 from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
-from ..cells import FloatArray, lattice_axes
+from ..cells import CellAxis, FloatArray, MeanAxis, ScaleAxis, points_by_axis
 from ..certificates import AgentPart, axis_tables, kernel_key
 from .ball_memory import Memory, Proof
 from .ball_spans import balls
@@ -81,19 +81,21 @@ def _laws(agent: AnyAgent, part: AgentPart) -> list[Any]:
 def masses(memory: Memory, agent: AnyAgent, part: AgentPart, tables: Sequence[FloatArray]) -> Proof:
     """Masses of cells are below the truth, in all rows that a policy reads; how much rows lack is remembered."""
     key, used = kernel_key(agent, part), _used(part)
-    points = dict(zip(((axis.kind, axis.state) for axis in lattice_axes(agent)), part.lattice, strict=True))
+    points = points_by_axis(agent, part.lattice)
     total, failures = 0, []
     for k, (law, edges, table) in enumerate(zip(_laws(agent, part), part.grid.edges, tables, strict=True)):
         known = memory.rows.setdefault((key, k), set())
         asked = range(len(table)) if used is None else used[k].tolist()
         new = [row for row in asked if row not in known]
         known.update(new)
-        if ("cell", k) in points:
-            wrong = [r for r in new if not np.array_equal(table[r], points["cell", k][r] == np.arange(len(edges) - 1))]
+        if CellAxis(k) in points:
+            wrong = [
+                r for r in new if not np.array_equal(table[r], points[CellAxis(k)][r] == np.arange(len(edges) - 1))
+            ]
             failures += ["a state without noise moves to another cell than its mean"] if wrong else []
             continue
-        means = points["mean", k].tolist()
-        scales = [arb(x).exp() for x in points["scale", k].tolist()] if ("scale", k) in points else [arb(1)]
+        means = points[MeanAxis(k)].tolist()
+        scales = [arb(x).exp() for x in points[ScaleAxis(k)].tolist()] if ScaleAxis(k) in points else [arb(1)]
         sides = [arb(edge) for edge in edges.tolist()]
         for row in new:
             scale, mean = scales[row // len(means)], arb(means[row % len(means)])

@@ -299,8 +299,7 @@ def unproved(
 
 def _unproved_maps(enclosed: Enclosed, low: Any, high: Any, first: Any, last: Any) -> int:
     """How many boxes were not shown to hold the means of matrices, which are extreme at corners of cells."""
-    agent, C = enclosed.agent, balls(enclosed.coordinates)
-    agent = with_matrices(agent)
+    agent, C = with_matrices(enclosed.agent), balls(enclosed.coordinates)
     inverse = np.array(arb_mat(enclosed.coordinates.tolist()).inv().tolist(), dtype=object)
     A, B, c = (inverse @ own for own in (balls(agent.A) @ C, balls(agent.B), balls(agent.offset)))
     middle = balls(0.5 * (low + high))

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from ...envs.agents import AnyAgent, LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray, Grid, corner_sides, hat_share_of, in_grid_coordinates, spread, to_places
 from ..models import AgentModel, Bends, JointModel, Kernel, hat_table
@@ -188,12 +188,12 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
     for agent, model, follows in zip(problem.agents, joint.models, favourable_successors(problem), strict=True):
         # Agents with equal dynamics and cells share the optimistic model; with equal letters, too, the values.
         possible = _possible(model, follows)
-        if not isinstance(agent, LinearAgent) or agent.laws is not None or not agent.has_plain_noise:
+        if not agent.is_linear_gaussian or not agent.has_plain_noise:
             return None
         arrays = (agent.noise_covariance, agent.input_low, agent.input_high)
         alike = (id(model), *agent.motion_key, *(array.tobytes() for array in arrays))
         if alike not in optimists:
-            optimists[alike] = Optimist.of(agent, model, joint.horizon * joint.n_states)
+            optimists[alike] = Optimist.of(with_matrices(agent), model, joint.horizon * joint.n_states)
         optimist = optimists[alike]
         if optimist is None:
             return None

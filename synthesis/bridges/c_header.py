@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..controllers import AgentController, Controller
-from ..relations import ExactRelation, MapRelation, Row, rows_of
+from ..relations import ExactRelation, Row, rows_of
 
 KINDS = {1: "signed char", 2: "short", 4: "int"}
 """Types of tables by the bytes of an entry."""
@@ -117,10 +117,8 @@ def _steering(aims: ExactRelation, agent: AgentController, name: str) -> list[st
 def _aims_and_menu(agent: AgentController) -> tuple[ExactRelation | None, NDArray[Any]]:
     """Return what puts means on targets, if there is such a thing, and the menu of inputs (A, m), maybe empty."""
     relation = agent.relation
-    if isinstance(relation, ExactRelation):
-        return relation, np.zeros((0, 0))
-    if isinstance(relation, MapRelation) and relation.network is None and relation.aims_are_matrices:
-        return relation.aims, np.asarray(relation.menu, dtype=float)  # type: ignore[return-value]
+    if relation.matrices is not None:
+        return relation.matrices
     raise ValueError(
         f"`policy`: expected controllers of the relations exact or linear, whose dynamics are linear, got the relation "
         f"{relation.kind} of agent `{agent.name}`; networks are written as .onnx"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from ...envs.agents import tree_text
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.problem import Problem
-from ..relations import Network, NetworkPolicy, OwnView, inputs_of
+from ..relations import NetworkPolicy, OwnView, inputs_of
 from .found import Found
 from .local_policies import LocalBatch
 from .sights import Sight
@@ -276,8 +275,3 @@ def _rows(policy: OwnModels | TeamModels) -> list[tuple[str, str]]:
         how = f"wrapped on a grid, not as it is: {why}"
     kinds = [("agents", "one model for all")] if len(policy.models) == 1 else [("agents", "a model for each")]
     return [("trained in", policy.models[0].sight.maker), ("sees", policy.information), *kinds, ("certified", how)]
-
-
-def shared_network(policy: OwnModels) -> Mapping[str, Network]:
-    """Return the network of every agent by name."""
-    return {name: policy.agent_policy(i).network for i, name in enumerate(policy.problem.agent_names)}

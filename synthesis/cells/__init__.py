@@ -9,7 +9,16 @@ from .agent_grids import (
     label_room,
     region_boundaries,
 )
-from .axes_of_lattices import LatticeAxis, cell_points, deviations_of, lattice_axes
+from .axes_of_lattices import (
+    CellAxis,
+    LatticeAxis,
+    MeanAxis,
+    ScaleAxis,
+    cell_points,
+    deviations_of,
+    lattice_axes,
+    points_by_axis,
+)
 from .corners import corner_sides, hat_share_of, hats, of_cells, spread, to_places
 from .grid import FloatArray, Grid, start_share
 from .grid_dynamics import GridDynamics, grid_covariance, grid_laws, in_grid_coordinates, sharpness
@@ -27,6 +36,7 @@ from .refusal import (
 from .sizes import alike_text, shape_text
 
 __all__ = [
+    "CellAxis",
     "CellCounts",
     "CellLabels",
     "DEFAULT_TARGETS",
@@ -36,8 +46,10 @@ __all__ = [
     "GridDynamics",
     "LatticeAxis",
     "MOST_CELLS",
+    "MeanAxis",
     "NoRunFound",
     "RelationRefused",
+    "ScaleAxis",
     "agent_grid",
     "alike_text",
     "axis_finder",
@@ -58,6 +70,7 @@ __all__ = [
     "lattice_axes",
     "linear_agent",
     "of_cells",
+    "points_by_axis",
     "refuse_shared_noise",
     "refuse_uneven_noise",
     "region_boundaries",

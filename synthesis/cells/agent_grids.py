@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ...envs.agents import AnyAgent, LinearAgent
+from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from .grid import FloatArray, Grid, aligned_edges
 from .refusal import RelationRefused
@@ -176,7 +176,7 @@ def cells_of_agent(agent: AnyAgent, cells: CellCounts) -> tuple[int, ...]:
     is_asked_for = wanted is not None
     if wanted is None:
         wanted = DEFAULT_CELLS.get(agent.n_states, 10)
-        if agent.n_states == 2 and isinstance(agent, LinearAgent) and np.linalg.matrix_rank(agent.B) == 2:
+        if agent.n_states == 2 and agent.has_full_rank:
             wanted = DEFAULT_CELLS_IN_THE_PLANE
     per_axis = tuple(wanted) if isinstance(wanted, Sequence) else (wanted,) * agent.n_states
     whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1 for n in per_axis)

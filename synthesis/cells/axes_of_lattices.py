@@ -10,8 +10,9 @@ Along most states a lattice has points for the mean of the next state, and that 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -22,23 +23,50 @@ from .grid import FloatArray
 
 @dataclass(frozen=True)
 class LatticeAxis:
-    """One axis of a lattice, and the number of the state that it belongs to."""
+    """One axis of a lattice, and the number of the state that it belongs to.
 
-    kind: Literal["scale", "mean", "cell"]
+    Values between its points are interpolated, unless it ``is_interpolated`` not: then each point is a cell. Where it
+    ``is_logarithmic`` the points are logarithms of what they stand for.
+    """
+
     state: int
+
+    is_interpolated: ClassVar[bool] = True
+    is_logarithmic: ClassVar[bool] = False
+
+
+class MeanAxis(LatticeAxis):
+    """Means of the next state."""
+
+
+class CellAxis(LatticeAxis):
+    """Numbers of cells, of a state without noise."""
+
+    is_interpolated = False
+
+
+class ScaleAxis(LatticeAxis):
+    """Logarithms of what the noise is multiplied with."""
+
+    is_logarithmic = True
 
 
 def lattice_axes(agent: AnyAgent) -> tuple[LatticeAxis, ...]:
     """Return the axes of an agent's lattice under the relation ``boxes``."""
-    axes = []
+    axes = list[LatticeAxis]()
     for k, still in enumerate(agent.still_axes.tolist()):
         if still:
-            axes.append(LatticeAxis("cell", k))
+            axes.append(CellAxis(k))
             continue
         if agent.timed_scale_trees and agent.timed_scale_trees[k] != Number(1.0):
-            axes.append(LatticeAxis("scale", k))
-        axes.append(LatticeAxis("mean", k))
+            axes.append(ScaleAxis(k))
+        axes.append(MeanAxis(k))
     return tuple(axes)
+
+
+def points_by_axis(agent: AnyAgent, lattice: Sequence[FloatArray]) -> dict[LatticeAxis, FloatArray]:
+    """Return the points of a lattice by what they stand for."""
+    return dict(zip(lattice_axes(agent), lattice, strict=True))
 
 
 def cell_points(n_cells: int) -> FloatArray:

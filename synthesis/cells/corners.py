@@ -16,11 +16,6 @@ from numpy.typing import NDArray
 from .grid import FloatArray, Grid, start_share
 
 
-def places_shape(grid: Grid) -> tuple[int, ...]:
-    """Return the number of places along each axis, ``2 S_k``."""
-    return tuple(2 * n for n in grid.shape)
-
-
 def spread(values: NDArray, shape: tuple[int, ...]) -> NDArray:
     """Return numbers of cells (.., S) at all corners of their cells (.., 2^d S); ``shape`` are the cells per axis."""
     table = values.reshape(*values.shape[:-1], *shape)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erfc
 
-from ..cells import FloatArray, lattice_axes
+from ..cells import CellAxis, FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
 from .checked_laws import law_error, lawful_masses
 from .stated import state
 
@@ -95,16 +95,16 @@ def _gaussian_masses(edges: FloatArray, axis: FloatArray, deviation: float) -> F
 
 def _uneven_tables(agent: AnyAgent, part: AgentPart, deviations: FloatArray) -> list[FloatArray]:
     """Cell masses of an agent with scales, or with states without noise, whose next cell is that of the mean."""
-    points = dict(zip(((axis.kind, axis.state) for axis in lattice_axes(agent)), part.lattice, strict=True))
+    points = points_by_axis(agent, part.lattice)
     tables = []
     for k, edges in enumerate(part.grid.edges):
-        if ("cell", k) in points:
-            tables.append((points["cell", k][:, None] == np.arange(len(edges) - 1)).astype(float))
+        if CellAxis(k) in points:
+            tables.append((points[CellAxis(k)][:, None] == np.arange(len(edges) - 1)).astype(float))
         elif agent.laws is None:
             normal = partial(_gaussian_masses, edges, deviation=float(deviations[k]))
-            tables.append(_over_windings(agent, k, points["mean", k], normal))
+            tables.append(_over_windings(agent, k, points[MeanAxis(k)], normal))
         else:
-            scales, means = np.exp(points.get(("scale", k), np.zeros(1))), points["mean", k]
+            scales, means = np.exp(points.get(ScaleAxis(k), np.zeros(1))), points[MeanAxis(k)]
             # There is room for one such table, not for two.
             table = np.empty((len(scales), len(means), len(edges) - 1))
             for own, scale in zip(table, scales, strict=True):
@@ -141,14 +141,14 @@ def _near_copies(agent: AnyAgent, part: AgentPart) -> float:
     Edges are a cell apart, but where a turn ends and the next one begins: densities at all of them sum to at most twice
     ``1 / width`` and their variation.
     """
-    points = dict(zip(((axis.kind, axis.state) for axis in lattice_axes(agent)), part.lattice, strict=True))
+    points = points_by_axis(agent, part.lattice)
     total, deviations = 0.0, np.sqrt(np.diag(agent.noise_covariance))
     for k in np.flatnonzero(agent.wrapped_axes).tolist():
-        if ("mean", k) not in points:
+        if MeanAxis(k) not in points:
             continue  # without noise the cell is that of the mean
-        off = 1e-15 * (float(np.abs(points["mean", k]).max()) + COPIES[-1])
+        off = 1e-15 * (float(np.abs(points[MeanAxis(k)]).max()) + COPIES[-1])
         height = 0.39895 / deviations[k] if agent.laws is None else agent.laws[k].height
-        height = height / min(1.0, float(np.exp(points.get(("scale", k), np.zeros(1))).min()))
+        height = height / min(1.0, float(np.exp(points.get(ScaleAxis(k), np.zeros(1))).min()))
         total += 4.0 * off * (1.0 / float(np.diff(part.grid.edges[k]).min()) + 2.0 * height)
     return total
 

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent, with_matrices
-from ..cells import FloatArray, lattice_axes
+from ...envs.agents import Agent, AnyAgent, LinearAgent, with_expressions, with_matrices
+from ..cells import FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
 from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth, state
 from ..relations import commands_of
 from .common_check import by_number, known_inputs
@@ -146,7 +146,7 @@ def box_tables(
     slack, r, bent = _slack_of_laws(agent, part), np.zeros(0), None
     if slack is None:
         # All laws are normal, and the noise is the same everywhere; states without noise are not interpolated.
-        bent = tuple(place for place, axis in enumerate(lattice_axes(agent)) if axis.kind == "mean")
+        bent = tuple(place for place, axis in enumerate(lattice_axes(agent)) if axis.is_interpolated)
         deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
         r, slack = np.array([_step(part.lattice[k]) / deviations[k] for k in bent]), np.zeros(1)
     elif agent.laws is not None:
@@ -158,9 +158,9 @@ def box_tables(
             (STRAIGHT if e == k else CROSSED) * own**2 * other**2 / 64.0 for e, other in enumerate(r.tolist())
         )
     slack = slack + ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent, part)
-    written = WrittenBoxes.of(agent, part) if isinstance(agent, Agent) else None
-    if isinstance(agent, LinearAgent):
-        _state_boxes(agent, part, off)
+    if agent.is_affine:
+        _state_boxes(with_matrices(agent), part, off)
+    written = None if agent.is_affine else WrittenBoxes.of(with_expressions(agent), part)
     return BoxTables(axis_tables(agent, part, known), slack, bent, off, written)
 
 
@@ -170,13 +170,13 @@ def _step(axis: FloatArray) -> float:
 
 def _smallest(agent: AnyAgent, part: AgentPart, k: int) -> FloatArray:
     """Scales (L,) of the noise of a state, by level: the smallest one between a level and its neighbours."""
-    for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
-        if axis.kind == "scale" and axis.state == k:
-            logarithms = np.maximum(points - _step(points), points[0])
-            scales = np.exp(logarithms)
-            state("function", "exp", (), logarithms, scales * (1.0 - 1e-13), scales * (1.0 + 1e-13))
-            return scales
-    return np.ones(1)
+    points = points_by_axis(agent, part.lattice).get(ScaleAxis(k))
+    if points is None:
+        return np.ones(1)
+    logarithms = np.maximum(points - _step(points), points[0])
+    scales = np.exp(logarithms)
+    state("function", "exp", (), logarithms, scales * (1.0 - 1e-13), scales * (1.0 + 1e-13))
+    return scales
 
 
 def _slack_of_laws(agent: AnyAgent, part: AgentPart) -> FloatArray | None:
@@ -184,20 +184,21 @@ def _slack_of_laws(agent: AnyAgent, part: AgentPart) -> FloatArray | None:
 
     None where all laws are normal and the noise is the same everywhere, so that second differences say more.
     """
-    axes = lattice_axes(agent)
     if agent.laws is None:
         return None
+    points = points_by_axis(agent, part.lattice)
+    axes = [*points]
     total = np.zeros((1,) * len(axes))
-    for place, (axis, points) in enumerate(zip(axes, part.lattice, strict=True)):
-        law = agent.laws[axis.state]
-        if axis.kind == "scale":
-            total = total + min(1.0, scale_charge(law, _step(points)))
-        elif axis.kind == "mean":
+    for k, law in enumerate(agent.laws):
+        if ScaleAxis(k) in points:
+            total = total + min(1.0, scale_charge(law, _step(points[ScaleAxis(k)])))
+        if MeanAxis(k) in points:
             # A scale s divides the density by s, and its argument: jumps count 1 / s, bends 1 / s^2.
-            scales = _smallest(agent, part, axis.state)
-            costs = np.array([min(1.0, law_charge(law, _step(points) / scale)) for scale in scales])
+            scales, step = _smallest(agent, part, k), _step(points[MeanAxis(k)])
+            costs = np.array([min(1.0, law_charge(law, step / scale)) for scale in scales])
+            along = axes.index(MeanAxis(k)) - 1  # levels of the scale stand before the means
             total = total + (
-                costs.reshape([-1 if p == place - 1 else 1 for p in range(len(axes))]) if len(costs) > 1 else costs[0]
+                costs.reshape([-1 if p == along else 1 for p in range(len(axes))]) if len(costs) > 1 else costs[0]
             )
     return total
 
@@ -208,15 +209,14 @@ def _rounded_steps(agent: AnyAgent, part: AgentPart) -> FloatArray:
     That counts by the height of the density; a normal one has .4 / sigma.
     """
     assert agent.laws is not None
-    steps = []
-    for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
-        law = agent.laws[axis.state]
-        if axis.kind == "scale":
-            steps.append(_step(points))
-        elif axis.kind == "mean":
-            small = float(_smallest(agent, part, axis.state).min())
+    points, steps = points_by_axis(agent, part.lattice), []
+    for k, law in enumerate(agent.laws):
+        if ScaleAxis(k) in points:
+            steps.append(_step(points[ScaleAxis(k)]))
+        if MeanAxis(k) in points:
+            small = float(_smallest(agent, part, k).min())
             sharp = 1.0 / law.std if law.name == "gaussian" else max(1.0 / law.std, 2.6 * law.height)
-            steps.append(_step(points) / small * sharp)
+            steps.append(_step(points[MeanAxis(k)]) / small * sharp)
     return np.array(steps)
 
 
@@ -311,17 +311,16 @@ def _positions(agent: AnyAgent, part: AgentPart, means: FloatArray, scales: Floa
     """Places (C, D) on the lattice of means and scales (C, d); not numbers where a scale is not positive."""
     columns = []
     for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
-        k = axis.state
-        if axis.kind == "cell":
+        value = (scales if axis.is_logarithmic else means)[:, axis.state]
+        if not axis.is_interpolated:
             # The number of edges at or below, 0 and the last number being outside; the workspace holds its upper face.
-            edges, value = part.grid.edges[k], means[:, k]
+            edges = part.grid.edges[axis.state]
             below = np.where(value == edges[-1], len(edges) - 1, np.sum(value[:, None] >= edges, axis=1))
             # An end that is not a number is no place at all, at either side of a box.
             columns.append(np.where(np.isnan(value), np.nan, below))
             continue
-        value = means[:, k]
-        if axis.kind == "scale":
-            positive = np.where(scales[:, k] > 0.0, scales[:, k], np.nan)
+        if axis.is_logarithmic:
+            positive = np.where(value > 0.0, value, np.nan)
             value = np.log(positive)
             off = 4.0 * 2.0**-53 * np.abs(value)
             state("function", "log", (), positive, value - off, value + off)

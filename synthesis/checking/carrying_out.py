@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent, with_expressions
 from ..cells import FloatArray, linear_agent
 from ..certificates import AgentPart
 from ..controllers import AgentController
@@ -87,7 +87,8 @@ def _wrong_means(
     if execution.loss >= 1.0:
         return []
     choice = part.policy[t, q, cells]
-    if isinstance(agent, Agent):
+    if not agent.is_affine:
+        agent = with_expressions(agent)
         aims = choice - first_target(part)
         if np.any(aims >= 0):
             off = np.abs(agent.mean(states, inputs, None, beside) - _lattice_points(part, np.maximum(aims, 0)))
@@ -153,7 +154,7 @@ def _anywhere(agent: AnyAgent, count: int, rng: Generator) -> FloatArray | None:
 
 
 def _wrong_written(
-    agent: AnyAgent,
+    agent: Agent,
     part: AgentPart,
     states: FloatArray,
     inputs: FloatArray,
@@ -169,7 +170,6 @@ def _wrong_written(
     steer = np.array(part.relation.get("steer", [False] * len(menu)), dtype=bool)[choice]
     if np.any((inputs != menu[choice].T) & (cells >= 0) & ~steer):
         return ["its controller was seen to do something else than its policy says"]
-    assert isinstance(agent, Agent)
     low, high = cell_boxes(part)
     steered = np.flatnonzero(steer & (cells >= 0))
     for group, knowing in by_number(agent, part, choice[steered]):

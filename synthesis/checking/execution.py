@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.special import erf
 
-from ...envs.agents import AnyAgent, LinearAgent
+from ...envs.agents import AnyAgent, with_matrices
 from ..cells import FloatArray
 from ..certificates import AgentPart, state
 from ..relations import (
@@ -112,8 +112,9 @@ def _setting(agent: AnyAgent, part: AgentPart) -> _Setting:
     d, m = agent.n_states, agent.n_inputs
     # Means of expressions are enclosed where they are used: here counts only how states are read.
     moves = np.zeros((d, d)), np.zeros((d, m)), np.zeros(d)
-    if isinstance(agent, LinearAgent):
-        moves = agent.A, agent.B, agent.offset
+    if agent.is_affine:
+        linear = with_matrices(agent)
+        moves = linear.A, linear.B, linear.offset
     unit = (4.0 * (d + m) + 16.0) * UNIT
     x = np.array([max(abs(edges[0]), abs(edges[-1])) for edges in part.grid.edges])
     u = np.maximum(np.abs(agent.input_box.low), np.abs(agent.input_box.high))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ...envs.agents import AnyAgent, with_expressions, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPart
@@ -66,11 +66,10 @@ def classes_in_boxes(
     closed_axes = np.full(model.n_outputs, True)
     if not model.has_identity_output:
         boxes = low, high
-        if isinstance(model, LinearAgent):
-            low, high = box_image(low, high, model.output_matrix)
+        if model.is_affine:
+            low, high = box_image(low, high, with_matrices(model).output_matrix)
         else:
-            assert isinstance(model, Agent)
-            low, high = output_spans(model, low, high)
+            low, high = output_spans(with_expressions(model), low, high)
         # Outputs that are the states are read as they are, whatever was added to them for shapes.
         for image, own in zip((low, high), boxes, strict=True):
             image[:, : model.state_outputs] = own[:, : model.state_outputs]

@@ -363,9 +363,7 @@ def wrong_networks(certificate: OnGrid) -> list[str]:
         network = part.relation.get("network")
         if network is None:
             continue
-        if part.relation["kind"] != "boxes" and not (
-            part.relation["kind"] == "linear" and isinstance(agent, LinearAgent)
-        ):
+        if part.relation["kind"] != "boxes" and not (part.relation["kind"] == "linear" and agent.is_affine):
             failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
         elif not _has_known_form(agent, network):
             failures.append(f"the network of agent `{agent.name}` sees states, or answers, in a form that is not known")

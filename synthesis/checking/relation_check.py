@@ -71,7 +71,8 @@ def wrong_for_uneven_noise(agent: AnyAgent, part: AgentPart) -> list[str]:
     if not np.array_equal(part.coordinates, np.eye(agent.n_states)):
         return [f"the grid axes of agent `{agent.name}` are not its states"]
     for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
-        if axis.kind == "cell" and not np.array_equal(points, np.arange(-1.0, part.grid.shape[axis.state] + 1.0)):
+        numbers = np.arange(-1.0, part.grid.shape[axis.state] + 1.0)
+        if not axis.is_interpolated and not np.array_equal(points, numbers):
             return [f"the lattice of agent `{agent.name}` does not number the cells of a state without noise"]
     return []
 
@@ -136,7 +137,7 @@ def _verify_affine(agent: AnyAgent, part: AgentPart, relation: LinearRelation, e
 def _verify_boxes(agent: AnyAgent, part: AgentPart, relation: BoxRelation, execution: Execution) -> list[str]:
     """Every input that is chosen is admissible at every point of its cells, with what is fed back there."""
     menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
-    if not isinstance(agent, LinearAgent) and np.any(gains):
+    if not agent.is_affine and np.any(gains):
         return ["it feeds states back inside its cells, which boxes of expressions do not know of"]
     low, high = cell_boxes(part)
     rows = part.policy.reshape(-1, part.policy.shape[-1])

@@ -24,20 +24,21 @@ def wrong_team(problem: Problem, base: Problem) -> list[str]:
     if base.automaton.to_dict() != problem.automaton.to_dict():
         return ["the automaton of its base is not that of the problem"]
     team = base.agents[0]
-    if not isinstance(team, LinearAgent) or team.laws is not None:
+    if not team.is_linear_gaussian:
         return ["its one agent is not linear with Gaussian noise"]
     for agent in problem.agents:
-        if not isinstance(agent, LinearAgent) or agent.laws is not None:
+        if not agent.is_linear_gaussian:
             return [f"agent `{agent.name}` is not linear with Gaussian noise"]
     if any(pair.is_round for pair in problem.labeling.pairs):
         return ["a distance of several outputs is no box of its one agent"]
+    team = with_matrices(team)
     failures = _wrong_matrices(problem, team)
     return failures or _wrong_regions(problem, base, team) or _wrong_first_letter(problem, base)
 
 
 def _wrong_matrices(problem: Problem, team: LinearAgent) -> list[str]:
     """Everything between two agents is zero, and everything within an agent is its own."""
-    members = [agent for agent in problem.agents if isinstance(agent, LinearAgent)]
+    members = [with_matrices(agent) for agent in problem.agents]
     failures = []
     if team.n_states != problem.n_states or team.n_inputs != problem.n_inputs:
         return ["its one agent has other states or inputs than the team"]
@@ -117,6 +118,4 @@ def _asked(problem: Problem, p: int) -> tuple[FloatArray, tuple[FloatArray, Floa
 
 
 def _matrix(problem: Problem, i: int) -> FloatArray:
-    agent = problem.agents[i]
-    agent = with_matrices(agent)  # others were refused
-    return agent.output_matrix
+    return with_matrices(problem.agents[i]).output_matrix  # others were refused

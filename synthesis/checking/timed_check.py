@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...envs.agents import TIME, Agent, AnyAgent, Proposition
+from ...envs.agents import TIME, AnyAgent, Proposition
 from ...envs.problem import Places, states_in_time, written_out
 from ..certificates import AgentPart, Certificate, TimedProof, on_cells
 from ..path_checking import RegionSpan
@@ -81,7 +81,6 @@ def _within(numbers: np.ndarray, ends: np.ndarray) -> bool:
 
 def _wrong_clock(agent: AnyAgent, part: AgentPart, horizon: int) -> str:
     """Return what is wrong with how the policies of an agent set its clock; nothing if they set it to the time."""
-    assert isinstance(agent, Agent)
     is_plain = part.relation["kind"] in ("boxes", "linear") and "common" not in part.relation
     if not is_plain or part.relation.get("network") or np.any(np.array(part.relation.get("steer") or False)):
         return "its clock is set by choices of another kind than inputs that are the same in a whole cell"

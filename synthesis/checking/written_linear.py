@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent, with_expressions
 from ..cells import FloatArray, linear_agent
 from ..certificates import AgentPart, grid_noise, state
 from ..path_checking import Span, bounds, products
@@ -163,8 +163,8 @@ def written_tables(agent: AnyAgent, part: AgentPart, off: FloatArray) -> Written
         if ends is not None:  # between points along the uniform axis second derivatives jump by a share of their range
             slack += r * r / 8.0 * 2.0 * SECOND * ends.share / 2.0
     maps: Maps | MatrixMaps | NetworkMaps
-    if isinstance(agent, Agent):
-        maps = _maps(agent, part)
+    if not agent.is_affine:
+        maps = _maps(with_expressions(agent), part)
     else:
         kind = NetworkMaps if "network" in part.relation else MatrixMaps
         maps = kind(linear_agent(agent, "linear"), part, off)

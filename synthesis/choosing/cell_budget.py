@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent, with_expressions
 from ...envs.problem import Problem
 from ..cells import DEFAULT_TARGETS, FloatArray, deviations_of, region_boundaries
-from ..models import BAND_BYTES, INPUT_LEVELS, LATTICE_BLOCK, REACH_DEVIATIONS, SNAPPED_POINTS, has_full_rank
+from ..models import BAND_BYTES, INPUT_LEVELS, LATTICE_BLOCK, REACH_DEVIATIONS, SNAPPED_POINTS
 from ..relations import commands_of, coupling_failure
 
 Shape = tuple[int, ...]
@@ -147,8 +147,9 @@ def axis_weights(agent: AnyAgent) -> FloatArray:
     ``sum_k |J_kj| h_j / sigma_k``. For a given number of cells the sum over the axes j is least if all of them cost the
     same. The Jacobian J is averaged over the workspace, by differences. Linear agents have equal weights.
     """
-    if not isinstance(agent, Agent):
+    if agent.is_affine:
         return np.ones(agent.n_states)
+    agent = with_expressions(agent)
     # An even sample of states, at the middle of the inputs: weights need one digit.
     d, middle = agent.n_states, agent.input_box.center
     shares = (np.arange(WEIGHING_STATES) + 0.5)[:, None] * np.sqrt(np.arange(2, 2 + d) + 0.5) % 1.0
@@ -188,7 +189,7 @@ def _agent_cells(
         few = max(1, int(MOST_COMBINATIONS ** (1.0 / agent.n_states)))
         options = [_nearest(own, number)[:few] for own, number in zip(options, wanted, strict=True)]
     automatic = ("auto", "best", "quick")
-    by_target = relation == "exact" or (relation in automatic and has_full_rank(agent))
+    by_target = relation == "exact" or (relation in automatic and agent.has_full_rank)
     # Compare all combinations: fewest lattice points first, then most axes of equal cells, then nearest to the wish.
     scored = []
     for choice in product(*options):

@@ -35,7 +35,6 @@ from ..models import (
     Settings,
     check_names,
     common_inputs_of,
-    has_full_rank,
     join,
     models_of,
     reaches_every_mean,
@@ -133,14 +132,14 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
     first = problem.agents[members[0]]
     if asked in ("auto", "best") and not first.has_plain_noise:
         asked = "boxes"
-    automatic = ALL_RELATIONS[:3] if has_full_rank(first) else ALL_RELATIONS[1:3]
+    automatic = ALL_RELATIONS[:3] if first.has_full_rank else ALL_RELATIONS[1:3]
     wanted: dict[str, tuple[str, ...]] = {"auto": automatic, "best": ALL_RELATIONS}
     if not isinstance(first, LinearAgent):
         is_smooth = problem.n_agents <= MOST_LINEAR_AGENTS and has_linear_cells(first)
         first_try = ("exact",) if reaches_every_mean(first) else ()
         wanted = dict.fromkeys(wanted, (*first_try, *(("linear", "boxes") if is_smooth else ("boxes",))))
     elif first.laws is not None:
-        wanted = dict.fromkeys(wanted, ("exact", "boxes") if has_full_rank(first) else ("boxes",))
+        wanted = dict.fromkeys(wanted, ("exact", "boxes") if first.has_full_rank else ("boxes",))
     if settings.common and {*members} & {*common_inputs_of(problem)}:
         wanted = dict.fromkeys(wanted, ("boxes",))  # no other relation knows of inputs that are chosen in common
     for relation in wanted.get(asked, (asked,)):

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray, cells_of_agent
 
@@ -26,7 +26,7 @@ def cells_where_scarce(problem: Problem) -> dict[str, tuple[int, ...]]:
     """Return cells per axis of linear agents, as many in all as by default, for those that have them uneven."""
     found = {}
     for i, agent in enumerate(problem.agents):
-        if not isinstance(agent, LinearAgent) or agent.n_states == 1:
+        if not agent.is_affine or agent.n_states == 1:
             continue
         usual, left = cells_of_agent(agent, None), left_of_inputs(problem, i)
         shares = np.prod(left) ** (1.0 / len(left)) / left
@@ -42,8 +42,7 @@ def left_of_inputs(problem: Problem, i: int) -> FloatArray:
 
     The least over the middles of its regions, where the task has it come, stay or pass, and over its start.
     """
-    agent = problem.agents[i]
-    assert isinstance(agent, LinearAgent)
+    agent = with_matrices(problem.agents[i])
     reach = np.abs(agent.B) @ (0.5 * (agent.input_high - agent.input_low))
     start = 0.5 * (agent.initial.low + agent.initial.high)
     middles = [start]

@@ -151,21 +151,38 @@ class TargetSteering:
 
 
 @dataclass(frozen=True, eq=False)
-class MapSteering:
-    """Inputs of a menu, and those that put the mean of the next state on targets (relation ``linear``).
+class _OnCells:
+    """What inputs are looked up in, which depend on the cell and on the place in it.
 
     Parameters
     ----------
     table : PolicyTable
     grid : Grid
     lattice : tuple of (Z_k,) arrays
-        Means per axis, in grid coordinates.
-    relation : MapRelation
+        Means per axis, in grid coordinates; for boxes axes on which they are read, on which no input depends.
     """
 
     table: PolicyTable | GivenChoices
     grid: Grid
     lattice: tuple[FloatArray, ...]
+    relation: Any
+
+    @cached_property
+    def _centres(self) -> FloatArray:
+        """Centres (d, S) of the cells."""
+        return np.ascontiguousarray(self.grid.centres.T)
+
+    @cached_property
+    def _menu(self) -> FloatArray:
+        """Inputs (m, A + 1)."""
+        menu = self.relation.menu
+        return np.ascontiguousarray(np.concatenate([menu, menu.mean(axis=0, keepdims=True)]).T)
+
+
+@dataclass(frozen=True, eq=False)
+class MapSteering(_OnCells):
+    """Inputs of a menu, and those that put the mean of the next state on targets (relation ``linear``)."""
+
     relation: MapRelation
 
     def inputs(
@@ -190,29 +207,11 @@ class MapSteering:
         wanted = aims.inputs(list(targets), points, beside)
         return np.where(aimed, wanted, inputs)
 
-    @cached_property
-    def _menu(self) -> FloatArray:
-        """Inputs (m, A + 1)."""
-        menu = self.relation.menu
-        return np.ascontiguousarray(np.concatenate([menu, menu.mean(axis=0, keepdims=True)]).T)
-
 
 @dataclass(frozen=True, eq=False)
-class AffineSteering:
-    """Inputs under which the mean of the next state is the affine map that policies say (``linear`` of 0.1 and 0.2).
+class AffineSteering(_OnCells):
+    """Inputs under which the mean of the next state is the affine map that policies say (``linear`` of 0.1 and 0.2)."""
 
-    Parameters
-    ----------
-    table : PolicyTable
-    grid : Grid
-    lattice : tuple of (Z_k,) arrays
-        Means per axis, in grid coordinates.
-    relation : LinearRelation
-    """
-
-    table: PolicyTable | GivenChoices
-    grid: Grid
-    lattice: tuple[FloatArray, ...]
     relation: LinearRelation
 
     def inputs(
@@ -237,34 +236,11 @@ class AffineSteering:
     def _n_points(self) -> int:
         return math.prod(len(axis) for axis in self.lattice)
 
-    @cached_property
-    def _centres(self) -> FloatArray:
-        """Centres (d, S) of the cells."""
-        return np.ascontiguousarray(self.grid.centres.T)
-
-    @cached_property
-    def _menu(self) -> FloatArray:
-        """Inputs (m, A + 1)."""
-        menu = self.relation.menu
-        return np.ascontiguousarray(np.concatenate([menu, menu.mean(axis=0, keepdims=True)]).T)
-
 
 @dataclass(frozen=True, eq=False)
-class BoxSteering:
-    """Inputs that keep the mean of the next state in the box of a choice (relation ``boxes``).
+class BoxSteering(_OnCells):
+    """Inputs that keep the mean of the next state in the box of a choice (relation ``boxes``)."""
 
-    Parameters
-    ----------
-    table : PolicyTable
-    grid : Grid
-    lattice : tuple of (Z_k,) arrays
-        Axes on which boxes are read; inputs do not depend on them.
-    relation : BoxRelation
-    """
-
-    table: PolicyTable | GivenChoices
-    grid: Grid
-    lattice: tuple[FloatArray, ...]
     relation: BoxRelation
 
     def inputs(
@@ -285,11 +261,6 @@ class BoxSteering:
         if self.table.has_idle_cells(time):
             inputs[:, choices < 0] = self.relation.menu.mean(axis=0)[:, None]
         return inputs
-
-    @cached_property
-    def _centres(self) -> FloatArray:
-        """Centres (d, S) of the cells."""
-        return np.ascontiguousarray(self.grid.centres.T)
 
 
 @dataclass(frozen=True, eq=False)

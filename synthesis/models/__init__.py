@@ -14,7 +14,7 @@ from .abstraction import (
     models_of,
     relations_of,
 )
-from .agent_models import SNAPPED_POINTS, has_full_rank, reaches_every_mean
+from .agent_models import SNAPPED_POINTS, reaches_every_mean
 from .bends import Bends
 from .box_choices import BoxChoices
 from .box_kernel import MOST_SCALED, MOST_SCALES, BoxKernel, points_per_cell
@@ -63,7 +63,6 @@ __all__ = [
     "check_settings",
     "common_inputs_of",
     "gather",
-    "has_full_rank",
     "reaches_every_mean",
     "hat_table",
     "join",

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent, checked_count, counted, tree_text
+from ...envs.agents import AnyAgent, checked_count, counted, tree_text, with_expressions
 from ...envs.arrays import on_one_thread
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
@@ -55,7 +55,6 @@ from .agent_models import (
     cheapest_model,
     ellipsoid_model,
     exact_model,
-    has_full_rank,
     paper_model,
     reaches_every_mean,
     tube_model,
@@ -372,7 +371,7 @@ def models_of(
         # Agents with equal dynamics, grids and wishes share a model. The room of their labels matters only where a
         # feedback is chosen by it.
         alike = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
-        depends_on_room = kind in ("tube", "ellipsoid") or not has_full_rank(agent)
+        depends_on_room = kind in ("tube", "ellipsoid") or not agent.has_full_rank
         known = common.get(i)
         # Numbers go by names, which agents with equal dynamics may have in other places.
         numbers_known = b"" if known is None else repr((known.description, getattr(agent, "others", ()))).encode()
@@ -423,14 +422,14 @@ def _shared_model(
         refuse_uneven_noise(agent, kind)
     if kind == "boxes":
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
-    if is_any and isinstance(agent, Agent) and reaches_every_mean(agent):
-        exact = exact_model(agent, grid, coordinates, per_cell)
-        if np.mean(exact[3].resting_choice < 0) <= STRANDED_CELLS:
-            return exact
-    if is_any and not isinstance(agent, LinearAgent):
+    if is_any and not agent.is_affine:
+        if reaches_every_mean(agent):
+            exact = exact_model(agent, grid, coordinates, per_cell)
+            if np.mean(exact[3].resting_choice < 0) <= STRANDED_CELLS:
+                return exact
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if is_any and agent.laws is not None:
-        kind = "exact" if has_full_rank(agent) else "boxes"
+        kind = "exact" if agent.has_full_rank else "boxes"
         return _shared_model(agent, kind, grid, coordinates, room, settings, alone)
     if kind == "linear":
         return corner_model(agent, grid, coordinates, settings.targets_per_cell, alone)
@@ -454,8 +453,8 @@ def _common_model(
     """Return the model of an agent that names or owns inputs that are chosen in common."""
     if kind not in ("auto", "quick", "best", "boxes"):
         raise RelationRefused(f"agent `{agent.name}`: inputs are chosen in common under the relation `boxes` alone")
-    assert isinstance(agent, Agent)  # others have no names for inputs
-    relation = common_relation(agent, grid, coordinates, common)
+    # Agents with matrices have no names for inputs.
+    relation = common_relation(with_expressions(agent), grid, coordinates, common)
     return box_model(agent, grid, coordinates, per_cell, relation)
 
 

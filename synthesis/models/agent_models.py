@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent, with_expressions
 from ..cells import FloatArray, Grid, RelationRefused, grid_laws
 from ..relations import (
     CoupledRelation,
@@ -237,16 +237,10 @@ def _lattice_axis(edges: FloatArray, per_cell: int, lowest: float, highest: floa
     return np.concatenate([before, inside, after])
 
 
-def has_full_rank(agent: AnyAgent) -> bool:
-    """Return whether dynamics are linear and B has full row rank: every mean can be commanded."""
-    return isinstance(agent, LinearAgent) and bool(np.linalg.matrix_rank(agent.B) == agent.n_states)
-
-
 def reaches_every_mean(agent: AnyAgent) -> bool:
     """Return whether the relation ``exact`` is for an agent: some input leads from every state to every mean nearby."""
-    if isinstance(agent, LinearAgent):
-        return has_full_rank(agent)
-    assert isinstance(agent, Agent)
+    if agent.is_affine:
+        return agent.has_full_rank
     if agent.angles:
         return False  # only mean boxes have masses over all windings
     if agent.has_clock:
@@ -254,6 +248,7 @@ def reaches_every_mean(agent: AnyAgent) -> bool:
     if not agent.has_plain_noise:
         return False  # only mean boxes know noise that varies, or is none
     try:
-        return bool(written_targets(agent, agent.noise_axes if agent.laws is not None else np.eye(agent.n_states)))
+        axes = agent.noise_axes if agent.laws is not None else np.eye(agent.n_states)
+        return bool(written_targets(with_expressions(agent), axes))
     except RelationRefused:
         return False

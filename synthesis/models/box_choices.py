@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import FloatArray, Grid, LatticeAxis, RelationRefused, shape_text
-from ..relations import Enclosing, MeanBoxes
+from ..cells import FloatArray, Grid, LatticeAxis, MeanAxis, RelationRefused, shape_text
+from ..relations import BoxRelation, MeanBoxes
 from ..values import beside, to_host
 from .box_minima import least_over_boxes, window_minima
 from .choices import TIE, Choices, MeansAt, StepPolicy, shifted
@@ -42,7 +42,7 @@ class BoxChoices(Choices):
         Evenly spaced lattice axes; a point is numbered in C order.
     axes : tuple of LatticeAxis
         What they stand for.
-    relation : Enclosing
+    relation : BoxRelation
         Whose boxes these are.
     low, high : (S, A, D) arrays
         Corners of boxes in lattice steps; -1 for boxes that leave the lattice, where the value is 0.
@@ -62,7 +62,7 @@ class BoxChoices(Choices):
     grid: Grid
     lattice: tuple[FloatArray, ...]
     axes: tuple[LatticeAxis, ...]
-    relation: Enclosing
+    relation: BoxRelation
     low: FloatArray
     high: FloatArray
     sizes: NDArray[np.int64]
@@ -136,14 +136,14 @@ class BoxChoices(Choices):
         result = np.full((len(middle), d), np.inf)
         inside = middle[:, 0] > 0
         for place, (axis, points) in enumerate(zip(self.axes, self.lattice, strict=True)):
-            if axis.kind == "mean":
-                step = (points[-1] - points[0]) / (len(points) - 1)
-                result[inside, axis.state] = points[0] + step * middle[inside, place]
-            elif axis.kind == "cell":
+            if not axis.is_interpolated:
                 # Number 1 is the first cell, whose centre is half a cell beyond the first edge.
                 edges = self.grid.edges[axis.state]
                 numbers = middle[inside, place] - 0.5
                 result[inside, axis.state] = np.interp(numbers, np.arange(len(edges)), edges)
+            elif not axis.is_logarithmic:
+                step = (points[-1] - points[0]) / (len(points) - 1)
+                result[inside, axis.state] = points[0] + step * middle[inside, place]
         return result
 
     def read(self, smoothed: Any, policy: StepPolicy, rough: bool = False) -> Any:
@@ -230,8 +230,8 @@ class BoxChoices(Choices):
     def _pitch(self) -> FloatArray:
         """Widths (d,) by which distances are measured: steps of the lattice, or cells of states without noise."""
         steps, widths = steps_of(self.lattice), [np.mean(np.diff(edges)) for edges in self.grid.edges]
-        means = {axis.state: step for axis, step in zip(self.axes, steps.tolist(), strict=True) if axis.kind == "mean"}
-        return np.array([means.get(k, width) for k, width in enumerate(widths)])
+        along = dict(zip(self.axes, steps.tolist(), strict=True))
+        return np.array([along.get(MeanAxis(k), width) for k, width in enumerate(widths)])
 
     @cached_property
     def resting_choice(self) -> StepPolicy:
@@ -252,9 +252,9 @@ def steps_of(lattice: tuple[FloatArray, ...]) -> FloatArray:
 
 
 def box_choices(
-    grid: Grid, lattice: tuple[FloatArray, ...], agent: Enclosing, axes: tuple[LatticeAxis, ...] | None = None
+    grid: Grid, lattice: tuple[FloatArray, ...], agent: BoxRelation, axes: tuple[LatticeAxis, ...]
 ) -> BoxChoices:
-    """Return the choices of an agent on a lattice, whose axes are those of the means by default.
+    """Return the choices of an agent on a lattice.
 
     Raises
     ------
@@ -262,7 +262,6 @@ def box_choices(
         If no choice is admissible in any cell.
     """
     n_cells, n_choices, d = grid.n_cells, agent.n_choices, len(lattice)
-    axes = tuple(LatticeAxis("mean", k) for k in range(d)) if axes is None else axes
     low, high = (np.empty((n_cells, n_choices, d)) for _ in range(2))
     exponents = np.empty((n_cells, n_choices, d), dtype=np.int8)
     corners = np.empty((n_cells, n_choices, 2**d), dtype=np.int32)
@@ -306,15 +305,15 @@ def positions(
     for side in (0, 1):
         columns = []
         for axis, points in zip(axes, lattice, strict=True):
-            if axis.kind == "cell":
-                columns.append(cells_at((boxes.low, boxes.high)[side][..., axis.state], grid.edges[axis.state], side))
+            numbers = boxes.scales if axis.is_logarithmic else (boxes.low, boxes.high)
+            assert numbers is not None  # an axis of scales is there for noise that has some
+            column = numbers[side][..., axis.state]
+            if not axis.is_interpolated:
+                columns.append(cells_at(column, grid.edges[axis.state], side))
                 continue
-            if axis.kind == "scale":
-                assert boxes.scales is not None
+            if axis.is_logarithmic:
                 with np.errstate(invalid="ignore", divide="ignore"):  # such choices are not admissible
-                    column = np.log(boxes.scales[side][..., axis.state])
-            else:
-                column = (boxes.low, boxes.high)[side][..., axis.state]
+                    column = np.log(column)
             columns.append((column - points[0]) / ((points[-1] - points[0]) / (len(points) - 1)))
         ends.append(np.stack(columns, axis=-1))
     low, high = ends

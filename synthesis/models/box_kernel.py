@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import TURN, Gaussian, Law
-from ..cells import FloatArray, Grid, LatticeAxis
+from ..cells import CellAxis, FloatArray, Grid, LatticeAxis, MeanAxis, ScaleAxis
 from ..values import beside, to_host
 from .bends import FOURTH, SQUARED
 from .kernel import AxisTable, Kernel, law_table
@@ -212,14 +212,14 @@ def box_kernel(
 
     ``wrapped`` says which states are angles, whose cells have the masses of all windings.
     """
-    axes = [LatticeAxis("mean", k) for k in range(len(laws))] if axes is None else axes
+    axes = [MeanAxis(k) for k in range(len(laws))] if axes is None else axes
     points = dict(zip(axes, lattice, strict=True))
     tables, loss, ratios, charges = [], 0.0, [], list[FloatArray]()
     for k, (edges, law) in enumerate(zip(grid.edges, laws, strict=True)):
-        if LatticeAxis("cell", k) in points:
+        if CellAxis(k) in points:
             tables.append(AxisTable.dense(_staying(grid.shape[k])))
             continue
-        axis, levels = points[LatticeAxis("mean", k)], points.get(LatticeAxis("scale", k))
+        axis, levels = points[MeanAxis(k)], points.get(ScaleAxis(k))
         pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
         own = [law] if levels is None else [law.scaled(math.exp(level)) for level in levels.tolist()]
         make = wound_table if wrapped is not None and wrapped[k] else law_table
@@ -227,7 +227,7 @@ def box_kernel(
         tables.append(table)
         loss += missing
         ratios.append(max(ratio_of(each, pitch) for each in own))
-        along = axes.index(LatticeAxis("mean" if levels is None else "scale", k))
+        along = axes.index(MeanAxis(k) if levels is None else ScaleAxis(k))
         shape = [-1 if place == along else 1 for place in range(len(axes))]
         costs = [each.charge(pitch * (1.0 + 1e-9)) for each in own]
         if levels is not None:
@@ -236,8 +236,8 @@ def box_kernel(
             # Between two levels the noise may be as small as at the lower one, so that both take off what that costs.
             costs = [cost + law.scale_charge(step * (1.0 + 1e-9)) for cost in (costs[0], *costs[:-1])]
         charges.append(np.array(costs).reshape(shape))
-    normal = all(isinstance(law, Gaussian) for law in laws) and not any(axis.kind == "scale" for axis in axes)
-    bent = tuple(place for place, axis in enumerate(axes) if axis.kind != "cell")
+    normal = all(isinstance(law, Gaussian) for law in laws) and not any(axis.is_logarithmic for axis in axes)
+    bent = tuple(place for place, axis in enumerate(axes) if axis.is_interpolated)
     shape_of = tuple(len(axis) for axis in lattice)
     charge = np.asarray(sum(charges, np.zeros((1,) * len(axes))))
     return BoxKernel(tuple(tables), loss, np.array(ratios), None if normal else charge, shape_of, bent)

@@ -11,12 +11,16 @@ from typing import Any
 import numpy as np
 from scipy.linalg import qr
 
-from ...envs.agents import Agent, AnyAgent, Box, LinearAgent, shortened
+from ...envs.agents import AnyAgent, Box, LinearAgent, shortened, with_expressions, with_matrices
 from ..cells import (
     FEWER,
+    CellAxis,
     FloatArray,
     Grid,
+    LatticeAxis,
+    MeanAxis,
     RelationRefused,
+    ScaleAxis,
     cell_points,
     grid_laws,
     in_grid_coordinates,
@@ -97,14 +101,16 @@ def box_model(
             f"{grid.n_cells * len(menu)} and {count}{FEWER}"
         )
     means = box_lattice(grid, deviations, points, low, high, agent.wrapped_axes.tolist())
-    by_kind = {"mean": lambda k: means[k], "cell": lambda k: cell_points(grid.shape[k])}
+    points_of: dict[LatticeAxis, FloatArray] = {MeanAxis(k): own for k, own in enumerate(means)}
+    points_of |= {CellAxis(k): cell_points(n) for k, n in enumerate(grid.shape)}
     if spread is not None:
-        n_scaled = sum(axis.kind == "scale" for axis in axes)
+        n_scaled = sum(axis.is_logarithmic for axis in axes)
         levels = min(MOST_SCALES, MOST_SCALED / math.prod(map(len, means))) ** (1.0 / max(1, n_scaled))
         levels = min(levels, *(MOST_MASSES / (len(axis) * n) for axis, n in zip(means, grid.shape, strict=True)))
         least, most, usual = (numbers.tolist() for numbers in spread[:3])
-        by_kind["scale"] = lambda k: scale_levels(least[k], most[k], usual[k], laws[k], levels)
-    lattice = tuple(by_kind[axis.kind](axis.state) for axis in axes)
+        for k in (axis.state for axis in axes if axis.is_logarithmic):
+            points_of[ScaleAxis(k)] = scale_levels(least[k], most[k], usual[k], laws[k], levels)
+    lattice = tuple(points_of[axis] for axis in axes)
     choices = box_choices(grid, lattice, relation, axes)
     if relation.common is not None:
         choices = replace(choices, n_parts=len(relation.common.numbers))
@@ -148,14 +154,14 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
 
 def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:
     """Return the relation with the choices that are offered by default."""
-    if isinstance(agent, LinearAgent):
-        menu, gains = input_menu(agent, grid, coordinates)
+    if agent.is_affine:
+        menu, gains = input_menu(with_matrices(agent), grid, coordinates)
         return box_relation(agent, coordinates, menu, gains)
     if agent.has_clock:
         return in_fitting_parts(agent, grid, coordinates, clock_menu(agent, INPUT_LEVELS), {"steer": None})
     menu, steer = with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)), None
     # Where inputs command axes, every input is offered twice: as it is, and with targets for these axes.
-    if isinstance(agent, Agent) and WrittenMeans(agent, coordinates, 1).commands:
+    if WrittenMeans(with_expressions(agent), coordinates, 1).commands:
         menu, steer = np.concatenate([menu, menu]), np.arange(2 * len(menu)) >= len(menu)
     return in_fitting_parts(agent, grid, coordinates, menu, {"steer": steer})
 

@@ -64,9 +64,7 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
     refuse_without_path(problem)
     if any(agent.angles for agent in problem.agents):
         return along_angles(problem, path_certificate, work)
-    linear = all(
-        isinstance(agent, LinearAgent) and agent.initial.is_point and agent.laws is None for agent in problem.agents
-    )
+    linear = all(agent.is_linear_gaussian and agent.initial.is_point for agent in problem.agents)
     if problem.labeling.pairs or not linear:
         return nonlinear_certificate(problem, SOURCES, work)
     finder = _Finder(problem)
@@ -292,8 +290,7 @@ class _Finder:
         return self.gains[i, number]
 
     def _solved(self, i: int, letters: NDArray[np.int8], own: list[int]) -> tuple[float, AgentPath | None, Any]:
-        agent, steps = self.problem.agents[i], len(letters) - 1
-        agent = with_matrices(agent)
+        agent, steps = with_matrices(self.problem.agents[i]), len(letters) - 1
         response = Response.of(agent, steps)
         best: tuple[float, AgentPath | None, Any] = (1.0, None, np.full((len(letters), len(own)), -1))
         for number in range(len(GAIN_COSTS) + 1):

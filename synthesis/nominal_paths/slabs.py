@@ -86,8 +86,7 @@ def limits_of(problem: Problem, i: int, letters: NDArray[np.int8], faces: NDArra
 
     Inequalities on the same row at the same time are one: its limits are the narrowest ones.
     """
-    agent = problem.agents[i]
-    agent = with_matrices(agent)
+    agent = with_matrices(problem.agents[i])
     limits: list[Limit] = []
     for t in range(1, len(letters)):
         narrowest: dict[bytes, Limit] = {}

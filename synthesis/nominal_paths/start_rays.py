@@ -130,8 +130,7 @@ class _Rays:
 
     def __init__(self, certificate: AlongPath) -> None:
         problem, path = certificate.problem, certificate.proof.paths[0]
-        agent = problem.agents[0]
-        agent = with_matrices(agent)
+        agent = with_matrices(problem.agents[0])
         steps = certificate.proof.n_steps
         covariances = covariances_of(agent, path.gain, steps)
         self.agent = agent

@@ -29,9 +29,9 @@ def joint_problem(problem: Problem) -> Problem:
     refuse_shared_noise(problem)
     if any(pair.is_round for pair in problem.labeling.pairs):
         raise RelationRefused("a joint agent has boxes of differences, got a distance of several outputs")
-    agents = [agent for agent in problem.agents if isinstance(agent, LinearAgent) and agent.laws is None]
-    if len(agents) < problem.n_agents:
+    if not all(agent.is_linear_gaussian for agent in problem.agents):
         raise RelationRefused("a joint agent is made of linear agents with Gaussian noise, got others")
+    agents = [with_matrices(agent) for agent in problem.agents]
     rows = [block_diag(*(agent.output_matrix for agent in agents))]
     for pair in problem.labeling.pairs:
         rows.append(_difference(problem, pair))
@@ -70,8 +70,7 @@ def _difference(problem: Problem, pair: PairRegion) -> FloatArray:
     """Return the rows (p, D) that take a joint state to the differences that a pair compares."""
     rows = np.zeros((len(pair.low), problem.n_states))
     for i, outputs, sign in ((pair.first, pair.outputs[0], 1.0), (pair.second, pair.outputs[1], -1.0)):
-        agent = problem.agents[i]
-        agent = with_matrices(agent)
+        agent = with_matrices(problem.agents[i])
         rows[:, problem.columns[i]] += sign * agent.output_matrix[list(outputs)]
     return rows
 

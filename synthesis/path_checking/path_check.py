@@ -201,8 +201,7 @@ def both_failures(certificate: AlongPath) -> tuple[float, float]:
 
     A bound is 1 unless every nominal value is on the right side of its limits, where both are convex in them.
     """
-    agent = certificate.problem.agents[0]
-    agent = with_matrices(agent)
+    agent = with_matrices(certificate.problem.agents[0])
     return _both(certificate, Motion.of(agent, certificate.proof.paths[0]))[1:]
 
 
@@ -224,7 +223,7 @@ def _wrong_form(certificate: AlongPath) -> list[str]:
     for agent, path in zip(problem.agents, certificate.proof.paths):
         if path.states is not None:
             failures += wrong_nonlinear_path(agent, path, steps)
-        elif not isinstance(agent, LinearAgent) or agent.laws is not None:
+        elif not agent.is_linear_gaussian:
             failures.append(f"agent `{agent.name}` is not linear with Gaussian noise")
         elif not np.array_equal(agent.initial.low, agent.initial.high):
             failures.append(f"the start of agent `{agent.name}` is no point")

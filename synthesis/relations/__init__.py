@@ -2,7 +2,7 @@
 
 from .affine_means import AffineBoxes, AffineMeans, MapRelation, MatrixMaps, map_relation
 from .aims import aimed_relation
-from .boxes import BoxRelation, Enclosing, LinearMeans, MeanBoxes, NetworkMeans, box_relation
+from .boxes import BoxRelation, LinearMeans, MeanBoxes, NetworkMeans, box_relation
 from .commands import Command, commands_of
 from .common_means import CommonInputs, CommonMeans
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
@@ -40,7 +40,6 @@ __all__ = [
     "CommonMeans",
     "CoupledRelation",
     "Ellipsoid",
-    "Enclosing",
     "ExactOnCells",
     "ExactRelation",
     "LinearMeans",

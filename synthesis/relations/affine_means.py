@@ -20,7 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent, counted
+from ...envs.agents import Agent, AnyAgent, counted, with_expressions
 from ...envs.expressions import (
     Affine,
     Interval,
@@ -276,17 +276,16 @@ class MapRelation(ReadsCoordinates):
         aims = "" if self.aims is None else ", and targets"
         return f"MapRelation({counted(d, 'state')}, {counted(m, 'input')}, {counted(len(self.menu), 'choice')}{aims})"
 
-    common = None
-
     @property
     def network(self) -> Any:
         """The network whose modes are the choices, if one moves the agent."""
         return self.means.network
 
     @property
-    def aims_are_matrices(self) -> bool:
-        """Whether inputs put means on targets by matrices, or there are no targets."""
-        return isinstance(self.aims, ExactRelation | None)
+    def matrices(self) -> tuple[Any, FloatArray] | None:
+        """The exact relation of its targets, or None, and its inputs; None beside networks, and targets of others."""
+        aims = (None, None) if self.aims is None else self.aims.matrices
+        return None if self.network is not None or aims is None else (aims[0], np.asarray(self.menu, dtype=float))
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""
@@ -343,11 +342,11 @@ def map_relation(
         raise RelationRefused(f"agent `{agent.name}`: the linear relation needs inputs inside their box")
     parts, cuts, reach = numbers or (1, 1, (0,) * d)
     means: AffineMaps
-    if not isinstance(agent, Agent):
+    if agent.is_affine:
         means = MatrixMaps(
             linear_means(linear_agent(agent, "linear"), coordinates, np.zeros((1, agent.n_inputs, d))), cuts
         )
     else:
-        means = AffineMeans(agent, coordinates, cuts)
+        means = AffineMeans(with_expressions(agent), coordinates, cuts)
     aims = aimed_relation(agent, coordinates) if with_aims else None
     return MapRelation(means, coordinates, menu, parts, tuple(int(n) for n in reach), aims)

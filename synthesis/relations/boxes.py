@@ -7,7 +7,7 @@ cell s with centre c, choice a applies the input
 
 which is admissible on the whole closed cell. All that the finite model knows of the mean is that it lies in the box
 ``M(s, a)``; the kernel takes the least value over it (docs/theory/boxes.md). So nothing depends on how the boxes were
-made, and an agent needs no more than ``Enclosing``: boxes for all points of a cell, and inputs. Here they are made for
+made, and an agent needs no more than boxes for all points of a cell, and inputs. Here they are made for
 linear agents, in ``written_means`` for those whose dynamics are expressions, in ``network_bounds`` for linear agents
 that a network moves; kernel, search and tree are the same.
 """
@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent, AnyAgent, LinearAgent, counted
 from ..cells import FloatArray, RelationRefused, linear_agent
 from .common_means import CommonInputs, CommonMeans, common_inputs, common_means
-from .coordinates import ReadsCoordinates
+from .coordinates import ReadsCoordinates, Unsteered
 from .driven_means import DrivenMeans
 from .exact import INPUT_MARGIN
 from .network_bounds import mean_bounds
@@ -64,22 +64,8 @@ class MeanBoxes:
     scales: tuple[FloatArray, FloatArray] | None = None
 
 
-class Enclosing(Protocol):
-    """What mean boxes need to know of an agent."""
-
-    @property
-    def n_choices(self) -> int:
-        """Number of choices A of every cell."""
-
-    def mean_boxes(self, low: FloatArray, high: FloatArray) -> MeanBoxes:
-        """Return boxes around the means from the closed cells ``[low, high]``, (n, d) each (outer bounds)."""
-
-    def inputs(self, choices: NDArray[np.intp], offsets: FloatArray) -> FloatArray:
-        """Return the inputs (m, ...) of choices (...) at states ``offsets`` (d, ...) from the centres of cells."""
-
-
 @dataclass(frozen=True, eq=False)
-class LinearMeans:
+class LinearMeans(Unsteered):
     """Boxes around the means of a linear agent. Matrices are in grid coordinates.
 
     Parameters
@@ -112,17 +98,6 @@ class LinearMeans:
         extent = np.einsum("aij,nj->nai", closed, half) + self.rounding
         return middle - extent, middle + extent
 
-    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> None:
-        """Return None: the noise is the same everywhere."""
-
-    def steered(
-        self, choices: NDArray[np.intp], points: FloatArray, centres: FloatArray, inputs: FloatArray, beside: Any
-    ) -> FloatArray:
-        """Return inputs (m, ...) of choices (...) as they are: none steers."""
-        return inputs
-
-    network = None
-
     @property
     def description(self) -> dict[str, Any]:
         """What files hold of it."""
@@ -135,7 +110,7 @@ class LinearMeans:
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkMeans:
+class NetworkMeans(Unsteered):
     """Boxes around the means of a linear agent that a network may move.
 
     The first choices are the modes of the network (``NetworkPolicy``): choice ``t * states + q`` is what the network
@@ -167,15 +142,6 @@ class NetworkMeans:
         first[:, :modes], last[:, :modes] = ends[0] - self.linear.rounding, ends[1] + self.linear.rounding
         return first, last
 
-    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> None:
-        """Return None: the noise is the same everywhere."""
-
-    def steered(
-        self, choices: NDArray[np.intp], points: FloatArray, centres: FloatArray, inputs: FloatArray, beside: Any
-    ) -> FloatArray:
-        """Return inputs (m, ...) of choices (...) as they are: none steers."""
-        return inputs
-
     @property
     def network(self) -> NetworkPolicy:
         """The network."""
@@ -194,7 +160,7 @@ class NetworkMeans:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BoxRelation(ReadsCoordinates):
-    """Mean boxes of an agent (delta = 0, no memory); it is ``Enclosing``.
+    """Mean boxes of an agent (delta = 0, no memory).
 
     Parameters
     ----------

@@ -23,8 +23,9 @@ from scipy.special import ndtr
 
 from ...envs.agents import AnyAgent, box_text, counted, tree_text
 from ..cells import FloatArray, linear_agent
+from .coordinates import ReadsByRows
 from .rounding import COUPLING, error_rounding, missed_cells, sizes_of
-from .rows import Row, product, rows_of, times
+from .rows import Row, rows_of, times
 
 FORGIVEN = 1e-12
 """Share of the set of errors by which a computed error may lie outside: rounding.
@@ -49,7 +50,7 @@ COUPLED_ARRAYS: dict[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CoupledRelation:
+class CoupledRelation(ReadsByRows):
     """Interface and coupling between an agent and its finite model, in grid coordinates.
 
     Parameters
@@ -114,7 +115,6 @@ class CoupledRelation:
         return tree_text(f"CoupledRelation {self.kind!r}: {counted(d, 'state')}, {counted(m, 'input')}", rows)
 
     has_memory = True
-    common = None
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""
@@ -135,11 +135,6 @@ class CoupledRelation:
         return np.argmin(np.sum(apart**2, axis=2), axis=1)
 
     @property
-    def has_state_coordinates(self) -> bool:
-        """Whether grid coordinates are the state itself."""
-        return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
-
-    @property
     def arrays(self) -> tuple[FloatArray, ...]:
         """All numbers, for comparing relations."""
         return (
@@ -157,12 +152,6 @@ class CoupledRelation:
             np.array([self.delta, self.epsilon]),
             np.zeros((0, 0)) if self.shape is None else self.shape,
         )
-
-    def to_grid(self, states: FloatArray) -> FloatArray:
-        """Return the grid coordinates (d, ...) of states (d, ...) as a new array."""
-        if self.has_state_coordinates:
-            return np.array(states, dtype=float)
-        return product(rows_of(np.linalg.inv(self.coordinates)), states)
 
     def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent
+from ...envs.agents import AnyAgent
 from ..cells import FloatArray, Grid, linear_agent
 from .affine_means import MapRelation, map_relation
 from .aims import aimed_relation
@@ -114,7 +114,7 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     numbers = [description[name] for name in NUMBER_ENTRIES[description["kind"]]]
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
-    is_written = isinstance(agent, Agent)
+    is_written = not agent.is_affine
     has_network = description["kind"] in ("boxes", "linear") and "network" in description
     known = {"boxes": ("parts", "steer"), "linear": ("parts", "cuts", "reach"), "exact": () if is_written else None}
     named = known.get(description["kind"])

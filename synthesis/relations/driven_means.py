@@ -12,17 +12,17 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...envs.expressions import Interval
 from ..cells import FloatArray
+from .coordinates import Unsteered
 from .network_bounds import mean_bounds
 from .networks import NetworkPolicy
 from .written_means import WrittenMeans
 
 
 @dataclass(frozen=True, eq=False)
-class DrivenMeans:
+class DrivenMeans(Unsteered):
     """Boxes around the means of an agent with expressions under the modes of a network, and under inputs of a menu.
 
     The first choices are the modes (``NetworkPolicy``), and their inputs in the menu stand for nothing.
@@ -92,12 +92,6 @@ class DrivenMeans:
             return None
         shape = (len(low), len(menu), self.written.agent.n_states)
         return np.broadcast_to(found[0], shape), np.broadcast_to(found[1], shape)
-
-    def steered(
-        self, choices: NDArray[np.intp], points: FloatArray, centres: FloatArray, inputs: FloatArray, beside: Any
-    ) -> FloatArray:
-        """Return inputs (m, ...) of choices (...) as they are: none steers."""
-        return inputs
 
     @property
     def description(self) -> dict[str, Any]:

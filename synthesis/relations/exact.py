@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent, LinearAgent, counted
 from ..cells import FloatArray, Grid, RelationRefused, linear_agent
+from .coordinates import ReadsByRows
 from .rounding import sizes_of, target_loss, target_rounding
 from .rows import Row, product, rows_of, times
 
@@ -31,7 +32,7 @@ INPUT_MARGIN = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ExactRelation:
+class ExactRelation(ReadsByRows):
     """Target-mean interface of an agent with full-row-rank ``B`` (exact relation: delta = 0, epsilon = half a cell).
 
     All matrices are in grid coordinates ``x_grid`` with ``x = coordinates @ x_grid``.
@@ -67,9 +68,6 @@ class ExactRelation:
 
     kind = "exact"
     delta = 0.0
-    has_memory = False
-    is_cell = True
-    common = None
 
     def __repr__(self) -> str:
         d, m = self.B.shape
@@ -108,17 +106,6 @@ class ExactRelation:
         used = self.right_inverse != 0
         return bool(np.all(used.sum(axis=1) <= 1) and np.all(used.sum(axis=0) == 1))
 
-    def to_grid(self, states: FloatArray) -> FloatArray:
-        """Return the grid coordinates (d, ...) of states (d, ...) as a new array."""
-        if self.has_state_coordinates:
-            return np.array(states, dtype=float)
-        return product(rows_of(np.linalg.inv(self.coordinates)), states)
-
-    @property
-    def has_state_coordinates(self) -> bool:
-        """Whether grid coordinates are the state itself."""
-        return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
-
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
         """All matrices, for comparing relations."""
@@ -131,6 +118,11 @@ class ExactRelation:
             self.input_half_width,
             self.coordinates,
         )
+
+    @property
+    def matrices(self) -> tuple[Any, FloatArray]:
+        """Itself, and no inputs."""
+        return self, np.zeros((0, 0))
 
     def aims(self, targets: FloatArray) -> FloatArray:
         """Return target means (d, ...) less the drift, as ``inputs`` takes them."""

@@ -66,8 +66,6 @@ class LinearRelation(ReadsCoordinates):
         """Return the description that files hold."""
         return {"kind": "linear", "menu": self.menu.tolist(), "parts": self.parts}
 
-    common = None
-
     @property
     def gains(self) -> FloatArray:
         """Gain matrices (g, d, d) of the choices."""

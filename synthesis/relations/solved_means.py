@@ -38,6 +38,7 @@ from ...envs.expressions import (
     substituted,
 )
 from ..cells import FloatArray, Grid, RelationRefused, sharpness
+from .coordinates import ReadsCoordinates
 from .input_forms import Turn, held, independent_columns, turned_inputs
 from .rounding import DENSITY, missed_cells, reading_of
 from .sectors import is_whole, largest_angle, polar_inputs, reached, sectors_of
@@ -144,7 +145,7 @@ class WrittenOnCells:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WrittenTargets:
+class WrittenTargets(ReadsCoordinates):
     """Target-mean interface of an agent with expressions (exact relation: delta = 0, epsilon = half a cell).
 
     Parameters
@@ -164,9 +165,6 @@ class WrittenTargets:
 
     kind = "exact"
     delta = 0.0
-    has_memory = False
-    is_cell = True
-    common = None
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""
@@ -420,16 +418,10 @@ class WrittenTargets:
         shift = float(np.linalg.norm(off / sharpness(agent, self.coordinates))) * (1 + 1e-9)
         return min(1.0, DENSITY * shift) + missed_cells(reading, reading.read, edges)
 
-    def to_grid(self, states: FloatArray) -> FloatArray:
-        """Return the grid coordinates (d, ...) of states (d, ...), which they are, as a new array."""
-        return np.array(states, dtype=float)
-
-    @property
-    def coordinates(self) -> FloatArray:
+    @cached_property
+    def coordinates(self) -> FloatArray:  # type: ignore[override]
         """Grid coordinates to state: the identity (d, d)."""
         return np.eye(self.agent.n_states)
-
-    has_state_coordinates = True
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import erfc
 
 from ...envs.agents import AnyAgent, Law
-from ..cells import FloatArray, lattice_axes
+from ..cells import CellAxis, FloatArray, ScaleAxis, lattice_axes
 from ..certificates import AgentPart, grid_noise, law_charge, law_error, probability_below, scale_charge
 
 REACH = 6.0
@@ -264,17 +264,16 @@ class StillAxis(_Unscaled):
 def noise_axes(agent: AnyAgent, part: AgentPart) -> tuple[Axis, ...]:
     """Return the axes of an agent's grid, each with its noise."""
     axes, edges = list[Axis](), part.grid.edges
-    scaled = {axis.state for axis in lattice_axes(agent) if axis.kind == "scale"}
-    still = {axis.state for axis in lattice_axes(agent) if axis.kind == "cell"}
+    known = lattice_axes(agent)
     deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates))).tolist()
     for k, (along, deviation) in enumerate(zip(edges, deviations, strict=True)):
         law = None if agent.laws is None else agent.laws[k]
-        if k in still:
+        if CellAxis(k) in known:
             axes.append(StillAxis(along))
-        elif law is None or (law.name == "gaussian" and k not in scaled):
+        elif law is None or (law.name == "gaussian" and ScaleAxis(k) not in known):
             axes.append(NoiseAxis(along, deviation, part.is_linear))
         else:
-            axes.append(LawAxis(along, law, k in scaled))
+            axes.append(LawAxis(along, law, ScaleAxis(k) in known))
     return tuple(axes)
 
 

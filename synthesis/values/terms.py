@@ -259,10 +259,6 @@ class Guards:
         states = len({*self.source.tolist()})
         return f"Guards({len(self.source)}, agents: {len(self.masks)}, automaton states with guards: {states})"
 
-    def out_of(self, q: int) -> NDArray[np.int64]:
-        """Return the numbers of the guards out of state q."""
-        return np.flatnonzero(self.source == q)
-
 
 def candidate_depths(
     origin: IndexArray, merges: Merges, guards: Guards, depths: Sequence[NDArray[np.int64]]

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ...envs.agents import counted, shortened, tree_text, write_json
+from ...envs.agents import counted, shortened, tree_text
 from ...envs.problem import Problem
-from ..simulation import INTERRUPTED, Plan, Rows, html_table, labelled_lines
+from ..simulation import INTERRUPTED, Plan, Rows, Saved, html_table, labelled_lines
 from ..statistics import CONSISTENT, REFUTED, VACUOUS, holm
 
 if TYPE_CHECKING:
@@ -91,7 +90,7 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AuditReport:
+class AuditReport(Saved):
     """The tests of a certificate step by step, and what they found.
 
     Parameters
@@ -156,10 +155,6 @@ class AuditReport:
             "findings": [vars(finding) for finding in self.findings],
             **{name: getattr(self, name).tolist() for name in ("log_e", "worlds", "mean_increments")},
         }
-
-    def save(self, path: str | Path) -> None:
-        """Write ``to_dict()`` as JSON."""
-        write_json(path, self.to_dict())
 
     def __str__(self) -> str:
         return labelled_lines([("audit", self._title()), *self._rows(MOST_FINDINGS)])

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from ...envs.pictures import coordinate_name, have_one_scale
 from ...envs.problem import Problem
 from ...synthesis.certificates import OnGrid, as_certificate, of_one_task, on_cells, regrow_trains, shown_bound
-from ...synthesis.relations import CoupledRelation
 from ...synthesis.values import Trains
 from ..audits import standing_cells
 from ..simulation import Loop, frames
@@ -301,7 +300,7 @@ def _followed(
         point = controller.relation.to_grid(here[:, None])[k, 0]
         # An exact relation keeps the state in the cell, a coupled one in the box around its set.
         relation, half = controller.relation, controller.grid.half_widths[cell][k]
-        if isinstance(relation, CoupledRelation):
+        if relation.has_memory:
             half = relation.reach[k]
         moments.append((time, point, controller.grid.centres[cell][k], half))
     times, states, centres, reach = np.array(moments).T

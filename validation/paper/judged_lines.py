@@ -4,12 +4,7 @@ A reproduction is a list of lines. What the lines gave when the page about publi
 ``recorded.json``; a line that gives less, or another verdict, fails. So what is lost is seen by whoever runs the
 command.
 
-The kind of a line says how it is judged:
-
-``digits``     ours repeats a published computation, and has to have its digits
-``bound``      ours is a certified lower bound; it must not be below the recorded one
-``claim``      the published number is a claim about a probability, ours is the upper limit of rollouts on it
-``measured``   ours is a count or an estimate of a fixed seed; it has to be near the recorded one
+The class of a line says how it is judged.
 """
 
 from __future__ import annotations
@@ -18,7 +13,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 RECORDED = Path(__file__).with_name("recorded.json")
 """What each line of each target gave when the pages were written: a number, rounded down, and a verdict."""
@@ -32,7 +27,7 @@ NEAR = 0.02
 
 @dataclass(frozen=True)
 class Line:
-    """One published number and ours.
+    """One published number and ours: measured, a count or an estimate of a fixed seed, which has to be near.
 
     Parameters
     ----------
@@ -41,8 +36,6 @@ class Line:
     published : float or None
         None where nothing was published.
     ours : float
-    kind : str
-        How it is judged, see above.
     digits : float
         Half a unit of the last published digit, for ``digits``.
     """
@@ -50,20 +43,21 @@ class Line:
     name: str
     published: float | None
     ours: float
-    kind: str
     digits: float = 5.1e-7
+
+    kind: ClassVar[str] = "measured"
+    """What tables call the class."""
 
     @property
     def verdict(self) -> str:
         """What ours says about the published number."""
-        if self.published is None:
-            return OURS_ALONE
-        if self.kind == "claim":
-            return REFUTED_CLAIM if self.ours < self.published else STANDS
-        if self.kind == "bound":
-            return HIGHER if self.ours >= self.published else LOWER
-        room = self.digits if self.kind == "digits" else NEAR * abs(self.published)
-        return AGREES if abs(self.ours - self.published) <= room else DIFFERS
+        return OURS_ALONE if self.published is None else self._beside(self.published)
+
+    def _beside(self, published: float) -> str:
+        return AGREES if abs(self.ours - published) <= NEAR * abs(published) else DIFFERS
+
+    def _wrong_beside(self, recorded: float) -> str | None:
+        return f"far from the recorded {recorded:.6g}" if abs(self.ours - recorded) > NEAR * abs(recorded) else None
 
     def judged(self, recorded: tuple[float, str] | None) -> dict[str, Any]:
         """Return the line as JSON values, with its difference, its verdict, and what is wrong with it, if anything."""
@@ -72,19 +66,48 @@ class Line:
             wrong = "not recorded"
         elif self.verdict != recorded[1]:
             wrong = f"recorded as {recorded[1]}"
-        elif self.kind in ("bound", "digits") and self.ours < recorded[0]:
-            wrong = f"below the recorded {recorded[0]:.6g}"
-        elif self.kind in ("claim", "measured") and abs(self.ours - recorded[0]) > NEAR * abs(recorded[0]):
-            wrong = f"far from the recorded {recorded[0]:.6g}"
+        else:
+            wrong = self._wrong_beside(recorded[0])
         difference = None if self.published is None else self.ours - self.published
         expected = None if recorded is None else recorded[0]
         return {
             **asdict(self),
+            "kind": self.kind,
             "expected": expected,
             "difference": difference,
             "verdict": self.verdict,
             "wrong": wrong,
         }
+
+
+class Claim(Line):
+    """The published number is a claim about a probability, ours is the upper limit of rollouts on it."""
+
+    kind = "claim"
+
+    def _beside(self, published: float) -> str:
+        return REFUTED_CLAIM if self.ours < published else STANDS
+
+
+class Bound(Line):
+    """Ours is a certified lower bound; it must not be below the recorded one."""
+
+    kind = "bound"
+
+    def _beside(self, published: float) -> str:
+        return HIGHER if self.ours >= published else LOWER
+
+    def _wrong_beside(self, recorded: float) -> str | None:
+        return f"below the recorded {recorded:.6g}" if self.ours < recorded else None
+
+
+class Digits(Bound):
+    """Ours repeats a published computation, and has to have its digits."""
+
+    kind = "digits"
+
+    def _beside(self, published: float) -> str:
+        return AGREES if abs(self.ours - published) <= self.digits else DIFFERS
 
 
 def judged_lines(

@@ -7,7 +7,7 @@ from typing import Any
 
 from . import reproduce
 from .arch import arch
-from .judged_lines import Line, judged_lines
+from .judged_lines import Bound, Claim, Digits, Line, judged_lines
 from .refutation import refutation
 from .reproduction import Reproduction
 
@@ -37,56 +37,56 @@ def lines_of(target: str, result: Any, row: str | None = None) -> list[dict[str,
 
 def _fig3(rows: Sequence[dict[str, Any]]) -> list[Line]:
     """Return the lines of Fig. 3: the published computation repeated, and what is certified at the stated noise."""
-    lines = []
+    lines = list[Line]()
     for row in rows:
         at, robust, posterior = f"T = {row['T']}: ", row["published"], row["a_posteriori_published"]
         lines += [
-            Line(f"{at}robust tree, variance as deviation", robust, row["robust_tree_variance_as_std"], "digits"),
-            Line(f"{at}robust tree, stated noise", robust, row["robust_tree"], "measured"),
-            Line(f"{at}robust tree, certified", robust, row["robust_tree_certified"], "bound"),
-            Line(f"{at}a-posteriori, certified", posterior, row["a_posteriori"], "bound"),
-            Line(f"{at}exact relation, certified", robust, row["exact"], "bound"),
+            Digits(f"{at}robust tree, variance as deviation", robust, row["robust_tree_variance_as_std"]),
+            Line(f"{at}robust tree, stated noise", robust, row["robust_tree"]),
+            Bound(f"{at}robust tree, certified", robust, row["robust_tree_certified"]),
+            Bound(f"{at}a-posteriori, certified", posterior, row["a_posteriori"]),
+            Bound(f"{at}exact relation, certified", robust, row["exact"]),
         ]
     return lines
 
 
 def _fig4(rows: Sequence[dict[str, Any]]) -> list[Line]:
     """Return the lines of Fig. 4, of which no digits were published."""
-    lines = []
+    lines = list[Line]()
     for row in rows:
         for name in [key for key in row if key != "T"]:
             kind, setting, n = name.rsplit("_", 2)
             what = "exact relation" if kind == "exact" else "robust tree"
-            how = "bound" if kind == "exact" else "measured"
-            lines.append(Line(f"T = {row['T']}, setting {setting}, {n} agents: {what}", None, row[name], how))
+            judged = Bound if kind == "exact" else Line
+            lines.append(judged(f"T = {row['T']}, setting {setting}, {n} agents: {what}", None, row[name]))
     return lines
 
 
 def _table1(rows: Sequence[dict[str, Any]]) -> list[Line]:
     """Return the lines of Table 1: bytes."""
-    lines = []
+    lines = list[Line]()
     for row in rows:
         name = row["problem"]
         lines += [
-            Line(f"{name}: joint bytes", row["published_joint_bytes"], row["joint_bytes"], "measured"),
-            Line(f"{name}: bytes per term", row["published_bytes_per_term"], row["bytes_per_term"], "measured"),
+            Line(f"{name}: joint bytes", row["published_joint_bytes"], row["joint_bytes"]),
+            Line(f"{name}: bytes per term", row["published_bytes_per_term"], row["bytes_per_term"]),
         ]
     return lines
 
 
 def _table2(rows: Sequence[dict[str, Any]]) -> list[Line]:
     """Return the lines of Table 2: the published claims against rollouts, and what is certified."""
-    lines = []
+    lines = list[Line]()
     for k, row in enumerate(rows):
         name = f"point {k // 2 + 1}{', eased' if row['published'] is None else ''}: "
         if row["published"] is not None:
             lines += [
-                Line(f"{name}upper limit of rollouts", row["published"], row["ci_high"], "claim"),
-                Line(f"{name}the paper's method", row["published"], row["robust_tree_certified"], "bound"),
+                Claim(f"{name}upper limit of rollouts", row["published"], row["ci_high"]),
+                Bound(f"{name}the paper's method", row["published"], row["robust_tree_certified"]),
             ]
         lines += [
-            Line(f"{name}exact relation", row["published"], row["exact"], "bound"),
-            Line(f"{name}rollouts", row["published"], row["estimate"], "measured"),
+            Bound(f"{name}exact relation", row["published"], row["exact"]),
+            Line(f"{name}rollouts", row["published"], row["estimate"]),
         ]
     return lines
 
@@ -95,31 +95,31 @@ def _refutation(result: dict[str, Any]) -> list[Line]:
     """Return the lines of the refutation of the certificate at T = 6."""
     right = result["right_noise"]
     return [
-        Line("initial states at which the claim is refuted", None, result["refuted"], "measured"),
-        Line("initial states", None, result["initial_states"], "measured"),
-        Line("share of states with a success rate below the claim", None, result["fraction_below_claim"], "measured"),
-        Line("largest excess of a claim", None, result["worst_excess"], "measured"),
-        Line("worst start, x1", None, result["worst_initial_state"][0], "measured"),
-        Line("worst start, x2", None, result["worst_initial_state"][1], "measured"),
-        Line("success rate at the worst start", result["worst_claim"], result["worst_estimate"], "claim"),
-        Line("mean over the region", result["published_mean"], result["simulated_mean"], "measured"),
+        Line("initial states at which the claim is refuted", None, result["refuted"]),
+        Line("initial states", None, result["initial_states"]),
+        Line("share of states with a success rate below the claim", None, result["fraction_below_claim"]),
+        Line("largest excess of a claim", None, result["worst_excess"]),
+        Line("worst start, x1", None, result["worst_initial_state"][0]),
+        Line("worst start, x2", None, result["worst_initial_state"][1]),
+        Claim("success rate at the worst start", result["worst_claim"], result["worst_estimate"]),
+        Line("mean over the region", result["published_mean"], result["simulated_mean"]),
         *(
-            Line(f"{name} relation at the stated noise, {what}", None, right[name][key], kind)
+            judged(f"{name} relation at the stated noise, {what}", None, right[name][key])
             for name in ("paper", "exact")
-            for what, key, kind in (("certified", "lower_bound", "bound"), ("rollouts", "estimate", "measured"))
+            for what, key, judged in (("certified", "lower_bound", Bound), ("rollouts", "estimate", Line))
         ),
     ]
 
 
 def _arch(rows: Sequence[dict[str, Any]]) -> list[Line]:
     """Return a line for each row of the field's benchmarks, and one for each share of starts."""
-    lines = []
+    lines = list[Line]()
     for row in rows:
         # What fails its check is worth nothing.
         holds = row["check"] == "valid"
-        lines.append(Line(row["row"], row["published"], row["certified"] if holds else 0.0, "bound"))
+        lines.append(Bound(row["row"], row["published"], row["certified"] if holds else 0.0))
         if row["starts"] is not None:
-            lines.append(Line(f"{row['row']}: share of starts", row["published_starts"], row["starts"], "bound"))
+            lines.append(Bound(f"{row['row']}: share of starts", row["published_starts"], row["starts"]))
     return lines
 
 

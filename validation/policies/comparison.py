@@ -20,14 +20,14 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ...envs.agents import counted, shortened, tree_text, write_json
+from ...envs.agents import counted, shortened, tree_text
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.bridges import is_model
 from ...synthesis.certificates import Certificate, Synthesis, any_certificate, shown_bound
 from ...synthesis.controllers import LOCAL, Controller
 from ..shields import ShieldedController
-from ..simulation import Batchable, Rollouts, TrialOptions, TrialPlan, html_table, planned, rollout
+from ..simulation import Batchable, Rollouts, Saved, TrialOptions, TrialPlan, html_table, planned, rollout
 from ..statistics import VACUOUS, clopper_pearson, holm, mean_limits, p_at_least
 from .rollout_policies import as_controller
 from .training import Training
@@ -115,7 +115,7 @@ class Pair:
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison:
+class Comparison(Saved):
     """Policies side by side on one problem.
 
     Parameters
@@ -146,10 +146,6 @@ class Comparison:
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON values."""
         return {**asdict(self), "entries": [asdict(e) for e in self.entries], "pairs": [asdict(p) for p in self.pairs]}
-
-    def save(self, path: str | Path) -> None:
-        """Write ``to_dict()`` as JSON."""
-        write_json(path, self.to_dict())
 
     def __str__(self) -> str:
         width = max(len("policy"), *(len(entry.name) for entry in self.entries))

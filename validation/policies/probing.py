@@ -24,13 +24,13 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ...envs.agents import checked_count, counted, tree_text, write_json
+from ...envs.agents import checked_count, counted, tree_text
 from ...envs.arrays import on_one_thread
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, shown_bound
 from ...synthesis.controllers import LOCAL
-from ..simulation import Plan, TrialOptions, TrialPlan, planned, rollout
+from ..simulation import Plan, Saved, TrialOptions, TrialPlan, planned, rollout
 from ..statistics import clopper_pearson, paired_difference
 from .actors import Actor, save_actor
 from .imitation import clone, demonstrate
@@ -67,7 +67,7 @@ class Attempt:
 
 
 @dataclass(frozen=True, repr=False)
-class Probe:
+class Probe(Saved):
     """What a probe found.
 
     Parameters
@@ -130,10 +130,6 @@ class Probe:
         """Return everything but the actor as JSON values."""
         fields = {name: value for name, value in vars(self).items() if name not in ("actor", "attempts")}
         return {**fields, "verdict": self.verdict, "attempts": [asdict(attempt) for attempt in self.attempts]}
-
-    def save(self, path: str | Path) -> None:
-        """Write ``to_dict()`` as JSON."""
-        write_json(path, self.to_dict())
 
     def save_actor(self, path: str | Path) -> None:
         """Write the best learner as an actor (.npz), for ``compare`` and ``certify``."""

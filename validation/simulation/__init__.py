@@ -4,7 +4,7 @@ from .chunks import ChunkResult, Frame, chunks_of, frames, paths
 from .cluster import DaskExecutor, executor_for, processes
 from .loop import CHUNK, Batchable, BatchPolicy, Loop
 from .mismatch import FAMILIES, Mismatch
-from .report_text import INTERRUPTED, LABEL_WIDTH, Rows, html_table, labelled_lines
+from .report_text import INTERRUPTED, LABEL_WIDTH, Rows, Saved, html_table, labelled_lines
 from .rollouts import Rollouts, rollout, stream
 from .spread import Executor, in_order
 from .task_paths import task_tracks
@@ -26,6 +26,7 @@ __all__ = [
     "Plan",
     "Rollouts",
     "Rows",
+    "Saved",
     "TrialOptions",
     "TrialPlan",
     "chunks_of",

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from html import escape
+from pathlib import Path
+from typing import Any
+
+from ...envs.agents import write_json
 
 LABEL_WIDTH = 14
 """Characters before the text of a line: the longest label, "these models", and two blanks."""
@@ -13,6 +18,18 @@ INTERRUPTED = "by Ctrl-C; this is about the episodes finished by then"
 
 Rows = Sequence[tuple[str, str]]
 """Label and text of each line of a report."""
+
+
+class Saved(ABC):
+    """A report that can be written to a file."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as JSON values."""
+
+    def save(self, path: str | Path) -> None:
+        """Write ``to_dict()`` as JSON."""
+        write_json(path, self.to_dict())
 
 
 def labelled_lines(rows: Rows) -> str:

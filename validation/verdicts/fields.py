@@ -9,13 +9,12 @@ then refuted anywhere with probability at most ``(1 - confidence) / 2``, for any
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import counted, shortened, tree_text, write_json
+from ...envs.agents import counted, shortened, tree_text
 from ...synthesis.certificates import certificate_on_grids, rounded_down
 from ..simulation import (
     INTERRUPTED,
@@ -23,6 +22,7 @@ from ..simulation import (
     Loop,
     Mismatch,
     Rows,
+    Saved,
     TrialOptions,
     TrialPlan,
     collect,
@@ -57,7 +57,7 @@ MEANINGS_OF_FIELDS = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FieldReport:
+class FieldReport(Saved):
     """The claims of a certificate at N initial states beside what rollouts show there.
 
     Parameters
@@ -163,10 +163,6 @@ class FieldReport:
             **{name: getattr(self, name).tolist() for name in arrays},
             "margins": self.margins.tolist(),
         }
-
-    def save(self, path: str | Path) -> None:
-        """Write ``to_dict()`` as JSON."""
-        write_json(path, self.to_dict())
 
     def __str__(self) -> str:
         return labelled_lines([("field", self._title()), *self._rows()])

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Unpack
 
-from ...envs.agents import counted, tree_text, write_json
+from ...envs.agents import counted, tree_text
 from ...synthesis.certificates import any_certificate, rounded_down
 from ..simulation import (
     FAMILIES,
     Mismatch,
     Rows,
+    Saved,
     TrialOptions,
     TrialPlan,
     html_table,
@@ -74,7 +74,7 @@ class Rung:
 
 
 @dataclass(frozen=True, repr=False)
-class StressReport:
+class StressReport(Saved):
     """The bound of a certificate beside what rollouts under mismatches show.
 
     Parameters
@@ -121,10 +121,6 @@ class StressReport:
             "survives": {name: None if m is None else str(m) for name, m in survived.items()},
             "rungs": [{**vars(rung), "mismatch": vars(rung.mismatch)} for rung in self.rungs],
         }
-
-    def save(self, path: str | Path) -> None:
-        """Write ``to_dict()`` as JSON."""
-        write_json(path, self.to_dict())
 
     def __str__(self) -> str:
         rungs = [

@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 import time
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
 
 from ... import __version__
-from ...envs.agents import counted, shortened, write_json
+from ...envs.agents import counted, shortened
 from ...envs.dynamics import BEHAVIOURS, Behaviour, checked_behaviour
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
@@ -34,6 +33,7 @@ from ..simulation import (
     Mismatch,
     Plan,
     Rows,
+    Saved,
     TrialOptions,
     TrialPlan,
     collect,
@@ -91,7 +91,7 @@ LARGEST_LOG_E = 1e6
 
 
 @dataclass(frozen=True, repr=False)
-class ValidationReport:
+class ValidationReport(Saved):
     """A certificate's claim beside what rollouts of its controller show.
 
     Parameters
@@ -164,10 +164,6 @@ class ValidationReport:
         """Return all fields as JSON values, those of ``details`` beside the others."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "details"}
         return {**fields, **self.details}
-
-    def save(self, path: str | Path) -> None:
-        """Write ``to_dict()`` as JSON."""
-        write_json(path, self.to_dict())
 
     def __str__(self) -> str:
         return labelled_lines([("problem", self._title()), *self._rows()])

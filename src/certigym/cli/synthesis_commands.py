@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import Agent, AnyAgent, LinearAgent, Pair, Proposition, counted
+from ..envs.agents import AnyAgent, Pair, Proposition, counted, matrix_text, vector_text
 from ..envs.problem import Problem
 from ..envs.suite import make_problem, problem_ids, tier_of_id
 from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, shown_bound, start_of_claim
@@ -203,11 +203,11 @@ def _list_suite(options: Namespace) -> int:
 def _agent_lines(agent: AnyAgent) -> list[str]:
     """Return dynamics, boxes and start of one agent in words."""
     low, high = agent.initial.low, agent.initial.high
-    start = _vector(low) if np.array_equal(low, high) else f"{_vector(low)} .. {_vector(high)}"
-    workspace = f"{_vector(agent.workspace.low)} .. {_vector(agent.workspace.high)}"
-    inputs = f"{_vector(agent.input_box.low)} .. {_vector(agent.input_box.high)}"
+    start = vector_text(low) if np.array_equal(low, high) else f"{vector_text(low)} .. {vector_text(high)}"
+    workspace = f"{vector_text(agent.workspace.low)} .. {vector_text(agent.workspace.high)}"
+    inputs = f"{vector_text(agent.input_box.low)} .. {vector_text(agent.input_box.high)}"
     return [
-        f"agent {agent.name}: {_motion(agent)}, {_noise(agent)}",
+        f"agent {agent.name}: {agent.motion_text}, {_noise(agent)}",
         f"    workspace {workspace}, inputs {inputs}, start {start}",
     ]
 
@@ -223,23 +223,11 @@ def _shared_lines(problem: Problem) -> list[str]:
 def _noise(agent: AnyAgent) -> str:
     """Return the noise of an agent: a covariance, or the law of each component."""
     if agent.laws is None:
-        return f"covariance of w {_matrix(agent.noise_covariance)}"
+        return f"covariance of w {matrix_text(agent.noise_covariance)}"
     laws = [law.to_dict() for law in agent.laws]
     words = [f"{law.pop('law')} ({', '.join(f'{key} {value}' for key, value in law.items())})" for law in laws]
     axes = "" if np.array_equal(agent.noise_axes, np.eye(agent.n_states)) else f" along {agent.noise_axes.T.tolist()}"
     return f"w {' x '.join(words)}{axes}"
-
-
-def _motion(agent: AnyAgent) -> str:
-    """Return how an agent moves, in symbols."""
-    if isinstance(agent, LinearAgent):
-        states = f" with x = ({', '.join(agent.state_names)})" if agent.state_names else ""
-        numbers = f"A = {_matrix(agent.A)}, B = {_matrix(agent.B)}, c = {_vector(agent.offset)}"
-        return f"x' = A x + B u + c + w{states}, {numbers}"
-    assert isinstance(agent, Agent)
-    named = [f"{name} = {value:g}" for name, value in agent.parameters.items()]
-    named += [f"{name} in [{low:g}, {high:g}]" for name, (low, high) in agent.disturbances.items()]
-    return ", ".join([*(f"{x}' = {text} + w" for x, text in zip(agent.states, agent.dynamics, strict=True)), *named])
 
 
 def _automaton_line(problem: Problem) -> str:
@@ -271,14 +259,4 @@ def _box(region: Proposition | Pair) -> str:
     """Return the corners of a region; where it moves, as they are written."""
     is_box = region.distance is None if isinstance(region, Pair) else not region.shape
     is_box = is_box and not region.moves
-    return f"[{_vector(region.low)}, {_vector(region.high)})" if is_box else region.text
-
-
-def _matrix(rows: Any) -> str:
-    """Return a matrix in square brackets, without the digits that rounding leaves behind."""
-    return "[" + ", ".join("[" + ", ".join(f"{v:.12g}" for v in row) + "]" for row in rows) + "]"
-
-
-def _vector(values: Any) -> str:
-    """Return a vector in round brackets."""
-    return "(" + ", ".join(f"{v:g}" for v in values) + ")"
+    return f"[{vector_text(region.low)}, {vector_text(region.high)})" if is_box else region.text
