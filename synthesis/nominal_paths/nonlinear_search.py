@@ -109,7 +109,8 @@ class NonlinearSearch:
     def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None, bar: float = np.inf) -> Found | None:
         """Return a nominal path for letters (S + 1, P) after little work; None if none was found.
 
-        Where inputs are tried it is the run that they give, and ways that are drawn are for where they give none. Where the best path after the first guess scores above ``bar``, it is left at that.
+        Where inputs are tried it is the run that they give; ways that are drawn are for where they give none. Where
+        the best path after the first guess scores above ``bar``, it is left at that.
         """
         start = 0.5 * (self.agent.initial.low + self.agent.initial.high)
         run = tried_run(self.problem, self.model, letters, start, self.work) if self.tries_inputs else None

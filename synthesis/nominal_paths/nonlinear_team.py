@@ -58,8 +58,8 @@ HOPELESS = 1.0 - 1e-12
 
 
 PATIENCE, MOST_PATIENCE, OF_PAIRS = 1.0 / 32.0, 1.0 / 8.0, 0.5
-"""Shares of what a search may take that plans may take as long as all of them are hopeless: for each state of the largest
-agent, as grids of few states are cheap, and in all; and of teams with pairs, of which every plan is dear."""
+"""Shares of what a search may take that plans may take as long as all of them are hopeless: for each state of the
+largest agent, as grids of few states are cheap, and in all; and of teams with pairs, of which every plan is dear."""
 
 WORTHLESS = 0.999
 """Probability of failing from which nothing is claimed: so near to 1 the check rounds more than that is worth."""
