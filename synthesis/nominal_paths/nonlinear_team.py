@@ -357,7 +357,8 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
             is_late = work.is_over() or (best_so_far >= HARDLY and work.spent > patience)
             if best_so_far < PROMISING or is_late or (number >= MOST_PLANS and best_so_far < 0.0):
                 break
-        if work.is_over() or work.spent > patience or (team.best is not None and team.best[0] < HARDLY):
+        # As long as there is nothing at all the first plan of every source is looked at.
+        if team.best is not None and (team.best[0] < HARDLY or work.spent > patience or work.is_over()):
             break
     if team.best is None or team.best[0] >= HARDLY:
         team.with_tried_inputs()
