@@ -121,7 +121,7 @@ def test_sides_without_room_are_not_chosen() -> None:
 
 def test_runs_of_tried_inputs_find_what_no_slope_leads_to() -> None:
     problem = rover()
-    (plan,) = plans_of_runs(problem)
+    (plan,) = plans_of_runs(problem, CountedWork())
     letters = letters_of(problem, plan)
     assert letters is not None
     model, start = NonlinearModel(problem.agents[0]), problem.agents[0].initial.low
@@ -192,3 +192,18 @@ def test_first_cells_are_widened_no_further_than_they_can_be() -> None:
     problem = growing()
     wide, usual = (first_cells(problem.replace(horizon=steps)) or {} for steps in (100_000, 3))
     assert 1 <= wide["stock"][0] <= usual["stock"][0]
+
+
+def test_hopeless_plans_take_a_small_share_of_the_work() -> None:
+    """Noise that grows with a stock leaves nothing along a path: that is seen long before the work is done."""
+    stock = cg.Agent(
+        name="stock", states=["x"], inputs=["h"], dynamics=["x + 0.4*x*(1 - x) - h*x"],
+        noise=[{"law": "gaussian", "std": 1.0}], noise_scale=["0.1*x"], state_low=[0], state_high=[2],
+        input_low=[0], input_high=[0.3], initial_state=[0.4],
+    )  # fmt: skip
+    regions = {"poor": cg.Proposition("stock", [0], [0.2]), "rich": cg.Proposition("stock", [0.8], [2])}
+    task = cg.Specification("G !poor & F rich", "finite-trace")
+    problem = cg.Problem(name="stock", horizon=20, agents=[stock], propositions=regions, specification=task)
+    work = CountedWork(40.0)
+    assert path_certificate(problem, work).certificate.lower_bound == 0.0
+    assert work.spent < 0.1 * work.limit

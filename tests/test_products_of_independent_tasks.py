@@ -93,6 +93,17 @@ def test_the_optimum_of_the_whole_is_the_product_of_the_parts(monkeypatch: pytes
     assert certificate.gap is not None and is_exact(certificate)
 
 
+def test_tasks_judged_at_the_horizon_fall_apart_where_that_pays() -> None:
+    """There the product is exact, and each of seven pairs costs no more than one; fewer have environments of one task."""
+    assert pairs(6, 3).groups == ()
+    seven, alone = pairs(7, 3, starts=(-1.2,)), pairs(1, 3, starts=(-1.2,))
+    assert [group.agents for group in seven.groups] == [(2 * k, 2 * k + 1) for k in range(7)]
+    certificate = cg.synthesize(seven, 12, relation="exact").certificate
+    assert cg.check(certificate, seven)
+    one = cg.synthesize(alone, 12, relation="exact").certificate.lower_bound
+    assert certificate.lower_bound == pytest.approx(one**7, rel=1e-9)
+
+
 def test_joint_episodes_have_the_verdicts_of_the_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """The automaton of the whole reads the joint letters of what the parts simulate."""
     whole, problem = pairs(2, 4, starts=(-2.0, -1.2)), apart(monkeypatch, 2, 4, starts=(-2.0, -1.2))

@@ -11,6 +11,7 @@ from .normal_form import NormalForm
 from .parser import parse_formula
 from .rebuilt import automaton_from_diagrams, over_propositions, with_meanings, with_sides, within
 from .translation import AutomatonSizeError, translate
+from .windows import fitting, may_accept
 
 __all__ = [
     "Automaton",
@@ -26,8 +27,10 @@ __all__ = [
     "automaton_from_hoa",
     "automaton_from_transitions",
     "cover",
+    "fitting",
     "followed",
     "letter_text",
+    "may_accept",
     "over_propositions",
     "parse_formula",
     "AutomatonSizeError",

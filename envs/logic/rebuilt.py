@@ -144,7 +144,7 @@ def within(automaton: Automaton, letters: int) -> Automaton:
     for _ in range(letters):
         if not frontier:
             break
-        frontier = [q for q in {r for q in frontier for r in _successors(automaton, q)} if q not in near]
+        frontier = [q for q in {r for q in frontier for r in successors(automaton, q)} if q not in near]
         near.update(frontier)
     if automaton.n_states - len(near) <= FEW_STATES:
         return automaton
@@ -170,7 +170,7 @@ def within(automaton: Automaton, letters: int) -> Automaton:
     )
 
 
-def _successors(automaton: Automaton, q: int) -> set[int]:
+def successors(automaton: Automaton, q: int) -> set[int]:
     """Return the states that some letter leads to from q."""
     seen, stack = set[int](), [int(automaton.root[q])]
     while stack:

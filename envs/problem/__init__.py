@@ -1,6 +1,7 @@
 """A problem: agents, propositions, specification and horizon, checked once; problem files; independent tasks."""
 
 from .joint_noise import JOINT_NOISE_REFUSAL, refuse_joint_noise
+from .never import why_never
 from .opposite import opposite_of
 from .problem_file import load_problem, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
@@ -24,5 +25,6 @@ __all__ = [
     "split_axes",
     "states_in_time",
     "unrolled",
+    "why_never",
     "written_out",
 ]

@@ -29,6 +29,10 @@ MOST_STATES = 1000
 Above it the joint automaton soon exceeds what the translator builds (`translate`, `max_states`).
 """
 
+MOST_OF_TRACES = 64
+"""The same for tasks that are judged at the horizon, of which the product is exact: every further group of two states
+doubles the terms of one task. Smaller ones stay together, for the sake of environments, values and learners of one task.
+"""
 
 MOST_NODES = 200_000
 """Most nodes of diagrams from which the automaton of a task that cannot be taken apart is built: about a second."""
@@ -103,7 +107,8 @@ def independent_groups(
     states = 1
     for group in groups:
         states = min(states * int((~group.automaton.dead).sum()), MOST_STATES + 1)
-    return tuple(groups) if states > MOST_STATES else ()
+    most = MOST_STATES if semantics == "co-safe" else min(MOST_STATES, MOST_OF_TRACES)
+    return tuple(groups) if states > most else ()
 
 
 def joint_automaton(

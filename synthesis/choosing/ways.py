@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ...envs.problem import why_never
 from ..cells import NoRunFound, RelationRefused, to_who_asked_for_none
 from ..certificates import Synthesis, rounded_up
 from .effort import BROKEN_OFF, Effort, OutOfTime
@@ -253,6 +254,8 @@ def _recorded(results: Results, tried: dict[str, Any], began: float, no_run: str
 
 def _why_nothing(best: Synthesis, results: Results, stats: Mapping[str, Any], no_run: str) -> str:
     """Return why nothing was certified, in words: the task, or the models, as far as that is known."""
+    if never := why_never(best.certificate.problem):
+        return never
     above = stats.get("continuous_upper_bound")
     if above is not None and above <= HOPELESS:
         too_hard = f"no controller satisfies the task more often than {rounded_up(above)}"

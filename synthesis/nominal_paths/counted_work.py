@@ -7,7 +7,8 @@ decides how long it is improved. The same problem and effort give the same certi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 STEP, CANDIDATE = 4e-4, 1.5e-5
@@ -43,6 +44,16 @@ class CountedWork:
     def allows(self, work: float) -> bool:
         """Return whether further work may be done."""
         return self.spent + work <= self.limit and not self.is_broken_off()
+
+    @contextmanager
+    def within(self, work: float) -> Iterator[None]:
+        """Allow so much work for what is done in here, and no more than was allowed before."""
+        before = self.limit
+        self.limit = min(before, self.spent + work)
+        try:
+            yield
+        finally:
+            self.limit = before
 
     def walk(self, steps: int, states: int, candidates: int) -> None:
         """Count a walk along a path with some candidates of feedback."""

@@ -109,10 +109,15 @@ class NonlinearSearch:
     def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None, bar: float = np.inf) -> Found | None:
         """Return a nominal path for letters (S + 1, P) after little work; None if none was found.
 
-        Where the best path after the first guess scores above ``bar``, it is left at that.
+        Where inputs are tried it is the run that they give; ways that are drawn are for where they give none. Where
+        the best path after the first guess scores above ``bar``, it is left at that.
         """
-        best: Found | None = None
         start = 0.5 * (self.agent.initial.low + self.agent.initial.high)
+        run = tried_run(self.problem, self.model, letters, start, self.work) if self.tries_inputs else None
+        if run is not None:
+            seen, _ = self.model.outputs(rolled(self.model, start, run))
+            return self._along(letters, seen, run, warm)
+        best: Found | None = None
         for guess in guesses(self.problem, self.agent, letters, start):
             for first in (self.first_inputs(len(letters) - 1), self._pursued(guess)):
                 found = self._along(letters, guess, first, warm)
@@ -122,11 +127,6 @@ class NonlinearSearch:
                     break
             if best is not None and (best.score < np.log(0.5) or best.score > bar):
                 return best
-        run = tried_run(self.problem, self.model, letters, start, self.work) if self.tries_inputs else None
-        if run is not None:
-            seen, _ = self.model.outputs(rolled(self.model, start, run))
-            found = self._along(letters, seen, run, warm)
-            best = min([one for one in (best, found) if one is not None], key=lambda one: one.score, default=None)
         return best
 
     def full(self, letters: NDArray[np.int8], found: Found) -> Found:

@@ -57,6 +57,10 @@ HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a nonlinear path counts as impossible."""
 
 
+PATIENCE, MOST_PATIENCE, OF_PAIRS = 1.0 / 32.0, 1.0 / 8.0, 0.5
+"""Shares of what a search may take that plans may take as long as all of them are hopeless: for each state of the
+largest agent, as grids of few states are cheap, and in all; and of teams with pairs, of which every plan is dear."""
+
 WORTHLESS = 0.999
 """Probability of failing from which nothing is claimed: so near to 1 the check rounds more than that is worth."""
 
@@ -126,6 +130,11 @@ class _Apart:
         """Candidates of feedbacks that were tried."""
         return sum(search.tried for search in self.searches)
 
+    @property
+    def patience(self) -> float:
+        """Share of what the search may take that hopeless plans may take."""
+        return min(MOST_PATIENCE, PATIENCE * max(agent.n_states for agent in self.problem.agents))
+
     def of_plan(self, plan: Plan, bar: float = np.inf) -> None:
         """Look for nonlinear paths along a plan; above ``bar`` the first guess of an agent has to do."""
         letters = letters_of(self.problem, plan)
@@ -158,7 +167,7 @@ class _Apart:
         self.warm = [None] * len(self.searches)
         for search in self.searches:
             search.tries_inputs = True
-        for plan in (*([] if self.best is None else [self.best[1]]), *plans_of_runs(self.problem)):
+        for plan in (*([] if self.best is None else [self.best[1]]), *plans_of_runs(self.problem, self.work)):
             self.of_plan(plan)
 
     def refined(self, count: int = 1) -> Refined:
@@ -260,6 +269,7 @@ class _Together:
     """Nonlinear paths of all agents of a task that speaks of pairs, planned together."""
 
     best: tuple[float, Plan, NDArray[np.int8], TeamFound] | None
+    patience = OF_PAIRS
 
     def __init__(self, problem: Problem, work: CountedWork) -> None:
         self.problem, self.search = problem, TeamSearch(problem, work)
@@ -338,16 +348,17 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
     """Return how many candidates were tried, and the best plan; raise NoRunFound if none has paths at all."""
     pairs = len(problem.labeling.pairs)
     team: _Apart | _Together = _Together(problem, work) if pairs else _Apart(problem, work)
+    patience = work.spent + team.patience * work.limit
     for some in plans:
         possible = (plan for plan in some if letters_of(problem, plan) is not None)
         for number, plan in enumerate(islice(possible, MOST_HOPELESS if pairs <= FEW_PAIRS else 2), start=1):
             team.of_plan(plan)
             best_so_far = np.inf if team.best is None else team.best[0]
-            # Half of the work is left for what is hopeless in all plans that are drawn without the dynamics.
-            is_late = work.is_over() if best_so_far < HARDLY else not work.allows(work.spent)
+            is_late = work.is_over() or (best_so_far >= HARDLY and work.spent > patience)
             if best_so_far < PROMISING or is_late or (number >= MOST_PLANS and best_so_far < 0.0):
                 break
-        if team.best is not None and (team.best[0] < HARDLY or work.is_over()):
+        # As long as there is nothing at all the first plan of every source is looked at.
+        if team.best is not None and (team.best[0] < HARDLY or work.spent > patience or work.is_over()):
             break
     if team.best is None or team.best[0] >= HARDLY:
         team.with_tried_inputs()
@@ -358,7 +369,8 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
     if best.failure > GOOD and pairs <= FEW_PAIRS and not work.is_over():
         # Other times of the jumps, each looked at after little work.
         before = team.best[0]
-        _with_better_times(team, work)
+        with work.within(patience - work.spent if best.failure >= WORTHLESS else np.inf):
+            _with_better_times(team, work)
         if team.best[0] < before or best.failure > FAIR:
             again = team.refined(REFINED)
             best = again if again.failure < best.failure else best

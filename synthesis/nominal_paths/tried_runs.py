@@ -73,7 +73,7 @@ def tried_run(
     return fronts[-1].inputs(int(np.argmin(fronts[-1].total))) if len(fronts) == steps else None
 
 
-def plans_of_runs(problem: Problem) -> Iterator[Plan]:
+def plans_of_runs(problem: Problem, work: CountedWork) -> Iterator[Plan]:
     """Yield the plan of a run that the automaton accepts, if one is found, of problems of one agent of few states."""
     agent, automaton, q = problem.agents[0], problem.automaton, problem.initial_q
     if problem.n_agents > 1 or agent.n_states not in CELLS or not agent.n_inputs or q is None:
@@ -88,7 +88,7 @@ def plans_of_runs(problem: Problem) -> Iterator[Plan]:
 
     model, start = NonlinearModel(agent), 0.5 * (agent.initial.low + agent.initial.high)
     cheapest, inputs = np.inf, np.zeros((0, agent.n_inputs))
-    fronts = _explored(model, (start, q), problem.horizon, read, CountedWork(), automaton.finished)
+    fronts = _explored(model, (start, q), problem.horizon, read, work, automaton.finished)
     for t, front in enumerate(fronts, start=1):
         if automaton.is_co_safe or t == problem.horizon:
             total = np.where(automaton.accepting[front.q], front.total, np.inf)

@@ -176,6 +176,9 @@ def find_policies(
     if not given:
         naive = sweep(joint, resting_policies(joint), None, first_limits, improve=True)
         uses_trains = uses_trains or (naive.rank >= many_terms and may_use_trains)
+        if len(joint.models) == 1 and start_value(start, naive.terms) <= 0.0:
+            # Of one agent this sweep was dynamic programming: others find nothing, either.
+            return Found(replace(naive, value=0.0), [0.0], {"naive start": 0.0}, relaxations, None)
     elif not uses_trains:
         uses_trains = max(outcome.rank for outcome in trees.each(given)) >= many_terms and may_use_trains
     if uses_trains:

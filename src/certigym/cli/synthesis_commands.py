@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.agents import AnyAgent, Pair, Proposition, counted, matrix_text, vector_text
-from ..envs.problem import Problem
+from ..envs.problem import Problem, why_never
 from ..envs.suite import make_problem, problem_ids, tier_of_id
 from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, shown_bound, start_of_claim
 from ..synthesis.checking import safety_rate
@@ -239,7 +239,7 @@ def _automaton_line(problem: Problem) -> str:
     accepting = ", ".join(automaton.state_names[q] for q in np.flatnonzero(automaton.accepting)) or "none"
     return (
         f"automaton: {automaton.n_states} states, initial {automaton.state_names[automaton.initial]}, "
-        f"accepting {accepting}"
+        f"accepting {accepting}" + (f"\nnote: {never}" if (never := why_never(problem)) else "")
     )
 
 

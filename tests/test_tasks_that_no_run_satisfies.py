@@ -1,0 +1,66 @@
+"""A task that no run satisfies, whatever agents do, says so, and what to write instead."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import certigym as cg
+from certigym.cli.main import main
+from certigym.envs.logic import may_accept, parse_formula, translate
+from certigym.envs.logic.windows import ahead, fitting
+from certigym.envs.problem import why_never
+
+
+def walker(formula: str, horizon: int = 12, **changes: Any) -> cg.Problem:
+    """Whoever walks along a line between two places."""
+    agent = {"A": [[1]], "B": [[1]], "noise_covariance": [[0.0025]], "initial_state": [0]}
+    box = {"state_low": [-3], "state_high": [3], "input_low": [-1], "input_high": [1]}
+    places = {"a": cg.Proposition("walker", [1], [2]), "b": cg.Proposition("walker", [-2], [-1])}
+    task = cg.Specification(formula, "finite-trace")
+    agents = [cg.LinearAgent(name="walker", **agent, **box)]
+    return cg.Problem(name="walk", horizon=horizon, agents=agents, propositions=places, specification=task, **changes)
+
+
+@pytest.mark.parametrize(
+    ("formula", "instead"),
+    [
+        ("G (F[1,6] a)", "G[0,6] F[1,6] a"),
+        ("G (F[1,4] a & F[0,9] b)", "G[0,3] (F[1,4] a & F[0,9] b)"),
+        ("G (X[2] !b)", "G[0,10] X[2] !b"),
+    ],
+)
+def test_what_fits_is_written_instead(formula: str, instead: str) -> None:
+    assert f"write `{instead}`" in why_never(walker(formula))
+    assert why_never(walker(instead)) == ""
+
+
+def test_what_contradicts_itself_or_is_too_long_has_no_advice() -> None:
+    for formula in ("F a & G !a", "F[13,15] a"):
+        why = why_never(walker(formula))
+        assert why.startswith("no run of 12 steps satisfies the formula") and "write" not in why
+    assert why_never(walker("F[13,15] a", horizon=13)) == ""
+
+
+@pytest.mark.parametrize("formula", ["F a & F b", "G (a -> F[1,5] b)", "G !b", "G[0,6] F[1,6] a"])
+def test_nothing_is_said_of_other_tasks(formula: str) -> None:
+    assert why_never(walker(formula)) == ""
+
+
+def test_letters_are_counted() -> None:
+    exactly = translate("X[2] a & !X[3] true", ["a"], "finite-trace")
+    assert [may_accept(exactly, letters) for letters in range(1, 6)] == [False, False, True, False, False]
+    assert ahead(parse_formula("a -> F[1,5] (b & X c)")) == 6
+    assert str(fitting(parse_formula("G a & F b"), 5)) == "G a & F b"
+
+
+def test_the_commands_say_it(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "walk.toml"
+    agent = "A = [[1]]\nB = [[1]]\nnoise_std = [0.05]\nstate_low = [-3]\nstate_high = [3]\ninput_low = [-1]\n"
+    agent += 'input_high = [1]\ninitial_state = [0]\n[propositions]\na = { agent = "walker", low = [1], high = [2] }\n'
+    path.write_text(f'horizon = 12\nspecification = "G (F[1,6] a)"\n[agents.walker]\n{agent}')
+    assert main(["describe", str(path)]) == 0
+    assert "write `G[0,6] F[1,6] a`" in capsys.readouterr().out
+    certificate = cg.synthesize(walker("G (F[1,6] a)"), cells=8, relation="exact").certificate
+    assert certificate.lower_bound == 0.0
