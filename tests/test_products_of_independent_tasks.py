@@ -94,7 +94,7 @@ def test_the_optimum_of_the_whole_is_the_product_of_the_parts(monkeypatch: pytes
 
 
 def test_tasks_judged_at_the_horizon_fall_apart_where_that_pays() -> None:
-    """There the product is exact, and each of seven pairs costs no more than one; fewer have environments of one task."""
+    """There the product is exact, and seven pairs cost no more than one; fewer have environments of one task."""
     assert pairs(6, 3).groups == ()
     seven, alone = pairs(7, 3, starts=(-1.2,)), pairs(1, 3, starts=(-1.2,))
     assert [group.agents for group in seven.groups] == [(2 * k, 2 * k + 1) for k in range(7)]

@@ -31,8 +31,8 @@ Above it the joint automaton soon exceeds what the translator builds (`translate
 
 MOST_OF_TRACES = 64
 """The same for tasks that are judged at the horizon, of which the product is exact: every further group of two states
-doubles the terms of one task. Smaller ones stay together, for the sake of environments, values and learners of one task.
-"""
+doubles the terms of one task. Smaller ones stay together: environments, values and learners are those of one task."""
+
 
 MOST_NODES = 200_000
 """Most nodes of diagrams from which the automaton of a task that cannot be taken apart is built: about a second."""
