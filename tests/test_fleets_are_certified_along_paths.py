@@ -335,6 +335,7 @@ def test_the_first_letter_of_pairs_is_known_where_all_starts_agree(low: float, h
         assert (problem.initial_q is not None) == there
 
 
+@pytest.mark.thorough
 def test_jumps_without_a_stay_follow_at_once() -> None:
     """Two steps together, and then to the shop: one cannot stay where the second step is waited for."""
     regions = {

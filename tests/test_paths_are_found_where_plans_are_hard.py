@@ -206,4 +206,4 @@ def test_hopeless_plans_take_a_small_share_of_the_work() -> None:
     problem = cg.Problem(name="stock", horizon=20, agents=[stock], propositions=regions, specification=task)
     work = CountedWork(40.0)
     assert path_certificate(problem, work).certificate.lower_bound == 0.0
-    assert work.spent < 0.1 * work.limit
+    assert work.spent < 0.2 * work.limit

@@ -59,7 +59,8 @@ HOPELESS = 1.0 - 1e-12
 
 PATIENCE, MOST_PATIENCE, OF_PAIRS = 1.0 / 32.0, 1.0 / 8.0, 0.5
 """Shares of what a search may take that plans may take as long as all of them are hopeless: for each state of the
-largest agent, as grids of few states are cheap, and in all; and of teams with pairs, of which every plan is dear."""
+largest agent, as grids of few states are cheap, and in all; and of teams with pairs, of which every plan is dear. Moves
+of the jumps of hopeless plans may take as much again."""
 
 WORTHLESS = 0.999
 """Probability of failing from which nothing is claimed: so near to 1 the check rounds more than that is worth."""
@@ -348,7 +349,8 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
     """Return how many candidates were tried, and the best plan; raise NoRunFound if none has paths at all."""
     pairs = len(problem.labeling.pairs)
     team: _Apart | _Together = _Together(problem, work) if pairs else _Apart(problem, work)
-    patience = work.spent + team.patience * work.limit
+    share = team.patience * work.limit
+    patience = work.spent + share
     for some in plans:
         possible = (plan for plan in some if letters_of(problem, plan) is not None)
         for number, plan in enumerate(islice(possible, MOST_HOPELESS if pairs <= FEW_PAIRS else 2), start=1):
@@ -357,8 +359,8 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
             is_late = work.is_over() or (best_so_far >= HARDLY and work.spent > patience)
             if best_so_far < PROMISING or is_late or (number >= MOST_PLANS and best_so_far < 0.0):
                 break
-        # As long as there is nothing at all the first plan of every source is looked at.
-        if team.best is not None and (team.best[0] < HARDLY or work.spent > patience or work.is_over()):
+        # As long as there is no hope the first plan of every source is looked at, which has words of its own.
+        if team.best is not None and (team.best[0] < HARDLY or work.is_over()):
             break
     if team.best is None or team.best[0] >= HARDLY:
         team.with_tried_inputs()
@@ -369,7 +371,7 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
     if best.failure > GOOD and pairs <= FEW_PAIRS and not work.is_over():
         # Other times of the jumps, each looked at after little work.
         before = team.best[0]
-        with work.within(patience - work.spent if best.failure >= WORTHLESS else np.inf):
+        with work.within(patience + share - work.spent if best.failure >= WORTHLESS else np.inf):
             _with_better_times(team, work)
         if team.best[0] < before or best.failure > FAIR:
             again = team.refined(REFINED)
