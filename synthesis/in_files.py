@@ -37,10 +37,6 @@ def save(kept: Any, path: str | Path, *, agent: str | None = None) -> Path:
         save_policy(kept, path, agent)
     elif agent is not None:
         raise ValueError(f"`agent`: expected none for `{path}`, which holds no policy; leave it out")
-    elif Path(path).suffix not in ("", ".npz"):
-        raise ValueError(
-            f"`path`: expected a file name that ends in .npz, or in .onnx or .h for policies, got {str(path)!r}"
-        )
     elif isinstance(kept, Permission):
         save_permission(kept, path)
     elif isinstance(kept, Certificate | Synthesis):

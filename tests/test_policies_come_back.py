@@ -557,7 +557,7 @@ def test_c_gives_the_same_inputs_to_the_last_bit(relation: str, make: Any, tmp_p
 def test_writing_refuses_what_it_cannot_write(problem: cg.Problem, tmp_path: Path) -> None:
     found = cg.synthesize(problem, 12)
     with pytest.raises(ValueError, match=r"\.onnx or \.h"):
-        cg.save(found, tmp_path / "c.txt")
+        cg.save(proportional(problem), tmp_path / "c.txt")
     with pytest.raises(ValueError, match="C header"):
         cg.save(found, tmp_path / "c.onnx")
     with pytest.raises(ValueError, match="controllers of a certificate"):
