@@ -33,12 +33,12 @@ TRUSTED = {
         "envs.problem.families envs.problem.groups envs.problem.joint_noise envs.problem.opposite "
         "envs.problem.problem_file "
         "envs.problem.spelling envs.problem.record envs.problem.regions envs.problem.specification "
-        "envs.problem.writing_out"
+        "envs.problem.usual_horizon envs.problem.writing_out"
     ),
     "What the formula means": (
         "envs.logic.automaton envs.logic.decision_diagram envs.logic.formula envs.logic.guard_diagrams "
         "envs.logic.minimal envs.logic.normal_form envs.logic.obligations envs.logic.parser "
-        "envs.logic.rebuilt envs.logic.translation"
+        "envs.logic.rebuilt envs.logic.translation envs.logic.windows"
     ),
     "What the certificate holds": (
         "synthesis.cells.axes_of_lattices synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "

@@ -38,7 +38,15 @@ from .choosing import (
     work_of,
 )
 from .mixed_teams import mixed_way
-from .models import Abstraction, Policies, Settings, abstraction_of, join, reaches_every_mean
+from .models import (
+    Abstraction,
+    Policies,
+    Settings,
+    abstraction_of,
+    count_of_decisions,
+    join,
+    reaches_every_mean,
+)
 from .nominal_paths import refuse_without_path
 from .on_cells import Plan, compared, plain, searched
 from .search import Limits
@@ -63,6 +71,10 @@ DOUBLED = 20.0
 
 MOST_LINEAR_TERMS = 32
 """Terms of the value trees of teams of single states up to which linear cells, which pay for every term, are tried."""
+
+MANY_UNDECIDED, TERM, MOST_TREE_WORK = 8, 5e-4, 40.0
+"""Undecided automaton states from which value trees of teams of single states are counted, the work of a term of an
+agent at one time, and the most that is counted: what is left of the effort has to do for them all the same."""
 
 FEW_AGENTS = 2
 """Agents up to which linear cells are tried unless others solve the task; in larger teams each pays for all terms."""
@@ -284,13 +296,24 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
         ]
     scalar = all(agent.n_states == 1 for agent in problem.agents)
     cells = first_cells(problem)
-    least = 0.0 if scalar else COMPARED
-    work = 0.0 if is_scalar(problem) else max(least, box_work(problem, cells or {}))
+    least = _tree_work(problem) if scalar else COMPARED
+    work = least if is_scalar(problem) else max(least, box_work(problem, cells or {}))
 
     def run(results: Results) -> Synthesis:
         return compared(problem, cells, kinds, plan, None if cells or any(written) else results.get("exact"))
 
     return Way("others", run, work, enough=SOLVED if scalar or not linear else GOOD)
+
+
+def _tree_work(problem: Problem) -> float:
+    """Return an estimate of the work of value trees of teams of single states: next to nothing, or that of many terms.
+
+    Groups with tasks of their own have a term for each set of those that are done, in each such state.
+    """
+    undecided = int((~problem.automaton.absorbing).sum())
+    if problem.n_agents <= FEW_AGENTS or undecided < MANY_UNDECIDED:
+        return 0.0
+    return min(MOST_TREE_WORK, TERM * problem.n_agents * undecided * count_of_decisions(problem))
 
 
 def _finer(problem: Problem, plan: Plan) -> Way:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.envs.logic import translate, translation
+from certigym.synthesis.choosing.levels import work_of
 from certigym.synthesis.models import joint as joint_module
 from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.joint import join
+from certigym.synthesis.models.joint import count_of_decisions, join
 from problems import two_agents
 from written_problems import oscillator_reach
 
@@ -50,3 +52,22 @@ def test_a_deadline_at_the_horizon_is_that_of_the_horizon() -> None:
         )
         bounds.append(cg.synthesize(task, 24, relation="linear").certificate.lower_bound)
     assert bounds[0] > 0.1 and bounds[0] == pytest.approx(bounds[1], abs=1e-4)
+
+
+def test_work_is_that_of_states_that_occur(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A window of T steps costs as much as none: estimates that count all its states leave no effort for its cells."""
+    window, none = two_agents("G[0,8] !b", horizon=8), two_agents("G !b", horizon=8, semantics="finite-trace")
+    assert count_of_decisions(window) <= 8 and count_of_decisions(none) == 8
+    abstraction = abstract(window, 12, relation="exact")
+    few = work_of(abstraction, window, rank=1)
+    joint = join(window, abstraction)
+    assert count_of_decisions(window) >= joint.occurs[:, ~joint.absorbing].sum()
+    monkeypatch.setattr(joint_module, "MOST_OCCURRING", -1.0)
+    assert work_of(abstraction, window, rank=1) > 4.0 * few
+
+
+def test_long_windows_take_no_more_steps_than_letters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The weaker windows that a window implies are not expanded again in every state: that took 132,000 steps here."""
+    monkeypatch.setattr(translation, "MOST_STEPS", 40_000)
+    automaton = translate("G[0,40] (l -> F[0,8] s) & G[20,50] !l", ["l", "s"], "finite-trace")
+    assert automaton.n_states == 213

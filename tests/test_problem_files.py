@@ -83,7 +83,7 @@ def test_automata_by_hand_and_from_hoa_equal_the_formula(tmp_path: Path) -> None
 
 BAD = [
     ("name = ", "task.toml: expected TOML, got: "),
-    ("", "task.toml: the problem: `horizon` is missing"),
+    ("", "task.toml: the problem: `agents` is missing"),
     (f'formula = "F goal"\n{TOML}', "unknown key 'formula'; it stands in the table `[specification]`, or above all"),
     (TOML.replace("horizon = 12", "horizn = 12"), "the problem: unknown key 'horizn'; did you mean `horizon`?"),
     (TOML.replace("horizon = 12", "horizon = 1.5"), "task.toml: `horizon`: expected a whole number"),

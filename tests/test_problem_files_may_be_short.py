@@ -187,3 +187,30 @@ def test_states_and_inputs_of_matrices_have_names() -> None:
 def test_wrong_names_of_states_are_refused(wrong: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         problem_from_toml(CART.replace('states = ["place", "speed"]', f"states = {wrong}"))
+
+
+@pytest.mark.parametrize(
+    ("task", "steps"),
+    [
+        ("F (all(full) & F all(full))", 100),  # no deadline: what is satisfied stays satisfied
+        ("F (any(full) & F[0,70] all(full))", 140),
+        ("F[0,30] all(full) & G[4,9] any(full)", 30),  # windows say when all is decided
+    ],
+)
+def test_a_task_may_have_no_horizon(task: str, steps: int) -> None:
+    for written in ("", 'horizon = "none"'):
+        text = FILE.replace("horizon = 12", written).replace("F all(full)", task)
+        problem = problem_from_toml(text)
+        assert problem.horizon == steps
+        assert (
+            problem.fingerprint
+            == problem_from_toml(FILE.replace("12", str(steps)).replace("F all(full)", task)).fingerprint
+        )
+
+
+def test_a_promise_until_the_end_needs_a_horizon() -> None:
+    text = FILE.replace("horizon = 12", "").replace("F all(full)", "G all(full)")
+    with pytest.raises(
+        ValueError, match=r"`horizon` is missing; write how many control steps .* such as `horizon = 20`"
+    ):
+        problem_from_toml(text)

@@ -11,7 +11,7 @@ from .normal_form import NormalForm
 from .parser import parse_formula
 from .rebuilt import automaton_from_diagrams, over_propositions, with_meanings, with_sides, within
 from .translation import AutomatonSizeError, translate
-from .windows import fitting, may_accept
+from .windows import ahead, fitting, may_accept, met_in_time
 
 __all__ = [
     "Automaton",
@@ -23,6 +23,7 @@ __all__ = [
     "NormalForm",
     "RESERVED",
     "SEMANTICS",
+    "ahead",
     "automaton_from_diagrams",
     "automaton_from_hoa",
     "automaton_from_transitions",
@@ -31,6 +32,7 @@ __all__ = [
     "followed",
     "letter_text",
     "may_accept",
+    "met_in_time",
     "over_propositions",
     "parse_formula",
     "AutomatonSizeError",

@@ -44,6 +44,7 @@ class Obligations:
         self.co_safe = co_safe
         self._node: dict[tuple[Term, bool], int] = {}
         self._order: list[tuple[Term, bool]] = []
+        self._chain: list[int] = []
         self._expanded: dict[Term, int] = {}
         self._advanced: dict[int, int] = {FALSE: FALSE, TRUE: TRUE}
         self._implied: dict[tuple[Term, Term], bool] = {}
@@ -115,7 +116,7 @@ class Obligations:
         while stack:
             n = stack[-1]
             if n not in advanced:
-                low, high = diagrams.low(n), diagrams.high(n)
+                low, high = diagrams.low(n), self._beyond_implied(n)
                 missing = [child for child in (low, high) if child not in advanced]
                 if missing:
                     stack.extend(missing)
@@ -125,6 +126,22 @@ class Obligations:
                 advanced[n] = diagrams.disjoin(advanced[low], diagrams.conjoin(self.expand(term), advanced[high]))
             stack.pop()
         return advanced[f]
+
+    def _beyond_implied(self, n: int) -> int:
+        """Return what a node asks for beside its own obligation: what follows after the windows that this one implies.
+
+        The expansion of a window implies those of the weaker windows of its chain, as diagrams, too. Without them a
+        state with windows of T letters is advanced in T steps, and not in T for each of these letters.
+        """
+        diagrams = self.diagrams
+        chain, after = self._chain[diagrams.variable(n) - self.n_propositions], diagrams.high(n)
+        if diagrams.low(n) != FALSE:
+            return after
+        while after > TRUE and diagrams.low(after) == FALSE:
+            if self._chain[diagrams.variable(after) - self.n_propositions] != chain:
+                break
+            after = diagrams.high(after)
+        return after
 
     def holds_at_end(self, f: int) -> bool:
         """Return whether state `f` accepts if no letter follows: weak obligations hold, strong ones fail."""
@@ -191,6 +208,15 @@ class Obligations:
             return first.setdefault(group, place), size if term.operator == "F[]" else -size, int(not strong)
 
         self._order = [obligation for _, obligation in sorted(enumerate(obligations), key=key)]
+        # Windows over one body each of which implies the next have one number.
+        for k, obligation in enumerate(self._order):
+            linked = (
+                k > 0
+                and obligation[0].bounds is not None
+                and key((0, obligation))[0] == key((0, self._order[k - 1]))[0]
+            )
+            chained = linked and self._leads_to(self._order[k - 1], obligation)
+            self._chain.append(self._chain[-1] if chained else k)
         literals = [self.diagrams.literal(self.n_propositions + k) for k in range(len(self._order))]
         if len(self._order) <= _ALL_PAIRS:
             for a in self._order:

@@ -1,4 +1,4 @@
-"""Windows that stick out of the horizon: whether a word of some letters can satisfy a task, and what to write instead.
+"""States that count steps, which of them may be met at what time, and windows that stick out of the horizon.
 
 ``G (F[1,6] a)``, judged at a horizon of 20 steps, asks at step 19 for an ``a`` within steps 20 to 25, and at step 20
 for one beyond the end, where nothing is read: no word satisfies it. ``G[0,14] (F[1,6] a)`` asks for what fits.
@@ -6,9 +6,23 @@ for one beyond the end, where nothing is read: no word satisfies it. ``G[0,14] (
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .automaton import Automaton
 from .formula import Formula
 from .rebuilt import successors
+
+
+def met_in_time(automaton: Automaton, letters: int) -> NDArray[np.bool_]:
+    """Return which states (letters, Q) some word may be in after 1, 2, ... letters (exact)."""
+    known, here = dict[int, list[int]](), {automaton.initial}
+    table = np.zeros((letters, automaton.n_states), dtype=bool)
+    for row in table:
+        known |= {q: sorted(successors(automaton, q)) for q in here if q not in known}
+        here = {r for q in here for r in known[q]}
+        row[list(here)] = True
+    return table
 
 
 def may_accept(automaton: Automaton, letters: int) -> bool:

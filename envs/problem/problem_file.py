@@ -3,7 +3,7 @@
 Layout of a file:
 
     name = "my-task"
-    horizon = 12
+    horizon = 12                      # left out, or "none": no deadline, or as many steps as windows of the task say
     [[agents]]                        # the arguments of `LinearAgent`, or with `dynamics` those of `Agent`, where
                                       # others may be named: `leader.position` (a state), `boiler.heat` (an input);
                                       # `copies = 20` makes name_0 ... name_19; `[agents.left]` names the table itself;
@@ -57,6 +57,7 @@ from .families import AnyProposition, about_pairs, checked_propositions, expand,
 from .record import Problem
 from .specification import Specification
 from .spelling import spelled_out, starts_of_copies
+from .usual_horizon import usual_horizon
 
 _BY_HAND = ("states", "initial", "accepting", "transitions")
 _ALTERNATIVES = ("formula", "hoa", "states", "automaton")
@@ -157,15 +158,17 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
     ValueError
         If anything is wrong. The message is one line that names table and field.
     """
-    _check_keys(data, "the problem", ("name", "horizon", "agents", "propositions", "specification"), ["joint_noise"])
-    agents = _agents(data["agents"], data["horizon"])
+    _check_keys(data, "the problem", ("name", "agents", "propositions", "specification"), ["horizon", "joint_noise"])
+    horizon = data.get("horizon", "none")
+    horizon = usual_horizon(data["specification"]) if horizon == "none" else horizon
+    agents = _agents(data["agents"], horizon)
     propositions = _propositions(data["propositions"])
     expand(propositions, [agent.name for agent in agents])  # errors in patterns come before those of the task
     specification = _specification(data["specification"], propositions, agents, folder)
     try:
         return Problem(
             name=data["name"],
-            horizon=data["horizon"],
+            horizon=horizon,
             agents=agents,
             propositions=propositions,
             specification=specification,

@@ -29,6 +29,7 @@ from ..models import (
     Policies,
     Settings,
     abstraction_of,
+    count_of_decisions,
     points_per_cell,
     reaches_every_mean,
 )
@@ -211,7 +212,7 @@ def box_work(problem: Problem, cells: Mapping[str, tuple[int, ...]]) -> float:
                 lattice = max(lattice, min(lattice * MOST_SCALES, MOST_SCALED))
                 total += lattice * max(grid.shape) / MULTIPLICATIONS_PER_SECOND
             total += lattice / LATTICE_PER_SECOND + grid.n_cells / BoxChoices.read_per_second
-    return READINGS * problem.horizon * int((~problem.automaton.absorbing).sum()) * total
+    return READINGS * count_of_decisions(problem) * total
 
 
 class _Levels:
@@ -482,4 +483,4 @@ def work_of(abstraction: Abstraction, problem: Problem, rank: int | None = None)
         if not model.is_additive:
             total += READINGS * rank * math.prod(points) / LATTICE_PER_SECOND
         total += rank * smoothing / MULTIPLICATIONS_PER_SECOND + READINGS * reading / model.choices.read_per_second
-    return problem.horizon * n_states * total
+    return count_of_decisions(problem) * total

@@ -23,7 +23,7 @@ from .choices import TIE, Choices, Policies, StepPolicy, best_offered, gather, s
 from .common_choices import CommonGroup, common_inputs_of
 from .corner_choices import CornerChoices
 from .input_menu import InputMenu
-from .joint import JointModel, join, spread_start, start_of
+from .joint import JointModel, count_of_decisions, join, spread_start, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
 from .linear_kernel import hat_table
 from .network_model import network_abstraction, network_tables
@@ -62,6 +62,7 @@ __all__ = [
     "check_names",
     "check_settings",
     "common_inputs_of",
+    "count_of_decisions",
     "gather",
     "reaches_every_mean",
     "hat_table",

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import counted, tree_text
+from ...envs.logic import met_in_time
 from ...envs.problem import Problem
 from ..cells import CellLabels, FloatArray, alike_text, shape_text
 from ..values import HOST, Array, Guards, Occupancy, Terms, device_put
@@ -102,9 +103,7 @@ class JointModel:
             after[self.guards.target[here[self.guards.source]]] = True
             here = after
         table = np.array(rows).reshape(self.horizon, self.n_states)
-        undecided = ~self.absorbing
-        is_sparse = np.any(undecided) and np.mean(table[:, undecided]) <= MOST_OCCURRING
-        return table if is_sparse else np.ones_like(table)
+        return table if _is_sparse(table[:, ~self.absorbing]) else np.ones_like(table)
 
     def agreed(self, policies: Policies) -> Policies:
         """Return policies in which inputs that are chosen in common are the same for the whole team (``agreed``)."""
@@ -134,6 +133,21 @@ class JointModel:
     def n_states(self) -> int:
         """Automaton states Q."""
         return len(self.accepting)
+
+
+def _is_sparse(table: NDArray[np.bool_]) -> bool:
+    """Return whether few pairs of a time and an undecided state occur."""
+    return bool(table.size and np.mean(table) <= MOST_OCCURRING)
+
+
+def count_of_decisions(problem: Problem) -> int:
+    """Return how many pairs of a time and an undecided automaton state have values, before any model is made.
+
+    They are those of ``JointModel.occurs``, or a few more: letters that no cell has count here.
+    """
+    automaton = problem.automaton
+    table = met_in_time(automaton, problem.horizon)[:, ~automaton.absorbing]
+    return int(table.sum()) if _is_sparse(table) else int(table.size)
 
 
 def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> JointModel:

@@ -132,8 +132,11 @@ def _solve(
     weights, classes = np.ones((model.n_cells, 1)), _cells_by_class(model, follows)
     for t in reversed(range(joint.horizon)):
         # The favourable label is chosen before smoothing: inside the expectation.
-        arriving = _arriving(value, classes)
+        # Where automata count steps few states occur at a time, and the others are not smoothed.
+        rows = np.flatnonzero(joint.occurs[t])
+        arriving = _arriving(value, classes, rows)
         smoothed = model.kernel.smooth(arriving if thinned is None else arriving * thinned[t + 1])
+        place = dict(zip(rows.tolist(), range(len(rows)), strict=True))
         for q in range(n_q):
             if joint.absorbing[q]:
                 value[q] = settled[q]
@@ -141,8 +144,9 @@ def _solve(
             if not joint.occurs[t, q]:
                 value[q] = 1.0  # no run is there at this time: any upper bound will do
                 continue
-            policy[t, q] = best_offered(model.offered(t), weights, smoothed[q : q + 1], policy[t, q])
-            value[q] = model.choices.read(smoothed[q : q + 1], policy[t, q])[0]
+            here = smoothed[place[q] : place[q] + 1]
+            policy[t, q] = best_offered(model.offered(t), weights, here, policy[t, q])
+            value[q] = model.choices.read(here, policy[t, q])[0]
     return Relaxation(value, policy)
 
 
@@ -162,14 +166,17 @@ def _cells_by_class(model: AgentModel, follows: NDArray[np.bool_]) -> Successors
     return result
 
 
-def _arriving(value: FloatArray, classes: SuccessorsAndCells) -> FloatArray:
-    """Return upper bounds (Q, S) on what arriving in a cell is worth, its worst class counting; 0 in failed cells."""
-    arriving = np.full(value.shape, np.inf)
+def _arriving(value: FloatArray, classes: SuccessorsAndCells, rows: NDArray[np.int64]) -> FloatArray:
+    """Return upper bounds (n, S) on what arriving in a cell is worth from some states, its worst class counting.
+
+    It is worth 0 in failed cells.
+    """
+    arriving = np.full((len(rows), value.shape[1]), np.inf)
     for follows, cells in classes:
         here = value[:, cells]
-        for q, after in enumerate(follows):
+        for k, after in enumerate(follows[rows]):
             best = here[after].max(axis=0) if after.any() else 0.0
-            arriving[q, cells] = np.minimum(arriving[q, cells], best)
+            arriving[k, cells] = np.minimum(arriving[k, cells], best)
     arriving[np.isinf(arriving)] = 0.0
     return arriving
 
