@@ -70,7 +70,8 @@ TRUSTED = {
         "synthesis.checking.certificate_check "
         "synthesis.checking.carrying_out synthesis.checking.common_check synthesis.checking.execution "
         "synthesis.checking.forward_mass synthesis.checking.geometry synthesis.checking.grid_check "
-        "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
+        "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.near_slack "
+        "synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
         "synthesis.checking.network_spans "
         "synthesis.path_checking.own_intervals synthesis.checking.mixed_check synthesis.path_checking.whereabouts "
@@ -118,8 +119,9 @@ THEN = {
     "files": "synthesis.certificates.certificate_file synthesis.certificates.grid_reader envs.problem.problem_file",
     "linear cells": "synthesis.checking.linear_check synthesis.checking.linear_tables "
     "synthesis.checking.written_linear synthesis.relations.affine_means",
-    "mean boxes": "synthesis.checking.boxes_check synthesis.checking.mean_spans synthesis.checking.aim_spans "
-    "synthesis.relations.boxes synthesis.relations.solved_means synthesis.relations.written_means",
+    "mean boxes": "synthesis.checking.boxes_check synthesis.checking.near_slack synthesis.checking.mean_spans "
+    "synthesis.checking.aim_spans synthesis.relations.boxes synthesis.relations.solved_means "
+    "synthesis.relations.written_means",
     "networks": "synthesis.checking.network_spans synthesis.relations.networks",
     "tubes and ellipsoids": "synthesis.relations.coupled synthesis.relations.ellipsoid_facts "
     "synthesis.controllers.abstract_state",
@@ -146,7 +148,7 @@ VERIFIED = (
     "envs.expressions.enclosure envs.expressions.intervals synthesis.relations.ellipsoid "
     "synthesis.relations.driven_means synthesis.relations.network_bounds synthesis.relations.network_maps "
     "synthesis.relations.rounding synthesis.relations.scalar synthesis.relations.tube "
-    "synthesis.certificates.mixed_states"
+    "synthesis.certificates.mixed_states synthesis.cells.noise_reach"
 )
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 

@@ -24,6 +24,7 @@ from .grid import FloatArray, Grid, start_share
 from .grid_dynamics import GridDynamics, grid_covariance, grid_laws, in_grid_coordinates, sharpness
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
+from .noise_reach import NearWindow, near_windows
 from .refusal import (
     FEWER,
     NoRunFound,
@@ -47,6 +48,7 @@ __all__ = [
     "LatticeAxis",
     "MOST_CELLS",
     "MeanAxis",
+    "NearWindow",
     "NoRunFound",
     "RelationRefused",
     "ScaleAxis",
@@ -69,6 +71,7 @@ __all__ = [
     "label_room",
     "lattice_axes",
     "linear_agent",
+    "near_windows",
     "of_cells",
     "points_by_axis",
     "refuse_shared_noise",

@@ -31,6 +31,7 @@ from ..relations import commands_of
 from .common_check import by_number, known_inputs
 from .geometry import cell_boxes
 from .mean_spans import Enclosed, enclosed_means, enclosed_scales, steered_spans
+from .near_slack import NearSlack
 from .network_spans import driven_spans, network_modes, network_spans
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
@@ -63,8 +64,10 @@ class BoxTables:
     masses : list of (Z_k, S_k) arrays
         Cell masses around every lattice point, from below.
     slack : array
-        What is taken off, per unit of the largest value, besides second differences: numbers that broadcast to the
-        lattice.
+        What is taken off, per unit of the largest value, besides second differences and what ``near`` says: numbers
+        that broadcast to the lattice.
+    near : NearSlack or None
+        What interpolation adds from how much values vary near a point, where laws bound it.
     bent : tuple of int, or None
         Axes of the lattice along which second differences are taken off; None where laws bound what they do.
     off : (d,) array
@@ -75,6 +78,7 @@ class BoxTables:
 
     masses: list[FloatArray]
     slack: FloatArray
+    near: NearSlack | None
     bent: tuple[int, ...] | None
     off: FloatArray
     written: WrittenBoxes | None
@@ -143,13 +147,14 @@ def box_tables(
     agent: AnyAgent, part: AgentPart, off: FloatArray, known: dict[tuple[bytes, ...], list[FloatArray]]
 ) -> BoxTables:
     """Compute the tables of one agent anew; ``off`` (d,) is what its means are off by."""
-    slack, r, bent = _slack_of_laws(agent, part), np.zeros(0), None
-    if slack is None:
+    charge, r, bent = _slack_of_laws(agent, part), np.zeros(0), None
+    slack = np.zeros(1)
+    if charge is None:
         # All laws are normal, and the noise is the same everywhere; states without noise are not interpolated.
         bent = tuple(place for place, axis in enumerate(lattice_axes(agent)) if axis.is_interpolated)
         deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
-        r, slack = np.array([_step(part.lattice[k]) / deviations[k] for k in bent]), np.zeros(1)
-    elif agent.laws is not None:
+        r = np.array([_step(part.lattice[k]) / deviations[k] for k in bent])
+    else:
         r = _rounded_steps(agent, part)
     for k, own in enumerate(r.tolist() if bent is not None else []):
         # Of eta^2/8: second differences are off by a twelfth of fourth ones, and more between the corners.
@@ -161,7 +166,10 @@ def box_tables(
     if agent.is_affine:
         _state_boxes(with_matrices(agent), part, off)
     written = None if agent.is_affine else WrittenBoxes.of(with_expressions(agent), part)
-    return BoxTables(axis_tables(agent, part, known), slack, bent, off, written)
+    masses = axis_tables(agent, part, known)
+    near = None if charge is None else NearSlack.of(agent, part, charge, masses)
+    slack = slack if near is not None or charge is None else slack + charge
+    return BoxTables(masses, slack, near, bent, off, written)
 
 
 def _step(axis: FloatArray) -> float:
@@ -231,7 +239,8 @@ def box_values(
     moving = [_moving_cells(agent, part, tables, *row) for row in rows]
     for n, factor in enumerate(factors):
         smoothed = smooth(factor[None], tables.masses)[0].reshape([len(axis) for axis in part.lattice])
-        slack = tables.slack * factor.max(initial=0.0)
+        most = factor.max(initial=0.0)
+        slack = tables.slack * most + (0.0 if tables.near is None else tables.near.around(factor, most))
         table = smoothed - slack if tables.bent is None else below(smoothed, slack, tables.bent)
         for values, (cells, low, high) in zip(found, moving, strict=True):
             for some in np.array_split(np.arange(len(cells)), len(cells) // CHUNK + 1):

@@ -15,7 +15,8 @@ where c_4 = c_kk and c_ke are half the L1 norms of phi'''' and of phi'' phi'' (d
 is stored at a point takes off the largest D_k of all its neighbours. So the interpolant of the stored numbers is below
 g everywhere, and so is its least value over a box. Where an axis has another law than the normal one, or its noise is
 larger in some places, what interpolation adds along each axis is bounded by the law alone (``Law.charge`` along the
-mean, ``Law.scale_charge`` along the logarithm of the scale), for factors of at most M.
+mean, ``Law.scale_charge`` along the logarithm of the scale), for factors of at most M, or by how much factors vary
+within reach of the noise (``near_charge``).
 
 Along a state without noise nothing is interpolated: its points are cells (``lattice_axes``).
 """
@@ -35,6 +36,7 @@ from ..cells import CellAxis, FloatArray, Grid, LatticeAxis, MeanAxis, ScaleAxis
 from ..values import beside, to_host
 from .bends import FOURTH, SQUARED
 from .kernel import AxisTable, Kernel, law_table
+from .near_charge import NearCharge
 
 ROUNDING = 3e-9
 """Share of the largest value that is taken off for rounding, per unit of ``1 + sum of pitches in deviations``: axes may
@@ -81,12 +83,15 @@ class BoxKernel(Kernel):
         Lattice points per axis; by default those of the tables.
     bent : tuple of int
         Axes of the lattice that are interpolated; all by default.
+    near : NearCharge, optional
+        Windows within which values may vary less than from 0 to their largest, beside ``charge``.
     """
 
     ratios: FloatArray = field(default_factory=lambda: np.zeros(0))
     charge: FloatArray | None = None
     points: tuple[int, ...] = ()
     bent: tuple[int, ...] | None = None
+    near: NearCharge | None = None
 
     def smooth(self, factors: Any) -> Any:
         """Return numbers (n, Z) whose multilinear interpolant is below g, up to the border of the lattice.
@@ -95,13 +100,14 @@ class BoxKernel(Kernel):
         are; what is taken off is found on the host.
         """
         values = np.ascontiguousarray(to_host(super().smooth(factors)))
-        largest = to_host(factors).max(axis=1, initial=0.0)
-        for row, most in zip(values, largest.tolist(), strict=True):
+        given = to_host(factors)
+        largest = given.max(axis=1, initial=0.0)
+        for n, (row, most) in enumerate(zip(values, largest.tolist(), strict=True)):
             table = row.reshape(self.points or self.lattice_shape)
             if self.charge is None:
                 take_charge(table, most * self.slack, self.bent)
             else:
-                table -= most * self.charge
+                table -= most * self.charge if self.near is None else self.near.of_values(given[n], most, self.charge)
                 table -= most * self.slack
         return beside(values, factors)
 
@@ -240,7 +246,11 @@ def box_kernel(
     bent = tuple(place for place, axis in enumerate(axes) if axis.is_interpolated)
     shape_of = tuple(len(axis) for axis in lattice)
     charge = np.asarray(sum(charges, np.zeros((1,) * len(axes))))
-    return BoxKernel(tuple(tables), loss, np.array(ratios), None if normal else charge, shape_of, bent)
+    if normal:
+        return BoxKernel(tuple(tables), loss, np.array(ratios), None, shape_of, bent)
+    winds = wrapped is not None and any(wrapped)
+    near = None if winds else NearCharge.of(grid.edges, points, laws, loss)
+    return BoxKernel(tuple(tables), loss, np.array(ratios), charge, shape_of, bent, near)
 
 
 def wound_table(means: FloatArray, edges: FloatArray, law: Law) -> tuple[AxisTable, float]:
