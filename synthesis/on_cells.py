@@ -60,7 +60,9 @@ class Plan:
     @property
     def along_paths(self) -> CountedWork:
         """What a search along paths may take: all that is left of the effort."""
-        return CountedWork(self.effort.left, lambda: self.effort.is_over)
+        progress = self.effort.progress
+        told = (lambda bound: None) if progress is None else (lambda bound: progress("path", bound))
+        return CountedWork(self.effort.left, lambda: self.effort.is_over, told=told)
 
     def anew(self) -> Plan:
         """Return the plan of another task: with as much effort, whose clock its search heeds."""

@@ -63,6 +63,9 @@ MOST_STEPS_OF_PROGRAM = 12
 PATH_ENDS = 0.99
 """Bound of a path from which no grid is tried: grids take minutes for what is left."""
 
+WRITTEN_ENOUGH = 0.999
+"""Bound of grids of agents with expressions from which no path is tried beside them."""
+
 COMPARED = 20.0
 """Work of comparing relations of agents with several states; those of single states take next to nothing."""
 
@@ -225,7 +228,9 @@ def path_way(problem: Problem, plan: Plan) -> Way:
         return refused("path", error)
     sizes = sum(agent.n_states * max(1, agent.n_inputs) for agent in problem.agents)
     work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
-    return Way("path", lambda results: along_path(problem, plan.along_paths), work, enough=GOOD, ends=PATH_ENDS)
+    # Boxes and round regions cost grids of agents with expressions a hundredth that paths do not lose.
+    enough = WRITTEN_ENOUGH if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
+    return Way("path", lambda results: along_path(problem, plan.along_paths), work, enough=enough, ends=PATH_ENDS)
 
 
 def _exact(problem: Problem, plan: Plan) -> Way:

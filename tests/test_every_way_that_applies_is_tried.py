@@ -190,6 +190,14 @@ def test_work_along_paths_is_counted_and_kept_to() -> None:
     assert not CountedWork(2.0, spent=1.0).allows(1.5) and CountedWork(2.0, spent=1.0).allows(1.0)
 
 
+def test_bounds_along_paths_are_told_as_they_are_found() -> None:
+    """Long before the search ends: each larger than all before, and none larger than what is certified."""
+    told = list[float]()
+    found = path_certificate(cg.make_problem("car-slalom-v0"), CountedWork(told=told.append))
+    assert len(told) > 1 and told == sorted(told) and 0.0 < told[0]
+    assert told[-1] <= found.certificate.lower_bound + 1e-8
+
+
 def overdrawn(table: Table, effort: Effort, name: str, takes: float, outcome: float, work: float = 1.0) -> Way:
     """Return a way that takes more work than it said."""
     inner = table.way(name, outcome)

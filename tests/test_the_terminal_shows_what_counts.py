@@ -6,6 +6,7 @@ import io
 import re
 import sys
 import time
+from typing import Any
 
 import pytest
 from tqdm import tqdm
@@ -116,6 +117,23 @@ def test_the_clock_goes_on_while_nothing_is_told(monkeypatch: pytest.MonkeyPatch
         while text.getvalue().count("linear") < 3 and time.monotonic() < until:
             time.sleep(0.01)
     assert text.getvalue().count("linear") >= 3
+
+
+def test_a_check_that_takes_long_says_what_it_checks(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(work, "TICK", 0.01)
+    monkeypatch.setattr(work, "PATIENCE", 0.02)
+    certificate = cg.synthesize(cg.make_problem("reach-avoid-v0").replace(horizon=3), 30).certificate
+    honest = work.check
+
+    def slow(given: Any) -> Any:
+        time.sleep(0.5)
+        return honest(given)
+
+    monkeypatch.setattr(work, "check", slow)
+    assert work.checked_again(certificate)
+    assert re.match(r"\[0 s\] P >= 0\.\d+; separate code computes it again\n", capsys.readouterr().err)
 
 
 def test_where_there_is_no_terminal_what_takes_long_is_a_line(

@@ -78,12 +78,12 @@ def test_extremes_over_windows_are_those_of_a_loop() -> None:
     values = rng.random((20, 3))
     first = rng.integers(0, 20, (2, 15))
     last = np.minimum(first + rng.integers(0, 20, (2, 15)), 19)
-    window = near_charge.NearWindow(first, last)
+    window = near_charge.NearWindow.of(first, last)
     pairs = list(zip(first.ravel(), last.ravel(), strict=True))
     for is_largest, extreme in ((False, np.minimum), (True, np.maximum)):
         loop = np.array([extreme.reduce(values[a : b + 1]) for a, b in pairs])
-        np.testing.assert_array_equal(over_windows(values, window, 0, extreme), loop)
-        np.testing.assert_array_equal(near_slack._ends(values, window, 0, is_largest), loop)
+        np.testing.assert_array_equal(over_windows(values, window, 0, extreme)[window.number], loop)
+        np.testing.assert_array_equal(near_slack._ends(values, window, 0, is_largest)[window.number], loop)
 
 
 def chemostat(law: dict[str, Any]) -> cg.Problem:

@@ -27,10 +27,23 @@ OFTEN, HARDLY = 1e-5, 1e-9
 
 @dataclass(frozen=True, eq=False)
 class NearWindow:
-    """First and last cells of the windows of all points of one state: (L, Z) arrays, by level of the scale and mean."""
+    """First and last cells of the windows of all points of one state: (L, Z) arrays, by level of the scale and mean.
+
+    Many points have the same window: ``distinct`` (U, 2) are the first and last cells of all different ones, and
+    ``number`` (L * Z,) says which of them a point has.
+    """
 
     first: NDArray[np.int64]
     last: NDArray[np.int64]
+    distinct: NDArray[np.int64]
+    number: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, first: NDArray[np.int64], last: NDArray[np.int64]) -> NearWindow:
+        """Return windows from their first and last cells."""
+        most = int(last.max(initial=0)) + 1
+        keys, number = np.unique(first.ravel() * most + last.ravel(), return_inverse=True)
+        return cls(first, last, np.stack(np.divmod(keys, most), axis=1), number.ravel())
 
 
 def near_windows(
@@ -52,7 +65,7 @@ def near_windows(
             around = reach * np.exp(points.get(ScaleAxis(k), np.zeros(1)))[:, None]
             means, last = points[MeanAxis(k)][None], len(edges[k]) - 2
             ends = (np.searchsorted(edges[k], end, side="right") - 1 for end in (means - around, means + around))
-            window[k] = NearWindow(*(np.clip(end, 0, last).astype(np.int64) for end in ends))
+            window[k] = NearWindow.of(*(np.clip(end, 0, last).astype(np.int64) for end in ends))
         windows.append(window)
     return windows
 

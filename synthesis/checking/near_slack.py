@@ -69,9 +69,11 @@ class NearSlack:
                 least, largest = _ends(least, own, k, False), _ends(largest, own, k, True)
                 if out is not None:
                     beyond = beyond + 2.0 * out.reshape([-1 if j == k else 1 for j in range(len(self.cells))])
-            vary = (largest - least).reshape(self.points)
-            far = np.broadcast_to(most * beyond, least.shape).reshape(self.points)
-            slack = np.minimum(slack, self.charge * vary + far)
+            vary = largest - least
+            for k, own in enumerate(window):
+                vary = vary if own is None else np.take(vary, own.number, axis=k)
+            far = np.broadcast_to(most * beyond, vary.shape).reshape(self.points)
+            slack = np.minimum(slack, self.charge * vary.reshape(self.points) + far)
         return slack
 
 
@@ -92,12 +94,12 @@ def _left(masses: FloatArray, window: NearWindow) -> FloatArray:
 
 
 def _ends(values: FloatArray, window: NearWindow | None, axis: int, is_largest: bool) -> FloatArray:
-    """Least or largest values along an axis over the windows of its points; without noise, of the cell of the point."""
+    """Least or largest values along an axis over its different windows; without noise, of the cell of each point."""
     values = np.swapaxes(values, 0, axis)
     if window is None:
         outside = np.zeros((1, *values.shape[1:]))
         return np.swapaxes(np.concatenate([outside, values, outside]), 0, axis)
-    first, end = window.first.ravel(), window.last.ravel() + 1
+    first, end = window.distinct[:, 0], window.distinct[:, 1] + 1
     # Two runs of equal length, the longest power of two, cover a window from both its ends.
     runs: dict[int, NDArray] = {1: values}
     while 2 * max(runs) <= int((end - first).max()):

@@ -75,9 +75,15 @@ class NearCharge:
             low = high = values.reshape(self.shape)
             for k, own in enumerate(window):
                 low, high = over_windows(low, own, k, np.minimum), over_windows(high, own, k, np.maximum)
-            rest = 2.0 * most * np.broadcast_to(left, low.shape)
-            np.minimum(least, charge * (high - low).reshape(self.points) + rest.reshape(self.points), out=least)
+            asked = charge * _at_points(high - low, window).reshape(self.points)
+            asked += np.broadcast_to(2.0 * most * left, self.rows).reshape(self.points)
+            np.minimum(least, asked, out=least)
         return least
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Points of each state, with those of its scales."""
+        return tuple(self.shape[k] + 2 if own is None else own.first.size for k, own in enumerate(self.windows[0]))
 
 
 def _left(
@@ -97,15 +103,22 @@ def _left(
     return most.ravel()
 
 
+def _at_points(values: FloatArray, window: Sequence[NearWindow | None]) -> FloatArray:
+    """Return numbers of different windows at the points that have them."""
+    for k, own in enumerate(window):
+        values = values if own is None else values.take(own.number, axis=k)
+    return values
+
+
 def over_windows(
     values: FloatArray, window: NearWindow | None, axis: int, extreme: Callable[..., NDArray]
 ) -> FloatArray:
-    """Return the extreme values along an axis over the windows of its rows: those of ranges twice as long each time."""
+    """Return the extreme values along an axis over different windows: those of ranges twice as long each time."""
     along = np.moveaxis(values, axis, 0)
     if window is None:  # a state without noise is in the cell of its point, and beyond the first and the last in none
         padding = [(1, 1)] + [(0, 0)] * (along.ndim - 1)
         return np.moveaxis(np.pad(along, padding), 0, axis)
-    first, last = window.first.ravel(), window.last.ravel()
+    first, last = window.distinct.T
     powers = np.frexp((last - first + 1).astype(float))[1] - 1
     result = np.empty((len(first), *along.shape[1:]))
     width = 1

@@ -31,11 +31,21 @@ class CountedWork:
         Work after which nothing is improved.
     is_broken_off : callable
         Whether what was found so far has to do for another reason, such as seconds that are over.
+    told : callable
+        Told each bound that is larger than all before.
     """
 
     limit: float = math.inf
     is_broken_off: Callable[[], bool] = lambda: False
     spent: float = 0.0
+    told: Callable[[float], None] = lambda bound: None
+    largest: float = 0.0
+
+    def tell(self, failure: float) -> None:
+        """Tell of a path that was found, by an upper bound on its probability of failing, if it is the best so far."""
+        if 1.0 - failure > self.largest:
+            self.largest = 1.0 - failure
+            self.told(self.largest)
 
     def is_over(self) -> bool:
         """Return whether what was found so far has to do."""

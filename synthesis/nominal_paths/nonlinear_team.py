@@ -160,6 +160,7 @@ class _Apart:
         before = next((one for one in self.seen if one[1] == plan), None)
         if before is None or score < before[0]:
             self.seen = [*(one for one in self.seen if one is not before), (score, plan, letters, found)]
+            self.work.tell(any_failure(self.problem, [one.failure for one in found]))
 
     def with_tried_inputs(self) -> None:
         """Look for paths of the best plan, and along a run that the automaton accepts, from inputs that were tried."""
@@ -181,6 +182,7 @@ class _Apart:
             if plan not in self.done:
                 each = self._full(letters, found)
                 self.done[plan] = _refined(self.problem, plan.times, letters, each)
+                self.work.tell(self.done[plan].failure)
             one = self.done[plan]
             best = one if best is None or one.failure < best.failure else best
         assert best is not None
@@ -273,7 +275,7 @@ class _Together:
     patience = OF_PAIRS
 
     def __init__(self, problem: Problem, work: CountedWork) -> None:
-        self.problem, self.search = problem, TeamSearch(problem, work)
+        self.problem, self.search, self.work = problem, TeamSearch(problem, work), work
         self.best = None
         self.stopped = "agents are in each other's way in every plan that was made"
 
@@ -288,6 +290,7 @@ class _Together:
         found = None if letters is None else self.search.quick(letters, bar)
         if found is not None and letters is not None and (self.best is None or found.score < self.best[0]):
             self.best = found.score, plan, letters, found
+            self.work.tell(found.failure)
 
     def with_tried_inputs(self) -> None:
         """Do nothing: what one agent does alone does not tell what a team does together."""
@@ -390,7 +393,9 @@ def _calm_run(problem: Problem, best: Refined, sources: Sequence[PlansOf], work:
     if satisfies(problem, best.states):
         return best
     calm = problem.replace(disturbance_scale=CALM)
-    _, again = found_for_team(calm, [plans(calm) for plans in sources], work)
+    # What is found with hardly any noise is no bound to be told.
+    quiet = replace(work, told=lambda bound: None)
+    _, again = found_for_team(calm, [plans(calm) for plans in sources], quiet)
     if not satisfies(problem, again.states):
         raise NoRunFound(f"{NO_PATH}: {most_missed(problem, again.letters, again.states) or again.weakest}")
     return again

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from itertools import islice, zip_longest
+from itertools import chain, islice, zip_longest
 from typing import Any
 
 import numpy as np
@@ -116,10 +116,12 @@ def _plans(problem: Problem) -> Iterator[Plan]:
     further times of those before it: a way may ask for something that cannot be.
     """
     drifts = Drifts(problem)
-    begun, ways = list[Iterator[Plan]](), ways_of(problem)
+    begun, ways = list[Iterator[Plan]](), (_timed(problem, drifts, way) for way in ways_of(problem))
+    # Plans of teams that are compared take seconds: no two ways that are read alike.
+    ways = _different(problem, ways) if problem.labeling.pairs else ways
     while True:
         if (way := next(ways, None)) is not None:
-            begun.insert(0, _timed(problem, drifts, way))
+            begun.insert(0, way)
         elif not begun:
             return
         for plans in [*begun]:
@@ -127,6 +129,17 @@ def _plans(problem: Problem) -> Iterator[Plan]:
                 yield plan
             else:
                 begun.remove(plans)
+
+
+def _different(problem: Problem, ways: Iterator[Iterator[Plan]]) -> Iterator[Iterator[Plan]]:
+    """Yield ways whose first plans are read as different letters: cubes may differ in what nobody needs."""
+    known = set[bytes]()
+    for plans in ways:
+        first = next(plans, None)
+        letters = None if first is None else letters_of(problem, first)
+        if first is not None and letters is not None and letters.tobytes() not in known:
+            known.add(letters.tobytes())
+            yield chain([first], plans)
 
 
 def _timed(problem: Problem, drifts: Drifts, way: Way) -> Iterator[Plan]:

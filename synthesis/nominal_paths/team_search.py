@@ -19,6 +19,7 @@ from ..cells import FloatArray
 from .coarse_ways import guesses
 from .counted_work import CountedWork
 from .feedback_bounds import Feedback, NominalPath, worth_of
+from .in_line import in_line
 from .limit_rows import Worth
 from .nominal_planner import Aim, Planner
 from .nonlinear_search import ENOUGH, QUARTER, WIDEST, Found, NonlinearSearch, is_inside, reserves_for, scored
@@ -89,7 +90,7 @@ class TeamSearch:
         self.ties.begin()
         best: tuple[float, Any] | None = None
         for bend in BENDS:
-            planned = self._planned(letters, limits, self._guesses(letters, bend))
+            planned = self._planned(letters, limits, in_line(self._guesses(letters, bend), limits))
             if planned is not None and (best is None or planned[0] < best[0]):
                 best = planned
             # A plan that keeps every limit by some deviations is as good as others.

@@ -15,7 +15,9 @@ from tqdm import tqdm
 
 from ..envs.agents import counted
 from ..envs.problem import Problem
-from ..synthesis.certificates import Synthesis
+from ..synthesis.certificates import Synthesis, rounded_down
+from ..synthesis.checking import CheckReport
+from ..synthesis.in_files import check
 from ..synthesis.search import BAR, shown_on
 from ..synthesis.synthesize import synthesize
 from ..validation.policies import Training
@@ -72,6 +74,13 @@ def ticking(bar: tqdm) -> Iterator[None]:
     finally:
         ended.set()
         clock.join()
+
+
+def checked_again(certificate: Any) -> CheckReport:
+    """Return the check of a certificate that was found; meanwhile a bar says what there is, and that it is checked."""
+    with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
+        bar.set_description_str(f"P >= {rounded_down(certificate.lower_bound)}; separate code computes it again")
+        return check(certificate)
 
 
 @contextmanager
