@@ -17,6 +17,9 @@ STEP, CANDIDATE = 4e-4, 1.5e-5
 ROUND = 1.2e-4
 """Work of a step of a round of planning; it doubles at ``DOUBLED`` states, and grows like a square."""
 
+LEAST_TOLD = 1e-6
+"""Smallest bound that is told: the terminal shows six digits."""
+
 DOUBLED = 6.5
 """States at which a step of planning takes twice as long as at one."""
 
@@ -43,7 +46,7 @@ class CountedWork:
 
     def tell(self, failure: float) -> None:
         """Tell of a path that was found, by an upper bound on its probability of failing, if it is the best so far."""
-        if 1.0 - failure > self.largest:
+        if 1.0 - failure > max(self.largest, LEAST_TOLD):
             self.largest = 1.0 - failure
             self.told(self.largest)
 

@@ -116,7 +116,8 @@ def _plans(problem: Problem) -> Iterator[Plan]:
     further times of those before it: a way may ask for something that cannot be.
     """
     drifts = Drifts(problem)
-    begun, ways = list[Iterator[Plan]](), (_timed(problem, drifts, way) for way in ways_of(problem))
+    begun = list[Iterator[Plan]]()
+    ways: Iterator[Iterator[Plan]] = (_timed(problem, drifts, way) for way in ways_of(problem))
     # Plans of teams that are compared take seconds: no two ways that are read alike.
     ways = _different(problem, ways) if problem.labeling.pairs else ways
     while True:
