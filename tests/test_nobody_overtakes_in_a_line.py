@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import islice
 from typing import Any
 
@@ -65,12 +66,12 @@ def test_plans_keep_the_order(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not np.all(np.diff(places(), axis=1) > 0.8)
 
 
-def test_words_of_teams_differ() -> None:
-    """Ways that differ in what nobody needs are one: those with further jumps come before their other times."""
+def test_words_of_teams_are_looked_at_a_few_times() -> None:
+    """Ways that differ in what nobody needs are one: those with further jumps come before their many other times."""
     problem = carts(4)
-    plans = list(islice(path_search._plans(problem), 8))
-    letters = [letters_of(problem, plan) for plan in plans]
-    assert len({one.tobytes() for one in letters if one is not None}) == len(plans)
+    plans = list(islice(path_search._plans(problem), 40))
+    letters = Counter(one.tobytes() for plan in plans if (one := letters_of(problem, plan)) is not None)
+    assert max(letters.values()) <= path_search.MOST_ALIKE
     assert 3 in {len(plan.times) for plan in plans}
 
 

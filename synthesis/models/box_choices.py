@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..cells import FloatArray, Grid, LatticeAxis, MeanAxis, RelationRefused, shape_text
 from ..relations import BoxRelation, MeanBoxes
 from ..values import beside, to_host
-from .box_minima import least_over_boxes, window_minima
+from .box_minima import each_window_minima, least_over_boxes
 from .choices import TIE, Choices, MeansAt, StepPolicy, shifted
 
 MOST_IN_BOX = 100_000.0
@@ -179,10 +179,9 @@ class BoxChoices(Choices):
         for heavy, numbers in zip(weights.T, table, strict=True):
             if not heavy.any():
                 continue
-            for number in range(len(self.sizes)):
-                if not len(self._by_size[number]):
-                    continue
-                minima = self._window_minima(numbers, number)
+            filled = np.array([number for number, boxes in enumerate(self._by_size) if len(boxes)], dtype=np.int64)
+            for place, found in each_window_minima(numbers.reshape(self.shape), self.sizes[filled]):
+                number, minima = int(filled[place]), found.ravel()
                 for boxes in self._boxes_of(number):
                     least = np.maximum(self._least(minima, corners[boxes]), 0.0) * inside[boxes]
                     flat[boxes] += heavy[boxes // n_choices] * least
@@ -201,10 +200,6 @@ class BoxChoices(Choices):
             closer = (self.size[:, a] >= 0) & (gaps < nearest)
             nearest, best = np.where(closer, gaps, nearest), np.where(closer, a, best)
         return best.astype(np.int32)
-
-    def _window_minima(self, numbers: FloatArray, number: int) -> FloatArray:
-        """Return the least number (Z,) of each window of one size, by the lattice point at which it begins."""
-        return window_minima(numbers.reshape(self.shape), self.sizes[number]).ravel()
 
     def _least(self, minima: FloatArray, corners: NDArray[np.int32]) -> FloatArray:
         """Return the least number (N,) over the boxes that windows at ``corners`` (N, 2^d) cover."""

@@ -12,6 +12,7 @@ the box or a lattice point between its ends:
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -65,17 +66,17 @@ class _Boxes:
         exists = np.all(self.count > 0, axis=1)
         # The largest power of two that is no larger than the count: two such windows cover it.
         exponents = np.frexp(np.maximum(self.count, 1).astype(float))[1].astype(np.int64) - 1
-        sizes, size = np.unique(exponents, axis=0, return_inverse=True)
-        for number, exponent in enumerate(sizes):
-            boxes, sides = np.flatnonzero(exists & (size.ravel() == number)), 2**exponent
-            if not len(boxes):
-                continue
-            spare = self.count[boxes] - sides
-            places = [(self.first[boxes] + np.array(which) * spare) @ self.strides for which in self._ends]
-            for row, table in zip(least, numbers, strict=True):
-                minima = window_minima(table.reshape(self.shape), sides).ravel()
-                for place in places:
-                    row[boxes] = np.minimum(row[boxes], minima.take(place))
+        sizes, size = np.unique(exponents[exists], axis=0, return_inverse=True)
+        boxes_of = [np.flatnonzero(exists)[size.ravel() == number] for number in range(len(sizes))]
+        places_of = []
+        for boxes, exponent in zip(boxes_of, sizes, strict=True):
+            spare = self.count[boxes] - 2**exponent
+            places_of.append([(self.first[boxes] + np.array(which) * spare) @ self.strides for which in self._ends])
+        for row, table in zip(least, numbers, strict=True):
+            for number, minima in each_window_minima(table.reshape(self.shape), 2**sizes):
+                boxes, flat = boxes_of[number], minima.ravel()
+                for place in places_of[number]:
+                    row[boxes] = np.minimum(row[boxes], flat.take(place))
 
     def lower_on_faces(self, numbers: FloatArray, least: FloatArray, is_inner: tuple[bool, ...]) -> None:
         """Do the same at points that are lattice points along the axes ``is_inner``, and ends along all others."""
@@ -111,17 +112,28 @@ def _between(
     return np.asarray((1.0 - shares[0]) * low + shares[0] * high)
 
 
-def window_minima(table: FloatArray, sides: NDArray[np.int64]) -> FloatArray:
-    """Return the least entry of the window of ``sides`` (d,), powers of two, that begins at each entry.
+def each_window_minima(table: FloatArray, sides: NDArray[np.int64]) -> Iterator[tuple[int, FloatArray]]:
+    """Yield the numbers of some windows, in an order of their own, with the least entry of that at each entry.
 
-    Windows that leave the table go on with what is left of them.
+    Their ``sides`` (N, d) are powers of two. Windows that leave the table go on with what is left of them. Those with
+    equal first sides share what is found along these axes, and longer ones begin with shorter ones.
     """
-    minima = table.copy()
-    for axis, side in enumerate(sides.tolist()):
-        before, width = (slice(None),) * axis, 1
+    yield from _from_axis(table, sides, np.arange(len(sides)), 0)
+
+
+def _from_axis(
+    minima: FloatArray, sides: NDArray[np.int64], some: NDArray[np.int64], axis: int
+) -> Iterator[tuple[int, FloatArray]]:
+    """Yield the same for some of the windows, of which the least entries along all axes before are known."""
+    if axis == sides.shape[1]:
+        yield from ((int(number), minima) for number in some)
+        return
+    before, width = (slice(None),) * axis, 1
+    for side in np.unique(sides[some, axis]).tolist():
         while width < side:
-            longer = minima.copy()
+            longer, rest = np.empty_like(minima), (*before, slice(-width, None))
             begun = (*before, slice(None, -width))
-            np.minimum(longer[begun], minima[(*before, slice(width, None))], out=longer[begun])
+            np.minimum(minima[begun], minima[(*before, slice(width, None))], out=longer[begun])
+            longer[rest] = minima[rest]
             minima, width = longer, 2 * width
-    return minima
+        yield from _from_axis(minima, sides, some[sides[some, axis] == side], axis + 1)

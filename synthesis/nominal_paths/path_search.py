@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice, zip_longest
 from typing import Any
@@ -40,6 +41,9 @@ MOST_PLANS = 40
 
 GOOD = 1e-3
 """Probability of failing from which no words of few cubes are tried."""
+
+MOST_ALIKE = 3
+"""Ways of teams that may be read alike: each is another attempt, with feedbacks that are drawn anew."""
 
 NARROWEST = 1e-12
 """Least width of a region in which it is measured how far a path is beyond it: one that moves may be empty."""
@@ -134,12 +138,12 @@ def _plans(problem: Problem) -> Iterator[Plan]:
 
 def _different(problem: Problem, ways: Iterator[Iterator[Plan]]) -> Iterator[Iterator[Plan]]:
     """Yield ways whose first plans are read as different letters: cubes may differ in what nobody needs."""
-    known = set[bytes]()
+    known = Counter[bytes]()
     for plans in ways:
         first = next(plans, None)
         letters = None if first is None else letters_of(problem, first)
-        if first is not None and letters is not None and letters.tobytes() not in known:
-            known.add(letters.tobytes())
+        if first is not None and letters is not None and known[letters.tobytes()] < MOST_ALIKE:
+            known[letters.tobytes()] += 1
             yield chain([first], plans)
 
 
