@@ -153,7 +153,7 @@ VERIFIED = (
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 
 BESIDE = (
-    "envs.agents.printing envs.agents.saving "
+    "envs.agents.printing envs.agents.saving envs.arrays.kept_memory "
     "envs.dynamics.blocks envs.dynamics.diagrams "
     "envs.dynamics.disturbances envs.dynamics.rules "
     "envs.dynamics.tables "
