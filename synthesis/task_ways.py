@@ -212,7 +212,8 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:
     if linear:
         # The first level alone costs less than exact cells do, but it is the first of many.
         levels = _linear(problem, plan, few=problem.n_agents <= FEW_AGENTS or is_scalar(problem))
-        ways.append(replace(levels, work=max(levels.work, exact)))
+        # Trees of many terms take long whatever the cells are.
+        ways.append(replace(levels, work=max(levels.work, exact, _tree_work(problem))))
     if is_scalar(problem) and problem.n_agents > FEW_AGENTS:
         ways.append(_doubled(problem, kinds, plan))
     elif not is_scalar(problem) or not linear:
@@ -316,7 +317,8 @@ def _tree_work(problem: Problem) -> float:
     Groups with tasks of their own have a term for each set of those that are done, in each such state.
     """
     undecided = int((~problem.automaton.absorbing).sum())
-    if problem.n_agents <= FEW_AGENTS or undecided < MANY_UNDECIDED:
+    scalar = all(agent.n_states == 1 for agent in problem.agents)
+    if not scalar or problem.n_agents <= FEW_AGENTS or undecided < MANY_UNDECIDED:
         return 0.0
     return min(MOST_TREE_WORK, TERM * problem.n_agents * undecided * count_of_decisions(problem))
 
