@@ -1,8 +1,9 @@
 """Upper ends: at most how often certified controllers, or deployed networks, succeed.
 
-They are certified for the *opposite* task, whose automaton is that of the task with the other states accepting at the
-horizon. No run satisfies both. So one minus a lower bound for the opposite is an upper bound for the task, and
-relation, search and check are those of all certificates (docs/theory/bounds.md, "The other end of any certificate").
+They are certified for the *opposite* task, which is satisfied where the task is not; whoever leaves a workspace has
+failed, and satisfies the opposite. So one minus a lower bound for the opposite is an upper bound for the task, and
+relation, reading, tree and check are those of all certificates (docs/theory/bounds.md, "The other end of any
+certificate").
 """
 
 from __future__ import annotations
@@ -11,14 +12,20 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from ..envs.arrays import on_one_thread
-from ..envs.problem import opposite_of
+from ..envs.problem import Problem, opposite_inside, opposite_of
+from .cells import RelationRefused
 from .certificates import OnGrid, Synthesis, any_certificate, changed, with_claims
-from .choosing import Effort, settings_of
-from .models import Settings
-from .on_cells import Plan, continued
-from .raw_networks import evaluated_again
-from .search import Search
+from .certification import certificate_of
+from .choosing import policies_from, settings_of
+from .models import Abstraction, Policies, Settings, abstraction_of, around, join, start_of, surrounded
+from .raw_networks import network_abstraction_of
+from .search import FINAL, Limits, sweep
+
+LIMITS = Limits(contribution=1e-7, elsewhere=1e-2, mass=1e-8, rank=400)
+"""What may be left out where steps are not additive: less than searches do, as every agent may leave at every time."""
 
 
 @on_one_thread
@@ -26,8 +33,7 @@ def bound_above(certificate: Any) -> Any:
     """Return a certificate with a certified upper bound on how often its controllers satisfy its task.
 
     It is for all certificates on cells, and for what is put together of them; others are returned as they are, and
-    those that have an upper end already. It takes about as long as an evaluation of the policies. Runs that leave the
-    workspaces count as if they might have succeeded: the end is too large by as much as leaves.
+    those that have an upper end already. It takes about as long as an evaluation of the policies.
 
     The end becomes part of the certificate (``opposite``, ``gap``, ``upper_bound``): it is saved with it, verified by
     ``check``, and compared with rollouts by ``validate``.
@@ -55,17 +61,52 @@ def _with_end(certificate: OnGrid) -> OnGrid:
     """Return the certificate of one task with an upper end."""
     if certificate.gap is not None:
         return certificate
-    opposite = opposite_of(certificate.problem)
     try:
-        if any("network" in part.relation for part in certificate.proof.agents):
-            found = evaluated_again(opposite, certificate)
-        else:
-            kinds = [part.relation["kind"] for part in certificate.proof.agents]
-            plan = Plan(Settings(**settings_of(certificate, kinds)), Search(max_sweeps=0), None, Effort())
-            found = continued(opposite, None, kinds, plan, certificate).certificate
+        opposite = _opposite(certificate)
     except ValueError as error:
         raise ValueError(f"`certificate`: its policies cannot be evaluated for the opposite task: {error}") from error
-    above = min(1.0, math.nextafter(1.0 - found.lower_bound, 2.0))
+    above = min(1.0, math.nextafter(1.0 - opposite.lower_bound, 2.0))
     # Rounded up: the sum of bound and gap must not be below the end.
     gap = max(0.0, math.nextafter(above - certificate.lower_bound, 2.0))
-    return changed(certificate, opposite=found, gap=gap)
+    return changed(certificate, opposite=opposite, gap=gap)
+
+
+def _opposite(certificate: OnGrid) -> OnGrid:
+    """Return the certificate of the same controllers for the opposite task."""
+    problem, abstraction = certificate.problem, abstraction_again(certificate)
+    policies = tuple(
+        np.broadcast_to(part.policy, (problem.horizon, *part.policy.shape[1:])) for part in certificate.proof.agents
+    )
+    try:
+        other = opposite_of(problem)
+        beyond = surrounded(other, abstraction)
+    except RelationRefused:
+        # There are no cells around the workspaces: runs that leave count as if they might have succeeded.
+        return evaluated(opposite_inside(problem), abstraction, policies, certificate)
+    return evaluated(other, beyond, around(beyond, policies, other.automaton.n_states), certificate)
+
+
+def abstraction_again(certificate: OnGrid) -> Abstraction:
+    """Return the finite models that a certificate was made with."""
+    problem, parts = certificate.problem, certificate.proof.agents
+    if any("network" in part.relation for part in parts):
+        return network_abstraction_of(certificate)
+    kinds = [part.relation["kind"] for part in parts]
+    settings = Settings(**settings_of(certificate, kinds))
+    if settings.common is None and any("common" in part.relation for part in parts):
+        settings = replace(settings, common=True)
+    cells = dict(zip(problem.agent_names, (part.grid.shape for part in parts), strict=True))
+    abstraction = abstraction_of(problem, cells, kinds, settings)
+    policies_from(certificate, problem, abstraction)  # refuses models in which its choices mean something else
+    return abstraction
+
+
+def evaluated(problem: Problem, abstraction: Abstraction, policies: Policies, certificate: OnGrid) -> OnGrid:
+    """Return the certificate of given policies for another task of the agents of a certificate."""
+    joint = join(problem, abstraction)
+    limits = FINAL if all(model.is_additive for model in joint.models) else LIMITS
+    best = sweep(joint, policies, start_of(problem, joint), limits, improve=False)
+    settings = {**certificate.settings, **abstraction.settings, "final_limits": vars(limits)}
+    found = certificate_of(problem, abstraction, joint, best, settings, "policies of the task")
+    # What is said of the opposite from above is of no use.
+    return changed(found, gap=None)

@@ -27,6 +27,7 @@ from .joint import JointModel, join, spread_start, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
 from .linear_kernel import hat_table
 from .network_model import network_abstraction, network_tables
+from .surroundings import around, surrounded
 from .target_windows import BAND_BYTES, TargetWindows
 
 __all__ = [
@@ -58,6 +59,7 @@ __all__ = [
     "TargetWindows",
     "abstract",
     "abstraction_of",
+    "around",
     "best_offered",
     "check_names",
     "check_settings",
@@ -74,4 +76,5 @@ __all__ = [
     "shifted",
     "spread_start",
     "start_of",
+    "surrounded",
 ]
