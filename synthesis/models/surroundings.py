@@ -137,7 +137,7 @@ def surrounded(problem: Problem, abstraction: Abstraction) -> Abstraction:
     Raises
     ------
     RelationRefused
-        If there would be too many cells, or an agent has states without noise, whose lattices number the cells.
+        If there would be too many cells.
     """
     known = dict[object, tuple[Grid, Kernel, InnerChoices]]()
     models = dict[object, AgentModel]()
@@ -171,8 +171,6 @@ def around(abstraction: Abstraction, policies: Policies, n_states: int) -> Polic
 
 def _around(agent: AnyAgent, model: AgentModel) -> tuple[Grid, Kernel, InnerChoices]:
     """Return the grid of an agent with cells around it, the kernel to its cells, and the choices inside."""
-    if np.any(agent.still_axes):
-        raise RelationRefused(f"agent `{agent.name}`: lattices of states without noise number the cells")
     inner, coordinates = model.grid, model.relation.coordinates
     deviations = np.array([law.std for law in grid_laws(agent, coordinates)])
     for axis, points in points_by_axis(agent, model.lattice).items() if agent.noise_scale is not None else ():
@@ -182,7 +180,8 @@ def _around(agent: AnyAgent, model: AgentModel) -> tuple[Grid, Kernel, InnerChoi
     is_single = not model.relation.has_memory and np.array_equal(coordinates, np.eye(len(coordinates)))
     edges, within = [], []
     for k, own in enumerate(inner.edges):
-        if agent.wrapped_axes[k]:
+        # Angles are not left, and lattices of states without noise number the cells that there are.
+        if agent.wrapped_axes[k] or agent.still_axes[k]:
             below, above = own[:0], own[:0]
         elif is_single:
             far = FAR * deviations[k]
