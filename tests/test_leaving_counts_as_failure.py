@@ -15,6 +15,7 @@ import certigym as cg
 from certigym.baselines import RandomController
 from certigym.envs.logic import Automaton
 from certigym.envs.problem import opposite_inside, opposite_of
+from certigym.synthesis.cells import CellLabels
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.certification import certificate_of
 from certigym.synthesis.checking import wrong_opposite
@@ -143,11 +144,13 @@ def test_opposites_are_not_simulated() -> None:
         cg.rollout(opposite_of(at_the_edge("reach")), RandomController(), episodes=1)
 
 
-def forged(certificate: Any, change: Any) -> Any:
-    """An upper end from a tree that is grown with other guards than those of the opposite task."""
+def forged(certificate: Any, change: Any = lambda joint: joint, labels: Any = lambda labels: labels) -> Any:
+    """An upper end, and the tree's number, from other guards or labels than those of the opposite task."""
     problem, abstraction = certificate.problem, abstraction_again(certificate)
     other = opposite_of(problem)
     beyond = surrounded(other, abstraction)
+    models = tuple(dataclasses.replace(model, labels=labels(model.labels)) for model in beyond.models)
+    beyond = dataclasses.replace(beyond, models=models)
     policies = around(beyond, tuple(part.policy for part in certificate.proof.agents), other.automaton.n_states)
     joint = change(join(other, beyond))
     best = sweep(joint, policies, start_of(other, joint), FINAL, improve=False)
@@ -174,11 +177,27 @@ def whatever_others_do(joint: JointModel) -> JointModel:
 def test_exits_that_are_counted_twice_are_refused() -> None:
     """Without "all agents before it stay inside" the upper end would be below the truth."""
     bare = certified("reach", "exact")
-    same, above = forged(bare, lambda joint: joint)
+    same, above = forged(bare)
     assert cg.check(same) and above == pytest.approx(ended("reach", "exact").upper_bound, abs=1e-9)
     wrong, above = forged(bare, whatever_others_do)
     assert above < dense(bare) - 0.005
     assert any("overlap" in text for text in cg.check(wrong).failures)
+
+
+def test_cells_that_may_be_inside_are_not_outside() -> None:
+    """States related to a cell at the edge may be on either side of it."""
+
+    def surely_outside(labels: CellLabels) -> CellLabels:
+        sets = labels.sets.copy()
+        sets[sets[:, -1], :-1] = False
+        return dataclasses.replace(labels, sets=sets)
+
+    bare = certified("reach", "tube")
+    same, above = forged(bare)
+    assert cg.check(same)
+    wrong, less = forged(bare, labels=surely_outside)
+    assert less < above - 0.01
+    assert any("does not always lead" in text for text in cg.check(wrong).failures)
 
 
 def old_end(certificate: Any) -> Any:
@@ -206,11 +225,13 @@ def test_tasks_that_are_no_opposites_are_told() -> None:
     assert wrong_opposite(problem, problem) != []
     assert wrong_opposite(problem, opposite_inside(problem)) == []
     assert wrong_opposite(problem, opposite_of(at_the_edge("until"))) != []
-    lost = other.automaton.n_states - 1
+    lost, second = other.automaton.n_states - 1, other.automaton.propositions.index("inside_two")
     for name, value in (
         ("accepting", np.append(other.automaton.accepting[:-1], False)),
         ("root", np.where(np.arange(lost + 1) == problem.initial_q, -1 - lost, other.automaton.root)),
         ("high", np.roll(other.automaton.high, 1)),
+        # Exits of the second agent change nothing.
+        ("low", np.where(other.automaton.variable == second, other.automaton.high, other.automaton.low)),
     ):
         try:
             automaton = dataclasses.replace(other.automaton, **{name: value})
