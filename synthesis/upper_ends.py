@@ -109,7 +109,12 @@ def evaluated(problem: Problem, abstraction: Abstraction, policies: Policies, ce
     """Return the certificate of given policies for another task of the agents of a certificate."""
     joint = join(problem, abstraction)
     limits = FINAL if all(model.is_additive for model in joint.models) else LIMITS
-    best = sweep(joint, policies, start_of(problem, joint), limits, improve=False)
+    # Whether unions from below pay is not known before; with linear cells they hardly lose.
+    lossy = [model for model in joint.models if not model.is_additive and not model.is_linear]
+    climbs = (0.0, None) if lossy and len(joint.models) > 1 else (0.0,)
+    start = start_of(problem, joint)
+    tries = [sweep(joint, policies, start, limits, improve=False, climb=climb) for climb in climbs]
+    best = max(tries, key=lambda found: found.value)
     settings = {**certificate.settings, **abstraction.settings, "final_limits": vars(limits)}
     found = certificate_of(problem, abstraction, joint, best, settings, "policies of the task")
     # What is said of the opposite from above is of no use.

@@ -176,8 +176,9 @@ def _around(agent: AnyAgent, model: AgentModel) -> tuple[Grid, Kernel, InnerChoi
     for axis, points in points_by_axis(agent, model.lattice).items() if agent.noise_scale is not None else ():
         if axis.is_logarithmic:
             deviations[axis.state] *= math.exp(points[-1])
+    is_straight = np.array_equal(coordinates, np.eye(len(coordinates)))
     # Sets of errors are as wide as the widest cell.
-    is_single = not model.relation.has_memory and np.array_equal(coordinates, np.eye(len(coordinates)))
+    is_single = is_straight and not model.relation.has_memory
     edges, within = [], []
     for k, own in enumerate(inner.edges):
         # Angles are not left, and lattices of states without noise number the cells that there are.
@@ -190,8 +191,10 @@ def _around(agent: AnyAgent, model: AgentModel) -> tuple[Grid, Kernel, InnerChoi
             step = float(np.max(np.diff(own))) * (1.0 - 1e-12)
             steps = step * np.arange(1, math.ceil(NEAR * deviations[k] / step) + 1)
             below, above = own[0] - steps[::-1], own[-1] + steps
-        # Workspaces hold their upper faces: what is beyond begins at the next number.
-        last = np.nextafter(own[-1:], np.inf) if is_single and len(above) else own[-1:]
+        # Workspaces hold their upper faces: what is beyond begins at the next number. That makes a cell wider by as
+        # much, for which probabilities of losing a relation have no room.
+        is_wider = is_straight and len(above) and model.delta == 0.0
+        last = np.nextafter(own[-1:], np.inf) if is_wider else own[-1:]
         edges.append(np.concatenate([below, own[:-1], last, above]))
         within.append(slice(len(below), len(below) + len(own) - 1))
     if math.prod(len(own) - 1 for own in edges) > MOST_CELLS:
