@@ -8,6 +8,7 @@ certificate").
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from typing import Any
@@ -19,13 +20,17 @@ from ..envs.problem import Problem, opposite_inside, opposite_of
 from .cells import RelationRefused
 from .certificates import OnGrid, Synthesis, any_certificate, changed, with_claims
 from .certification import certificate_of
-from .choosing import policies_from, settings_of
+from .choosing import Effort, OutOfTime, policies_from, settings_of
 from .models import Abstraction, Policies, Settings, abstraction_of, around, join, start_of, surrounded
 from .raw_networks import network_abstraction_of
 from .search import FINAL, Limits, sweep
 
 LIMITS = Limits(contribution=1e-7, elsewhere=1e-2, mass=1e-8, rank=400)
 """What may be left out where steps are not additive: less than searches do, as every agent may leave at every time."""
+
+
+CHOICES_PER_SECOND, POINTS_PER_SECOND = 2e5, 1e6
+"""Choices of cells, and lattice points, that models are made of in a core second, about."""
 
 
 @on_one_thread
@@ -51,18 +56,23 @@ def bound_above(certificate: Any) -> Any:
     return with_claims(any_certificate(certificate), _with_end)
 
 
-def synthesis_above(synthesis: Synthesis) -> Synthesis:
-    """Return a synthesis whose certificate has an upper end, if it can have one."""
-    certificate = bound_above(synthesis.certificate)
+def synthesis_above(synthesis: Synthesis, most: float = math.inf) -> Synthesis:
+    """Return a synthesis whose certificate has an upper end, if it can have one.
+
+    The end of each task may take ``most`` core seconds of work, as it is estimated; else there is none.
+    """
+    certificate = with_claims(synthesis.certificate, lambda one: _with_end(one, most))
     return replace(synthesis, certificate=certificate, controller=certificate.controller)
 
 
-def _with_end(certificate: OnGrid) -> OnGrid:
-    """Return the certificate of one task with an upper end."""
-    if certificate.gap is not None:
+def _with_end(certificate: OnGrid, most: float = math.inf) -> OnGrid:
+    """Return the certificate of one task with an upper end, if that takes no more than ``most`` core seconds."""
+    if certificate.gap is not None or _work_of_models(certificate) > most:
         return certificate
     try:
-        opposite = _opposite(certificate)
+        opposite = _opposite(certificate, Effort(allowance=most))
+    except OutOfTime:
+        return certificate
     except ValueError as error:
         raise ValueError(f"`certificate`: its policies cannot be evaluated for the opposite task: {error}") from error
     above = min(1.0, math.nextafter(1.0 - opposite.lower_bound, 2.0))
@@ -71,8 +81,18 @@ def _with_end(certificate: OnGrid) -> OnGrid:
     return changed(certificate, opposite=opposite, gap=gap)
 
 
-def _opposite(certificate: OnGrid) -> OnGrid:
-    """Return the certificate of the same controllers for the opposite task."""
+def _work_of_models(certificate: OnGrid) -> float:
+    """Return an estimate of what it takes to make the finite models of a certificate again, in core seconds."""
+    different = {json.dumps(part.relation, sort_keys=True): part for part in certificate.proof.agents}
+    return sum(
+        part.grid.n_cells * max(1, len(part.relation.get("menu", ()))) / CHOICES_PER_SECOND
+        + math.prod(part.lattice_shape) / POINTS_PER_SECOND
+        for part in different.values()
+    )
+
+
+def _opposite(certificate: OnGrid, effort: Effort) -> OnGrid:
+    """Return the certificate of the same controllers for the opposite task; raise OutOfTime if that takes too much."""
     problem, abstraction, found = certificate.problem, abstraction_again(certificate), list[OnGrid]()
     policies = tuple(
         np.broadcast_to(part.policy, (problem.horizon, *part.policy.shape[1:])) for part in certificate.proof.agents
@@ -80,13 +100,14 @@ def _opposite(certificate: OnGrid) -> OnGrid:
     try:
         other = opposite_of(problem)
         beyond = surrounded(other, abstraction)
-        found.append(evaluated(other, beyond, around(beyond, policies, other.automaton.n_states), certificate))
+        policies_beyond = around(beyond, policies, other.automaton.n_states)
+        found.append(evaluated(other, beyond, policies_beyond, certificate, effort))
     except RelationRefused:
         pass  # there would be too many cells around the workspaces
     if not found or any(model.delta > 0.0 for model in abstraction.models):
         # Runs that leave count as if they might have succeeded. Where relations may be lost, what is lost of exits may
         # be more than they are worth.
-        found.append(evaluated(opposite_inside(problem), abstraction, policies, certificate))
+        found.append(evaluated(opposite_inside(problem), abstraction, policies, certificate, effort))
     return max(found, key=lambda one: one.lower_bound)
 
 
@@ -105,9 +126,11 @@ def abstraction_again(certificate: OnGrid) -> Abstraction:
     return abstraction
 
 
-def evaluated(problem: Problem, abstraction: Abstraction, policies: Policies, certificate: OnGrid) -> OnGrid:
+def evaluated(
+    problem: Problem, abstraction: Abstraction, policies: Policies, certificate: OnGrid, effort: Effort | None = None
+) -> OnGrid:
     """Return the certificate of given policies for another task of the agents of a certificate."""
-    joint = join(problem, abstraction)
+    joint = replace(join(problem, abstraction), spend=None if effort is None else effort.count)
     limits = FINAL if all(model.is_additive for model in joint.models) else LIMITS
     # Whether unions from below pay is not known before; with linear cells they hardly lose.
     lossy = [model for model in joint.models if not model.is_additive and not model.is_linear]
