@@ -21,7 +21,7 @@ from .cells import RelationRefused
 from .certificates import OnGrid, Synthesis, any_certificate, changed, with_claims
 from .certification import certificate_of
 from .choosing import Effort, OutOfTime, policies_from, settings_of
-from .models import Abstraction, Policies, Settings, abstraction_of, around, join, start_of, surrounded
+from .models import Abstraction, Policies, Settings, abstraction_of, join, start_of, surrounded
 from .raw_networks import network_abstraction_of
 from .search import FINAL, Limits, sweep
 
@@ -74,6 +74,8 @@ def _with_end(certificate: OnGrid, most: float = math.inf) -> OnGrid:
     except OutOfTime:
         return certificate
     except ValueError as error:
+        if math.isfinite(most):
+            return certificate  # nobody asked for it
         raise ValueError(f"`certificate`: its policies cannot be evaluated for the opposite task: {error}") from error
     above = min(1.0, math.nextafter(1.0 - opposite.lower_bound, 2.0))
     # Rounded up: the sum of bound and gap must not be below the end.
@@ -99,9 +101,7 @@ def _opposite(certificate: OnGrid, effort: Effort) -> OnGrid:
     )
     try:
         other = opposite_of(problem)
-        beyond = surrounded(other, abstraction)
-        policies_beyond = around(beyond, policies, other.automaton.n_states)
-        found.append(evaluated(other, beyond, policies_beyond, certificate, effort))
+        found.append(evaluated(other, *surrounded(other, abstraction, policies), certificate, effort))
     except RelationRefused:
         pass  # there would be too many cells around the workspaces
     if not found or any(model.delta > 0.0 for model in abstraction.models):

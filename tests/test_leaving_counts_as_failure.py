@@ -19,7 +19,7 @@ from certigym.synthesis.cells import CellLabels
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.certification import certificate_of
 from certigym.synthesis.checking import wrong_opposite
-from certigym.synthesis.models import JointModel, around, join, start_of, surrounded
+from certigym.synthesis.models import JointModel, join, start_of, surrounded
 from certigym.synthesis.search import FINAL, sweep
 from certigym.synthesis.upper_ends import abstraction_again, bound_above, evaluated
 from problems import two_agents
@@ -149,10 +149,9 @@ def forged(certificate: Any, change: Any = lambda joint: joint, labels: Any = la
     """An upper end, and the tree's number, from other guards or labels than those of the opposite task."""
     problem, abstraction = certificate.problem, abstraction_again(certificate)
     other = opposite_of(problem)
-    beyond = surrounded(other, abstraction)
+    beyond, policies = surrounded(other, abstraction, tuple(part.policy for part in certificate.proof.agents))
     models = tuple(dataclasses.replace(model, labels=labels(model.labels)) for model in beyond.models)
     beyond = dataclasses.replace(beyond, models=models)
-    policies = around(beyond, tuple(part.policy for part in certificate.proof.agents), other.automaton.n_states)
     joint = change(join(other, beyond))
     best = sweep(joint, policies, start_of(other, joint), FINAL, improve=False)
     found = changed(certificate_of(other, beyond, joint, best, certificate.settings, "forged"), gap=None)

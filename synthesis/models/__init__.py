@@ -27,7 +27,7 @@ from .joint import JointModel, join, spread_start, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
 from .linear_kernel import hat_table
 from .network_model import network_abstraction, network_tables
-from .surroundings import around, surrounded
+from .surroundings import surrounded
 from .target_windows import BAND_BYTES, TargetWindows
 
 __all__ = [
@@ -59,7 +59,6 @@ __all__ = [
     "TargetWindows",
     "abstract",
     "abstraction_of",
-    "around",
     "best_offered",
     "check_names",
     "check_settings",

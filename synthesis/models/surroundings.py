@@ -104,7 +104,7 @@ class InnerChoices(Choices):
         return self.spread(self.choices.resting_choice)
 
     def spread(self, policy: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return a policy (.., S) that does what one (.., S') does within."""
+        """Return a policy (.., S) that does what one (.., S') does within, and has no choice around."""
         return self._among(policy, -1)
 
     def points(self, policy: StepPolicy) -> NDArray[Any]:
@@ -122,7 +122,7 @@ class InnerChoices(Choices):
         places = tuple(slice(width * s.start, width * s.stop) for s in self.within)
         result = np.full((len(numbers), *(width * n for n in self.grid.shape)), other, dtype=numbers.dtype)
         result[(slice(None), *places)] = numbers.reshape(len(numbers), *(s.stop - s.start for s in places))
-        return result.reshape(len(numbers), -1)
+        return result.reshape(len(numbers), width ** len(self.within) * self.grid.n_cells)
 
     def _among(self, numbers: NDArray[Any], other: int) -> NDArray[Any]:
         """Return numbers (.., S) that are those given (.., S') within."""
@@ -131,8 +131,10 @@ class InnerChoices(Choices):
         return result
 
 
-def surrounded(problem: Problem, abstraction: Abstraction) -> Abstraction:
+def surrounded(problem: Problem, abstraction: Abstraction, policies: Policies) -> tuple[Abstraction, Policies]:
     """Return finite models for an opposite task, with cells around those of the models of the task itself.
+
+    Also policies for them, which are those given inside, and choose nothing anywhere else.
 
     Raises
     ------
@@ -140,9 +142,8 @@ def surrounded(problem: Problem, abstraction: Abstraction) -> Abstraction:
         If there would be too many cells.
     """
     known = dict[object, tuple[Grid, Kernel, InnerChoices]]()
-    models = dict[object, AgentModel]()
-    ordered = []
-    for i, (agent, model) in enumerate(zip(problem.agents, abstraction.models, strict=True)):
+    models, ordered, spread = dict[object, AgentModel](), [], []
+    for i, (agent, model, policy) in enumerate(zip(problem.agents, abstraction.models, policies, strict=True)):
         # Agents that share a model share what is around it; those whose labels are equal, too, share all of it.
         shared = id(model.kernel), id(model.choices)
         if shared not in known:
@@ -156,17 +157,9 @@ def surrounded(problem: Problem, abstraction: Abstraction) -> Abstraction:
         if key not in models:
             models[key] = AgentModel(grid, model.lattice, relation, kernel, choices, arriving, starting)
         ordered.append(models[key])
-    return Abstraction(tuple(ordered), abstraction.settings)
-
-
-def around(abstraction: Abstraction, policies: Policies, n_states: int) -> Policies:
-    """Return policies of surrounded models that are those given within, and nothing in automaton states beyond."""
-    result = []
-    for model, policy in zip(abstraction.models, policies, strict=True):
-        assert isinstance(model.choices, InnerChoices)
-        more = np.full((len(policy), n_states - policy.shape[1], policy.shape[2]), -1, dtype=policy.dtype)
-        result.append(model.choices.spread(np.concatenate([policy, more], axis=1)))
-    return tuple(result)
+        more = np.full((len(policy), problem.automaton.n_states - policy.shape[1], policy.shape[2]), -1, policy.dtype)
+        spread.append(choices.spread(np.concatenate([policy, more], axis=1)))
+    return Abstraction(tuple(ordered), abstraction.settings), tuple(spread)
 
 
 def _around(agent: AnyAgent, model: AgentModel) -> tuple[Grid, Kernel, InnerChoices]:
