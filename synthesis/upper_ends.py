@@ -23,14 +23,14 @@ from .certification import certificate_of
 from .choosing import Effort, OutOfTime, policies_from, settings_of
 from .models import Abstraction, Policies, Settings, abstraction_of, join, start_of, surrounded
 from .raw_networks import network_abstraction_of
-from .search import FINAL, Limits, sweep
+from .search import FINAL, Limits, Stage, sweep
 
 LIMITS = Limits(contribution=1e-7, elsewhere=1e-2, mass=1e-8, rank=400)
 """What may be left out where steps are not additive: less than searches do, as every agent may leave at every time."""
 
 
-CHOICES_PER_SECOND, POINTS_PER_SECOND = 2e5, 1e6
-"""Choices of cells, and lattice points, that models are made of in a core second, about."""
+CHOICES_PER_SECOND, POINTS_PER_SECOND, SMOOTHED_PER_SECOND = 2e5, 1e6, 2e7
+"""Choices of cells, and lattice points, of which models are made in a core second, and numbers that are smoothed."""
 
 
 @on_one_thread
@@ -130,13 +130,20 @@ def evaluated(
     problem: Problem, abstraction: Abstraction, policies: Policies, certificate: OnGrid, effort: Effort | None = None
 ) -> OnGrid:
     """Return the certificate of given policies for another task of the agents of a certificate."""
-    joint = replace(join(problem, abstraction), spend=None if effort is None else effort.count)
-    limits = FINAL if all(model.is_additive for model in joint.models) else LIMITS
+    effort = Effort(allowance=math.inf) if effort is None else effort
+    joint = replace(join(problem, abstraction), spend=effort.count)
+    limits = LIMITS
+    if all(model.is_additive for model in joint.models):
+        limits = Limits() if math.isfinite(effort.allowance) else FINAL
     # Whether unions from below pay is not known before; with linear cells they hardly lose.
     lossy = [model for model in joint.models if not model.is_additive and not model.is_linear]
     climbs = (0.0, None) if lossy and len(joint.models) > 1 else (0.0,)
     start = start_of(problem, joint)
-    tries = [sweep(joint, policies, start, limits, improve=False, climb=climb) for climb in climbs]
+
+    def watch(stage: Stage) -> None:
+        effort.count(sum(table.size for table in stage.smoothed) / SMOOTHED_PER_SECOND)
+
+    tries = [sweep(joint, policies, start, limits, improve=False, watch=watch, climb=climb) for climb in climbs]
     best = max(tries, key=lambda found: found.value)
     settings = {**certificate.settings, **abstraction.settings, "final_limits": vars(limits)}
     found = certificate_of(problem, abstraction, joint, best, settings, "policies of the task")
