@@ -152,3 +152,11 @@ def test_a_path_that_is_better_than_coarse_cells_leaves_finer_ones_to_try() -> N
     assert reason(others=0.66, path=0.88) is None
     assert reason(others=0.01, path=0.88) == ""
     assert reason(others=0.66, linear=0.9) == ""
+
+
+def test_what_a_level_gains_is_foreseen() -> None:
+    """Losses go with the square of the width: after half of it three quarters of the last gain are left, by a third."""
+    lost = {width: 0.08 * width**2 for width in (1.0, 0.5, 0.2, 0.16)}
+    for first, second, third in ((1.0, 0.5, 0.2), (0.5, 0.2, 0.16)):
+        gain = levels_of_cells.expected_gain(lost[first] - lost[second], first / second, second / third)
+        assert gain == pytest.approx(lost[second] - lost[third])

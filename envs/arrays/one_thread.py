@@ -13,15 +13,21 @@ from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
+from .kept_memory import keep_freed_memory
+
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
 
 def on_one_thread(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """Return a function that is run with one thread of linear algebra; afterwards there are as many as before."""
+    """Return a function that is run with one thread of linear algebra; afterwards there are as many as before.
+
+    What it frees is kept for its next arrays.
+    """
 
     @wraps(function)
     def limited(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
+        keep_freed_memory()
         with _libraries().limit(limits=1, user_api="blas"):
             return function(*args, **kwargs)
 

@@ -57,15 +57,18 @@ FINER = (2.0, 1.5, 1.25)
 LAST = (3.0, 2.5, 2.0, 1.5, 1.25)
 """The same for a level that is surely the last one."""
 
+MOST_FINER = 2.5
+"""By how much linear cells are made finer at most: few sweeps do not mend policies of cells that are much larger."""
+
 MOST_LEVELS = 7
 """Levels, at most: cells of the last are a twentieth of a standard deviation wide, and nothing is left to gain."""
 
 NO_HOPE = "not computed: finer cells gave nothing, either, and no run without noise was found"
 """Why no further levels are made where all bounds are 0."""
 
-LEAST_GAIN = 2e-3
-"""Gain of a level, as a share of the bound, from which the next one, which gains about a quarter of it, is worth its
-time. A share, because bounds of large teams are products: they are next to 0 on rough cells, and may end near 1."""
+LEAST_GAIN = 5e-4
+"""Gain, as a share of the bound, from which a level is worth its time, as far as it can be foreseen. A share, because
+bounds of large teams are products: they are next to 0 on rough cells, and may end near 1."""
 
 MOST_PARTS = 400
 """Most equal cells of an axis that are asked for to have region boundaries on their edges."""
@@ -76,11 +79,11 @@ FEWEST, MOST_PER_AXIS = 8, 2000
 MULTIPLICATIONS_PER_SECOND = 1.5e9
 """Multiplications of smoothing, with what goes with it."""
 
-DIFFERENCES_PER_SECOND, MAPS_PER_SECOND = 3e6, 8e4
+DIFFERENCES_PER_SECOND, MAPS_PER_SECOND = 4e6, 1.1e5
 """Lattice points whose differences are found, and cells that are read and decided, of linear cells."""
 
-TEAM_SWEEPS = 3.0
-"""How often linear cells of teams are swept in a level; one agent needs no ascent."""
+TEAM_SWEEPS = 1.5
+"""How often linear cells of teams are swept in a level, as work of one agent goes, which needs no ascent."""
 
 PER_AXIS = 1.6
 """By how much each axis beyond two slows linear cells: one more side to look beyond, and tables beyond any cache."""
@@ -104,9 +107,8 @@ GUESSED_RANK, MOST_GUESSED_RANK, GUESSED_LINEAR = 10, 20, 2
 """Terms that the first level of two agents is expected to have, and further ones at most: sweeps have few. The last is
 for linear cells, of which the first level takes next to no time."""
 
-LEAST_SHARE, SOLVED_LINEAR = 0.2, 0.9999
-"""That gain as a share of what is left, where that is less, and the bound that is enough, for linear cells of
-agents with expressions."""
+LEAST_SHARE, SOLVED_LINEAR = 0.1, 0.9999
+"""That gain as a share of what is left, where that is less, and the bound that is enough, for linear cells."""
 
 Run = Callable[[Abstraction, Policies | None], Synthesis]
 """Synthesis on finite models, from given policies or from the usual starts."""
@@ -253,18 +255,20 @@ class _Levels:
             self.best = result
 
     def terms_of(self, result: Synthesis) -> int:
-        """Return the terms that a state is expected to have: as many as linear agents had at most, or as others mostly.
+        """Return the terms that a state is expected to have: of linear cells those of all steps in the mean.
 
         Linear cells are read in all states, those of other relations only where there is something to decide.
         """
-        terms = result.certificate.proof.terms
-        if "linear" in self.kinds or terms is None:
-            return int(result.certificate.proof.rank)
-        return math.ceil(sum(len(rows) for rows in terms.index) / max(1, self.undecided))
+        proof = result.certificate.proof
+        if proof.terms is None:
+            return int(proof.rank)
+        steps = [step.kept for step in proof.skeleton] if self.is_linear else [proof.terms.index]
+        terms = sum(len(rows) for step in steps for rows in step)
+        return math.ceil(terms / max(1, self.undecided * len(steps)))
 
     def climb(self, width: float) -> None:
         """Make levels from cells of this width on, until they gain little, or take too much work."""
-        is_flat, taken = False, 0.0
+        gained, taken = None, 0.0
         for _ in range(MOST_LEVELS):
             found = self.next(width, self.effort.for_levels(self.bound, taken))
             if found is None:
@@ -273,7 +277,7 @@ class _Levels:
             if self.has_cells_of(abstraction):
                 width /= finer  # boundaries of regions, or the fewest cells, ask for as many as there are
                 continue
-            if is_flat and work > CHEAP:
+            if gained is not None and expected_gain(*gained, finer) < self.least_gain and work > CHEAP:
                 return
             if self.is_hopeless:
                 self.effort.left_out[self.rest] = NO_HOPE
@@ -296,8 +300,8 @@ class _Levels:
             unused = max(0.0, work - self.work(abstraction))
             taken -= unused
             self.effort.spent -= unused
-            # Where a level gained little, further ones are made only if they cost next to nothing.
-            is_flat = not is_first and result.certificate.lower_bound > 0.0 and self.bound - bound < self.least_gain
+            # Where little is to be gained, further levels are made only if they cost next to nothing.
+            gained = None if is_first or result.certificate.lower_bound <= 0.0 else (self.bound - bound, finer)
             if result.certificate.lower_bound >= self.solved or (not is_first and finer < FINER[0]):
                 return
             width /= finer
@@ -370,8 +374,8 @@ class _Levels:
                 abstraction = self.models(width / finer)
             except RelationRefused:
                 return None
-            if self.is_linear and finer > FINER[0] and self.grows_by(abstraction) > FINER[0]:
-                continue  # few sweeps do not mend policies that are carried over to cells so much smaller
+            if self.is_linear and finer > FINER[0] and self.grows_by(abstraction) > MOST_FINER:
+                continue
             work = self.work(abstraction)
             if work <= most:
                 return abstraction, finer, work
@@ -392,6 +396,14 @@ class _Levels:
     def work(self, abstraction: Abstraction) -> float:
         """Return an estimate of the work of a level."""
         return work_of(abstraction, self.problem, self.rank)
+
+
+def expected_gain(gain: float, finer: float, next_finer: float) -> float:
+    """Return what a level will gain, ``next_finer`` times as fine as the last, which gained this ``finer`` than before.
+
+    What cells lose goes with the square of their width.
+    """
+    return gain * (1.0 - next_finer**-2) / (finer**2 - 1.0)
 
 
 def _cells_text(abstraction: Abstraction) -> str:
