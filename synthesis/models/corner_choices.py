@@ -44,8 +44,8 @@ A half would make rounding decide, as positions on half steps are common; search
 BESIDE = 1.63
 """Lattice steps that the point where differences are read may be off the position, and one to the next point."""
 
-NUMBERS_AT_ONCE = 4_000_000
-"""Numbers of factors at points that are formed at once: 32 MB."""
+NUMBERS_AT_ONCE = 200_000
+"""Numbers of factors at points that are formed at once: they fit into the cache of a core."""
 
 ROUGH_PARTS = 2
 """Parts of each side of an image at which it is read to choose a policy."""
