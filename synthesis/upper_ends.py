@@ -28,7 +28,6 @@ from .search import FINAL, Limits, Stage, sweep
 LIMITS = Limits(contribution=1e-7, elsewhere=1e-2, mass=1e-8, rank=400)
 """What may be left out where steps are not additive: less than searches do, as every agent may leave at every time."""
 
-
 CHOICES_PER_SECOND, POINTS_PER_SECOND, SMOOTHED_PER_SECOND = 2e5, 1e6, 2e7
 """Choices of cells, and lattice points, of which models are made in a core second, and numbers that are smoothed."""
 
@@ -77,6 +76,8 @@ def _with_end(certificate: OnGrid, most: float = math.inf) -> OnGrid:
         if math.isfinite(most):
             return certificate  # nobody asked for it
         raise ValueError(f"`certificate`: its policies cannot be evaluated for the opposite task: {error}") from error
+    if math.isfinite(most) and opposite.lower_bound <= 0.0:
+        return certificate  # it says nothing
     above = min(1.0, math.nextafter(1.0 - opposite.lower_bound, 2.0))
     # Rounded up: the sum of bound and gap must not be below the end.
     gap = max(0.0, math.nextafter(above - certificate.lower_bound, 2.0))
