@@ -511,5 +511,18 @@ MUTANTS = [
     *_in(
         "synthesis/checking/opposite_task.py",
         ("undecided = np.flatnonzero(~certificate.problem.automaton.absorbing)", "undecided = np.zeros(0, dtype=int)"),
+        ("any(_leaves(other, q, name) != {lost} for name in inside) or ", ""),
+        (" or not _moves_alike(mine, other, q, inside)", ""),
+        ("[:, undecided][..., cells]", "[:, undecided][..., : mine.grid.n_cells]"),
+    ),
+    *_in(
+        "synthesis/checking/guard_check.py",
+        ("possible & ~outside[:, None], beyond[:, None]", "possible & ~beyond[:, None], beyond[:, None]"),
+    ),
+    *_in(
+        "envs/problem/opposite.py",
+        ("root = manager.node(k, lost, root)", "root = manager.node(k, root, root)"),
+        ("for k in reversed(range(len(inside))):", "for k in reversed(range(1)):"),
+        ("decided = np.flatnonzero(automaton.absorbing)", "decided = np.flatnonzero(automaton.accepting)"),
     ),
 ]

@@ -26,7 +26,7 @@ TRUSTED = {
         "envs.agents.labeling envs.agents.majorants "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair envs.agents.pieces "
         "envs.agents.products envs.agents.proposition envs.agents.shapes envs.agents.timed_corners "
-        "envs.arrays.libraries envs.arrays.one_thread "
+        "envs.arrays.kept_memory envs.arrays.libraries envs.arrays.one_thread "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
         "envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.expressions.repeating "
@@ -153,7 +153,7 @@ VERIFIED = (
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 
 BESIDE = (
-    "envs.agents.printing envs.agents.saving envs.arrays.kept_memory "
+    "envs.agents.printing envs.agents.saving "
     "envs.dynamics.blocks envs.dynamics.diagrams "
     "envs.dynamics.disturbances envs.dynamics.rules "
     "envs.dynamics.tables "

@@ -264,21 +264,16 @@ def _certified(
     return Synthesis(certificate, certificate.controller, stats)
 
 
-def evaluated_again(problem: Problem, certificate: OnGrid) -> OnGrid:
-    """Return the certificate of the networks of another one, on the same cells, for another task of their agents."""
-    began = time.perf_counter()
-    pairs = zip(problem.agents, certificate.proof.agents, strict=True)
-    policies = [network_policy(part.relation["network"], agent) for agent, part in pairs]
-    cells = dict(zip(problem.agent_names, (part.grid.shape for part in certificate.proof.agents), strict=True))
-    kind, targets = certificate.proof.agents[0].relation["kind"], certificate.settings.get("targets_per_cell")
-    modes = [policy.n_modes for policy in policies]
-    repaired = any(np.any(part.policy >= n) for part, n in zip(certificate.proof.agents, modes, strict=True))
-    abstraction = network_abstraction(problem, policies, cells, targets, kind, with_menu=repaired)
-    tables = tuple(part.policy for part in certificate.proof.agents)
-    names = [name for name in ("share", "repaired") if name in certificate.settings]
-    facts: dict[str, Any] = {name: certificate.settings[name] for name in names}
-    found = _certified(problem, abstraction, tables, "networks as they are", facts, (began, time.perf_counter()))
-    return found.certificate
+def network_abstraction_of(certificate: OnGrid) -> Abstraction:
+    """Return the finite models that a certificate of networks was made with."""
+    problem, parts = certificate.problem, certificate.proof.agents
+    policies = [
+        network_policy(part.relation["network"], agent) for agent, part in zip(problem.agents, parts, strict=True)
+    ]
+    cells = dict(zip(problem.agent_names, (part.grid.shape for part in parts), strict=True))
+    kind, targets = parts[0].relation["kind"], certificate.settings.get("targets_per_cell")
+    repaired = any(np.any(part.policy >= policy.n_modes) for part, policy in zip(parts, policies, strict=True))
+    return network_abstraction(problem, policies, cells, targets, kind, with_menu=repaired)
 
 
 def differences(certificate: OnGrid, actor: Any) -> list[str]:

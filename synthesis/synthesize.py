@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, overload
@@ -88,7 +89,7 @@ def synthesize(
     restarts: int = 0,
     start: Any = None,
     stationary: bool = False,
-    above: bool = False,
+    above: bool | None = None,
     **settings: Any,
 ) -> Any:
     """Compute per-agent controllers for ``problem`` and a certified lower bound on its satisfaction probability.
@@ -150,9 +151,10 @@ def synthesize(
         that are not given are its own. Its policies are evaluated anew, and nothing that it claims is trusted.
     stationary : bool
         Whether policies must not depend on the time, as for tasks without a deadline.
-    above : bool
+    above : bool, optional
         Whether the certificate is to say, too, how often its controllers succeed at most (``upper_bound``). That takes
-        about as long as an evaluation of the policies; relations in which nothing is lost say so in any case.
+        about as long as an evaluation of the policies. By default it does where this is little work beside the effort,
+        for one horizon; relations in which nothing is lost say so in any case.
     **settings
         Further settings of the relation (see ``Settings``).
 
@@ -179,6 +181,8 @@ def synthesize(
     budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
     search = Search(max_sweeps, pruning, value, restarts, told, stationary or endless, device)
 
+    is_single = isinstance(horizon, int | np.integer) or horizon == OWN
+
     def once(task: Problem, begun: Certificate | None) -> Synthesis:
         _refuse_outside(task)
         own = settings
@@ -187,7 +191,9 @@ def synthesize(
         plan = Plan(Settings(**own), search, budget, Effort(effort, seconds, progress=told))
         try:
             found = _of_problem(task, cells, relation, plan, begun)
-            return synthesis_above(found) if above else found
+            if above or (above is None and is_single and not plan.effort.is_over):
+                return synthesis_above(found, math.inf if above else plan.effort.for_above)
+            return found
         except RelationRefused as refusal:
             raise RelationRefused(to_who_asked_for_none(refusal) if cells is None else str(refusal)) from None
 

@@ -34,6 +34,8 @@ settings.load_profile("same")
 SMALLER: tuple[tuple[Any, str, Any], ...] = (
     # Ways to certify are tried as long as effort is left, which is about a minute for users.
     (effort, "EFFORT", 2.0),
+    # Quick upper ends, which users have by default: an evaluation more of each certificate, in file and check, too.
+    (effort, "SHARE_ABOVE", 0.0),
     # An eighth of the semidefinite programs, of which each ellipsoid takes hundreds.
     (ellipsoid_search, "LABEL_SHARES", (2.0, 1.0, 0.7, 0.45, 0.2, 0.1)),
     (ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95)),

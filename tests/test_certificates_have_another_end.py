@@ -13,6 +13,7 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.envs.problem import opposite_of
 from certigym.synthesis.certificates import changed
+from certigym.synthesis.choosing import effort
 from certigym.synthesis.upper_ends import bound_above
 from problems import two_agents
 from written_problems import oscillator_reach
@@ -55,12 +56,12 @@ def test_a_claim_whose_upper_end_is_too_small_is_refuted_by_rollouts() -> None:
 
 
 def test_the_upper_end_is_near_that_of_exact_claims() -> None:
-    """Claims of `exact` have an upper end of their own; that by the opposite task adds what leaves the workspace."""
+    """Claims of `exact` have an upper end of their own, to which that by the opposite task comes."""
     certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 60, relation="exact").certificate
     assert bound_above(certificate) is certificate
     bare = changed(certificate, gap=None)
     end = bound_above(bare)
-    assert cg.check(end) and certificate.upper_bound - 1e-9 <= end.upper_bound < certificate.upper_bound + 0.1
+    assert cg.check(end) and abs(end.upper_bound - certificate.upper_bound) < 1e-7
 
 
 def test_other_controllers_are_refused() -> None:
@@ -114,6 +115,24 @@ def test_both_ends_are_saved_and_products_have_them(tmp_path: Path) -> None:
     assert cg.check(both) and both.lower_bound <= both.upper_bound < 1.0
     cg.save(both, tmp_path / "both.npz")
     assert cg.load(tmp_path / "both.npz").upper_bound == both.upper_bound
+
+
+@pytest.mark.thorough(effort)
+def test_quick_upper_ends_are_there_by_default() -> None:
+    """Where they take little beside the effort, for one horizon, and the same ones as if they were asked for."""
+
+    def made(**options: Any) -> Any:
+        return cg.synthesize("car-park-v0", 60, relation="linear", **options)
+
+    by_default: Any = made().certificate
+    assert by_default.gap == parked(60).gap and cg.check(by_default)
+    for options in ({"above": False}, {"effort": 0.01}):
+        assert made(**options).certificate.gap is None
+    assert made(effort=0.01, above=True).certificate.gap == by_default.gap
+    assert all(found.certificate.gap is None for found in made(horizon=[50, 60]))
+    apart = two_agents("G !a & G !c", "finite-trace", horizon=4)
+    both = cg.synthesize(apart, 30, relation="linear").certificate
+    assert both.lower_bound <= both.upper_bound < 1.0 and cg.check(both)
 
 
 def test_paths_have_no_upper_end() -> None:

@@ -10,7 +10,8 @@ pairs that hold. Rules:
   infinite: leaving the workspace is decided separately, and first); outputs that were added for shapes change nothing
   of this;
 - a region may move with the time; at each time the rules above hold for where it is then;
-- the box of a pair is half-open: `low <= y_a - y_b < high`, the difference as floating point computes it.
+- the box of a pair is half-open: `low <= y_a - y_b < high`, the difference as floating point computes it;
+- where exits are read as letters (opposite tasks), no proposition of an agent holds outside its workspace.
 
 Reference: docs/theory/setting.md, "Letters and words".
 """
@@ -107,6 +108,8 @@ class Labeling:
     moving : mapping from str to Proposition
         All propositions of single agents, if a region of one of them moves with the time; empty otherwise. Then there
         are no corners here, and whoever asks for them, or for letters, gets a ValueError: `at` a time there are.
+    reads_exits : bool
+        Whether agents have a class outside their workspaces, too: the last one, in which nothing holds.
     """
 
     agents: tuple[AnyAgent, ...]
@@ -116,6 +119,7 @@ class Labeling:
     high: tuple[np.ndarray, ...]
     pairs: tuple[PairRegion, ...] = ()
     moving: Mapping[str, Proposition] = field(default_factory=dict)
+    reads_exits: bool = False
     _known: dict[int, Labeling] = field(default_factory=dict)
 
     @classmethod
@@ -177,7 +181,7 @@ class Labeling:
             still = {name: proposition.at(time) for name, proposition in self.moving.items()}
             here = Labeling._of(self.agents, still) if still else self
             pairs = tuple(pair.at(time) for pair in self.pairs)
-            self._known[time] = replace(here, names=self.names, pairs=pairs, _known={})
+            self._known[time] = replace(here, names=self.names, pairs=pairs, reads_exits=self.reads_exits, _known={})
         return self._known[time]
 
     def corners_over(self, agent: int, n_times: int) -> tuple[np.ndarray, np.ndarray]:
@@ -253,7 +257,7 @@ class Labeling:
     def classes(self) -> tuple[np.ndarray, ...]:
         """Per agent: the classes that occur in its workspace, bool (n_classes_i, P_i), rows in lexicographic order.
 
-        Exact for `C = I`; a superset otherwise.
+        Exact for `C = I`; a superset otherwise. That of the outside comes last, where exits are read.
 
         Raises
         ------
@@ -270,7 +274,8 @@ class Labeling:
             key = (*agent.output_key, *(array.tobytes() for array in corners))
             if key not in computed:
                 candidates, possible = self._reachable(i, agent.state_low[None], agent.state_high[None])
-                computed[key] = read_only(candidates[possible[0]])
+                outside = np.zeros((int(self.reads_exits), candidates.shape[1]), dtype=bool)
+                computed[key] = read_only(np.concatenate([candidates[possible[0]], outside]))
             result.append(computed[key])
         return tuple(result)
 
@@ -283,7 +288,7 @@ class Labeling:
         ----------
         agent : int
         low, high : array_like, shape (S, d)
-            Boxes in the state space; the part beyond the workspace is ignored.
+            Boxes in the state space; the part beyond the workspace is ignored, unless exits are read.
         """
         if self.pairs:
             raise ValueError(REFUSAL)
@@ -295,6 +300,10 @@ class Labeling:
         for c, row in enumerate(candidates):
             if possible[:, c].any():
                 result[:, position[row.tobytes()]] = possible[:, c]
+        if self.reads_exits:
+            # Half-open boxes hold the upper face of the workspace if they end at the next number.
+            space = self.agents[agent].workspace
+            result[:, -1] = np.any((low < space.low) | (high > np.nextafter(space.high, np.inf)), axis=1)
         return result
 
     def _reachable(self, agent: int, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -86,6 +86,11 @@ class Dynamics:
 
         Linear agents of equal sizes, and equal expressions, share a block if their noise has the same laws.
         """
+        if problem.automaton.reads_exits:
+            raise ValueError(
+                f"`problem`: expected a task, got the opposite of one, {problem.name!r}, which certificates alone are "
+                "about; simulate the task itself"
+            )
         # Blocks come in the order of their first agents, which fixes the order of all random numbers.
         members: dict[object, list[int]] = {}
         for i, agent in enumerate(problem.agents):

@@ -1,6 +1,6 @@
 """From a formula, HOA text or a table of transitions to the minimal automaton. Knows no agents."""
 
-from .automaton import SEMANTICS, Automaton, followed
+from .automaton import OPPOSITE, SEMANTICS, Automaton, followed
 from .by_hand import automaton_from_transitions
 from .covers import Cube, cover
 from .decision_diagram import DecisionDiagrams, DiagramSizeError
@@ -21,6 +21,7 @@ __all__ = [
     "Formula",
     "FormulaError",
     "NormalForm",
+    "OPPOSITE",
     "RESERVED",
     "SEMANTICS",
     "ahead",

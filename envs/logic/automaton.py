@@ -9,7 +9,10 @@ Semantics (carried by the automaton):
 
 - ``"co-safe"``: satisfied as soon as an accepting state is entered (accepting states are absorbing), also by infinite
   words; satisfied at once if ``initial`` is accepting.
-- ``"finite-trace"``: judged by the state after the last letter.
+- ``"finite-trace"``: judged by the state after the last letter;
+- ``"opposite"``: of the opposite of a task (``problem.opposite``). Satisfied as soon as an accepting state is entered
+  that cannot be left, otherwise judged by the state after the last letter. An agent that leaves its workspace does not
+  end the run: from then on none of its propositions holds.
 
 Reference: docs/theory/setting.md, "Satisfaction".
 """
@@ -26,6 +29,10 @@ import numpy as np
 from .decision_diagram import DecisionDiagrams
 
 SEMANTICS = ("co-safe", "finite-trace")
+"""How formulas are judged."""
+
+OPPOSITE = "opposite"
+"""How the opposites of tasks are, which have an automaton and no formula."""
 
 FORMAT, VERSION = "certigym-automaton", 1
 """Marks that `to_dict` writes beside the fields, so that `from_dict` refuses anything else."""
@@ -50,7 +57,7 @@ class Automaton:
     propositions : tuple of str
         Names; their order is the variable order of the diagrams. P of them.
     semantics : str
-        ``"co-safe"`` or ``"finite-trace"``.
+        ``"co-safe"``, ``"finite-trace"`` or ``"opposite"``.
     state_names : tuple of str
         Q different names.
     initial : int
@@ -81,7 +88,8 @@ class Automaton:
     high: np.ndarray
 
     def __post_init__(self) -> None:
-        check_semantics(self.semantics)
+        if self.semantics != OPPOSITE:
+            check_semantics(self.semantics)
         object.__setattr__(self, "propositions", checked_names("propositions", self.propositions))
         object.__setattr__(self, "state_names", checked_names("state_names", self.state_names))
         n_states = len(self.state_names)
@@ -92,8 +100,7 @@ class Automaton:
         object.__setattr__(self, "initial", int(self.initial))
         object.__setattr__(self, "accepting", _checked_accepting(self.accepting, n_states))
         self._check_diagrams()
-        stays = self.root == -1 - np.arange(n_states)
-        if self.semantics == "co-safe" and not np.all(stays[self.accepting]):
+        if self.semantics == "co-safe" and not np.all(self._stays[self.accepting]):
             raise ValueError("`accepting`: expected absorbing states in a co-safe automaton, got one that can be left")
 
     def _check_diagrams(self) -> None:
@@ -128,6 +135,11 @@ class Automaton:
     def is_co_safe(self) -> bool:
         """Whether the task is satisfied as soon as an accepting state is entered."""
         return self.semantics == "co-safe"
+
+    @property
+    def reads_exits(self) -> bool:
+        """Whether an agent that leaves its workspace is read as a letter, none of whose propositions holds."""
+        return self.semantics == OPPOSITE
 
     @property
     def n_states(self) -> int:
@@ -243,9 +255,14 @@ class Automaton:
     @cached_property
     def finished(self) -> np.ndarray:
         """Read-only bool array (Q,): states whose entry satisfies the task; none for finite traces."""
-        result: np.ndarray = self.accepting & self.is_co_safe
+        result: np.ndarray = self.accepting & (self.is_co_safe | (self.reads_exits & self._stays))
         result.setflags(write=False)
         return result
+
+    @property
+    def _stays(self) -> np.ndarray:
+        """States (Q,) that every letter leads back to."""
+        return np.asarray(self.root == -1 - np.arange(self.n_states))
 
     @cached_property
     def absorbing(self) -> np.ndarray:

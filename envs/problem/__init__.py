@@ -2,7 +2,7 @@
 
 from .joint_noise import JOINT_NOISE_REFUSAL, refuse_joint_noise
 from .never import why_never
-from .opposite import opposite_of
+from .opposite import opposite_inside, opposite_of
 from .problem_file import load_problem, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification
@@ -18,6 +18,7 @@ __all__ = [
     "Unrolled",
     "checked_problem",
     "load_problem",
+    "opposite_inside",
     "opposite_of",
     "problem_from_dict",
     "problem_from_toml",

@@ -8,6 +8,7 @@ Reference: docs/theory/setting.md, "Letters and words" and "Satisfaction".
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -158,6 +159,8 @@ class Problem:
         sources, shared = checked_sources(joint_noise, written_agents)
         members = tied(_shaken(regions.agents, written_agents, shared))
         labeling = Labeling.of(members, regions.boxes)
+        if specification.automaton is not None and specification.automaton.reads_exits:
+            labeling = dataclasses.replace(labeling, reads_exits=True)
         # The task speaks of regions as they were written; letters are those of boxes.
         owners = dict(zip(labeling.names, labeling.owners, strict=True))
         places = {agent.name: frozenset([i]) for i, agent in enumerate(members)}

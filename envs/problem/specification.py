@@ -19,7 +19,7 @@ class Specification:
         Temporal-logic formula over the propositions.
     semantics : str
         "co-safe" (satisfied as soon as the automaton accepts) or "finite-trace" (judged at the horizon). A formula that
-        is given without them is co-safe if a finite prefix can prove it.
+        is given without them is co-safe if a finite prefix can prove it. Automata may be of "opposite" tasks, too.
     automaton : Automaton or None
         An automaton in place of a formula; it carries its semantics.
 
@@ -46,7 +46,7 @@ class Specification:
         # An automaton says its semantics; naming them as well is allowed, contradicting them is not.
         if semantics is None:
             semantics = usual_semantics(formula or "") if automaton is None else automaton.semantics
-        if semantics not in SEMANTICS:
+        if semantics not in SEMANTICS and (automaton is None or not automaton.reads_exits):
             raise ValueError(f"`semantics`: expected 'co-safe' or 'finite-trace', got {shown(semantics)}")
         if automaton is not None and automaton.semantics != semantics:
             raise ValueError(

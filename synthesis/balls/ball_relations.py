@@ -64,11 +64,12 @@ def targets(
 def disturbance(
     memory: Memory, part: AgentPart, relation: CoupledRelation, rounding: FloatArray, value: FloatArray
 ) -> Proof:
-    """Half the widest cell, what means are snapped by, and rounding."""
+    """Half the widest cell, what means are snapped by where something is chosen, and rounding."""
     assert part.menu is not None
     low, high = map(balls, cell_boxes(part))
-    stays = (low + high) / 2 @ balls(relation.A).T + balls(relation.drift)
-    moves, index = balls(relation.inputs) @ balls(relation.B).T, np.unravel_index(part.menu, part.lattice_shape)
+    moving = np.any(part.policy >= 0, axis=(0, 1))
+    stays = ((low + high) / 2)[moving] @ balls(relation.A).T + balls(relation.drift)
+    moves, index = balls(relation.inputs) @ balls(relation.B).T, np.unravel_index(part.menu[moving], part.lattice_shape)
     right = True
     for k, (axis, places) in enumerate(zip(part.lattice, index, strict=True)):
         room = arb(value[k]) - arb(rounding[k]) - max((high - low)[:, k]) / 2

@@ -79,8 +79,13 @@ def _closed(problem: Problem, agent: int, centre: FloatArray, reach: FloatArray)
 
 
 def _labels(problem: Problem, agent: int, low: FloatArray, high: FloatArray, outside: NDArray[np.bool_]) -> CellLabels:
-    """Return the label sets of boxes (S, d); those that may be ``outside`` the workspace are failure."""
+    """Return the label sets of boxes (S, d); those that may be ``outside`` the workspace are failure.
+
+    Where exits are read as letters the outside is one class more, and nothing is failure by itself.
+    """
     possible = problem.labeling.box_classes(agent, low, high)
+    if problem.labeling.reads_exits:
+        outside = np.zeros(len(low), dtype=bool)
     sets, number = np.unique(possible[~outside], axis=0, return_inverse=True)
     if len(sets) == 0:
         raise RelationRefused(

@@ -251,7 +251,8 @@ def _wrong_memory(
         # what is outside, or was not told from the next cell, is not followed any more
         alive &= np.all((points > low) & (points < high), axis=0) & ~lost
         told = alive & sure & ~memory.lost[0]
-        choice = np.maximum(part.policy[min(t, len(part.policy) - 1), q, cells], 0)
+        chosen = part.policy[min(t, len(part.policy) - 1), q, cells]
+        choice = np.maximum(chosen, 0)
         asked = relation.inputs[choice].T + K @ error
         box = (agent.input_box.low[:, None] <= inputs[:, 0]) & (inputs[:, 0] <= agent.input_box.high[:, None])
         if np.any(alive & ~memory.lost[0] & ~np.all(box, axis=0)):
@@ -261,7 +262,7 @@ def _wrong_memory(
             return ["its controller was seen to remember or to do something else than its relation says"]
         if relation.delta == 0.0 and np.any(alive & sure & memory.lost[0]):
             return ["its controller was seen to lose a relation that is never lost"]
-        alive &= told
+        alive &= told & (chosen >= 0)  # where nothing is chosen nothing is promised
         target = _lattice_points(part, np.take_along_axis(part.menu[cells], choice[:, None], axis=1)[:, 0])
         mean = A @ points + B @ inputs[:, 0] + c
         points = mean + deviations * rng.standard_normal(points.shape)

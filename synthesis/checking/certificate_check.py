@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from ...envs.arrays import on_one_thread
-from ...envs.problem import Problem, opposite_of
+from ...envs.problem import Problem, opposite_inside, opposite_of
 from ...envs.suite import as_problem
 from ..cells import FloatArray, lattice_axes
 from ..certificates import (
@@ -371,8 +371,10 @@ def _check_opposite(certificate: OnGrid, opposite: OnGrid) -> tuple[float | None
     """
     if opposite.proof.opposite is not None:
         return None, ["its upper end has an upper end again"]
+    # Files of earlier versions hold opposites that read no exits: runs that leave satisfy neither task.
+    make = opposite_of if opposite.problem.automaton.reads_exits else opposite_inside
     try:
-        opposite = replace(opposite, problem=opposite_of(certificate.problem))
+        opposite = replace(opposite, problem=make(certificate.problem))
     except ValueError as error:
         return None, [f"its upper end: {error}"]
     failures = wrong_opposite(certificate.problem, opposite.problem) or other_controllers(certificate, opposite)

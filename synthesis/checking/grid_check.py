@@ -40,7 +40,7 @@ def wrong_grids(certificate: OnGrid) -> list[str]:
             failures.append(f"the grid coordinates of agent `{agent.name}` cannot be inverted")
             continue
         identity = np.array_equal(part.coordinates, np.eye(agent.n_states))
-        if identity and not (np.array_equal(low, agent.workspace.low) and np.array_equal(high, agent.workspace.high)):
+        if identity and not _tiles(agent.workspace, low, high, certificate.problem.labeling.reads_exits):
             failures.append(f"the grid of agent `{agent.name}` does not tile its workspace")
         if not identity and not np.array_equal(agent.initial.low, agent.initial.high):
             failures.append(f"the cells of agent `{agent.name}` are no boxes in state space, as its start box needs")
@@ -64,6 +64,13 @@ def wrong_grids(certificate: OnGrid) -> list[str]:
         if any(np.any(np.diff(axis) <= 0) for axis in part.lattice):
             failures.append(f"the lattice of agent `{agent.name}` is not increasing")
     return failures
+
+
+def _tiles(workspace: Box, low: FloatArray, high: FloatArray, reads_exits: bool) -> bool:
+    """Whether the grid ``[low, high]`` is the workspace, or holds it where cells beyond it are read as such."""
+    if reads_exits:
+        return bool(np.all(low <= workspace.low) and np.all(workspace.high <= high))
+    return bool(np.array_equal(low, workspace.low) and np.array_equal(high, workspace.high))
 
 
 def _start_on_a_face(agent: AnyAgent, part: AgentPart) -> bool:

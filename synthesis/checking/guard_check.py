@@ -36,7 +36,8 @@ def cell_classes(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Classes (K, P), which of them (S, K) the states related to each cell may have, and which cells (S,) stay inside.
 
-    ``margin`` as for ``wrong_guards``; None for the states of the cell itself.
+    ``margin`` as for ``wrong_guards``; None for the states of the cell itself. Where exits are read as letters, what is
+    beyond the workspace has one class more, in which nothing holds, and every cell counts as inside.
     """
     low, high = cell_boxes(part)
     workspace = problem.agents[agent].workspace
@@ -48,8 +49,17 @@ def cell_classes(
     elif not half_open:
         low, high = box_image(low, high, part.coordinates)
     inside = np.all((workspace.low <= low) & (high <= workspace.high), axis=1)
+    if not problem.labeling.reads_exits:
+        classes, possible = classes_in_boxes(problem, agent, low, high, closed=not half_open)
+        return classes, possible, inside
+    # A half-open cell that ends at the next number after the upper face holds nothing beyond it.
+    last = np.nextafter(workspace.high, np.inf) if half_open else workspace.high
+    beyond = np.any((low < workspace.low) | (high > last), axis=1)
+    outside = np.any((high <= workspace.low if half_open else high < workspace.low) | (low > workspace.high), axis=1)
+    low, high = (np.clip(end, workspace.low, workspace.high) for end in (low, high))
     classes, possible = classes_in_boxes(problem, agent, low, high, closed=not half_open)
-    return classes, possible, inside
+    possible = np.hstack([possible & ~outside[:, None], beyond[:, None]])
+    return np.vstack([classes, np.zeros_like(classes[:1])]), possible, np.ones_like(inside)
 
 
 def _wrong_guards(

@@ -352,7 +352,8 @@ def wrong_networks(certificate: OnGrid) -> list[str]:
     """What networks of a certificate see or do otherwise than its problem and its policies say."""
     problem, failures = certificate.problem, []
     width = max(agent.n_states for agent in problem.agents)
-    n_q, horizon = problem.automaton.n_states, problem.horizon
+    # Of an opposite task networks are told all states but the last, in which nothing is left to decide.
+    n_q, horizon = problem.automaton.n_states - problem.automaton.reads_exits, problem.horizon
     expected: dict[str, Any] = {"agents": problem.n_agents, "width": width, "states": n_q, "horizon": horizon}
 
     def alone(network: dict[str, Any]) -> dict[str, Any]:
@@ -374,6 +375,7 @@ def wrong_networks(certificate: OnGrid) -> list[str]:
         else:
             # In every cell a mode may be chosen only at its own time and in its own automaton state.
             mode = np.arange(horizon)[:, None, None] * n_q + np.arange(n_q)[None, :, None]
-            if np.any((part.policy >= 0) & (part.policy < horizon * n_q) & (part.policy != mode)):
+            modes = (part.policy >= 0) & (part.policy < horizon * n_q)
+            if np.any(modes[:, n_q:]) or np.any(modes[:, :n_q] & (part.policy[:, :n_q] != mode)):
                 failures.append(f"the network of agent `{agent.name}` is used at another time or automaton state")
     return failures

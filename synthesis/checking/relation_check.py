@@ -204,7 +204,8 @@ def _disturbance(part: AgentPart, relation: CoupledRelation, execution: Executio
     means = (0.5 * (low + high) @ relation.A.T + relation.drift)[:, None, :] + (relation.inputs @ relation.B.T)[None]
     index = np.unravel_index(part.menu, tuple(len(axis) for axis in part.lattice))
     points = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=-1)
-    snapped = np.max(np.abs(points - means), axis=(0, 1))
+    moving = np.any(part.policy >= 0, axis=(0, 1))  # in other cells the value is 0, and nothing is promised
+    snapped = np.max(np.abs(points - means)[moving], axis=(0, 1), initial=0.0)
     result = np.asarray((0.5 * np.max(high - low, axis=0) + snapped) * OUTWARD + execution.disturbance)
     state("disturbance", part, relation, execution.disturbance, result)
     return result

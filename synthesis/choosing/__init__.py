@@ -1,7 +1,7 @@
 """Which ways to certify a task are tried: relations, cells, and from which policies to start."""
 
 from .cell_choice import Budget, refine
-from .effort import Effort
+from .effort import Effort, OutOfTime
 from .given_start import policies_from, settings_of
 from .levels import Run, box_work, finer_levels, first_cells, linear_levels, linear_work, work_of
 from .relation_choice import Tries, groups_of, has_linear_cells
@@ -11,6 +11,7 @@ from .ways import GOOD, SOLVED, Results, Way, best_of, in_order, leading, refuse
 __all__ = [
     "Budget",
     "Effort",
+    "OutOfTime",
     "GOOD",
     "Results",
     "Run",

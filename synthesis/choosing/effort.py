@@ -22,6 +22,9 @@ EFFORT = 80.0
 SHARE_OF_LEVELS = 0.75
 """Share of the effort that cells of one kind may take, however fine they become: something is left to compare with."""
 
+SHARE_ABOVE = 0.05
+"""Share of the effort that it may take to bound a certificate from above, where nobody asked for it."""
+
 LEADS = 0.85
 """Bound from which that is not held back: other ways rarely come near, and finer cells gain surely."""
 
@@ -161,6 +164,11 @@ class Effort:
         if bound >= LEADS or math.isinf(self.limit):
             return self.left
         return min(SHARE_OF_LEVELS * self.limit - taken, self.left)
+
+    @property
+    def for_above(self) -> float:
+        """Work that an upper end may take that nobody asked for, beside what the task took."""
+        return SHARE_ABOVE * min(EFFORT, self.limit)
 
     def refusal(self, work: float) -> str | None:
         """Return why work is not begun, in words; None if it may be. The first certificate is always computed."""

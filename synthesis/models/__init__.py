@@ -27,6 +27,7 @@ from .joint import JointModel, count_of_decisions, join, spread_start, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
 from .linear_kernel import hat_table
 from .network_model import network_abstraction, network_tables
+from .surroundings import surrounded
 from .target_windows import BAND_BYTES, TargetWindows
 
 __all__ = [
@@ -75,4 +76,5 @@ __all__ = [
     "shifted",
     "spread_start",
     "start_of",
+    "surrounded",
 ]

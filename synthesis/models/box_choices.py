@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import FloatArray, Grid, LatticeAxis, MeanAxis, RelationRefused, shape_text
+from ...envs.agents import AnyAgent
+from ..cells import FloatArray, Grid, LatticeAxis, MeanAxis, RelationRefused, grid_laws, shape_text
 from ..relations import BoxRelation, MeanBoxes
 from ..values import beside, to_host
+from .box_kernel import BoxKernel, box_kernel
 from .box_minima import each_window_minima, least_over_boxes
 from .choices import TIE, Choices, MeansAt, StepPolicy, shifted
 
@@ -79,6 +81,11 @@ class BoxChoices(Choices):
         cells, n_choices = self.size.shape
         widest = shape_text(tuple(int(n) for n in self.sizes.max(axis=0)))
         return f"BoxChoices({cells} cells, {n_choices} choices, windows of up to {widest} lattice points)"
+
+    def kernel_on(self, agent: AnyAgent, grid: Grid) -> BoxKernel:
+        """Return the kernel from the lattice to other cells."""
+        laws = grid_laws(agent, self.relation.coordinates)
+        return box_kernel(grid, self.lattice, laws, self.axes, agent.wrapped_axes.tolist())
 
     @property
     def n_choices(self) -> int:

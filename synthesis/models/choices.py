@@ -15,14 +15,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from itertools import product
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import FloatArray, Grid
+from ...envs.agents import AnyAgent
+from ..cells import FloatArray, Grid, grid_laws
 from ..relations import describe_relation
 from ..values import beside, namespace, take, to_host
+from .kernel import Kernel, law_table
 
 StepPolicy = NDArray[np.int32]
 """(S,) choice of each cell for one step; -1 for none."""
@@ -52,13 +54,13 @@ class Choices:
     n_times: int = 1
     n_parts: int = 1
 
-    is_additive: ClassVar[bool] = True
+    is_additive: bool = True
     """Whether a step takes a sum of factors to the sum of what it takes each to."""
-    has_corners: ClassVar[bool] = False
+    has_corners: bool = False
     """Whether factors are multilinear in every cell, with values at its corners."""
-    is_read_at_length: ClassVar[bool] = False
+    is_read_at_length: bool = False
     """Whether reading takes so long that equal agents are read once."""
-    read_per_second: ClassVar[float] = 1e6
+    read_per_second: float = 1e6
     """Cells that are read in a second with one term, about."""
 
     @property
@@ -107,6 +109,10 @@ class Choices:
     def cell_widths(self) -> FloatArray:
         """Mean width (d,) of cells along each axis."""
         return np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in self.grid.edges])
+
+    def kernel_on(self, agent: AnyAgent, grid: Grid) -> Kernel:
+        """Return the kernel from the lattice to other cells of the agent whose choices these are."""
+        raise NotImplementedError
 
     def is_settled(self, share: float) -> bool:
         """Return whether every cell has a choice, and leaves this share of all inputs to it."""
@@ -170,6 +176,12 @@ class Choices:
 
 class PointChoices(Choices):
     """Choices whose means are lattice points, the same for the whole cell."""
+
+    def kernel_on(self, agent: AnyAgent, grid: Grid) -> Kernel:
+        """Return the masses of other cells around the lattice points."""
+        laws = grid_laws(agent, self.relation.coordinates)
+        found = [law_table(*axes) for axes in zip(self.lattice, grid.edges, laws, strict=True)]
+        return Kernel(tuple(table for table, _ in found), sum(missing for _, missing in found))
 
     def read(self, smoothed: Any, policy: StepPolicy, rough: bool = False) -> Any:
         """Return smoothed factors (n, Z) at the chosen points; cells without a choice have value 0."""

@@ -27,12 +27,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import FloatArray, Grid, corner_sides, of_cells, shape_text, to_places
+from ...envs.agents import AnyAgent
+from ..cells import FloatArray, Grid, corner_sides, grid_laws, of_cells, shape_text, to_places
 from ..relations import AffineBoxes, MapRelation
 from ..values import beside, to_host
 from .choices import Choices, MeansAt, StepPolicy
 from .corner_forms import SubLattice, best_below
-from .lattice_kernel import bend_of, block_of, blocks_of
+from .lattice_kernel import LatticeKernel, bend_of, block_of, blocks_of, lattice_kernel
 from .target_windows import TargetWindows, windows_of
 
 LOOK = 0.37
@@ -116,6 +117,10 @@ class CornerChoices(Choices):
         aims = "" if self.windows is None else " and targets"
         of_each = f"{self.n_inputs} inputs{aims}"
         return f"CornerChoices({self.grid.n_cells} cells, {of_each}, {shape_text(self.shape)} lattice points)"
+
+    def kernel_on(self, agent: AnyAgent, grid: Grid) -> LatticeKernel:
+        """Return the kernel from the lattice to other cells."""
+        return lattice_kernel(grid, self.lattice, grid_laws(agent, self.relation.coordinates), self.reach)
 
     @property
     def n_places(self) -> int:

@@ -12,14 +12,11 @@ from ...envs.agents import AnyAgent, Gaussian, Law, Uniform
 from ..cells import FEWER, FloatArray, Grid, RelationRefused, grid_laws
 from ..relations import AffineBoxes, MapRelation, map_relation
 from .agent_models import reaches_every_mean
-from .bends import SECOND
-from .box_kernel import box_lattice, rounding_of, slack_of
+from .box_kernel import box_lattice
 from .box_model import clock_menu, with_rest
 from .corner_choices import BESIDE, HANDICAP, HANDICAP_IN_TEAMS, CornerChoices
-from .lattice_kernel import LatticeKernel
-from .linear_kernel import hat_table
+from .lattice_kernel import LatticeKernel, lattice_kernel
 from .target_windows import windows_of
-from .uniform_ends import UniformEnds, uniform_hats
 
 POINTS_PER_DEVIATION = {1: 12.0, 2: 8.0}
 """Lattice points per deviation of normal noise, at least, by dimension: the slack is then 1e-5 per axis and step."""
@@ -60,9 +57,6 @@ LEVELS_BESIDE_TARGETS = {1: 9, 2: 5, 3: 3}
 
 LEVELS_ALONE = {1: 33, 2: 7, 3: 4}
 """Levels of each input where there are no targets, by the number of inputs; 3 beyond."""
-
-LONGEST = 1e6
-"""Lattice steps, in deviations, at which they are cut: nothing is known between them long before."""
 
 MOST_REACH = 1000.0
 """Most lattice steps from the middle of an image to its ends: wider ones are worth nothing."""
@@ -133,7 +127,7 @@ def lattice_model(
     reach = tuple(int(n) for n in np.ceil(_most_of((half + maps.rest) / pitch, 0.999) + BESIDE))
     steps = 2.0 * float(np.max(_most_of(half / pitch, 0.9)))
     relation = replace(relation, parts=int(np.clip(round(steps), 2, PARTS.get(d, 2))), reach=reach)
-    kernel = _kernel(grid, lattice, laws, reach)
+    kernel = lattice_kernel(grid, lattice, laws, reach)
     charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
     has_ends = kernel.ends is not None
     windows = None if relation.aims is None else windows_of(relation.aims, grid, lattice)
@@ -197,37 +191,3 @@ def _points_beside_targets(grid: Grid, laws: Sequence[Law]) -> tuple[int, ...]:
     widths = (float(edges[-1] - edges[0]) / n for edges, n in zip(grid.edges, grid.shape, strict=True))
     wide, narrow = TARGETS_PER_CELL.get(len(grid.shape), (2, 2))
     return tuple(wide if width > WIDE * law.std else narrow for width, law in zip(widths, laws, strict=True))
-
-
-def _kernel(grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law], reach: tuple[int, ...]) -> LatticeKernel:
-    """Return the kernel on a lattice."""
-    tables, loss, ends, ratios = [], 0.0, None, []
-    for k, (axis, edges, law) in enumerate(zip(lattice, grid.edges, laws, strict=True)):
-        pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
-        ratios.append(min(pitch / law.std, LONGEST))
-        if isinstance(law, Uniform):
-            ends = UniformEnds(k, axis, edges, law)
-            table, missing = uniform_hats(axis, edges, law)
-            if pitch > float(np.min(np.diff(edges))):
-                raise RelationRefused(
-                    "the relation `linear` needs lattice steps no wider than cells under uniform noise"
-                )
-        else:
-            table, missing = hat_table(axis, edges, law.std)
-        tables.append(table)
-        loss += missing
-    return LatticeKernel(
-        tuple(tables), loss, reach=reach, slack=_slack(np.array(ratios), laws, lattice) + loss, ends=ends
-    )
-
-
-def _slack(ratios: FloatArray, laws: Sequence[Law], lattice: tuple[FloatArray, ...]) -> float:
-    """Return how far g may be below its interpolant besides what differences say, for factors of at most 1."""
-    normal = np.array([isinstance(law, Gaussian) for law in laws])
-    slack = slack_of(ratios[normal]) - rounding_of(ratios[normal]) if np.any(normal) else 0.0
-    # Second derivatives along normal axes are read at lattice points of the uniform one as well.
-    for axis, law in zip(lattice, laws, strict=True):
-        if isinstance(law, Uniform):
-            share = float(axis[-1] - axis[0]) / (len(axis) - 1) / (law.high - law.low)
-            slack += float(np.sum(ratios[normal] ** 2)) / 8.0 * 2.0 * SECOND * 0.5 * share
-    return slack * (1.0 + 1e-9) + rounding_of(ratios)

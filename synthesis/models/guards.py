@@ -105,15 +105,15 @@ class _RobustAutomaton:
         self._cofactors: dict[tuple[int, int], list[tuple[int, int]]] = {}
         self._meet_memo: dict = {}
         self._cost: dict[int, tuple[int, int]] = {}
-        # States from which acceptance cannot be reached are failure; accepting states of co-safe tasks are one goal.
+        # States from which acceptance cannot be reached are failure; those that finish the task are one goal.
         simplify: dict = {}
         fail = self.diagrams.terminal(FAILED)
-        dead, goal, absorbing = automaton.dead, self.goal, automaton.accepting
+        dead, goal, is_finished = automaton.dead, self.goal, automaton.finished
 
         def canonical(value: int, _: int) -> int:
             if dead[value]:
                 return FAILED
-            return goal if goal is not None and absorbing[value] else value
+            return goal if goal is not None and is_finished[value] else value
 
         self.roots = [self.diagrams.apply(canonical, root, fail, simplify) for root in roots]
 

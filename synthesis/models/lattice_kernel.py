@@ -16,16 +16,21 @@ slack (``box_kernel``); for uniform noise what the factor varies at the two ends
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from ..cells import FloatArray
+from ...envs.agents import Gaussian, Law, Uniform
+from ..cells import FloatArray, Grid, RelationRefused
 from ..values import beside, take, to_host
+from .bends import SECOND
+from .box_kernel import rounding_of, slack_of
 from .kernel import Kernel
-from .uniform_ends import UniformEnds
+from .linear_kernel import hat_table
+from .uniform_ends import UniformEnds, uniform_hats
 
 BLOCKS, LEAST_REACH = 3, 4
 """Blocks within reach to either side, and the reach from which two of them are enough: more of them see less that is
@@ -36,6 +41,10 @@ NUMBERS_AT_ONCE = 200_000
 
 NOTHING = 1e-40
 """Values below this are set to 0: a lower bound still, and no denormal numbers, which are slow, some steps later."""
+
+
+LONGEST = 1e6
+"""Lattice steps, in deviations, at which they are cut: nothing is known between them long before."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -243,3 +252,39 @@ def bend_of(steps: FloatArray) -> FloatArray:
     to 1, and by ``(n^2 + 1) / 8`` beyond.
     """
     return np.where(steps < 1.0, 0.25 * steps, 0.125 * (steps**2 + 1.0))
+
+
+def lattice_kernel(
+    grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law], reach: tuple[int, ...]
+) -> LatticeKernel:
+    """Return the kernel on a lattice."""
+    tables, loss, ends, ratios = [], 0.0, None, []
+    for k, (axis, edges, law) in enumerate(zip(lattice, grid.edges, laws, strict=True)):
+        pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
+        ratios.append(min(pitch / law.std, LONGEST))
+        if isinstance(law, Uniform):
+            ends = UniformEnds(k, axis, edges, law)
+            table, missing = uniform_hats(axis, edges, law)
+            if pitch > float(np.min(np.diff(edges))):
+                raise RelationRefused(
+                    "the relation `linear` needs lattice steps no wider than cells under uniform noise"
+                )
+        else:
+            table, missing = hat_table(axis, edges, law.std)
+        tables.append(table)
+        loss += missing
+    return LatticeKernel(
+        tuple(tables), loss, reach=reach, slack=_slack(np.array(ratios), laws, lattice) + loss, ends=ends
+    )
+
+
+def _slack(ratios: FloatArray, laws: Sequence[Law], lattice: tuple[FloatArray, ...]) -> float:
+    """Return how far g may be below its interpolant besides what differences say, for factors of at most 1."""
+    normal = np.array([isinstance(law, Gaussian) for law in laws])
+    slack = slack_of(ratios[normal]) - rounding_of(ratios[normal]) if np.any(normal) else 0.0
+    # Second derivatives along normal axes are read at lattice points of the uniform one as well.
+    for axis, law in zip(lattice, laws, strict=True):
+        if isinstance(law, Uniform):
+            share = float(axis[-1] - axis[0]) / (len(axis) - 1) / (law.high - law.low)
+            slack += float(np.sum(ratios[normal] ** 2)) / 8.0 * 2.0 * SECOND * 0.5 * share
+    return slack * (1.0 + 1e-9) + rounding_of(ratios)

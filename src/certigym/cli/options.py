@@ -154,7 +154,10 @@ def add_search(parser: argparse.ArgumentParser) -> None:
 def add_above(parser: argparse.ArgumentParser) -> None:
     """Add whether a claim is to have an upper end."""
     parser.add_argument(
-        "--above", action="store_true", help="bound the same controllers from above, too (as long as an evaluation)"
+        "--above",
+        action="store_true",
+        default=None,
+        help="bound the same controllers from above, too, however long that takes (default: where it is quick)",
     )
 
 
