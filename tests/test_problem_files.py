@@ -122,6 +122,11 @@ BAD = [
     (HEAD + "automaton = 3", "`automaton`: expected a table, got 3"),
     ("a = " + "[" * 5000, "expected TOML"),
     # words of other tools, and things that stand elsewhere
+    (TOML.replace("A = [[0.9]]", "bounds = [[0, 1]]\nA = [[0.9]]"), "the workspace is `state_low` and `state_high`"),
+    (
+        TOML.replace("[specification]", 'late = "left.x > 3"\n[specification]'),
+        'such as { agent = "car", of = ["x"], low',
+    ),
     ("[agents.left]\n" + TOML, "[[agents]] and [agents.NAME] do not mix"),
     (TOML.replace("noise_covariance = [[0.25]]", "sigma = [0.5]"), "standard deviations, one for each state, are"),
     (TOML.replace("A = [[0.9]]", "c = [0.1]\nA = [[0.9]]"), "what is added at every step is `offset`"),

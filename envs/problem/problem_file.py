@@ -65,6 +65,7 @@ _ALTERNATIVES = ("formula", "hoa", "states", "automaton")
 _PROBABILITY = "there is no threshold: a run computes a probability that is proved, and prints it"
 _DEVIATION = "standard deviations, one for each state, are `noise_std`"
 _ONE_STEP = "write `dynamics`, the mean of each state one step later, such as `x + 0.1*v` for a step of 0.1 s"
+_BOXES = "the workspace is `state_low` and `state_high`, and the box of the inputs `input_low` and `input_high`"
 _SHAPE = "it stands in the table of a shape, such as `disc = { centre = [0, 0], radius = 1 }`"
 _WINDOW = 'times stand in the formula, such as `F[3,8] goal`; corners in quotes may name the time, such as `"0.1*t"`'
 _ELSEWHERE = {
@@ -76,7 +77,7 @@ _ELSEWHERE = {
         **dict.fromkeys(("cov", "covariance", "Q", "W"), "variances and covariances are `noise_covariance`"),
         **dict.fromkeys(("ode", "xdot", "derivative", "derivatives", "f"), _ONE_STEP),
         **dict.fromkeys(("x0", "start", "initial", "init"), "the start is `initial_state`"),
-        **dict.fromkeys(("low", "high"), "the workspace is `state_low` and `state_high`"),
+        **dict.fromkeys(("low", "high", "bounds", "limits", "domain"), _BOXES),
     },
     "[propositions]": {
         **dict.fromkeys(("centre", "center", "radius", "corners", "tip", "axis", "normal", "offset"), _SHAPE),
@@ -238,6 +239,11 @@ def _propositions(table: Any) -> dict[str, AnyProposition]:
     result = {}
     for name, value in table.items():
         where = f"[propositions] {shown(name)}"
+        if not isinstance(value, Mapping):
+            raise ValueError(
+                f'{where}: expected a table, such as {{ agent = "car", of = ["x"], low = [3], high = [5] }}, '
+                f"got {shown(value)}"
+            )
         if about_pairs(value):
             refuse_shape(value, where)
             _check_keys(value, where, *keys_of(value))
