@@ -17,7 +17,7 @@ from certigym.synthesis.choosing import first_cells
 from certigym.synthesis.models import box_model
 from certigym.synthesis.nominal_paths import CountedWork, path_certificate
 from certigym.synthesis.nominal_paths.feedback_bounds import Feedback, NominalPath, _Walk
-from certigym.synthesis.nominal_paths.nominal_planner import rolled
+from certigym.synthesis.nominal_paths.nominal_planner import Aim, Planner, rolled
 from certigym.synthesis.nominal_paths.nonlinear_model import NonlinearModel
 from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
 from certigym.synthesis.nominal_paths.path_limits import farthest_sides, limits_along
@@ -151,6 +151,17 @@ def test_plans_keep_all_of_the_drift_away_where_less_fails_often() -> None:
     )  # fmt: skip
     # Plans that keep a quarter of it, as they do elsewhere, are left at .9454.
     assert path_certificate(goal, CountedWork(6.0)).certificate.lower_bound > 0.955
+
+
+def test_inputs_from_which_an_agent_runs_away_cost_everything() -> None:
+    """In silence: numbers become infinite on the way, and warnings are not for whoever brings a model."""
+    problem = rover(dynamics=["x + x**5 + u", "charge + 0.1*x*charge"], initial_state=[3, 0.6])
+    model, steps = NonlinearModel(problem.agents[0]), 12
+    letters = np.zeros((steps + 1, 2), dtype=np.int8)
+    limits = limits_along(problem, problem.agents[0], letters, np.full(letters.shape, -1))
+    sizes = [(np.ones((n, k)), np.zeros((n, k))) for n, k in ((steps + 1, 2), (steps + 1, 2), (steps, 1))]
+    aim = Aim(limits, *sizes, np.zeros((steps + 1, 2)), np.ones(2))
+    assert Planner(model, aim, CountedWork()).improved(np.ones((steps, 1)), 3)[2] == np.inf
 
 
 def test_steps_without_remainders_take_no_place_in_a_walk() -> None:

@@ -85,7 +85,11 @@ class Planner:
         return rolled(self.model, self.start, inputs)
 
     def cost(self, states: FloatArray, inputs: FloatArray) -> FloatArray:
-        """Return the costs (n,) of states (S + 1, d, n) and inputs (S, m, n)."""
+        """Return the costs (n,) of states (S + 1, d, n) and inputs (S, m, n); infinite where agents ran away."""
+        with np.errstate(all="ignore"):
+            return self._cost(states, inputs)
+
+    def _cost(self, states: FloatArray, inputs: FloatArray) -> FloatArray:
         aim = self.aim
         total = CALM * np.sum(((inputs - self.middle[:, None]) / self.half[:, None]) ** 2, axis=(0, 1))
         agent = self.model.agent
@@ -104,7 +108,8 @@ class Planner:
 
     def improved(self, inputs: FloatArray, rounds: int) -> tuple[FloatArray, FloatArray, float]:
         """Return states, inputs and cost after up to some rounds from given inputs."""
-        states = self.rolled(inputs)
+        with np.errstate(all="ignore"):  # agents that are unstable may run away from first inputs
+            states = self.rolled(inputs)
         cost, damping = float(self.cost(states[:, :, None], inputs[:, :, None])[0]), REGULAR
         if not np.isfinite(cost):
             return states, inputs, np.inf
