@@ -303,7 +303,9 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
     scalar = all(agent.n_states == 1 for agent in problem.agents)
     cells = first_cells(problem)
     least = _tree_work(problem) if scalar else COMPARED
-    work = least if is_scalar(problem) else max(least, box_work(problem, cells or {}))
+    # Where linear cells do not apply boxes are compared on default cells, too.
+    usual = {} if linear else {a.name: cells_of_agent(a, None) for a in problem.agents if isinstance(a, Agent)}
+    work = least if is_scalar(problem) else max(least, box_work(problem, usual | (cells or {})))
 
     def run(results: Results) -> Synthesis:
         return compared(problem, cells, kinds, plan, None if cells or any(written) else results.get("exact"))
@@ -327,16 +329,16 @@ def _finer(problem: Problem, plan: Plan) -> Way:
     """Return the way that makes the cells of the best of other relations finer, level by level."""
 
     def run(results: Results) -> Synthesis:
-        best, record = finer_levels(
-            problem, plan.settings, results["others"], _run_of_levels(problem, plan), plan.effort
-        )
+        first = results.get("others") or results["exact"]
+        best, record = finer_levels(problem, plan.settings, first, _run_of_levels(problem, plan), plan.effort)
         kind = best.certificate.settings["relation"]
         named = replace(best, stats={**best.stats, "tried": {f"{kind}, finer cells": best.certificate.lower_bound}})
         return with_settings(named, {"levels": record})
 
     def why_not(results: Results) -> str | None:
-        # A path that is better than coarse cells says little of finer ones, unless it is better by far.
-        first, path = results.get("others"), results.get("path")
+        # A path that is better than coarse cells says little of finer ones, unless it is better by far. Where others
+        # take too much, exact targets are made finer.
+        first, path = results.get("others") or results.get("exact"), results.get("path")
         best = leading({name: result for name, result in results.items() if result is not path})
         if first is None or best is None or first.certificate.lower_bound < best.certificate.lower_bound:
             return ""
