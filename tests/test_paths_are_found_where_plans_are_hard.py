@@ -159,8 +159,8 @@ def test_inputs_from_which_an_agent_runs_away_cost_everything() -> None:
     model, steps = NonlinearModel(problem.agents[0]), 12
     letters = np.zeros((steps + 1, 2), dtype=np.int8)
     limits = limits_along(problem, problem.agents[0], letters, np.full(letters.shape, -1))
-    sizes = [(np.ones((n, k)), np.zeros((n, k))) for n, k in ((steps + 1, 2), (steps + 1, 2), (steps, 1))]
-    aim = Aim(limits, *sizes, np.zeros((steps + 1, 2)), np.ones(2))
+    states, inputs = (np.ones((steps + 1, 2)), np.zeros((steps + 1, 2))), (np.ones((steps, 1)), np.zeros((steps, 1)))
+    aim = Aim(limits, states, states, inputs, np.zeros((steps + 1, 2)), np.ones(2))
     assert Planner(model, aim, CountedWork()).improved(np.ones((steps, 1)), 3)[2] == np.inf
 
 
