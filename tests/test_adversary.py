@@ -11,7 +11,7 @@ import certigym as cg
 from adversary import FALSE_ALARM, claim, drawn, forged, problem_of
 from forgeries import forgeries, opened
 from kind_trials import forged_cells, trial
-from small_problems import MAKERS
+from small_problems import MAKERS, small_spec
 
 CLAIMS, WRITTEN, FIRST, EPISODES = 10, 5, 900_000, 10_000
 FORGERIES = 6
@@ -93,3 +93,12 @@ def test_the_campaign_has_the_power_to_see() -> None:
     spec, certificate = _certified(920_000)
     number, _ = successes(spec, Deployed(certificate, EPISODES, 1), EPISODES, 1)
     assert binom.cdf(number, EPISODES, number / EPISODES + 0.05) < FALSE_ALARM / 60
+
+
+@pytest.mark.parametrize("seed", [220, 245])
+def test_truths_that_a_check_with_other_blocks_would_refuse_are_accepted(seed: int) -> None:
+    """Tighter numbers may choose another form of lower bound, which is not larger everywhere."""
+    spec = small_spec("upper", seed)
+    certificate = cg.synthesize(problem_of(spec), **spec["options"]).certificate
+    assert cg.check(certificate)
+    assert any(2 in part.relation["blocks"] for part in certificate.proof.agents)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import product
 from pathlib import Path
 
@@ -14,11 +13,9 @@ from numpy.typing import NDArray
 import certigym as cg
 from certigym.synthesis.cells import Grid
 from certigym.synthesis.checking import linear_tables
-from certigym.synthesis.checking.written_linear import block_size
 from certigym.synthesis.models import bends
 from certigym.synthesis.models.bends import _fourth
 from certigym.synthesis.models.kernel import Kernel
-from certigym.synthesis.models.lattice_kernel import block_of
 from certigym.synthesis.models.linear_kernel import hat_masses, hat_table
 from problems import linear
 
@@ -228,11 +225,3 @@ def test_bends_hold_for_factors_that_bend_most_between_lattice_points(pitch: flo
             ratios.append(gap / allowed)
     # The bound is not idle, also where second differences alone would say too little.
     assert np.max(ratios) > 0.15
-
-
-def test_blocks_of_the_check_divide_those_of_the_search() -> None:
-    """What the check looks at around a block is part of what the search looked at, so that it refuses no truth."""
-    for reach in range(1, 200):
-        mine, own = block_of(reach), block_size(reach)
-        assert mine % own == 0
-        assert math.ceil(reach / mine) * mine >= math.ceil(reach / own) * own

@@ -76,7 +76,7 @@ def test_members_that_a_proof_has_no_answer_to_say_what_to_do() -> None:
     hull = cg.load(FOLDER / "hull.npz")
     with pytest.raises(ValueError, match="a set of starts"):
         hull.controller  # noqa: B018
-    with pytest.raises(ValueError, match="from_start"):
+    with pytest.raises(ValueError, match="initial_state=x"):
         cg.validate(hull, 10)
     assert cg.check(from_start(hull, hull.proof.corners.mean(axis=0)))
     for name in ("hull", "mixed", "path", "subtraction"):

@@ -42,6 +42,17 @@ def test_starts_between_the_corners_have_certificates_of_their_own(chain: Certif
         from_start(chain, [9.9, 9.9])
 
 
+def test_rollouts_are_asked_for_a_start_of_the_set(chain: Certificate[HullProof]) -> None:
+    """False alarm 1e-6."""
+    middle = chain.proof.corners.mean(axis=0)
+    name = chain.problem.agent_names[0]
+    for start in (middle, {name: middle.tolist()}):
+        report = cg.validate(chain, 1000, initial_state=start, confidence=1.0 - 1e-6)
+        assert not report.refuted and report.lower_bound == chain.lower_bound
+    with pytest.raises(ValueError, match="validate"):
+        cg.validate(chain, 1000)
+
+
 def test_rollouts_do_not_refute_corners(chain: Certificate[HullProof]) -> None:
     """Four corners by 20,000 rollouts each; false alarm 1e-6 altogether."""
     for i in range(0, 64, 16):

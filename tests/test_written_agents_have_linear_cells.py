@@ -266,6 +266,8 @@ FORGERIES: dict[str, dict[str, Any]] = {
     "cells in many parts": {"cuts": 1000},
     "a reach that is no list": {"reach": 3},
     "a reach beyond all bounds": {"reach": [10**9, 1]},
+    "no block": {"blocks": [0, 1]},
+    "a block beyond all bounds": {"blocks": [10**9, 1]},
     "inputs beyond their box": {"menu": [[1.5]] * 7},
     "one input in place of all": {"menu": [[0.0]] * 7},
 }

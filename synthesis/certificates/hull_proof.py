@@ -8,6 +8,7 @@ distances: the bound at the worst corner holds everywhere between them (docs/the
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Self
@@ -26,8 +27,8 @@ from .path_proof import AgentPath, AlongPath, PathProof, kept_in
 from .proof import Offer, Proof
 
 MANY_STARTS = (
-    "a set of starts; it can be checked, and `from_start(certificate, start)` is the certificate of a start in it (on "
-    "the command line: `certigym validate HULL --initial-state X`)"
+    "a set of starts; it can be checked, and `validate(certificate, initial_state=x)` is about a start in it (on the "
+    "command line: `certigym validate HULL --initial-state X`)"
 )
 """What certificates of sets of starts answer to whoever asks for one run."""
 
@@ -68,6 +69,13 @@ class HullProof(Proof):
     gap = None
     rank = 1
     parts = ()
+
+    def begun(self, certificate: Any, start: Any) -> tuple[Any, Any]:
+        """Return the certificate along the path from a start of the set, which has a controller of its own."""
+        if start is None:
+            return certificate, start
+        name = certificate.problem.agent_names[0]
+        return from_start(certificate, start[name] if isinstance(start, Mapping) and name in start else start), None
 
     @property
     def lower_bound(self) -> float:

@@ -13,7 +13,7 @@ from ...envs.agents import AnyAgent, tree_text
 from ..cells import FloatArray, Grid, hats, shape_text, spread
 from ..relations import Relation, relation_from
 
-ENCLOSING = ("parts", "cuts", "reach")
+ENCLOSING = ("parts", "cuts", "reach", "blocks")
 """Numbers of relations by which means around a state are enclosed: into how many parts, and how far differences go."""
 
 

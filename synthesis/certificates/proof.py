@@ -76,6 +76,10 @@ class Proof:
     def __repr__(self) -> str:
         return f"{type(self).__name__}: {shown_bound(self.lower_bound, None)}, {self.method}"
 
+    def begun(self, certificate: Any, start: Any) -> tuple[Any, Any]:
+        """Return the certificate that is about a start, and the start that it does not know of itself."""
+        return certificate, start
+
     def gap_of(self, problem: Problem) -> float | None:
         """Return the gap, where the certificate is about this problem."""
         gap: float | None = self.gap

@@ -283,7 +283,7 @@ def written_values(part: AgentPart, tables: WrittenTables, factors: FloatArray) 
         found.append(_placed(np.abs(np.diff(values, axis=k)), values.shape, (k,), 0))
     if tables.ends is not None:
         found.append(tables.ends.added(tables.masses, factors))
-    return [values, *(_largest(table, part.relation["reach"]) for table in found)]
+    return [values, *(_largest(table, part.relation["reach"], _blocks(part)) for table in found)]
 
 
 def _placed(table: FloatArray, shape: tuple[int, ...], axes: tuple[int, ...], first: int) -> FloatArray:
@@ -294,19 +294,19 @@ def _placed(table: FloatArray, shape: tuple[int, ...], axes: tuple[int, ...], fi
     return result
 
 
-def _largest(table: FloatArray, reach: list[int]) -> FloatArray:
+def _largest(table: FloatArray, reach: list[int], sizes: list[int]) -> FloatArray:
     """The largest of the numbers (n, Z_1, ..) around every block of points: of it, and of all blocks within reach."""
     # Blocks along all axes first: what is left is small.
-    for axis, radius in enumerate(reach, start=1):
-        size, count = block_size(radius), table.shape[axis]
+    for axis, size in enumerate(sizes, start=1):
+        count = table.shape[axis]
         blocks = _along(table, axis, slice(0, None, size)).copy()
         for k in range(1, min(size, count)):
             others = _along(table, axis, slice(k, None, size))
             front = _along(blocks, axis, slice(0, others.shape[axis]))
             np.maximum(front, others, out=front)
         table = blocks
-    for axis, radius in enumerate(reach, start=1):
-        around, count = -(-radius // block_size(radius)), table.shape[axis]
+    for axis, (radius, size) in enumerate(zip(reach, sizes, strict=True), start=1):
+        around, count = -(-radius // size), table.shape[axis]
         wide = table.copy()
         for k in range(1, min(around, count - 1) + 1):
             for here, there in ((slice(0, -k), slice(k, None)), (slice(k, None), slice(0, -k))):
@@ -321,9 +321,9 @@ def _along(table: FloatArray, axis: int, part: slice) -> FloatArray:
     return table[(slice(None),) * axis + (part,)]
 
 
-def block_size(reach: int) -> int:
-    """Lattice points of a block: as in the search, a third of what is looked at to either side."""
-    return max(1, reach // 3)
+def _blocks(part: AgentPart) -> list[int]:
+    """Lattice points of a block along each axis: any numbers will do, as long as all of them within reach are seen."""
+    return part.relation.get("blocks") or [max(1, reach // 3) for reach in part.relation["reach"]]
 
 
 def image_values(
@@ -382,7 +382,7 @@ def _moving_images(
     weights = [bends[:, k] + (0.125 if tables.normal[k] else 0.0) for k in range(d)]
     weights += [(steps[:, i] * steps[:, j]).sum(axis=1) / 4.0 for i, j in itertools.combinations(range(d), 2)]
     weights += [rest[:, k] for k in range(d)] + [np.ones(len(cells))]
-    sizes = np.array([block_size(n) for n in part.relation["reach"]])
+    sizes = np.array(_blocks(part))
     looked = tuple((np.floor(position + LOOK).astype(np.int64) // sizes).T)
     lacking = np.repeat(tables.slack * largest[:, None], len(cells), axis=1)
     for weight, table in zip(weights, around[1:], strict=False):

@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray, Grid, corner_sides, grid_laws, of_cells, shape_text, to_places
-from ..relations import AffineBoxes, MapRelation
+from ..relations import AffineBoxes, MapRelation, block_of
 from ..values import beside, to_host
 from .choices import Choices, MeansAt, StepPolicy
 from .corner_forms import SubLattice, best_below
-from .lattice_kernel import LatticeKernel, bend_of, block_of, blocks_of, lattice_kernel
+from .lattice_kernel import LatticeKernel, bend_of, blocks_of, lattice_kernel
 from .target_windows import TargetWindows, windows_of
 
 LOOK = 0.37

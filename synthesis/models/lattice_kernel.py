@@ -25,16 +25,13 @@ import numpy as np
 
 from ...envs.agents import Gaussian, Law, Uniform
 from ..cells import FloatArray, Grid, RelationRefused
+from ..relations import block_of
 from ..values import beside, take, to_host
 from .bends import SECOND
 from .box_kernel import rounding_of, slack_of
 from .kernel import Kernel
 from .linear_kernel import hat_table
 from .uniform_ends import UniformEnds, uniform_hats
-
-BLOCKS, LEAST_REACH = 3, 4
-"""Blocks within reach to either side, and the reach from which two of them are enough: more of them see less that is
-beyond reach, and take longer. The check has blocks of its own, which are to divide these: it sees no more then."""
 
 NUMBERS_AT_ONCE = 200_000
 """Numbers of tables whose differences are formed at once: they fit into the cache of a core."""
@@ -200,11 +197,6 @@ def _largest_in_windows(tables: FloatArray, axis: int, reach: int) -> FloatArray
         wide = np.maximum(_part(wide, axis, slice(0, ends)), _part(wide, axis, slice(step, step + ends)))
         width += step
     return wide
-
-
-def block_of(reach: int) -> int:
-    """Return the lattice points of a block along an axis: those for which largest differences are taken at once."""
-    return max(2, reach // BLOCKS) if reach >= LEAST_REACH else 1
 
 
 def blocks_of(shape: tuple[int, ...], reach: tuple[int, ...]) -> tuple[int, ...]:

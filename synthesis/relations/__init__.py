@@ -1,6 +1,6 @@
 """What ties a continuous agent to its cells, and how surely it holds."""
 
-from .affine_means import AffineBoxes, AffineMeans, MapRelation, MatrixMaps, map_relation
+from .affine_means import AffineBoxes, AffineMeans, MapRelation, MatrixMaps, block_of, map_relation
 from .aims import aimed_relation
 from .boxes import BoxRelation, LinearMeans, MeanBoxes, NetworkMeans, box_relation
 from .commands import Command, commands_of
@@ -60,9 +60,10 @@ __all__ = [
     "WrittenTargets",
     "aimed_relation",
     "best_feedback",
-    "commands_of",
+    "block_of",
     "box_relation",
     "check_description",
+    "commands_of",
     "couple",
     "coupling_failure",
     "describe_relation",

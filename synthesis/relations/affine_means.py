@@ -42,6 +42,10 @@ from .rounding import missed_cells, reading_of
 from .solved_means import WrittenTargets
 from .written_means import ROTATED
 
+BLOCKS, LEAST_REACH = 3, 4
+"""Blocks of lattice points within reach to either side, and the reach from which two of them are enough: more of them
+see less that is beyond reach, and take longer."""
+
 COMPUTED = 1e-13
 """Share of the size of a mean by which it may be off as it is computed; the check allows for less."""
 
@@ -289,7 +293,8 @@ class MapRelation(ReadsCoordinates):
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""
-        numbers = {"parts": self.parts, "cuts": self.means.cuts, "reach": [*self.reach]}
+        blocks = [block_of(n) for n in self.reach]
+        numbers = {"parts": self.parts, "cuts": self.means.cuts, "reach": [*self.reach], "blocks": blocks}
         network = {} if self.network is None else {"network": self.network.description}
         aims = {} if self.aims is None else {"aims": True}
         return {"kind": "linear", "menu": self.menu.tolist(), **numbers, **network, **aims}
@@ -310,6 +315,11 @@ class MapRelation(ReadsCoordinates):
         reading = reading_of(agent, self.coordinates)
         misread = missed_cells(reading, reading.read, edges)
         return misread if self.aims is None else max(misread, self.aims.execution_loss(agent, edges))
+
+
+def block_of(reach: int) -> int:
+    """Return the lattice points of a block along an axis: those for which largest differences are taken at once."""
+    return max(2, reach // BLOCKS) if reach >= LEAST_REACH else 1
 
 
 def map_relation(

@@ -2,9 +2,9 @@
 
 ``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
 expressions, and ``"common"`` where inputs are chosen in common; with ``"parts"`` and ``"network"`` where networks move
-agents), ``{"kind": "linear", "menu", "parts", "cuts", "reach"}``
+agents), ``{"kind": "linear", "menu", "parts", "cuts", "reach", "blocks"}``
 (with ``"aims"`` where targets are offered beside the menu, and ``"network"`` where networks move agents; files of 0.1
-and 0.2 have neither cuts nor reach for matrices),
+and 0.2 have neither cuts nor reach for matrices, and no blocks),
 ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
 "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
 "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them
@@ -200,3 +200,8 @@ def _check_maps(description: dict[str, Any], agent: AnyAgent) -> None:
         raise ValueError("a relation does not say of every axis how far differences reach")
     if any(type(n) is not int or not 0 <= n <= MOST_REACH for n in reach):
         raise ValueError(f"a relation has differences that reach farther than {MOST_REACH} lattice steps")
+    blocks = description.get("blocks", reach)
+    if not isinstance(blocks, list) or len(blocks) != agent.n_states:
+        raise ValueError("a relation does not say of every axis how many lattice points are looked at together")
+    if "blocks" in description and any(type(n) is not int or not 1 <= n <= MOST_REACH + 1 for n in blocks):
+        raise ValueError(f"a relation looks at more than {MOST_REACH + 1} lattice points together, or at none")

@@ -18,6 +18,7 @@ from ...synthesis.certificates import (
     Certificate,
     Synthesis,
     any_certificate,
+    certificate_from,
     on_cells,
     relations_tried,
     rounded_up,
@@ -294,7 +295,8 @@ def validate(
         (.999), chunk, executor, progress; see ``TrialPlan``. After Ctrl-C the report is about the episodes finished by
         then, a prefix in index order.
     initial_state : optional
-        Start of the rollouts, as in ``Problem.replace``; the claim is then the certificate's bound there.
+        Start of the rollouts, as in ``Problem.replace``; the claim is then the certificate's bound there. A set of
+        starts needs one, a (d,) array.
     sequential : bool
         Stop at the first episode that confirms or refutes the claim. Verdict and limits then come from e-processes,
         which hold whenever one stops; the limits are wider than those of a fixed number of episodes.
@@ -311,7 +313,9 @@ def validate(
     """
     settled = planned(plan, trial, 100_000)
     check_confidence(settled.confidence)
-    certificate = any_certificate(result)
+    certificate = certificate_from(result)
+    certificate, initial_state = certificate.proof.begun(certificate, initial_state)
+    certificate = any_certificate(certificate)
     behaviours = _behaviours(certificate)
     if disturbance is not None:
         # "greedy" needs a certificate to play against; the other names are those of the dynamics

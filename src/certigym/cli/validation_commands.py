@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from ..synthesis.certificates import Offer, from_start, load_certificate, rounded_down
+from ..synthesis.certificates import load_certificate, rounded_down
 from ..synthesis.checking import CheckReport
 from ..validation.audits import audit as audit_certificate
 from ..validation.reports import report as write_report
@@ -36,11 +36,7 @@ INVALID = "invalid: it fails its check"
 
 def validate(options: Namespace) -> int:
     """Test a saved certificate by rollouts."""
-    certificate, state = load_certificate(options.certificate), state_of(options)
-    if Offer.ONE_START in certificate.proof.lacks and state is not None:
-        # A set of starts has a controller for each of them, which knows it.
-        return validate_result(options, from_start(certificate, state), None)
-    return validate_result(options, certificate, state)
+    return validate_result(options, load_certificate(options.certificate), state_of(options))
 
 
 def validate_result(
