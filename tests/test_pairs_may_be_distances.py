@@ -285,6 +285,17 @@ def test_mistakes_in_files_are_named(change: tuple[str, str], message: str | Non
         _from_toml(text)
 
 
+def test_outputs_that_are_compared_go_by_name() -> None:
+    """Agents whose states have different names; numbers and names mean the same."""
+    first = FILE.replace('of = ["x", "y"]', "outputs = [[0], [1]]")
+    second = FILE.replace('of = ["x", "y"]', 'outputs = [["x"], ["y"]]')
+    assert first != second
+    regions = [next(iter(_from_toml(text).labeling.pairs)) for text in (first, second)]
+    assert regions[0].outputs == regions[1].outputs == ((0,), (1,))
+    with pytest.raises(ValueError, match="expected states, got 'z'"):
+        _from_toml(FILE.replace('of = ["x", "y"]', 'outputs = [["x"], ["z"]]'))
+
+
 def test_rewards_know_how_far_is_left() -> None:
     """The share of the way grows as agents come nearer in the plane, and not only along one axis."""
     low, high, width = (np.array([[[value]], [[value]]]) for value in (-1.0, 1.0, 10.0))

@@ -52,8 +52,9 @@ class Pair:
     low, high : array_like, shape (p,), or sequences of numbers and strings
         Corners, finite, `low < high`, in units of the outputs. Strings are expressions in the time `t`: then the box
         moves, and holds nothing at times at which `low < high` does not hold.
-    outputs : pair of sequences of int, optional
-        Which outputs of a and which of b are compared, in order; default: all of them.
+    outputs : pair of sequences of int or str, optional
+        Which outputs of a and which of b are compared, in order, by number, or by the names of states; default: all of
+        them.
     pairs : "all" or "neighbours"
         Of the agents that a single pattern matches, in the order of the problem: each with each later one, or each
         with the next one.
@@ -82,7 +83,7 @@ class Pair:
     agents: tuple[str, str] | str
     low: np.ndarray
     high: np.ndarray
-    outputs: tuple[tuple[int, ...], tuple[int, ...]] | None
+    outputs: tuple[tuple[str | int, ...], tuple[str | int, ...]] | None
     pairs: str
     distance: float | str | None
     of_states: tuple[str | int, ...] | None
@@ -275,23 +276,35 @@ def _checked_names(agents: Any) -> tuple[str, str] | str:
     return first, second
 
 
-def _checked_outputs(outputs: Any, length: int | None) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the numbers of the outputs compared, of both agents; raise ValueError if they are malformed."""
+def _checked_outputs(outputs: Any, length: int | None) -> tuple[tuple[str | int, ...], tuple[str | int, ...]]:
+    """Return the numbers or names of the outputs compared, of both agents; raise ValueError if they are malformed."""
     if not isinstance(outputs, Sequence) or isinstance(outputs, str) or len(outputs) != 2:
         raise ValueError(f"`outputs`: expected two lists of numbers of outputs, got {shown(outputs)}")
     result = []
     for axes in outputs:
         numbers = list(axes) if isinstance(axes, Sequence) and not isinstance(axes, str) else [axes]
-        if not all(isinstance(k, int | np.integer) and not isinstance(k, bool) and k >= 0 for k in numbers):
-            raise ValueError(f"`outputs`: expected numbers of outputs from 0 on, got {shown(axes)}")
+        if not all(
+            _is_name(k) or (isinstance(k, int | np.integer) and type(k) is not bool and k >= 0) for k in numbers
+        ):
+            raise ValueError(f"`outputs`: expected numbers of outputs from 0 on, or names, got {shown(axes)}")
         length = len(numbers) if length is None else length
         if not length or len(numbers) != length or len(set(numbers)) != length:
             raise ValueError(
                 f"`outputs`: expected {length or 'some'} different outputs of each agent, as many as are compared, got "
                 f"{numbers}"
             )
-        result.append(tuple(int(k) for k in numbers))
+        result.append(tuple(k if _is_name(k) else int(k) for k in numbers))
     return result[0], result[1]
+
+
+def _is_number(entry: Any) -> bool:
+    """Return whether an entry of ``outputs`` is the number of one."""
+    return isinstance(entry, int | np.integer) and not isinstance(entry, bool) and bool(entry >= 0)
+
+
+def _is_name(entry: Any) -> bool:
+    """Return whether an entry of ``outputs`` is the name of one."""
+    return isinstance(entry, str) and entry != ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -520,7 +533,8 @@ def _compared(
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return the outputs of both agents that a pair compares."""
     if pair.outputs is not None:
-        return pair.outputs
+        first, second = (_numbers_of(name, agent, axes) for agent, axes in zip(agents, pair.outputs, strict=True))
+        return first, second
     if pair.of_states is not None:
         first, second = (_outputs_of(name, agent, pair.of_states) for agent in agents)
         return first, second
@@ -533,13 +547,19 @@ def _compared(
         remedy = 'say which to compare with `of = ["x", "y"]`, or with `outputs`'
     else:
         what, got = "corners of as many numbers as both agents have outputs", f"{length} against "
-        remedy = "say which to compare with `outputs`"
+        named = ", ".join(f'["{agent.state_names[0]}"]' if agent.state_names else "[0]" for agent in agents)
+        remedy = f"say which to compare, such as `outputs = [{named}]`"
     if tuple(sizes) != (length, length) or length > most:
         raise ValueError(
             f"`propositions.{name}`: expected {what}, got {got}{sizes[0]} ({agents[0].name}) and {sizes[1]} "
             f"({agents[1].name}); {remedy}"
         )
     return tuple(range(length)), tuple(range(length))
+
+
+def _numbers_of(name: str, agent: AnyAgent, outputs: Sequence[str | int]) -> tuple[int, ...]:
+    """Return the numbers of outputs of an agent; names are those of states that are outputs."""
+    return tuple(_outputs_of(name, agent, [k])[0] if isinstance(k, str) else k for k in outputs)
 
 
 def _outputs_of(name: str, agent: AnyAgent, states: Sequence[str | int]) -> tuple[int, ...]:

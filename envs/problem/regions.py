@@ -117,9 +117,10 @@ def _check_compared(written: Mapping[str, AnyProposition], agents: Mapping[str, 
     for name, pair in written.items():
         if isinstance(pair, Pair) and pair.outputs is not None:
             for agent, axes in zip((agents[str(own)] for own in pair.agents), pair.outputs, strict=True):
-                if max(axes) >= agent.n_outputs:
+                last = max((k for k in axes if not isinstance(k, str)), default=-1)
+                if last >= agent.n_outputs:
                     wanted = f"outputs of {agent.name} below {agent.n_outputs}"
-                    raise ValueError(f"`propositions.{name}`: expected {wanted}, got {max(axes)}")
+                    raise ValueError(f"`propositions.{name}`: expected {wanted}, got {last}")
 
 
 @dataclass(frozen=True, eq=False)
