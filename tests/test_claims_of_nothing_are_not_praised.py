@@ -101,7 +101,7 @@ def test_commands_fail_with_the_check(
         asked.append(certificate)
         return CheckReport(False, certificate.lower_bound, 0.0, ("sabotage",))
 
-    monkeypatch.setattr("certigym.cli.synthesis_commands.check_claim", refuse)
+    monkeypatch.setattr("certigym.cli.work.check", refuse)
     assert main([*words, "--json", str(tmp_path / "r.json")]) == 1
     assert len(asked) == 1  # once
     assert "nothing is certified: sabotage" in capsys.readouterr().out
