@@ -51,6 +51,9 @@ NARROWEST = 1e-12
 HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a plan counts as impossible."""
 
+PATIENCE = 1.0 / 32.0
+"""Share of what the search may take, for each state of the largest agent, that plans may take as long as none works."""
+
 
 def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synthesis:
     """Return a certificate along a path; along nonlinear ones where an agent is not linear from a point.
@@ -71,11 +74,12 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
     linear = all(agent.is_linear_gaussian and agent.initial.is_point for agent in problem.agents)
     if problem.labeling.pairs or not linear:
         return nonlinear_certificate(problem, SOURCES, work)
-    finder = _Finder(problem)
+    finder = _Finder(problem, work)
     best: tuple[float, Plan, Any] | None = None
+    patience = work.spent + PATIENCE * max(agent.n_states for agent in problem.agents) * work.limit
     for plans, enough in zip((source(problem) for source in SOURCES), (GOOD, ENOUGH, GOOD, GOOD), strict=True):
         for plan in islice(plans, MOST_PLANS):
-            if best is not None and (best[0] <= enough or work.is_over()):
+            if work.spent > patience if best is None else best[0] <= enough or work.is_over():
                 break
             found = finder.of_plan(plan)
             if found is not None and (best is None or found[0] < best[0]):
@@ -268,8 +272,8 @@ def _with_better_times(finder: _Finder, best: tuple[float, Plan, Any]) -> tuple[
 class _Finder:
     """Paths for plans; what depends on steps and feedback alone is computed once."""
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem, self.tried = problem, 0
+    def __init__(self, problem: Problem, work: CountedWork) -> None:
+        self.problem, self.work, self.tried = problem, work, 0
         self.gains: dict[tuple[int, int], FloatArray | None] = {}
         self.known: dict[object, Any] = {}
 
@@ -328,6 +332,7 @@ class _Finder:
                     continue  # regions that do not meet, or hardly, on this side
                 # Without noise in a limit only the nominal path counts; the start is exact.
                 u = nominal_inputs(agent, states, inputs, response)
+                self.work.programmed(u.size)
                 failure = failure_along(agent, u, states, inputs)
                 if failure < best[0]:
                     best = failure, AgentPath(u, gain), faces[:, own]
