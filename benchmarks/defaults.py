@@ -109,12 +109,12 @@ def measured(name: str) -> dict[str, Any]:
 
 def _on_grids(part: Any) -> tuple[Any, ...]:
     """Return the agents of a certificate that have cells."""
-    return tuple(part.proof.agents) if part.proof.has_cells else ()
+    return tuple(part.proof.agents_of(part.problem)) if part.proof.has_cells else ()
 
 
 def _kinds(part: Any) -> list[str]:
     """Return the relations of a certificate."""
-    return [agent.relation["kind"] for agent in part.proof.agents] if part.proof.has_cells else ["path"]
+    return [agent.relation["kind"] for agent in _on_grids(part)] or ["path"]
 
 
 def longer(name: str) -> list[dict[str, Any]]:

@@ -20,6 +20,7 @@ from ..envs.problem import Problem, opposite_inside, opposite_of
 from .cells import RelationRefused
 from .certificates import OnGrid, Synthesis, any_certificate, changed, with_claims
 from .certification import certificate_of
+from .checking import check
 from .choosing import Effort, OutOfTime, policies_from, settings_of
 from .models import Abstraction, Policies, Settings, abstraction_of, join, start_of, surrounded
 from .raw_networks import network_abstraction_of
@@ -95,21 +96,36 @@ def _work_of_models(certificate: OnGrid) -> float:
 
 
 def _opposite(certificate: OnGrid, effort: Effort) -> OnGrid:
-    """Return the certificate of the same controllers for the opposite task; raise OutOfTime if that takes too much."""
-    problem, abstraction, found = certificate.problem, abstraction_again(certificate), list[OnGrid]()
+    """Return the certificate of the same controllers for the opposite task, which separate code accepts.
+
+    Raises
+    ------
+    OutOfTime
+        If that takes too much.
+    ValueError
+        If separate code refuses it.
+    """
+    problem, abstraction = certificate.problem, abstraction_again(certificate)
     policies = tuple(
         np.broadcast_to(part.policy, (problem.horizon, *part.policy.shape[1:])) for part in certificate.proof.agents
     )
-    try:
-        other = opposite_of(problem)
-        found.append(evaluated(other, *surrounded(other, abstraction, policies), certificate, effort))
-    except RelationRefused:
-        pass  # there would be too many cells around the workspaces
-    if not found or any(model.delta > 0.0 for model in abstraction.models):
-        # Runs that leave count as if they might have succeeded. Where relations may be lost, what is lost of exits may
-        # be more than they are worth.
-        found.append(evaluated(opposite_inside(problem), abstraction, policies, certificate, effort))
-    return max(found, key=lambda one: one.lower_bound)
+    # Unions from below rest on ratios of small numbers, of which separate code may find others. Without them trees are
+    # larger, and nothing rests on ratios.
+    for unites in (True, False) if any(model.is_linear for model in abstraction.models) else (True,):
+        found = list[OnGrid]()
+        try:
+            other = opposite_of(problem)
+            found.append(evaluated(other, *surrounded(other, abstraction, policies), certificate, effort, unites))
+        except RelationRefused:
+            pass  # there would be too many cells around the workspaces
+        if not found or any(model.delta > 0.0 for model in abstraction.models):
+            # Runs that leave count as if they might have succeeded. Where relations may be lost, what is lost of exits
+            # may be more than they are worth.
+            found.append(evaluated(opposite_inside(problem), abstraction, policies, certificate, effort, unites))
+        for one in sorted(found, key=lambda one: -one.lower_bound):
+            if check(one):
+                return one
+    raise ValueError("separate code does not find what it claims")
 
 
 def abstraction_again(certificate: OnGrid) -> Abstraction:
@@ -128,9 +144,17 @@ def abstraction_again(certificate: OnGrid) -> Abstraction:
 
 
 def evaluated(
-    problem: Problem, abstraction: Abstraction, policies: Policies, certificate: OnGrid, effort: Effort | None = None
+    problem: Problem,
+    abstraction: Abstraction,
+    policies: Policies,
+    certificate: OnGrid,
+    effort: Effort | None = None,
+    unites: bool = True,
 ) -> OnGrid:
-    """Return the certificate of given policies for another task of the agents of a certificate."""
+    """Return the certificate of given policies for another task of the agents of a certificate.
+
+    Terms of steps that are not additive are united from below if ``unites``.
+    """
     effort = Effort(allowance=math.inf) if effort is None else effort
     joint = replace(join(problem, abstraction), spend=effort.count)
     limits = LIMITS
@@ -138,7 +162,8 @@ def evaluated(
         limits = Limits() if math.isfinite(effort.allowance) else FINAL
     # Whether unions from below pay is not known before; with linear cells they hardly lose.
     lossy = [model for model in joint.models if not model.is_additive and not model.is_linear]
-    climbs = (0.0, None) if lossy and len(joint.models) > 1 else (0.0,)
+    climbs: tuple[float | None, ...] = (0.0,) if unites else (None,)
+    climbs = (0.0, None) if lossy and len(joint.models) > 1 else climbs
     start = start_of(problem, joint)
 
     def watch(stage: Stage) -> None:

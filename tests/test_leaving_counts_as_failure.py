@@ -252,3 +252,10 @@ def test_starts_on_the_upper_face_are_inside(relation: str, gap: float) -> None:
     problem = two_agents("G !b", "finite-trace", horizon=2, initial_state=[4.0])
     end: Any = bound_above(changed(cg.synthesize(problem, 30, relation=relation).certificate, gap=None))
     assert cg.check(end) and 0.3 < end.lower_bound and end.gap < gap
+
+
+def test_ends_are_those_that_separate_code_finds_too() -> None:
+    """Unions from below rest on ratios of small numbers, which the check does not find here: it has no part in them."""
+    certificate = cg.synthesize("decoupled-chain-v0", above=True).certificate
+    assert certificate.gap is not None and certificate.gap < 5e-4
+    assert cg.check(certificate)
