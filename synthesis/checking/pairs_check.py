@@ -28,6 +28,7 @@ from ..cells import FloatArray
 from ..certificates import OnGrid, axis_tables, lost_to_rounding, state
 from .forward_mass import moved
 from .geometry import start_shares
+from .guard_check import cell_classes
 
 if TYPE_CHECKING:
     from ...envs.problem import Problem
@@ -49,14 +50,28 @@ def wrong_pairs(certificate: Certificate[SubtractionProof], problem: Problem) ->
     if usual.shape != (len(problem.labeling.pairs),):
         return ["what it takes its pairs to be does not fit the problem"], 1.0
     failures = _wrong_base(problem, base.problem, usual) or _wrong_agents(problem, base)
-    if base.gap is not None and not np.array_equal(base.problem.automaton.dead, problem.automaton.dead):
-        failures.append("it claims an upper end, but pairs may save what is lost without them")
+    if base.gap is not None and not failures:
+        failures = _unseen(problem, base)
     if failures:
         return failures, 1.0
     try:
         return [], _spoiled(problem, base, usual)
     except OverflowError as error:
         return [str(error)], 1.0
+
+
+def _unseen(problem: Problem, base: OnGrid) -> list[str]:
+    """Why pairs may make a success of runs whose mass is not counted, so that there is no upper end."""
+    if not np.array_equal(base.problem.automaton.dead, problem.automaton.dead):
+        return ["it claims an upper end, but pairs may save what is lost without them"]
+    for i, part in enumerate(base.proof.agents):
+        _, possible, inside = cell_classes(base.problem, i, part, None)
+        if np.any(possible.sum(axis=1) != 1) or not inside.all():
+            return [
+                f"it claims an upper end, but a cell of agent `{problem.agents[i].name}` has no certain class: runs "
+                "through it are not counted, and pairs may save them"
+            ]
+    return []
 
 
 def _wrong_base(problem: Problem, base: Problem, usual: NDArray[np.bool_]) -> list[str]:
