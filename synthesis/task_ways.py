@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from .choosing import (
     linear_work,
     refine,
     refused,
+    with_chosen_cells,
     with_settings,
     work_of,
 )
@@ -133,7 +133,7 @@ def ways_within(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]
             return best
         parts = zip(problem.agent_names, best.certificate.proof.agents, strict=True)
         shapes = {name: part.grid.shape for name, part in parts}
-        return _with_cells(compared(problem, shapes, kinds, plan, best), best.stats["cells"])
+        return with_chosen_cells(compared(problem, shapes, kinds, plan, best), best.stats["cells"])
 
     rest = Way("others", others, enough=1.0)
     few = problem.n_agents <= FEW_AGENTS or is_scalar(problem)
@@ -391,10 +391,4 @@ def _run_of_levels(problem: Problem, plan: Plan) -> Run:
 def _refined(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     """Return the best synthesis under given relations, on cells that are made finer until the budget is used up."""
     assert plan.budget is not None
-    best, record = refine(problem, lambda cells: plain(problem, cells, kinds, plan), kinds, plan.budget)
-    return _with_cells(best, record)
-
-
-def _with_cells(result: Synthesis, record: Any) -> Synthesis:
-    """Return a synthesis whose certificate records how its cells were chosen."""
-    return replace(with_settings(result, {"cells_chosen": record}), stats={**result.stats, "cells": record})
+    return refine(problem, lambda cells: plain(problem, cells, kinds, plan), kinds, plan.budget)

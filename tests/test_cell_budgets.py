@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.cells import RelationRefused
+from certigym.synthesis.certificates import changed, with_claims
 from certigym.synthesis.choosing.cell_budget import MOST_COMBINATIONS, cells_at, snapping_loss
 from certigym.synthesis.choosing.cell_choice import Budget, refine
 from certigym.synthesis.models.abstraction import abstract
@@ -133,16 +134,20 @@ def test_budgets_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_the_largest_bound_of_all_runs_is_kept() -> None:
-    bounds = iter([0.3, 0.5, 0.4])
+    problem, bounds = cg.make_problem("reach-avoid-v0"), iter([0.3, 0.5, 0.4])
+    found = cg.synthesize(problem, 8, horizon=1, max_sweeps=0)
 
     def run(cells: object) -> Any:
         try:
-            return SimpleNamespace(certificate=SimpleNamespace(lower_bound=next(bounds)))
+            bound = next(bounds)
         except StopIteration:
             raise RelationRefused("no more") from None
+        return replace(found, certificate=with_claims(found.certificate, lambda one: changed(one, lower_bound=bound)))
 
-    best, record = refine(cg.make_problem("reach-avoid-v0"), run, ["auto"] * 2, Budget(memory=2e7))
+    best = refine(problem, run, ["auto"] * 2, Budget(memory=2e7))
+    record: Any = best.stats["cells"]
     assert best.certificate.lower_bound == record["lower_bound"] == 0.5
+    assert best.certificate.settings["cells_chosen"] == record
 
 
 def test_many_axes_are_not_compared_in_all_combinations(monkeypatch: pytest.MonkeyPatch) -> None:

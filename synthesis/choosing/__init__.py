@@ -1,6 +1,6 @@
 """Which ways to certify a task are tried: relations, cells, and from which policies to start."""
 
-from .cell_choice import Budget, refine
+from .cell_choice import Budget, refine, with_chosen_cells
 from .effort import Effort, OutOfTime
 from .given_start import policies_from, settings_of
 from .levels import Run, box_work, finer_levels, first_cells, linear_levels, linear_work, work_of
@@ -33,6 +33,7 @@ __all__ = [
     "refine",
     "refused",
     "settings_of",
+    "with_chosen_cells",
     "with_settings",
     "work_of",
 ]

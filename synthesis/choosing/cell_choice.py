@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import tracemalloc
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from ...envs.problem import Problem
 from ..cells import RelationRefused
 from ..certificates import Synthesis
 from .cell_budget import MOST_CELLS_PER_AXIS, AgentCells, base_bytes, cells_at, snapping_loss
+from .ways import with_settings
 
 RunAtCells = Callable[[Mapping[str, tuple[int, ...]]], Synthesis]
 """Synthesis with given cells per agent and axis."""
@@ -112,8 +113,8 @@ class _RunsSoFar:
         return None
 
 
-def refine(problem: Problem, run: RunAtCells, kinds: Sequence[str], budget: Budget) -> tuple[Synthesis, dict[str, Any]]:
-    """Return the best of several runs, and a record of how its cells were chosen (plain values).
+def refine(problem: Problem, run: RunAtCells, kinds: Sequence[str], budget: Budget) -> Synthesis:
+    """Return the best of several runs; ``stats["cells"]`` and its certificate record how its cells were chosen.
 
     Parameters
     ----------
@@ -165,7 +166,12 @@ def refine(problem: Problem, run: RunAtCells, kinds: Sequence[str], budget: Budg
         last_words = runs.tried[-1]["refused"]
         raise ValueError(f"`memory`: no cells within {runs.memory:.3g} bytes gave a certificate: {last_words}")
     stop = {"stopped": reason, "memory": runs.memory, "accuracy": accuracy, "tried": runs.tried}
-    return best, {**runs.tried[chosen], **stop}
+    return with_chosen_cells(best, {**runs.tried[chosen], **stop})
+
+
+def with_chosen_cells(result: Synthesis, record: Any) -> Synthesis:
+    """Return a synthesis whose certificate records how its cells were chosen (plain values)."""
+    return replace(with_settings(result, {"cells_chosen": record}), stats={**result.stats, "cells": record})
 
 
 def _finer(runs: _RunsSoFar, resolution: float, accuracy: float | None) -> tuple[float, dict[str, AgentCells]] | None:
