@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from .cells import RelationRefused
 from .certificates import Certificate, OnGrid, SubtractionProof, changed
 from .models import JointModel, Policies, start_of
 from .pairs import Avoidance, NearMass
-from .search import FINAL, Search, Sweep, sweep
+from .search import FINAL, Relaxation, Search, Sweep, TrainSweep, find_policies, sweep
 
 ROUNDS = 6
 """Most times that every agent answers to the others: as a rule two are enough."""
@@ -34,18 +36,31 @@ def less_nearness(
     return Certificate(problem, SubtractionProof(base, tuple(usual.tolist()), min(1.0, near)), used)
 
 
+Evaluated = Callable[[Policies], Sweep | TrainSweep]
+"""The value of policies that are not changed, as a tree or as tensor trains."""
+
+
+def evaluated_by(base: Problem, joint: JointModel, search: Search, relaxations: tuple[Relaxation, ...]) -> Evaluated:
+    """Return how policies are evaluated: by trees, or by tensor trains where a search asks for them."""
+    if search.value == "train":
+        once = replace(search, max_sweeps=0)
+        return lambda policies: find_policies(base, joint, once, {"answers": policies}, relaxations).best
+    start = start_of(base, joint)
+    return lambda policies: sweep(joint, policies, start, FINAL, improve=False)
+
+
 def kept_apart(
-    base: Problem, joint: JointModel, masses: NearMass, first: Sweep, search: Search
-) -> tuple[Sweep, float, list[list[float]]]:
+    masses: NearMass, first: Sweep | TrainSweep, search: Search, evaluated: Evaluated
+) -> tuple[Sweep | TrainSweep, float, list[list[float]]]:
     """Return the best policies, evaluated frozen; how likely pairs are near; and value and nearness of all tried."""
     best, near = first, nearness(masses, first.policies)
     record = [[first.value, min(near, MOST_RECORDED)]]
     if near <= WORTH or not search.max_sweeps:
         return best, near, record
-    avoidance, policies, start = Avoidance(masses), first.policies, start_of(base, joint)
+    avoidance, policies = Avoidance(masses), first.policies
     for k in range(min(ROUNDS, search.max_sweeps)):
         policies = avoidance.answers(policies, heed_all=k > 0)
-        outcome, spoilt = sweep(joint, policies, start, FINAL, improve=False), nearness(masses, policies)
+        outcome, spoilt = evaluated(policies), nearness(masses, policies)
         record.append([outcome.value, min(spoilt, MOST_RECORDED)])
         gain = (outcome.value - spoilt) - (best.value - near)
         if gain > 0.0:

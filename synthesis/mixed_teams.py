@@ -20,7 +20,7 @@ from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import AlongPath, Certificate, MixedProof, Synthesis, known_letters, reached_states
 from .certification import certificate_of
 from .choosing import SOLVED, Way, refused
-from .keeping_apart import kept_apart, less_nearness
+from .keeping_apart import evaluated_by, kept_apart, less_nearness
 from .models import abstraction_of, join
 from .nominal_paths import certified_paths, refuse_without_path
 from .on_cells import Plan
@@ -36,7 +36,7 @@ from .pairs import (
     what_asks,
     without_pairs,
 )
-from .search import FINAL, Sweep, find_policies
+from .search import FINAL, find_policies
 
 PATH, GRID = 0.03, 2e-5
 """Work of paths for each step and state of a team, and of grids for each cell and step."""
@@ -117,14 +117,13 @@ def _on_grids(
     pairs = bool(grids.labeling.pairs)
     usual = usual_values(grids)
     base = without_pairs(grids, usual) if pairs else grids
-    kinds, search = ["exact"] * grids.n_agents, plan.search
+    kinds, search = ["exact"] * grids.n_agents, replace(plan.search, value="tree")
     own = {name: cells[name] for name in grids.agent_names if name in cells} if isinstance(cells, dict) else cells
     abstraction = abstraction_of(base, own, kinds, plan.settings.of_kinds(kinds))
     joint = replace(join(base, abstraction, search.device), finds_alike=True)
     masses = NearMass(grids, base, joint, relevant_pairs(grids), usual, beside)
-    found = find_policies(base, joint, replace(search, value="tree"))
-    assert isinstance(found.best, Sweep)
-    best, near, record = kept_apart(base, joint, masses, found.best, search)
+    found = find_policies(base, joint, search)
+    best, near, record = kept_apart(masses, found.best, search, evaluated_by(base, joint, search, found.relaxations))
     among, between = masses.bounds(best.policies) if np.isfinite(near) else (1.0, 1.0)
     used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL), "answers": record}
     name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"

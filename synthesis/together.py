@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,14 +20,14 @@ from .agreement import along_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import OnGrid, Synthesis, joint_certificate
 from .certification import certificate_of
-from .choosing import SOLVED, Results, Way, policies_from, refused
-from .keeping_apart import kept_apart, less_nearness
+from .choosing import SOLVED, Results, Way, policies_from, refine, refused
+from .keeping_apart import evaluated_by, kept_apart, less_nearness
 from .mixed_teams import mixed_way
-from .models import Relations, Settings, abstraction_of, check_names, join, start_of
+from .models import Relations, Settings, abstraction_of, check_names, join
 from .nominal_paths import refuse_without_path
 from .on_cells import Plan
 from .pairs import TEAM, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
-from .search import FINAL, Search, Sweep, find_policies, sweep
+from .search import FINAL, Search, find_policies
 
 WAYS = ("auto", "exact", "joint", "path", "mixed")
 """Relations that a problem with pairs can be asked for; ``exact`` is the bound by subtraction."""
@@ -76,7 +77,11 @@ def ways_together(
 
     def subtraction(results: Results) -> Synthesis:
         _refuse_for_subtraction(plan, has_start and not begins_apart)
-        return by_subtraction(problem, cells, plan.search, plan.settings, start)
+        if plan.budget is None:
+            return by_subtraction(problem, cells, plan.search, plan.settings, start)
+        base, kinds = without_pairs(problem, usual_values(problem)), ["exact"] * problem.n_agents
+        run = partial(by_subtraction, problem, search=plan.search, settings=plan.settings)
+        return refine(base, run, kinds, plan.budget)
 
     def joint(results: Results) -> Synthesis:
         if begins_apart:
@@ -132,8 +137,8 @@ def _refuse_for_subtraction(plan: Plan, has_start: bool) -> None:
             "what pairs may spoil grows with every step, and nothing is left of a bound by subtraction without a "
             "deadline; ask for `joint`"
         )
-    if _asks_for_grid(plan, has_start):
-        raise RelationRefused("subtracting what pairs may spoil has no budget, start or tensor trains; ask for `joint`")
+    if has_start:
+        raise RelationRefused("what is known of a joint agent is no start for agents that see themselves alone")
 
 
 def by_subtraction(
@@ -146,11 +151,9 @@ def by_subtraction(
     Raises
     ------
     RelationRefused
-        If an agent has no ``exact`` relation, a start is a box, or an output that a pair compares is no state.
+        If an agent has no ``exact`` relation, or an output that a pair compares is no state.
     """
     began = time.perf_counter()
-    if any(np.any(agent.initial.low != agent.initial.high) for agent in problem.agents):
-        raise RelationRefused("the bound by subtraction needs a known start, got one drawn from a box")
     usual = usual_values(problem)
     base = without_pairs(problem, usual)
     kinds = ["exact"] * problem.n_agents
@@ -161,10 +164,10 @@ def by_subtraction(
     joint = replace(join(base, abstraction, search.device), finds_alike=True)
     masses = NearMass(problem, base, joint, relevant_pairs(problem), usual)
     abstracted = time.perf_counter()
-    found = find_policies(base, joint, replace(search, value="tree"), given)
-    assert isinstance(found.best, Sweep)
-    begun = [sweep(joint, policies, start_of(base, joint), FINAL, improve=False) for policies in given.values()]
-    tries = [kept_apart(base, joint, masses, first, search) for first in (found.best, *begun)]
+    search = replace(search, value="train" if search.value == "train" else "tree")
+    found = find_policies(base, joint, search, given)
+    evaluated = evaluated_by(base, joint, search, found.relaxations)
+    tries = [kept_apart(masses, first, search, evaluated) for first in (found.best, *map(evaluated, given.values()))]
     best, near, record = max(tries, key=lambda tried: tried[0].value - tried[1])
     used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
     name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"

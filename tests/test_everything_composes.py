@@ -91,7 +91,6 @@ CANNOT: dict[str, dict[str, str]] = {
 WRITTEN_OUT = "it is about the problem written out alone"
 
 MISSING: dict[str, dict[str, str]] = {
-    "train": {"subtraction": "tasks about pairs do not ask for trains"},
     "shield": {"train": "values in time of trains are not read"},
     "permission": {"train": "permissions read trees alone"},
     "network": {
@@ -101,10 +100,8 @@ MISSING: dict[str, dict[str, str]] = {
     },
     "start box": {
         "exact correlated": "start boxes are read on cells that are boxes of states",
-        "subtraction": "pairs are read at points",
     },
     "safety rate": {"train": "rates read trees alone"},
-    "budget": {"subtraction": "tasks about pairs do not ask for budgets"},
 }
 """What could be and is not there yet: column, row, why."""
 

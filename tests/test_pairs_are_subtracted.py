@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from certigym.synthesis.checking.pairs_check import wrong_pairs
 from certigym.synthesis.models import Settings, abstraction_of, join
 from certigym.synthesis.pairs import NearMass, relevant_pairs, usual_values, without_pairs
 from certigym.synthesis.pairs import near_mass as near_module
+from certigym.synthesis.upper_ends import bound_above
 from certigym.validation.statistics.binomial import clopper_pearson
 from pair_problems import followers, mover, random_pairs, simulated
 
@@ -35,10 +37,17 @@ def dense(problem: cg.Problem, certificate: Certificate[SubtractionProof]) -> fl
     edges = [part.grid.edges[0] for part in base.proof.agents]
     spread = [float(np.sqrt(agent.noise_covariance[0, 0])) for agent in agents]
     automaton, first = problem.automaton, problem.labeling.first_pair
-    q0 = int(automaton.next_state(automaton.initial, problem.labeling.letter([a.initial.low for a in agents])))
-    cells = tuple(int(np.searchsorted(e, a.initial.low[0], "right")) - 1 for e, a in zip(edges, agents))
-    mass = {(q0, cells): 1.0}
-    total = 0.0
+    mass, total = dict[tuple[int, tuple[int, ...]], float](), 0.0
+    for k, pair in enumerate(problem.labeling.pairs):
+        if asks(problem, automaton.initial, first + k):
+            near = near_at_start(agents[pair.first].initial, agents[pair.second].initial, pair)
+            total += 1.0 - near if certificate.proof.usual[k] else near
+    shares = [overlaps(e, agent.initial) for e, agent in zip(edges, agents)]
+    for cells in itertools.product(*(np.flatnonzero(share).tolist() for share in shares)):
+        letter = base.problem.labeling.letter([[g[s]] for g, s in zip(grids, cells)])
+        q = int(base.problem.automaton.next_state(automaton.initial, letter))
+        if not base.problem.automaton.absorbing[q]:
+            mass[q, cells] = float(np.prod([share[s] for share, s in zip(shares, cells)]))
     for t in range(problem.horizon):
         following: dict[tuple[int, tuple[int, ...]], float] = {}
         for (q, at), weight in mass.items():
@@ -66,6 +75,23 @@ def dense(problem: cg.Problem, certificate: Certificate[SubtractionProof]) -> fl
     return total
 
 
+def near_at_start(first: Any, second: Any, pair: Any) -> float:
+    """Return how likely two scalar agents with starts drawn from boxes are near: a mean over starts of the first."""
+    x = first.low[0] + (np.arange(100_000) + 0.5) / 100_000 * (first.high[0] - first.low[0])
+    low, high = x - pair.high[0], x - pair.low[0]
+    if second.high[0] == second.low[0]:
+        return float(np.mean((low < second.low[0]) & (second.low[0] <= high)))
+    inside = np.clip(high, second.low[0], second.high[0]) - np.clip(low, second.low[0], second.high[0])
+    return float(np.mean(inside) / (second.high[0] - second.low[0]))
+
+
+def overlaps(edges: Any, start: Any) -> Any:
+    """Return the share of a scalar start in each cell."""
+    if start.high[0] == start.low[0]:
+        return (edges[:-1] <= start.low[0]) & (start.low[0] < edges[1:])
+    return np.diff(np.clip(edges, start.low[0], start.high[0])) / (start.high[0] - start.low[0])
+
+
 def asks(problem: cg.Problem, q: int, p: int) -> bool:
     """Whether some letter leads elsewhere from q if proposition p is changed."""
     n = len(problem.labeling.names)
@@ -74,6 +100,13 @@ def asks(problem: cg.Problem, q: int, p: int) -> bool:
     flipped[p] = ~flipped[p]
     states = np.full(1 << n, q)
     return bool(np.any(problem.automaton.next_state(states, letters) != problem.automaton.next_state(states, flipped)))
+
+
+def spread_starts(problem: cg.Problem, reach: float) -> cg.Problem:
+    """Return the problem with starts that are drawn from boxes around those that it has."""
+    low = {agent.name: agent.initial.low - reach for agent in problem.agents}
+    high = {agent.name: agent.initial.high + reach for agent in problem.agents}
+    return problem.replace(initial_low=low, initial_high=high)
 
 
 @pytest.mark.parametrize(
@@ -85,6 +118,9 @@ def asks(problem: cg.Problem, q: int, p: int) -> bool:
         (followers("G any(near) & F G goal", near=([-3.9], [-1.0]), horizon=4), True),
         (followers("(home | any(near)) U goal", near=([-3.9], [-1.0]), semantics="co-safe", horizon=4), False),
         (followers(APART, near=([-1.4], [-0.5]), horizon=3, starts=((-2.5,), (-0.5,), (1.5,))), True),
+        (spread_starts(followers(APART, near=([-2.9], [1.0]), horizon=3), 0.2), True),
+        (spread_starts(followers(PHASES, near=([-2.0], [1.0]), semantics="co-safe", horizon=3), 1.0), False),
+        (spread_starts(followers("G any(near) & F G goal", near=([-3.9], [-1.0]), horizon=3), 0.5), True),
     ],
 )
 def test_masses_are_those_of_a_dense_enumeration(problem: cg.Problem, is_tight: bool) -> None:
@@ -244,7 +280,6 @@ def test_reports_comparisons_and_validation_know_pairs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"initial_low": [-2.6], "initial_high": [-2.4], "initial_state": None}, "start"),
         ({"output_matrix": [[2.0]]}, "compares states"),
         ({"noise": [{"law": "uniform", "low": -0.3, "high": 0.3}], "noise_covariance": None}, "Gaussian"),
         ({"B": [[0.0]]}, "full row rank"),
@@ -313,3 +348,33 @@ def test_pairs_may_compare_different_states_of_one_agent() -> None:
     assert isinstance(certificate.proof, SubtractionProof) and 1e-4 < certificate.proof.near < 1.0
     report = cg.check(certificate)
     assert report and report.recomputed - certificate.lower_bound < 1e-6
+
+
+def test_upper_ends_count_the_runs_that_cells_lose_from_sight() -> None:
+    """A disc cuts through cells: runs there are failed for the lower bound, and a pair makes a success of them."""
+    agents = [
+        cg.LinearAgent(
+            name=name, A=np.eye(2), B=np.eye(2), noise_covariance=4e-4 * np.eye(2), state_low=[-3.0, -3.0],
+            state_high=[3.0, 3.0], input_low=[-0.4, -0.4], input_high=[0.4, 0.4], initial_state=[x, 0.0],
+        )
+        for name, x in (("stays", -0.6), ("comes", -1.6))
+    ]  # fmt: skip
+    problem = cg.Problem(
+        name="lost from sight", horizon=8, agents=agents,
+        propositions={
+            "hazard": cg.Proposition("stays", disc={"centre": [0.0, 0.0], "radius": 0.5}),
+            "goal": cg.Proposition("stays", [2.5, 2.5], [3.0, 3.0]),
+            "near": cg.Pair(["stays", "comes"], distance=0.6),
+        },
+        specification=cg.Specification("!hazard U (goal | near)", "co-safe"),
+    )  # fmt: skip
+    policy = {"stays": lambda x, q, t: np.zeros(2), "comes": lambda x, q, t: np.array([0.3, 0.0])}
+    certificate: Any = bound_above(cg.certify(problem, policy, 24, relation="exact").certificate)
+    assert certificate.gap is None and not cg.validate(certificate, 1000).refuted
+    base = certificate.proof.base
+    ended = replace(certificate, proof=replace(certificate.proof, base=bound_above(base)))
+    assert (
+        ended.upper_bound < 0.01 and cg.compare(problem, {"certified": ended.controller}, 1000).entries[0].rate > 0.99
+    )
+    report = cg.check(ended)
+    assert not report and "no certain class" in report.failures[0]

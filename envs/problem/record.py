@@ -352,8 +352,7 @@ class Problem:
                 return None
             possible = [own[here] for own, here in zip(single.classes, classes, strict=True)]
             possible += [both[:, None] for both in near]
-            letters = np.array([np.concatenate(letter) for letter in product(*possible)], dtype=bool)
-            letters = letters.reshape(-1, len(self.propositions))
+            letters = np.stack([np.concatenate(letter) for letter in product(*possible)]).astype(bool)
         states = self.automaton.next_state(np.full(len(letters), self.automaton.initial), letters.T)
         return int(states[0]) if np.all(states == states[0]) else None
 

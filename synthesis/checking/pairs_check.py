@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -128,8 +129,6 @@ def _wrong_agents(problem: Problem, base: OnGrid) -> list[str]:
             failures.append(f"the relation of agent `{agent.name}` is not exact, so pairs cannot be subtracted")
         elif not np.array_equal(part.coordinates, np.eye(agent.n_states)) or not has_plain_noise(agent):
             failures.append(f"the noise of agent `{agent.name}` is not Gaussian and independent along its states")
-        elif not np.array_equal(agent.initial.low, agent.initial.high):
-            failures.append(f"the start of agent `{agent.name}` is not known")
     for pair in problem.labeling.pairs:
         for i, outputs in ((pair.first, pair.outputs[0]), (pair.second, pair.outputs[1])):
             axes = [problem.agents[i].output_axis(k) for k in outputs]
@@ -158,17 +157,53 @@ class _Product:
 
 def _spoiled(problem: Problem, base: OnGrid, usual: NDArray[np.bool_]) -> float:
     """Return an upper bound on the probability that a pair is not as usual while the task is open and asks for it."""
-    automaton = problem.automaton
-    asked = pairs_asked(problem)
-    letter = problem.labeling.letter([agent.initial.low for agent in problem.agents])
-    if np.any((letter[problem.labeling.first_pair :] != usual) & asked[automaton.initial]):
+    asked, charges = pairs_asked(problem), _Charges(problem, base, usual)
+    charged = _spoiled_at_start(problem, usual, asked[problem.automaton.initial], charges)
+    if charged >= 1.0:
         return 1.0
-    charged, charges = 0.0, _Charges(problem, base, usual)
     for _, states, masses in undecided_course(base):
         about = np.flatnonzero(np.any([asked[q] for q in states], axis=0))
         charged += charges.of(about, masses)
     state("differences", base, len(problem.labeling.pairs), RELATIVE)
     return min(1.0, (charged + lost_on_the_way(base)) * RELATIVE)
+
+
+def _spoiled_at_start(problem: Problem, usual: NDArray[np.bool_], asked: NDArray[np.bool_], charges: _Charges) -> float:
+    """Return an upper bound on the probability that a pair that is asked about is not as usual at the start."""
+    starts = [agent.initial for agent in problem.agents]
+    if all(np.array_equal(start.low, start.high) for start in starts):
+        letter = problem.labeling.letter([start.low for start in starts])
+        return float(np.any((letter[problem.labeling.first_pair :] != usual) & asked))
+    total = Fraction(0)
+    for k in np.flatnonzero(asked).tolist():
+        pair, near = problem.labeling.pairs[k], Fraction(1)
+        first, second = starts[pair.first], starts[pair.second]
+        box = zip(*(pair.inner_box if usual[k] else (pair.low, pair.high)), strict=True)
+        for (a, b), (low, high) in zip(charges.axes(pair), box, strict=True):
+            ends = [float(end) for end in (first.low[a], first.high[a], second.low[b], second.high[b])]
+            # Made wider, or narrower, by what the rounding of a difference can move.
+            wider = 1e-14 * (sum(map(abs, ends)) + abs(low) + abs(high)) * (-1.0 if usual[k] else 1.0)
+            near *= max(Fraction(0), _below(float(high + wider), ends) - _below(float(low - wider), ends))
+        total += 1 - near if usual[k] else near
+    return float(total) * RELATIVE
+
+
+def _below(z: float, ends: list[float]) -> Fraction:
+    """Return ``P(x - y <= z)``, exactly, for x uniform between the first two ends and y between the last two.
+
+    It is a second difference of ``max(0, s)^2 / 2``, or a first one of ``max(0, s)`` where one of them is a point.
+    """
+    a, b, c, d = map(Fraction, ends)
+    if a == b and c == d:
+        return Fraction(a - c <= z)
+    order = (a < b) + (c < d)
+    lower, upper = ([(a, 1), (b, -1)] if a < b else [(a, 1)]), ([(d, 1), (c, -1)] if c < d else [(c, 1)])
+    shifts = [(y - x, sign * other) for x, sign in lower for y, other in upper]
+    area, total = (b - a if a < b else Fraction(1)) * (d - c if c < d else Fraction(1)), Fraction(0)
+    for shift, sign in shifts:
+        beyond = max(Fraction(0), Fraction(z) + shift)
+        total += sign * (beyond * beyond / 2 if order == 2 else beyond)
+    return total / area
 
 
 def lost_on_the_way(base: OnGrid) -> float:
@@ -182,15 +217,15 @@ def undecided_course(base: OnGrid) -> Iterator[tuple[int, list[int], list[FloatA
 
     The time is that of the step, and masses (Z_1, ..) are those of each agent on the lattice points it moves to.
     """
-    q = base.problem.initial_q
-    if q is None or base.problem.automaton.absorbing[q]:
-        return
     modes, agents = modes_of(base), base.problem.agents
-    passages = {(m, n): _passage(base, modes[m], modes[n]) for m in range(len(modes)) for n in range(len(modes))}
+    arriving = base.proof.guard_source, base.proof.guard_target, base.proof.guard_mask
+    masks = [part.masks for part in base.proof.agents]
+    passages = {
+        (m, n): _passage(masks, arriving, modes[m], modes[n]) for m in range(len(modes)) for n in range(len(modes))
+    }
     kernels: dict[tuple[bytes, ...], list[FloatArray]] = {}
     tables = [axis_tables(a, p, kernels) for a, p in zip(agents, base.proof.agents, strict=True)]
-    shares = [start_shares(a, p) for a, p in zip(agents, base.proof.agents, strict=True)]
-    products = [_Product(next(m for m, states in enumerate(modes) if q in states), shares)]
+    products = _first_products(base, modes)
     for t in range(base.problem.horizon):
         following = []
         for product in products:
@@ -235,12 +270,33 @@ def modes_of(base: OnGrid) -> list[list[int]]:
     return modes
 
 
-def _passage(base: OnGrid, source: list[int], target: list[int]) -> list[NDArray[np.bool_]] | None:
-    """Return, per agent, the cells that some guard between two modes lets through; None if there is no guard."""
-    used = np.isin(base.proof.guard_source, source) & np.isin(base.proof.guard_target, target)
+def _first_products(base: OnGrid, modes: list[list[int]]) -> list[_Product]:
+    """Return the mass of undecided runs once the first letter is read: starts of one letter, or by the guards."""
+    problem, parts = base.problem, base.proof.agents
+    shares = [start_shares(a, p) for a, p in zip(problem.agents, parts, strict=True)]
+    if problem.initial_q is not None or all(agent.initial.is_point for agent in problem.agents):
+        return [_Product(m, shares) for m, states in enumerate(modes) if problem.initial_q in states]
+    source = np.full(len(base.proof.start_target), problem.automaton.initial)
+    reading = source, base.proof.start_target, base.proof.start_mask
+    products = []
+    for m, states in enumerate(modes):
+        way = _passage([part.start_masks for part in parts], reading, [problem.automaton.initial], states)
+        if way is not None:
+            products.append(_Product(m, [own * cells for own, cells in zip(shares, way, strict=True)]))
+    return products
+
+
+def _passage(
+    masks: list[NDArray[np.bool_]], guards: tuple[NDArray, NDArray, NDArray], source: list[int], target: list[int]
+) -> list[NDArray[np.bool_]] | None:
+    """Return, per agent, the cells that some guard between two modes lets through; None if there is no guard.
+
+    ``guards`` has their sources, their targets, and their masks (G, I).
+    """
+    used = np.isin(guards[0], source) & np.isin(guards[1], target)
     if not used.any():
         return None
-    return [part.masks[base.proof.guard_mask[used, i]].any(axis=0) for i, part in enumerate(base.proof.agents)]
+    return [own[guards[2][used, i]].any(axis=0) for i, own in enumerate(masks)]
 
 
 def _on_lattice(part: object, masses: FloatArray, points: NDArray[np.integer]) -> FloatArray:

@@ -18,6 +18,7 @@ from ...envs.agents import PairRegion
 from ..cells import FloatArray
 from ..models import Policies
 from ..search import favourable_successors, relax_one
+from ..values import Guards
 from .compared_states import compared_axes
 from .near_mass import NearMass
 
@@ -66,33 +67,37 @@ class Avoidance:
         The automaton state is that of the fewest changes: the one that the agent's own cell forces on it.
         """
         model, base = self.joint.models[i], self.masses.base
-        q = base.initial_q
         result = [np.zeros(model.n_cells) for _ in range(self.joint.horizon + 1)]
-        if q is None or self.joint.absorbing[q]:
-            return result
-        states = {q: model.share(base.agents[i].initial.low, base.agents[i].initial.high)}
-        result[0] = states[q]
+        states = self._begun(i, model.share(base.agents[i].initial.low, base.agents[i].initial.high))
+        result[0] = sum(states.values(), start=result[0])
         for t in range(self.joint.horizon):
             moved: dict[int, FloatArray] = {}
             for state, mass in states.items():
                 pushed = model.kernel.push(mass[None], model.choices.points(policies[i][t, state]))[0]
-                for target, cells in self._ways(i, state).items():
+                for target, cells in self._ways(i, state, self.joint.guards, self.joint.masks).items():
                     arrived = np.where(cells, pushed, 0.0)
                     moved[target] = moved[target] + arrived if target in moved else arrived
                     result[t + 1] = result[t + 1] + arrived
             states = moved
         return result
 
-    def _ways(self, i: int, state: int) -> dict[int, NDArray[np.bool_]]:
+    def _begun(self, i: int, share: FloatArray) -> dict[int, FloatArray]:
+        """Return the mass of agent i at the start in each undecided automaton state after the first letter."""
+        q, initial = self.masses.base.initial_q, self.masses.base.automaton.initial
+        if q is not None:
+            return {} if self.joint.absorbing[q] else {q: share}
+        ways = self._ways(i, initial, self.joint.start_guards, self.joint.start_masks)
+        return {state: np.where(cells, share, 0.0) for state, cells in ways.items()}
+
+    def _ways(self, i: int, state: int, guards: Guards, masks: Sequence[NDArray]) -> dict[int, NDArray[np.bool_]]:
         """Return, per undecided automaton state, the cells in which agent i is taken to lead there: each cell once."""
-        guards = self.joint.guards
         left, ways = np.ones(self.joint.models[i].n_cells, dtype=bool), {}
         # States beyond this one come first: others are taken to do their part.
         targets = [q for q in self.masses.alive if q != state] + [state]
         for target in targets:
             rows = guards.mask[(guards.source == state) & (guards.target == target), i]
             if len(rows):
-                cells = np.asarray(self.joint.masks[i][np.unique(rows)], dtype=bool).any(axis=0) & left
+                cells = np.asarray(masks[i][np.unique(rows)], dtype=bool).any(axis=0) & left
                 ways[int(target)] = cells
                 left &= ~cells
         return ways

@@ -25,6 +25,7 @@ from ...envs.agents import PairRegion, counted
 from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..models import JointModel, Policies
+from ..values import Guards
 from .beside_paths import BesidePaths
 from .compared_states import compared_axes, marginal
 
@@ -111,23 +112,32 @@ class NearMass:
 
     def start(self, modes: Sequence[NDArray[np.int64]]) -> list[Term]:
         """Return the mass at time 0, the first letter read without pairs; none if the task is decided then."""
-        q = self.base.initial_q
-        if q is None or self.joint.absorbing[q]:
-            return []
-        factors = []
-        for agent, model in zip(self.base.agents, self.joint.models, strict=True):
-            factors.append(model.share(agent.initial.low, agent.initial.high))
-        mode = next(m for m, states in enumerate(modes) if q in states)
-        return [Term(mode, tuple(factors))]
+        q, agents = self.base.initial_q, zip(self.base.agents, self.joint.models, strict=True)
+        shares = [model.share(agent.initial.low, agent.initial.high) for agent, model in agents]
+        if q is not None:
+            return [Term(m, tuple(shares)) for m, states in enumerate(modes) if q in states]
+        # Starts of several letters, or none inside: each mode has the cells that some guard of the start leads to.
+        initial, terms = np.array([self.base.automaton.initial]), []
+        for m, states in enumerate(modes):
+            way = self.passage(initial, states, (self.joint.start_guards, self.joint.start_masks))
+            if way is not None:
+                factors = tuple(np.where(open_, own, 0.0) for own, open_ in zip(shares, way, strict=True))
+                terms += [Term(m, factors)] if all(own.any() for own in factors) else []
+        return terms
 
-    def passage(self, source: NDArray[np.int64], target: NDArray[np.int64]) -> list[NDArray[np.bool_]] | None:
-        """Return, per agent, the cells of which some may lead from one mode to another; None if no guard does."""
-        guards = self.joint.guards
+    def passage(
+        self, source: NDArray[np.int64], target: NDArray[np.int64], reading: tuple[Guards, Any] | None = None
+    ) -> list[NDArray[np.bool_]] | None:
+        """Return, per agent, the cells of which some may lead from one mode to another; None if no guard does.
+
+        ``reading`` has the guards and their masks: those of arriving if it is not given.
+        """
+        guards, all_masks = (self.joint.guards, self.joint.masks) if reading is None else reading
         used = np.flatnonzero(np.isin(guards.source, source) & np.isin(guards.target, target))
         if not len(used):
             return None
         passages = []
-        for masks, rows in zip(self.joint.masks, guards.mask[used].T, strict=True):
+        for masks, rows in zip(all_masks, guards.mask[used].T, strict=True):
             passages.append(np.asarray(np.any(masks[np.unique(rows)] != 0, axis=0)))
         return passages
 
@@ -171,11 +181,11 @@ class NearMass:
 
     def bounds(self, policies: Policies) -> tuple[float, float]:
         """Return that bound for pairs among agents on grids, and for pairs of these and agents along paths."""
-        if self.is_unusual_at_start:
+        if self.unusual_at_start >= 1.0:
             return 1.0, 0.0
         modes = self.modes(policies)
         asked = [self.relevant[states].any(axis=0) for states in modes]
-        among, between = 0.0, 0.0
+        among, between = self.unusual_at_start, 0.0
         for t, (terms, points) in enumerate(zip(*self.course(policies), strict=True)):
             for term, lattice_masses in zip(terms, points, strict=True):
                 among += self._near(np.flatnonzero(asked[term.mode]), lattice_masses)
@@ -189,11 +199,24 @@ class NearMass:
         return first, second
 
     @cached_property
-    def is_unusual_at_start(self) -> bool:
-        """Whether a pair that the initial state asks about is not as usual at the start itself."""
-        letter = self.problem.labeling.letter([agent.initial.low for agent in self.problem.agents])
-        near = letter[self.problem.labeling.first_pair :]
-        return bool(np.any((near != self.usual) & self.relevant[self.problem.automaton.initial]))
+    def unusual_at_start(self) -> float:
+        """Upper bound on the probability that a pair that the initial state asks about is not as usual at the start."""
+        starts = [agent.initial for agent in self.problem.agents]
+        asked = np.flatnonzero(self.relevant[self.problem.automaton.initial])
+        if all(start.is_point for start in starts):
+            letter = self.problem.labeling.letter([start.low for start in starts])
+            return float(np.any((letter[self.problem.labeling.first_pair :] != self.usual)[asked]))
+        total = 0.0
+        for k in asked:
+            pair = self.pairs[k]
+            first, second = starts[pair.first], starts[pair.second]
+            box, sign = (pair.inner_box, -1.0) if self.usual[k] else ((pair.low, pair.high), 1.0)
+            near = 1.0
+            for a, b, low, high in zip(*compared_axes(self.problem, pair), *box, strict=True):
+                ends = (first.low[a], first.high[a]), (second.low[b], second.high[b])
+                near *= _uniformly_between(*ends, float(low), float(high), sign)
+            total += 1.0 - near if self.usual[k] else near
+        return total
 
     def _near(self, asked: NDArray[np.int64], masses: Sequence[FloatArray]) -> float:
         """Return the sum over the pairs ``asked`` of the mass of a term in which they are not as usual after a step."""
@@ -239,6 +262,30 @@ class NearMass:
             table = _surely_near_table if from_below else _near_table
             self._tables[key] = [table(a, b, std, *ends) for (a, b), std, *ends in boxes]
         return self._tables[key]
+
+
+def _uniformly_between(
+    first: tuple[float, float], second: tuple[float, float], low: float, high: float, sign: float
+) -> float:
+    """Return ``P(low <= x - y <= high)`` for x and y uniform on two intervals, up to rounding.
+
+    The box is made wider (``sign`` 1) or narrower (-1) by what the rounding of a difference can move.
+    """
+    wider = sign * WIDER * (sum(map(abs, (*first, *second))) + abs(low) + abs(high))
+    low, high = low - wider, high + wider
+    (a, b), (c, d) = first, second
+    if d - c < b - a:  # turn the difference round: the second interval is the wider one
+        (a, b), (c, d) = (-d, -c), (-b, -a)
+    if c == d:
+        return float(low <= a - c <= high)
+
+    def below(z: float) -> float:
+        # The share of x below y + z grows with y, from 0 at a - z to 1 at b - z.
+        left, right = np.clip([a - z, b - z], c, d)
+        rising = np.clip((np.array([left, right]) + (z - a)) / (b - a), 0.0, 1.0).mean() if right > left else 0.0
+        return float((d - right) + (right - left) * rising) / (d - c)
+
+    return max(0.0, below(high) - below(low))
 
 
 def _near_table(first: FloatArray, second: FloatArray, std: float, low: float, high: float) -> FloatArray:
