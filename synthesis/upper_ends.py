@@ -53,7 +53,7 @@ def bound_above(certificate: Any) -> Any:
     ValueError
         If its policies cannot be evaluated.
     """
-    return with_claims(any_certificate(certificate), _with_end)
+    return _ended(any_certificate(certificate), math.inf)
 
 
 def synthesis_above(synthesis: Synthesis, most: float = math.inf) -> Synthesis:
@@ -61,8 +61,17 @@ def synthesis_above(synthesis: Synthesis, most: float = math.inf) -> Synthesis:
 
     The end of each task may take ``most`` core seconds of work, as it is estimated; else there is none.
     """
-    certificate = with_claims(synthesis.certificate, lambda one: _with_end(one, most))
+    certificate = _ended(synthesis.certificate, most)
     return replace(synthesis, certificate=certificate, controller=certificate.controller)
+
+
+def _ended(certificate: Any, most: float) -> Any:
+    """Return a certificate whose parts have upper ends, where they are ends of the whole, too.
+
+    What pairs may spoil counts the runs that the cells follow: where a cell has several classes others may succeed.
+    """
+    ended = with_claims(certificate, lambda one: _with_end(one, most))
+    return ended if not ended.proof.parts or ended.gap == certificate.gap or check(ended) else certificate
 
 
 def _with_end(certificate: OnGrid, most: float = math.inf) -> OnGrid:

@@ -21,7 +21,6 @@ from typing import Any, Self
 import numpy as np
 
 from ...envs.problem import Problem
-from ..cells import cell_labels
 from ..controllers import Controller
 from ..values import UNIT
 from .archive import Pool, Stored
@@ -113,17 +112,7 @@ class SubtractionProof(Proof):
         # Where pairs that are not as usual may save what is lost without them, an end of the base is none of the task.
         if not np.array_equal(self.base.problem.automaton.dead, certificate.problem.automaton.dead):
             return certificate
-        return replace(certificate, proof=replace(self, base=change(self.base))) if self.sees_all_runs else certificate
-
-    @property
-    def sees_all_runs(self) -> bool:
-        """Whether what pairs may spoil counts all undecided runs: every cell has one class.
-
-        A run in a cell of several classes may be lost from sight. It counts as failed for the lower bound, but a pair
-        may still make a success of it.
-        """
-        cells = enumerate(self.base.proof.agents)
-        return all(cell_labels(self.base.problem, i, own.grid, own.coordinates).is_certain for i, own in cells)
+        return replace(certificate, proof=replace(self, base=change(self.base)))
 
     def controller(self, problem: Problem) -> Controller:
         """Return the controllers: every agent sees its own state, the automaton state and the time."""
