@@ -157,8 +157,13 @@ def _refuse_other_kinds(certificate: OnGrid) -> None:
         raise ValueError("`certificate`: expected a safety task, which is satisfied until it fails, such as `G safe`")
     if not certificate.proof.stationary:
         raise ValueError("`certificate`: expected stationary policies; synthesize them with `stationary=True`")
-    if certificate.proof.bound != "nominal" or certificate.proof.terms is None:
-        raise ValueError("`certificate`: expected delta = 0 and a value tree, got a bound of another kind")
+    if certificate.proof.terms is None:
+        raise ValueError(
+            "`certificate`: expected one with a value tree, got tensor trains, whose factors have both signs: the "
+            'least quotient is not the product of the least quotients; synthesize with `value="tree"`'
+        )
+    if certificate.proof.bound != "nominal":
+        raise ValueError("`certificate`: expected delta = 0, got relations that may be lost")
     checked_count(certificate.problem.horizon, "horizon", SHORTEST)
 
 

@@ -90,7 +90,11 @@ def _checked(certificate: Any) -> OnGrid:
     if certificate is None:
         raise ValueError("`certificate`: expected that of one task; give one of its `.proof.parts`")
     if certificate.proof.terms is None:
-        raise ValueError('`certificate`: expected one with a value tree; synthesize with `value="tree"`')
+        raise ValueError(
+            "`certificate`: expected one with a value tree, got tensor trains, whose factors have both signs: the "
+            "least over a menu is not the product of the least factors; grow a tree of the same policies, "
+            '`synthesize(problem, start=certificate, value="tree")`'
+        )
     kinds = {part.relation["kind"] for part in certificate.proof.agents} - set(KINDS)
     if kinds:
         raise ValueError(

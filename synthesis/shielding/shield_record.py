@@ -236,8 +236,9 @@ def _check_certificate(certificate: OnGrid) -> None:
     """Raise ValueError, with what to do, unless a certificate of one task can be a shield."""
     if certificate.proof.terms is None:
         raise ValueError(
-            "`certificate`: expected one with a value tree, got tensor trains, whose values a shield does not read; "
-            'synthesize with `value="tree"`'
+            "`certificate`: expected one with a value tree, got tensor trains, whose factors have both signs: shields "
+            "judge by least factors, which bound no such sum; grow a tree of the same policies, "
+            '`synthesize(problem, start=certificate, value="tree")`'
         )
     for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True):
         relation = part.relation_of(agent)
