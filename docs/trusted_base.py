@@ -42,6 +42,7 @@ TRUSTED = {
     ),
     "What the certificate holds": (
         "synthesis.cells.axes_of_lattices synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
+        "synthesis.cells.turned_starts "
         "synthesis.certificates.certificate synthesis.certificates.certificate_file synthesis.certificates.version_one "
         "synthesis.certificates.grid_reader synthesis.certificates.claim synthesis.certificates.part "
         "synthesis.certificates.proof synthesis.certificates.grid_proof synthesis.certificates.path_proof "
@@ -84,6 +85,7 @@ TRUSTED = {
         "synthesis.path_checking.own_angles synthesis.path_checking.own_regions synthesis.path_checking.start_check "
         "synthesis.checking.team_check synthesis.checking.timed_check "
         "synthesis.checking.train_check "
+        "synthesis.checking.turned_boxes "
         "synthesis.checking.uniform_noise synthesis.checking.upper_end synthesis.checking.written_linear"
     ),
 }
@@ -168,7 +170,8 @@ BESIDE = (
 
 BALLS = (
     "synthesis.balls.ball_masses synthesis.balls.ball_memory synthesis.balls.ball_numbers synthesis.balls.ball_proofs "
-    "synthesis.balls.ball_relations synthesis.balls.ball_spans synthesis.balls.ball_sums synthesis.balls.rigorous"
+    "synthesis.balls.ball_relations synthesis.balls.ball_spans synthesis.balls.ball_sums synthesis.balls.rigorous "
+    "synthesis.balls.turned_shares"
 )
 """Modules that ``check --rigorous`` adds."""
 

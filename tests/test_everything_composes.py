@@ -28,14 +28,19 @@ NO_VALUES_BY_SUBTRACTION = "by subtraction"
 GROWS = "what pairs may spoil grows with every step"
 """What is subtracted is a sum over all steps: nothing is left of it without a deadline."""
 
+BOTH_SIGNS = "factors have both signs"
+"""Tensor trains are sums of factors of both signs: no least value of a sum is read off the least factors."""
+
 CANNOT: dict[str, dict[str, str]] = {
     # Trains round sums of factors: a step must take sums to sums, which least values over boxes and corners do not.
     "train": dict.fromkeys(BOXES + LINEAR, "expected 'auto' or 'tree'"),
     "own upper end": {"path": "no upper end", "path in time": "no upper end"},
     "opposite end": {"path": "no upper end", "path in time": "no upper end"},
     # What may be lost at every step cannot be promised; an abstract state is not the state that a shield sees; inputs
-    # that others rely on cannot be left to a learner.
+    # that others rely on cannot be left to a learner. Least values of sums of factors are no sums of least factors
+    # where these have both signs, as those of trains do.
     "shield": {
+        "train": BOTH_SIGNS,
         "tube": "without memory",
         "ellipsoid": "without memory",
         "ellipsoid with delta": "delta = 0",
@@ -56,6 +61,7 @@ CANNOT: dict[str, dict[str, str]] = {
         "path": NO_VALUES_ON_PATHS,
         "path in time": NO_VALUES_ON_PATHS,
         "subtraction": NO_VALUES_BY_SUBTRACTION,
+        "train": BOTH_SIGNS,
     },
     # A policy that looks at the state is not known to others; a path has a feedback of its own.
     "certify": {
@@ -80,6 +86,7 @@ CANNOT: dict[str, dict[str, str]] = {
         "path": NO_VALUES_ON_PATHS,
         "path in time": NO_VALUES_ON_PATHS,
         "subtraction": GROWS,
+        "train": BOTH_SIGNS,
     },
     # Beyond the horizon nothing is said of the time, and policies that do not look at it cannot know it.
     "no deadline": {"subtraction": GROWS, **dict.fromkeys([*TIMED, "path in time"], "the same at every step")},
@@ -91,17 +98,11 @@ CANNOT: dict[str, dict[str, str]] = {
 WRITTEN_OUT = "it is about the problem written out alone"
 
 MISSING: dict[str, dict[str, str]] = {
-    "shield": {"train": "values in time of trains are not read"},
-    "permission": {"train": "permissions read trees alone"},
     "network": {
         **dict.fromkeys([*TIMED, "path in time"], "networks are certified where every step is the same"),
         "linear expressions": "affine maps of expressions know constant inputs alone; boxes know networks",
         **dict.fromkeys(["joint", "subtraction"], "networks of pairs are not certified"),
     },
-    "start box": {
-        "exact correlated": "start boxes are read on cells that are boxes of states",
-    },
-    "safety rate": {"train": "rates read trees alone"},
 }
 """What could be and is not there yet: column, row, why."""
 

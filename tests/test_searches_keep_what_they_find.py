@@ -13,7 +13,7 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis import horizons
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
-from certigym.synthesis.cells.grid import start_share
+from certigym.synthesis.cells import start_share
 from certigym.synthesis.certificates import changed, lasting_bound
 from certigym.synthesis.choosing.given_start import policies_from
 from certigym.synthesis.models import TIE

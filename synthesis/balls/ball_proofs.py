@@ -15,6 +15,7 @@ from .ball_memory import Proof
 from .ball_numbers import angles, any_of, charge, error_function, function, light, long, moments, spans, start, tails
 from .ball_relations import aims, disturbance, ellipsoid, ellipsoid_support, targets, tube
 from .ball_sums import differences, spare, sums
+from .turned_shares import turned
 
 PROOFS: dict[str, Callable[..., Proof]] = {
     "masses": masses, "lost": lost, "hats": hats, "near": near, "charge": charge, "erf": error_function,
@@ -22,6 +23,6 @@ PROOFS: dict[str, Callable[..., Proof]] = {
     "spans": spans,
     "aims": aims, "targets": targets,
     "disturbance": disturbance, "tube": tube, "ellipsoid support": ellipsoid_support, "ellipsoid": ellipsoid,
-    "spare": spare, "angles": angles, "start": start, "sums": sums, "differences": differences,
+    "spare": spare, "angles": angles, "start": start, "turned": turned, "sums": sums, "differences": differences,
 }  # fmt: skip
 """By the names of statements."""

@@ -188,7 +188,9 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
     for agent, model, follows in zip(problem.agents, joint.models, favourable_successors(problem), strict=True):
         # Agents with equal dynamics and cells share the optimistic model; with equal letters, too, the values.
         possible = _possible(model, follows)
-        if not agent.is_linear_gaussian or not agent.has_plain_noise:
+        # Of a box the means of hats are known where cells are boxes of states.
+        known_start = agent.initial.is_point or np.array_equal(model.relation.coordinates, np.eye(agent.n_states))
+        if not agent.is_linear_gaussian or not agent.has_plain_noise or not known_start:
             return None
         arrays = (agent.noise_covariance, agent.input_low, agent.input_high)
         alike = (id(model), *agent.motion_key, *(array.tobytes() for array in arrays))

@@ -13,7 +13,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from .grid import FloatArray, Grid, start_share
+from .grid import FloatArray, Grid
+from .refusal import RelationRefused
 
 
 def spread(values: NDArray, shape: tuple[int, ...]) -> NDArray:
@@ -67,9 +68,13 @@ def hat_share_of(grid: Grid, coordinates: FloatArray, low: FloatArray, high: Flo
 
     A point may be given in any grid coordinates, a box with an inside only where they are those of the state.
     """
-    start_share(grid, coordinates, low, high)  # refuses boxes that are no boxes of the grid
     if np.array_equal(coordinates, np.eye(len(coordinates))):
         return hat_share(grid, low, high)
+    if not np.array_equal(low, high):
+        raise RelationRefused(
+            "`initial_low`, `initial_high`: expected an `initial_state` under linear cells for an agent with "
+            "correlated noise, got a box; ask for `exact` or `boxes`"
+        )
     point = np.linalg.solve(coordinates, low)
     return hat_share(grid, point, point)
 

@@ -108,30 +108,6 @@ class Grid:
         return share
 
 
-def start_share(grid: Grid, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return the share (S,) of a start box in each cell, up to rounding.
-
-    A point may be given in any grid coordinates, a box with an inside only where they are those of the state.
-
-    Raises
-    ------
-    ValueError
-        For such a box if the cells are no boxes in state space (correlated noise).
-    """
-    if np.array_equal(coordinates, np.eye(len(coordinates))):
-        return grid.overlap(low, high)
-    if not np.array_equal(low, high):
-        raise ValueError(
-            "`initial_low`, `initial_high`: expected an `initial_state` for an agent with correlated noise, got a box; "
-            "its cells are no boxes in state space, so give a point"
-        )
-    point = np.linalg.solve(coordinates, low)
-    inside = all(edges[0] <= x <= edges[-1] for edges, x in zip(grid.edges, point, strict=True))
-    share = np.zeros(grid.n_cells)
-    share[grid.cell_of(point[:, None])] = float(inside)
-    return share
-
-
 def aligned_edges(low: float, high: float, cells: int, boundaries: Iterable[float] = ()) -> FloatArray:
     """Return the edges of about ``cells`` intervals of ``[low, high]``; every boundary inside is one of them.
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...envs.agents import slices_of, tree_text
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
-from ..cells import FloatArray, alike_text, hat_share_of, shape_text, start_share
+from ..cells import FloatArray, alike_text, cells_met, hat_share_of, shape_text, start_share
 from ..relations import Relation
 from ..values import Guards, Skeleton, Terms, Trains, Unread, ValueFunction, term_depths
 from .part import AgentPart
@@ -134,7 +134,13 @@ class Claim:
         ValueError
             If the box holds more than ``MAX_JOINT_CELLS`` joint cells.
         """
-        cells = [np.flatnonzero(weights) for weights in self._box(low, high)]
+        boxes = zip(self.agents, *self._corners(low, high), strict=True)
+        cells = [
+            np.flatnonzero(hat_share_of(part.grid, part.coordinates, a, b))
+            if part.is_linear
+            else cells_met(part.grid, part.coordinates, a, b)
+            for part, a, b in boxes
+        ]
         shape = tuple(len(numbers) for numbers in cells)
         count = float(np.prod(shape, dtype=float))
         if count > MAX_JOINT_CELLS:
@@ -180,20 +186,21 @@ class Claim:
         """Return values with rounding and, under the a-posteriori bound, lost relations taken off: lower bounds."""
         return np.clip(values * (1.0 - self.relative_rounding) - self.correction, 0.0, 1.0)
 
+    def _corners(self, low: Any, high: Any) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Return the lower and upper corners of a box, agent by agent; raise ValueError where it is none."""
+        first, last = joint_states(self.problem, low)[0], joint_states(self.problem, high)[0]
+        pairs = [(first[columns], last[columns]) for columns in self.problem.columns]
+        for name, (a, b) in zip(self.problem.agent_names, pairs, strict=True):
+            if np.any(a > b):
+                raise ValueError(f"`low`, `high`: expected low <= high for agent `{name}`, got {a} and {b}")
+        return [a for a, _ in pairs], [b for _, b in pairs]
+
     def _box(self, low: Any, high: Any) -> list[FloatArray]:
         """Return the share of the box in each agent's cells; it sums to 1 if the box lies inside the workspace."""
-        first, last = joint_states(self.problem, low)[0], joint_states(self.problem, high)[0]
-        weights = []
-        for i, columns in enumerate(self.problem.columns):
-            a, b = first[columns], last[columns]
-            if np.any(a > b):
-                raise ValueError(
-                    f"`low`, `high`: expected low <= high for agent `{self.problem.agent_names[i]}`, got {a} and {b}"
-                )
-            part = self.agents[i]
-            share = hat_share_of if part.is_linear else start_share
-            weights.append(share(part.grid, part.coordinates, a, b))
-        return weights
+        return [
+            (hat_share_of if part.is_linear else start_share)(part.grid, part.coordinates, a, b)
+            for part, a, b in zip(self.agents, *self._corners(low, high), strict=True)
+        ]
 
 
 def with_early_acceptance(

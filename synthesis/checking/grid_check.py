@@ -42,8 +42,8 @@ def wrong_grids(certificate: OnGrid) -> list[str]:
         identity = np.array_equal(part.coordinates, np.eye(agent.n_states))
         if identity and not _tiles(agent.workspace, low, high, certificate.problem.labeling.reads_exits):
             failures.append(f"the grid of agent `{agent.name}` does not tile its workspace")
-        if not identity and not np.array_equal(agent.initial.low, agent.initial.high):
-            failures.append(f"the cells of agent `{agent.name}` are no boxes in state space, as its start box needs")
+        if not identity and part.is_linear and not np.array_equal(agent.initial.low, agent.initial.high):
+            failures.append(f"linear cells of agent `{agent.name}` are no boxes in state space, as its start box needs")
         if not identity and not _covers(agent.workspace, part.coordinates, low, high):
             failures.append(f"the grid of agent `{agent.name}` does not cover its workspace")
         if not identity and _start_on_a_face(agent, part):
@@ -76,6 +76,8 @@ def _tiles(workspace: Box, low: FloatArray, high: FloatArray, reads_exits: bool)
 def _start_on_a_face(agent: AnyAgent, part: AgentPart) -> bool:
     """Whether rounding may decide in which cell a start is, in coordinates other than the states.
 
+    Along axes that a start box spans hardly any start is so near to an edge, and what is comes off its shares.
+
     The controller multiplies by an inverse, the check solves equations: both are within ``off`` of the truth.
     """
     start, coordinates, d = agent.initial.low, part.coordinates, agent.n_states
@@ -85,8 +87,9 @@ def _start_on_a_face(agent: AnyAgent, part: AgentPart) -> bool:
     points = np.linalg.solve(coordinates, start)
     # A coordinate that is a state is read as it is, by both.
     own = np.all(coordinates == np.eye(d), axis=1) & np.all(inverse == np.eye(d), axis=1) & (points == start)
-    off = np.where(own, 0.0, off)
-    state("start", part, start, points, own)
+    drawn = np.any(inverse[:, start < agent.initial.high] != 0.0, axis=1)
+    off = np.where(own | drawn, 0.0, off)
+    state("start", part, start, points, own | drawn)
     triples = zip(part.grid.edges, points, off, strict=True)
     # A start of zeros is read without rounding.
     return any(width > 0.0 and bool(np.any(np.abs(edges - x) <= width)) for edges, x, width in triples)
