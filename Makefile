@@ -21,20 +21,21 @@ demo: .venv/core
 
 test: .venv/test lint
 	$(BIN)/python -m mypy
-	$(PYTEST)
+	$(PYTEST) -m "not pages"
 
 # the inner loop: what is not marked slow; `make quick ARGS=tests/test_labeling.py` runs all of one file
 quick: .venv/test
 	$(BIN)/python -m ruff check --quiet .
-	$(PYTEST) $(or $(ARGS),-m "not slow")
+	$(PYTEST) $(or $(ARGS),-m "not slow and not pages")
 
 lint: .venv/test
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m ruff format --check --line-length 80 README.md CONTRIBUTING.md docs/*.md docs/*/*.md
 
-# warnings are errors; needs no network once the packages are installed
-docs: .venv/docs
+# warnings are errors, and what pages and examples show is run; needs no network once the packages are installed
+docs: .venv/docs .venv/test
+	$(PYTEST) -m pages
 	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 

@@ -34,6 +34,7 @@ SHORTENED = 10
 """A tenth of the regression of clones is run."""
 
 
+@pytest.mark.pages
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
 def test_examples_run(script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     needed = NEEDS.get(script.name)

@@ -110,6 +110,7 @@ EXECUTED = [page for page in PAGES if any(language in ("python", "console", "tom
 LEARNING = {"learned_policies.md", "probe.md"}
 
 
+@pytest.mark.pages
 @pytest.mark.parametrize("page", EXECUTED, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if page.name in LEARNING:

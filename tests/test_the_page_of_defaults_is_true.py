@@ -24,6 +24,7 @@ QUICK = (
 )
 
 
+@pytest.mark.pages
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", QUICK)
 def test_what_an_id_certifies_is_what_the_page_says(name: str) -> None:
@@ -40,6 +41,7 @@ def test_rows_say_what_was_measured() -> None:
         assert f"| {rounded_down(found['certified'], 4)} |" in _row(name) and found["check"] == "valid"
 
 
+@pytest.mark.pages
 def test_a_team_gives_little_away_for_inputs_in_place_of_targets() -> None:
     """With the handicap that targets have where there is no team, .0057 are lost here over twenty steps."""
     robot = cg.LinearAgent(

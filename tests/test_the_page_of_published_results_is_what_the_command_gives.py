@@ -114,6 +114,7 @@ def test_the_record_of_the_fields_benchmarks_is_that_of_their_page() -> None:
         assert record[name][0] == pytest.approx(row["certified"], rel=2e-4), name
 
 
+@pytest.mark.pages
 @pytest.mark.slow
 def test_figure_4_is_as_recorded(tmp_path: Path) -> None:
     """The command compares Table 1 with its record in ``test_published_results``."""
@@ -121,6 +122,7 @@ def test_figure_4_is_as_recorded(tmp_path: Path) -> None:
     assert [line for line in lines if line["wrong"]] == []
 
 
+@pytest.mark.pages
 @pytest.mark.slow
 def test_figure_3_is_as_recorded(tmp_path: Path) -> None:
     """A short horizon, one in the middle and the longest: here numbers were lost once without anybody's seeing it."""
@@ -132,6 +134,7 @@ def test_figure_3_is_as_recorded(tmp_path: Path) -> None:
             assert recorded <= float(str(row[column])) < recorded + 1e-5, (row["T"], name)
 
 
+@pytest.mark.pages
 @pytest.mark.slow
 def test_the_refutation_is_as_recorded(tmp_path: Path) -> None:
     assert main(["reproduce", "refutation", "--out", str(tmp_path), "--json", str(tmp_path / "r.json")]) == 0
