@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from ..envs.agents import counted, tree_text
-from ..envs.problem import Problem
+from ..envs.problem import Problem, written_out
 from ..envs.suite import as_problem
 from .bridges import certifiable
 from .cells import CellCounts, FloatArray, RelationRefused
-from .certificates import OnGrid, Synthesis
+from .certificates import Certificate, OnGrid, Synthesis, joint_certificate, on_cells, timed_certificate
 from .certification import certificate_of
 from .models import (
     Abstraction,
@@ -29,9 +29,12 @@ from .models import (
     network_tables,
     start_of,
 )
+from .pairs import joint_problem
 from .relations import NetworkPolicy, network_policy
 from .search import FINAL, Limits, Stage, sweep
+from .together import MOST_GRID_STATES, joint_cells
 from .values import to_host
+from .written_networks import side_by_side, told_in_time
 
 RELATIONS = ("linear", "boxes")
 """How the means under networks are enclosed, in the order in which they are tried."""
@@ -109,7 +112,7 @@ def certify_network(
     Parameters
     ----------
     problem : Problem, id or path
-        Agents with linear dynamics.
+        It may name the time; where it is about pairs, its agents have three states in all at most.
     actor : SharedActor, TeamActor, or what ``as_policy`` takes
         Networks that see the agent's own state, the automaton state and the time.
     cells : int, sequence of int or mapping from agent name to one of these, optional
@@ -128,12 +131,13 @@ def certify_network(
     Raises
     ------
     ValueError
-        If a network sees more than its agent's own state, or dynamics are not linear.
+        If a network sees more than its agent's own state, or a relation that was asked for does not apply.
     """
-    problem = as_problem(problem)
+    given = as_problem(problem)
     if relation not in (*RELATIONS, "auto"):
         raise ValueError(f"`relation`: expected `linear` or `boxes` for networks as they are, got {relation!r}")
-    policies, found = _policies(problem, actor), list[Synthesis]()
+    problem, policies, cells = _written(given, _policies(given, actor), cells)
+    found = list[Synthesis]()
     for kind in RELATIONS if relation == "auto" else (relation,):
         if found and _boxes_of(found[0].certificate) > FEW_BOXES:
             break
@@ -146,7 +150,31 @@ def certify_network(
             continue
         middle, tables = time.perf_counter(), network_tables(problem, abstraction)
         found.append(_certified(problem, abstraction, tables, "networks as they are", {}, (began, middle)))
-    return max(found, key=lambda synthesis: synthesis.certificate.lower_bound)
+    return _of_given(given, max(found, key=lambda synthesis: synthesis.certificate.lower_bound))
+
+
+def _of_given(problem: Problem, found: Synthesis) -> Synthesis:
+    """Return what was found for a problem that may be written in another way, said of the problem itself."""
+    if found.certificate.problem is problem:
+        return found
+    certificate = (joint_certificate if problem.labeling.pairs else timed_certificate)(problem, found.certificate)
+    return Synthesis(certificate, certificate.controller, found.stats)
+
+
+def _written(
+    problem: Problem, policies: list[NetworkPolicy], cells: CellCounts
+) -> tuple[Problem, list[NetworkPolicy], CellCounts]:
+    """Return the problem as grids know it, what its networks are there, and the cells: without the time or pairs."""
+    if problem.labeling.pairs:
+        joint = joint_problem(problem)
+        if problem.n_states > MOST_GRID_STATES:
+            raise ValueError(
+                f"`problem`: expected a team of at most {MOST_GRID_STATES} states where propositions are about pairs, "
+                f"got {problem.n_states}: networks are certified as one joint agent then; leave out `as_is`"
+            )
+        return joint, [side_by_side(problem, joint.agents[0], policies)], joint_cells(problem, cells)
+    base = written_out(problem)
+    return base, policies if base is problem else told_in_time(problem, base, policies), cells
 
 
 def repair_network(
@@ -171,10 +199,10 @@ def repair_network(
         Share of all that is lost that the replaced places make up for, as few of them as can be: from 0 (nothing is
         replaced) to 1 (everything that gains).
     """
-    problem, began = as_problem(problem), time.perf_counter()
+    given, began = as_problem(problem), time.perf_counter()
     if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 <= share <= 1.0:
         raise ValueError(f"`share`: expected a number from 0 to 1, got {share!r}")
-    policies = _policies(problem, actor)
+    problem, policies, cells = _written(given, _policies(given, actor), cells)
     abstraction = network_abstraction(problem, policies, cells, targets_per_cell, "boxes", with_menu=True)
     middle = time.perf_counter()
     joint, tables = join(problem, abstraction), network_tables(problem, abstraction)
@@ -188,7 +216,7 @@ def repair_network(
     changed = sum(int(np.sum(a != b)) for a, b in zip(mixed, tables, strict=True))
     facts = {"share": float(share), "repaired": changed}
     name = "networks, repaired where they lose most"
-    return _certified(problem, abstraction, mixed, name, facts, (began, middle)), places
+    return _of_given(given, _certified(problem, abstraction, mixed, name, facts, (began, middle))), places
 
 
 def _boxes_of(certificate: OnGrid) -> int:
@@ -222,13 +250,10 @@ class _Losses:
         self.models, self.tables = joint.models, tables
         self.losses = [np.zeros(table.shape) for table in tables]
         self.others = [table.copy() for table in tables]
-        going = [q for q in range(joint.n_states) if not joint.absorbing[q]]
-        # The order in which a sweep shows its stages.
-        self.order = iter([(t, q) for t in reversed(range(joint.horizon)) for q in going])
 
     def watch(self, stage: Stage) -> None:
         """Note what better inputs add at a time in an automaton state, weighted by where the networks come to."""
-        t, q = next(self.order)
+        t, q = stage.time, stage.q
         for i, (model, weights) in enumerate(zip(self.models, stage.weights(), strict=True)):
             self.others[i][t, q] = stage.policies[i]
             if stage.is_met and len(stage.rows):
@@ -276,21 +301,20 @@ def network_abstraction_of(certificate: OnGrid) -> Abstraction:
     return network_abstraction(problem, policies, cells, targets, kind, with_menu=repaired)
 
 
-def differences(certificate: OnGrid, actor: Any) -> list[str]:
+def differences(certificate: Certificate, actor: Any) -> list[str]:
     """Return in which ways the networks of a certificate are not those of an actor; empty if it is about this actor.
 
     ``check`` verifies a certificate for the networks stored in it; this compares them with those that are deployed.
     """
-    problem, found = certificate.problem, []
-    policies = _policies(problem, actor)
-    for name, part, policy in zip(problem.agent_names, certificate.proof.agents, policies, strict=True):
+    _, policies, _ = _written(certificate.problem, _policies(certificate.problem, actor), None)
+    base, found = on_cells(certificate) or certificate, list[str]()
+    for name, part, policy in zip(base.problem.agent_names, base.proof.agents, policies, strict=True):
         stored, given = part.relation.get("network"), policy.description
         if stored is None:
             found.append(f"agent `{name}` is not moved by a network")
             continue
         keys = dict.fromkeys((*given, *stored))
         found += [f"agent `{name}`: its network has other {key}" for key in keys if stored.get(key) != given.get(key)]
-        modes = policy.n_modes
-        if np.any((part.policy < 0) | (part.policy >= modes)):
+        if np.any(part.policy != policy.modes_in(base.problem.automaton.n_states)[..., None]):
             found.append(f"agent `{name}`: its network was replaced in some cells")
     return found

@@ -94,11 +94,6 @@ MISSING: dict[str, dict[str, str]] = {
     "train": {"subtraction": "tasks about pairs do not ask for trains"},
     "shield": {"train": "values in time of trains are not read"},
     "permission": {"train": "permissions read trees alone"},
-    "network": {
-        **dict.fromkeys([*TIMED, "path in time"], "networks are certified where every step is the same"),
-        "linear expressions": "affine maps of expressions know constant inputs alone; boxes know networks",
-        **dict.fromkeys(["joint", "subtraction"], "networks of pairs are not certified"),
-    },
     "start box": {
         "exact correlated": "start boxes are read on cells that are boxes of states",
         "subtraction": "pairs are read at points",
