@@ -74,6 +74,7 @@ TRUSTED = {
         "synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
         "synthesis.checking.map_spans synthesis.checking.network_check synthesis.checking.network_spans "
+        "synthesis.checking.pair_moves "
         "synthesis.path_checking.own_intervals synthesis.checking.mixed_check synthesis.path_checking.whereabouts "
         "synthesis.checking.pairs_check synthesis.checking.opposite_task synthesis.path_checking.path_check "
         "synthesis.path_checking.hull_check synthesis.path_checking.own_bends "
@@ -122,7 +123,8 @@ THEN = {
     "mean boxes": "synthesis.checking.boxes_check synthesis.checking.near_slack synthesis.checking.mean_spans "
     "synthesis.checking.aim_spans synthesis.relations.boxes synthesis.relations.solved_means "
     "synthesis.relations.written_means",
-    "networks": "synthesis.checking.network_spans synthesis.checking.network_check synthesis.relations.networks",
+    "networks": "synthesis.checking.network_spans synthesis.checking.network_check synthesis.checking.pair_moves "
+    "synthesis.relations.networks",
     "tubes and ellipsoids": "synthesis.relations.coupled synthesis.relations.ellipsoid_facts "
     "synthesis.controllers.abstract_state",
     "noise of other laws": "envs.agents.laws envs.agents.composed_laws synthesis.certificates.checked_laws "

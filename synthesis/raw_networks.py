@@ -8,6 +8,7 @@ unknown. What is certified is the deployed network itself (docs/theory/networks.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,8 +19,9 @@ from ..envs.problem import Problem, written_out
 from ..envs.suite import as_problem
 from .bridges import certifiable
 from .cells import CellCounts, FloatArray, RelationRefused
-from .certificates import Certificate, OnGrid, Synthesis, joint_certificate, on_cells, timed_certificate
+from .certificates import Certificate, OnGrid, Synthesis, joint_certificate, timed_certificate
 from .certification import certificate_of
+from .keeping_apart import less_nearness, nearness
 from .models import (
     Abstraction,
     JointModel,
@@ -29,7 +31,7 @@ from .models import (
     network_tables,
     start_of,
 )
-from .pairs import joint_problem
+from .pairs import NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
 from .relations import NetworkPolicy, network_policy
 from .search import FINAL, Limits, Stage, sweep
 from .together import MOST_GRID_STATES, joint_cells
@@ -112,7 +114,7 @@ def certify_network(
     Parameters
     ----------
     problem : Problem, id or path
-        It may name the time; where it is about pairs, its agents have three states in all at most.
+        It may name the time or be about pairs of agents; with pairs starts are known, and noise is normal along states.
     actor : SharedActor, TeamActor, or what ``as_policy`` takes
         Networks that see the agent's own state, the automaton state and the time.
     cells : int, sequence of int or mapping from agent name to one of these, optional
@@ -136,10 +138,35 @@ def certify_network(
     given = as_problem(problem)
     if relation not in (*RELATIONS, "auto"):
         raise ValueError(f"`relation`: expected `linear` or `boxes` for networks as they are, got {relation!r}")
-    problem, policies, cells = _written(given, _policies(given, actor), cells)
-    found = list[Synthesis]()
+    networks, found = _policies(given, actor), list[Synthesis]()
+    if given.labeling.pairs and given.names_time:
+        raise ValueError(
+            "`problem`: expected a task that is about pairs of agents or names the time `t`, got one that does both, "
+            "of which only paths know; judge the network by rollouts, and `synthesize` with the relation `path`"
+        )
+    if given.labeling.pairs:
+        try:
+            found.append(_less_nearness(given, networks, cells, relation, targets_per_cell))
+        except RelationRefused:
+            if given.n_states > MOST_GRID_STATES:
+                raise
+    if not found or given.n_states <= MOST_GRID_STATES:
+        base, policies, base_cells = _written(given, networks, cells)
+        found.append(_of_given(given, _on_grids(base, policies, base_cells, relation, targets_per_cell)[0]))
+    return max(found, key=lambda synthesis: synthesis.certificate.lower_bound)
+
+
+def _on_grids(
+    problem: Problem,
+    policies: Sequence[NetworkPolicy],
+    cells: CellCounts,
+    relation: str,
+    targets_per_cell: int | None,
+) -> tuple[Synthesis, Abstraction]:
+    """Certify networks of a problem without pairs that does not name the time, and return the finite models as well."""
+    found = list[tuple[Synthesis, Abstraction]]()
     for kind in RELATIONS if relation == "auto" else (relation,):
-        if found and _boxes_of(found[0].certificate) > FEW_BOXES:
+        if found and _boxes_of(found[0][0].certificate) > FEW_BOXES:
             break
         began = time.perf_counter()
         try:
@@ -149,8 +176,28 @@ def certify_network(
                 raise
             continue
         middle, tables = time.perf_counter(), network_tables(problem, abstraction)
-        found.append(_certified(problem, abstraction, tables, "networks as they are", {}, (began, middle)))
-    return _of_given(given, max(found, key=lambda synthesis: synthesis.certificate.lower_bound))
+        certified = _certified(problem, abstraction, tables, "networks as they are", {}, (began, middle))
+        found.append((certified, abstraction))
+    return max(found, key=lambda one: one[0].certificate.lower_bound)
+
+
+def _less_nearness(
+    problem: Problem,
+    policies: Sequence[NetworkPolicy],
+    cells: CellCounts,
+    relation: str,
+    targets_per_cell: int | None,
+) -> Synthesis:
+    """Certify the task without pairs, and subtract what these may spoil under the networks."""
+    if not all(agent.initial.is_point for agent in problem.agents):
+        raise RelationRefused("the bound by subtraction needs a known start, got one drawn from a box")
+    usual = usual_values(problem)
+    base = without_pairs(problem, usual)
+    found, abstraction = _on_grids(base, policies, cells, relation, targets_per_cell)
+    masses = NearMass(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
+    near = nearness(masses, network_tables(base, abstraction))
+    certificate = less_nearness(problem, found.certificate, usual, near, dict(found.certificate.settings))
+    return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})
 
 
 def _of_given(problem: Problem, found: Synthesis) -> Synthesis:
@@ -162,19 +209,26 @@ def _of_given(problem: Problem, found: Synthesis) -> Synthesis:
 
 
 def _written(
-    problem: Problem, policies: list[NetworkPolicy], cells: CellCounts
-) -> tuple[Problem, list[NetworkPolicy], CellCounts]:
+    problem: Problem, policies: Sequence[NetworkPolicy], cells: CellCounts
+) -> tuple[Problem, Sequence[NetworkPolicy], CellCounts]:
     """Return the problem as grids know it, what its networks are there, and the cells: without the time or pairs."""
-    if problem.labeling.pairs:
-        joint = joint_problem(problem)
-        if problem.n_states > MOST_GRID_STATES:
-            raise ValueError(
-                f"`problem`: expected a team of at most {MOST_GRID_STATES} states where propositions are about pairs, "
-                f"got {problem.n_states}: networks are certified as one joint agent then; leave out `as_is`"
-            )
-        return joint, [side_by_side(problem, joint.agents[0], policies)], joint_cells(problem, cells)
-    base = written_out(problem)
-    return base, policies if base is problem else told_in_time(problem, base, policies), cells
+    if not problem.labeling.pairs:
+        base = written_out(problem)
+        return base, _rewritten(problem, base, policies), cells
+    if problem.n_states > MOST_GRID_STATES:
+        raise ValueError(
+            f"`problem`: expected a team of at most {MOST_GRID_STATES} states where propositions are about pairs, got "
+            f"{problem.n_states}: networks are repaired as that of one joint agent then; certify them as they are"
+        )
+    base = joint_problem(problem)
+    return base, _rewritten(problem, base, policies), joint_cells(problem, cells)
+
+
+def _rewritten(problem: Problem, base: Problem, policies: Sequence[NetworkPolicy]) -> Sequence[NetworkPolicy]:
+    """Return what the networks of a problem are where it is written in another way."""
+    if problem.names_time:
+        return told_in_time(problem, base, policies)
+    return policies if base.n_agents == problem.n_agents else [side_by_side(problem, base.agents[0], policies)]
 
 
 def repair_network(
@@ -306,8 +360,9 @@ def differences(certificate: Certificate, actor: Any) -> list[str]:
 
     ``check`` verifies a certificate for the networks stored in it; this compares them with those that are deployed.
     """
-    _, policies, _ = _written(certificate.problem, _policies(certificate.problem, actor), None)
-    base, found = on_cells(certificate) or certificate, list[str]()
+    problem, found = certificate.problem, list[str]()
+    base = next(iter(certificate.proof.parts), certificate)
+    policies = _rewritten(problem, base.problem, _policies(problem, actor))
     for name, part, policy in zip(base.problem.agent_names, base.proof.agents, policies, strict=True):
         stored, given = part.relation.get("network"), policy.description
         if stored is None:

@@ -35,7 +35,7 @@ from ...envs.expressions import (
 )
 from ..cells import FloatArray, RelationRefused, linear_agent
 from .aims import aimed_relation
-from .boxes import LinearMeans, linear_means
+from .boxes import LinearMeans, MeanBoxes, linear_means
 from .coordinates import ReadsCoordinates
 from .exact import ExactRelation
 from .rounding import missed_cells, reading_of
@@ -298,6 +298,13 @@ class MapRelation(ReadsCoordinates):
         """The exact relation of its targets, or None, and its inputs; None beside networks, and targets of others."""
         aims = (None, None) if self.aims is None else self.aims.matrices
         return None if self.network is not None or aims is None else (aims[0], np.asarray(self.menu, dtype=float))
+
+    def mean_boxes(self, low: FloatArray, high: FloatArray) -> MeanBoxes:
+        """Return boxes around the means of inputs from the closed cells ``[low, high]``, (n, d) each (outer bounds)."""
+        maps, half = self.means.around(low, high, self.menu), 0.5 * (high - low) * (1.0 + COMPUTED)
+        reach = np.einsum("nakj,nj->nak", np.abs(maps.gain), half) + maps.rest
+        least, most = maps.centre - reach, maps.centre + reach
+        return MeanBoxes(least, most, np.all(np.isfinite(least) & np.isfinite(most), axis=2))
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""
