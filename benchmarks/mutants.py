@@ -496,9 +496,28 @@ MUTANTS = [
             "np.clip(least[..., j], *box), np.clip(least[..., j], *box)",
         ),
         (
-            "found = self.driven.scales(low, high, np.zeros((1, 1)))",
+            "found = self.driven.scales(low, high, self._clock(menu))",
             "found = self.written.scales(low, high, np.zeros((1, len(self.written.agent.inputs))))",
         ),
+        (
+            "return menu[:, -1:] if self.policy.has_clock",
+            "return 0.0 * menu[:, -1:] if self.policy.has_clock",
+        ),
+    ),
+    *_in(
+        "synthesis/relations/network_maps.py",
+        (
+            "= form.centre, form.slopes, form.radius\n        size",
+            "= form.centre, form.slopes, 0.0 * form.radius\n        size",
+        ),
+    ),
+    *_in(
+        "synthesis/checking/map_spans.py",
+        ('moved[name] = Operation("+", (Name(name), Name(f"held {j}")))', 'moved[name] = Name(f"held {j}")'),
+    ),
+    *_in(
+        "synthesis/checking/timed_check.py",
+        ("known & (told[table] != np.arange(table.shape[1]))", "known & (told[table] < 0)"),
     ),
     *_in(
         "synthesis/checking/certificate_check.py",

@@ -74,7 +74,8 @@ TRUSTED = {
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.near_slack "
         "synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
-        "synthesis.checking.network_spans "
+        "synthesis.checking.map_spans synthesis.checking.network_check synthesis.checking.network_spans "
+        "synthesis.checking.pair_moves "
         "synthesis.path_checking.own_intervals synthesis.checking.mixed_check synthesis.path_checking.whereabouts "
         "synthesis.checking.pairs_check synthesis.checking.opposite_task synthesis.path_checking.path_check "
         "synthesis.path_checking.hull_check synthesis.path_checking.own_bends "
@@ -120,11 +121,12 @@ THEN = {
     "envs.logic.translation envs.logic.minimal",
     "files": "synthesis.certificates.certificate_file synthesis.certificates.grid_reader envs.problem.problem_file",
     "linear cells": "synthesis.checking.linear_check synthesis.checking.linear_tables "
-    "synthesis.checking.written_linear synthesis.relations.affine_means",
+    "synthesis.checking.written_linear synthesis.checking.map_spans synthesis.relations.affine_means",
     "mean boxes": "synthesis.checking.boxes_check synthesis.checking.near_slack synthesis.checking.mean_spans "
     "synthesis.checking.aim_spans synthesis.relations.boxes synthesis.relations.solved_means "
     "synthesis.relations.written_means",
-    "networks": "synthesis.checking.network_spans synthesis.relations.networks",
+    "networks": "synthesis.checking.network_spans synthesis.checking.network_check synthesis.checking.pair_moves "
+    "synthesis.relations.networks",
     "tubes and ellipsoids": "synthesis.relations.coupled synthesis.relations.ellipsoid_facts "
     "synthesis.controllers.abstract_state",
     "noise of other laws": "envs.agents.laws envs.agents.composed_laws synthesis.certificates.checked_laws "

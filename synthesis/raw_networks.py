@@ -8,18 +8,20 @@ unknown. What is certified is the deployed network itself (docs/theory/networks.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..envs.agents import counted, tree_text
-from ..envs.problem import Problem
+from ..envs.problem import Problem, written_out
 from ..envs.suite import as_problem
 from .bridges import certifiable
 from .cells import CellCounts, FloatArray, RelationRefused
-from .certificates import OnGrid, Synthesis
+from .certificates import Certificate, OnGrid, Synthesis, joint_certificate, timed_certificate
 from .certification import certificate_of
+from .keeping_apart import less_nearness, nearness
 from .models import (
     Abstraction,
     JointModel,
@@ -29,9 +31,12 @@ from .models import (
     network_tables,
     start_of,
 )
+from .pairs import NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
 from .relations import NetworkPolicy, network_policy
 from .search import FINAL, Limits, Stage, sweep
+from .together import MOST_GRID_STATES, joint_cells
 from .values import to_host
+from .written_networks import side_by_side, told_in_time
 
 RELATIONS = ("linear", "boxes")
 """How the means under networks are enclosed, in the order in which they are tried."""
@@ -109,7 +114,7 @@ def certify_network(
     Parameters
     ----------
     problem : Problem, id or path
-        Agents with linear dynamics.
+        It may name the time or be about pairs of agents; with pairs starts are known, and noise is normal along states.
     actor : SharedActor, TeamActor, or what ``as_policy`` takes
         Networks that see the agent's own state, the automaton state and the time.
     cells : int, sequence of int or mapping from agent name to one of these, optional
@@ -128,14 +133,40 @@ def certify_network(
     Raises
     ------
     ValueError
-        If a network sees more than its agent's own state, or dynamics are not linear.
+        If a network sees more than its agent's own state, or a relation that was asked for does not apply.
     """
-    problem = as_problem(problem)
+    given = as_problem(problem)
     if relation not in (*RELATIONS, "auto"):
         raise ValueError(f"`relation`: expected `linear` or `boxes` for networks as they are, got {relation!r}")
-    policies, found = _policies(problem, actor), list[Synthesis]()
+    networks, found = _policies(given, actor), list[Synthesis]()
+    if given.labeling.pairs and given.names_time:
+        raise ValueError(
+            "`problem`: expected a task that is about pairs of agents or names the time `t`, got one that does both, "
+            "of which only paths know; judge the network by rollouts, and `synthesize` with the relation `path`"
+        )
+    if given.labeling.pairs:
+        try:
+            found.append(_less_nearness(given, networks, cells, relation, targets_per_cell))
+        except RelationRefused:
+            if given.n_states > MOST_GRID_STATES:
+                raise
+    if not found or given.n_states <= MOST_GRID_STATES:
+        base, policies, base_cells = _written(given, networks, cells)
+        found.append(_of_given(given, _on_grids(base, policies, base_cells, relation, targets_per_cell)[0]))
+    return max(found, key=lambda synthesis: synthesis.certificate.lower_bound)
+
+
+def _on_grids(
+    problem: Problem,
+    policies: Sequence[NetworkPolicy],
+    cells: CellCounts,
+    relation: str,
+    targets_per_cell: int | None,
+) -> tuple[Synthesis, Abstraction]:
+    """Certify networks of a problem without pairs that does not name the time, and return the finite models as well."""
+    found = list[tuple[Synthesis, Abstraction]]()
     for kind in RELATIONS if relation == "auto" else (relation,):
-        if found and _boxes_of(found[0].certificate) > FEW_BOXES:
+        if found and _boxes_of(found[0][0].certificate) > FEW_BOXES:
             break
         began = time.perf_counter()
         try:
@@ -145,8 +176,59 @@ def certify_network(
                 raise
             continue
         middle, tables = time.perf_counter(), network_tables(problem, abstraction)
-        found.append(_certified(problem, abstraction, tables, "networks as they are", {}, (began, middle)))
-    return max(found, key=lambda synthesis: synthesis.certificate.lower_bound)
+        certified = _certified(problem, abstraction, tables, "networks as they are", {}, (began, middle))
+        found.append((certified, abstraction))
+    return max(found, key=lambda one: one[0].certificate.lower_bound)
+
+
+def _less_nearness(
+    problem: Problem,
+    policies: Sequence[NetworkPolicy],
+    cells: CellCounts,
+    relation: str,
+    targets_per_cell: int | None,
+) -> Synthesis:
+    """Certify the task without pairs, and subtract what these may spoil under the networks."""
+    if not all(agent.initial.is_point for agent in problem.agents):
+        raise RelationRefused("the bound by subtraction needs a known start, got one drawn from a box")
+    usual = usual_values(problem)
+    base = without_pairs(problem, usual)
+    found, abstraction = _on_grids(base, policies, cells, relation, targets_per_cell)
+    masses = NearMass(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
+    near = nearness(masses, network_tables(base, abstraction))
+    certificate = less_nearness(problem, found.certificate, usual, near, dict(found.certificate.settings))
+    return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})
+
+
+def _of_given(problem: Problem, found: Synthesis) -> Synthesis:
+    """Return what was found for a problem that may be written in another way, said of the problem itself."""
+    if found.certificate.problem is problem:
+        return found
+    certificate = (joint_certificate if problem.labeling.pairs else timed_certificate)(problem, found.certificate)
+    return Synthesis(certificate, certificate.controller, found.stats)
+
+
+def _written(
+    problem: Problem, policies: Sequence[NetworkPolicy], cells: CellCounts
+) -> tuple[Problem, Sequence[NetworkPolicy], CellCounts]:
+    """Return the problem as grids know it, what its networks are there, and the cells: without the time or pairs."""
+    if not problem.labeling.pairs:
+        base = written_out(problem)
+        return base, _rewritten(problem, base, policies), cells
+    if problem.n_states > MOST_GRID_STATES:
+        raise ValueError(
+            f"`problem`: expected a team of at most {MOST_GRID_STATES} states where propositions are about pairs, got "
+            f"{problem.n_states}: networks are repaired as that of one joint agent then; certify them as they are"
+        )
+    base = joint_problem(problem)
+    return base, _rewritten(problem, base, policies), joint_cells(problem, cells)
+
+
+def _rewritten(problem: Problem, base: Problem, policies: Sequence[NetworkPolicy]) -> Sequence[NetworkPolicy]:
+    """Return what the networks of a problem are where it is written in another way."""
+    if problem.names_time:
+        return told_in_time(problem, base, policies)
+    return policies if base.n_agents == problem.n_agents else [side_by_side(problem, base.agents[0], policies)]
 
 
 def repair_network(
@@ -171,10 +253,10 @@ def repair_network(
         Share of all that is lost that the replaced places make up for, as few of them as can be: from 0 (nothing is
         replaced) to 1 (everything that gains).
     """
-    problem, began = as_problem(problem), time.perf_counter()
+    given, began = as_problem(problem), time.perf_counter()
     if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 <= share <= 1.0:
         raise ValueError(f"`share`: expected a number from 0 to 1, got {share!r}")
-    policies = _policies(problem, actor)
+    problem, policies, cells = _written(given, _policies(given, actor), cells)
     abstraction = network_abstraction(problem, policies, cells, targets_per_cell, "boxes", with_menu=True)
     middle = time.perf_counter()
     joint, tables = join(problem, abstraction), network_tables(problem, abstraction)
@@ -188,7 +270,7 @@ def repair_network(
     changed = sum(int(np.sum(a != b)) for a, b in zip(mixed, tables, strict=True))
     facts = {"share": float(share), "repaired": changed}
     name = "networks, repaired where they lose most"
-    return _certified(problem, abstraction, mixed, name, facts, (began, middle)), places
+    return _of_given(given, _certified(problem, abstraction, mixed, name, facts, (began, middle))), places
 
 
 def _boxes_of(certificate: OnGrid) -> int:
@@ -222,13 +304,10 @@ class _Losses:
         self.models, self.tables = joint.models, tables
         self.losses = [np.zeros(table.shape) for table in tables]
         self.others = [table.copy() for table in tables]
-        going = [q for q in range(joint.n_states) if not joint.absorbing[q]]
-        # The order in which a sweep shows its stages.
-        self.order = iter([(t, q) for t in reversed(range(joint.horizon)) for q in going])
 
     def watch(self, stage: Stage) -> None:
         """Note what better inputs add at a time in an automaton state, weighted by where the networks come to."""
-        t, q = next(self.order)
+        t, q = stage.time, stage.q
         for i, (model, weights) in enumerate(zip(self.models, stage.weights(), strict=True)):
             self.others[i][t, q] = stage.policies[i]
             if stage.is_met and len(stage.rows):
@@ -276,21 +355,21 @@ def network_abstraction_of(certificate: OnGrid) -> Abstraction:
     return network_abstraction(problem, policies, cells, targets, kind, with_menu=repaired)
 
 
-def differences(certificate: OnGrid, actor: Any) -> list[str]:
+def differences(certificate: Certificate, actor: Any) -> list[str]:
     """Return in which ways the networks of a certificate are not those of an actor; empty if it is about this actor.
 
     ``check`` verifies a certificate for the networks stored in it; this compares them with those that are deployed.
     """
-    problem, found = certificate.problem, []
-    policies = _policies(problem, actor)
-    for name, part, policy in zip(problem.agent_names, certificate.proof.agents, policies, strict=True):
+    problem, found = certificate.problem, list[str]()
+    base = getattr(certificate.proof, "base", certificate)  # of proofs about a problem written in another way
+    policies = _rewritten(problem, base.problem, _policies(problem, actor))
+    for name, part, policy in zip(base.problem.agent_names, base.proof.agents, policies, strict=True):
         stored, given = part.relation.get("network"), policy.description
         if stored is None:
             found.append(f"agent `{name}` is not moved by a network")
             continue
         keys = dict.fromkeys((*given, *stored))
         found += [f"agent `{name}`: its network has other {key}" for key in keys if stored.get(key) != given.get(key)]
-        modes = policy.n_modes
-        if np.any((part.policy < 0) | (part.policy >= modes)):
+        if np.any(part.policy != policy.modes_in(base.problem.automaton.n_states)[..., None]):
             found.append(f"agent `{name}`: its network was replaced in some cells")
     return found

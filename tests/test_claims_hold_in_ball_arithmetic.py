@@ -21,12 +21,12 @@ from certigym.synthesis.checking import (
     boxes_check,
     execution_of,
     linear_tables,
+    map_spans,
     mean_spans,
     network_spans,
     pairs_check,
     relation_check,
     uniform_noise,
-    written_linear,
 )
 from certigym.synthesis.path_checking import gaussian_inequalities, own_intervals, path_check
 from certigym.synthesis.relations import Network
@@ -263,8 +263,8 @@ def lower_charges(patch: pytest.MonkeyPatch) -> None:
 
 def flat_maps(patch: pytest.MonkeyPatch) -> None:
     """What is left of maps is less than there is."""
-    honest = written_linear.bounds
-    patch.setattr(written_linear, "bounds", lambda *arguments: [0.999 * ends for ends in honest(*arguments)])
+    honest = map_spans.bounds
+    patch.setattr(map_spans, "bounds", lambda *arguments: [0.999 * ends for ends in honest(*arguments)])
 
 
 def rounded_sines(patch: pytest.MonkeyPatch) -> None:

@@ -2,16 +2,17 @@
 
 Rows are ways to move and to certify, columns are what users ask of a certificate (``composing``). A cell is a result
 that is compared with a dense program of the joint system, or a refusal in words with the reason of mathematics
-(``CANNOT``). What could be and is not yet there is ``MISSING``: an expected failure that fails when it is filled.
+(``CANNOT``): nothing that could be is missing.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+import limits_table
 from composing import COLUMNS, RESOLUTION, ROWS, Claims, optimum
 
 EVERY_CELL = [(row, column) for row in ROWS for column in COLUMNS]
@@ -19,92 +20,92 @@ EVERY_CELL = [(row, column) for row in ROWS for column in COLUMNS]
 BOXES = [row for row in ROWS if row.startswith("boxes")]
 LINEAR = [row for row in ROWS if row.startswith("linear")]
 TIMED = ["exact in time", "linear in time"]
-NO_VALUES_ON_PATHS = "along a path"
-"""A path proves one run from one start: it has no values at other states and times, and no cells."""
+PATHS = ["path", "path in time"]
 
-NO_VALUES_BY_SUBTRACTION = "by subtraction"
-"""What pairs may spoil is bounded for the whole run: what is subtracted is no function of the state."""
 
-GROWS = "what pairs may spoil grows with every step"
-"""What is subtracted is a sum over all steps: nothing is left of it without a deadline."""
+@dataclass(frozen=True)
+class Reason:
+    """Why something cannot be: words of the message that says so, and the reason of mathematics."""
 
-BOTH_SIGNS = "factors have both signs"
-"""Tensor trains are sums of factors of both signs: no least value of a sum is read off the least factors."""
+    said: str
+    why: str
 
-CANNOT: dict[str, dict[str, str]] = {
-    # Trains round sums of factors: a step must take sums to sums, which least values over boxes and corners do not.
-    "train": dict.fromkeys(BOXES + LINEAR, "expected 'auto' or 'tree'"),
-    "own upper end": {"path": "no upper end", "path in time": "no upper end"},
-    "opposite end": {"path": "no upper end", "path in time": "no upper end"},
-    # What may be lost at every step cannot be promised; an abstract state is not the state that a shield sees; inputs
-    # that others rely on cannot be left to a learner. Least values of sums of factors are no sums of least factors
-    # where these have both signs, as those of trains do.
+
+ON_PATHS = Reason("along a path", "a path proves one run from one start: it has no cells, and no values elsewhere")
+PATHS_HAVE_NO_END = Reason(
+    "no upper end", "a path proves that runs succeed near it; those that leave it may succeed, too"
+)
+OWN_FEEDBACK = Reason("expected one of auto", "a path has a feedback of its own: no policy is given to it")
+NO_GRID = Reason("has no grid", "memory and accuracy choose cells, and a path has none")
+BY_SUBTRACTION = Reason(
+    "by subtraction",
+    "what pairs may spoil is bounded for the whole run from its start, and is no function of the state",
+)
+AT_PAIRS = replace(BY_SUBTRACTION, said="about pairs of agents")
+GROWS = Reason(
+    "what pairs may spoil grows with every step",
+    "what is subtracted is a sum over all steps: nothing is left of it without a deadline",
+)
+NOT_ADDITIVE = Reason(
+    "expected 'auto' or 'tree'",
+    "trains are rounded between sums of factors: a step must take sums to sums, and least values over cells do not",
+)
+BOTH_SIGNS = Reason(
+    "factors have both signs",
+    "factors of trains have both signs: no least value of such a sum is read off the least factors",
+)
+ABSTRACT_STATE = Reason("without memory", "a tube has an abstract state that nobody sees but its controller")
+MAY_BE_LOST = Reason("delta = 0", "what may be lost at every step cannot be promised to others, nor for all times")
+ABSTRACT_MENU = Reason("expected the relation", "menus are inputs at states; choices at an abstract state are none")
+RELIED_ON = Reason(
+    "chosen in common", "inputs that other agents rely on cannot be left open, cell by cell or to a learner"
+)
+KNOWN_TO_ALL = Reason(
+    "whose inputs depend on states", "inputs in common are known to all: those of a policy depend on its state"
+)
+RUNS_EMPTY = Reason("falls to 0", "a battery runs empty in the end: no rate bounds what falls to 0")
+LOOK_AT_TIME = Reason(
+    "policies have to look at it", "rates are those of steps that are all the same, which steps in time are not"
+)
+STEPS_DIFFER = Reason("the same at every step", "beyond its horizon nothing is said of a problem whose steps differ")
+
+CANNOT: dict[str, dict[str, Reason]] = {
+    "train": dict.fromkeys(BOXES + LINEAR, NOT_ADDITIVE),
+    "own upper end": dict.fromkeys(PATHS, PATHS_HAVE_NO_END),
+    "opposite end": dict.fromkeys(PATHS, PATHS_HAVE_NO_END),
     "shield": {
         "train": BOTH_SIGNS,
-        "tube": "without memory",
-        "ellipsoid": "without memory",
-        "ellipsoid with delta": "delta = 0",
-        "paper": "delta = 0",
-        "boxes common input": "chosen in common",
-        "path": NO_VALUES_ON_PATHS,
-        "path in time": NO_VALUES_ON_PATHS,
-        "subtraction": NO_VALUES_BY_SUBTRACTION,
+        **dict.fromkeys(["tube", "ellipsoid"], ABSTRACT_STATE),
+        **dict.fromkeys(["ellipsoid with delta", "paper"], MAY_BE_LOST),
+        "boxes common input": RELIED_ON,
+        **dict.fromkeys(PATHS, ON_PATHS),
+        "subtraction": BY_SUBTRACTION,
     },
-    # Permissions are sets of inputs at states: choices of an abstract state are none. Inputs that others rely on are
-    # the same everywhere: nothing is left to choose cell by cell.
     "permission": {
-        "boxes common input": "chosen in common",
-        "tube": "expected the relation",
-        "ellipsoid": "expected the relation",
-        "ellipsoid with delta": "expected the relation",
-        "paper": "expected the relation",
-        "path": NO_VALUES_ON_PATHS,
-        "path in time": NO_VALUES_ON_PATHS,
-        "subtraction": NO_VALUES_BY_SUBTRACTION,
         "train": BOTH_SIGNS,
+        **dict.fromkeys(["tube", "ellipsoid", "ellipsoid with delta", "paper"], ABSTRACT_MENU),
+        "boxes common input": RELIED_ON,
+        **dict.fromkeys(PATHS, ON_PATHS),
+        "subtraction": BY_SUBTRACTION,
     },
-    # A policy that looks at the state is not known to others; a path has a feedback of its own.
-    "certify": {
-        "boxes common input": "whose inputs depend on states",
-        "path": "expected one of auto",
-        "path in time": "expected one of auto",
-    },
-    "at": {"path": NO_VALUES_ON_PATHS, "path in time": NO_VALUES_ON_PATHS, "subtraction": "about pairs of agents"},
-    "values in time": {
-        "path": NO_VALUES_ON_PATHS,
-        "path in time": NO_VALUES_ON_PATHS,
-        "subtraction": NO_VALUES_BY_SUBTRACTION,
-    },
-    "audit": {"path": NO_VALUES_ON_PATHS, "path in time": NO_VALUES_ON_PATHS, "subtraction": NO_VALUES_BY_SUBTRACTION},
-    "field": {"path": NO_VALUES_ON_PATHS, "path in time": NO_VALUES_ON_PATHS, "subtraction": "."},
-    # Rates are read from least values: nothing is bounded where one of them is 0, as when a battery runs empty.
+    "certify": {"boxes common input": KNOWN_TO_ALL, **dict.fromkeys(PATHS, OWN_FEEDBACK)},
+    "at": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": AT_PAIRS},
+    "values in time": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": BY_SUBTRACTION},
+    "audit": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": BY_SUBTRACTION},
+    "field": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": BY_SUBTRACTION},
     "safety rate": {
-        "ellipsoid with delta": "delta = 0",
-        "paper": "delta = 0",
-        "boxes no noise": "falls to 0",
-        **dict.fromkeys(TIMED, "policies have to look at it"),
-        "path": NO_VALUES_ON_PATHS,
-        "path in time": NO_VALUES_ON_PATHS,
-        "subtraction": GROWS,
         "train": BOTH_SIGNS,
+        **dict.fromkeys(["ellipsoid with delta", "paper"], MAY_BE_LOST),
+        "boxes no noise": RUNS_EMPTY,
+        **dict.fromkeys(TIMED, LOOK_AT_TIME),
+        **dict.fromkeys(PATHS, ON_PATHS),
+        "subtraction": GROWS,
     },
-    # Beyond the horizon nothing is said of the time, and policies that do not look at it cannot know it.
-    "no deadline": {"subtraction": GROWS, **dict.fromkeys([*TIMED, "path in time"], "the same at every step")},
-    "budget": {"path": "has no grid", "path in time": "which has no grid"},
-    "start=": dict.fromkeys(["path", "path in time"], NO_VALUES_ON_PATHS),
+    "no deadline": {"subtraction": GROWS, **dict.fromkeys([*TIMED, "path in time"], STEPS_DIFFER)},
+    "budget": dict.fromkeys(PATHS, NO_GRID),
+    "start=": dict.fromkeys(PATHS, ON_PATHS),
 }
-"""Refusals by mathematics: column, row, and what the message says."""
-
-WRITTEN_OUT = "it is about the problem written out alone"
-
-MISSING: dict[str, dict[str, str]] = {
-    "network": {
-        **dict.fromkeys([*TIMED, "path in time"], "networks are certified where every step is the same"),
-        "linear expressions": "affine maps of expressions know constant inputs alone; boxes know networks",
-        **dict.fromkeys(["joint", "subtraction"], "networks of pairs are not certified"),
-    },
-}
-"""What could be and is not there yet: column, row, why."""
+"""Refusals by mathematics: column, row, and why. The page of limits lists them (``docs/limits_table.py``)."""
 
 MENUS = "test_menus_of_inputs_keep_what_they_promise asks the same and more of these rows"
 OTHER_ROWS = "cells are chosen by the relation, the noise and the neighbours, of which other rows have each"
@@ -138,19 +139,12 @@ ELSEWHERE: dict[str, dict[str, str]] = {
 CELLS = [(row, column) for row, column in EVERY_CELL if row not in ELSEWHERE.get(column, {})]
 
 
-def expected(row: str, column: str) -> Any:
-    marks = []
-    if reason := MISSING.get(column, {}).get(row):
-        marks.append(pytest.mark.xfail(strict=True, reason=reason, raises=(ValueError, AssertionError)))
-    return pytest.param(row, column, marks=marks, id=f"{row} - {column}")
-
-
-@pytest.mark.parametrize(("row", "column"), [expected(*cell) for cell in CELLS])
+@pytest.mark.parametrize(("row", "column"), CELLS, ids=lambda name: name)
 def test_cell(row: str, column: str, tmp_path: Path) -> None:
     if column == "device":
         pytest.importorskip("torch", reason="the extra `rl` brings a device")
-    if said := CANNOT.get(column, {}).get(row):
-        with pytest.raises(ValueError, match=said):
+    if reason := CANNOT.get(column, {}).get(row):
+        with pytest.raises(ValueError, match=reason.said):
             COLUMNS[column](row, tmp_path)
         return
     agrees(row, COLUMNS[column](row, tmp_path))
@@ -166,17 +160,18 @@ def agrees(row: str, claims: Claims) -> None:
 
 
 def test_the_tables_name_cells_of_the_matrix() -> None:
-    """A cell cannot be, or is missing, or works: not two of these; and there is nothing else in the tables.
-
-    What other tests imply works.
-    """
+    """A cell cannot be, or works, here or in other tests; and there is nothing else in the tables."""
     cannot = {(row, column) for column, rows in CANNOT.items() for row in rows}
-    missing = {(row, column) for column, rows in MISSING.items() for row in rows}
     elsewhere = {(row, column) for column, rows in ELSEWHERE.items() for row in rows}
-    assert not cannot & missing and cannot | missing <= {*CELLS} and cannot | missing | elsewhere <= {*EVERY_CELL}
+    assert cannot <= {*CELLS} and elsewhere <= {*EVERY_CELL}
 
 
 def test_dense_programs_see_claims_that_are_too_large() -> None:
     """Their resolution is small against what is at stake: for most rows a claim of .1 more would be seen."""
     seen = [row for row in ROWS if optimum(row) + RESOLUTION < 1.0]
     assert len(seen) >= 3
+
+
+def test_the_page_of_limits_lists_them() -> None:
+    page = limits_table.PAGE.read_text(encoding="utf-8")
+    assert limits_table.with_table(page, limits_table.table(CANNOT)) == page, "run python docs/limits_table.py"

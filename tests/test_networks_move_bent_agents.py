@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -11,9 +12,11 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
+from certigym.synthesis.checking.map_spans import networked_maps
 from certigym.synthesis.checking.network_spans import _inputs_between, driven_spans
+from certigym.synthesis.models import network_model
 from certigym.synthesis.raw_networks import repair_network
-from certigym.synthesis.relations import Network
+from certigym.synthesis.relations import Network, network_maps
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from network_problems import with_network
@@ -64,15 +67,17 @@ PROBLEMS = {
 
 
 @cache
-def certified(kind: str) -> tuple[cg.Problem, Any, Any]:
+def certified(kind: str, relation: str = "boxes") -> tuple[cg.Problem, Any, Any]:
     problem = PROBLEMS[kind]()
     actor = balancing(problem)
-    return problem, actor, cg.certify(problem, actor, 150, as_is=True, above=True).certificate
+    return problem, actor, cg.certify(problem, actor, 150, as_is=True, above=True, relation=relation).certificate
 
 
-@pytest.mark.parametrize("kind", PROBLEMS)
-def test_rollouts_lie_between_both_ends(kind: str) -> None:
-    problem, actor, certificate = certified(kind)
+@pytest.mark.parametrize(
+    ("kind", "relation"), [*((kind, "boxes") for kind in PROBLEMS), ("plain", "linear"), ("disturbed", "linear")]
+)
+def test_rollouts_lie_between_both_ends(kind: str, relation: str) -> None:
+    problem, actor, certificate = certified(kind, relation)
     report = cg.check(certificate)
     assert report, report
     assert 0.05 < certificate.lower_bound <= certificate.upper_bound
@@ -102,6 +107,85 @@ def test_boxes_hold_what_the_deployed_network_does() -> None:
         assert np.all((least <= inputs.T) & (inputs.T <= most))
 
 
+def bent(**changes: Any) -> cg.Problem:
+    """Two states, of which one bends, and noise that is not along them."""
+    agent = cg.Agent(
+        name="rover", states=["x", "y"], inputs=["u", "w"], dynamics=["x + 0.3*sin(y) + 0.5*u*cos(x)", "0.9*y + 0.4*w"],
+        noise_covariance=[[0.05, 0.02], [0.02, 0.04]], state_low=[-2.0, -1.5], state_high=[2.0, 1.5],
+        input_low=[-1.0, -0.5], input_high=[0.8, 0.9], initial_state=[0.9, 0.2],
+    )  # fmt: skip
+    home = cg.Proposition("rover", [-0.5, -1.5], [0.5, 1.5])
+    return cg.Problem(
+        name="bent", horizon=2, agents=[agent], propositions={"home": home},
+        specification=cg.Specification("F home", "co-safe"),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("make", [PROBLEMS["plain"], bent])
+def test_maps_hold_what_the_deployed_network_does(make: Any) -> None:
+    """5,000 states: means lie in the maps of the check, which leave no more than those of the search."""
+    problem = make()
+    (agent,), actor = problem.agents, balancing(problem)
+    assert isinstance(agent, cg.Agent)
+    certificate = cg.certify(problem, actor, 12, as_is=True, relation="linear").certificate
+    assert cg.check(certificate)
+    (part,), rng = certificate.proof.agents, np.random.default_rng(5)
+    cells = rng.integers(part.grid.n_cells, size=5_000)
+    low, high = part.grid.low[cells], part.grid.high[cells]
+    points, q = low + rng.random(low.shape) * (high - low), int(problem.initial_q or 0)
+    mode = problem.automaton.n_states + q  # of the second step
+    menu = np.zeros((len(cells), agent.n_inputs))
+    z, gain, rho = networked_maps(agent, part, (low, high), menu, mode)
+    states = part.coordinates @ points.T
+    inputs = actor.inputs(0, states, np.full(len(cells), q), 1)
+    means = np.linalg.solve(part.coordinates, agent.mean(states, inputs)).T
+    off = means - z - np.einsum("nkj,nj->nk", gain, points - 0.5 * (low + high))
+    inside = np.all((agent.workspace.low[:, None] <= states) & (states <= agent.workspace.high[:, None]), axis=0)
+    assert inside.sum() > 3_000 and np.all(np.abs(off[inside]) <= rho[inside] + 1e-12)
+    relation = certificate.controller.agents[0].relation
+    searched = relation.means.around(part.grid.low[:50], part.grid.high[:50], relation.menu)
+    again = networked_maps(agent, part, (part.grid.low[:50], part.grid.high[:50]), menu[:50], mode)
+    assert np.all(again[2] <= searched.rest[:, mode])
+
+
+def test_what_maps_leave_is_of_second_order() -> None:
+    """Four times as many cells: what both ends are apart by falls to less than a tenth."""
+    problem = PROBLEMS["plain"]()
+    apart = []
+    for cells in (12, 48):
+        found = cg.certify(problem, balancing(problem), cells, as_is=True, above=True, relation="linear").certificate
+        apart.append(found.upper_bound - found.lower_bound)
+    assert apart[1] < 0.1 * apart[0]
+
+
+def test_maps_that_forget_what_networks_leave_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sabotage of the search: inputs that are their affine maps, with nothing left."""
+    honest = network_maps.mean_form
+
+    def careless(*arguments: Any) -> Any:
+        form, ends = honest(*arguments)
+        return replace(form, radius=0.0 * form.radius), ends
+
+    problem = PROBLEMS["plain"]()
+    monkeypatch.setattr(network_maps, "mean_form", careless)
+    forged = cg.certify(problem, balancing(problem), 12, as_is=True, relation="linear").certificate
+    monkeypatch.undo()
+    assert not cg.check(forged)
+
+
+def test_angles_that_wrap_are_for_boxes_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Linear cells would count who turns past the seam as gone: refused, and refused by the check where it is not."""
+    agent = rover(dynamics=["x + u"], angles=["x"], state_low=[-np.pi], state_high=[np.pi], initial_state=[1.0])
+    problem = middle(agent)
+    found = cg.certify(problem, balancing(problem), 24, as_is=True).certificate
+    assert found.proof.agents[0].relation["kind"] == "boxes" and cg.check(found)
+    with pytest.raises(ValueError, match="which wraps"):
+        cg.certify(problem, balancing(problem), 24, as_is=True, relation="linear")
+    monkeypatch.setattr(network_model, "refuse_angles", lambda *arguments: None)
+    forged = cg.certify(problem, balancing(problem), 24, as_is=True, relation="linear")
+    assert "takes its angles for numbers" in cg.check(forged).failures[0]
+
+
 def test_other_networks_and_larger_claims_are_refused() -> None:
     problem, _, certificate = certified("plain")
     larger = certificate.lower_bound + 0.02
@@ -126,7 +210,7 @@ def test_a_check_that_forgets_what_inputs_may_be_is_caught(monkeypatch: pytest.M
 
     monkeypatch.setattr(driven_means, "mean_bounds", careless)
     problem = PROBLEMS["plain"]()
-    forged = cg.certify(problem, balancing(problem), 30, as_is=True).certificate
+    forged = cg.certify(problem, balancing(problem), 30, as_is=True, relation="boxes").certificate
     monkeypatch.undo()
     assert not cg.check(forged)
 
@@ -134,8 +218,9 @@ def test_a_check_that_forgets_what_inputs_may_be_is_caught(monkeypatch: pytest.M
 def test_repairs_and_refusals() -> None:
     problem = PROBLEMS["plain"]()
     poor = balancing(problem, 0.1)
-    as_is = cg.certify(problem, poor, 40, as_is=True).certificate
+    as_is = cg.certify(problem, poor, 40, as_is=True, relation="boxes").certificate
     repaired, _ = repair_network(problem, poor, 40)
     assert cg.check(repaired) and repaired.certificate.lower_bound > as_is.lower_bound + 0.05
-    with pytest.raises(ValueError, match="linear dynamics"):
-        cg.certify(problem, poor, 40, as_is=True, relation="linear")
+    scaled = PROBLEMS["scaled noise"]()
+    with pytest.raises(ValueError, match="boxes"):
+        cg.certify(scaled, balancing(scaled), 40, as_is=True, relation="linear")

@@ -174,25 +174,25 @@ class OneStepEarly(NearMass):
 class OnlyTheFirstPair(NearMass):
     """A pair is left out."""
 
-    def _near(self, asked: Any, masses: Any) -> float:
-        return super()._near(asked[:1], masses)
+    def _near(self, asked: Any, masses: Any, reach: Any) -> float:
+        return super()._near(asked[:1], masses, reach)
 
 
 class Negated(NearMass):
     """The difference is that of the second agent less the first."""
 
-    def tables(self, pair: Any, from_below: bool = False) -> Any:
-        return super().tables(replace(pair, low=-pair.high, high=-pair.low), from_below)
+    def tables(self, pair: Any, from_below: bool = False, reach: Any = None) -> Any:
+        return super().tables(replace(pair, low=-pair.high, high=-pair.low), from_below, reach)
 
 
 class Halved(NearMass):
     """Only one of the two agents has noise."""
 
-    def tables(self, pair: Any, from_below: bool = False) -> Any:
+    def tables(self, pair: Any, from_below: bool = False, reach: Any = None) -> Any:
         lattices = [self.joint.models[i].lattice[0] for i in (pair.first, pair.second)]
         std = float(np.sqrt(self.problem.agents[pair.first].noise_covariance[0, 0]))
         first, second = lattices
-        return [near_module._near_table(first, second, std, float(pair.low[0]), float(pair.high[0]))]
+        return [near_module._near_table(first, second, std, (float(pair.low[0]), float(pair.high[0])), 0.0)]
 
 
 THREE = ((-2.5,), (-0.5,), (1.5,))

@@ -203,6 +203,13 @@ class AnyAgent(ABC):
     has_clock: bool = False
     """Whether the last input is the time, which nobody may choose (see `problem.written_out`)."""
 
+    @property
+    def chosen_box(self) -> Box:
+        """Box of the inputs that are chosen: all but a clock."""
+        if not self.has_clock:
+            return self.input_box
+        return Box(self.input_low[:-1], self.input_high[:-1], allow_flat=True)
+
     def at(self, time: int) -> Self:
         """Return the agent as it moves at one control step, 0 to T - 1; itself where no expression names the time."""
         return self

@@ -78,7 +78,7 @@ class OwnModels:
 
     @property
     def why_not_as_it_is(self) -> str:
-        """Why the models are not certified as they are; empty if they can be, where dynamics are linear."""
+        """Why the models are not certified as they are; empty if they can be."""
         found = (why_not_as_it_is(self.problem, model, i) for i, model in enumerate(self._each))
         return next(filter(None, found), "")
 
@@ -267,7 +267,7 @@ def _answered(answer: Any) -> Array:
 
 def _rows(policy: OwnModels | TeamModels) -> list[tuple[str, str]]:
     """Return what is told of a policy: what it sees, and how it is judged."""
-    how = "as it is, where dynamics are linear (`as_is=True`), or wrapped on a grid"
+    how = "as it is (`as_is=True`), or wrapped on a grid"
     why = policy.why_not_as_it_is
     if isinstance(policy, TeamModels):
         how = f"no, only by rollouts: {policy.why_not_certified}"

@@ -45,6 +45,15 @@ def refuse_uneven_noise(agent: AnyAgent, relation: str) -> None:
         )
 
 
+def refuse_angles(agent: AnyAgent, relation: str) -> None:
+    """Refuse a relation that takes states for numbers."""
+    if agent.angles:
+        raise RelationRefused(
+            f"agent `{agent.name}`: the relation `{relation}` is for states that are numbers, got the angle "
+            f"{agent.angles[0]!r}, which wraps; ask for `boxes` or `path`"
+        )
+
+
 def linear_agent(agent: AnyAgent, relation: str) -> LinearAgent:
     """Return an agent whose dynamics are matrices, or refuse a relation that needs them, or Gaussian noise."""
     if not isinstance(agent, LinearAgent):

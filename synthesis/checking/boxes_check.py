@@ -122,8 +122,10 @@ class WrittenBoxes:
                 )
             corners.append((first, last))
             if agent.noise_scale is not None:
-                model = agent.driven if network_modes(part) else agent  # any input in its box
-                asked_of = np.zeros((len(here), model.n_inputs)) if model is not agent else inputs
+                # Under networks any input in its box, but the time of a clock.
+                model = agent.driven if network_modes(part) else agent
+                asked_of = inputs if model is agent or agent.has_clock else np.zeros((len(here), 1))
+                asked_of = asked_of[:, -model.n_inputs :]
                 scales.append(enclosed_scales(model, low[here], high[here], asked_of, parts))
         least, most = (np.concatenate(ends) for ends in zip(*corners, strict=True))
         if not scales:

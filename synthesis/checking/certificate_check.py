@@ -62,7 +62,7 @@ from .grid_check import uneven_lattices, wrong_grids
 from .guard_check import wrong_guards
 from .linear_check import places_of
 from .mixed_check import wrong_mixed
-from .network_spans import wrong_networks
+from .network_check import wrong_networks
 from .opposite_task import other_controllers, wrong_opposite
 from .pairs_check import wrong_pairs
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value

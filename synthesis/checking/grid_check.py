@@ -56,6 +56,8 @@ def wrong_grids(certificate: OnGrid) -> list[str]:
         noise = grid_noise(agent.noise_covariance, part.coordinates)
         variances = np.diag(noise)
         off = np.abs(noise - np.diag(variances))
+        if agent.angles and part.relation["kind"] != "boxes":
+            failures.append(f"the relation of agent `{agent.name}` takes its angles for numbers")
         if not agent.has_plain_noise:
             failures += wrong_for_uneven_noise(agent, part)
             variances = np.where(agent.still_axes, 1.0, variances)

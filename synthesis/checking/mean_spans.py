@@ -247,6 +247,14 @@ def leaves_of(
     return leaves | dict(zip(agent.unknowns, variables[d:], strict=False))
 
 
+@dataclass(frozen=True, eq=False)
+class Fed:
+    """Dynamics with inputs that move with the state: trees, and numbers (n,) that their further names stand for."""
+
+    trees: Sequence[Tree]
+    numbers: Mapping[str, FloatArray]
+
+
 def spans_of_means(
     agent: Agent,
     inputs: FloatArray,
@@ -254,10 +262,14 @@ def spans_of_means(
     rows: FloatArray | None,
     on: FloatArray,
     with_slopes: bool = False,
+    fed: Fed | None = None,
 ) -> list[Span]:
     """Spans of the coordinates of the mean on boxes (v, 2, n) of variables."""
     leaves = leaves_of(agent, on, inputs, coordinates, with_slopes)
-    values = [span(tree, leaves) for tree in agent.trees]
+    fed = fed or Fed(agent.trees, {})
+    some = next(iter(leaves.values()))
+    leaves |= {name: Span.of(number, number, some) for name, number in fed.numbers.items()}
+    values = [span(tree, leaves) for tree in fed.trees]
     if rows is None:
         return values
     weighted = []

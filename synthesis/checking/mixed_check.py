@@ -274,7 +274,7 @@ def _spoiled(
     }
     tables: dict[tuple[int, int], FloatArray] = {}
     charged = 0.0
-    for t, states, masses in undecided_course(base):
+    for t, states, masses, _ in undecided_course(base):
         totals = np.array([own.sum() for own in masses])
         for k, pair in between:
             if not np.any(asked[states, k]):

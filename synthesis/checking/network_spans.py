@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, OnGrid, state
+from ..certificates import AgentPart, state
 from .geometry import cell_boxes
 from .mean_spans import enclosed_means
 
@@ -146,30 +146,57 @@ def driven_spans(agent: Agent, part: AgentPart, cells: NDArray[np.int64], mode: 
     """
     low, high = (corner[cells] for corner in cell_boxes(part))
     parts, driven = int(part.relation["parts"]), agent.driven
-    places = [list(driven.unknowns).index(name) for name in agent.inputs]
+    steered = agent.inputs[: agent.chosen_box.dimension]
+    places = [list(driven.unknowns).index(name) for name in steered]
+    # What is still an input is a clock, or idle.
+    rest = float(mode // part.relation["network"]["states"]) if agent.has_clock else 0.0
     first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
     for left, right in _pieces(low, high, parts):
         for some in np.array_split(np.arange(len(cells)), len(cells) // BOXES_AT_ONCE + 1):
             least, most = _inputs_between(agent, part, left[some], right[some], mode)
             ranges = {place: (least[:, j], most[:, j]) for j, place in enumerate(places)}
-            idle = np.zeros((len(some), driven.n_inputs))
+            idle = np.full((len(some), driven.n_inputs), rest)
             ends = enclosed_means(driven, left[some], right[some], idle, part.coordinates, 1, ranges=ranges)
             first[some], last[some] = np.minimum(first[some], ends[0]), np.maximum(last[some], ends[1])
     return first, last
+
+
+def input_maps(
+    agent: AnyAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """h (C, m), J (C, m, d) and rho (C, m) of boxes of states with corners (C, d), in grid coordinates.
+
+    From x of a box with middle c the network answers the input ``h + J (x - c)``, give or take rho.
+    """
+    box, d = agent.chosen_box, left.shape[1]
+    held, slopes, rho = np.zeros((len(left), box.dimension)), np.zeros((len(left), box.dimension, d)), []
+    wide, centre = np.diag(0.5 * (box.high - box.low)), 0.5 * (box.low + box.high)
+    for some in np.array_split(np.arange(len(left)), len(left) // BOXES_AT_ONCE + 1):
+        middle, half = 0.5 * (left + right)[some], 0.5 * (right - left)[some] * (1.0 + 1e-13)
+        forms, _, _, layers = _answers(agent, part, middle, half, mode)
+        forms = forms.through(wide, centre)
+        held[some], slopes[some] = forms.constants, forms.slopes
+        rho.append(np.abs(forms.symbols).sum(axis=2) + forms.own + _spare(agent, part, layers))
+    return held, slopes, np.concatenate(rho)
+
+
+def _spare(agent: AnyAgent, part: AgentPart, layers: list[tuple[Any, Any]]) -> FloatArray:
+    """What double precision may be off by in inputs (m,)."""
+    network, box = part.relation["network"], agent.chosen_box
+    cancelled = _cancelled(layers, _largest_seen(agent, network), agent if _is_in_units(network) else None)
+    return np.asarray((LATER + cancelled) * (np.abs(box.low) + np.abs(box.high)))
 
 
 def _inputs_between(
     agent: AnyAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
 ) -> tuple[FloatArray, FloatArray]:
     """Least and largest inputs (C, m) that the network answers on boxes of states with corners (C, d)."""
-    network, box = part.relation["network"], agent.input_box
+    box = agent.chosen_box
     middle, half = 0.5 * (left + right), 0.5 * (right - left) * (1.0 + 1e-13)
     forms, low, high, layers = _answers(agent, part, middle, half, mode)
     wide, centre = 0.5 * (box.high - box.low), 0.5 * (box.low + box.high)
     least, most = forms.through(np.diag(wide), centre).between(half)
-    spare = (LATER + _cancelled(layers, _largest_seen(agent, network), agent if _is_in_units(network) else None)) * (
-        np.abs(box.low) + np.abs(box.high)
-    )
+    spare = _spare(agent, part, layers)
     # What is deployed is cut to the box.
     least, most = np.maximum(least, centre + wide * low) - spare, np.minimum(most, centre + wide * high) + spare
     return np.clip(least, box.low, box.high), np.clip(most, box.low, box.high)
@@ -182,7 +209,7 @@ def _mean_forms(
 
     Also what double precision may be off by (d,), and ends (C, d) of the means by plain intervals.
     """
-    network, inverse = part.relation["network"], np.linalg.inv(part.coordinates)
+    inverse = np.linalg.inv(part.coordinates)
     if np.array_equal(part.coordinates, np.eye(len(inverse))):
         inverse = np.eye(len(inverse))
     A, B, c = inverse @ agent.A @ part.coordinates, inverse @ agent.B, inverse @ agent.offset
@@ -192,8 +219,7 @@ def _mean_forms(
     gain, still = B * (0.5 * (box.high - box.low)), middle @ A.T + c + B @ (0.5 * (box.low + box.high))
     total = forms.through(gain, np.zeros(len(gain)))
     up, down, moved = np.where(gain > 0, gain, 0.0), np.where(gain < 0, gain, 0.0), half @ np.abs(A).T
-    cancelled = _cancelled(layers, _largest_seen(agent, network), agent if _is_in_units(network) else None)
-    spare = np.abs(B) @ ((LATER + cancelled) * (np.abs(box.low) + np.abs(box.high)))
+    spare = np.abs(B) @ _spare(agent, part, layers)
     plain = still - moved + low @ up.T + high @ down.T, still + moved + high @ up.T + low @ down.T
     return Forms(total.slopes + A, total.constants + still, total.symbols, total.own), spare, plain
 
@@ -202,22 +228,21 @@ def _answers(
     agent: AnyAgent, part: AgentPart, middle: FloatArray, half: FloatArray, mode: int
 ) -> tuple[Forms, FloatArray, FloatArray, list[tuple[Any, Any]]]:
     """Forms of the actions in [-1, 1] that a network answers on boxes of states, their ends (C, m), and its layers."""
-    network = part.relation["network"]
+    network, box = part.relation["network"], agent.chosen_box
     forms, low, high, off = _seen(agent, part, middle, half, mode)
     layers = list(zip(network["weights"], network["biases"], strict=True))
     for k, (weights, biases) in enumerate(layers):
         is_last = k == len(layers) - 1
         matrix, shift = np.array(weights, dtype=float), np.array(biases, dtype=float)
         if is_last:
-            matrix, shift = matrix[: agent.n_inputs], shift[: agent.n_inputs]
+            matrix, shift = matrix[: box.dimension], shift[: box.dimension]
         # What sums of products are off by in any order: a rounding for each number, and two more.
         count = matrix.shape[1] + 2
         rounding = np.maximum(np.abs(low), np.abs(high)) @ np.abs(matrix).T + np.abs(shift)
         rounding = (rounding * (count * HALF_UNIT / (1.0 - count * HALF_UNIT)) + count * TINY) * SPARE
         if is_last and _is_in_units(network):
             # Inputs are cut to their box: the same as their share of it cut to [-1, 1].
-            shares = 2.0 / (agent.input_box.high - agent.input_box.low)
-            centres = 0.5 * (agent.input_box.low + agent.input_box.high)
+            shares, centres = 2.0 / (box.high - box.low), 0.5 * (box.low + box.high)
             matrix, shift, rounding = matrix * shares[:, None], (shift - centres) * shares, rounding * shares
         if k == 0:
             rounding = rounding + off @ np.abs(matrix).T * SPARE
@@ -255,7 +280,7 @@ def _cancelled(layers: list[tuple[Any, Any]], size: float, in_units: AnyAgent | 
     for k, (weights, biases) in enumerate(layers):
         matrix, shift = np.abs(np.array(weights, dtype=float)), np.abs(np.array(biases, dtype=float))
         if in_units is not None and k == len(layers) - 1:
-            box = in_units.input_box
+            box = in_units.chosen_box
             matrix, shift = matrix[: box.dimension], shift[: box.dimension] + 0.5 * np.abs(box.low + box.high)
             shares = 2.0 / (box.high - box.low)
             matrix, shift = matrix * shares[:, None], shift * shares
@@ -338,44 +363,3 @@ def _ends(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, Flo
         return least - TANGENS * SPARE * np.abs(least), most + TANGENS * SPARE * np.abs(most)
     floor = 0.0 if kind == "relu" else -1.0
     return np.clip(low, floor, _most(kind)), np.clip(high, floor, _most(kind))
-
-
-def _has_known_form(agent: AnyAgent, network: dict[str, Any]) -> bool:
-    """Whether states are seen as shares or in units, and outputs are actions, or inputs of a box that is not flat."""
-    box = agent.input_box
-    if network.get("outputs", "unit") == "box" and (network["squashed"] or np.any(box.low >= box.high)):
-        return False
-    return network.get("scale", "unit") in ("unit", "raw") and network.get("outputs", "unit") in ("unit", "box")
-
-
-def wrong_networks(certificate: OnGrid) -> list[str]:
-    """What networks of a certificate see or do otherwise than its problem and its policies say."""
-    problem, failures = certificate.problem, []
-    width = max(agent.n_states for agent in problem.agents)
-    # Of an opposite task networks are told all states but the last, in which nothing is left to decide.
-    n_q, horizon = problem.automaton.n_states - problem.automaton.reads_exits, problem.horizon
-    expected: dict[str, Any] = {"agents": problem.n_agents, "width": width, "states": n_q, "horizon": horizon}
-
-    def alone(network: dict[str, Any]) -> dict[str, Any]:
-        # A single agent need not be told which one it is.
-        return {"agents": 0} if problem.n_agents == 1 and network["agents"] == 0 else {}
-
-    for i, (agent, part) in enumerate(zip(problem.agents, certificate.proof.agents, strict=True)):
-        network = part.relation.get("network")
-        if network is None:
-            continue
-        if part.relation["kind"] != "boxes" and not (part.relation["kind"] == "linear" and agent.is_affine):
-            failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
-        elif not _has_known_form(agent, network):
-            failures.append(f"the network of agent `{agent.name}` sees states, or answers, in a form that is not known")
-        elif any(network[name] != value for name, value in (expected | {"agent": i} | alone(network)).items()):
-            failures.append(f"the network of agent `{agent.name}` sees another problem, or another agent")
-        elif len(part.policy) != horizon:
-            failures.append(f"the policy of agent `{agent.name}` does not say what its network does at each time")
-        else:
-            # In every cell a mode may be chosen only at its own time and in its own automaton state.
-            mode = np.arange(horizon)[:, None, None] * n_q + np.arange(n_q)[None, :, None]
-            modes = (part.policy >= 0) & (part.policy < horizon * n_q)
-            if np.any(modes[:, n_q:]) or np.any(modes[:, :n_q] & (part.policy[:, :n_q] != mode)):
-                failures.append(f"the network of agent `{agent.name}` is used at another time or automaton state")
-    return failures

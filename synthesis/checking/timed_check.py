@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...envs.agents import TIME, AnyAgent, Proposition
 from ...envs.problem import Places, states_in_time, written_out
@@ -32,7 +33,7 @@ def wrong_in_time(certificate: Certificate[TimedProof]) -> list[str]:
     try:
         if written_out(problem).fingerprint != base.fingerprint:
             return ["its base is not the problem written out"]
-        states_in_time(problem, base)
+        table = states_in_time(problem, base)
     except ValueError as error:
         return [f"its base is not the problem written out: {error}"]
     # Writing out is not taken for granted: where regions are, and what agents do, is looked at again.
@@ -40,7 +41,8 @@ def wrong_in_time(certificate: Certificate[TimedProof]) -> list[str]:
     if failures:
         return failures
     for agent, part in zip(base.agents, certificate.proof.base.proof.agents, strict=True):
-        if agent.has_clock and (wrong := _wrong_clock(agent, part, problem.horizon)):
+        wrong = _wrong_clock(agent, part, problem.horizon) if agent.has_clock else ""
+        if wrong := wrong or _wrong_told(base, part, table):
             failures.append(f"agent `{agent.name}`: {wrong}")
     return failures
 
@@ -79,11 +81,28 @@ def _within(numbers: np.ndarray, ends: np.ndarray) -> bool:
     return bool(np.all((ends[0] <= numbers) & (numbers <= ends[1])))
 
 
+def _wrong_told(base: Problem, part: AgentPart, table: NDArray[np.int64]) -> str:
+    """Return what is wrong with what a network is told of; nothing if it is the automaton state of the problem.
+
+    ``table`` (T + 1, Q) are the states of the base that go with those of the problem.
+    """
+    network = part.relation.get("network")
+    if network is None:
+        return ""
+    told = np.array(network.get("told") or np.arange(base.automaton.n_states))
+    if network["states"] != table.shape[1] or len(told) != base.automaton.n_states:
+        return "its network is told of the automaton states of another problem"
+    known = (table >= 0) & ~base.automaton.absorbing[table]
+    if np.any(known & (told[table] != np.arange(table.shape[1]))):
+        return "its network is told of another automaton state than that of its problem"
+    return ""
+
+
 def _wrong_clock(agent: AnyAgent, part: AgentPart, horizon: int) -> str:
     """Return what is wrong with how the policies of an agent set its clock; nothing if they set it to the time."""
     is_plain = part.relation["kind"] in ("boxes", "linear") and "common" not in part.relation
-    if not is_plain or part.relation.get("network") or np.any(np.array(part.relation.get("steer") or False)):
-        return "its clock is set by choices of another kind than inputs that are the same in a whole cell"
+    if not is_plain or np.any(np.array(part.relation.get("steer") or False)):
+        return "its clock is set by choices of another kind than inputs that are the same in a whole cell, and networks"
     menu = np.array(part.relation["menu"], dtype=float)
     if menu.ndim != 2 or np.any(part.policy >= len(menu)):
         return "its clock is set by choices that are not of its menu"

@@ -12,27 +12,23 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent, with_expressions
+from ...envs.agents import AnyAgent, LinearAgent, with_expressions
 from ..cells import FloatArray, linear_agent
 from ..certificates import AgentPart, grid_noise, state
-from ..path_checking import Span, bounds, products
 from .geometry import cell_boxes
 from .linear_tables import UNIT, applied, grid_matrix, normal_hats
-from .mean_spans import Enclosed, spans_of_means
+from .map_spans import Maps, maps_of
+from .mean_spans import Enclosed
 from .network_spans import network_maps
 from .uniform_noise import Ends, uniform_ends
 
 ROUNDING = 2.999e-9
 """Share of the largest value that is taken off for rounding and lattices that are uneven by 1e-9 of a step."""
-
-COMPUTED = 1e-14
-"""Share of their size by which maps may be off as they are computed."""
 
 STRAIGHT, CROSSED, SECOND = 1.40031, 0.46840, 0.48395
 """Half the L1 norms of ``phi''''``, ``phi'' phi''`` and ``phi''``, rounded up."""
@@ -46,24 +42,6 @@ LONGEST = 1e6
 
 NOTHING = 1e-50
 """Values below this count as 0: numbers without all their digits are slow to compute with."""
-
-CELLS_AT_ONCE = 20_000
-"""Maps that are made at once."""
-
-
-@dataclass(frozen=True, eq=False)
-class Maps:
-    """By increasing numbers ``cell * A + choice`` (K,): z (K, d), G (K, d, d) and rho (K, d), in grid coordinates."""
-
-    numbers: NDArray[np.int64]
-    z: FloatArray
-    gain: FloatArray
-    rho: FloatArray
-
-    def at(self, numbers: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The maps with some numbers (C,)."""
-        places = np.searchsorted(self.numbers, numbers)
-        return self.z[places], self.gain[places], self.rho[places]
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +142,7 @@ def written_tables(agent: AnyAgent, part: AgentPart, off: FloatArray) -> Written
             slack += r * r / 8.0 * 2.0 * SECOND * ends.share / 2.0
     maps: Maps | MatrixMaps | NetworkMaps
     if not agent.is_affine:
-        maps = _maps(with_expressions(agent), part)
+        maps = maps_of(with_expressions(agent), part, _asked(part))
     else:
         kind = NetworkMaps if "network" in part.relation else MatrixMaps
         maps = kind(linear_agent(agent, "linear"), part, off)
@@ -190,79 +168,6 @@ def state_maps(agent: LinearAgent, part: AgentPart, at: Any, rho: FloatArray) ->
     spans = Enclosed(None, agent, menu[choices], part.coordinates, True, (z, gain))
     corners = tuple(corner[cells] for corner in cell_boxes(part))
     state("spans", spans, corners, [], tuple(np.broadcast_to(side * rho, z.shape) for side in (-1.0, 1.0)))
-
-
-def _maps(agent: Agent, part: AgentPart) -> Maps:
-    """The maps of every cell under every choice that a policy makes there."""
-    menu, numbers = np.array(part.relation["menu"], dtype=float), _asked(part)
-    cell, choice = np.divmod(numbers, len(menu))
-    low, high = cell_boxes(part)
-    made = [
-        map_spans(
-            agent, low[cell[some]], high[cell[some]], menu[choice[some]], part.coordinates, int(part.relation["cuts"])
-        )
-        for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1)
-    ]
-    return Maps(numbers, *(np.concatenate(arrays) for arrays in zip(*made, strict=True)))
-
-
-def map_spans(
-    agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, coordinates: FloatArray, cuts: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """z (n, d), G (n, d, d) and rho (n, d) of closed cells (n, d) under inputs (n, m), whatever disturbances do.
-
-    rho is infinite, or no number, where nothing is known of the mean.
-    """
-    n, d = low.shape
-    rows = None if np.array_equal(coordinates, np.eye(d)) else np.linalg.inv(coordinates)
-    middle = 0.5 * (low + high)
-    calm = [(np.full(n, a), np.full(n, b)) for a, b in agent.unknowns.values()]
-    still = np.array([(x, x) for x in middle.T] + [(0.5 * (a + b),) * 2 for a, b in calm])
-    with np.errstate(all="ignore"):
-        at = spans_of_means(agent, inputs, coordinates, rows, still, True)
-        z = np.stack([value.ends.mean(axis=0) for value in at], axis=1)
-        gain = np.stack([value.slopes[:, :d].mean(axis=0).T for value in at], axis=1)
-        outputs = partial(_left, agent, inputs, coordinates, rows, (z, gain, middle))
-        first, last = np.full((n, d), np.inf), np.full((n, d), -np.inf)
-        cut = [low + (high - low) * (k / cuts) for k in range(cuts)] + [high]
-        for piece in itertools.product(range(cuts), repeat=d):
-            box = np.array([(cut[k][:, axis], cut[k + 1][:, axis]) for axis, k in enumerate(piece)] + calm)
-            ends = np.stack(bounds(outputs, box), axis=-1)
-            first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
-        spans = Enclosed(agent.trees, agent, inputs, coordinates, True, (z, gain))
-        state("spans", spans, (low, high), calm, (first, last))
-        moved = 0.5 * (first + last)
-        rho = np.maximum(last - moved, moved - first) + COMPUTED * np.abs(z)
-        if rows is not None:
-            size = np.maximum(np.abs(low), np.abs(high)) + 1.0
-            rho = rho + 1e-13 * size @ (np.abs(rows) @ np.abs(coordinates)).T
-    return z + moved, gain, rho
-
-
-def _left(
-    agent: Agent,
-    inputs: FloatArray,
-    coordinates: FloatArray,
-    rows: FloatArray | None,
-    maps: tuple[FloatArray, FloatArray, FloatArray],
-    on: FloatArray,
-    with_slopes: bool = False,
-) -> list[Span]:
-    """Spans of what is left of the mean: less ``z + G (x - middle)``."""
-    z, gain, middle = maps
-    result = []
-    for k, mean in enumerate(spans_of_means(agent, inputs, coordinates, rows, on, with_slopes)):
-        left = mean + (-Span.of(z[:, k], z[:, k], mean))
-        for j in range(z.shape[1]):
-            if np.any(gain[:, k, j]):
-                unit = np.zeros_like(mean.slopes)
-                if with_slopes:
-                    unit[:, j] = 1.0
-                factor = np.stack([gain[:, k, j]] * 2)
-                away = Span(on[j], unit) + (-Span.of(middle[:, j], middle[:, j], mean))
-                left = left + (-away.scaled(products(factor, away.ends), factor))
-        result.append(left)
-    return result
 
 
 def written_values(part: AgentPart, tables: WrittenTables, factors: FloatArray) -> list[FloatArray]:

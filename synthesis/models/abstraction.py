@@ -41,6 +41,7 @@ from ..cells import (
     label_room,
     linear_agent,
     of_cells,
+    refuse_angles,
     refuse_shared_noise,
     refuse_uneven_noise,
     shape_text,
@@ -411,11 +412,8 @@ def _shared_model(
             f"agent `{agent.name}`: the relation `{kind}` is for dynamics that are the same at every step, got some "
             "that name the time `t`; ask for `linear`, `boxes` or `path`"
         )
-    if agent.angles and kind != "boxes" and not is_any:
-        raise RelationRefused(
-            f"agent `{agent.name}`: the relation `{kind}` is for states that are numbers, got the angle "
-            f"{agent.angles[0]!r}, which wraps; ask for `boxes` or `path`"
-        )
+    if kind != "boxes" and not is_any:
+        refuse_angles(agent, kind)
     if is_any and (agent.has_clock or agent.angles or not agent.has_plain_noise):
         kind = "boxes"
     elif kind != "boxes":

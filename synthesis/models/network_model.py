@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from ..cells import (
     agent_grid,
     cell_labels,
     cells_of_agent,
-    linear_agent,
+    refuse_angles,
     refuse_shared_noise,
     refuse_uneven_noise,
 )
@@ -30,7 +29,7 @@ from .abstraction import Abstraction, AgentModel
 from .box_choices import BoxChoices
 from .box_model import MOST_CUTS, PARTS, box_model, relation_of
 from .choices import Policies, StepPolicy
-from .corner_model import lattice_model
+from .corner_model import CUTS, lattice_model
 
 DEFAULT_CELLS = {1: 1000, 2: 100}
 """Cells per axis by dimension: more than elsewhere, since networks bend within cells and are cheap to enclose."""
@@ -62,17 +61,20 @@ class NetworkChoices(BoxChoices):
 
         Modes of other times are not on offer.
         """
+        if np.all(incumbent < 0):
+            return incumbent  # nothing is left to decide
         weights = np.broadcast_to(weights, (len(incumbent), len(table)))
-        other = self._menu.best(weights, table, np.full(len(incumbent), -1, dtype=np.int32))
+        other = self._beside(int(incumbent.max())).best(weights, table, np.full(len(incumbent), -1, dtype=np.int32))
         worth = [np.einsum("sn,ns->s", weights, self.read(table, choice)) for choice in (incumbent, other)]
         better = (other >= 0) & (worth[1] > worth[0] * (1.0 + WORTHWHILE))
         return np.where(better, other, incumbent).astype(np.int32)
 
-    @cached_property
-    def _menu(self) -> BoxChoices:
-        """The same choices without the modes."""
-        size = self.size.copy()
+    def _beside(self, mode: int) -> BoxChoices:
+        """Return the same choices without the modes; where there is a clock, those that set it as a mode does."""
+        size, menu = self.size.copy(), self.relation.menu
         size[:, : self.n_modes] = -1
+        if self.relation.network.has_clock:
+            size[:, menu[:, -1] != menu[mode, -1]] = -1
         shared = {field.name: getattr(self, field.name) for field in fields(BoxChoices)}
         return BoxChoices(**{**shared, "size": size})
 
@@ -110,24 +112,26 @@ def network_abstraction(
     """
     models = []
     refuse_shared_noise(problem)
-    idle = np.flatnonzero(problem.automaton.absorbing).tolist()
     for i, (agent, policy) in enumerate(zip(problem.agents, policies, strict=True)):
         if relation == "linear":
+            refuse_angles(agent, relation)
             refuse_uneven_noise(agent, relation)
         asked = DEFAULT_CELLS.get(agent.n_states) if cells is None else cells
         grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, asked))
         labels = cell_labels(problem, i, grid, coordinates)
         if relation == "linear":
-            maps = network_linear_relation(
-                linear_agent(agent, "linear"), coordinates, policy, (1, 1, (0,) * agent.n_states), idle
-            )
+            going = policy.modes_in(problem.automaton.n_states)[0, ~problem.automaton.absorbing]
+            idle = np.setdiff1d(np.arange(policy.view.states), going).tolist()
+            # What matrices leave is what the network leaves, in parts of a cell hardly less; expressions leave more.
+            cuts = 1 if agent.is_affine else CUTS.get(agent.n_states, 1)
+            maps = network_linear_relation(agent, coordinates, policy, (1, cuts, (0,) * agent.n_states), idle)
             affine = lattice_model(agent, grid, maps, targets_per_cell)
             models.append(AgentModel(grid, affine[1], affine[0], affine[2], affine[3], labels, labels))
             continue
         boxes = network_relation(agent, grid, coordinates, policy, with_menu)
         parts = box_model(agent, grid, coordinates, targets_per_cell, boxes)
         shared = {field.name: getattr(parts[3], field.name) for field in fields(BoxChoices)}
-        choices = NetworkChoices(**shared, n_modes=policy.n_modes)
+        choices = NetworkChoices(**{**shared, "n_times": 1}, n_modes=policy.n_modes)
         models.append(AgentModel(grid, parts[1], boxes, parts[2], choices, labels, labels))
     settings: dict[str, object] = {
         "relation": relation,
@@ -145,9 +149,7 @@ def network_relation(
 
     Cells are cut into as many parts as make boxes noticeably smaller: where the network bends within a cell.
     """
-    box = agent.input_box
-    # The inputs of modes stand for nothing.
-    menu = np.tile(0.5 * box.low + 0.5 * box.high, (policy.n_modes, 1))
+    menu = policy.idle_menu
     gains = np.zeros((len(menu), agent.n_inputs, agent.n_states))
     if with_menu:
         offered = relation_of(agent, grid, coordinates)
@@ -170,8 +172,8 @@ def network_relation(
 
 def network_tables(problem: Problem, abstraction: Abstraction) -> Policies:
     """Return the policy tables (T, Q, S) of the networks: every cell does what the network does."""
-    n_q, tables = problem.automaton.n_states, []
+    tables = []
     for model in abstraction.models:
-        modes = np.arange(problem.horizon * n_q, dtype=np.int32).reshape(problem.horizon, n_q, 1)
-        tables.append(np.repeat(modes, model.grid.n_cells, axis=2))
+        modes = model.relation.network.modes_in(problem.automaton.n_states)
+        tables.append(np.repeat(modes[..., None], model.grid.n_cells, axis=2))
     return tuple(tables)

@@ -28,6 +28,13 @@ from ..models import JointModel, Policies
 from ..values import Guards
 from .beside_paths import BesidePaths
 from .compared_states import compared_axes, marginal
+from .lattice_moves import moves_of
+
+Reach = tuple[FloatArray, ...]
+"""How far (d,) the means of each agent may be from lattice points, along each axis."""
+
+Ends = tuple[float, float]
+"""Ends of a box along one axis."""
 
 MOST_TERMS = 300
 """Products of the mass at one time beyond which the bound would take too long."""
@@ -96,6 +103,7 @@ class NearMass:
         self.pairs = problem.labeling.pairs
         for pair in self.pairs:
             compared_axes(problem, pair)  # refuses what the tables could not say
+        self.moves = [moves_of(agent, model) for agent, model in zip(base.agents, joint.models, strict=True)]
         self._tables: dict[object, list[FloatArray]] = {}
 
     @cached_property
@@ -112,8 +120,8 @@ class NearMass:
 
     def start(self, modes: Sequence[NDArray[np.int64]]) -> list[Term]:
         """Return the mass at time 0, the first letter read without pairs; none if the task is decided then."""
-        q, agents = self.base.initial_q, zip(self.base.agents, self.joint.models, strict=True)
-        shares = [model.share(agent.initial.low, agent.initial.high) for agent, model in agents]
+        q, agents = self.base.initial_q, zip(self.moves, self.base.agents, strict=True)
+        shares = [moves.share(agent) for moves, agent in agents]
         if q is not None:
             return [Term(m, tuple(shares)) for m, states in enumerate(modes) if q in states]
         # Starts of several letters, or none inside: each mode has the cells that some guard of the start leads to.
@@ -137,12 +145,12 @@ class NearMass:
         if not len(used):
             return None
         passages = []
-        for masks, rows in zip(all_masks, guards.mask[used].T, strict=True):
-            passages.append(np.asarray(np.any(masks[np.unique(rows)] != 0, axis=0)))
+        for moves, masks, rows in zip(self.moves, all_masks, guards.mask[used].T, strict=True):
+            passages.append(moves.cells(np.asarray(np.any(masks[np.unique(rows)] != 0, axis=0))))
         return passages
 
-    def course(self, policies: Policies) -> tuple[list[list[Term]], list[list[list[FloatArray]]]]:
-        """Return the terms of the mass at times 0 .. T - 1, and the lattice points (Z_i,) that each of them moves to.
+    def course(self, policies: Policies) -> tuple[list[list[Term]], list[list[tuple[list[FloatArray], Reach]]]]:
+        """Return the terms of the mass at times 0 .. T - 1, and where each of them moves: lattice points (Z_i,), reach.
 
         Raises
         ------
@@ -152,15 +160,15 @@ class NearMass:
         modes = self.modes(policies)
         ways = {(m, n): self.passage(modes[m], modes[n]) for m in range(len(modes)) for n in range(len(modes))}
         terms, all_terms, all_points = self.start(modes), [], []
-        models = self.joint.models
         for t in range(self.joint.horizon):
-            following, points = [], []
+            following, points = [], list[tuple[list[FloatArray], Reach]]()
             for term in terms:
                 q = int(modes[term.mode][0])
-                chosen = [m.choices.points(policy[t, q]) for m, policy in zip(models, policies, strict=True)]
-                on_points = [_gathered(m.lattice, own, to) for m, own, to in zip(models, term.cells, chosen)]
-                pushed = [m.kernel.push(own[None], to)[0] for m, own, to in zip(models, term.cells, chosen)]
-                points.append(on_points)
+                steps = [moves.step(policy[t, q]) for moves, policy in zip(self.moves, policies, strict=True)]
+                known = list(zip(self.moves, term.cells, steps, strict=True))
+                on_points = [_gathered(moves.lattice, own, to) for moves, own, (to, _) in known]
+                pushed = [moves.pushed(own, to, reach) for moves, own, (to, reach) in known]
+                points.append((on_points, tuple(reach for _, reach in steps)))
                 for n in range(len(modes)):
                     if (way := ways[term.mode, n]) is not None:
                         masked = tuple(np.where(open_, own, 0.0) for own, open_ in zip(pushed, way))
@@ -187,12 +195,12 @@ class NearMass:
         asked = [self.relevant[states].any(axis=0) for states in modes]
         among, between = self.unusual_at_start, 0.0
         for t, (terms, points) in enumerate(zip(*self.course(policies), strict=True)):
-            for term, lattice_masses in zip(terms, points, strict=True):
-                among += self._near(np.flatnonzero(asked[term.mode]), lattice_masses)
+            for term, (lattice_masses, reach) in zip(terms, points, strict=True):
+                among += self._near(np.flatnonzero(asked[term.mode]), lattice_masses, reach)
                 if self.beside is not None:
                     between += self.beside.charge(t + 1, modes[term.mode], lattice_masses, self.joint)
         # What kernels lost on the way may be near, once for each agent.
-        lost = self.joint.horizon * sum(model.kernel.loss for model in self.joint.models)
+        lost = self.joint.horizon * sum(moves.loss for moves in self.moves)
         count = 0 if self.beside is None else len(self.beside.pairs)
         first, second = (float(part) * INFLATION + SPARE * n + (lost * INFLATION if n else 0.0)
                          for part, n in ((among, len(self.pairs)), (between, count)))  # fmt: skip
@@ -218,7 +226,7 @@ class NearMass:
             total += 1.0 - near if self.usual[k] else near
         return total
 
-    def _near(self, asked: NDArray[np.int64], masses: Sequence[FloatArray]) -> float:
+    def _near(self, asked: NDArray[np.int64], masses: Sequence[FloatArray], reach: Reach) -> float:
         """Return the sum over the pairs ``asked`` of the mass of a term in which they are not as usual after a step."""
         totals = np.array([own.sum() for own in masses])
         if not np.all(totals > 0.0):
@@ -228,39 +236,40 @@ class NearMass:
         for k in asked:
             pair = self.pairs[k]
             i, j = pair.first, pair.second
-            tables = self.tables(pair, bool(self.usual[k]))
+            tables = self.tables(pair, bool(self.usual[k]), reach)
             # Equal agents have one table, by which the second agent is spread once for all of its pairs that compare
             # the same of its states.
             axes_i, axes_j = compared_axes(self.problem, pair)
             key = (j, id(tables), tuple(axes_j))
             if key not in spread:
-                spread[key] = _along(tables, marginal(masses[j], self.joint.models[j].lattice, axes_j))
-            own = marginal(masses[i], self.joint.models[i].lattice, axes_i)
+                spread[key] = _along(tables, marginal(masses[j], self.moves[j].lattice, axes_j))
+            own = marginal(masses[i], self.moves[i].lattice, axes_i)
             near = float(np.sum(own * spread[key]))
             if self.usual[k]:  # whatever is not surely near is charged
                 near = max(0.0, float(totals[i] * totals[j]) - near) + DIFFERENCE_ERROR
             total += near * everybody / (totals[i] * totals[j])
         return total
 
-    def tables(self, pair: PairRegion, from_below: bool = False) -> list[FloatArray]:
+    def tables(self, pair: PairRegion, from_below: bool = False, reach: Reach | None = None) -> list[FloatArray]:
         """Return bounds (Z_i, Z_j), per axis, on the probability that the agents are near from lattice points.
 
-        They are upper bounds, or lower ones if they are asked for.
+        They are upper bounds, or lower ones if they are asked for; means are within ``reach`` of the points.
         """
         i, j = pair.first, pair.second
-        models, agents = self.joint.models, self.problem.agents
+        agents = self.problem.agents
         axes = compared_axes(self.problem, pair)
-        lattices = [(models[i].lattice[a], models[j].lattice[b]) for a, b in zip(*axes, strict=True)]
+        lattices = [(self.moves[i].lattice[a], self.moves[j].lattice[b]) for a, b in zip(*axes, strict=True)]
+        apart = [0.0 if reach is None else float(reach[i][a] + reach[j][b]) for a, b in zip(*axes, strict=True)]
         spreads = [
             math.sqrt(agents[i].noise_covariance[a, a] + agents[j].noise_covariance[b, b]) for a, b in zip(*axes)
         ]
         low, high = pair.inner_box if from_below else (pair.low, pair.high)
-        box = (from_below, low.tobytes(), high.tobytes(), tuple(spreads))
+        box = (from_below, low.tobytes(), high.tobytes(), tuple(spreads), tuple(apart))
         key = (*box, *(x.tobytes() for both in lattices for x in both))
         if key not in self._tables:
-            boxes = zip(lattices, spreads, low.tolist(), high.tolist(), strict=True)
+            boxes = zip(lattices, spreads, zip(low.tolist(), high.tolist(), strict=True), apart, strict=True)
             table = _surely_near_table if from_below else _near_table
-            self._tables[key] = [table(a, b, std, *ends) for (a, b), std, *ends in boxes]
+            self._tables[key] = [table(a, b, std, ends, most) for (a, b), std, ends, most in boxes]
         return self._tables[key]
 
 
@@ -288,22 +297,30 @@ def _uniformly_between(
     return max(0.0, below(high) - below(low))
 
 
-def _near_table(first: FloatArray, second: FloatArray, std: float, low: float, high: float) -> FloatArray:
-    """Return upper bounds (Z, Z') on ``P(low <= z - z' + w < high)`` for w of deviation ``std``."""
-    mass = _between(first, second, std, (low, high), 1.0)
+def _near_table(first: FloatArray, second: FloatArray, std: float, box: Ends, apart: float) -> FloatArray:
+    """Return upper bounds (Z, Z') on ``P(low <= z - z' + a + w < high)``, w of deviation ``std``, |a| <= ``apart``."""
+    mass = _between(first, second, std, box, apart)
     return np.asarray(np.minimum(1.0, np.maximum(mass, 0.0) * (1.0 + 1e-12) + TABLE_ERROR))
 
 
-def _surely_near_table(first: FloatArray, second: FloatArray, std: float, low: float, high: float) -> FloatArray:
+def _surely_near_table(first: FloatArray, second: FloatArray, std: float, box: Ends, apart: float) -> FloatArray:
     """Return lower bounds (Z, Z') on the same."""
-    mass = _between(first, second, std, (low, high), -1.0)
+    mass = _between(first, second, std, box, apart, -1.0)
     return np.asarray(np.maximum(0.0, np.minimum(mass, 1.0) * (1.0 - 1e-12) - TABLE_ERROR))
 
 
-def _between(first: FloatArray, second: FloatArray, std: float, box: tuple[float, float], sign: float) -> FloatArray:
-    """Return the probability (Z, Z') of a box made wider (``sign`` 1) or narrower (-1) by a little."""
+def _between(
+    first: FloatArray, second: FloatArray, std: float, box: Ends, apart: float, sign: float = 1.0
+) -> FloatArray:
+    """Return the probability (Z, Z') of a box made wider (``sign`` 1) or narrower (-1) by a little.
+
+    It is the largest, or the least one, of all gaps within ``apart``: it falls with the distance from the middle.
+    """
     low, high = box
     gap = first[:, None] - second[None]
+    if apart > 0.0:
+        inward = 0.5 * (low + high) - gap
+        gap = gap + (np.clip(inward, -apart, apart) if sign > 0.0 else np.where(inward > 0.0, -apart, apart))
     wider = sign * (WIDER * std + 1e-14 * (np.abs(first).max() + np.abs(second).max() + abs(low) + abs(high)))
     upper, lower = (high + wider - gap) / std, (low - wider - gap) / std
     # The difference of the tails that are small: of the upper ones where the box lies above the mean.

@@ -35,7 +35,7 @@ from ...envs.expressions import (
 )
 from ..cells import FloatArray, RelationRefused, linear_agent
 from .aims import aimed_relation
-from .boxes import LinearMeans, linear_means
+from .boxes import LinearMeans, MeanBoxes, linear_means
 from .coordinates import ReadsCoordinates
 from .exact import ExactRelation
 from .rounding import missed_cells, reading_of
@@ -110,7 +110,9 @@ class AffineMeans:
         """Return the maps of the closed cells ``[low, high]``, (n, d) each, under inputs (A, m)."""
         inputs = menu if self.pushes is None else menu[:1]
         middle = 0.5 * (low + high)
-        names, unknown = self._names(inputs), [0.5 * (a + b) * np.ones((1, 1)) for a, b in self.agent.unknowns.values()]
+        names, beside = self._inputs(low, high, inputs)
+        unknown = [0.5 * (a + b) * np.ones((1, 1)) for a, b in self.agent.unknowns.values()]
+        unknown += [0.5 * (a + b) for a, b in beside]
         shape = (len(low), len(inputs), self.agent.n_states)
         # The map: value and Jacobian at the centre of the cell, with everything else at the middle of its interval.
         at = [*(column[:, None] for column in middle.T), *unknown]
@@ -124,7 +126,7 @@ class AffineMeans:
         trees, rows = self._residuals(gain)
         names |= self._map_names(centre, gain, middle)
         for box in self._parts(low, high):
-            for k, (below, above) in enumerate(enclosed(trees, names, box, rows)):
+            for k, (below, above) in enumerate(enclosed(trees, names, [*box, *beside], rows)):
                 np.minimum(first[..., k], below, out=first[..., k])
                 np.maximum(last[..., k], above, out=last[..., k])
         moved = 0.5 * (first + last)
@@ -137,6 +139,12 @@ class AffineMeans:
             rest += COMPUTED * np.abs(centre).max(axis=1, keepdims=True)
         known = np.all(np.isfinite(rest) & np.isfinite(gain).all(axis=-1), axis=2)
         return AffineBoxes(np.where(known[..., None], centre, np.nan), gain, rest)
+
+    def _inputs(
+        self, low: FloatArray, high: FloatArray, inputs: FloatArray
+    ) -> tuple[dict[str, Affine], list[Interval]]:
+        """Return what names are in the variables, and intervals of further variables behind all others: none here."""
+        return self._names(inputs), []
 
     def _residuals(self, gain: FloatArray) -> tuple[tuple[Tree, ...], FloatArray | None]:
         """Return the expressions of what is left along each axis, and the matrix that they are multiplied with."""
@@ -290,6 +298,13 @@ class MapRelation(ReadsCoordinates):
         """The exact relation of its targets, or None, and its inputs; None beside networks, and targets of others."""
         aims = (None, None) if self.aims is None else self.aims.matrices
         return None if self.network is not None or aims is None else (aims[0], np.asarray(self.menu, dtype=float))
+
+    def mean_boxes(self, low: FloatArray, high: FloatArray) -> MeanBoxes:
+        """Return boxes around the means of inputs from the closed cells ``[low, high]``, (n, d) each (outer bounds)."""
+        maps, half = self.means.around(low, high, self.menu), 0.5 * (high - low) * (1.0 + COMPUTED)
+        reach = np.einsum("nakj,nj->nak", np.abs(maps.gain), half) + maps.rest
+        least, most = maps.centre - reach, maps.centre + reach
+        return MeanBoxes(least, most, np.all(np.isfinite(least) & np.isfinite(most), axis=2))
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""

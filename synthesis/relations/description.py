@@ -81,10 +81,10 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
         return map_relation(agent, coordinates, menu, numbers, "aims" in description)
     if kind == "exact":
         return aimed_relation(agent, coordinates)
-    agent = linear_agent(agent, kind)
     if kind == "linear" and "network" in description:
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
         return network_linear_relation(agent, coordinates, network_policy(description["network"], agent), numbers)
+    agent = linear_agent(agent, kind)
     if kind == "linear":
         menu = np.array(description["menu"], dtype=float)
         return linear_relation(agent, coordinates, menu if len(menu) else None, int(description["parts"]))
@@ -130,8 +130,6 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     if in_parts and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
     if has_network:
-        if is_written and description["kind"] == "linear":
-            raise ValueError("it has affine maps around a network for an agent whose dynamics are expressions")
         check_network(description["network"], agent, len(description["menu"]))
     if (
         (is_written or has_network)

@@ -44,7 +44,7 @@ class DrivenMeans(Unsteered):
 
     @cached_property
     def driven(self) -> WrittenMeans:
-        """Boxes around the means with every input anywhere in its box."""
+        """Boxes around the means with every input anywhere in its box, but for a clock."""
         agent = self.written.agent.driven
         return WrittenMeans(agent, self.written.coordinates, self.written.parts)
 
@@ -63,23 +63,28 @@ class DrivenMeans(Unsteered):
         """Return the corners (n, modes, d) under the network."""
         shape = (len(low), self.policy.n_modes, self.written.agent.n_states)
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
+        clock = self._clock(self.policy.idle_menu)
         for part in self.driven.cut(low, high):
             variables = self._variables(part)
-            for axis, (below, above) in enumerate(self.driven.enclosing(variables)):
+            for axis, (below, above) in enumerate(self.driven.enclosing(variables, clock)):
                 # minimum and maximum keep what is not a number
                 np.minimum(first[..., axis], below, out=first[..., axis])
                 np.maximum(last[..., axis], above, out=last[..., axis])
         return self.written.widened(first, last)
 
+    def _clock(self, menu: FloatArray) -> FloatArray:
+        """Return what is an input of an agent that is driven, under a menu (A, m): its clock, or one that is idle."""
+        return menu[:, -1:] if self.policy.has_clock else np.zeros((1, 1))
+
     def _variables(self, part: list[Interval]) -> list[Interval]:
         """Return all variables on parts of cells: axes, and what is unknown, the inputs (n, modes) among it."""
-        agent, m = self.written.agent, self.written.agent.n_inputs
+        agent, m = self.written.agent, self.policy.input_box.dimension
         corners = tuple(np.concatenate([ends[side] for ends in part], axis=1) for side in (0, 1))
         moves = np.zeros((m, agent.n_states)), np.eye(m), np.zeros(m)
         least, most = mean_bounds(self.policy, moves, self.written.coordinates, (corners[0], corners[1]), 1)
         variables = self.driven.variables(part)
         places = {name: k for k, name in enumerate(self.driven.agent.unknowns, start=agent.n_states)}
-        for j, name in enumerate(agent.inputs):
+        for j, name in enumerate(agent.inputs[:m]):
             # What is deployed is cut to the box.
             box = float(agent.input_low[j]), float(agent.input_high[j])
             variables[places[name]] = np.clip(least[..., j], *box), np.clip(most[..., j], *box)
@@ -87,7 +92,7 @@ class DrivenMeans(Unsteered):
 
     def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return ends (n, A, d) of what the noise is multiplied with, whatever the inputs are."""
-        found = self.driven.scales(low, high, np.zeros((1, 1)))
+        found = self.driven.scales(low, high, self._clock(menu))
         if found is None:
             return None
         shape = (len(low), len(menu), self.written.agent.n_states)

@@ -18,9 +18,10 @@ from itertools import product
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
-from ..cells import FloatArray
-from .affine_means import AffineBoxes, MapRelation
+from ...envs.agents import AnyAgent, with_expressions
+from ...envs.expressions import Affine, Interval
+from ..cells import FloatArray, linear_agent
+from .affine_means import AffineBoxes, AffineMeans, MapRelation
 from .boxes import LinearMeans, linear_means
 from .network_bounds import CELLS_AT_ONCE, OUTWARD, Form, mean_form, widening
 from .networks import NetworkPolicy
@@ -43,7 +44,7 @@ class NetworkMaps:
     cuts : int
         Parts into which cells are cut along each axis to enclose what the maps leave.
     idle : tuple of int
-        Automaton states in which nothing is left to decide: their modes are not looked at.
+        Automaton states that networks are told of in which nothing is left to decide: their modes are not looked at.
     """
 
     linear: LinearMeans
@@ -108,6 +109,54 @@ class NetworkMaps:
         return (*self.linear.arrays, *self.policy.arrays, np.array([self.cuts]))
 
 
+@dataclass(frozen=True, eq=False)
+class DrivenMaps(AffineMeans):
+    """The same of an agent with expressions: its inputs are affine maps of the state, up to what these leave.
+
+    Parameters
+    ----------
+    policy : NetworkPolicy
+    idle : tuple of int
+        As for ``NetworkMaps``.
+    """
+
+    policy: NetworkPolicy
+    idle: tuple[int, ...] = ()
+
+    pushes = None  # no input is the same in all of a cell
+
+    @property
+    def network(self) -> NetworkPolicy:  # type: ignore[override]
+        """The network."""
+        return self.policy
+
+    def _inputs(
+        self, low: FloatArray, high: FloatArray, inputs: FloatArray
+    ) -> tuple[dict[str, Affine], list[Interval]]:
+        """Return the names with inputs as maps of the axes, and behind them what is left of each (n, modes)."""
+        n, d, m, modes = *low.shape, self.policy.input_box.dimension, self.policy.n_modes
+        centre, half = 0.5 * (low + high), _half(low, high)
+        held, left = np.full((n, modes, m), np.nan), np.full((n, modes, m), np.nan)
+        slopes = np.zeros((n, modes, m, d))
+        moves = np.zeros((m, d)), np.eye(m), np.zeros(m)
+        for mode in (k for k in range(modes) if k % self.policy.view.states not in self.idle):
+            form = mean_form(self.policy, moves, self.coordinates, (centre, half), mode)[0]
+            held[:, mode], slopes[:, mode], left[:, mode] = form.centre, form.slopes, form.radius
+        size = np.einsum("nkmd,nd->nkm", np.abs(slopes), np.abs(centre) + half)
+        left = left * (1.0 + OUTWARD) + widening(self.policy, np.eye(m)) + OUTWARD * (np.abs(held) + size)
+        held = held - np.einsum("nkmd,nd->nkm", slopes, centre)
+        names, one = self._names(inputs), np.ones((1, 1))
+        first = d + len(self.agent.unknowns)
+        for j, name in enumerate(self.agent.inputs[:m]):
+            names[name] = Affine(held[..., j], {**{k: slopes[..., j, k] for k in range(d)}, first + j: one})
+        return names, [(-left[..., j], left[..., j]) for j in range(m)]
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All that maps depend on, for comparing relations."""
+        return (*super().arrays, *self.policy.arrays)
+
+
 def _half(low: FloatArray, high: FloatArray) -> FloatArray:
     """Return half widths (n, d) of boxes, rounded outward."""
     centre = 0.5 * (low + high)
@@ -115,7 +164,7 @@ def _half(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def network_linear_relation(
-    agent: LinearAgent,
+    agent: AnyAgent,
     coordinates: FloatArray,
     policy: NetworkPolicy,
     numbers: tuple[int, int, Sequence[int]],
@@ -125,7 +174,7 @@ def network_linear_relation(
 
     Parameters
     ----------
-    agent : LinearAgent
+    agent : AnyAgent
     coordinates : (d, d) array
     policy : NetworkPolicy
     numbers : parts, cuts and reach
@@ -134,10 +183,10 @@ def network_linear_relation(
         See ``NetworkMaps``.
     """
     parts, cuts, reach = numbers
-    box, m = agent.input_box, agent.n_inputs
-    linear = linear_means(agent, coordinates, np.zeros((1, m, agent.n_states)))
-    maps = NetworkMaps(linear, policy, coordinates, cuts, tuple(idle))
-    # The inputs of modes stand for nothing.
-    menu = np.tile(0.5 * box.low + 0.5 * box.high, (policy.n_modes, 1))
-    reach = tuple(int(n) for n in reach)
-    return MapRelation(maps, coordinates, menu, parts, reach)
+    maps: NetworkMaps | DrivenMaps
+    if agent.is_affine:
+        linear = linear_means(linear_agent(agent, "linear"), coordinates, np.zeros((1, agent.n_inputs, agent.n_states)))
+        maps = NetworkMaps(linear, policy, coordinates, cuts, tuple(idle))
+    else:
+        maps = DrivenMaps(with_expressions(agent), coordinates, cuts, policy, tuple(idle))
+    return MapRelation(maps, coordinates, policy.idle_menu, parts, tuple(int(n) for n in reach))

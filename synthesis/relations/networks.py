@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent, Box
+from ...envs.agents import TIME, AnyAgent, Box, with_expressions
 from ..cells import FloatArray
 
 Array = NDArray[Any]
@@ -78,6 +78,9 @@ class OwnView:
         Steps of the problem.
     scale : "unit" or "raw"
         Whether states are scaled from the workspace to [-1, 1], or stand in their units.
+    told : tuple of int
+        Of a problem that is written in another way: the automaton state that the network is told of in each of its
+        states, -1 where nothing is left to decide; empty where it is told of the state itself.
     """
 
     agent: int
@@ -86,14 +89,22 @@ class OwnView:
     states: int
     horizon: int
     scale: str = "unit"
+    told: tuple[int, ...] = ()
 
     @property
     def size(self) -> int:
         """Numbers of a row."""
         return self.width + self.states + 1 + self.agents
 
+    def told_of(self, q: Array) -> Array:
+        """Return the automaton states (N,) that the network is told of; any one where nothing is left to decide."""
+        if not self.told:
+            return q
+        # An opposite task has one state more, in which nothing is left to decide.
+        return np.maximum(np.array([*self.told, -1])[q], 0)
+
     def rows(self, workspace: Box, states: Array, q: Array, time: Any) -> NDArray[np.float32]:
-        """Return rows (N, size) at states (d, N), automaton states (N,) and times, one or (N,)."""
+        """Return rows (N, size) at states (d, N), automaton states (N,) that it is told of, and times, one or (N,)."""
         rows = np.zeros((states.shape[1], self.size), dtype=np.float32)
         seen = scaled if self.scale == "unit" else moved_inside
         rows[:, : len(states)] = seen(workspace, states).T
@@ -107,20 +118,24 @@ class OwnView:
 class NetworkPolicy:
     """The policy of one agent that a network is.
 
-    Its *modes* are the pairs of a time t and an automaton state q, numbered ``t * states + q``.
+    Its *modes* are the pairs of a time t and an automaton state q that the network is told of, numbered
+    ``t * states + q``.
 
     Parameters
     ----------
     network : Network
     view : OwnView
     workspace, input_box : Box
-        Of the agent.
+        Of the agent, without its clock.
+    has_clock : bool
+        Whether the agent has the time as its last input, which no network answers (``problem.written_out``).
     """
 
     network: Network
     view: OwnView
     workspace: Box
     input_box: Box
+    has_clock: bool = False
 
     @property
     def n_modes(self) -> int:
@@ -129,11 +144,13 @@ class NetworkPolicy:
 
     def inputs(self, states: FloatArray, q: Array, time: int) -> FloatArray:
         """Return the inputs (m, N) at states (d, N), automaton states (N,) and a time."""
-        actions = self.network.actions(self.view.rows(self.workspace, states, q, time))
-        own = actions[:, : self.input_box.dimension].T.astype(float)
+        actions = self.network.actions(self.view.rows(self.workspace, states, self.view.told_of(q), time))
+        own, box = actions[:, : self.input_box.dimension].T.astype(float), self.input_box
         if self.network.outputs == "box":
-            return np.clip(own, self.input_box.low[:, None], self.input_box.high[:, None])
-        return inputs_of(self.input_box, own)
+            inputs = np.clip(own, box.low[:, None], box.high[:, None])
+        else:
+            inputs = inputs_of(box, own)
+        return np.concatenate([inputs, np.full((1, inputs.shape[1]), float(time))]) if self.has_clock else inputs
 
     def replaced(
         self,
@@ -167,6 +184,19 @@ class NetworkPolicy:
             result[:, asked] = self.inputs(states, own_q, min(time, self.view.horizon - 1))
         return result
 
+    def modes_in(self, n_states: int) -> NDArray[np.int32]:
+        """Return the modes (T, n_states) at each time in each automaton state; -1 where nothing is left to decide."""
+        told = np.array(self.view.told) if self.view.told else np.arange(n_states)
+        modes = np.arange(self.view.horizon)[:, None] * self.view.states + told
+        return np.where(told >= 0, modes, -1).astype(np.int32)
+
+    @property
+    def idle_menu(self) -> FloatArray:
+        """Inputs (modes, m) in the place of modes in a menu: they mean nothing, but for a clock in the last column."""
+        middle = 0.5 * self.input_box.low + 0.5 * self.input_box.high
+        times = np.repeat(np.arange(float(self.view.horizon)), self.view.states)
+        return np.hstack([np.tile(middle, (self.n_modes, 1)), times[:, None][:, : int(self.has_clock)]])
+
     def constants(self, mode: int) -> FloatArray:
         """Return what the network sees in a mode besides the state: a row (size - width,), exact."""
         t, q = divmod(mode, self.view.states)
@@ -181,7 +211,7 @@ class NetworkPolicy:
         facts = [view.agent, view.agents, view.width, view.states, view.horizon, self.network.squashed]
         kind = sorted(ACTIVATIONS).index(self.network.activation)
         forms = SCALES.index(view.scale), OUTPUTS.index(self.network.outputs)
-        return (np.array([*facts, kind, *forms]), *self.network.weights, *self.network.biases)
+        return (np.array([*facts, kind, *forms]), np.array(view.told), *self.network.weights, *self.network.biases)
 
     @property
     def description(self) -> dict[str, Any]:
@@ -195,6 +225,7 @@ class NetworkPolicy:
             **{name: getattr(self.view, name) for name in VIEW_FIELDS},
             # Files of 0.2 know one form alone, and do not name it.
             **{name: form for name, form in forms.items() if form != "unit"},
+            **({"told": [*self.view.told]} if self.view.told else {}),
         }
 
 
@@ -209,8 +240,9 @@ def network_policy(description: dict[str, Any], agent: AnyAgent) -> NetworkPolic
     )
     kind = description["activation"], description["squashed"], description.get("outputs", "unit")
     network = Network(weights, biases, *kind)
-    view = OwnView(**{name: int(description[name]) for name in VIEW_FIELDS}, scale=description.get("scale", "unit"))
-    return NetworkPolicy(network, view, agent.workspace, agent.input_box)
+    numbers = {name: int(description[name]) for name in VIEW_FIELDS}
+    view = OwnView(**numbers, scale=description.get("scale", "unit"), told=tuple(description.get("told", ())))
+    return NetworkPolicy(network, view, agent.workspace, agent.chosen_box, agent.has_clock)
 
 
 def check_network(description: Any, agent: AnyAgent, n_choices: int) -> None:
@@ -224,7 +256,8 @@ def check_network(description: Any, agent: AnyAgent, n_choices: int) -> None:
     forms = description.get("scale", "unit"), description.get("outputs", "unit")
     if forms[0] not in SCALES or forms[1] not in OUTPUTS or (forms[1] == "box" and description["squashed"]):
         raise ValueError("a network sees states, or answers, in a form that is not known")
-    if forms[1] == "box" and np.any(agent.input_low >= agent.input_high):
+    box = agent.chosen_box
+    if forms[1] == "box" and np.any(box.low >= box.high):
         raise ValueError("a network answers with inputs in a box that is flat")
     if (
         not view.agent < view.agents
@@ -232,6 +265,9 @@ def check_network(description: Any, agent: AnyAgent, n_choices: int) -> None:
         or not isinstance(description["squashed"], bool)
     ):
         raise ValueError("a network has a view that does not fit its agent")
+    told = description.get("told", [])
+    if not isinstance(told, list) or any(type(q) is not int or not -1 <= q < view.states for q in told):
+        raise ValueError("a network is told of automaton states that are none")
     if not 0 < view.horizon * view.states <= n_choices:
         raise ValueError("a network has no choice for each time and automaton state")
     weights, biases = description["weights"], description["biases"]
@@ -247,7 +283,9 @@ def check_network(description: Any, agent: AnyAgent, n_choices: int) -> None:
             raise ValueError(f"a network has weights beyond {LARGEST_WEIGHT:g}, or more than {MOST_UNITS} units")
         if not all(np.array_equal(x, x.astype(np.float32)) for x in (layer, shift)):
             raise ValueError("a network has weights that are not of single precision")
-    if size < agent.n_inputs:
+    # Before it is known what a file is about, an input with the name of the time may be a clock.
+    may_have_clock = not agent.is_affine and with_expressions(agent).inputs[-1] == TIME
+    if size + may_have_clock < agent.n_inputs:
         raise ValueError("a network has fewer outputs than its agent has inputs")
 
 

@@ -146,9 +146,9 @@ class WrittenMeans:
         rows = None if self.is_plain else self._inverse
         return enclosed(self.agent.trees, self._names(menu), self.variables(box), rows)
 
-    def enclosing(self, variables: list[Interval]) -> list[Interval]:
-        """Return intervals around the mean along each axis, from intervals of all variables, the input being idle."""
-        names = self._names(np.zeros((1, self.agent.n_inputs)))
+    def enclosing(self, variables: list[Interval], menu: FloatArray) -> list[Interval]:
+        """Return intervals around the mean along each axis, from intervals of all variables, under a menu (A, m)."""
+        names = self._names(menu)
         return enclosed(self.agent.trees, names, variables, None if self.is_plain else self._inverse)
 
     def variables(self, box: list[Interval]) -> list[Interval]:

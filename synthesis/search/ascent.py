@@ -251,7 +251,8 @@ class Stage:
         time: int = 0,
     ) -> None:
         self.rough, self.groups = rough, joint.common
-        self.models, self.policies, self.leftover, self.q = joint.models, list(policies), occupancy.leftover, q
+        self.models, self.policies, self.leftover = joint.models, list(policies), occupancy.leftover
+        self.time, self.q = time, q
         # What each agent may choose from, and the number of the first of these choices: groups keep their numbers.
         self.offered: list[tuple[Choices, int]] = [model.offered(time) for model in joint.models]
         for group in self.groups:

@@ -1,0 +1,173 @@
+"""Networks are certified as they are where the task names the time or pairs of agents, and changed ones are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+import certigym as cg
+from certigym.synthesis.certificates import Certificate, TimedProof, any_certificate, changed
+from certigym.synthesis.raw_networks import _policies, _written, certify_network, differences, repair_network
+from certigym.synthesis.relations import Network
+from certigym.synthesis.relations.driven_means import DrivenMeans
+from certigym.validation.policies.actors import SharedActor, TeamActor
+from certigym.validation.policies.views import SharedView
+from composing import apart, expressions, matrices, timed
+from network_problems import with_network
+
+FALSE_ALARM = 1e-6
+"""Probability with which a statistical test here fails although all is right."""
+
+EPISODES = 20_000
+
+
+def looking(problem: cg.Problem, seed: int = 0) -> SharedActor:
+    """A network to whom everything that it sees makes a difference, the time and the automaton state above all."""
+    view, rng = SharedView(problem), np.random.default_rng(seed)
+    first = rng.normal(size=(6, view.size)).astype(np.float32)
+    last = (0.4 * rng.normal(size=(view.n_actions, 6)) + 0.2).astype(np.float32)
+    layers = Network((first, last), (np.zeros(6, np.float32), np.zeros(view.n_actions, np.float32)), "tanh", False)
+    return SharedActor(problem, layers)
+
+
+def drifting() -> cg.Problem:
+    """Dynamics, noise and regions name the time."""
+    return timed(expressions(dynamics=["0.9*x + 0.8*u + 0.6*sin(2*t)"], noise_scale=["0.6 + 0.1*t"]))
+
+
+PROBLEMS: dict[str, Any] = {
+    "regions move": (lambda: timed(matrices()), 60, "auto"),
+    "all names the time": (drifting, 60, "boxes"),
+    "dynamics in linear cells": (lambda: timed(expressions(dynamics=["0.9*x + 0.8*u + 0.6*sin(2*t)"])), 60, "linear"),
+    "a team with pairs": (apart, 40, "auto"),
+}
+
+
+@cache
+def certified(kind: str) -> tuple[cg.Problem, SharedActor, Any]:
+    make, cells, relation = PROBLEMS[kind]
+    problem = make()
+    actor = looking(problem, 8 if problem.labeling.pairs else 5)
+    return problem, actor, cg.certify(problem, actor, cells, as_is=True, above=True, relation=relation).certificate
+
+
+@pytest.mark.parametrize("kind", PROBLEMS)
+def test_rollouts_of_the_network_lie_between_both_ends(kind: str) -> None:
+    problem, actor, certificate = certified(kind)
+    report = cg.check(certificate)
+    assert report, report
+    assert differences(certificate, actor) == []
+    assert 0.03 < certificate.lower_bound <= certificate.upper_bound < 0.999
+    runs = cg.rollout(problem, cg.as_controller(problem, actor), EPISODES, seed=3)
+    assert binom.cdf(runs.successes, EPISODES, certificate.lower_bound) > FALSE_ALARM
+    assert binom.sf(runs.successes - 1, EPISODES, certificate.upper_bound) > FALSE_ALARM
+    same = cg.rollout(problem, certificate.controller, EPISODES, seed=3)
+    assert same.successes == runs.successes
+
+
+@pytest.mark.parametrize("kind", PROBLEMS)
+def test_a_network_answers_alike_however_the_problem_is_written(kind: str) -> None:
+    """At all times, in all automaton states that go with one another, at 200 states."""
+    problem, actor, certificate = certified(kind)
+    base, policies, _ = _written(problem, _policies(problem, actor), None)
+    rng, n_q = np.random.default_rng(1), problem.automaton.n_states
+    states = [rng.uniform(a.state_low, a.state_high, size=(200, a.n_states)).T for a in problem.agents]
+    table = np.tile(np.arange(n_q), (problem.horizon + 1, 1))
+    if isinstance(certificate.proof, TimedProof):
+        table = certificate.proof.states_in_time(problem)
+    for t in range(problem.horizon):
+        for q in np.flatnonzero((table[t] >= 0) & ~base.automaton.absorbing[table[t]]).tolist():
+            wanted = np.concatenate([actor.inputs(i, x, np.full(200, q), t) for i, x in enumerate(states)])
+            asked = np.full(200, table[t, q])
+            if len(policies) == 1:
+                found = policies[0].inputs(np.concatenate(states), asked, t)
+            else:
+                found = np.concatenate([own.inputs(x, asked, t) for own, x in zip(policies, states, strict=True)])
+            assert np.allclose(found[: len(wanted)], wanted, rtol=0.0, atol=1e-6)
+            assert np.all(found[len(wanted) :] == t)  # a clock
+
+
+def forged(certificate: Any, **facts: Any) -> Certificate:
+    """The same claim, with other facts about the network of its base."""
+    return replace(certificate, proof=replace(certificate.proof, base=with_network(certificate.proof.base, **facts)))
+
+
+@pytest.mark.parametrize("kind", PROBLEMS)
+def test_other_weights_and_larger_claims_are_refused(kind: str) -> None:
+    _, _, certificate = certified(kind)
+    base = certificate.proof.base
+    network = base.proof.agents[0].relation["network"]
+    weights = [*network["weights"][:-1], (np.array(network["weights"][-1]) - 0.25).tolist()]
+    assert not cg.check(forged(certificate, weights=weights))
+    larger = base.lower_bound + 1e-3
+    claim = changed(base, lower_bound=larger, bounds={base.proof.bound: larger}, gap=None, opposite=None)
+    assert "exceeds" in cg.check(replace(certificate, proof=replace(certificate.proof, base=claim))).failures[0]
+
+
+def test_networks_that_are_told_of_other_states_are_refused() -> None:
+    """Where regions move, the automaton counts: what a network is told of is the state of the task, not another one."""
+    problem, actor, certificate = certified("regions move")
+    told = certificate.proof.base.proof.agents[0].relation["network"]["told"]
+    others = [q if q < 0 else (q + 1) % problem.automaton.n_states for q in told]
+    assert "automaton state" in cg.check(forged(certificate, told=others)).failures[0]
+    assert "told" in differences(forged(certificate, told=others), actor)[0]
+    assert not cg.check(forged(certificate, told=told[:-1]))
+
+
+def test_enclosures_at_another_step_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sabotage of the search: boxes of the step before, under a network that is asked at the step itself."""
+    problem = drifting()
+    actor, honest = looking(problem, 5), DrivenMeans._clock
+    monkeypatch.setattr(DrivenMeans, "_clock", lambda self, menu: np.maximum(honest(self, menu) - 1.0, 0.0))
+    other = certify_network(problem, actor, 60, relation="boxes").certificate
+    monkeypatch.undo()
+    right = certify_network(problem, actor, 60, relation="boxes").certificate
+    assert other.lower_bound > right.lower_bound + 0.01  # it would claim more than is true
+    assert not cg.check(other)
+
+
+def test_a_clock_that_is_not_the_time_is_refused() -> None:
+    _, _, certificate = certified("all names the time")
+    base = certificate.proof.base
+    (part,) = base.proof.agents
+    menu = np.array(part.relation["menu"])
+    menu[:, -1] = np.maximum(menu[:, -1] - 1.0, 0.0)
+    other = changed(base, agents=(replace(part, relation={**part.relation, "menu": menu.tolist()}),))
+    report = cg.check(replace(certificate, proof=replace(certificate.proof, base=other)))
+    assert "its clock is not the time" in report.failures[0]
+
+
+@pytest.mark.parametrize("kind", ["regions move", "all names the time", "a team with pairs"])
+def test_repairs_are_made_and_checked(kind: str) -> None:
+    problem, actor, _ = certified(kind)
+    cells = 24 if kind == "a team with pairs" else 30
+    plain = certify_network(problem, actor, cells, relation="boxes").certificate
+    repaired, places = repair_network(problem, actor, cells)
+    assert cg.check(repaired.certificate) and "replaced" in differences(repaired.certificate, actor)[0]
+    assert repaired.certificate.lower_bound > plain.lower_bound + 0.05
+    assert places.worst(1)[0]["loss"] > 0.0
+
+
+def test_certificates_travel(tmp_path: Path) -> None:
+    for kind in PROBLEMS:
+        problem, _, certificate = certified(kind)
+        cg.save(certificate, tmp_path / "network.npz")
+        loaded = any_certificate(tmp_path / "network.npz")
+        assert cg.check(loaded, problem) and loaded.lower_bound == certificate.lower_bound
+
+
+def test_agents_of_a_team_may_have_networks_of_their_own() -> None:
+    problem = apart()
+    networks = looking(problem, 1).network, looking(problem, 2).network
+    certificate = certify_network(problem, TeamActor(problem, networks), 24).certificate
+    assert cg.check(certificate) and differences(certificate, TeamActor(problem, networks)) == []
+    assert differences(certificate, TeamActor(problem, networks[::-1])) != []
+    deep = replace(networks[1], activation="relu")
+    with pytest.raises(ValueError, match="of one form"):
+        certify_network(problem, TeamActor(problem, (networks[0], deep)), 24)
