@@ -111,9 +111,10 @@ def synthesize(
         Probability in [0.5, 1) that is to hold from every start of a set: a convex set around the problem's start, of
         one linear agent, along a path (see ``certified_starts``). Not with other ways.
     relation : str, or mapping from agent name to str
-        ``"exact"`` (inputs reach every mean), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the
-        caller's choice), ``"paper"`` (scalar agents), ``"path"`` (Gaussian noise, no cells, any number of states),
-        ``"linear"`` and ``"boxes"`` (any agent). ``"auto"``, which also holds for agents that a mapping leaves out,
+        ``"exact"`` (inputs reach every mean), ``"linear"`` and ``"boxes"`` (any agent), ``"path"`` (no cells, any
+        number of states), or ``"coupled"``: the best of its three sets, which may also be asked for by their names
+        ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the caller's choice) and ``"paper"`` (scalar
+        agents). ``"auto"``, which also holds for agents that a mapping leaves out,
         takes ``exact`` where it leaves most of the inputs to the policy; elsewhere it tries those of ``exact``,
         ``tube`` and ``ellipsoid`` that apply, and ``linear`` where these leave much open, and keeps the largest bound
         (see ``relation_choice``); agents that no grid can hold get a path. ``"best"`` tries all of these without any

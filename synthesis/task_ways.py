@@ -96,7 +96,8 @@ def ways_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Pla
         if asked == {"linear"} and cells is None and usual:
             return [_linear(problem, plan, few=True)]
         name = "/".join(dict.fromkeys(kinds))
-        return [Way(name, lambda results: plain(problem, cells, kinds, plan))]
+        run = compared if "coupled" in asked else plain
+        return [Way(name, lambda results: run(problem, cells, kinds, plan))]
     if cells is not None or asked != {"auto"} or not usual:
         first = Way("others", lambda results: compared(problem, cells, kinds, plan))
         given = cells is not None and len(asked) == 1 and may_be_linear(problem, plan)
@@ -125,7 +126,7 @@ def ways_within(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]
     first = Way("linear", lambda results: _refined(problem, linear, plan), ends=GOOD)
     if {*kinds} == {"linear"} and usual:
         return [first]
-    quick = ["quick" if kind in ("auto", "best") else kind for kind in kinds]
+    quick = [{"auto": "quick", "best": "quick", "coupled": "tube"}.get(kind, kind) for kind in kinds]
 
     def others(results: Results) -> Synthesis:
         best = _refined(problem, quick, replace(plan, settings=plan.settings.of_kinds(quick)))

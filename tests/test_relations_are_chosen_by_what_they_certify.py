@@ -296,3 +296,29 @@ def test_agents_that_nothing_fits_are_refused_with_the_first_reason(monkeypatch:
     monkeypatch.setattr(task_ways, "may_be_linear", MAY_BE_LINEAR)
     tried = tried_of(cg.synthesize(cart_reach(runaway, horizon=2), effort=1.4))
     assert {"linear", "path"} <= {name for name, outcome in tried.items() if isinstance(outcome, float)}
+
+
+def reach(agent: Any) -> cg.Problem:
+    """One agent is to come to its goal."""
+    return cg.Problem(
+        name="one", horizon=3, agents=[agent], propositions={"goal": cg.Proposition("one", [1.0], [3.0])},
+        specification=cg.Specification("F goal", "co-safe"),
+    )  # fmt: skip
+
+
+def test_coupled_keeps_the_best_of_its_three_sets() -> None:
+    problem = reach(scalar_agent("one"))
+    found = cg.synthesize(problem, 40, relation="coupled")
+    alone = {kind: cg.synthesize(problem, 40, relation=kind).certificate.lower_bound for kind in ("tube", "paper")}
+    tried = tried_of(found)
+    assert {*tried} == {"tube", "ellipsoid", "paper"} and tried["tube"] == alone["tube"]
+    assert found.certificate.lower_bound >= max(alone.values()) > 0.0 and cg.check(found.certificate)
+    again = cg.synthesize(problem, start=found, relation="coupled").certificate
+    assert kinds_of(again) == kinds_of(found.certificate) and again.lower_bound >= found.certificate.lower_bound
+    assert kinds_of(cg.synthesize(problem, memory=3e6, relation="coupled").certificate)[0] != "exact"
+    bent = cg.Agent(
+        name="one", states=["x"], inputs=["u"], dynamics=["sin(x) + u"], noise=[{"law": "gaussian", "std": 0.3}],
+        state_low=[-3.0], state_high=[3.0], input_low=[-1.0], input_high=[1.0], initial_state=[0.0],
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="the relation `coupled` is for linear dynamics"):
+        cg.synthesize(reach(bent), 20, relation="coupled")

@@ -29,6 +29,7 @@ from ...envs.problem import Problem
 from ..cells import CellCounts, RelationRefused, cells_of_agent
 from ..certificates import Synthesis, rounded_up
 from ..models import (
+    COUPLED,
     Abstraction,
     AgentModel,
     JointModel,
@@ -57,7 +58,7 @@ MOST_LINEAR_AGENTS = 2
 DOUBLINGS, MOST_CELLS = 2, 200_000
 """How often default cells are doubled where no relation applies to them, and to how many of one agent."""
 
-ALL_RELATIONS = ("exact", "tube", "ellipsoid", "paper")
+ALL_RELATIONS = ("exact", *COUPLED)
 """Relations in the order in which they are preferred among equals."""
 
 Combination = tuple[str, ...]
@@ -90,7 +91,7 @@ class AgentGroup:
 
 
 def groups_of(problem: Problem, cells: CellCounts, asked: Sequence[str], settings: Settings) -> list[AgentGroup]:
-    """Return groups of agents with their models; ``asked`` names a relation per agent, ``"auto"`` or ``"best"``.
+    """Return groups of agents with their models; ``asked`` names a relation per agent, or ``"auto"`` or ``"best"``.
 
     Raises
     ------
@@ -142,6 +143,7 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
         wanted = dict.fromkeys(wanted, ("exact", "boxes") if first.has_full_rank else ("boxes",))
     if settings.common and {*members} & {*common_inputs_of(problem)}:
         wanted = dict.fromkeys(wanted, ("boxes",))  # no other relation knows of inputs that are chosen in common
+    wanted["coupled"] = COUPLED
     for relation in wanted.get(asked, (asked,)):
         try:
             member_models = models_of(problem, cells, dict.fromkeys(members, relation), settings)
@@ -153,7 +155,9 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
         if asked == "auto" and settings.delta is None and all(map(is_settled, member_models.values())):
             break
     if not models:
-        reasons = dict.fromkeys(refused.values())
+        # What all sets of a coupled relation are refused for is said once.
+        several = {relation: "coupled" if asked == "coupled" else relation for relation in refused}
+        reasons = {why.replace(f"`{relation}`", f"`{several[relation]}`"): None for relation, why in refused.items()}
         if len(reasons) == 1:
             raise RelationRefused(*reasons)
         name = problem.agents[members[0]].name

@@ -1,6 +1,7 @@
 """The finite model of each agent, the guards of the task, and both joined."""
 
 from .abstraction import (
+    COUPLED,
     KINDS_WITH,
     RELATIONS,
     Abstraction,
@@ -44,6 +45,7 @@ __all__ = [
     "CommonGroup",
     "INPUT_LEVELS",
     "InputMenu",
+    "COUPLED",
     "KINDS_WITH",
     "RELATIONS",
     "JointModel",

@@ -69,7 +69,10 @@ from .kernel import Kernel
 Relations = str | Mapping[str, str]
 """Relation of all agents, or of each by its name."""
 
-RELATIONS = ("auto", "boxes", "exact", "ellipsoid", "linear", "paper", "quick", "tube")
+COUPLED = ("tube", "ellipsoid", "paper")
+"""Ways to make the set of a coupled relation: the state stays near that of a finite model which moves by itself."""
+
+RELATIONS = ("auto", "boxes", "coupled", "exact", "ellipsoid", "linear", "paper", "quick", "tube")
 """Relations that can be asked for."""
 
 KINDS_WITH = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
@@ -434,7 +437,7 @@ def _shared_model(
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
     agent = linear_agent(agent, kind)
-    if kind == "tube":
+    if kind in ("tube", "coupled"):
         return tube_model(agent, grid, coordinates, room)
     if kind == "ellipsoid":
         delta = 0.0 if settings.delta is None else settings.delta
