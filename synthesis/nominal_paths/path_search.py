@@ -72,7 +72,7 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
     if any(agent.angles for agent in problem.agents):
         return along_angles(problem, path_certificate, work)
     linear = all(agent.is_linear_gaussian and agent.initial.is_point for agent in problem.agents)
-    if problem.labeling.pairs or not linear:
+    if problem.labeling.pairs or not linear or work.is_hopeless:
         return nonlinear_certificate(problem, SOURCES, work)
     finder = _Finder(problem, work)
     best: tuple[float, Plan, Any] | None = None
