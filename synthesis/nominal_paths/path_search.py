@@ -156,7 +156,7 @@ def _timed(problem: Problem, drifts: Drifts, way: Way) -> Iterator[Plan]:
     n, seen = len(way.jumps), set[tuple[int, ...]]()
     if n > problem.horizon or (n == 0 and problem.automaton.is_co_safe):
         return
-    for share in (1.0, 0.6, 0.8):
+    for share in (1.0, 0.6, 0.8, 0.35):
         times = way.spread(max(n, round(share * problem.horizon)))
         if problem.labeling.moves:
             times = _nearest_times(problem, way, times)
