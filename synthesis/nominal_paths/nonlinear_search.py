@@ -205,7 +205,7 @@ class NonlinearSearch:
 
     @property
     def _round(self) -> FloatArray:
-        """The same of slabs at the times at which more round regions are asked for than at others; empty without any."""
+        """The same of slabs at times at which more round regions are asked for than at others; empty without any."""
         return np.full(int(np.any(self.model.bent_outputs)), 0.5)
 
     def first_inputs(self, steps: int) -> FloatArray:
