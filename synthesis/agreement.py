@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ..envs.problem import Problem
+from ..envs.problem import Problem, out_of_reach
+from .cells import NoRunFound
 from .certificates import AlongPath, Synthesis, changed, path_under
 from .checking import check
 from .nominal_paths import CountedWork, path_certificate
@@ -21,7 +22,15 @@ LAST_DIGIT = 2.0**-52
 
 
 def along_path(problem: Problem, work: CountedWork) -> Synthesis:
-    """Return a synthesis along a path that claims no more than search and check both prove."""
+    """Return a synthesis along a path that claims no more than search and check both prove.
+
+    Raises
+    ------
+    RelationRefused
+        If there is none; NoRunFound if no run without noise satisfies the task, as is known without a search.
+    """
+    if not work.is_hopeless and (lost := out_of_reach(problem, rare=0.0)) is not None:
+        raise NoRunFound(f"no nominal path satisfies the task: {lost.why}")
     return agreed(path_certificate(problem, work))
 
 

@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..envs.arrays import on_one_thread
-from ..envs.problem import JOINT_NOISE_REFUSAL, Problem
+from ..envs.problem import JOINT_NOISE_REFUSAL, OutOfReach, Problem, out_of_reach, why_never
 from ..envs.suite import as_problem
 from .agreement import along_path
 from .cells import CellCounts, RelationRefused, to_who_asked_for_none
@@ -241,6 +241,10 @@ def _of_task(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None = None
 ) -> Synthesis:
     """Synthesize one task, in the ways that relations, budget and start leave open."""
+    if cells is None and relation == "auto" and plan.budget is None and start is None and plan.paths:
+        never = why_never(problem)
+        if lost := OutOfReach(never, 0.0) if never else out_of_reach(problem):
+            plan.effort.give_up(lost.why)
     if problem.joint_noise:
         return best_of(_under_joint_noise(problem, cells, relation, plan, start), plan.effort)
     if problem.labeling.pairs:

@@ -7,11 +7,13 @@ from .problem_file import load_problem, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification
 from .split import split_axes
+from .unreachable import OutOfReach, out_of_reach
 from .unrolling import Unrolled, unrolled
 from .writing_out import Places, states_in_time, written_out
 
 __all__ = [
     "JOINT_NOISE_REFUSAL",
+    "OutOfReach",
     "Places",
     "Problem",
     "Specification",
@@ -20,6 +22,7 @@ __all__ = [
     "load_problem",
     "opposite_inside",
     "opposite_of",
+    "out_of_reach",
     "problem_from_dict",
     "problem_from_toml",
     "refuse_joint_noise",

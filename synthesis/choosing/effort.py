@@ -29,6 +29,9 @@ LEADS = 0.85
 """Bound from which that is not held back: other ways rarely come near, and finer cells gain surely."""
 
 
+FOR_LOST = 2.0
+"""Core seconds that are spent on tasks that are out of reach."""
+
 BROKEN_OFF = "broken off by Ctrl-C"
 """What is said of what the user had no time for."""
 
@@ -69,6 +72,8 @@ class Effort:
     """Upper bound on what any controller does, as far as one is known."""
     no_run: str = ""
     """Why no run without noise satisfies the task, if that was looked for and none was found."""
+    lost: str = ""
+    """Why the task is out of reach of any controller, if that is known: then a run that comes near has to do."""
     left_out: dict[str, str] = field(default_factory=dict)
     """What was not begun for want of effort, by name, and why."""
     counted: float = 0.0
@@ -85,6 +90,10 @@ class Effort:
                 raise ValueError(f"`{name}`: expected a positive number ({what}), got {value!r}; leave it out")
         self.began = time.perf_counter()
         self.limit = self.work if self.work is not None else EFFORT if self.seconds is None else math.inf
+
+    def give_up(self, why: str) -> None:
+        """Leave nearly all work undone: no controller satisfies the task."""
+        self.lost, self.limit = why, min(self.limit, self.spent + FOR_LOST)
 
     def anew(self) -> Effort:
         """Return the effort of another task: as much work, and the seconds that are left."""

@@ -106,8 +106,9 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
     waiting, given_up = in_order(ways), list[Way]()
     # Where nothing else gave anything, what was given up may take what it takes.
     while waiting or (given_up and not results):
-        way = waiting.pop(_next(waiting, results)) if waiting else given_up.pop(0)
+        way = waiting.pop(_next(waiting, results, bool(effort.lost))) if waiting else given_up.pop(0)
         ended_by = BROKEN_OFF if effort.is_interrupted else ended_by
+        ended_by = "the task is out of reach" if effort.lost and results else ended_by
         reason = f"not computed: {ended_by}" if ended_by is not None else _left_out(way, results, effort)
         if reason is not None:
             tried |= {way.name: reason} if reason else {}
@@ -145,7 +146,7 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
                 ended_by = f"agents have more states than grids hold as a rule, which `{way.name}` is for"
     if not results:
         raise _refused(ways, refusals)
-    return _recorded(results, tried | effort.left_out, began, effort.no_run)
+    return _recorded(results, tried | effort.left_out, began, effort)
 
 
 HARDLY_LEFT = 0.99
@@ -162,9 +163,9 @@ def _allowed(way: Way, effort: Effort, has_result: bool, alone: bool) -> float:
     return max(LEAST_ALLOWED, OFF * (max(way.work, effort.left) if has_result else way.work))
 
 
-def _next(waiting: Sequence[Way], results: Results) -> int:
-    """Return the position of the next way: the first, but for paths where all bounds so far are 0."""
-    if results and not any(_bound(result) > 0.0 for result in results.values()):
+def _next(waiting: Sequence[Way], results: Results, is_lost: bool) -> int:
+    """Return the position of the next way: the first, but for paths where all bounds so far are 0, or have to be."""
+    if is_lost or (results and not any(_bound(result) > 0.0 for result in results.values())):
         return next((k for k, way in enumerate(waiting) if way.name == PATH), 0)
     return 0
 
@@ -233,7 +234,7 @@ def _refused(ways: Sequence[Way], refusals: Mapping[str, str]) -> RelationRefuse
     return RelationRefused("; ".join(f"{name}: {text}" for name, text in named.items()))
 
 
-def _recorded(results: Results, tried: dict[str, Any], began: float, no_run: str) -> Synthesis:
+def _recorded(results: Results, tried: dict[str, Any], began: float, effort: Effort) -> Synthesis:
     """Return the best result, with what was tried, the least upper bound of all, and the seconds of all."""
     best = leading(results)
     assert best is not None
@@ -244,7 +245,7 @@ def _recorded(results: Results, tried: dict[str, Any], began: float, no_run: str
         stats |= {"continuous_upper_bound": min(known, default=None)}
     stats["seconds"] = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
     if _bound(best) <= 0.0:
-        stats["nothing"] = _why_nothing(best, results, stats, no_run)
+        stats["nothing"] = effort.lost or _why_nothing(best, results, stats, effort.no_run)
         best = with_settings(best, {"nothing": stats["nothing"]})
     if len(tried) > 1:
         stats["tried"] = tried

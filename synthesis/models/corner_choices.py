@@ -84,8 +84,6 @@ class CornerChoices(Choices):
         Lattice points per cell and axis, at most.
     maps : AffineBoxes
         Means of all cells and inputs, (S, A, ..).
-    windows : TargetWindows or None
-        The lattice points that each cell can choose, if there are targets.
     charged : tuple of float
         What second differences along each axis count for g below I: an eighth for normal noise, 0 for uniform noise.
     has_ends : bool
@@ -102,7 +100,6 @@ class CornerChoices(Choices):
     relation: MapRelation
     per_cell: int
     maps: AffineBoxes
-    windows: TargetWindows | None
     charged: tuple[float, ...]
     has_ends: bool = False
     memory: dict[str, object] = field(default_factory=dict, repr=False)
@@ -114,13 +111,19 @@ class CornerChoices(Choices):
     is_read_at_length = True
 
     def __repr__(self) -> str:
-        aims = "" if self.windows is None else " and targets"
+        aims = "" if self.relation.aims is None else " and targets"
         of_each = f"{self.n_inputs} inputs{aims}"
         return f"CornerChoices({self.grid.n_cells} cells, {of_each}, {shape_text(self.shape)} lattice points)"
 
     def kernel_on(self, agent: AnyAgent, grid: Grid) -> LatticeKernel:
         """Return the kernel from the lattice to other cells."""
         return lattice_kernel(grid, self.lattice, grid_laws(agent, self.relation.coordinates), self.reach)
+
+    @cached_property
+    def windows(self) -> TargetWindows | None:
+        """The lattice points that each cell can choose, if there are targets; made when they are first asked for."""
+        aims = self.relation.aims
+        return None if aims is None else windows_of(aims, self.grid, self.lattice)
 
     @property
     def n_places(self) -> int:

@@ -16,7 +16,6 @@ from .box_kernel import box_lattice
 from .box_model import clock_menu, with_rest
 from .corner_choices import BESIDE, HANDICAP, HANDICAP_IN_TEAMS, CornerChoices
 from .lattice_kernel import LatticeKernel, lattice_kernel
-from .target_windows import windows_of
 
 POINTS_PER_DEVIATION = {1: 12.0, 2: 8.0}
 """Lattice points per deviation of normal noise, at least, by dimension: the slack is then 1e-5 per axis and step."""
@@ -130,8 +129,7 @@ def lattice_model(
     kernel = lattice_kernel(grid, lattice, laws, reach)
     charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
     has_ends = kernel.ends is not None
-    windows = None if relation.aims is None else windows_of(relation.aims, grid, lattice)
-    choices = CornerChoices(grid, lattice, relation, max(points), maps, windows, charged, has_ends)
+    choices = CornerChoices(grid, lattice, relation, max(points), maps, charged, has_ends)
     return relation, lattice, kernel, choices
 
 

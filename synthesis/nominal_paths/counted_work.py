@@ -39,6 +39,8 @@ class CountedWork:
         Whether what was found so far has to do for another reason, such as seconds that are over.
     told : callable
         Told each bound that is larger than all before.
+    is_hopeless : bool
+        Whether it is known that the task is out of reach: then what comes near has to do.
     """
 
     limit: float = math.inf
@@ -46,6 +48,7 @@ class CountedWork:
     spent: float = 0.0
     told: Callable[[float], None] = lambda bound: None
     largest: float = 0.0
+    is_hopeless: bool = False
 
     def tell(self, failure: float) -> None:
         """Tell of a path that was found, by an upper bound on its probability of failing, if it is the best so far."""

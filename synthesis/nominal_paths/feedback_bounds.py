@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Tail
 from ..cells import FloatArray
+from .exponential_moments import ExponentialMoments
 from .limit_rows import INWARD, OUTWARD, PAIR, Worth
 from .nonlinear_model import NonlinearModel, remainders
 from .path_limits import Limits
@@ -126,16 +127,16 @@ class NominalPath:
 
     @cached_property
     def scales(self) -> tuple[FloatArray, FloatArray]:
-        """Nominal multipliers (S, d) of the noise, and sizes (S, d, v) of their derivatives."""
+        """Nominal multipliers (S, d) of the noise, and their derivatives (S, d, v)."""
         return self.scales_at(np.arange(len(self.inputs)))
 
     def scales_at(self, times: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-        """Return the multipliers (S, d) of the noise, and sizes (S, d, v) of their derivatives, at times (S,)."""
+        """Return the multipliers (S, d) of the noise, and their derivatives (S, d, v), at times (S,)."""
         assert self.model.scale is not None
         variables = self.model.variables(self.states[:-1].T, self.inputs.T, times)
         values, slopes = self.model.scale.slopes(variables)
         both = np.broadcast_to(slopes, (*slopes.shape[:2], len(self.inputs)))
-        return np.broadcast_to(values, (len(values), len(self.inputs))).T, np.abs(np.moveaxis(both, 2, 0))
+        return np.broadcast_to(values, (len(values), len(self.inputs))).T, np.moveaxis(both, 2, 0)
 
     @cached_property
     def noises(self) -> FloatArray:
@@ -198,7 +199,7 @@ class _Walk:
         self.limits_x = each(lambda p: p.limits.states[0]), each(lambda p: p.limits.states[1])
         self.limits_y = each(lambda p: p.limits.outputs[0]), each(lambda p: p.limits.outputs[1])
         if self.model.scale is not None:
-            self.slopes = each(lambda p: p.scales[1])
+            self.scales, self.slopes = each(lambda p: p.scales[0]), each(lambda p: p.scales[1])
         self.asked = _padded(paths, which)
         self.needs_outputs = any(len(path.limits.limited) or path.pairs for path in paths)
         self.shared = self.model.shared
@@ -215,6 +216,8 @@ class _Walk:
         self.drifts[:, 0] = np.array(starts)[which]
         self.count = int(self.keeps_all or bool(np.any(self.drifts[:, 0])))
         self.covariance, self.each_noise = np.zeros((self.n, d, d)), np.zeros((self.n, steps, d, d))
+        varies = self.model.scale is not None and self.model.tail != Tail.LONG and self.shared is None
+        self.moments = ExponentialMoments(self.n, d) if varies else None
         self.worth = Worth(tail=self.model.tail, lost=steps * self.model.lost)
         width = agent.state_high - agent.state_low
         self.least = LEAST * np.concatenate([width, np.maximum(agent.input_high - agent.input_low, 1e-9)])
@@ -270,7 +273,7 @@ class _Walk:
                 np.maximum(np.minimum(wide - shift, rest[0]), 0.0),
                 np.maximum(np.minimum(wide + shift, rest[1]), 0.0),
             )
-            states[:, t], slabs[t, :, :d] = (sd, drift, shift), slab
+            states[:, t], slabs[t, :, :d], self.slab_now = (sd, drift, shift), slab, slab
             if t:
                 low, high = (end[t] for end in self.limits_x)
                 size = INWARD * np.abs(x)
@@ -279,13 +282,21 @@ class _Walk:
                     x + shift - low - size - drift, high - x - shift - size - drift, slab, sd**2, names,
                     self.largest(t, eye),
                 )  # fmt: skip
+                self._ask(t, eye)
                 outputs[:, t] = self._outputs(t, reach)
                 if t in self.asked:
                     pairs[t] = self._pairs(t, reach, self.asked[t])
             if t < steps:
                 *inputs[:, t], slabs[t, :, d:] = self._step(t, reach)
+        if self.moments is not None and self.worth.stopped is not None:
+            self.moments.bound(self.worth, self.worth.stopped)
         spreads = [(each[0], each[1], each[2]) for each in (states, outputs, inputs)]
         return self.worth, Spreads(spreads[0], spreads[1], spreads[2], slabs, pairs)
+
+    def _ask(self, t: int, rows: FloatArray) -> None:
+        """Ask for further bounds on the tails of the rows (J, d) or (N, J, d) that were added last."""
+        if self.moments is not None:
+            self.moments.ask(len(self.worth.low) - 1, t, rows)
 
     def _off_outputs(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray]:
         """Return what outputs (N, p) are off their linear forms: middles and half widths."""
@@ -312,6 +323,7 @@ class _Walk:
             rows = (y + shift - low - size - drift)[:, here], (high - y - shift - size - drift)[:, here]
             nothing, largest = np.full((self.n, len(here)), np.inf), self.largest(t, self.C[t][:, here])
             self.worth.add(*rows, nothing, sd[:, here] ** 2, names, largest)
+            self._ask(t, self.C[t][:, here])
         return sd, drift, shift
 
     def _pairs(self, t: int, reach: Both, asked: OtherSides) -> tuple[FloatArray, ...]:
@@ -335,6 +347,17 @@ class _Walk:
         self.worth.add(asked.low + shift - drift, asked.high - shift - drift, nothing, both[0], names, both[1])
         return drift, variance, largest, shared, shift
 
+    def _tilt(self, t: int, a: FloatArray, b: FloatArray, off: FloatArray, tube: tuple[Both, FloatArray]) -> None:
+        """Note what squares of deviations of a step's noise are below: the scale is b (N, d) + a (N, d, d) e, about."""
+        assert self.moments is not None
+        (below, above), noise = tube
+        shift, drift, _ = self.of_rows(t, a)
+        own_shift, own_drift, _ = self.of_rows(t, np.eye(self.d))
+        sizes = np.maximum(below, above) + np.abs(own_shift) + own_drift
+        slab = np.minimum(self.slab_now, sizes) if t else np.zeros_like(sizes)
+        self.moments.tilt((b + shift, off + drift, np.einsum("nkj,nj->nk", np.abs(a), slab), a),
+                          self.model.deviations, np.einsum("nkk->nk", noise))  # fmt: skip
+
     def _step(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Go on by a step; return deviations, drifts and shifts of inputs, and slabs of inputs and noises."""
         d, m = self.d, self.m
@@ -356,6 +379,7 @@ class _Walk:
         high = np.where(moved, agent.input_high - u - shift - drift - spare, np.inf)
         names = [f"{name} at step {t}" for name in self.model.names[d : d + m]]
         self.worth.add(low, high, slab, sd**2, names, self.largest(t, gain))
+        self._ask(t, gain)
         ends, at = self.ends, np.concatenate([self.x[t].T, u.T, self.model.known(self.n, t)])
         least, most = self.model.unknown_at(t)
         half = np.repeat(0.5 * (most - least), self.n, axis=1)
@@ -367,9 +391,8 @@ class _Walk:
         middle, off = (part.T for part in remainders(self.model.motion, at, matrix, centre, boxes, ends, gain))
         noise_slab, noise = np.full((self.n, d), np.inf), self.noises[t]
         if self.model.scale is not None:
-            bent, more = remainders(
-                self.model.scale, at, np.zeros_like(matrix), np.moveaxis(self.slopes[t], 0, 2), boxes, ends
-            )
+            slopes = np.moveaxis(self.slopes[t], 0, 2)
+            bent, more = remainders(self.model.scale, at, np.zeros_like(matrix), np.abs(slopes), boxes, ends)
             varied = (np.abs(bent) + more).T
             is_varied = self.model.varied & (self.model.deviations > 0.0)
             noise_slab = np.where(
@@ -389,6 +412,13 @@ class _Walk:
             nothing = np.full((self.n, d), np.inf)
             noises = [f"noise of {name} at step {t}" for name in self.model.names[:d]]
             self.worth.add(nothing, nothing, noise_slab, np.ones((self.n, d)), noises)
+        if self.moments is not None and self.model.scale is not None:
+            slopes = np.concatenate([self.slopes[t][..., : d + m], np.zeros((self.n, d, len(half)))], axis=2)
+            unknown = np.abs(self.slopes[t]) * (np.arange(d + m + len(half)) >= d + m)
+            form, centre = np.moveaxis(slopes, 0, 2), np.moveaxis(unknown, 0, 2)
+            curved, off_line = (part.T for part in remainders(self.model.scale, at, form, centre, boxes, ends, gain))
+            a = slopes[..., :d] + np.matmul(slopes[..., d : d + m], gain)
+            self._tilt(t, a, self.scales[t] + curved, off_line, (reach, noise))
         width = agent.state_high - agent.state_low
         # What is lost stays so; numbers remain finite, so that scores can be compared.
         is_known = np.isfinite(off) & np.isfinite(middle) & (np.abs(middle) < self.lost)
@@ -402,6 +432,8 @@ class _Walk:
             self.count += 1
         self.faint = _moved(self.faint, closed) + np.diag((1e-13 * width) ** 2)
         self.covariance = _moved(self.covariance, closed) + noise
+        if self.moments is not None:
+            self.moments.advance(closed)
         return sd, drift, shift, np.concatenate([slab, noise_slab], axis=1)
 
 

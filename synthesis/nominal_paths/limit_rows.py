@@ -6,8 +6,9 @@ The mathematics is that of docs/theory/paths.md, "Agents of any dynamics", in pl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ INWARD = 1e-9
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
 """Probabilities of all slabs for which rows are chosen to be slabs or tails."""
 
+PARTS = ("low", "high", "slab", "variance", "largest", "below", "above")
+"""Lists of rows that are kept side by side."""
+
 PAIR = "pair"
 """Beginning of the names of rows about two agents."""
 
@@ -33,7 +37,8 @@ PAIR = "pair"
 class Worth:
     """Rows of inequalities of N candidates: distances, slabs and variances, lists of arrays (N, J).
 
-    ``largest`` is what the step that adds most adds to each variance, or all of it where nothing is known.
+    ``largest`` is what the step that adds most adds to each variance, or all of it where nothing is known; ``below``
+    and ``above`` are further bounds on both tails, infinite where there are none.
     """
 
     low: list[FloatArray] = field(default_factory=list)
@@ -41,6 +46,8 @@ class Worth:
     slab: list[FloatArray] = field(default_factory=list)
     variance: list[FloatArray] = field(default_factory=list)
     largest: list[FloatArray] = field(default_factory=list)
+    below: list[FloatArray] = field(default_factory=list)
+    above: list[FloatArray] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
     shared: list[bool] = field(default_factory=list)
     """Whether rows are about this agent and another one."""
@@ -56,13 +63,12 @@ class Worth:
         """The rows that are about this agent alone."""
         kept = [rows for *rows, shared in zip(*self._parts, self.shared, strict=True) if not shared]
         names = [name for name in self.names if not name.startswith(PAIR)]
-        low, high, slab, variance, largest = ([rows[k] for rows in kept] for k in range(5))
-        shared = [False] * len(kept)
-        return Worth(low, high, slab, variance, largest, names, shared, self.stopped, self.tail, self.lost)
+        parts: dict[str, Any] = dict(zip(PARTS, ([rows[k] for rows in kept] for k in range(len(PARTS))), strict=True))
+        return replace(self, **parts, names=names, shared=[False] * len(kept))
 
     @property
     def _parts(self) -> tuple[list[FloatArray], ...]:
-        return self.low, self.high, self.slab, self.variance, self.largest
+        return tuple(getattr(self, name) for name in PARTS)
 
     def add(
         self,
@@ -76,13 +82,15 @@ class Worth:
         """Add rows (N, J)."""
         self.shared.append(bool(names) and names[0].startswith(PAIR))
         shape = variance.shape
-        for kept, new in zip(self._parts, (low, high, slab, variance, variance if largest is None else largest)):
+        unknown = np.full(shape, np.inf)
+        values = (low, high, slab, variance, variance if largest is None else largest, unknown, unknown)
+        for kept, new in zip(self._parts, values, strict=True):
             kept.append(np.broadcast_to(new, shape))
         self.names += names
 
     def extend(self, other: Worth) -> None:
         """Add the rows of another agent of a team."""
-        for name in ("low", "high", "slab", "variance", "largest", "names", "shared"):
+        for name in (*PARTS, "names", "shared"):
             getattr(self, name).extend(getattr(other, name))
         self.tail, self.lost = max(self.tail, other.tail), self.lost + other.lost
         if other.stopped is not None:
@@ -94,12 +102,14 @@ class Worth:
 
     def flattened(self, owners: Sequence[str]) -> Worth:
         """Return the rows of N agents, with their names, as those of one team (1, N J)."""
-        low, high, slab, variance, largest = ([rows.reshape(1, -1) for rows in part] for part in self._parts)
+        parts: dict[str, Any] = {
+            name: [rows.reshape(1, -1) for rows in part] for name, part in zip(PARTS, self._parts, strict=True)
+        }
         names = self._by_rows()
         told = [f"agent `{owner}`, {name}" for rows in names for owner in owners for name in rows]
         stopped = None if self.stopped is None else np.array([bool(np.any(self.stopped))])
         lost = len(owners) * self.lost
-        return Worth(low, high, slab, variance, largest, told, [*self.shared], stopped, self.tail, lost)
+        return replace(self, **parts, names=told, shared=[*self.shared], stopped=stopped, lost=lost)
 
     def _by_rows(self) -> list[list[str]]:
         """Return the names, part by part."""
@@ -117,9 +127,10 @@ class Worth:
 
     def _by_moments(self) -> tuple[FloatArray, FloatArray]:
         """Return both tails (N, J) of each row by exponential moments."""
-        low, high, slab, variance, largest = self._all
+        low, high, slab, variance, largest, *others = self._all
         ends = (np.minimum(side, slab) for side in (low, high))
-        below, above = (_by_moments(end, variance, self.tail, largest) for end in ends)
+        each = (_by_moments(end, variance, self.tail, largest) for end in ends)
+        below, above = (np.minimum(one, other) for one, other in zip(each, others, strict=True))
         return below, above
 
     def scores(self) -> FloatArray:
@@ -129,7 +140,7 @@ class Worth:
     @cached_property
     def _soft(self) -> FloatArray:
         """What each row (N, J) adds to the failure; where the limit is broken it goes on to grow."""
-        low, high, slab, variance, _ = self._all
+        low, high, slab, variance, _, below, above = self._all
         if self.tail:
             return np.add(*self._by_moments())
         one, other, inner = (_soft(distance, variance) for distance in (low, high, slab))
@@ -138,12 +149,13 @@ class Worth:
         found = np.minimum(both, apart)
         if self.stopped is None:
             return found
-        sides = _soft(np.minimum(low, slab), variance) + _soft(np.minimum(high, slab), variance)
-        return np.where(self.stopped[:, None], 2.0 * sides, found)
+        sides = np.minimum(2.0 * _soft(np.minimum(low, slab), variance), below)
+        sides = sides + np.minimum(2.0 * _soft(np.minimum(high, slab), variance), above)
+        return np.where(self.stopped[:, None], sides, found)
 
     def failures(self) -> FloatArray:
         """Return upper bounds (N,) on the probabilities that an inequality fails, up to rounding."""
-        low, high, slab, variance, _ = self._all
+        low, high, slab, variance, _, *others = self._all
         if self.tail:
             below, above = (np.sum(np.minimum(side, 1.0), axis=1) for side in self._by_moments())
             return np.asarray(np.minimum(1.0, (below + above + self.lost) * OUTWARD))
@@ -158,8 +170,9 @@ class Worth:
                 kept = np.sum(np.log1p(-chosen), axis=1)
             best = np.minimum(best, -np.expm1(kept) + np.sum(np.where(as_slab, 0.0, outer), axis=1))
         if self.stopped is not None:
-            sides = _tails(np.minimum(low, slab), variance) + _tails(np.minimum(high, slab), variance)
-            best = np.where(self.stopped, 2.0 * np.sum(sides, axis=1), best)
+            sides = (2.0 * _tails(np.minimum(end, slab), variance) for end in (low, high))
+            each = [np.minimum(side, other).sum(axis=1) for side, other in zip(sides, others, strict=True)]
+            best = np.where(self.stopped, np.add(*each), best)
         return np.minimum(1.0, best * OUTWARD)
 
 

@@ -91,6 +91,7 @@ class NonlinearSearch:
         shared = problem.shared_noise[i]
         self.model = NonlinearModel(self.agent, shared if np.any(shared) else None)
         self.rng = np.random.default_rng([20261123, i])
+        self.narrowing = np.random.default_rng([20261126, i])
         self.tried, self.tries_inputs = 0, False
         agent = self.agent
         self.width = agent.state_high - agent.state_low
@@ -194,8 +195,18 @@ class NonlinearSearch:
     @property
     def n_numbers(self) -> int:
         """How many logarithms of weights and slabs a candidate has."""
+        return len(self._sizes) + len(self._round)
+
+    @property
+    def _sizes(self) -> FloatArray:
+        """By how much logarithms of weights and slabs differ: of the latter little."""
         d, m = self.agent.n_states, self.agent.n_inputs
-        return (d + m + 1) + (2 * d + m)
+        return np.concatenate([np.full(d + m, 2.0), [1.0], np.full(2 * d + m, 0.3)])
+
+    @property
+    def _round(self) -> FloatArray:
+        """The same of slabs at times at which more round regions are asked for than at others; empty without any."""
+        return np.full(int(np.any(self.model.bent_outputs)), 0.5)
 
     def first_inputs(self, steps: int) -> FloatArray:
         """Return inputs (S, m) that stand nearly still: a little off, so that nothing stays on a line of symmetry."""
@@ -314,23 +325,24 @@ class NonlinearSearch:
 
     def thetas(self, warm: FloatArray | None) -> FloatArray:
         """Return a first batch of logarithms of weights and slabs."""
-        d, m = self.agent.n_states, self.agent.n_inputs
-        middle = np.zeros(self.n_numbers)
         if warm is not None:
             return np.concatenate([[warm], self.around([warm], 0.5, BATCH // 2)])
-        spread = np.concatenate([np.full(d + m, 2.0), [1.0], np.full(2 * d + m, 0.3)])
-        return middle + spread * self.rng.uniform(-1.0, 1.0, (2 * BATCH, len(middle)))
+        # Half of them are narrower where round regions are asked for.
+        narrower = -self._round * self.narrowing.uniform(0.0, 2.0, (2 * BATCH, len(self._round)))
+        narrower[:BATCH] = 0.0
+        return np.hstack([self._sizes * self.rng.uniform(-1.0, 1.0, (2 * BATCH, len(self._sizes))), narrower])
 
     def around(self, parents: list[FloatArray], sigma: float, count: int = BATCH) -> FloatArray:
         """Return candidates around mixtures of pairs of parents; the first parent is among them."""
-        d, m = self.agent.n_states, self.agent.n_inputs
+        size = self._sizes
         chosen = np.array(parents)[self.rng.integers(len(parents), size=(count, 2))]
         share = self.rng.random((count, 1))
-        size = np.concatenate([np.full(d + m, 2.0), [1.0], np.full(2 * d + m, 0.3)])
         # Most candidates move a part of their numbers.
         moved = self.rng.random((count, len(size))) < self.rng.choice([0.2, 0.5, 1.0], (count, 1))
         made = share * chosen[:, 0] + (1 - share) * chosen[:, 1]
-        made = made + moved * sigma * size * self.rng.standard_normal((count, len(size)))
+        moves = moved * size * self.rng.standard_normal((count, len(size)))
+        narrower = self._round * self.narrowing.standard_normal((count, len(self._round)))
+        made = made + sigma * np.hstack([moves, narrower])
         made[0] = parents[0]
         return made
 
@@ -404,15 +416,22 @@ def feedback_of(
     d, m = search.agent.n_states, search.agent.n_inputs
     base = np.concatenate([1.0 / (0.05 * search.width) ** 2, 1.0 / search.half**2, [1.0]])
     weights = base * np.exp(np.clip(thetas[:, : d + m + 1], -16.0, 16.0))
-    slabs = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 :], -1.5, 1.5))
+    slabs = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 : 3 * d + 2 * m + 1], -1.5, 1.5))
     slabs[:, list(search.model.watched)] = search.model.width
     # Noise that varies has a slab, or none at all.
-    slabs[:, d + m :] = np.where(thetas[:, 2 * d + 2 * m + 1 :] > 0.0, np.inf, 1.4 * slabs[:, d + m :])
+    slabs[:, d + m :] = np.where(
+        thetas[:, 2 * d + 2 * m + 1 : 3 * d + 2 * m + 1] > 0.0, np.inf, 1.4 * slabs[:, d + m :]
+    )
     low, high = search.agent.input_low, search.agent.input_high
     A, B = (np.stack([path.linear[k] for path in paths], axis=1)[:, which] for k in (0, 1))
     inputs = np.stack([path.inputs for path in paths], axis=1)[:, which]
     gains = regulators(A, B, weights, (inputs <= low) | (inputs >= high))
     each = np.repeat(slabs[:, None], gains.shape[1] + 1, axis=1)
+    if np.any(search.model.bent_outputs):
+        counts = np.stack([np.isfinite(path.limits.outputs).sum(axis=(0, 2)) for path in paths])
+        asked = (counts > counts[:, 1:].min(axis=1, keepdims=True))[which]
+        narrower = np.where(asked, np.exp(np.clip(thetas[:, -1:], -1.5, 1.5)), 1.0)
+        each[:, :, :d] = each[:, :, :d] * narrower[..., None]
     return Feedback(np.where(np.isfinite(gains), np.clip(gains, -1e6, 1e6), 0.0), each)
 
 

@@ -311,7 +311,8 @@ def nonlinear_certificate(problem: Problem, sources: Sequence[PlansOf], work: Co
     """Return a certificate along nonlinear paths, with its controllers.
 
     Where nothing is left of the bound, but a run without noise satisfies the task, it claims 0: its controllers follow
-    that run, so that rollouts show that the task can be done.
+    that run, so that rollouts show that the task can be done. Where it is known that none does, they follow one that
+    comes near.
 
     Parameters
     ----------
@@ -332,7 +333,7 @@ def nonlinear_certificate(problem: Problem, sources: Sequence[PlansOf], work: Co
     failure = min(1.0, best.failure * (1.0 + 1e-9))
     if failure >= WORTHLESS:
         failure, weakest = 1.0, best.weakest
-        best = _calm_run(problem, best, sources, work)
+        best = best if work.is_hopeless else _calm_run(problem, best, sources, work)
         best = replace(best, weakest=weakest)
     faces = np.full(best.letters.shape, -1)
     for one in best.found:

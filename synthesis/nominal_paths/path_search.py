@@ -72,7 +72,7 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
     if any(agent.angles for agent in problem.agents):
         return along_angles(problem, path_certificate, work)
     linear = all(agent.is_linear_gaussian and agent.initial.is_point for agent in problem.agents)
-    if problem.labeling.pairs or not linear:
+    if problem.labeling.pairs or not linear or work.is_hopeless:
         return nonlinear_certificate(problem, SOURCES, work)
     finder = _Finder(problem, work)
     best: tuple[float, Plan, Any] | None = None
@@ -156,7 +156,7 @@ def _timed(problem: Problem, drifts: Drifts, way: Way) -> Iterator[Plan]:
     n, seen = len(way.jumps), set[tuple[int, ...]]()
     if n > problem.horizon or (n == 0 and problem.automaton.is_co_safe):
         return
-    for share in (1.0, 0.6, 0.8):
+    for share in (1.0, 0.6, 0.8, 0.35):
         times = way.spread(max(n, round(share * problem.horizon)))
         if problem.labeling.moves:
             times = _nearest_times(problem, way, times)

@@ -46,6 +46,9 @@ class Inequalities:
     variance: list[FloatArray] = field(default_factory=list)
     largest: list[FloatArray] = field(default_factory=list)
     """What one step adds to the variances at most; all of it where nothing is known."""
+    below: list[FloatArray] = field(default_factory=list)
+    above: list[FloatArray] = field(default_factory=list)
+    """Other bounds on the tails of each side, where the size of noise depends on the past; 1 where there are none."""
     is_stopped: bool = False
     """Whether variances are upper bounds, on noise whose size depends on the past."""
     tail: int = NORMAL
@@ -60,6 +63,7 @@ class Inequalities:
         slab: FloatArray,
         variance: FloatArray,
         largest: FloatArray | None = None,
+        bounds: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         """Add inequalities; infinite where nothing is asked. What is no number is not kept."""
         for kept, new in zip((self.low, self.high, self.slab), (low, high, slab)):
@@ -68,20 +72,25 @@ class Inequalities:
         self.variance.append(np.atleast_1d(np.asarray(variance, dtype=float)))
         most = self.variance[-1] if largest is None else np.atleast_1d(np.asarray(largest, dtype=float))
         self.largest.append(np.minimum(most, self.variance[-1]))
+        nothing = np.ones(len(self.variance[-1]))
+        for kept, new in zip((self.below, self.above), bounds or (nothing, nothing)):
+            kept.append(new)
 
     def failure(self) -> float:
         """Return an upper bound on the probability that one of them fails."""
         if not self.low:
             return self.lost
         low, high, slab, variance = map(np.concatenate, (self.low, self.high, self.slab, self.variance))
+        ends, others = [np.minimum(low, slab), np.minimum(high, slab)], [*map(np.concatenate, (self.below, self.above))]
         if self.tail != NORMAL:
             largest = np.concatenate(self.largest)
-            each = [moment_tails(np.minimum(end, slab), variance, self.tail, largest) for end in (low, high)]
+            each = [moment_tails(end, variance, self.tail, largest) for end in ends]
+            each = [np.minimum(*both) for both in zip(each, others, strict=True)]
             return min(1.0, (float(np.sum(each)) + self.lost) * TAIL)
         if self.is_stopped:
-            # Either side on its own, each with twice its tail.
-            sides = tails(np.minimum(low, slab), variance) + tails(np.minimum(high, slab), variance)
-            return min(1.0, 2.0 * float(np.sum(sides)) * TAIL)
+            # Either side on its own, each with twice its tail, or what exponential moments say.
+            each = [np.minimum(2.0 * tails(end, variance), other) for end, other in zip(ends, others, strict=True)]
+            return min(1.0, float(np.sum(each)) * TAIL)
         both = np.minimum(2.0 * tails(np.minimum(np.minimum(low, high), slab), variance), 1.0)
         inner = np.minimum(2.0 * tails(slab, variance), 1.0)
         outer = np.where(low < slab, tails(low, variance), 0.0) + np.where(high < slab, tails(high, variance), 0.0)

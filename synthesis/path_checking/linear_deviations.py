@@ -16,7 +16,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..cells import FloatArray
+from ..certificates import state
 from .roundings import SMALLEST, TAIL, UNIT
+
+FACTORS = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25)
+"""Factors of exponential moments that are tried, as shares of the best one of noise that does not vary."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tilted:
+    """Squares of deviations of a step's noise, component by component: at most ``squares + tilts @ g`` on the tube.
+
+    ``squares`` (d,), ``tilts`` (d, d), and upper bounds ``sizes`` (d,) on the components of the linear deviation g.
+    """
+
+    squares: FloatArray
+    tilts: FloatArray
+    sizes: FloatArray
 
 
 @dataclass(eq=False)
@@ -46,6 +62,9 @@ class Chain:
     middles: list[FloatArray] = field(default_factory=list)
     drifts: list[FloatArray] = field(default_factory=list)
     noises: list[FloatArray] = field(default_factory=list)
+    loops: list[FloatArray] = field(default_factory=list)
+    tilted: list[Tilted] = field(default_factory=list)
+    """Of each step whose noise varies, what its squares are below."""
 
     def __post_init__(self) -> None:
         d = len(self.units)
@@ -53,10 +72,12 @@ class Chain:
         self.norms = np.full(1, np.sqrt(d) * TAIL)
         self.spread = self.spread / self.units
 
-    def advance(self, closed: FloatArray, middle: FloatArray, drift: FloatArray, noise: FloatArray) -> None:
+    def advance(
+        self, closed: FloatArray, middle: FloatArray, drift: FloatArray, noise: FloatArray, tilted: Tilted | None = None
+    ) -> None:
         """Go on by a step: the closed loop (d, d), the remainder, the covariance (d, d) of the noise.
 
-        The remainder is within ``drift`` (d,) of ``middle`` (d,).
+        The remainder is within ``drift`` (d,) of ``middle`` (d,). ``tilted`` says more of noise that varies.
         """
         u = self.units
         F, d = closed * (u[None, :] / u[:, None]), len(u)
@@ -74,6 +95,10 @@ class Chain:
         self.middles.append(middle / u)
         self.drifts.append(drift / u)
         self.noises.append(noise / u[:, None] / u[None, :])
+        self.loops.append(F)
+        if tilted is not None:
+            squares, tilts = tilted.squares / u**2, tilted.tilts * (u[None, :] / u[:, None] ** 2)
+            self.tilted.append(Tilted(squares, tilts, tilted.sizes / u))
 
     def drift(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What rows (J, d) of the deviation are off those of the linear one: shifts (J,), and upper bounds around them.
@@ -116,6 +141,48 @@ class Chain:
         error = 2.0 * length * off + off**2 + (2.0 * d + len(noises) + 4.0) * UNIT * length**2
         variance = np.asarray(np.maximum(total, 0.0) + (sizes @ error) * TAIL) + least
         return variance, np.max(np.maximum(each, 0.0) + sizes[:, None] * error * TAIL, axis=0) + least
+
+    def exponential_tails(self, rows: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Upper bounds (J,) on the probabilities that rows (J, d) are the first below ``-low`` or above ``high``.
+
+        By exponential moments of noise that varies (docs/theory/paths.md, "Noise that varies much"); 1 where nothing is
+        known.
+        """
+        ends = np.concatenate([low, high])
+        if len(self.tilted) < len(self.noises) or not self.noises:
+            return np.ones(len(low)), np.ones(len(high))
+        forms = np.concatenate([-rows, rows]) * self.units
+        moved, _ = self._moved(np.concatenate([-rows, rows]) * self.units, np.zeros(len(ends)))
+        squares = np.array([step.squares for step in self.tilted])
+        variance = np.einsum("jsd,sd->j", moved[:, 1:] ** 2, squares)
+        asked = (ends > 0.0) & np.isfinite(ends) & (variance > 0.0)
+        tail = np.where(ends == np.inf, 0.0, 1.0)
+        if not asked.any():
+            return tail[: len(low)], tail[len(low) :]
+        # Any positive factors will do: these are near the best one, which is a little below the first.
+        factors = np.array(FACTORS)[:, None] * (ends[asked] / variance[asked])
+        exponent = self._log_moments(factors[..., None] * forms[asked]) - factors * ends[asked] * (1.0 - 8.0 * UNIT)
+        least = np.min(np.where(np.isnan(exponent), np.inf, exponent), axis=0)
+        z = np.sqrt(np.maximum(-least, 0.0)) * (1.0 - 4.0 * UNIT)
+        tail[asked] = np.where(
+            z > 0.0, np.minimum(1.0, np.exp(-np.square(z) * (1.0 - 4.0 * UNIT)) * TAIL + SMALLEST), 1.0
+        )
+        state("light", z, tail[asked])
+        return tail[: len(low)], tail[len(low) :]
+
+    def _log_moments(self, theta: FloatArray) -> FloatArray:
+        """Upper bounds (..) on logarithms of means of ``exp(theta . g)``, for rows (.., d), stopped at a failure."""
+        d = theta.shape[-1]
+        total, lost = np.zeros(theta.shape[:-1]), np.zeros(theta.shape[:-1])
+        with np.errstate(all="ignore"):
+            for F, step in zip(reversed(self.loops), reversed(self.tilted), strict=True):
+                square = theta**2
+                total += 0.5 * (square @ step.squares)
+                # What this row and the next one are rounded by counts with the largest deviation there may be.
+                size = np.abs(theta) @ np.abs(F) + 0.5 * (square @ np.abs(step.tilts))
+                theta = theta @ F + 0.5 * (square @ step.tilts)
+                lost += (2.0 * d + 12.0) * UNIT * (size @ step.sizes)
+        return np.asarray(total * (1.0 + (4.0 * d + 8.0) * (len(self.loops) + 4.0) * UNIT) + lost * TAIL)
 
     def covariance(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Covariance (J, J) of rows (J, d) of the linear deviation as computed, and bounds (J, J) on what it is off."""

@@ -34,8 +34,8 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath, AlongPath
 from .gaussian_inequalities import Inequalities
-from .law_moments import NORMAL, moments_of
-from .linear_deviations import Chain
+from .law_moments import LONG, NORMAL, moments_of
+from .linear_deviations import Chain, Tilted
 from .own_angles import HALF_TURN, ROUNDED, TURN, axes_of_angles, copy_of, gap_of
 from .own_bends import Expansion, Feedback, expansion
 from .own_regions import RegionSpan
@@ -167,7 +167,9 @@ class Moment:
             merged[key] = [min(a, b) for a, b in zip(merged[key], (below, above, slab), strict=True)]
         forms, ends = np.array(order), np.array(list(merged.values()))
         below, above = shortened(ends[:, 0], ends[:, 1], *self.chain.drift(forms))
-        rows.add(below, above, ends[:, 2], *self.chain.spreads(forms))
+        slab = ends[:, 2]
+        bounds = self.chain.exponential_tails(forms, np.minimum(below, slab), np.minimum(above, slab))
+        rows.add(below, above, slab, *self.chain.spreads(forms), bounds=bounds)
 
     def _of_copies(self, k: int, low: float, high: float, holds: bool) -> tuple[int, float, float]:
         """Return limits of an output; those of angles are the ends of a copy of a region, or of the gap between two."""
@@ -291,12 +293,17 @@ def _step(agent: AnyAgent, moving: Moving, path: AgentPath, now: Moment, rows: I
     remainder = found.off + missed + matrix_off @ far + np.abs(B) @ rounding
     remainder = remainder + ROUNDED * axes_of_angles(agent)
     noise, more = _noise(agent, moving, now, centre, ranges, rows)
+    tilted = None
+    assert path.slabs is not None
+    if moving.scales and moving.noise.tail != LONG:  # Laplace's law has more moments than its variance says
+        slab = path.slabs[t][:d] if t else np.zeros(d)
+        tilted = _tilted(moving, now, slab, (centre, ranges), Feedback(gain, rounding), noise)
     remainder = (remainder + more) * TAIL
     if not np.all(np.isfinite(remainder + np.abs(middle))):
         raise NothingKnownError(f"agent `{agent.name}`: nothing is known of its dynamics on the tube at step {t}")
     if not np.all(np.isfinite(closed)) or float((remainder + np.abs(middle)).max()) > 1e100:
         raise NothingKnownError(f"agent `{agent.name}`: its drift grows beyond all limits at step {t}")
-    chain.advance(closed, middle, remainder, noise)
+    chain.advance(closed, middle, remainder, noise, tilted)
 
 
 def _inputs(
@@ -324,10 +331,10 @@ def _inputs(
     spare = spare + rounding * TAIL
     ends = shortened(u - low - spare, high - u - spare, shift, drift * TAIL)
     here = moved
-    rows.add(
-        ends[0][here], ends[1][here], now.slab[:m][here] if now.t else np.full(here.sum(), np.inf),
-        *(part[here] for part in chain.spreads(gain)),
-    )  # fmt: skip
+    slab = now.slab[:m][here] if now.t else np.full(here.sum(), np.inf)
+    bounds = chain.exponential_tails(gain[here], *(np.minimum(end[here], slab) for end in ends))
+    variance, largest = chain.spreads(gain)
+    rows.add(ends[0][here], ends[1][here], slab, variance[here], largest[here], bounds)
     return box, rounding
 
 
@@ -360,6 +367,47 @@ def _noise(
     more = np.where(noise.off == 0.0, 0.0, largest * noise.off)
     more[here] += varied[here] * noise.deviations[here] * slab[here] * TAIL
     return np.diag(variance), more
+
+
+def _tilted(
+    moving: Moving,
+    now: Moment,
+    slab: FloatArray,
+    where: tuple[FloatArray, FloatArray],
+    feedback: Feedback,
+    noise: FloatArray,
+) -> Tilted:
+    """Return what squares of deviations of the noise are below, as they vary with the linear deviation g (d,).
+
+    The scale is ``b + a . g``, up to an error, with the derivatives a of the closed loop, so that its square is at most
+    ``b^2 + r^2 + 2 b a . g`` where ``|a . g| <= r``. Else it is at most the largest one on the tube.
+
+    ``slab`` (d,) bounds g, ``where`` is the point that is expanded around, and the box; ``noise`` is the covariance
+    with the largest scales.
+    """
+    d, m, gain = len(now.at), len(feedback.gain), feedback.gain
+    names = (*moving.states, *moving.inputs, *moving.unknown)
+    found = expansion(moving.scales, names, *where, d + m, feedback)
+    A, B = found.matrix[:, :d], found.matrix[:, d : d + m]
+    a = A + B @ gain
+    own_shift, own_drift = now.chain.drift(np.eye(d))
+    shift, drift = now.chain.drift(a)
+    # The linear deviation is off the true one by shift and drift.
+    sizes = (now.reach + np.abs(own_shift) + own_drift) * TAIL
+    reach = np.abs(a) @ np.minimum(slab, sizes) * TAIL
+    nominal = 0.5 * (found.values[0] + found.values[1])
+    b = nominal + shift
+    off = found.off + np.abs(found.values - nominal).max(axis=0) + drift
+    off = off + (m + 3.0) * UNIT * ((np.abs(A) + np.abs(B) @ np.abs(gain)) @ now.reach) + np.abs(B) @ feedback.rounding
+    size = np.abs(b) + reach
+    off = (off + 8.0 * UNIT * (np.abs(nominal) + np.abs(shift) + size)) * TAIL
+    deviations, most = moving.noise.deviations, np.diag(noise)
+    squares = (b**2 + reach**2 + 2.0 * off * size + off**2) * TAIL + 32.0 * UNIT * size**2
+    squares, tilts = squares * deviations**2 * TAIL, (2.0 * b * deviations**2)[:, None] * a
+    # A slab on the noise keeps it at its nominal size.
+    varies = np.isinf(now.slab[m:]) | (moving.noise.tail != NORMAL)
+    is_less = varies & np.all(np.isfinite(tilts), axis=1) & (squares < most)
+    return Tilted(np.where(is_less, squares, most), np.where(is_less[:, None], tilts, 0.0), sizes)
 
 
 def shortened(

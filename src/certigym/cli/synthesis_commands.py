@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.agents import AnyAgent, Pair, Proposition, counted, matrix_text, vector_text
-from ..envs.problem import Problem, why_never
+from ..envs.problem import Problem, out_of_reach, why_never
 from ..envs.suite import make_problem, problem_ids, tier_of_id
 from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, shown_bound, start_of_claim
 from ..synthesis.checking import safety_rate
@@ -237,9 +237,11 @@ def _automaton_line(problem: Problem) -> str:
         return f"{len(problem.groups)} independent tasks, automata of {', '.join(map(str, sizes))} states"
     automaton = problem.automaton
     accepting = ", ".join(automaton.state_names[q] for q in np.flatnonzero(automaton.accepting)) or "none"
+    lost = why_never(problem)
+    lost = lost or ("" if (found := out_of_reach(problem)) is None else found.why)
     return (
         f"automaton: {automaton.n_states} states, initial {automaton.state_names[automaton.initial]}, "
-        f"accepting {accepting}" + (f"\nnote: {never}" if (never := why_never(problem)) else "")
+        f"accepting {accepting}" + (f"\nnote: {lost}" if lost else "")
     )
 
 
