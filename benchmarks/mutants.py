@@ -53,7 +53,7 @@ MUTANTS = [
         ),
     ),
     *_in(
-        "synthesis/checking/geometry.py",
+        "synthesis/step_checking/geometry.py",
         ('place = np.searchsorted(edges, below, side="right")', 'place = np.searchsorted(edges, below, side="left")'),
     ),
     *_in(
@@ -245,7 +245,7 @@ MUTANTS = [
         ('named = getattr(agent, "others", ()) if "common" in self.relation else ()', "named = ()"),
     ),
     *_in(
-        "synthesis/checking/readings.py",
+        "synthesis/step_checking/readings.py",
         ("found.append(np.asarray(values * (points >= 0)))", "found.append(np.asarray(values * 1.0))"),
     ),
     *_in(
@@ -254,7 +254,7 @@ MUTANTS = [
         ("if not reached <= allowed:", "if not reached & allowed:"),
     ),
     *_in(
-        "synthesis/checking/relation_check.py",
+        "synthesis/step_checking/relation_check.py",
         ("if np.any(beyond & (policy >= 0)[:, None]):", "if False:"),
         ("if np.any(low < agent.input_box.low) or np.any(high > agent.input_box.high):", "if False:"),
     ),
@@ -351,7 +351,7 @@ MUTANTS = [
         ("np.fill_diagonal(inner, 0.0)", "np.fill_diagonal(outer, 0.0)"),
     ),
     *_in(
-        "synthesis/checking/carrying_out.py",
+        "synthesis/step_checking/carrying_out.py",
         ("np.nextafter(e[k + 1], e[k])", "e[k + 1]"),
         ("here = np.flatnonzero((choice == mode) & inside)", "here = np.flatnonzero((choice == mode) & ~inside)"),
     ),
@@ -361,7 +361,7 @@ MUTANTS = [
         ("for edges in (first, *tried):", "for edges in (first,):"),
     ),
     *_in(
-        "synthesis/checking/written_linear.py",
+        "synthesis/step_checking/written_linear.py",
         ('targets = choices >= len(part.relation["menu"])', "targets = choices >= 0"),
         ("np.broadcast_to(2.0 * self.off, (len(cells), d))", "np.zeros((len(cells), d))"),
         ("asked = (part.policy >= 0) & (part.policy < count)", "asked = part.policy >= 0"),
@@ -376,7 +376,7 @@ MUTANTS = [
         ("if problem.initial_q is None:", "if False:"),
     ),
     *_in(
-        "synthesis/checking/aim_spans.py",
+        "synthesis/step_checking/aim_spans.py",
         ("(-east[::-1], -north[::-1])", "(-east, -north)"),
         ("np.asarray(beside & (begin", "np.asarray((begin"),
         ('off = off + np.einsum("nkj,nj->nk", factors, inner_losses(relation, low, high))', "off = off + 0.0"),
@@ -415,7 +415,7 @@ MUTANTS = [
         ("if not certificate.lower_bound <= recomputed * (1.0 - rounding):", "if False:"),
     ),
     *_in(
-        "synthesis/checking/execution.py",
+        "synthesis/step_checking/execution.py",
         (
             "return Execution(off, np.zeros(len(A)), inputs, loss",
             "return Execution(off + 9.9, np.zeros(len(A)), inputs, 0.0 * loss",
@@ -477,7 +477,7 @@ MUTANTS = [
     ),
     # --- networks that move agents with expressions, and ends from above
     *_in(
-        "synthesis/checking/network_spans.py",
+        "synthesis/step_checking/network_enclosures.py",
         ("ranges = {place: (least[:, j], most[:, j]) for", "ranges = {place: (least[:, j], least[:, j]) for"),
         (
             "first[some], last[some] = np.minimum(first[some], ends[0]), np.maximum(last[some], ends[1])",
@@ -512,7 +512,7 @@ MUTANTS = [
         ),
     ),
     *_in(
-        "synthesis/checking/map_spans.py",
+        "synthesis/step_checking/map_spans.py",
         ('moved[name] = Operation("+", (Name(name), Name(f"held {j}")))', 'moved[name] = Name(f"held {j}")'),
     ),
     *_in(

@@ -69,12 +69,12 @@ TRUSTED = {
     "The check": (
         "synthesis.certificates.checked_kernel synthesis.certificates.checked_laws synthesis.certificates.stated "
         "synthesis.checking.certificate_check "
-        "synthesis.checking.carrying_out synthesis.checking.common_check synthesis.checking.execution "
-        "synthesis.checking.forward_mass synthesis.checking.geometry synthesis.checking.grid_check "
-        "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.near_slack "
-        "synthesis.checking.linear_check "
-        "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
-        "synthesis.checking.map_spans synthesis.checking.network_check synthesis.checking.network_spans "
+        "synthesis.step_checking.carrying_out synthesis.step_checking.common_check synthesis.step_checking.execution "
+        "synthesis.checking.forward_mass synthesis.step_checking.geometry synthesis.checking.grid_check "
+        "synthesis.checking.guard_check synthesis.step_checking.boxes_check synthesis.step_checking.near_slack "
+        "synthesis.step_checking.linear_check "
+        "synthesis.step_checking.linear_tables synthesis.step_checking.mean_spans synthesis.step_checking.aim_spans "
+        "synthesis.step_checking.map_spans synthesis.checking.network_check synthesis.step_checking.network_enclosures "
         "synthesis.checking.pair_moves "
         "synthesis.path_checking.own_intervals synthesis.checking.mixed_check synthesis.path_checking.whereabouts "
         "synthesis.checking.pairs_check synthesis.checking.opposite_task synthesis.path_checking.path_check "
@@ -82,12 +82,12 @@ TRUSTED = {
         "synthesis.path_checking.law_moments synthesis.path_checking.linear_deviations "
         "synthesis.path_checking.nonlinear_check synthesis.path_checking.gaussian_inequalities "
         "synthesis.path_checking.pair_limits_check synthesis.path_checking.roundings "
-        "synthesis.checking.readings synthesis.checking.regrown_tree synthesis.checking.relation_check "
+        "synthesis.step_checking.readings synthesis.checking.regrown_tree synthesis.step_checking.relation_check "
         "synthesis.path_checking.own_angles synthesis.path_checking.own_regions synthesis.path_checking.start_check "
         "synthesis.checking.team_check synthesis.checking.timed_check "
         "synthesis.checking.train_check "
-        "synthesis.checking.turned_boxes "
-        "synthesis.checking.uniform_noise synthesis.checking.upper_end synthesis.checking.written_linear"
+        "synthesis.step_checking.turned_boxes "
+        "synthesis.step_checking.uniform_noise synthesis.checking.upper_end synthesis.step_checking.written_linear"
     ),
 }
 """Modules in which a mistake could let a false claim pass."""
@@ -98,13 +98,13 @@ FIRST = {
     "synthesis.certificates.grid_proof": "what it holds of all of them: guards, tree, value, bound",
     "synthesis.certificates.certificate": "the claim: a problem, a proof, and the two ends that are read from it",
     "synthesis.checking.grid_check": "cells tile the workspace, and each has the labels that hold in all of it",
-    "synthesis.checking.geometry": "the boxes behind that: half-open, exact comparisons, no tolerance",
+    "synthesis.step_checking.geometry": "the boxes behind that: half-open, exact comparisons, no tolerance",
     "synthesis.checking.guard_check": "guards are disjoint products that lead where the automaton leads",
-    "synthesis.checking.relation_check": "inputs are admissible in the whole cell, and lead to the claimed mean",
-    "synthesis.checking.execution": "how far a controller in floating point can be off, from the matrices",
-    "synthesis.checking.carrying_out": "the controllers themselves, run on thousands of points of their cells",
+    "synthesis.step_checking.relation_check": "inputs are admissible in the whole cell, and lead to the claimed mean",
+    "synthesis.step_checking.execution": "how far a controller in floating point can be off, from the matrices",
+    "synthesis.step_checking.carrying_out": "the controllers themselves, run on thousands of points of their cells",
     "synthesis.certificates.checked_kernel": "masses of cells, from below: the only probabilities that there are",
-    "synthesis.checking.readings": "how a factor is taken one step back, through these masses",
+    "synthesis.step_checking.readings": "how a factor is taken one step back, through these masses",
     "synthesis.checking.regrown_tree": "the recursion over time; a term that is dropped only lowers the sum",
     "synthesis.checking.forward_mass": "the same sum from the start on, for the upper end",
     "synthesis.checking.upper_end": "the upper end, where one is claimed",
@@ -120,17 +120,17 @@ THEN = {
     "the formula": "envs.logic.automaton envs.logic.parser envs.logic.normal_form envs.logic.obligations "
     "envs.logic.translation envs.logic.minimal",
     "files": "synthesis.certificates.certificate_file synthesis.certificates.grid_reader envs.problem.problem_file",
-    "linear cells": "synthesis.checking.linear_check synthesis.checking.linear_tables "
-    "synthesis.checking.written_linear synthesis.checking.map_spans synthesis.relations.affine_means",
-    "mean boxes": "synthesis.checking.boxes_check synthesis.checking.near_slack synthesis.checking.mean_spans "
-    "synthesis.checking.aim_spans synthesis.relations.boxes synthesis.relations.solved_means "
-    "synthesis.relations.written_means",
-    "networks": "synthesis.checking.network_spans synthesis.checking.network_check synthesis.checking.pair_moves "
-    "synthesis.relations.networks",
+    "linear cells": "synthesis.step_checking.linear_check synthesis.step_checking.linear_tables "
+    "synthesis.step_checking.written_linear synthesis.step_checking.map_spans synthesis.relations.affine_means",
+    "mean boxes": "synthesis.step_checking.boxes_check synthesis.step_checking.near_slack "
+    "synthesis.step_checking.mean_spans synthesis.step_checking.aim_spans synthesis.relations.boxes "
+    "synthesis.relations.solved_means synthesis.relations.written_means",
+    "networks": "synthesis.step_checking.network_enclosures synthesis.checking.network_check "
+    "synthesis.checking.pair_moves synthesis.relations.networks",
     "tubes and ellipsoids": "synthesis.relations.coupled synthesis.relations.ellipsoid_facts "
     "synthesis.controllers.abstract_state",
     "noise of other laws": "envs.agents.laws envs.agents.composed_laws synthesis.certificates.checked_laws "
-    "synthesis.checking.uniform_noise",
+    "synthesis.step_checking.uniform_noise",
     "tensor trains": "synthesis.checking.train_check",
     "paths": "synthesis.path_checking.path_check synthesis.path_checking.linear_deviations "
     "synthesis.path_checking.nonlinear_check synthesis.path_checking.own_intervals "

@@ -13,12 +13,12 @@ import certigym as cg
 from certigym.envs.agents import Gaussian
 from certigym.synthesis.cells.grid import Grid
 from certigym.synthesis.certificates import value_of
-from certigym.synthesis.checking import boxes_check
 from certigym.synthesis.checking.regrown_tree import regrow
 from certigym.synthesis.models.box_kernel import box_kernel
 from certigym.synthesis.models.box_minima import least_over_boxes
 from certigym.synthesis.models.box_model import box_model
 from certigym.synthesis.models.kernel import Kernel
+from certigym.synthesis.step_checking import boxes_check
 from certigym.synthesis.values import Terms
 from problems import cart, cart_reach, linear, two_agents
 

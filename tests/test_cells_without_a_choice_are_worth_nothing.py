@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from certigym.synthesis.checking import reading_of
+from certigym.synthesis.step_checking import reading_of
 from composing import certificate_of
 
 KINDS = [

@@ -17,19 +17,19 @@ from certigym.cli.main import main
 from certigym.envs.agents import Gaussian, Law
 from certigym.synthesis.balls import check_rigorous, rigorous
 from certigym.synthesis.certificates import GridProof, changed, checked_kernel, checked_laws
-from certigym.synthesis.checking import (
+from certigym.synthesis.checking import pairs_check
+from certigym.synthesis.path_checking import gaussian_inequalities, own_intervals, path_check
+from certigym.synthesis.relations import Network
+from certigym.synthesis.step_checking import (
     boxes_check,
     execution_of,
     linear_tables,
     map_spans,
     mean_spans,
-    network_spans,
-    pairs_check,
+    network_enclosures,
     relation_check,
     uniform_noise,
 )
-from certigym.synthesis.path_checking import gaussian_inequalities, own_intervals, path_check
-from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from composing import certificate_of, problem_of
@@ -369,7 +369,7 @@ def test_networks_are_proved_as_they_are(relation: str, monkeypatch: pytest.Monk
     assert report and certificate.lower_bound <= report.low, report
     # Sabotage: a hyperbolic tangent that is off by less than single precision is.
     honest = np.tanh
-    monkeypatch.setattr(network_spans.np, "tanh", lambda z: honest(z) * UP)
+    monkeypatch.setattr(network_enclosures.np, "tanh", lambda z: honest(z) * UP)
     assert cg.check(certificate)
     assert any("values of the function `tanh`" in text for text in check_rigorous(certificate).failures)
 
@@ -385,7 +385,7 @@ def test_what_masses_lack_is_proved() -> None:
 
 
 def test_every_statement_has_a_proof() -> None:
-    rooms = ("certificates", "path_checking", "checking")
+    rooms = ("certificates", "path_checking", "step_checking", "checking")
     files = [file for room in rooms for file in (ROOT / "synthesis" / room).glob("*.py")]
     stated = {name for file in files for name in re.findall(r"\bstate\(\s*\"([\w ]+)\"", file.read_text("utf-8"))}
     assert stated == {*PROOFS}

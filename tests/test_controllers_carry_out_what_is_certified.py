@@ -10,8 +10,8 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.checking.carrying_out import wrong_actions
-from certigym.synthesis.checking.execution import execution_of
+from certigym.synthesis.step_checking.carrying_out import wrong_actions
+from certigym.synthesis.step_checking.execution import execution_of
 from certigym.synthesis.values import Skeleton
 from problems import linear
 

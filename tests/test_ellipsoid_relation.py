@@ -17,8 +17,6 @@ import certigym as cg
 import problems
 from certigym.synthesis.cells.grid import Grid
 from certigym.synthesis.certificates.part import AgentPart
-from certigym.synthesis.checking.execution import execution_of
-from certigym.synthesis.checking.relation_check import verify_relation
 from certigym.synthesis.controllers.abstract_state import Memory, Tracker
 from certigym.synthesis.models.agent_models import ellipsoid_model
 from certigym.synthesis.models.ellipsoid_search import find_ellipsoid
@@ -29,6 +27,8 @@ from certigym.synthesis.relations.description import check_description, describe
 from certigym.synthesis.relations.ellipsoid import Ellipsoid, ellipsoid_relation
 from certigym.synthesis.relations.ellipsoid_facts import ellipsoid_failure, ellipsoid_is_invariant
 from certigym.synthesis.relations.tube import disturbance_of
+from certigym.synthesis.step_checking.execution import execution_of
+from certigym.synthesis.step_checking.relation_check import verify_relation
 from certigym.validation.statistics.binomial import clopper_pearson
 from problems import scalar_agent
 

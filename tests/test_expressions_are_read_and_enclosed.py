@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from certigym.envs.agents import Agent
 from certigym.envs.expressions import Affine, ExpressionError, computed, enclosed, read_expression
 from certigym.envs.expressions.expression_tree import Name, Number, Tree, whole_exponent
-from certigym.synthesis.checking.mean_spans import enclosed_means
 from certigym.synthesis.relations import WrittenMeans
+from certigym.synthesis.step_checking.mean_spans import enclosed_means
 
 TEXTS = (
     "x + 0.1*y",

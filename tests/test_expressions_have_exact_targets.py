@@ -12,9 +12,9 @@ import pytest
 import certigym as cg
 from certigym.envs.agents import Agent
 from certigym.envs.expressions import Number, Operation
-from certigym.synthesis.checking.carrying_out import wrong_actions
-from certigym.synthesis.checking.execution import execution_of
 from certigym.synthesis.relations import WrittenTargets, written_targets
+from certigym.synthesis.step_checking.carrying_out import wrong_actions
+from certigym.synthesis.step_checking.execution import execution_of
 
 FALSE_ALARM = 1e-6
 """Probability that rollouts refute a true certificate."""

@@ -11,9 +11,9 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.checking.written_linear import MatrixMaps
 from certigym.synthesis.models import CornerChoices, corner_model
 from certigym.synthesis.relations import ExactRelation
+from certigym.synthesis.step_checking.written_linear import MatrixMaps
 
 FALSE_ALARM = 1e-6
 """Probability that rollouts refute a true certificate, over all cases."""

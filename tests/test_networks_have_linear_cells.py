@@ -13,11 +13,11 @@ import pytest
 import certigym as cg
 from certigym.envs.agents import LinearAgent
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.checking.network_spans import network_maps
 from certigym.synthesis.models.network_model import network_abstraction
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import AffineBoxes, MapRelation, NetworkMaps, NetworkPolicy, check_description
 from certigym.synthesis.relations.boxes import linear_means
+from certigym.synthesis.step_checking.network_enclosures import network_maps
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from network_problems import RNG, means_at, network, proportional, reach, with_network

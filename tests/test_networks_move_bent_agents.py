@@ -12,11 +12,11 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.checking.map_spans import networked_maps
-from certigym.synthesis.checking.network_spans import _inputs_between, driven_spans
 from certigym.synthesis.models import network_model
 from certigym.synthesis.raw_networks import repair_network
 from certigym.synthesis.relations import Network, network_maps
+from certigym.synthesis.step_checking.map_spans import networked_maps
+from certigym.synthesis.step_checking.network_enclosures import _inputs_between, driven_spans
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from network_problems import with_network

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.synthesis.checking.network_spans import network_maps, network_spans
 from certigym.synthesis.models import network_abstraction
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import Network
+from certigym.synthesis.step_checking.network_enclosures import network_maps, network_spans
 from network_problems import RNG, means_at, reach, with_network
 from problems import cart, scalar_agent
 

@@ -20,10 +20,10 @@ from certigym.envs.dynamics import worlds as core
 from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.cells import CellAxis, MeanAxis, RelationRefused, ScaleAxis, lattice_axes
 from certigym.synthesis.certificates import changed, scale_charge, value_of
-from certigym.synthesis.checking import boxes_check
 from certigym.synthesis.checking.regrown_tree import regrow
 from certigym.synthesis.models import box_choices, box_kernel
 from certigym.synthesis.relations import BoxRelation, MeanBoxes
+from certigym.synthesis.step_checking import boxes_check
 from certigym.synthesis.values import Terms
 
 GAUSSIAN = {"law": "gaussian", "std": 1.0}

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.envs.agents import Agent
-from certigym.synthesis.checking.aim_spans import turned_there
 from certigym.synthesis.relations import Turn, WrittenTargets, sectors, solved_means, written_targets
+from certigym.synthesis.step_checking.aim_spans import turned_there
 from test_expressions_have_exact_targets import avoiding, robot
 
 FALSE_ALARM = 1e-6

@@ -22,7 +22,7 @@ from certigym.envs.dynamics import Dynamics, OneWorld
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.pictures import Drawer, Picture, panels
 from certigym.envs.problem import problem_from_dict
-from certigym.synthesis.checking.geometry import classes_in_boxes
+from certigym.synthesis.step_checking.geometry import classes_in_boxes
 
 Point = np.ndarray
 COUNT = 4000

@@ -44,10 +44,12 @@ MAY_IMPORT = {
     "synthesis.bridges": f"{ENVS} envs.interfaces envs.suite synthesis.relations synthesis.controllers "
     "synthesis.certificates",
     "synthesis.path_checking": f"{ENVS} {CERTIFICATES}",
-    "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES} synthesis.path_checking",
-    "synthesis.balls": f"{ENVS} envs.suite {CERTIFICATES} synthesis.path_checking synthesis.checking",
-    "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.checking",
-    "synthesis.permissions": f"{ENVS} {CERTIFICATES} synthesis.checking",
+    "synthesis.step_checking": f"{ENVS} {CERTIFICATES} synthesis.path_checking",
+    "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES} synthesis.path_checking synthesis.step_checking",
+    "synthesis.balls": f"{ENVS} envs.suite {CERTIFICATES} synthesis.path_checking synthesis.step_checking "
+    "synthesis.checking",
+    "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
+    "synthesis.permissions": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES}",
     "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",

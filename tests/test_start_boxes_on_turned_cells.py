@@ -13,7 +13,7 @@ from certigym.synthesis.balls.turned_shares import turned
 from certigym.synthesis.cells import RelationRefused, start_share
 from certigym.synthesis.cells import turned_starts as search_side
 from certigym.synthesis.certificates import OnGrid
-from certigym.synthesis.checking import turned_boxes as check_side
+from certigym.synthesis.step_checking import turned_boxes as check_side
 from composing import PLANAR, matrices, problem_of, task
 
 CORRELATED = [[0.05, 0.02], [0.02, 0.04]]

@@ -42,7 +42,7 @@ def test_what_is_read_first_runs_when_a_certificate_is_checked() -> None:
         assert cg.check(certificate)
     finally:
         sys.setprofile(None)
-    named = [module for module in trusted_base.FIRST if ".checking." in module or module.endswith("checked_kernel")]
+    named = [module for module in trusted_base.FIRST if "checking." in module or module.endswith("checked_kernel")]
     root = trusted_base.ROOT.resolve()
     files = {module: (root / Path(*module.split("."))).with_suffix(".py") for module in named}
     assert len(named) >= 10 and [module for module, file in files.items() if file not in called] == []

@@ -14,10 +14,10 @@ import certigym as cg
 from certigym.envs.agents.composed_laws import Mixture
 from certigym.envs.agents.laws import Gaussian, Laplace, Law, Uniform
 from certigym.synthesis.cells import Grid, MeanAxis, ScaleAxis
-from certigym.synthesis.checking import near_slack
 from certigym.synthesis.models import near_charge
 from certigym.synthesis.models.box_kernel import box_kernel
 from certigym.synthesis.models.near_charge import over_windows
+from certigym.synthesis.step_checking import near_slack
 
 LAWS: list[Law] = [
     Gaussian(0.3),

@@ -15,11 +15,11 @@ import certigym as cg
 from certigym import Agent, Problem, Proposition, Specification
 from certigym.synthesis.cells import Grid, hats
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.checking.map_spans import map_spans
 from certigym.synthesis.models import CornerChoices
 from certigym.synthesis.models.corner_model import corner_model
 from certigym.synthesis.models.lattice_kernel import bend_of
 from certigym.synthesis.relations import AffineBoxes, AffineMeans
+from certigym.synthesis.step_checking.map_spans import map_spans
 from written_problems import oscillator, oscillator_reach
 
 FALSE_ALARM = 1e-6

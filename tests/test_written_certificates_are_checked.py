@@ -17,9 +17,9 @@ import certigym as cg
 from certigym.envs.agents import Agent
 from certigym.envs.expressions import Number, Operation
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.checking.carrying_out import wrong_actions
-from certigym.synthesis.checking.execution import execution_of
 from certigym.synthesis.relations import MeanBoxes, WrittenMeans
+from certigym.synthesis.step_checking.carrying_out import wrong_actions
+from certigym.synthesis.step_checking.execution import execution_of
 from written_problems import bent_team, oscillator, oscillator_reach
 
 FALSE_ALARM = 1e-6

@@ -13,8 +13,8 @@ from scipy.optimize import minimize_scalar
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart
-from ..checking import MOST_TERMS, cell_boxes
 from ..relations import CoupledRelation, ExactRelation
+from ..step_checking import MOST_TERMS, cell_boxes
 from .ball_memory import UNIT, Balls, Memory, Proof
 from .ball_spans import balls
 

@@ -18,8 +18,8 @@ from flint import arb, arb_mat
 
 from ...envs.agents import with_matrices
 from ...envs.expressions import Name, Number, Tree, whole_exponent
-from ..checking import Enclosed
 from ..path_checking import Moving
+from ..step_checking import Enclosed
 
 Ends = tuple[Any, Any]
 """Least and largest value: balls of radius 0, not numbers where nothing is known."""

@@ -6,7 +6,7 @@ import numpy as np
 from flint import arb
 
 from ..certificates import AgentPart, OnGrid
-from ..checking import places_of
+from ..step_checking import places_of
 from .ball_memory import UNIT, Memory, Proof
 
 READ = 1e-9

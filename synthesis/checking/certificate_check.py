@@ -53,20 +53,16 @@ from ..certificates import (
     state,
 )
 from ..path_checking import wrong_angles, wrong_hull, wrong_paths
+from ..step_checking import execution_of, label_margin, places_of, verify_relation, wrong_actions, wrong_common
 from ..values import UNIT, Terms
-from .carrying_out import wrong_actions
-from .common_check import wrong_common
-from .execution import execution_of
 from .forward_mass import TooManyProducts, masses
 from .grid_check import uneven_lattices, wrong_grids
 from .guard_check import wrong_guards
-from .linear_check import places_of
 from .mixed_check import wrong_mixed
 from .network_check import wrong_networks
 from .opposite_task import other_controllers, wrong_opposite
 from .pairs_check import wrong_pairs
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
-from .relation_check import label_margin, verify_relation
 from .team_check import wrong_team
 from .timed_check import wrong_in_time
 from .train_check import Value, regrown_trains, train_start_value

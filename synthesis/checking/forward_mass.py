@@ -19,8 +19,7 @@ from scipy.sparse import csr_matrix
 
 from ..cells import FloatArray
 from ..certificates import OnGrid, axis_tables, start_of_claim
-from .geometry import start_shares
-from .linear_check import hat_weights, masks_of
+from ..step_checking import hat_weights, masks_of, start_shares
 
 if TYPE_CHECKING:
     pass

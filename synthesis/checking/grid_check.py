@@ -7,8 +7,7 @@ import numpy as np
 from ...envs.agents import AnyAgent, Box
 from ..cells import FloatArray
 from ..certificates import AgentPart, OnGrid, grid_noise, state
-from .execution import UNIT
-from .relation_check import wrong_for_uneven_noise
+from ..step_checking import UNIT, wrong_for_uneven_noise
 
 CORRELATION = 1e-11
 """Largest correlation between the noises of two grid axes that counts as rounding."""

@@ -15,7 +15,7 @@ from ...envs.logic import followed
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPart, OnGrid
-from .geometry import box_image, cell_boxes, classes_in_boxes, is_identity
+from ..step_checking import box_image, cell_boxes, classes_in_boxes, is_identity
 
 
 def wrong_guards(certificate: OnGrid, margins: Sequence[FloatArray | None]) -> list[str]:

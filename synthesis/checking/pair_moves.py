@@ -16,10 +16,15 @@ from scipy.special import erfc
 from ...envs.agents import AnyAgent, with_expressions, with_matrices
 from ..cells import FloatArray
 from ..certificates import AgentPart, axis_tables, lost_to_rounding
-from .execution import execution_of
-from .geometry import cell_boxes
-from .map_spans import networked_maps
-from .network_spans import driven_spans, network_maps, network_modes, network_spans
+from ..step_checking import (
+    cell_boxes,
+    driven_spans,
+    execution_of,
+    network_maps,
+    network_modes,
+    network_spans,
+    networked_maps,
+)
 
 UP, OFF = 1.0 + 1e-13, 4e-15
 """What masses are rounded up by: the complementary error function is accurate to a few units."""

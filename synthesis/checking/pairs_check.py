@@ -27,8 +27,8 @@ from ...envs.agents import AnyAgent, Gaussian, PairRegion
 from ...envs.logic import Automaton
 from ..cells import FloatArray
 from ..certificates import OnGrid, state
+from ..step_checking import start_shares
 from .forward_mass import moved
-from .geometry import start_shares
 from .guard_check import cell_classes
 from .pair_moves import ExactMoves, NetworkMoves, moves_of, wrong_moves
 

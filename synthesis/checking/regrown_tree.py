@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from ..cells import FloatArray
 from ..certificates import OnGrid
+from ..step_checking import masks_of, places_of, readings_of
 from ..values import Merges, Terms
 from .forward_mass import mass_at_start
-from .linear_check import masks_of, places_of
-from .readings import readings_of
 
 KEPT = 1.0 - 1e-9
 """Share of a factor that a remainder is taken from where steps are not additive, as in the search: how a difference of

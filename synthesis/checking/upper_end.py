@@ -18,8 +18,8 @@ import math
 import numpy as np
 
 from ..certificates import OnGrid, kernel_key, lost_to_rounding, start_of_claim
+from ..step_checking import is_identity
 from .forward_mass import TooManyProducts, masses
-from .geometry import is_identity
 from .guard_check import cell_classes, joint_cells_by_target
 from .train_check import regrown_trains, train_start_value
 

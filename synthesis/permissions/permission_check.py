@@ -17,18 +17,8 @@ from numpy.typing import NDArray
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart, OnGrid
-from ..checking import (
-    BrokenTreeError,
-    CheckReport,
-    Reading,
-    check,
-    execution_of,
-    masks_of,
-    reading_of,
-    tree_start_value,
-    verify_relation,
-    vertices_of,
-)
+from ..checking import BrokenTreeError, CheckReport, check, tree_start_value, vertices_of
+from ..step_checking import Reading, execution_of, masks_of, reading_of, verify_relation
 from ..values import Terms
 from .permission import Menus, Permission, count_of_choices, in_layers
 

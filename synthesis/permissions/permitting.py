@@ -19,8 +19,9 @@ from ...envs.agents import AnyAgent
 from ...envs.arrays import on_one_thread
 from ..cells import FloatArray
 from ..certificates import AgentPart, OnGrid, certificate_on_grids, on_cells, rounded_down
-from ..checking import Reading, by_cell, execution_of, reading_of, standing
+from ..checking import standing
 from ..relations import ExactRelation, WrittenTargets
+from ..step_checking import Reading, by_cell, execution_of, reading_of
 from .permission import Menus, Permission, count_of_choices, in_layers
 from .permission_check import KINDS, least_on_menus, read_in_layers, value_under
 

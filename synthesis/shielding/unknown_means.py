@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent
 from ..cells import FloatArray
-from ..checking import enclosed_means, enclosed_scales
+from ..step_checking import enclosed_means, enclosed_scales
 from .noise_masses import Axis, even_steps, evenly_between
 
 MOST_STEPS = {1: 24, 2: 8, 3: 3}

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent, place_of, tree_text
 from ..cells import FloatArray, linear_agent
 from ..certificates import OnGrid
-from ..checking import masks_of, regrow, vertices_of
+from ..checking import regrow, vertices_of
 from ..relations import Relation, mean_loss, mean_off
+from ..step_checking import masks_of
 from ..values import Terms
 from .noise_masses import Axis, noise_axes
 from .unknown_means import MeanBox

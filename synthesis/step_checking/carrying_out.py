@@ -24,7 +24,7 @@ from .common_check import by_number, known_inputs
 from .execution import Execution
 from .geometry import cell_boxes, is_identity
 from .mean_spans import steered_spans
-from .network_spans import driven_spans, network_maps, network_modes, network_spans
+from .network_enclosures import driven_spans, network_maps, network_modes, network_spans
 
 PROBES = 20_000
 """Points at which a controller without memory is run, over all times."""

@@ -32,7 +32,7 @@ from .common_check import by_number, known_inputs
 from .geometry import cell_boxes
 from .mean_spans import Enclosed, enclosed_means, enclosed_scales, steered_spans
 from .near_slack import NearSlack
-from .network_spans import driven_spans, network_modes, network_spans
+from .network_enclosures import driven_spans, network_modes, network_spans
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
 """Half the L1 norms of the fourth derivative of the normal density, and of the product of two second ones; rounded up

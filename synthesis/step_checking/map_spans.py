@@ -22,7 +22,7 @@ from ..certificates import AgentPart, state
 from ..path_checking import Span, bounds, products
 from .geometry import cell_boxes
 from .mean_spans import Enclosed, Fed, spans_of_means
-from .network_spans import input_maps
+from .network_enclosures import input_maps
 
 COMPUTED = 1e-14
 """Share of their size by which maps may be off as they are computed."""

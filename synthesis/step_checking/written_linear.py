@@ -24,7 +24,7 @@ from .geometry import cell_boxes
 from .linear_tables import UNIT, applied, grid_matrix, normal_hats
 from .map_spans import Maps, maps_of
 from .mean_spans import Enclosed
-from .network_spans import network_maps
+from .network_enclosures import network_maps
 from .uniform_noise import Ends, uniform_ends
 
 ROUNDING = 2.999e-9
