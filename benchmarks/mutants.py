@@ -280,11 +280,13 @@ MUTANTS = [
         ("reach = (slab + drift) * TAIL", "reach = slab * TAIL"),
         ("*self.chain.drift(forms))", "*(0.0 * part for part in self.chain.drift(forms)))"),
         ("ends.append(distance + moved - drift", "ends.append(distance - moved - drift"),
-        ("ends[:, 2], *self.chain", "np.inf * (1.0 + ends[:, 2]), *self.chain"),
+        ("slab = ends[:, 2]", "slab = np.inf * (1.0 + ends[:, 2])"),
+        ("+ reach**2 + 2.0 * off * size", "+ 2.0 * off * size"),
+        ("moving.scales and moving.noise.tail != LONG", "moving.scales and LONG"),
         ("remainder = found.off + missed + matrix_off", "remainder = 0.0 * found.off + missed + matrix_off"),
         ("remainder = found.off + missed + matrix_off", "remainder = found.off + matrix_off"),
         ("if np.any((u < low) | (u > high)):", "if False:"),
-        ("        ends[0][here],", "        (ends[0] + np.inf)[here],"),
+        ("rows.add(ends[0][here],", "rows.add((ends[0] + np.inf)[here],"),
         ("remainder = (remainder + more) * TAIL", "remainder = remainder * TAIL"),
         ("low, high = now[j].box[:, state]", "low = high = now[j].at[state]"),
     ),
@@ -311,6 +313,12 @@ MUTANTS = [
     *_in(
         "synthesis/checking/pairs_check.py",
         ("pair.inner_box if from_below else (pair.low, pair.high)", "(pair.low, pair.high)"),
+        ("np.any(possible.sum(axis=1) != 1) or not inside.all()", "False"),
+        ("total += 1 - near if usual[k] else near", "total += near if usual[k] else near"),
+    ),
+    *_in(
+        "synthesis/step_checking/turned_boxes.py",
+        ("return shares / abs(determinant)", "return 1.01 * shares / abs(determinant)"),
     ),
     *_in(
         "envs/agents/pair.py",

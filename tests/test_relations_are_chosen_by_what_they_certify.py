@@ -292,10 +292,11 @@ def test_agents_that_nothing_fits_are_refused_with_the_first_reason(monkeypatch:
     runaway = cart(A=[[1.3, 0.0], [0.0, 0.5]], B=[[0.0], [1.0]], initial_state=[0.0, 0.0])
     with pytest.raises(ValueError, match="no feedback stabilises"):
         cg.synthesize(cart_reach(runaway, horizon=2), 80)
-    # Linear cells and paths, which are tried where cells are left out, need no feedback.
+    # Linear cells, which are tried where cells are left out, need no feedback; and no run without noise goes anywhere.
     monkeypatch.setattr(task_ways, "may_be_linear", MAY_BE_LINEAR)
     tried = tried_of(cg.synthesize(cart_reach(runaway, horizon=2), effort=1.4))
-    assert {"linear", "path"} <= {name for name, outcome in tried.items() if isinstance(outcome, float)}
+    assert "linear" in {name for name, outcome in tried.items() if isinstance(outcome, float)}
+    assert "no nominal path satisfies the task" in str(tried["path"])
 
 
 def reach(agent: Any) -> cg.Problem:

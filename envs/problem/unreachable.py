@@ -80,7 +80,7 @@ def _words(problem: Problem, reach: _Reach, lost: int | None) -> str:
     missed = [name for p, name in names if not reach.held[p] and _is_needed(problem, p)]
     what = f"`{missed[0]}` is out of reach" if missed else "the task is out of reach"
     if lost is not None:
-        return f"{what}: whatever the inputs are, it is lost by step {lost}"
+        return f"{what}: whatever the inputs are, {reach.left or f'it is lost by step {lost}'}"
     why = f"{what} in {problem.horizon} steps, whatever the inputs are"
     if not problem.automaton.is_co_safe or problem.names_time or problem.labeling.moves:
         return why
@@ -123,6 +123,7 @@ class _Reach:
         count = problem.horizon * sum(agent.n_states for agent in problem.agents)
         self.noises = [_largest_noise(agent, rare / count) for agent in problem.agents]
         self.held = np.zeros(len(self.automaton.propositions), dtype=bool)
+        self.left = ""
         self._known: dict[object, Ends] = {}
 
     def steps(self, count: int) -> Iterator[Mapping[int, Boxes]]:
@@ -136,10 +137,14 @@ class _Reach:
         for t in range(1, count + 1):
             after: dict[int, Boxes] = {}
             self._known.clear()
+            self.left = "" if reached else self.left
             for q, moved in zip(reached, self._moved([*reached.values()], t - 1), strict=True):
-                if all(np.all(low <= high) for low, high in moved):  # else an agent surely leaves its workspace
-                    for target, cut in self._read(q, moved, t):
-                        after[target] = _hull(after.get(target), cut)
+                gone = [i for i, (low, high) in enumerate(moved) if np.any(low > high)]
+                if gone:
+                    self.left = f"agent `{self.problem.agent_names[gone[0]]}` leaves its workspace at step {t}"
+                    continue
+                for target, cut in self._read(q, moved, t):
+                    after[target] = _hull(after.get(target), cut)
             reached = after
             yield reached
 
