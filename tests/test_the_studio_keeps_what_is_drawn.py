@@ -443,7 +443,7 @@ def test_what_was_certified_outlives_its_process(tmp_path: Path) -> None:
     try:
         session = page.session
         waited(("starting",))
-        session.certify(2.0)
+        session.certify(0.5)
         first = waited(("running",))["job"]["result"]
         session.certify(60.0)
         session.stop()
