@@ -218,10 +218,10 @@ def one_agent() -> cg.Problem:
 def test_without_a_deadline_one_agent_comes_to_the_optimum_from_below() -> None:
     """Value iteration over 1500 steps, far beyond its convergence, bounds what any policy attains at any time."""
     problem = one_agent()
-    found = cg.synthesize(problem, 20, horizon=None)
+    found = cg.synthesize(problem, 40, horizon=None)
     certificate = found.certificate
     far = problem.replace(horizon=1500)
-    joint = join(far, abstract(far, 20))
+    joint = join(far, abstract(far, 40))
     optimum = at_start(far, joint, dense_optimum(far, list(joint.models)))
     assert certificate.problem.horizon > 8 and certificate.proof.stationary
     assert optimum - 5e-6 < certificate.lower_bound <= optimum
@@ -315,7 +315,7 @@ def test_dense_programming_chooses_from_menus_of_inputs() -> None:
 def test_what_pruning_hides_is_found_in_the_end() -> None:
     """With few terms the search stops early; the last sweeps see what one agent alone could gain."""
     problem = cg.make_problem("patrol-recharge-v0").replace(horizon=8)
-    result = cg.synthesize(problem, 16, value="tree", limits=Limits(rank=8))
+    result = cg.synthesize(problem, 24, value="tree", limits=Limits(rank=8))
     gain = result.stats["unilateral_gain"]
     assert isinstance(gain, float) and gain <= 1e-5 * result.certificate.lower_bound
     sweeps = result.stats["sweeps"]
@@ -325,7 +325,7 @@ def test_what_pruning_hides_is_found_in_the_end() -> None:
 def test_trains_try_staged_starts_where_others_fail() -> None:
     """Two robots have to agree on one of two rooms; from other starts they do not."""
     problem = cg.make_problem("meeting-v0")
-    result = cg.synthesize(problem, 16, value="train")
+    result = cg.synthesize(problem, 24, value="train")
     starts = result.stats["starts"]
     assert isinstance(starts, dict) and any(name.startswith("staged") for name in starts)
     assert result.certificate.lower_bound == pytest.approx(max(starts.values()), abs=1e-4)
