@@ -121,6 +121,8 @@ class Tab:
 
     def drag(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
         """Press the pointer at one point, move it to another one, and let go."""
+        # A tab behind another one answers its pointer after ten seconds.
+        self._call("Page.bringToFront")
         middle = [(b + e) / 2 for b, e in zip(begin, end)]
         self._pointer("mousePressed", *begin)
         self._pointer("mouseMoved", *middle)

@@ -133,7 +133,7 @@ class Row:
     problem: Callable[[], cg.Problem]
     cells: Any
     options: dict[str, Any] = field(default_factory=dict)
-    memory: float = 1.1e6
+    memory: float = 1.02e6
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -203,7 +203,7 @@ ROWS: dict[str, Row] = {
     ),
     "path": Row(lambda: task(matrices(noise_covariance=[[0.01]])), None, {"relation": "path"}),
     "subtraction": Row(lambda: apart(), 24, {"relation": "exact"}),
-    "joint": Row(lambda: apart(), 16, {"relation": "joint"}),
+    "joint": Row(lambda: apart(), 16, {"relation": "joint"}, 1.05e6),
     "train": Row(lambda: task(matrices(), matrices("two")), 24, {"relation": "exact", "value": "train"}),
 }
 

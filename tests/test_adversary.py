@@ -1,4 +1,4 @@
-"""A hundredth of the adversary's campaign (``benchmarks/adversary.py``), with seeds that no campaign has had."""
+"""A share of the adversary's campaign (``benchmarks/adversary.py``), with seeds that no campaign has had."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from forgeries import forgeries, opened
 from kind_trials import forged_cells, trial
 from small_problems import MAKERS, small_spec
 
-CLAIMS, WRITTEN, FIRST, EPISODES = 10, 5, 900_000, 10_000
-FORGERIES = 6
-SMALL = 2
+CLAIMS, WRITTEN, FIRST, EPISODES = 6, 3, 900_000, 10_000
+FORGERIES = 4
+SMALL = 1
 """Small problems of every kind."""
 
 

@@ -157,8 +157,8 @@ def test_training_is_deterministic_under_a_seed(algorithm: str) -> None:
 
 
 def test_ppo_learns_the_two_agent_task_and_its_certificate_holds() -> None:
-    """12,000 world steps; the untrained policy succeeds in fewer than half of the episodes."""
-    training = cg.train(RA2, "ppo", 12_000, 0)
+    """8,000 world steps; the untrained policy succeeds in fewer than half of the episodes."""
+    training = cg.train(RA2, "ppo", 8_000, 0)
     before = cg.rollout(RA2, cg.train(RA2, "ppo", 1, 0, worlds=2, n_steps=2, batch_size=4).actor, 2000)
     after = cg.rollout(RA2, training.actor, 2000)
     assert before.successes < 1000 < 1600 < after.successes

@@ -57,8 +57,8 @@ def test_equal_agents_get_equal_cells_and_share_their_kernel() -> None:
     ("id", "horizon", "memory", "relation"),
     [
         ("reach-avoid-v0", 7, 10e6, "auto"),
-        ("car-park-planar-v0", 10, 40e6, "exact"),
-        ("reach-avoid-kinematic-v0", 4, 15e6, "tube"),
+        ("car-park-planar-v0", 4, 20e6, "exact"),
+        ("reach-avoid-kinematic-v0", 2, 10e6, "tube"),
     ],
 )
 def test_memory_is_used_and_kept(id: str, horizon: int, memory: float, relation: str) -> None:

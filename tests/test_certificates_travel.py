@@ -62,16 +62,16 @@ def packed(header: dict[str, Any], arrays: list[np.ndarray], path: Path, renew: 
 def test_a_stranger_needs_only_the_file(raw: bytes, tmp_path: Path) -> None:
     (tmp_path / "c.npz").write_bytes(raw)
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
-    for command in (["check", "c.npz"], ["validate", "c.npz", "--episodes", "500"]):
-        done = subprocess.run(
-            [sys.executable, "-m", "certigym", *command],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
+    both = "main(['check', 'c.npz']) or main(['validate', 'c.npz', '--episodes', '500'])"
+    done = subprocess.run(
+        [sys.executable, "-c", f"from certigym.cli.main import main; raise SystemExit({both})"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.npz"]
 
 
@@ -85,7 +85,7 @@ def test_every_truncation_is_refused(raw: bytes, tmp_path: Path) -> None:
 
 def test_flipped_bits_are_refused_or_without_effect(raw: bytes, certificate: OnGrid, tmp_path: Path) -> None:
     rng, path, refused = np.random.default_rng(0), tmp_path / "c.npz", 0
-    for _ in range(250):
+    for _ in range(125):
         bad = bytearray(raw)
         bad[rng.integers(len(raw))] ^= 1 << int(rng.integers(8))
         path.write_bytes(bytes(bad))
@@ -96,7 +96,7 @@ def test_flipped_bits_are_refused_or_without_effect(raw: bytes, certificate: OnG
             refused += 1
         else:  # the bit was one of the archive's own that nobody reads, such as a date
             assert loaded.lower_bound == certificate.lower_bound and cg.check(loaded, certificate.problem)
-    assert refused > 150
+    assert refused > 75
 
 
 def test_content_that_was_changed_is_noticed(raw: bytes, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from certigym.synthesis.synthesize import ways_ahead
 
 OWN = Path(__file__).parent.parent / "examples" / "own"
 
-LONG = {"agv", "cascade", "drone_and_balls", "epidemic", "patrol", "reactor"}
+LONG = {"agv", "cascade", "drone_and_balls", "epidemic", "patrol", "queue", "reactor", "samples"}
 """Examples about which nearly all is counted that there is to count, with the ways of others."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.choosing import Effort, Results, Way, best_of, leading
+from certigym.synthesis.choosing import Effort, Results, Way, best_of, effort, leading
 from certigym.synthesis.models import Settings
 from certigym.synthesis.nominal_paths import CountedWork, path_certificate
 from certigym.synthesis.on_cells import Plan
@@ -157,7 +158,7 @@ def test_ctrl_c_keeps_the_best_level() -> None:
     assert "broken off by Ctrl-C" in str(tried_of(found))
 
 
-@pytest.mark.thorough
+@pytest.mark.thorough(effort)
 def test_ways_and_levels_are_told_beside_the_bound_so_far() -> None:
     told: list[tuple[str, float]] = []
     found = cg.synthesize("car-park-v0", progress=lambda text, value: told.append((text, value)))
@@ -178,13 +179,25 @@ def test_a_path_that_has_no_time_is_a_path() -> None:
     assert 0.0 < hurried.certificate.lower_bound < 1.0 and cg.check(hurried.certificate, problem)
 
 
+def slalom(work: CountedWork) -> tuple[CountedWork, cg.Synthesis]:
+    return work, path_certificate(cg.make_problem("car-slalom-v0"), work)
+
+
+TOLD: list[float] = []
+
+
+@cache
+def driven() -> tuple[CountedWork, cg.Synthesis]:
+    """A search without a limit, and what it tells."""
+    return slalom(CountedWork(told=TOLD.append))
+
+
 def test_work_along_paths_is_counted_and_kept_to() -> None:
     """Twice the same search takes the same work; less of it ends earlier, with a first certificate all the same."""
-    problem, spent = cg.make_problem("car-slalom-v0"), list[tuple[float, float]]()
-    for limit in (np.inf, np.inf, 1e-9):
-        work = CountedWork(limit)
-        found = path_certificate(problem, work)
-        assert cg.check(found.certificate, problem) and found.certificate.lower_bound > 0.0
+    spent = list[tuple[float, float]]()
+    searches = [driven(), *(slalom(CountedWork(limit)) for limit in (np.inf, 1e-9))]
+    for work, found in searches:
+        assert cg.check(found.certificate) and found.certificate.lower_bound > 0.0
         spent.append((work.spent, found.certificate.lower_bound))
     assert spent[0] == spent[1] and spent[2][0] < spent[0][0] and spent[2][1] <= spent[0][1]
     assert not CountedWork(2.0, spent=1.0).allows(1.5) and CountedWork(2.0, spent=1.0).allows(1.0)
@@ -192,8 +205,8 @@ def test_work_along_paths_is_counted_and_kept_to() -> None:
 
 def test_bounds_along_paths_are_told_as_they_are_found() -> None:
     """Long before the search ends: each larger than all before, and none larger than what is certified."""
-    told = list[float]()
-    found = path_certificate(cg.make_problem("car-slalom-v0"), CountedWork(told=told.append))
+    _, found = driven()
+    told = TOLD
     assert len(told) > 1 and told == sorted(told) and 0.0 < told[0]
     assert told[-1] <= found.certificate.lower_bound + 1e-8
 

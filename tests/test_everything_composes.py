@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import limits_table
-from composing import COLUMNS, RESOLUTION, ROWS, Claims, optimum
+from composing import COLUMNS, RESOLUTION, ROWS, Claims, certificate_of, optimum
 
 EVERY_CELL = [(row, column) for row in ROWS for column in COLUMNS]
 
@@ -108,25 +108,36 @@ CANNOT: dict[str, dict[str, Reason]] = {
 """Refusals by mathematics: column, row, and why. The page of limits lists them (``docs/limits_table.py``)."""
 
 MENUS = "test_menus_of_inputs_keep_what_they_promise asks the same and more of these rows"
+SAME_END = "where something is lost, the opposite task is asked by the column `own upper end`"
+MENUS_IN_TIME = "menus in time are asked for in the row `exact in time`, those of linear cells in other rows"
 OTHER_ROWS = "cells are chosen by the relation, the noise and the neighbours, of which other rows have each"
 
+NOTHING_LOST = ["exact matrices", "exact Laplace", "exact expressions", "exact in time", "subtraction", "train"]
+"""Rows whose certificates know what their policies attain at most without the opposite task."""
+
 ELSEWHERE: dict[str, dict[str, str]] = {
-    "permission": dict.fromkeys(
-        [
-            "linear matrices",
-            "linear expressions",
-            "boxes matrices",
-            "boxes Laplace",
-            "boxes noise scale",
-            "boxes no noise",
-        ],
-        MENUS,
-    ),
+    "opposite end": {row: SAME_END for row in ROWS if row not in [*NOTHING_LOST, *PATHS]},
+    "permission": {
+        **dict.fromkeys(
+            [
+                "linear matrices",
+                "linear expressions",
+                "boxes matrices",
+                "boxes Laplace",
+                "boxes noise scale",
+                "boxes no noise",
+            ],
+            MENUS,
+        ),
+        "linear in time": MENUS_IN_TIME,
+    },
     "budget": dict.fromkeys(
         [
             "ellipsoid",
             "linear matrices",
             "linear in time",
+            "exact in time",
+            "exact expressions",
             "boxes expressions",
             "boxes Laplace",
             "boxes disturbance",
@@ -164,6 +175,10 @@ def test_the_tables_name_cells_of_the_matrix() -> None:
     cannot = {(row, column) for column, rows in CANNOT.items() for row in rows}
     elsewhere = {(row, column) for column, rows in ELSEWHERE.items() for row in rows}
     assert cannot <= {*CELLS} and elsewhere <= {*EVERY_CELL}
+
+
+def test_certificates_of_which_nothing_is_lost_are_those_that_know_their_end() -> None:
+    assert [row for row in ROWS if certificate_of(row).gap is not None] == NOTHING_LOST
 
 
 def test_dense_programs_see_claims_that_are_too_large() -> None:

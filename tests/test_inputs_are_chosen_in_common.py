@@ -169,7 +169,7 @@ def test_rooms_may_have_noise_whose_scale_depends_on_their_state() -> None:
 def test_the_example_holds_and_a_joint_agent_does_better() -> None:
     """A joint agent of both zones looks at both of them when it chooses the heat; five zones have no joint grid."""
     building = cg.load(EXAMPLE).replace(horizon=4)
-    certificate = certified(building, 64)
+    certificate = certified(building, 48)
     assert cg.check(certificate)
     five = with_zones(5).replace(horizon=3)
     assert five.n_states == 6
@@ -195,7 +195,7 @@ def test_the_example_holds_and_a_joint_agent_does_better() -> None:
         propositions={"comfort": cg.Proposition("zones", [19.0] * 2, [21.0] * 2)},
         specification=cg.Specification("G comfort", "finite-trace"),
     )
-    seen = cg.synthesize(problem, cells=64, relation="linear").certificate
+    seen = cg.synthesize(problem, cells=48, relation="linear").certificate
     assert seen.lower_bound > certificate.lower_bound > 0.9
 
 
@@ -283,7 +283,7 @@ def test_unknown_inputs_count_as_disturbances() -> None:
 
 
 def test_policies_go_on_from_certificates_and_without_a_clock(boiled: OnGrid) -> None:
-    longer = boiler_problem(2, horizon=8)
+    longer = boiler_problem(2, horizon=6)
     for settings in ({"start": boiled}, {"stationary": True, "common": True}):
         certificate = cg.synthesize(longer, cells=24, relation="boxes", **settings).certificate
         assert cg.check(certificate) and certificate.lower_bound > 0.9

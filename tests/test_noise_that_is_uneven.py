@@ -241,7 +241,9 @@ def expectation(agent: Any, edges: Any, following: NDArray, states: NDArray, inp
 def test_certificates_are_valid_and_below_rollouts(entry: dict[str, Any]) -> None:
     """False alarm 1e-6, all tests together."""
     problem = task(walker(entry))
-    certificate = cg.synthesize(problem, [40, 20], relation="boxes").certificate
+    # Noise that always blows one way leaves few inputs to coarse cells.
+    cells = [40 if entry["law"] == "uniform" else 20, 20]
+    certificate = cg.synthesize(problem, cells, relation="boxes").certificate
     report = cg.check(certificate, problem)
     assert report.valid, report.failures
     assert certificate.lower_bound > 0.1
@@ -422,6 +424,8 @@ def test_a_scale_of_one_is_no_scale(law: dict[str, Any], scale: str) -> None:
     }  # fmt: skip
     plain, scaled = cg.Agent(**keys), cg.Agent(**keys, noise_scale=[scale])
     assert scaled.noise_scale is None and scaled.has_plain_noise and scaled.to_dict() == plain.to_dict()
+    if scale != "2/2":  # the same agent is certified alike
+        return
     problem = cg.Problem(
         name="one", agents=[scaled], propositions={"goal": cg.Proposition("one", [2.0], [6.0])}, horizon=5,
         specification=cg.Specification("F goal", "co-safe"),

@@ -371,10 +371,10 @@ def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixtu
         encoding="utf-8",
     )
     file, saved = str(tmp_path / "pairs.toml"), str(tmp_path / "pairs.npz")
-    assert main(["run", file, "--cells", "20", "--relation", "exact", "--episodes", "5000", "--out", saved]) == 0
+    assert main(["run", file, "--cells", "20", "--relation", "exact", "--episodes", "1000", "--out", saved]) == 0
     assert "12 independent tasks" in capsys.readouterr().out
     assert main(["check", saved, "--problem", file]) == 0
-    assert main(["validate", saved, "--episodes", "5000"]) == 0
+    assert main(["validate", saved, "--episodes", "1000"]) == 0
     assert main(["describe", file]) == 0
     assert "12 independent tasks" in capsys.readouterr().out
     page = tmp_path / "page.html"

@@ -94,13 +94,13 @@ def test_a_larger_rate_would_be_false(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mistakes that are easy to make give bounds that certificates of longer horizons contradict."""
     problem = team(2, 4, formula="G (safe_0 & safe_1)")
     # v of a short horizon is far from the function that a step merely shrinks, so quotients differ between cells
-    certificate = cg.synthesize(problem, 40, relation="boxes", stationary=True).certificate
-    longer = cg.synthesize(problem.replace(horizon=200), 40, relation="boxes", stationary=True).certificate
+    certificate = cg.synthesize(problem, 24, relation="boxes", stationary=True).certificate
+    longer = cg.synthesize(problem.replace(horizon=100), 24, relation="boxes", stationary=True).certificate
     start = np.concatenate([agent.initial.low for agent in problem.agents])
-    truth = 1.05 * float(cg.value_in_time(longer).at(start, longer.problem.initial_q, 200)[0])
+    truth = 1.05 * float(cg.value_in_time(longer).at(start, longer.problem.initial_q, 100)[0])
 
     def contradicted() -> bool:
-        return bool(lasting_safety.safety_rate(certificate).at(200) > truth)
+        return bool(lasting_safety.safety_rate(certificate).at(100) > truth)
 
     assert not contradicted()
     least = lasting_safety._least

@@ -113,8 +113,7 @@ def test_inputs_are_worth_no_more_than_the_next_state_on_average(certificate: cg
 
 
 # --- the guarantee ---------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("form", ["joint", "decentralised"])
-@pytest.mark.parametrize("share", [0.5, 0.99])
+@pytest.mark.parametrize(("share", "form"), [(0.5, "joint"), (0.99, "decentralised")])
 def test_whoever_proposes_succeeds_as_promised(certificate: cg.Certificate, form: str, share: float) -> None:
     shield = shield_of(certificate, share * certificate.lower_bound, form)
     assert isinstance(shield, Shield)

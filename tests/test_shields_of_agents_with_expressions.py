@@ -37,9 +37,9 @@ WINDY = windy_team().replace(initial_state={"one": [-1.0], "two": [1.0]})
 def certificate(kind: str) -> cg.Certificate:
     """Certificates of small problems with expressions."""
     makers: dict[str, Any] = {
-        "wind, linear": lambda: cg.synthesize(WINDY, 100, relation="linear"),
-        "wind, boxes": lambda: cg.synthesize(WINDY, 120, relation="boxes"),
-        "two axes": lambda: cg.synthesize(oscillator_reach(12, **WIND), 30, relation="linear"),
+        "wind, linear": lambda: cg.synthesize(WINDY, 50, relation="linear"),
+        "wind, boxes": lambda: cg.synthesize(WINDY, 60, relation="boxes"),
+        "two axes": lambda: cg.synthesize(oscillator_reach(6, **WIND), 24, relation="linear"),
         "neighbours": lambda: cg.synthesize(ring(3), 40),
     }
     found = makers[kind]().certificate

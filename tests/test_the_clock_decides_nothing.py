@@ -56,8 +56,8 @@ def certified(monkeypatch: pytest.MonkeyPatch, look: float, problem: Any, **opti
 @pytest.mark.parametrize(
     ("problem", "options"),
     [
-        (lambda: robots(2), {"effort": 0.4}),
-        (lambda: robots(2), {"cells": 10}),
+        (lambda: robots(1), {"effort": 0.2}),
+        (lambda: robots(1), {"cells": 10}),
         (lambda: cart_reach(cart(), horizon=4), {"cells": 24}),
     ],
 )
@@ -73,9 +73,9 @@ def test_slow_and_fast_machines_certify_the_same(
 
 def test_only_seconds_that_are_given_look_at_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first certificate is returned in any case; what comes after it is left out when the seconds are over."""
-    quick = certified(monkeypatch, 100.0, robots(2), seconds=10.0)
-    patient = certified(monkeypatch, 1e-6, robots(2), seconds=10.0, effort=0.4)
-    usual = cg.synthesize(robots(2), effort=0.4)
+    quick = certified(monkeypatch, 100.0, robots(1), seconds=10.0)
+    patient = certified(monkeypatch, 1e-6, robots(1), seconds=10.0, effort=0.1)
+    usual = cg.synthesize(robots(1), effort=0.1)
     assert 0.0 < quick.certificate.lower_bound < usual.certificate.lower_bound == patient.certificate.lower_bound
     tried: Any = quick.stats["tried"]
     assert any("`seconds`" in str(outcome) for outcome in tried.values())
@@ -83,7 +83,7 @@ def test_only_seconds_that_are_given_look_at_the_clock(monkeypatch: pytest.Monke
 
 
 def test_more_effort_certifies_no_less_and_says_what_was_left_out() -> None:
-    little, more = (cg.synthesize(robots(2), effort=effort) for effort in (0.2, 0.4))
+    little, more = (cg.synthesize(robots(1), effort=effort) for effort in (0.05, 0.1))
     assert little.certificate.lower_bound < more.certificate.lower_bound
     tried: Any = little.stats["tried"]
     assert any("ask for more `effort`" in str(outcome) for outcome in tried.values())

@@ -42,12 +42,20 @@ def _up(x: FloatArray) -> FloatArray:
     return np.asarray(np.nextafter(x, np.inf))
 
 
+def _ends(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Both ends in one array: ``np.stack``, which takes longer than all else that is done with few boxes."""
+    ends = np.empty((2, *low.shape))
+    ends[0], ends[1] = low, high
+    return ends
+
+
 def products(a: FloatArray, b: FloatArray) -> FloatArray:
     """Least and largest products (2, ..) of numbers between the ends ``a`` and ``b``, (2, ..) each."""
-    four = np.stack([a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1]])
-    low, high = _down(four.min(axis=0)), _up(four.max(axis=0))
+    first, second, third, fourth = a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1]
+    low = _down(np.minimum(np.minimum(first, second), np.minimum(third, fourth)))
+    high = _up(np.maximum(np.maximum(first, second), np.maximum(third, fourth)))
     # Products of nonnegative numbers are nonnegative, whatever is rounded.
-    return np.stack([np.where((a[0] >= 0.0) & (b[0] >= 0.0), np.maximum(low, 0.0), low), high])
+    return _ends(np.where((a[0] >= 0.0) & (b[0] >= 0.0), np.maximum(low, 0.0), low), high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +93,16 @@ class Span:
 
 
 def _sum(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.stack([np.where(b[0] == 0.0, a[0], np.where(a[0] == 0.0, b[0], _down(a[0] + b[0]))),
-                     np.where(b[1] == 0.0, a[1], np.where(a[1] == 0.0, b[1], _up(a[1] + b[1])))])  # fmt: skip
+    if not a.size:  # slopes that nobody asked for
+        return a
+    low = np.where(b[0] == 0.0, a[0], np.where(a[0] == 0.0, b[0], _down(a[0] + b[0])))
+    return _ends(low, np.where(b[1] == 0.0, a[1], np.where(a[1] == 0.0, b[1], _up(a[1] + b[1]))))
 
 
 def _times(factor: FloatArray, slopes: FloatArray) -> FloatArray:
     """Products (2, v, n); slopes that are 0 stay 0, whatever the factor is."""
+    if not slopes.size:
+        return slopes
     zero = (slopes[0] == 0.0) & (slopes[1] == 0.0)
     return np.where(zero, 0.0, products(factor[:, None], slopes))
 
