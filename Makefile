@@ -19,9 +19,9 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 demo: .venv/core
 	$(BIN)/certigym run reach-avoid-v0
 
+# types are looked at beside the tests: either takes one core of two for a while
 test: .venv/test lint
-	$(BIN)/python -m mypy
-	$(PYTEST) -m "not pages"
+	@$(BIN)/python -m mypy & types=$$!; $(PYTEST) -m "not pages"; tests=$$?; wait $$types && exit $$tests
 
 # the inner loop: what is not marked slow; `make quick ARGS=tests/test_labeling.py` runs all of one file
 quick: .venv/test

@@ -137,7 +137,6 @@ ELSEWHERE: dict[str, dict[str, str]] = {
             "linear matrices",
             "linear in time",
             "exact in time",
-            "exact expressions",
             "boxes expressions",
             "boxes Laplace",
             "boxes disturbance",
