@@ -378,3 +378,16 @@ def test_upper_ends_count_the_runs_that_cells_lose_from_sight() -> None:
     )
     report = cg.check(ended)
     assert not report and "no certain class" in report.failures[0]
+
+
+def test_masses_that_are_next_to_nothing_charge_next_to_nothing() -> None:
+    """Their product is below all numbers: it may not be divided by."""
+    problem = followers(APART)
+    usual = usual_values(problem)
+    base = without_pairs(problem, usual)
+    abstraction = abstraction_of(base, 16, ["exact"] * 2, Settings())
+    masses = NearMass(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
+    sizes = [len(model.lattice[0]) for model in masses.joint.models]
+    tiny = [np.full(size, 1e-200) for size in sizes]
+    assert masses._near(np.array([0]), tiny, (np.zeros(1), np.zeros(1))) == 0.0
+    assert masses._near(np.array([0]), [np.full(size, 1.0 / size) for size in sizes], (np.zeros(1), np.zeros(1))) > 0.0

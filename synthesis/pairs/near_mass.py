@@ -231,7 +231,7 @@ class NearMass:
         totals = np.array([own.sum() for own in masses])
         if not np.all(totals > 0.0):
             return 0.0
-        everybody, total = float(np.prod(totals)), 0.0
+        total = 0.0
         spread: dict[object, FloatArray] = {}
         for k in asked:
             pair = self.pairs[k]
@@ -247,7 +247,7 @@ class NearMass:
             near = float(np.sum(own * spread[key]))
             if self.usual[k]:  # whatever is not surely near is charged
                 near = max(0.0, float(totals[i] * totals[j]) - near) + DIFFERENCE_ERROR
-            total += near * everybody / (totals[i] * totals[j])
+            total += near * float(np.prod(np.delete(totals, [i, j])))
         return total
 
     def tables(self, pair: PairRegion, from_below: bool = False, reach: Reach | None = None) -> list[FloatArray]:
