@@ -114,7 +114,7 @@ def certify_network(
     Parameters
     ----------
     problem : Problem, id or path
-        It may name the time or be about pairs of agents; with pairs starts are known, and noise is normal along states.
+        It may name the time, or be about pairs of agents, whose noise then is normal along states.
     actor : SharedActor, TeamActor, or what ``as_policy`` takes
         Networks that see the agent's own state, the automaton state and the time.
     cells : int, sequence of int or mapping from agent name to one of these, optional
@@ -189,8 +189,6 @@ def _less_nearness(
     targets_per_cell: int | None,
 ) -> Synthesis:
     """Certify the task without pairs, and subtract what these may spoil under the networks."""
-    if not all(agent.initial.is_point for agent in problem.agents):
-        raise RelationRefused("the bound by subtraction needs a known start, got one drawn from a box")
     usual = usual_values(problem)
     base = without_pairs(problem, usual)
     found, abstraction = _on_grids(base, policies, cells, relation, targets_per_cell)
