@@ -278,9 +278,6 @@ MUTANTS = [
     *_in(
         "synthesis/path_checking/nonlinear_check.py",
         ("reach = (slab + drift) * TAIL", "reach = slab * TAIL"),
-        ("*self.chain.drift(forms))", "*(0.0 * part for part in self.chain.drift(forms)))"),
-        ("ends.append(distance + moved - drift", "ends.append(distance - moved - drift"),
-        ("slab = ends[:, 2]", "slab = np.inf * (1.0 + ends[:, 2])"),
         ("+ reach**2 + 2.0 * off * size", "+ 2.0 * off * size"),
         ("moving.scales and moving.noise.tail != LONG", "moving.scales and LONG"),
         ("remainder = found.off + missed + matrix_off", "remainder = 0.0 * found.off + missed + matrix_off"),
@@ -291,7 +288,24 @@ MUTANTS = [
         ("low, high = now[j].box[:, state]", "low = high = now[j].at[state]"),
     ),
     *_in(
+        "synthesis/path_checking/limits_kept.py",
+        ("*now.chain.drift(forms))", "*(0.0 * part for part in now.chain.drift(forms)))"),
+        ("slab = ends[:, 2]", "slab = np.inf * (1.0 + ends[:, 2])"),
+        ("region = RegionSpan.of(proposition, now.t)", "region = RegionSpan.of(proposition, now.t - 1)"),
+        ("add_jumps(now, certificate, rows)", "pass"),
+        ("if value == SOMETIME:", "if False:"),
+    ),
+    *_in(
+        "synthesis/path_checking/crossings.py",
+        ("(variance + own) * TAIL", "variance * TAIL"),
+        ("(near, far)\n", "(near, False)\n"),
+        ("return met - ends if ends <= met else None", "return met - ends"),
+        ("after.high[0, k] - before.low[1, k]", "after.high[0, k] + 1.0 - before.low[1, k]"),
+        ("return shift + C @ arrival.middle, drift,", "return shift, drift,"),
+    ),
+    *_in(
         "synthesis/path_checking/gaussian_inequalities.py",
+        ("ends.append(distance + moved - drift", "ends.append(distance - moved - drift"),
         ("chosen = np.where(as_slab, both, inner)", "chosen = np.where(as_slab, 0.5 * both, inner)"),
         ("np.sum(np.where(as_slab, 0.0, outer))", "0.0"),
         ("np.where(is_unknown, 1.0, known)", "known"),
@@ -401,7 +415,6 @@ MUTANTS = [
     *_in(
         "synthesis/path_checking/nonlinear_check.py",
         ("now = _at(agent, min(t, path.n_steps - 1))", "now = _at(agent, 0)"),
-        ("region = RegionSpan.of(proposition, self.t)", "region = RegionSpan.of(proposition, self.t - 1)"),
         ("np.where(is_stopped | is_number, largest, nominal)", "np.where(is_stopped, largest, 0.0 * nominal)"),
     ),
     *_in(

@@ -17,7 +17,7 @@ from certigym.synthesis.nominal_paths.nonlinear_model import NonlinearModel
 from certigym.synthesis.path_checking.gaussian_inequalities import Inequalities, moment_tails
 from certigym.synthesis.path_checking.law_moments import LONG as LONG_TAIL
 from certigym.synthesis.path_checking.law_moments import moments_of
-from certigym.synthesis.path_checking.nonlinear_check import Noise
+from certigym.synthesis.path_checking.moving import Noise
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""

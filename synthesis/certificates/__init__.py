@@ -39,7 +39,7 @@ from .joint_proof import JointProof, TimedProof, joint_certificate, timed_certif
 from .mixed_proof import MixedProof
 from .mixed_states import known_letters, pairs_between, reached_states
 from .part import AgentPart
-from .path_proof import AgentPath, AlongPath, PathProof
+from .path_proof import SOMETIME, AgentPath, AlongPath, PathProof
 from .path_tube import KEPT, Tube, tube_along
 from .product_proof import ProductProof, product_certificate, split
 from .proof import Offer, Proof
@@ -67,6 +67,7 @@ __all__ = [
     "PathProof",
     "ProductProof",
     "Proof",
+    "SOMETIME",
     "Seen",
     "Statement",
     "SubtractionProof",

@@ -36,7 +36,7 @@ def known_letters(problem: Problem, paths: Any, usual: NDArray[np.bool_]) -> lis
     for letter in paths.proof.letters:
         known = {between[k]: bool(usual[k]) for k in between}
         for p, name in enumerate(names):
-            if name in of_paths and (value := int(letter[of_paths.index(name)])):
+            if name in of_paths and (value := int(letter[of_paths.index(name)])) in (-1, 1):
                 known[p] = value > 0
         result.append(known)
     return result

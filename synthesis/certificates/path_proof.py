@@ -27,6 +27,9 @@ from .certificate import Certificate
 from .digits import significant_up
 from .proof import Offer, Proof
 
+SOMETIME = 2
+"""A letter over a window of times: the proposition is to hold at one of them at least."""
+
 
 @dataclass(frozen=True, eq=False)
 class AgentPath:
@@ -88,10 +91,12 @@ class PathProof(Proof):
     paths : tuple of AgentPath
         One for each agent, for S steps; S is the horizon unless the task is satisfied earlier.
     letters : (S + 1, P) int8 array
-        Of each proposition of the automaton at times 0 to S: 1 if it is to hold, -1 if not, 0 if that does not matter.
+        Of each proposition of the automaton at times 0 to S: 1 if it is to hold, -1 if not, 0 if that does not matter;
+        ``SOMETIME`` at times in a row at one of which it is to hold.
     faces : (S + 1, P) int array
         Where a proposition is not to hold: the side of its region that is kept away from, ``2 k`` for below the lower
-        limit of output k, ``2 k + 1`` for above the upper one; -1 elsewhere.
+        limit of output k, ``2 k + 1`` for above the upper one. Where it is to hold at some time: the side that the path
+        comes from. -1 elsewhere.
     failure : float
         Upper bound on the probability that the task is not satisfied.
     normals : (S + 1, sum of p) array, optional

@@ -198,10 +198,13 @@ class _Walk:
         self.unknowns, self.noises = each(lambda p: p.by_unknowns), each(lambda p: p.noises)
         self.limits_x = each(lambda p: p.limits.states[0]), each(lambda p: p.limits.states[1])
         self.limits_y = each(lambda p: p.limits.outputs[0]), each(lambda p: p.limits.outputs[1])
+        self.jumps = each(lambda p: p.limits.jumps[0]), each(lambda p: p.limits.jumps[1])
+        self.jumped: tuple[FloatArray, ...] | None = None
         if self.model.scale is not None:
             self.scales, self.slopes = each(lambda p: p.scales[0]), each(lambda p: p.scales[1])
         self.asked = _padded(paths, which)
         self.needs_outputs = any(len(path.limits.limited) or path.pairs for path in paths)
+        self.needs_outputs |= any(bool(np.any(np.isfinite(ends))) for ends in self.jumps)
         self.shared = self.model.shared
         steps, d = self.steps, self.d
         self.products = np.zeros((self.n, steps + 1, d, d))
@@ -284,6 +287,7 @@ class _Walk:
                 )  # fmt: skip
                 self._ask(t, eye)
                 outputs[:, t] = self._outputs(t, reach)
+                self._land(t, reach)
                 if t in self.asked:
                     pairs[t] = self._pairs(t, reach, self.asked[t])
             if t < steps:
@@ -325,6 +329,40 @@ class _Walk:
             self.worth.add(*rows, nothing, sd[:, here] ** 2, names, largest)
             self._ask(t, self.C[t][:, here])
         return sd, drift, shift
+
+    def _jump(
+        self, t: int, reach: Both, closed: FloatArray, step: tuple[FloatArray, FloatArray, FloatArray]
+    ) -> tuple[FloatArray, ...] | None:
+        """Return shifts, drifts, variances and largest ones (N, p) of how outputs move from time t to the next.
+
+        A step has a middle and a half width (N, d) of its remainder, and noise (N, d, d). None where nothing is asked.
+        """
+        if not any(np.any(np.isfinite(end[t + 1])) for end in self.jumps):
+            return None
+        middle, off, noise = step
+        after, before = self.C[t + 1], self.C[t]
+        form = np.matmul(after, closed) - before
+        (shift, drift, variance), largest = self.of_rows(t, form), self.largest(t, form)
+        own = np.sum(np.matmul(after, noise) * after, axis=2)
+        middle_y, off_y = self._off_outputs(t, reach)
+        shift = shift + np.einsum("npd,nd->np", after, middle) - middle_y
+        drift = drift + np.einsum("npd,nd->np", np.abs(after), off) * OUTWARD + off_y
+        return shift, drift, variance + own, np.maximum(variance if largest is None else largest, own)
+
+    def _land(self, t: int, reach: Both) -> None:
+        """Add the limits of how far outputs moved in the step before."""
+        if self.jumped is None:
+            return
+        shift, drift, variance, largest = self.jumped
+        middle, off = self._off_outputs(t, reach)
+        moved, size = self.y[t] - self.y[t - 1] + shift + middle, INWARD * (np.abs(self.y[t]) + 1e-3)
+        low, high = (end[t] for end in self.jumps)
+        here = np.flatnonzero(np.any(np.isfinite(low) | np.isfinite(high), axis=0))
+        spare = size + drift + off
+        rows = (moved - low - spare)[:, here], (high - moved - spare)[:, here]
+        names = [f"jump of output {k} to step {t}" for k in here]
+        variance, largest = variance[:, here] * OUTWARD, largest[:, here] * OUTWARD
+        self.worth.add(*rows, np.full((self.n, len(here)), np.inf), variance, names, largest)
 
     def _pairs(self, t: int, reach: Both, asked: OtherSides) -> tuple[FloatArray, ...]:
         """Add the limits of differences of this agent and others; return what it adds to them (N, J).
@@ -425,6 +463,7 @@ class _Walk:
         middle = np.where(is_known, middle, 0.0)
         off = np.where(is_known, np.minimum(off, self.lost), self.lost)
         closed, k = A + np.matmul(B, gain), self.count
+        self.jumped = self._jump(t, reach, closed, (middle, off, noise))
         self.products[:, :k] = np.clip(np.matmul(closed[:, None], self.products[:, :k]), -1e30, 1e30)
         if self.keeps_all or np.any(off) or np.any(middle):
             self.products[:, k] = np.eye(d)

@@ -130,6 +130,14 @@ class NonlinearSearch:
                 return best
         return best
 
+    def along_again(self, letters: NDArray[np.int8], found: Found) -> Found | None:
+        """Return a nominal path for other letters, which may take more steps, from the inputs of one that was found."""
+        u = found.nominal.inputs
+        u = np.concatenate([u, np.repeat(u[-1:], max(0, len(letters) - 1 - len(u)), axis=0)])
+        start = 0.5 * (self.agent.initial.low + self.agent.initial.high)
+        seen, _ = self.model.outputs(rolled(self.model, start, u))
+        return self._along(letters, seen, u, found.theta)
+
     def full(self, letters: NDArray[np.int8], found: Found) -> Found:
         """Return a nominal path that is better than one that was found, if there is work left for one."""
         if self.work.is_over():

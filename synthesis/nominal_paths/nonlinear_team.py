@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
@@ -23,6 +24,7 @@ from .polish import polished
 from .team_search import TeamFound, TeamSearch, search_key
 from .tied_paths import Ties
 from .tried_runs import plans_of_runs
+from .visits import HALVES, with_windows
 from .words import Plan, letters_of
 
 MOST_PLANS, MOST_HOPELESS = 6, 18
@@ -40,6 +42,10 @@ PROMISING = -4.0
 REFINED, NEAR = 4, 1.5
 """Plans on which more work is spent, and how much worse their logarithm may be after little work, which hardly tells
 them apart."""
+
+WORSE = 3.0
+"""By how much the logarithm of the failure of a plan may be worse than that of the best one for more work to be spent
+on it: with other visits after little work, or moved a little in all that is free."""
 
 POLISHED = ((3, 20), (1, 100))
 """Plans that are moved a little in all that is free, and for how many generations: the best of some is gone on with."""
@@ -118,7 +124,7 @@ class _Apart:
         self.alike = [i if self.ties.are_any else self._alike(i) for i in range(problem.n_agents)]
         self.known: dict[object, tuple[int, Found] | None] = {}
         self.warm: list[FloatArray | None] = [None] * problem.n_agents
-        self.seen, self.done = [], dict[Plan, Refined]()
+        self.seen, self.done, self.crossings = [], dict[object, Refined](), set[bytes]()
         self.stopped = ""
 
     @property
@@ -188,11 +194,40 @@ class _Apart:
         assert best is not None
         return best
 
+    def crossed(self, best: Refined) -> Refined:
+        """Return a plan that fails at most as often, by visits at any time of a window in the place of fixed times."""
+        key = best.letters.tobytes()
+        if self.ties.are_any or best.failure <= GOOD or key in self.crossings:
+            return best
+        self.crossings.add(key)
+        tried: list[tuple[float, NDArray[np.int8], list[Found]]] = []
+        drawn = [deepcopy((search.rng, search.narrowing)) for search in self.searches]
+        for half in HALVES:
+            letters = with_windows(self.problem, best.letters, half)
+            if letters is None or self.work.is_over():
+                break
+            each = [search.along_again(letters, one) for search, one in zip(self.searches, best.found, strict=True)]
+            known = [one for one in each if one is not None]
+            if len(known) == len(each):
+                tried.append((float(np.logaddexp.reduce([one.score for one in known])), letters, known))
+        score, letters, known = min(tried, key=lambda one: one[0], default=(np.inf, best.letters, []))
+        if score < np.log(best.failure) + WORSE:
+            crossing = _refined(self.problem, best.times, letters, self._full(letters, known))
+            if crossing.failure < best.failure:
+                self.done[letters.tobytes()] = crossing
+                self.work.tell(crossing.failure)
+                return crossing
+        # Plans with visits at fixed times go on as if nothing else had been looked at.
+        for search, generators in zip(self.searches, drawn, strict=True):
+            search.rng, search.narrowing = generators
+        return best
+
     def touched_up(self, best: Refined) -> Refined:
         """Return a plan that fails at most as often, after small moves of all that is free in the best few plans."""
         if self.ties.are_any:
             return best  # small moves of one agent would have to fit those of all others
-        plans = sorted(self.done.values(), key=lambda one: one.failure)
+        plans = [one for one in self.done.values() if one.failure <= best.failure * np.exp(WORSE)]
+        plans = sorted(plans, key=lambda one: one.failure)
         for count, generations in POLISHED:
             if best.failure <= GOOD:
                 break
@@ -302,6 +337,10 @@ class _Together:
         found = self.search.full(letters, found)
         return Refined(times, letters, found.found, found.failure, found.weakest, found.rows.normals)
 
+    def crossed(self, best: Refined) -> Refined:
+        """Return the plan: of teams that are planned together visits are at fixed times."""
+        return best
+
     def touched_up(self, best: Refined) -> Refined:
         """Return the plan: what pairs ask for ties all paths together."""
         return best
@@ -371,18 +410,17 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""
         raise NoRunFound(f"{NO_PATH}{more}")
-    best = team.refined()
+    best = team.crossed(team.refined())
     if best.failure > GOOD and pairs <= FEW_PAIRS and not work.is_over():
         # Other times of the jumps, each looked at after little work.
         before = team.best[0]
         with work.within(patience + share - work.spent if best.failure >= WORTHLESS else np.inf):
             _with_better_times(team, work)
         if team.best[0] < before or best.failure > FAIR:
-            again = team.refined(REFINED)
+            again = team.crossed(team.refined(REFINED))
             best = again if again.failure < best.failure else best
     # Small moves make good plans better; where nothing is left of a bound they take longest and change nothing.
-    best = best if work.is_over() or best.failure >= WORTHLESS else team.touched_up(best)
-    return team.tried, best
+    return team.tried, best if work.is_over() or best.failure >= WORTHLESS else team.touched_up(best)
 
 
 def _calm_run(problem: Problem, best: Refined, sources: Sequence[PlansOf], work: CountedWork) -> Refined:

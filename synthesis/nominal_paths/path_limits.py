@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...envs.agents import AnyAgent, Proposition
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from ..certificates import SOMETIME
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,10 +23,13 @@ class Limits:
         Workspace, and regions whose outputs are states.
     outputs : (2, S + 1, p) array
         Regions of other outputs.
+    jumps : (2, S + 1, p) array
+        How far outputs may move in the step before, where a region is to be met at some time.
     """
 
     states: FloatArray
     outputs: FloatArray
+    jumps: FloatArray
 
     @property
     def are_empty(self) -> bool:
@@ -34,7 +38,7 @@ class Limits:
 
     def for_nominal(self, states: FloatArray, outputs: FloatArray) -> Limits:
         """Return what this asks of nominal values, from which true ones are shifted: (S + 1, d) and (S + 1, p)."""
-        return Limits(self.states - states, self.outputs - outputs)
+        return Limits(self.states - states, self.outputs - outputs, self.jumps)
 
     @property
     def limited(self) -> NDArray[np.int64]:
@@ -66,11 +70,14 @@ def limits_along(problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], f
     """Return the limits of an agent for letters (S + 1, P) and sides of regions that are kept away from."""
     steps, p = len(letters), agent.n_outputs
     outputs = np.stack([np.full((steps, p), -np.inf), np.full((steps, p), np.inf)])
+    jumps = outputs.copy()
     for q, name in enumerate(problem.automaton.propositions):
         if q >= problem.labeling.first_pair or problem.propositions[name].agent != agent.name:
             continue
         low, high = without_far_ends(agent, *corners_along(problem, name, steps))
-        here = letters[:, q] > 0
+        for first, last in windows_of(letters[:, q]):
+            _cross(outputs, jumps, (low, high), (first, last), int(faces[first, q]))
+        here = letters[:, q] == 1
         outputs[0, here] = np.maximum(outputs[0, here], low[here])
         outputs[1, here] = np.minimum(outputs[1, here], high[here])
         for t in np.flatnonzero(letters[:, q] < 0):
@@ -89,7 +96,35 @@ def limits_along(problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], f
             outputs[0, :, k], outputs[1, :, k] = -np.inf, np.inf
     for ends in (states, outputs):
         ends[0, 0], ends[1, 0] = -np.inf, np.inf
-    return Limits(states, outputs)
+    return Limits(states, outputs, jumps)
+
+
+def windows_of(letters: NDArray[np.int8]) -> list[tuple[int, int]]:
+    """Return first and last times of the windows in which a proposition with letters (S + 1,) is to hold."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], letters == SOMETIME, [False]])))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+
+
+def _cross(
+    outputs: FloatArray, jumps: FloatArray, region: tuple[FloatArray, FloatArray], window: tuple[int, int], face: int
+) -> None:
+    """Note limits of outputs and of their jumps (2, S + 1, p) of crossing a region that a path comes to by a face.
+
+    Beyond the face that it comes by at last, not yet beyond the opposite one at first, and over no region in one step.
+    """
+    (low, high), (first, last), (k, from_above) = region, window, divmod(face, 2)
+    times = slice(first, last + 1)
+    others = np.arange(outputs.shape[2]) != k
+    outputs[0, times, others] = np.maximum(outputs[0, times, others], low[times, others].T)
+    outputs[1, times, others] = np.minimum(outputs[1, times, others], high[times, others].T)
+    near, far = (first, last) if from_above else (last, first)
+    outputs[0, near, k] = max(outputs[0, near, k], low[near, k])
+    outputs[1, far, k] = min(outputs[1, far, k], high[far, k])
+    before, after = slice(first, last), slice(first + 1, last + 1)
+    if from_above:
+        jumps[0, after, k] = np.maximum(jumps[0, after, k], low[after, k] - high[before, k])
+    else:
+        jumps[1, after, k] = np.minimum(jumps[1, after, k], high[after, k] - low[before, k])
 
 
 def sides_of(
@@ -97,7 +132,8 @@ def sides_of(
 ) -> NDArray[np.int64]:
     """Return the sides (S + 1, P) on which outputs (S + 1, p) are farthest beyond regions, in units ``sharp`` (p,).
 
-    Only those of this agent's propositions that are not to hold; -1 elsewhere.
+    Only those of this agent's propositions that are not to hold, or to hold at some time of a window: of these the
+    sides on which they are before. -1 elsewhere.
     """
     faces = np.full(letters.shape, -1)
     for q, name in enumerate(problem.automaton.propositions):
@@ -105,6 +141,8 @@ def sides_of(
             continue
         best = farthest_sides(agent, *corners_along(problem, name, len(letters)), outputs, sharp)
         faces[letters[:, q] < 0, q] = best[letters[:, q] < 0]
+        for first, last in windows_of(letters[:, q]):
+            faces[first : last + 1, q] = best[first - 1]
     return faces
 
 

@@ -250,9 +250,9 @@ class TeamSearch:
         each = [limits_along(self.problem, search.agent, letters, faces) for search in self.searches]
         if any(limits.are_empty for limits in each):
             return None
-        return Limits(
-            np.concatenate([one.states for one in each], axis=2), np.concatenate([one.outputs for one in each], axis=2)
-        )
+        parts = ([one.states for one in each], [one.outputs for one in each], [one.jumps for one in each])
+        states, outputs, jumps = (np.concatenate(part, axis=2) for part in parts)
+        return Limits(states, outputs, jumps)
 
     def _outputs(self, states: FloatArray) -> list[FloatArray]:
         """Return the outputs (S + 1, p) of each agent at states (S + 1, D)."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Proposition
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
+from ..certificates import SOMETIME
 from .exclusions import exclusions
 
 MOST_STEPS = 20_000
@@ -180,18 +181,39 @@ def _leads_to(automaton: Automaton, root: int) -> dict[int, set[int]]:
 def is_accepted(problem: Problem, letters: NDArray[np.int8]) -> bool:
     """Return whether every word that agrees with letters (S + 1, P) at times 1 to S is accepted."""
     automaton = problem.automaton
-    states = set() if problem.initial_q is None else {problem.initial_q}
+    nothing = frozenset[int]()
+    reached = set() if problem.initial_q is None else {(problem.initial_q, nothing)}
     known: dict[tuple[int, bytes], set[int]] = {}
-    for letter in letters[1:]:
-        key = letter.tobytes()
-        for q in states:
-            if (q, key) not in known:
-                known[q, key] = targets_of(automaton, q, letter.tolist())
-        states = {target for q in states for target in known[q, key]}
+    for t, letter in enumerate(letters[1:], start=1):
+        goes_on = letters[t + 1] == SOMETIME if t + 1 < len(letters) else np.zeros(len(letter), dtype=bool)
+        ending = {*np.flatnonzero((letter == SOMETIME) & ~goes_on).tolist()}
+        after = set[tuple[int, frozenset[int]]]()
+        for q, met in reached:
+            for read, by_now in _readings(letter, met):
+                if not ending <= by_now:
+                    continue  # nothing was met in a window that ends here
+                key = q, read.tobytes()
+                if key not in known:
+                    known[key] = targets_of(automaton, q, read.tolist())
+                after |= {(target, by_now - ending) for target in known[key]}
+        reached = after
         # From a dead state no word is accepted.
-        if any(automaton.dead[q] for q in states):
+        if any(automaton.dead[q] for q, _ in reached):
             return False
-    return all(automaton.accepting[q] for q in states)
+    return all(automaton.accepting[q] for q, _ in reached)
+
+
+def _readings(letter: NDArray[np.int8], met: frozenset[int]) -> Iterator[tuple[NDArray[np.int8], frozenset[int]]]:
+    """Yield letters (P,) that may be read, and what was met in windows by then: it holds now, or not yet."""
+    is_open = letter == SOMETIME
+    if not is_open.any():
+        yield letter, met
+        return
+    waiting = [p for p in np.flatnonzero(is_open).tolist() if p not in met]
+    for each in product((-1, 1), repeat=len(waiting)):
+        read = np.where(is_open, 0, letter).astype(np.int8)
+        read[waiting] = each
+        yield read, met | {p for p, value in zip(waiting, each, strict=True) if value > 0}
 
 
 def targets_of(automaton: Automaton, q: int, letter: list[int]) -> set[int]:

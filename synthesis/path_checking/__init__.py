@@ -1,7 +1,7 @@
 """Proofs along paths done again: intervals of its own, linear deviations, what they must keep, and time 0."""
 
 from .hull_check import wrong_hull
-from .nonlinear_check import Moving
+from .moving import Moving
 from .own_angles import wrong_angles
 from .own_intervals import Span, bounds, computed_off, products, span
 from .own_regions import RegionSpan

@@ -107,6 +107,17 @@ def _with_share(share: float, both: FloatArray, inner: FloatArray, outer: FloatA
     return (any_slab + float(np.sum(np.where(as_slab, 0.0, outer)))) * TAIL
 
 
+def shortened(
+    below: FloatArray, above: FloatArray, shift: FloatArray, drift: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return distances from limits after shifts and drifts (J,), rounded inward."""
+    ends = []
+    for distance, moved in ((below, shift), (above, -shift)):
+        size = np.where(np.isfinite(distance), np.abs(distance), 0.0) + np.abs(moved)
+        ends.append(distance + moved - drift - 4.0 * UNIT * size)
+    return ends[0], ends[1]
+
+
 def moment_tails(
     distance: FloatArray, variance: FloatArray, kind: int = LIGHT, largest: FloatArray | None = None
 ) -> FloatArray:

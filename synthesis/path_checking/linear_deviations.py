@@ -11,6 +11,7 @@ the rounding at j, so that Frobenius norms of true products bound it, and these 
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -99,6 +100,13 @@ class Chain:
         if tilted is not None:
             squares, tilts = tilted.squares / u**2, tilted.tilts * (u[None, :] / u[:, None] ** 2)
             self.tilted.append(Tilted(squares, tilts, tilted.sizes / u))
+
+    def as_it_is(self) -> Chain:
+        """Return a copy that stays as it is when this one goes on: arrays are never changed, lists grow."""
+        result = copy(self)
+        for name in ("rounded", "middles", "drifts", "noises", "loops", "tilted"):
+            setattr(result, name, [*getattr(self, name)])
+        return result
 
     def drift(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What rows (J, d) of the deviation are off those of the linear one: shifts (J,), and upper bounds around them.

@@ -23,192 +23,23 @@ earlier (``gaussian_inequalities``); then disturbances must not know the noise o
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
-from ...envs.agents import AnyAgent, Proposition, place_of
-from ...envs.expressions import Number, Operation, Tree
+from ...envs.agents import AnyAgent, place_of
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath, AlongPath
-from .gaussian_inequalities import Inequalities
+from .gaussian_inequalities import Inequalities, shortened
 from .law_moments import LONG, NORMAL, moments_of
+from .limits_kept import add_limits
 from .linear_deviations import Chain, Tilted
-from .own_angles import HALF_TURN, ROUNDED, TURN, axes_of_angles, copy_of, gap_of
-from .own_bends import Expansion, Feedback, expansion
-from .own_regions import RegionSpan
+from .moment import Arrival, Moment
+from .moving import Moving, NothingKnownError
+from .own_angles import HALF_TURN, ROUNDED, axes_of_angles
+from .own_bends import Feedback, expansion
 from .roundings import TAIL, UNIT
-
-
-class NothingKnownError(Exception):
-    """Nothing is known of an agent beyond a step."""
-
-
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """Noise of an agent: a covariance (d, d) that is above it, means (d,) of its sums, and how it is multiplied.
-
-    ``deviations`` (d,) are those of its components, before they are multiplied; ``off`` (d,) is what means are off by.
-    ``tail`` is what is known of its tails, and ``lost`` the probability of the noise of a step that is given up.
-    """
-
-    covariance: FloatArray
-    deviations: FloatArray
-    means: FloatArray
-    off: FloatArray
-    tail: int
-    lost: float
-
-    @classmethod
-    def of(cls, agent: AnyAgent) -> Noise:
-        """Read the noise of an agent, of whose laws exponential moments are known."""
-        d = agent.n_states
-        if agent.laws is None:
-            return cls(agent.noise_covariance, np.zeros(d), np.zeros(d), np.zeros(d), NORMAL, 0.0)
-        laws = [moments_of(law) for law in agent.laws]
-        known = [law for law in laws if law is not None]
-        if len(known) < len(laws):
-            raise NothingKnownError(f"agent `{agent.name}`: no moments of its noise are known")
-        axes, deviations = agent.noise_axes, np.array([law.deviation for law in known])
-        means, off = np.array([law.mean for law in known]), np.array([law.off for law in known])
-        moved, size = axes @ means, np.abs(axes) @ np.abs(means)
-        # Each entry is a sum of d products of three factors.
-        covariance = (axes * deviations**2) @ axes.T
-        length = np.sqrt(np.diag(np.abs(axes) * deviations**2 @ np.abs(axes).T))
-        covariance = covariance + np.diag(d * (d + 4.0) * UNIT * length * length.max(initial=0.0))
-        tail, lost = max(law.tail for law in known), sum(law.lost for law in known)
-        return cls(covariance, deviations, moved, np.abs(axes) @ off + (d + 2.0) * UNIT * size, tail, lost)
-
-    def moved(self, trees: tuple[Tree, ...], scales: tuple[Tree, ...]) -> tuple[Tree, ...]:
-        """Return dynamics with the means of the noise in them."""
-        if not np.any(self.means):
-            return trees
-        result = []
-        for k, (tree, mean) in enumerate(zip(trees, self.means.tolist(), strict=True)):
-            added = Operation("*", (Number(mean), scales[k])) if scales else Number(mean)
-            result.append(Operation("+", (tree, added)) if mean else tree)
-        return tuple(result)
-
-
-@dataclass(frozen=True, eq=False)
-class Moving:
-    """How an agent moves, as expressions.
-
-    ``names`` are those of states, inputs and of what is unknown, in ``ranges`` (2, k). Means of noise are in ``trees``;
-    ``deviations`` (d,) of its components are those of laws above them.
-    """
-
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    unknown: tuple[str, ...]
-    ranges: FloatArray
-    trees: tuple[Tree, ...]
-    outputs: tuple[Tree, ...]
-    scales: tuple[Tree, ...]
-    noise: Noise
-
-    @classmethod
-    def of(cls, agent: AnyAgent) -> Moving:
-        """Read an agent; matrices become sums of products."""
-        noise = Noise.of(agent)
-        ranges = np.array(list(agent.unknowns.values()), dtype=float).reshape(-1, 2).T
-        scales = agent.timed_scale_trees
-        trees = noise.moved(agent.timed_trees, scales)
-        names = agent.states, agent.inputs, tuple(agent.unknowns)
-        return cls(*names, ranges, trees, agent.output_trees, scales, noise)
-
-
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """An agent at one time of its path: nominal state (d,), the box (2, d) that holds the true one, and the past."""
-
-    t: int
-    moving: Moving
-    agent: AnyAgent
-    at: FloatArray
-    box: FloatArray
-    slab: FloatArray
-    chain: Chain
-
-    @cached_property
-    def reach(self) -> FloatArray:
-        """Upper bounds (d,) on how far the true state is from the nominal one."""
-        return np.asarray(np.maximum(self.box[1] - self.at, self.at - self.box[0]) * TAIL)
-
-    @cached_property
-    def outputs(self) -> Expansion:
-        """Outputs around the nominal state."""
-        return expansion(self.moving.outputs, self.moving.states, self.at, self.box, len(self.at))
-
-    def limits(self, certificate: AlongPath, rows: Inequalities) -> None:
-        """Add the inequalities on the state: workspace, tube, and regions that are to hold or not."""
-        eye = np.eye(len(self.at))
-        # Nothing leaves its workspace by turning.
-        ends = np.where(axes_of_angles(self.agent) > 0.0, np.inf, 0.0)
-        lowest, highest = self.agent.state_low - ends, self.agent.state_high + ends
-        # Row, nominal value from below and above, limits, what the form is off, and its slab.
-        asked = [
-            (eye[k], self.at[k], self.at[k], lowest[k], highest[k], 0.0, self.slab[k]) for k in range(len(self.at))
-        ]
-        asked += [(*form, np.inf) for form in self._regions(certificate)]
-        # Forms of one row are one: the narrowest limits say all.
-        merged: dict[bytes, list[float]] = {}
-        order = []
-        for row, least, most, low, high, off, slab in asked:
-            rounded = 4.0 * UNIT * (abs(least) + abs(most))
-            below = least - low - off - rounded - 4.0 * UNIT * abs(low) if np.isfinite(low) else np.inf
-            above = high - most - off - rounded - 4.0 * UNIT * abs(high) if np.isfinite(high) else np.inf
-            key = (row + 0.0).tobytes()
-            if key not in merged:
-                order.append(row)
-                merged[key] = [below, above, slab]
-            merged[key] = [min(a, b) for a, b in zip(merged[key], (below, above, slab), strict=True)]
-        forms, ends = np.array(order), np.array(list(merged.values()))
-        below, above = shortened(ends[:, 0], ends[:, 1], *self.chain.drift(forms))
-        slab = ends[:, 2]
-        bounds = self.chain.exponential_tails(forms, np.minimum(below, slab), np.minimum(above, slab))
-        rows.add(below, above, slab, *self.chain.spreads(forms), bounds=bounds)
-
-    def _of_copies(self, k: int, low: float, high: float, holds: bool) -> tuple[int, float, float]:
-        """Return limits of an output; those of angles are the ends of a copy of a region, or of the gap between two."""
-        if k not in self.agent.angle_outputs:
-            return k, low, high
-        value = float(self.outputs.values[0, k])
-        if holds and high - low >= TURN:
-            return k, -np.inf, np.inf  # all of the circle
-        least, most = copy_of(low, high, value) if holds else gap_of(low, high, value)
-        return k, least + ROUNDED, most - ROUNDED
-
-    def _regions(self, certificate: AlongPath) -> Iterator[tuple[FloatArray, float, float, float, float, float]]:
-        """Yield row, nominal value from below and above, both limits, and the remainder, of forms of regions."""
-        problem = certificate.problem
-        for p, name in enumerate(problem.automaton.propositions):
-            value = int(certificate.proof.letters[self.t, p])
-            if value == 0 or p >= problem.labeling.first_pair:
-                continue
-            proposition = problem.propositions[name]
-            if proposition.agent != self.agent.name:
-                continue
-            # Where it is at this time, the corners on the side on which less is claimed.
-            assert isinstance(proposition, Proposition)
-            region = RegionSpan.of(proposition, self.t)
-            faces = range(region.low.shape[1])
-            limits = [(k, float(region.low[1, k]), float(region.high[0, k])) for k in faces]
-            limits = [self._of_copies(*limit, holds=True) for limit in limits]
-            if value < 0:
-                limits = [(k, float(region.low[0, k]), float(region.high[1, k])) for k in faces]
-                face = int(certificate.proof.faces[self.t, p])
-                if not 0 <= face < 2 * len(limits):
-                    raise NothingKnownError(f"region `{name}` is passed on no side at step {self.t}")
-                k, low, high = limits[face // 2]
-                is_angle = k in self.agent.angle_outputs
-                limits = [(k, high, np.inf) if face % 2 else (k, -np.inf, low)]
-                limits = [self._of_copies(k, low, high, holds=False)] if is_angle else limits
-            found = self.outputs
-            for k, low, high in limits:
-                yield found.matrix[k], found.values[0, k], found.values[1, k], low, high, float(found.off[k])
 
 
 def moments(
@@ -232,7 +63,7 @@ def moments(
     first = path.states[0]
     free = np.where(axes_of_angles(agent) > 0.0, np.inf, 0.0)  # nothing leaves its workspace by turning
     spread = np.maximum(np.maximum(start.high - first, first - start.low), 0.0) * (1.0 + 2.0 * UNIT)
-    chain = Chain(units, spread)
+    chain, arrival = Chain(units, spread), None
     for t, (at, slabs) in enumerate(zip(path.states, path.slabs, strict=True)):
         # Where dynamics name the time, they are those of this step.
         now = _at(agent, min(t, path.n_steps - 1))
@@ -254,11 +85,11 @@ def moments(
                         np.minimum(at + np.maximum(shift + reach, 0.0), highest)])  # fmt: skip
         box = np.stack([np.maximum(np.nextafter(box[0], -np.inf), lowest),
                         np.minimum(np.nextafter(box[1], np.inf), highest)])  # fmt: skip
-        yield Moment(t, moving, now, at, box, slabs[:d], chain)
+        yield Moment(t, moving, now, at, box, slabs[:d], chain, arrival)
         if t == path.n_steps:
             return
         here = replace(moving, ranges=beside(moving.ranges))
-        _step(now, here, path, Moment(t, here, now, at, box, slabs[d:], chain), rows)
+        arrival = _step(now, here, path, Moment(t, here, now, at, box, slabs[d:], chain), rows)
         assert len(slabs) == 2 * d + m
 
 
@@ -270,8 +101,8 @@ def _at(agent: AnyAgent, time: int) -> AnyAgent:
         raise NothingKnownError(str(error)) from None
 
 
-def _step(agent: AnyAgent, moving: Moving, path: AgentPath, now: Moment, rows: Inequalities) -> None:
-    """Go on by a step: inputs, the remainder on the tube, and the noise."""
+def _step(agent: AnyAgent, moving: Moving, path: AgentPath, now: Moment, rows: Inequalities) -> Arrival:
+    """Go on by a step: inputs, the remainder on the tube, and the noise; return what the step was."""
     t, d, m, chain = now.t, agent.n_states, agent.n_inputs, now.chain
     assert path.states is not None
     gain, u, following = path.gains[t], path.inputs[t], path.states[t + 1]
@@ -303,7 +134,9 @@ def _step(agent: AnyAgent, moving: Moving, path: AgentPath, now: Moment, rows: I
         raise NothingKnownError(f"agent `{agent.name}`: nothing is known of its dynamics on the tube at step {t}")
     if not np.all(np.isfinite(closed)) or float((remainder + np.abs(middle)).max()) > 1e100:
         raise NothingKnownError(f"agent `{agent.name}`: its drift grows beyond all limits at step {t}")
+    before = chain.as_it_is()
     chain.advance(closed, middle, remainder, noise, tilted)
+    return Arrival(now, before, closed, middle, remainder, noise)
 
 
 def _inputs(
@@ -410,17 +243,6 @@ def _tilted(
     return Tilted(np.where(is_less, squares, most), np.where(is_less[:, None], tilts, 0.0), sizes)
 
 
-def shortened(
-    below: FloatArray, above: FloatArray, shift: FloatArray, drift: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return distances from limits after shifts and drifts (J,), rounded inward."""
-    ends = []
-    for distance, moved in ((below, shift), (above, -shift)):
-        size = np.where(np.isfinite(distance), np.abs(distance), 0.0) + np.abs(moved)
-        ends.append(distance + moved - drift - 4.0 * UNIT * size)
-    return ends[0], ends[1]
-
-
 def _near(width: FloatArray) -> FloatArray:
     """Return powers of two near widths."""
     return np.asarray(2.0 ** np.round(np.log2(width)))
@@ -506,7 +328,7 @@ def nonlinear_failures(certificate: AlongPath) -> tuple[dict[int, float], bool]:
         for now in side_by_side(problem, paths, rows):
             for i, moment in now.items():
                 if moment.t:
-                    moment.limits(certificate, rows[i])
+                    add_limits(moment, certificate, rows[i])
     except NothingKnownError:
         return dict.fromkeys(paths, 1.0), are_tied
     return {i: each.failure() for i, each in rows.items()}, are_tied

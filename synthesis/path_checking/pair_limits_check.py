@@ -23,8 +23,11 @@ import numpy as np
 from ...envs.agents import PairRegion
 from ..cells import FloatArray
 from ..certificates import AlongPath
-from .gaussian_inequalities import Inequalities
-from .nonlinear_check import Moment, NothingKnownError, shortened, side_by_side
+from .gaussian_inequalities import Inequalities, shortened
+from .limits_kept import add_limits
+from .moment import Moment
+from .moving import NothingKnownError
+from .nonlinear_check import side_by_side
 from .own_regions import pair_spans
 from .roundings import TAIL, UNIT
 
@@ -70,7 +73,7 @@ def team_failure(certificate: AlongPath) -> float:
         for now in (list(each.values()) for each in side_by_side(problem, paths, dict.fromkeys(paths, rows))):
             if now[0].t:
                 for moment in now:
-                    moment.limits(certificate, rows)
+                    add_limits(moment, certificate, rows)
                 _add_pairs(now, _forms(certificate, now[0].t), rows, problem.shared_noise)
     except NothingKnownError:
         return 1.0

@@ -17,7 +17,8 @@ from scipy.special import erfc
 from ...envs.agents import LinearAgent, Proposition, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import AgentPath, AlongPath, state
+from ..certificates import SOMETIME, AgentPath, AlongPath, state
+from .crossings import Met, closed, readings, wrong_windows
 from .nonlinear_check import nonlinear_failures, wrong_nonlinear_path
 from .own_regions import RegionSpan
 from .pair_limits_check import team_failure, wrong_normals
@@ -216,7 +217,7 @@ def _wrong_form(certificate: AlongPath) -> list[str]:
         failures.append("its path does not fit the horizon or the agents")
     elif certificate.proof.letters.shape != shape or certificate.proof.faces.shape != shape:
         failures.append("its letters do not fit the path")
-    elif not np.all(np.isin(certificate.proof.letters, (-1, 0, 1))):
+    elif not np.all(np.isin(certificate.proof.letters, (-1, 0, 1, SOMETIME))):
         failures.append("its letters are none")
     elif not 0.0 <= certificate.proof.failure <= 1.0:
         failures.append("its probability of failing is none")
@@ -233,17 +234,24 @@ def _wrong_form(certificate: AlongPath) -> list[str]:
             failures.append(f"the inputs of agent `{agent.name}` are no numbers")
         elif agent.angles:
             failures.append(f"agent `{agent.name}` has angles, and no nominal states")
-    return failures or wrong_normals(certificate) or wrong_start(problem)
+    return failures or wrong_windows(certificate) or wrong_normals(certificate) or wrong_start(problem)
 
 
 def _wrong_word(certificate: AlongPath) -> list[str]:
     """Whether every word that agrees with the letters is accepted."""
     problem, automaton = certificate.problem, certificate.problem.automaton
     assert problem.initial_q is not None  # others were refused
-    states = {problem.initial_q}
+    reached: set[tuple[int, Met]] = {(problem.initial_q, frozenset())}
     for t in range(1, certificate.proof.n_steps + 1):
-        known = _known(problem, certificate.proof.letters[t].tolist(), t)
-        states = {target for q in states for target in _targets(certificate, q, known)}
+        after = set[tuple[int, Met]]()
+        for q, met in reached:
+            for letter, by_now in readings(certificate.proof.letters[t].tolist(), met):
+                # Where a window ends and nothing was met in it, no run is.
+                if (rest := closed(certificate.proof, t, by_now)) is not None:
+                    known = _known(problem, letter, t)
+                    after |= {(target, rest) for target in _targets(certificate, q, known)}
+        reached = after
+    states = {q for q, _ in reached}
     if not automaton.is_co_safe and certificate.proof.n_steps != problem.horizon:
         return ["its path ends before the horizon, and the task is judged there"]
     if not all(automaton.accepting[q] for q in states):

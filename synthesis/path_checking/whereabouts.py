@@ -11,7 +11,8 @@ from ...envs.agents import AnyAgent
 from ..cells import FloatArray
 from ..certificates import AgentPath
 from .gaussian_inequalities import Inequalities
-from .nonlinear_check import NothingKnownError, moments
+from .moving import NothingKnownError
+from .nonlinear_check import moments
 from .roundings import TAIL, UNIT
 
 
