@@ -293,6 +293,10 @@ MUTANTS = [
         ("slab = ends[:, 2]", "slab = np.inf * (1.0 + ends[:, 2])"),
         ("region = RegionSpan.of(proposition, now.t)", "region = RegionSpan.of(proposition, now.t - 1)"),
         ("add_jumps(now, certificate, rows)", "pass"),
+        (
+            "- rounded - (4.0 * UNIT * abs(low) if np.isfinite(low) else 0.0)",
+            "- rounded if np.isfinite(low) else np.inf",
+        ),
         ("if value == SOMETIME:", "if False:"),
     ),
     *_in(

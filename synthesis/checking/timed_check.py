@@ -20,6 +20,9 @@ from ..path_checking import RegionSpan
 if TYPE_CHECKING:
     from ...envs.problem import Problem
 
+WIDE = 1e-9
+"""Width, as a share of a number and one, from which an interval says nothing of where a corner is."""
+
 
 def wrong_in_time(certificate: Certificate[TimedProof]) -> list[str]:
     """Return what is wrong with a certificate of a problem that names the time, apart from that of its base."""
@@ -78,7 +81,9 @@ def _wrong_places(problem: Problem, base: Problem) -> list[str]:
 
 
 def _within(numbers: np.ndarray, ends: np.ndarray) -> bool:
-    return bool(np.all((ends[0] <= numbers) & (numbers <= ends[1])))
+    """Return whether numbers are between ends that are next to each other: within wide ones they may be anything."""
+    is_known = ends[1] - ends[0] <= WIDE * (1.0 + np.abs(numbers))
+    return bool(np.all((ends[0] <= numbers) & (numbers <= ends[1]) & is_known))
 
 
 def _wrong_told(base: Problem, part: AgentPart, table: NDArray[np.int64]) -> str:

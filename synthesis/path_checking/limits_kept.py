@@ -35,6 +35,8 @@ def add_limits(now: Moment, certificate: AlongPath, rows: Inequalities) -> None:
         # A lower limit that is infinite above is one that nothing keeps.
         below = least - low - off - rounded - (4.0 * UNIT * abs(low) if np.isfinite(low) else 0.0)
         above = high - most - off - rounded - (4.0 * UNIT * abs(high) if np.isfinite(high) else 0.0)
+        # What is no number keeps nothing, and would be lost among numbers.
+        below, above = (-np.inf if np.isnan(distance) else distance for distance in (below, above))
         key = (row + 0.0).tobytes()
         if key not in merged:
             order.append(row)
