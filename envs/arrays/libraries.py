@@ -26,6 +26,9 @@ LIBRARIES = (*MUTABLE, "jax")
 Array = Any
 """An array of numpy or of a library."""
 
+_OF_HOST = (np.ndarray, np.generic, float, int)
+"""What numpy computes with; a union in place of this tuple would be made anew at every call."""
+
 
 def device_put(name: str, libraries: Sequence[str] = MUTABLE) -> Callable[[NDArray[Any]], Array]:
     """Return the function that copies numpy arrays to a device (exact).
@@ -114,7 +117,7 @@ def _cupy_put(cupy: Any, device_name: str) -> Callable[[NDArray[Any]], Array]:
 
 def is_host(array: Array) -> bool:
     """Return whether an array is one of numpy; numbers count as such."""
-    return isinstance(array, np.ndarray | np.generic | float | int)
+    return isinstance(array, _OF_HOST)
 
 
 def namespace(array: Array) -> Any:

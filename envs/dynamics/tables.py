@@ -96,8 +96,21 @@ class Counts:
     def points(self, place: int) -> np.ndarray:
         """Return one point for every code of the agent at one place of the block: (d, K)."""
         # The lower edge of each interval lies in it; minus infinity lies below all edges.
-        axes = [np.concatenate([[-np.inf], edges[:, min(place, edges.shape[1] - 1), 0]]) for edges in self.edges]
+        axes = [np.concatenate([[-np.inf], edges]) for edges in self._edges_of(place)]
         return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")])
+
+    def between(self, place: int, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Return the codes of the agent at one place at all states from `low` to `high`, (d,) each, ends included."""
+        axes = self._edges_of(place)
+        spans = [
+            np.arange(*np.searchsorted(edges, [a, b], side="right") + [0, 1]) for edges, a, b in zip(axes, low, high)
+        ]
+        sizes = [len(edges) + 1 for edges in axes]
+        return np.ravel_multi_index(np.meshgrid(*spans, indexing="ij"), sizes).ravel()
+
+    def _edges_of(self, place: int) -> list[np.ndarray]:
+        """Return the edges of the axes of the agent at one place, (E_k,) each."""
+        return [edges[:, min(place, edges.shape[1] - 1), 0] for edges in self.edges]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,6 +161,17 @@ class Reader:
             at += codes[block][place]
             at = table.take(at)
         return self.q.take(at), at >= n_states, self.accepted.take(at)
+
+    def statuses(self, q: int, boxes: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+        """Return the statuses that worlds in the automaton state q may have once they have read a state in boxes.
+
+        The corners of the boxes, (d, n, 1) per block, belong to them.
+        """
+        at = np.array([q * self.first])
+        for block, place, table in self.steps:
+            low, high = (corner[:, place, 0] for corner in boxes[block])
+            at = np.unique(table[at[:, None] + self.counts[block].between(place, low, high)])
+        return at
 
 
 def reader(

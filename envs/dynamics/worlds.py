@@ -129,10 +129,19 @@ class Dynamics:
         return self.put(np.argsort(np.concatenate(order)))
 
     @cached_property
-    def first(self) -> Worlds | None:
-        """One world at its start, if all starts are points: then no start is drawn, and none has to be judged again."""
+    def points(self) -> tuple[np.ndarray, ...] | None:
+        """Where all worlds start, (d, n, 1) per block, if starts are points: then none has to be drawn."""
         if any(block.start_box is not None for block in self.blocks):
             return None
+        return starts(self, np.random.default_rng(0), 1)
+
+    @cached_property
+    def first(self) -> Worlds | None:
+        """One world at its start, if all starts are read alike: then none has to be judged again."""
+        if self.points is None:
+            boxes = [(b.initial_low, b.initial_low if b.start_box is None else b.start_box[1]) for b in self.blocks]
+            if self.reader is None or self.reader.statuses(self.problem.automaton.initial, boxes).size > 1:
+                return None
         return initial(self, np.random.default_rng(0), 1)
 
     @cached_property
@@ -239,6 +248,12 @@ def starts(dynamics: Dynamics, rng: Draws, n_worlds: int) -> tuple[np.ndarray, .
     return tuple(states)
 
 
+def _begun(dynamics: Dynamics, rng: Draws, n_worlds: int) -> Worlds:
+    """Return what `initial` does; an array has one entry for all worlds where these are alike."""
+    states, first = dynamics.points or starts(dynamics, rng, n_worlds), dynamics.first
+    return begin(dynamics, states) if first is None else Worlds(states, first.q, 0, first.failed, first.accepted)
+
+
 def initial_at(dynamics: Dynamics, states: np.ndarray) -> Worlds:
     """Return worlds at time 0 with given joint states (M, D), components in agent order."""
     states = np.asarray(states, dtype=float)
@@ -263,7 +278,7 @@ def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.rando
     places = which.nonzero()[0]  # numpy writes at numbers faster than under a mask
     if len(places) == which.size:
         return begin(dynamics, starts(dynamics, rng, which.size), np.zeros(which.size, dtype=np.int64))
-    fresh = initial(dynamics, rng, len(places)) if dynamics.first is None else dynamics.first
+    fresh = _begun(dynamics, rng, len(places))
     states = tuple(x.copy() for x in worlds.states)
     for x, start in zip(states, fresh.states):
         x[..., places] = start
@@ -288,7 +303,7 @@ def moved_or_begun(
         return transition(dynamics, worlds, inputs, noise(dynamics, rng, which.size))
     if len(places) == which.size:
         return begin(dynamics, starts(dynamics, rng, which.size), np.zeros(which.size, dtype=np.int64))
-    begun = starts(dynamics, rng, len(places)) if dynamics.first is None else dynamics.first.states
+    begun = dynamics.points or starts(dynamics, rng, len(places))
     # The column of each world among the numbers drawn: those that begin take some that are not used.
     column = np.zeros(which.size, dtype=np.intp)
     column[(~which).nonzero()[0]] = np.arange(which.size - len(places))
