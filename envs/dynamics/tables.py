@@ -74,24 +74,26 @@ class Counts:
         """The edges of each axis one after the other: numbers, or arrays (n, 1) where agents differ."""
         return tuple(edges.ravel().tolist() if edges.shape[1] == 1 else list(edges) for edges in self.edges)
 
+    @cached_property
+    def kind(self) -> type[np.unsignedinteger[Any]]:
+        """The smallest type that holds the codes."""
+        most = math.prod(len(edges) + 1 for edges in self.edges)
+        return np.uint8 if most <= 256 else np.uint16 if most <= 65536 else np.uint32
+
     def codes(self, states: np.ndarray) -> np.ndarray:
         """Return the codes (n, M) of states (d, n, M): the counts of an agent's axes as one number, in C order."""
-        result: np.ndarray | None = None
-        for edges, steps, x in zip(self.edges, self.steps, states, strict=True):
-            # The result of a comparison, seen as the numbers 0 and 1, is added without a copy.
-            reached = np.greater_equal(x, steps[0])
-            as_number = reached.view(np.uint8)
-            count = as_number.astype(np.uint8 if len(edges) < 256 else np.uint32)
-            for edge in steps[1:]:
+        # The smallest numbers that hold all codes are the quickest to add.
+        code = np.zeros(states.shape[1:], dtype=self.kind)
+        reached = np.empty(states.shape[1:], dtype=bool)
+        # The result of a comparison, seen as the numbers 0 and 1, is added without a copy.
+        as_number = reached.view(np.uint8)
+        for k, (steps, x) in enumerate(zip(self.steps, states, strict=True)):
+            if k:
+                code *= len(steps) + 1
+            for edge in steps:
                 np.greater_equal(x, edge, out=reached)
-                np.add(count, as_number, out=count)
-            if result is None:
-                result = count.astype(np.intp)
-            else:
-                result *= len(edges) + 1
-                result += count
-        assert result is not None
-        return result
+                np.add(code, as_number, out=code)
+        return code
 
     def points(self, place: int) -> np.ndarray:
         """Return one point for every code of the agent at one place of the block: (d, K)."""
@@ -154,8 +156,9 @@ class Reader:
         """
         codes = [counts.codes(x) for counts, x in zip(self.counts, states, strict=True)]
         n_states = len(self.q) // 2
-        at = failed * np.intp(n_states)
-        at += q
+        at = q.astype(np.intp)
+        if np.count_nonzero(failed):
+            at += failed * np.intp(n_states)
         at *= self.first
         for block, place, table in self.steps:
             at += codes[block][place]
