@@ -30,8 +30,8 @@ from ..problem import Problem
 Put = Callable[[np.ndarray], Any]
 """How arrays get to where worlds live: see `arrays.device_put`."""
 
-Sparse = tuple[np.ndarray, tuple[int, ...]]
-"""Entries (k, n, 1) of a row of the agents' matrices, and their positions in the row.
+Sparse = tuple[np.ndarray | list[float], tuple[int, ...]]
+"""Entries (k, n, 1) of a row of the agents' matrices, or k numbers for all agents, and their positions in the row.
 
 Entries that are 0 for all agents are left out; one stays if all are 0.
 """
@@ -449,4 +449,6 @@ def _motion(
 def _sparse(row: np.ndarray) -> Sparse:
     positions = np.flatnonzero(np.any(row != 0.0, axis=(1, 2)))
     positions = positions if len(positions) else np.array([0])
-    return row[positions], tuple(positions.tolist())
+    entries = row[positions]
+    # A number is multiplied faster than an array that holds one.
+    return entries if entries.shape[1] > 1 else entries[:, 0, 0].tolist(), tuple(positions.tolist())
