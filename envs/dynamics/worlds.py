@@ -145,6 +145,12 @@ class Dynamics:
         return initial(self, np.random.default_rng(0), 1)
 
     @cached_property
+    def begins_undecided(self) -> bool:
+        """Whether no start settles the task, as far as is known without drawing one."""
+        first = self.first
+        return first is not None and not (first.failed | self.problem.automaton.absorbing[first.q]).any()
+
+    @cached_property
     def rows_stand(self) -> bool:
         """Whether the rows of all blocks, one after the other, are the components of a joint state in order."""
         return bool((to_host(self.rows) == np.arange(self.problem.n_states)).all())
@@ -169,6 +175,16 @@ class Dynamics:
             for block in self.blocks
         ]
         return self.put(np.argsort(np.concatenate(order)))
+
+    @cached_property
+    def is_disturbed(self) -> bool:
+        """Whether an agent has bounded disturbances."""
+        return any(block.n_disturbances for block in self.blocks)
+
+    @cached_property
+    def names_others(self) -> bool:
+        """Whether the dynamics of an agent name a state or an input of another one."""
+        return any(len(block.beside) for block in self.blocks)
 
     @cached_property
     def names_inputs(self) -> bool:
@@ -280,13 +296,21 @@ def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.rando
         return begin(dynamics, starts(dynamics, rng, which.size), np.zeros(which.size, dtype=np.int64))
     fresh = _begun(dynamics, rng, len(places))
     states = tuple(x.copy() for x in worlds.states)
-    for x, start in zip(states, fresh.states):
-        x[..., places] = start
+    _put(states, places, fresh.states)
     # From here on each world has a time of its own.
     time = worlds.time.copy() if np.ndim(worlds.time) else np.full(which.size, worlds.time)
     q, failed, accepted = worlds.q.copy(), worlds.failed.copy(), worlds.accepted.copy()
     time[places], q[places], failed[places], accepted[places] = fresh.time, fresh.q, fresh.failed, fresh.accepted
     return Worlds(states, q, time, failed, accepted)
+
+
+def _put(states: tuple[np.ndarray, ...], places: np.ndarray, starts: tuple[np.ndarray, ...]) -> None:
+    """Write starts (d, n, k or 1) into states (d, n, M) of the k worlds with the numbers `places`."""
+    for x, start in zip(states, starts):
+        n_rows = x.shape[0] * x.shape[1]
+        # numpy writes at numbers of a row faster than at those of many rows.
+        for row, values in zip(x.reshape(n_rows, -1), start.reshape(n_rows, -1)):
+            row[places] = values
 
 
 def moved_or_begun(
@@ -296,11 +320,12 @@ def moved_or_begun(
 
     Numbers are drawn and bits are as if these were put back by `restart` and the others were cut out for `transition`.
     No world is cut out: all of them move, starts are written over what has come of old worlds, and all are read once.
-    Disturbances must not be a function, which would see worlds that it should not. Worlds have times of their own.
+    Disturbances must not be a function, which would see worlds that it should not. Worlds have times of their own, and
+    those that are not in `which` are before the horizon.
     """
     places = which.nonzero()[0]
     if not len(places):
-        return transition(dynamics, worlds, inputs, noise(dynamics, rng, which.size))
+        return moved_on(dynamics, worlds, inputs, noise(dynamics, rng, which.size))
     if len(places) == which.size:
         return begin(dynamics, starts(dynamics, rng, which.size), np.zeros(which.size, dtype=np.int64))
     begun = dynamics.points or starts(dynamics, rng, len(places))
@@ -309,11 +334,11 @@ def moved_or_begun(
     column[(~which).nonzero()[0]] = np.arange(which.size - len(places))
     normals = [z.take(column, axis=-1) for z in noise(dynamics, rng, which.size - len(places))]
     states = _successors(dynamics, worlds, inputs, normals)
-    for x, start in zip(states, begun):
-        x[..., places] = start
-    time, q, failed, accepted = worlds.time + 1, worlds.q.copy(), worlds.failed.copy(), worlds.accepted.copy()
-    time[places], q[places], failed[places], accepted[places] = 0, dynamics.problem.automaton.initial, False, False
-    return _read(dynamics, states, time, q, failed, accepted)
+    _put(states, places, begun)
+    time, q = worlds.time + 1, worlds.q.copy()
+    time[places], q[places] = 0, dynamics.problem.automaton.initial
+    # One Boolean is greater than another where it holds and the other does not.
+    return _read(dynamics, states, time, q, worlds.failed > which, worlds.accepted > which)
 
 
 def selected(worlds: Worlds, which: np.ndarray) -> Worlds:
@@ -343,7 +368,7 @@ def disturbances(
     dynamics: Dynamics, worlds: Worlds, inputs: Sequence[np.ndarray], normals: Sequence[np.ndarray]
 ) -> tuple[np.ndarray | None, ...]:
     """Return the disturbances (k, n, M) of one step per block; None for blocks without any."""
-    if not any(block.n_disturbances for block in dynamics.blocks):
+    if not dynamics.is_disturbed:
         return (None,) * len(dynamics.blocks)
     if not isinstance(dynamics.disturbance, str):
         return dynamics.disturbance(dynamics, worlds, inputs)
@@ -406,13 +431,11 @@ def _successors(
     states = tuple(successor(block, x, u, z, v, beside, now) for block, x, u, z, v, beside in steps)
     if dynamics.problem.joint_noise:
         states = tuple(_shaken(block, x, normals[-1]) for block, x in zip(dynamics.blocks, states))
-    return tuple(_turned_back(block, x) for block, x in zip(dynamics.blocks, states))
+    return tuple(_turned_back(block, x) if block.angle_rows else x for block, x in zip(dynamics.blocks, states))
 
 
 def _turned_back(block: Block, x: np.ndarray) -> np.ndarray:
     """Return states (d, n, M) whose angles are in their workspace again."""
-    if not block.angle_rows:
-        return x
     rows = list(x)
     with np.errstate(all="ignore"):  # states may not be defined
         for k in block.angle_rows:
@@ -435,7 +458,7 @@ def neighbours(
 
     `inputs` (m, n, M) per block are those of the step; before they are chosen they are no numbers.
     """
-    if not any(len(block.beside) for block in dynamics.blocks):
+    if not dynamics.names_others:
         return (None,) * len(dynamics.blocks)
     # Rows are counted, not inferred: there may be no world at all.
     rows = _rows_of(states)[dynamics.rows]

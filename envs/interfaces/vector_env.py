@@ -129,11 +129,13 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.single_action_space = action_space(self.problem.agents, actions)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+        # Whether a start may settle the task: such worlds rest for a step. No other world that goes on is settled.
+        self._may_rest = not self._dynamics.begins_undecided
         self._worlds: core.Worlds | None = None
         self._judged: tuple[core.Worlds | None, np.ndarray] = None, np.zeros(0, dtype=bool)
         # True joint states and what is read of them, (M, D): new arrays in each step, so infos may hold them.
         self._joint = self.readings = np.zeros((self.num_envs, self.problem.n_states))
-        self._ended = np.zeros(self.num_envs, dtype=bool)
+        self._everywhere, self._ended = np.ones(self.num_envs, dtype=bool), np.zeros(self.num_envs, dtype=bool)
         self._levels = np.zeros(self.num_envs)
         # States at all times are stored only if pictures may be asked for.
         self._track = np.zeros((0, self.num_envs, self.problem.n_states))
@@ -162,6 +164,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         start, dynamics = options.get("initial_state"), self._dynamics
         if start is not None:
             dynamics = core.Dynamics.of(self.problem.replace(initial_state=start), self._dynamics.disturbance)
+            self._may_rest |= not dynamics.begins_undecided
         which = self._mask(options.get("reset_mask"))
         if self._worlds is None or which.all():
             # Worlds restart at different times later on, so each has a time from the beginning.
@@ -189,13 +192,12 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if np.ndim(actions) > 0 and len(actions) != self.num_envs:
             raise ValueError(f"`actions`: expected one row for each of {self.num_envs} worlds, got {len(actions)}")
         rewards, terminated, truncated = self.advance(batch_inputs(self._dynamics, actions, self._actions))
-        observations, everywhere = self._observations(), np.ones(self.num_envs, dtype=bool)
-        infos = self._infos(everywhere)
+        observations, infos = self._observations(), self._infos(self._everywhere)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             last = self._last(self._ended, observations, infos)
             self.renew()
             observations = self._observations()
-            infos = {**self._infos(everywhere), **last}
+            infos = {**self._infos(self._everywhere), **last}
         return observations, rewards, terminated, truncated, infos
 
     def advance(self, inputs: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -208,16 +210,15 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self.autoreset_mode is AutoresetMode.DISABLED and fresh.any():
             raise RuntimeError("a world has ended; reset it with `options={'reset_mask': ...}` before `step`")
         # Worlds that the start has settled do not move, but end in this step.
-        settled = self._settled(worlds)
-        if self._is_plain and not (settled > fresh).any():
+        if self._is_plain and not (self._may_rest and (self._settled(worlds) > fresh).any()):
             worlds = core.moved_or_begun(self._dynamics, worlds, inputs, fresh, self.np_random)
         else:
             if fresh.any():
                 worlds = self._begun(core.restart(self._dynamics, worlds, fresh, self.np_random), fresh)
-                settled = self._settled(worlds)
-            worlds = self._moved(worlds, inputs, ~(fresh | settled))
-        terminated = self._settled(worlds) & ~fresh
-        truncated = (worlds.time >= self.problem.horizon) & ~terminated
+            worlds = self._moved(worlds, inputs, ~(fresh | self._settled(worlds)))
+        # One Boolean is greater than another where it holds and the other does not.
+        terminated = self._settled(worlds) > fresh
+        truncated = (worlds.time >= self.problem.horizon) > terminated
         ended = terminated | truncated
         self._worlds, self._ended = worlds, ended
         return self._rewards(fresh, ended), terminated, truncated
