@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from ..agents import AnyAgent, shown
+from ..agents import AnyAgent, read_only, shown
 from ..arrays import double, is_host, namespace
 from ..dynamics import Dynamics, Worlds
 from ..problem import Problem
@@ -124,7 +124,7 @@ def in_form(numbers: Any, bounds: Bounds | None, form: Form) -> np.ndarray:
     """
     told = np.asarray(numbers, dtype=np.float64)
     unknown = np.isnan(told)
-    if unknown.any():
+    if np.count_nonzero(unknown):
         told = np.where(unknown, -np.inf, told)
     if form.scale == "unit":
         assert bounds is not None
@@ -161,25 +161,28 @@ def shared_rows(problem: Problem, worlds: Worlds, automaton: str) -> np.ndarray:
 
 def tail_size(problem: Problem, automaton: str) -> int:
     """Return how many numbers tell the automaton state and the fraction of time left."""
-    return {"one-hot": problem.automaton.n_states, "number": 1, "hidden": 0}[automaton] + 1
+    return 1 + (problem.automaton.n_states if automaton == "one-hot" else automaton == "number")
 
 
 def write_shared(problem: Problem, worlds: Worlds, automaton: str, rows: np.ndarray) -> None:
     """Write what `shared_rows` returns into rows (k, M) of any precision."""
     if automaton == "one-hot":
-        # Numbers of the type of q, as others would have to be converted one by one.
-        rows[:-1] = worlds.q == np.arange(len(rows) - 1, dtype=worlds.q.dtype)[:, None]
+        rows[:-1] = worlds.q == state_numbers(len(rows) - 1)
     elif automaton == "number":
         rows[0] = worlds.q
     rows[-1] = time_left(problem.horizon).take(worlds.time)
 
 
 @lru_cache(maxsize=64)
+def state_numbers(count: int) -> np.ndarray:
+    """Return the numbers of automaton states, (Q, 1), of their type in `Worlds`: others would have to be converted."""
+    return read_only(np.arange(count, dtype=np.int32)[:, None])
+
+
+@lru_cache(maxsize=64)
 def time_left(horizon: int) -> np.ndarray:
     """Return the fraction of time left at the times 0 to T, float64, read-only."""
-    left: np.ndarray = 1.0 - np.arange(horizon + 1) / horizon
-    left.flags.writeable = False
-    return left
+    return read_only(1.0 - np.arange(horizon + 1) / horizon)
 
 
 def joint_observations(problem: Problem, worlds: Worlds, states: np.ndarray, form: Form) -> np.ndarray:
@@ -232,7 +235,7 @@ def batch_inputs(dynamics: Dynamics, action: Any, actions: str) -> tuple[np.ndar
         joint_actions = joint_actions[:, None]
     is_table = joint_actions.ndim == 2 and joint_actions.shape[1] == problem.n_inputs
     rows = np.array(joint_actions.T, dtype=np.float64, order="C")
-    if not is_table or not np.isfinite(rows).all():
+    if not is_table or not all_finite(rows):
         raise ValueError(
             f"`actions`: expected finite numbers of shape (number of worlds, {problem.n_inputs}), got shape "
             f"{joint_actions.shape}"
@@ -246,11 +249,16 @@ def batch_inputs(dynamics: Dynamics, action: Any, actions: str) -> tuple[np.ndar
     return tuple(result)
 
 
+def all_finite(numbers: np.ndarray) -> bool:
+    """Return whether all numbers are finite; to count is faster than to ask `all`."""
+    return np.count_nonzero(np.isfinite(numbers)) == numbers.size
+
+
 def clip_in_place(u: np.ndarray, block: Any, is_unit: bool) -> None:
     """Make actions (m, n, M) of a block inputs in its boxes, without new arrays."""
     if is_unit:
         middle, half = block.input_middle
-        np.minimum(np.maximum(u, -1.0, out=u), 1.0, out=u)
+        u.clip(-1.0, 1.0, out=u)
         u *= half
         u += middle
         if block.middle_stays_inside:

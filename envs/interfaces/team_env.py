@@ -129,7 +129,7 @@ class TeamEnv:
         rewards, terminated, truncated = self._batch.advance(self._views.inputs(actions, self.num_envs))
         ended = terminated | truncated
         satisfied = ended
-        if ended.any():
+        if np.count_nonzero(ended):
             satisfied = ended & np.asarray(core.satisfied(self._dynamics, self._batch.worlds))
             self._batch.renew()
         if not self._batch.sensors.is_exact:  # a reset has read the states already

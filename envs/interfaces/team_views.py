@@ -10,7 +10,17 @@ import numpy as np
 from ..arrays import Array, concatenated, is_host, namespace, single
 from ..dynamics import Dynamics, Worlds
 from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
-from .observation import ACTIONS, AUTOMATON, SCALES, checked_option, clip_in_place, shared_rows, tail_size, write_shared
+from .observation import (
+    ACTIONS,
+    AUTOMATON,
+    SCALES,
+    all_finite,
+    checked_option,
+    clip_in_place,
+    shared_rows,
+    tail_size,
+    write_shared,
+)
 
 OBSERVATIONS = ("own", "joint", "neighbours")
 
@@ -51,7 +61,7 @@ class TeamViews:
                 u = np.empty((shape[1], len(rows), n_worlds))
                 for place, row in enumerate(rows):
                     u[:, place] = row.T
-                if not np.isfinite(u).all():
+                if not all_finite(u):
                     raise ValueError("`actions`: expected finite numbers")
                 clip_in_place(u, box, self.is_unit)
             else:
@@ -88,20 +98,20 @@ class TeamViews:
 
     def _own(self, worlds: Worlds, read: Sequence[Array]) -> dict[str, Array]:
         """Return the observations of agents that see themselves: each array is written once."""
-        size, common = tail_size(self.problem, self.automaton), None
-        states = [self._scaled(block, x) for block, x in zip(self.dynamics.blocks, read, strict=True)]
-        result = {}
-        for name, (block, place) in zip(self.names, self.dynamics.position, strict=True):
-            d = len(states[block])
-            rows = np.empty((d + size, worlds.n_worlds), dtype=np.float32)
-            rows[:d] = states[block][:, place]
-            if common is None:
-                write_shared(self.problem, worlds, self.automaton, rows[d:])
-                common = rows[d:]
+        size, tail, parts = tail_size(self.problem, self.automaton), None, []
+        for block, x in zip(self.dynamics.blocks, read, strict=True):
+            d, n, n_worlds = x.shape
+            # Agents first, so that the array of each is in one piece, with the worlds last in memory.
+            rows = np.empty((n, d + size, n_worlds), dtype=np.float32)
+            rows[:, :d] = self._scaled(block, x).swapaxes(0, 1)
+            if tail is None:
+                tail = rows[0, d:]
+                write_shared(self.problem, worlds, self.automaton, tail)
+                rows[1:, d:] = tail
             else:
-                rows[d:] = common
-            result[name] = rows.T
-        return result
+                rows[:, d:] = tail
+            parts.append(rows)
+        return {name: parts[block][place].T for name, (block, place) in zip(self.names, self.dynamics.position)}
 
     def _nearest(self, read: Sequence[Array]) -> Iterator[Array]:
         """Yield where the nearest others are from the place of every agent, (k, M) float32."""
