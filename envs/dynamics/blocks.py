@@ -30,8 +30,11 @@ from ..problem import Problem
 Put = Callable[[np.ndarray], Any]
 """How arrays get to where worlds live: see `arrays.device_put`."""
 
-Sparse = tuple[np.ndarray | list[float], tuple[int, ...]]
-"""Entries (k, n, 1) of a row of the agents' matrices, or k numbers for all agents, and their positions in the row.
+Row = np.ndarray | float
+"""What an entry of their arrays is for each agent, (n, 1), or for all of them."""
+
+Sparse = tuple[tuple[Row, ...], tuple[int, ...]]
+"""Entries of a row of the agents' matrices, and their positions in the row.
 
 Entries that are 0 for all agents are left out; one stays if all are 0.
 """
@@ -181,20 +184,16 @@ class Block:
         return tuple(np.flatnonzero(self.noise_of.wrapped_axes).tolist())
 
     @cached_property
-    def linear_rows(self) -> tuple[tuple[Sparse, Sparse, np.ndarray, Sparse], ...]:
-        """Rows of A, B, offset and noise factor; if all agents have equal entries, the entries of one, to broadcast."""
-        # A product with one agent's entries has the same bits and reads less memory.
+    def linear_rows(self) -> tuple[tuple[Sparse, Sparse, Row, Sparse], ...]:
+        """Rows of A, B, offset and noise factor."""
         assert isinstance(self.motion, LinearMotion)
-        matrices = (self.motion.A, self.motion.B, self.motion.offset[:, None], self.noise_factor)
-        single = (stack[..., :1, :] if np.all(stack == stack[..., :1, :]) else stack for stack in matrices)
-        return tuple((_sparse(a), _sparse(b), c[0], _sparse(factor)) for a, b, c, factor in zip(*single))
+        rows = zip(self.motion.A, self.motion.B, self.motion.offset[:, None], self.noise_factor)
+        return tuple((_sparse(a), _sparse(b), numbered(c)[0], _sparse(factor)) for a, b, c, factor in rows)
 
     @cached_property
     def noise_rows(self) -> tuple[Sparse, ...]:
         """Rows of the noise factor, as in `linear_rows`."""
-        factor = self.noise_factor
-        single = factor[..., :1, :] if np.all(factor == factor[..., :1, :]) else factor
-        return tuple(_sparse(row) for row in single)
+        return tuple(_sparse(row) for row in self.noise_factor)
 
     @cached_property
     def start_box(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -252,9 +251,14 @@ class Block:
         return 0.5 * self.input_low + 0.5 * self.input_high, 0.5 * self.input_high - 0.5 * self.input_low
 
     @cached_property
-    def unit_scale(self) -> np.ndarray:
-        """What maps the widths of the workspaces (d, n, 1) to 2."""
-        return np.asarray(2.0 / (self.state_high - self.state_low))
+    def unit_rows(self) -> list[tuple[Row, Row]]:
+        """Per state: the lower ends of the workspaces, and what maps their widths to 2."""
+        return list(zip(numbered(self.state_low), numbered(2.0 / (self.state_high - self.state_low))))
+
+    @cached_property
+    def input_rows(self) -> list[tuple[Row, Row, Row, Row]]:
+        """Per input: the ends of the boxes, and their middles and half widths."""
+        return list(zip(*map(numbered, (self.input_low, self.input_high, *self.input_middle))))
 
     @cached_property
     def middle_stays_inside(self) -> bool:
@@ -449,6 +453,12 @@ def _motion(
 def _sparse(row: np.ndarray) -> Sparse:
     positions = np.flatnonzero(np.any(row != 0.0, axis=(1, 2)))
     positions = positions if len(positions) else np.array([0])
-    entries = row[positions]
-    # A number is multiplied faster than an array that holds one.
-    return entries if entries.shape[1] > 1 else entries[:, 0, 0].tolist(), tuple(positions.tolist())
+    return numbered(row[positions]), tuple(positions.tolist())
+
+
+def numbered(rows: np.ndarray) -> tuple[Row, ...]:
+    """Return the rows (n, 1) of an array (k, n, 1), or a number for those that say the same of all agents.
+
+    The bits are the same, but numpy takes up to three times as long where it has to broadcast.
+    """
+    return tuple(float(row[0, 0]) if np.all(row == row[0]) else row for row in rows)

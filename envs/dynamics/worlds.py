@@ -136,19 +136,19 @@ class Dynamics:
         return starts(self, np.random.default_rng(0), 1)
 
     @cached_property
-    def first(self) -> Worlds | None:
-        """One world at its start, if all starts are read alike: then none has to be judged again."""
+    def first(self) -> tuple[int, bool, bool] | None:
+        """Automaton state, failed and accepted at the start, if all starts are read alike: none is judged again."""
         if self.points is None:
             boxes = [(b.initial_low, b.initial_low if b.start_box is None else b.start_box[1]) for b in self.blocks]
             if self.reader is None or self.reader.statuses(self.problem.automaton.initial, boxes).size > 1:
                 return None
-        return initial(self, np.random.default_rng(0), 1)
+        world = initial(self, np.random.default_rng(0), 1)
+        return int(world.q[0]), bool(world.failed[0]), bool(world.accepted[0])
 
     @cached_property
     def begins_undecided(self) -> bool:
         """Whether no start settles the task, as far as is known without drawing one."""
-        first = self.first
-        return first is not None and not (first.failed | self.problem.automaton.absorbing[first.q]).any()
+        return self.first is not None and not (self.first[1] or self.problem.automaton.absorbing[self.first[0]])
 
     @cached_property
     def rows_stand(self) -> bool:
@@ -264,12 +264,6 @@ def starts(dynamics: Dynamics, rng: Draws, n_worlds: int) -> tuple[np.ndarray, .
     return tuple(states)
 
 
-def _begun(dynamics: Dynamics, rng: Draws, n_worlds: int) -> Worlds:
-    """Return what `initial` does; an array has one entry for all worlds where these are alike."""
-    states, first = dynamics.points or starts(dynamics, rng, n_worlds), dynamics.first
-    return begin(dynamics, states) if first is None else Worlds(states, first.q, 0, first.failed, first.accepted)
-
-
 def initial_at(dynamics: Dynamics, states: np.ndarray) -> Worlds:
     """Return worlds at time 0 with given joint states (M, D), components in agent order."""
     states = np.asarray(states, dtype=float)
@@ -294,13 +288,17 @@ def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.rando
     places = which.nonzero()[0]  # numpy writes at numbers faster than under a mask
     if len(places) == which.size:
         return begin(dynamics, starts(dynamics, rng, which.size), np.zeros(which.size, dtype=np.int64))
-    fresh = _begun(dynamics, rng, len(places))
+    begun = dynamics.points or starts(dynamics, rng, len(places))
     states = tuple(x.copy() for x in worlds.states)
-    _put(states, places, fresh.states)
+    _put(states, places, begun)
     # From here on each world has a time of its own.
     time = worlds.time.copy() if np.ndim(worlds.time) else np.full(which.size, worlds.time)
     q, failed, accepted = worlds.q.copy(), worlds.failed.copy(), worlds.accepted.copy()
-    time[places], q[places], failed[places], accepted[places] = fresh.time, fresh.q, fresh.failed, fresh.accepted
+    fresh = dynamics.first
+    if fresh is None:
+        judged = begin(dynamics, begun)
+        fresh = judged.q, judged.failed, judged.accepted
+    time[places], q[places], failed[places], accepted[places] = 0, *fresh
     return Worlds(states, q, time, failed, accepted)
 
 

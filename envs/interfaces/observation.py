@@ -256,14 +256,13 @@ def all_finite(numbers: np.ndarray) -> bool:
 
 def clip_in_place(u: np.ndarray, block: Any, is_unit: bool) -> None:
     """Make actions (m, n, M) of a block inputs in its boxes, without new arrays."""
-    if is_unit:
-        middle, half = block.input_middle
-        u.clip(-1.0, 1.0, out=u)
-        u *= half
-        u += middle
-        if block.middle_stays_inside:
-            return
-    np.minimum(np.maximum(u, block.input_low, out=u), block.input_high, out=u)
+    for row, (low, high, middle, half) in zip(u, block.input_rows):
+        if is_unit:
+            row.clip(-1.0, 1.0, out=row)
+            row *= half
+            row += middle
+        if not (is_unit and block.middle_stays_inside):
+            row.clip(low, high, out=row)
 
 
 def _is_number(value: Any) -> bool:

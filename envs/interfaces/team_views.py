@@ -103,7 +103,8 @@ class TeamViews:
             d, n, n_worlds = x.shape
             # Agents first, so that the array of each is in one piece, with the worlds last in memory.
             rows = np.empty((n, d + size, n_worlds), dtype=np.float32)
-            rows[:, :d] = self._scaled(block, x).swapaxes(0, 1)
+            for k, seen in enumerate(self._rows(block, x)):
+                rows[:, k] = seen
             if tail is None:
                 tail = rows[0, d:]
                 write_shared(self.problem, worlds, self.automaton, tail)
@@ -112,6 +113,18 @@ class TeamViews:
                 rows[:, d:] = tail
             parts.append(rows)
         return {name: parts[block][place].T for name, (block, place) in zip(self.names, self.dynamics.position)}
+
+    def _rows(self, block: Any, x: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the rows (n, M) of states (d, n, M) of a block as observations show them, still in double precision."""
+        if self.scale == "raw":
+            yield from x
+            return
+        for row, (low, scale) in zip(x, block.unit_rows, strict=True):
+            # In place: new arrays are a good part of a step. NaN counts as the lower corner, as in all observations.
+            seen = row - low
+            seen *= scale
+            seen -= 1.0
+            yield np.fmin(np.fmax(seen, -1.0, out=seen), 1.0, out=seen)
 
     def _nearest(self, read: Sequence[Array]) -> Iterator[Array]:
         """Yield where the nearest others are from the place of every agent, (k, M) float32."""
@@ -131,13 +144,9 @@ class TeamViews:
         """Return the states (d, n, M) of a block as observations show them, still in double precision."""
         if self.scale == "raw":
             return x
-        low, high = block.state_low, block.state_high
         if is_host(x):
-            # In place: new arrays are a good part of a step. NaN counts as the lower corner, as in all observations.
-            seen = x - low
-            seen *= block.unit_scale
-            seen -= 1.0
-            return np.fmin(np.fmax(seen, -1.0, out=seen), 1.0, out=seen)
+            return np.stack(list(self._rows(block, x)))
+        low, high = block.state_low, block.state_high
         seen = (x - low) * (2.0 / (high - low)) - 1.0
         xp = namespace(seen)
         return xp.clip(xp.where(seen == seen, seen, -1.0), -1.0, 1.0)
