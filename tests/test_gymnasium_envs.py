@@ -342,6 +342,18 @@ def test_reset_options_replace_the_start_of_every_form() -> None:
     assert envs.reset(seed=0)[1]["state"][0].tolist() != [-7.0, -3.0]
 
 
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_worlds_rest_that_a_start_has_settled(mode: str) -> None:
+    """A start of `reset` may settle a task that no start of the problem settles."""
+    envs = cg.vector_env("reach-avoid-v0", 2, autoreset_mode=mode)
+    envs.reset(seed=0)
+    envs.reset(options={"initial_state": [4.0, 4.0], "reset_mask": np.array([False, True])})
+    _, rewards, terminated, _, infos = envs.step(np.zeros((2, 2)))
+    last = infos["final_info"] if mode == "SameStep" else infos
+    assert terminated.tolist() == [False, True] and rewards.tolist() == [0.0, 1.0]
+    assert last["state"][1].tolist() == [4.0, 4.0] and last["time"].tolist() == [1, 0]
+
+
 @pytest.mark.parametrize("start", [[-10.0, -3.0], [4.0, 4.0]], ids=["at the horizon", "by the verdict"])
 def test_no_step_follows_the_end_of_an_episode(start: list[float]) -> None:
     env = cg.central_env("reach-avoid-v0", horizon=2, initial_state=start)

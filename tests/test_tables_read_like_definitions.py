@@ -12,6 +12,7 @@ import certigym as cg
 from certigym.envs.dynamics import tables as reading
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.worlds import Dynamics, Worlds
+from certigym.envs.interfaces.observation import joint_bounds
 from certigym.envs.suite.catalogue import problem_ids
 from certigym.validation.simulation.chunks import frames
 from certigym.validation.simulation.loop import Loop
@@ -85,6 +86,22 @@ def test_tables_and_definitions_judge_all_worlds_alike(problem: cg.Problem, monk
             assert mine.dtype == definition.dtype
             np.testing.assert_array_equal(mine, definition, err_msg=name)
         before = theirs
+
+
+@pytest.mark.parametrize(
+    "problem", [cg.make_problem("reach-avoid-v0"), planar_pair()], ids=lambda problem: problem.name
+)
+def test_starts_are_judged_once_only_if_all_of_them_are_judged_alike(problem: cg.Problem) -> None:
+    low, high = joint_bounds(problem.agents)
+    rng, alike = np.random.default_rng(4), []
+    for wide in [0.02] * 15 + [1.0] * 15:  # small boxes, and large ones
+        ends = np.sort(low + (high - low) * (rng.random(len(low)) + [[0.0], [wide]]).clip(0.0, 1.0), axis=0)
+        dynamics = Dynamics.of(problem.replace(initial_low=ends[0], initial_high=ends[1]))
+        begun = core.initial(dynamics, rng, 4000)
+        seen = set(zip(begun.q.tolist(), begun.failed.tolist(), begun.accepted.tolist()))
+        alike.append(dynamics.first is not None)
+        assert seen == {dynamics.first} if alike[-1] else len(seen) > 1
+    assert 5 < sum(alike) < 25
 
 
 def test_there_are_no_tables_where_they_would_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
