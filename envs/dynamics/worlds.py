@@ -177,6 +177,11 @@ class Dynamics:
         return self.put(np.argsort(np.concatenate(order)))
 
     @cached_property
+    def noise_shapes(self) -> tuple[tuple[int, int], ...]:
+        """Rows of noise that each block draws, and its number of agents."""
+        return tuple((len(block.columns) + extra_rows(self, block), len(block.agents)) for block in self.blocks)
+
+    @cached_property
     def is_disturbed(self) -> bool:
         """Whether an agent has bounded disturbances."""
         return any(block.n_disturbances for block in self.blocks)
@@ -351,8 +356,7 @@ def noise(dynamics: Dynamics, rng: Draws, n_worlds: int) -> tuple[np.ndarray, ..
     Blocks whose disturbances are random have a further row for each disturbance. Where agents share noise, the numbers
     of all sources (K, M) come last.
     """
-    shapes = ((len(block.columns) + extra_rows(dynamics, block), len(block.agents)) for block in dynamics.blocks)
-    own = tuple(rng.standard_normal((*shape, n_worlds)) for shape in shapes)
+    own = tuple([rng.standard_normal((*shape, n_worlds)) for shape in dynamics.noise_shapes])
     n_sources = len(dynamics.problem.joint_noise)
     return (*own, rng.standard_normal((n_sources, n_worlds))) if n_sources else own
 
