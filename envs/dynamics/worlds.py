@@ -299,11 +299,12 @@ def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.rando
     # From here on each world has a time of its own.
     time = worlds.time.copy() if np.ndim(worlds.time) else np.full(which.size, worlds.time)
     q, failed, accepted = worlds.q.copy(), worlds.failed.copy(), worlds.accepted.copy()
-    fresh = dynamics.first
-    if fresh is None:
-        judged = begin(dynamics, begun)
-        fresh = judged.q, judged.failed, judged.accepted
-    time[places], q[places], failed[places], accepted[places] = 0, *fresh
+    time[places] = 0
+    if dynamics.first is not None:
+        q[places], failed[places], accepted[places] = dynamics.first
+    else:
+        fresh = begin(dynamics, begun)
+        q[places], failed[places], accepted[places] = fresh.q, fresh.failed, fresh.accepted
     return Worlds(states, q, time, failed, accepted)
 
 
