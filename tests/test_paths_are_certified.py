@@ -13,7 +13,8 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed
-from certigym.synthesis.nominal_paths import certified_starts, path_search, slabs
+from certigym.synthesis.nominal_paths import CountedWork, certified_starts, path_search, slabs
+from certigym.synthesis.nominal_paths.path_search import linear_certificate
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""
@@ -284,3 +285,20 @@ def test_inputs_that_noise_reaches_have_no_room_at_a_face() -> None:
         inputs[:, 2] = 2.0
         report = cg.check(changed(certificate, paths=(AgentPath(inputs, gain),), failure=0.5))
         assert bool(report) == admissible, report
+
+
+def test_feedbacks_that_change_with_the_time_are_tried_where_one_for_all_times_is_weak() -> None:
+    agent = cg.LinearAgent(
+        name="tug", A=[[1, 0.5], [0, 1]], B=[[0.125], [0.5]], noise_covariance=np.diag([0.08**2, 0.12**2]),
+        state_low=[-6, -3], state_high=[6, 3], input_low=[-1], input_high=[1], initial_state=[-4, 0],
+        output_matrix=[[1, 0]],
+    )  # fmt: skip
+    problem = cg.Problem(name="tug", horizon=20, agents=[agent], specification=cg.Specification("F berth", "co-safe"),
+                         propositions={"berth": cg.Proposition("tug", [2.0], [2.9])})  # fmt: skip
+    straight = linear_certificate(problem, CountedWork())
+    assert straight is not None
+    found = cg.synthesize(problem, relation="path").certificate
+    assert found.lower_bound > straight[0].certificate.lower_bound + 0.002
+    assert cg.check(found) and cg.validate(found, 4000, seed=5).verdict in ("consistent", "confirmed")
+    # Rays go along a path with one feedback all the same.
+    assert cg.check(cg.synthesize(problem, starts=0.9).certificate)

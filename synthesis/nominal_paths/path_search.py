@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from itertools import chain, islice, zip_longest
 from typing import Any
 
@@ -14,7 +15,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ...envs.agents import LinearAgent, with_matrices
 from ...envs.problem import Problem
-from ..cells import FloatArray, RelationRefused
+from ..cells import FloatArray, NoRunFound, RelationRefused
 from ..certificates import AgentPath, AlongPath, Certificate, PathProof, Synthesis
 from ..controllers import covariances_of, nominal_states
 from .angle_paths import along_angles
@@ -48,6 +49,9 @@ MOST_ALIKE = 3
 NARROWEST = 1e-12
 """Least width of a region in which it is measured how far a path is beyond it: one that moves may be empty."""
 
+FAINT = 0.5
+"""Probability of failing from which another feedback does not make a plan a good one."""
+
 HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a plan counts as impossible."""
 
@@ -66,7 +70,6 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
         If no normal law is above the noise of an agent, or a start is outside its workspace; NoRunFound if no run
         without noise was found that satisfies the task.
     """
-    began = time.perf_counter()
     work = CountedWork() if work is None else work
     refuse_without_path(problem)
     if any(agent.angles for agent in problem.agents):
@@ -74,6 +77,27 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
     linear = all(agent.is_linear_gaussian and agent.initial.is_point for agent in problem.agents)
     if problem.labeling.pairs or not linear or work.is_hopeless:
         return nonlinear_certificate(problem, SOURCES, work)
+    found = linear_certificate(problem, work)
+    if found is None:
+        # Planned with soft limits instead there may be one that claims nothing, or a word on what is missed.
+        return nonlinear_certificate(problem, SOURCES, work)
+    straight, plan = found
+    if not GOOD < straight.certificate.proof.failure < FAINT or work.is_over():
+        return straight
+    # Feedbacks that change with the time, and visits at times of their own, may be worth more.
+    with suppress(NoRunFound):
+        bent = nonlinear_certificate(problem, [lambda _: [plan]], work)
+        if bent.certificate.lower_bound > straight.certificate.lower_bound:
+            return bent
+    return straight
+
+
+def linear_certificate(problem: Problem, work: CountedWork) -> tuple[Synthesis, Plan] | None:
+    """Return a certificate along paths of linear agents with one feedback for all times, and its plan; or None.
+
+    Agents start from points, and the task speaks of no pairs.
+    """
+    began = time.perf_counter()
     finder = _Finder(problem, work)
     best: tuple[float, Plan, Any] | None = None
     patience = work.spent + PATIENCE * max(agent.n_states for agent in problem.agents) * work.limit
@@ -86,15 +110,14 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
                 best = found[0], plan, found[1]
         best = best if best is None or work.is_over() else _with_better_times(finder, best)
     if best is None or best[0] >= HOPELESS:
-        # Planned with soft limits instead there may be one that claims nothing, or a word on what is missed.
-        return nonlinear_certificate(problem, SOURCES, work)
+        return None
     failure, plan, (paths, letters, faces) = best
     settings = {"relation": "path", "jumps": list(plan.times), "plans": finder.tried}
     certificate = Certificate(problem, PathProof(tuple(paths), letters, faces, failure), settings)
     seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
     stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
-    return Synthesis(certificate, certificate.controller, stats)
+    return Synthesis(certificate, certificate.controller, stats), plan
 
 
 def certified_paths(

@@ -16,7 +16,9 @@ from ...envs.arrays import on_one_thread
 from ..cells import FloatArray, RelationRefused
 from ..certificates import AlongPath, Certificate, HullProof, any_certificate, path_under
 from ..controllers import covariances_of
+from .counted_work import CountedWork
 from .nominal import Response, nominal_inputs
+from .path_search import linear_certificate
 from .slabs import OUTWARD, Slabs, input_slabs, limits_of, state_slabs
 
 HALVINGS = 12
@@ -74,10 +76,14 @@ def certified_starts(
     if problem.n_agents != 1 or not isinstance(agent, LinearAgent):
         raise RelationRefused("sets of starts are for one agent; certify the agents one by one")
     if certificate.proof.paths[0].states is not None:
-        raise RelationRefused(
-            "sets of starts of a linear agent with a start that is a point can be found; certify others with a start "
-            "box, `initial_low` and `initial_high`"
-        )
+        # Its feedbacks change with the time: rays go along a path of which one feedback is for all times.
+        straight = None if not agent.initial.is_point else linear_certificate(problem, CountedWork())
+        if straight is None:
+            raise RelationRefused(
+                "sets of starts of a linear agent with a start that is a point can be found; certify others with a "
+                "start box, `initial_low` and `initial_high`"
+            )
+        certificate = straight[0].certificate
     if not 0.5 <= probability < 1.0:
         raise ValueError(f"`probability`: expected one in [0.5, 1), got {probability!r}")
     axes = tuple(range(agent.n_states)) if axes is None else tuple(int(axis) for axis in axes)
