@@ -13,14 +13,14 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.nominal_paths import certified_starts
+from certigym.synthesis.nominal_paths import CountedWork, certified_starts
+from certigym.synthesis.nominal_paths.path_search import linear_certificate
 from certigym.synthesis.path_checking.path_check import Motion
 from certigym.synthesis.raw_networks import certify_network
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from network_problems import proportional, reach, with_network
-from test_paths_are_certified import path_of
 
 EDGE = 0.3
 
@@ -82,6 +82,13 @@ def test_a_task_on_such_edges_has_a_path() -> None:
     assert cg.check(cg.synthesize(problem, relation="path").certificate)
 
 
+def straight(problem: cg.Problem) -> Any:
+    """Return a certificate along a path with one feedback for all times."""
+    found = linear_certificate(problem, CountedWork())
+    assert found is not None
+    return found[0].certificate
+
+
 def turned(unit: list[float], **changes: Any) -> cg.Problem:
     """Two states in units of their own that are to stay near the middle."""
     u = np.array(unit)
@@ -101,8 +108,8 @@ def turned(unit: list[float], **changes: Any) -> cg.Problem:
 @pytest.mark.parametrize("unit", [[1.0, 1.0], [3e4, 7e-4], [1e-7, 1e8]])
 def test_the_check_of_paths_proves_the_same_in_all_units(unit: list[float]) -> None:
     """Rounding of states that are counted in large numbers is not charged to those counted in small ones."""
-    plain = cg.check(path_of(turned([1.0, 1.0])))
-    certificate = path_of(turned(unit))
+    plain = cg.check(straight(turned([1.0, 1.0])))
+    certificate = straight(turned(unit))
     report = cg.check(certificate)
     assert report, report.failures
     assert report.recomputed == pytest.approx(plain.recomputed, rel=1e-9)
@@ -110,7 +117,7 @@ def test_the_check_of_paths_proves_the_same_in_all_units(unit: list[float]) -> N
 
 
 def test_units_in_which_digits_would_be_lost_are_not_taken() -> None:
-    certificate = path_of(turned([1.0, 1.0]))
+    certificate = straight(turned([1.0, 1.0]))
     agent = turned([1e10, 1.0], noise=np.diag([1e-320, 0.01])).agents[0]
     assert isinstance(agent, cg.LinearAgent) and agent.noise_covariance[0, 0] > 0.0
     motion = Motion.of(agent, certificate.proof.paths[0])
@@ -119,7 +126,7 @@ def test_units_in_which_digits_would_be_lost_are_not_taken() -> None:
 
 def test_rollouts_agree_in_uneven_units() -> None:
     """20,000 episodes with a fixed seed; a true claim is refuted with probability 1e-6."""
-    certificate = path_of(turned([3e4, 7e-4]))
+    certificate = straight(turned([3e4, 7e-4]))
     assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - 1e-6).verdict != "refuted"
 
 
