@@ -173,3 +173,37 @@ def test_search_finds_windows_where_noise_is_large_against_a_region() -> None:
     assert cg.check(certificate) and cg.check(certificate, rigorous=True)
     assert cg.validate(certificate, 4000, seed=3).verdict in ("consistent", "confirmed")
     assert not cg.check(changed(certificate, failure=0.5 * certificate.proof.failure))
+
+
+@pytest.mark.parametrize("along", ["x", "heading"])
+def test_agents_with_angles_cross_regions(along: str) -> None:
+    agent = cg.Agent(
+        name="robot", states=["x", "heading"], inputs=["u", "turn"], dynamics=["x + 0.2*u", "heading + 0.2*turn"],
+        noise=[{"law": "gaussian", "std": 0.1}] * 2, angles=["heading"], state_low=[-6, -np.pi], state_high=[6, np.pi],
+        input_low=[-1, -1], input_high=[1, 1], initial_state=[0.0, 2.0],
+    )  # fmt: skip
+    # A heading beyond the end of the turn, or a place.
+    ends = ([-2.9], [-2.0]) if along == "heading" else ([0.9], [1.7])
+    problem = cg.Problem(name="robot", horizon=12, agents=[agent], specification=cg.Specification("F there"),
+                         propositions={"there": cg.Proposition("robot", *ends, of=[along])})  # fmt: skip
+    certificate = crossing_robot(problem, along)
+    failures, failure = wrong_paths(certificate)
+    assert not failures and failure < 0.1
+    honest = changed(certificate, failure=failure)
+    assert cg.check(honest) and cg.validate(honest, 4000, seed=2).verdict in ("consistent", "confirmed")
+    # The copy is the one that is near: from the other side it is not met.
+    assert wrong_paths(changed(certificate, faces=certificate.proof.faces + 1))[1] > 0.9
+
+
+def crossing_robot(problem: cg.Problem, along: str) -> AlongPath:
+    """A certificate that moves along one state at full pace, and is to be in the region at some time."""
+    axis = ["x", "heading"].index(along)
+    u = np.zeros((12, 2))
+    u[:, axis] = 1.0
+    states = np.array([0.0, 2.0]) + 0.2 * np.concatenate([np.zeros((1, 2)), np.cumsum(u, axis=0)])
+    letters, faces = np.zeros((13, 1), dtype=np.int8), np.full((13, 1), -1)
+    letters[1:], faces[1:] = SOMETIME, 2 * axis
+    slabs = np.full((13, 6), np.inf)
+    slabs[:, 1] = 2.0  # an angle has to be known up to half a turn
+    path = AgentPath(u, np.zeros((12, 2, 2)), states, slabs)
+    return Certificate(problem, PathProof((path,), letters, faces, 1.0), {"relation": "path"})

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem, Unrolled, unrolled
-from ..certificates import AlongPath, Synthesis, changed
+from ..certificates import SOMETIME, AlongPath, Synthesis, changed
 from .counted_work import CountedWork
 
 SearchOf = Callable[[Problem, CountedWork], Synthesis]
@@ -36,9 +36,13 @@ def _rolled(problem: Problem, flat: Unrolled, found: AlongPath) -> AlongPath:
             continue
         columns = [there[copy] for copy in flat.copies[name]]
         own = found.proof.letters[:, columns]
-        letters[:, p] = np.where(np.any(own > 0, axis=1), 1, np.where(np.all(own < 0, axis=1), -1, 0))
-        faces[:, p] = _sides(problem, flat, found, name, columns)
-    return changed(replace(found, problem=problem), letters=letters, faces=np.where(letters < 0, faces, -1))
+        # One copy is met at a time, all are missed together.
+        letters[:, p] = np.where(np.any(own > 0, axis=1), own.max(axis=1), np.where(np.all(own < 0, axis=1), -1, 0))
+        sides = _sides(problem, flat, found, name, columns)
+        crossed = found.proof.faces[:, columns][np.arange(len(own)), np.argmax(own, axis=1)]
+        faces[:, p] = np.where(letters[:, p] == SOMETIME, crossed, sides)
+    has_side = (letters < 0) | (letters == SOMETIME)
+    return changed(replace(found, problem=problem), letters=letters, faces=np.where(has_side, faces, -1))
 
 
 def _sides(problem: Problem, flat: Unrolled, found: AlongPath, name: str, columns: list[int]) -> NDArray[np.int64]:

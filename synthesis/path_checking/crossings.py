@@ -19,7 +19,8 @@ from ...envs.agents import Proposition
 from ..cells import FloatArray
 from ..certificates import SOMETIME, AlongPath, PathProof
 from .gaussian_inequalities import Inequalities, shortened
-from .moment import Moment
+from .moment import Moment, of_copies
+from .moving import NothingKnownError
 from .own_regions import RegionSpan
 from .roundings import TAIL, UNIT
 
@@ -62,8 +63,6 @@ def wrong_windows(certificate: AlongPath) -> list[str]:
             return ["a region is to be met at some time by an agent without nominal states"]
         if np.any((sides < 0) | (sides >= 2 * problem.agents[i].n_outputs)):
             return ["a region is to be met at some time and is come to from no side"]
-        if np.any(np.isin(sides // 2, problem.agents[i].angle_outputs)):
-            return ["a region is crossed along an angle"]
     if np.any(asked.sum(axis=1) > MOST_OPEN):
         return [f"more than {MOST_OPEN} regions are to be met at some time, at one time"]
     return []
@@ -100,7 +99,8 @@ def limits_of(proof: PathProof, t: int, p: int, limits: list[Limit]) -> list[Lim
 def add_jumps(now: Moment, certificate: AlongPath, rows: Inequalities) -> None:
     """Add the inequalities that an agent jumps over no region in the step by which it arrived."""
     problem, proof, t = certificate.problem, certificate.proof, now.t
-    asked = list[tuple[int, float, float]]()
+    asked = list[Limit]()
+    was = now.arrival.was if now.arrival is not None else now
     for p in np.flatnonzero(proof.letters[t] == SOMETIME).tolist():
         region = problem.propositions[problem.automaton.propositions[p]]
         if region.agent != now.agent.name or is_first(proof, t, p):
@@ -108,17 +108,18 @@ def add_jumps(now: Moment, certificate: AlongPath, rows: Inequalities) -> None:
         assert isinstance(region, Proposition)
         before, after = RegionSpan.of(region, t - 1), RegionSpan.of(region, t)
         k, from_above = divmod(int(proof.faces[t, p]), 2)
-        # From outside of the face to beyond the far one: what a region is at least, where it moves.
-        if from_above:
-            asked.append((k, float(after.low[1, k] - before.high[0, k]), np.inf))
-        else:
-            asked.append((k, -np.inf, float(after.high[0, k] - before.low[1, k])))
+        # What the region is at least, where it moves; of angles the same copy, as far as runs are followed.
+        _, *old = of_copies(was, k, float(before.low[1, k]), float(before.high[0, k]), holds=True)
+        _, *new = of_copies(now, k, float(after.low[1, k]), float(after.high[0, k]), holds=True)
+        if k in now.agent.angle_outputs and old != new:
+            raise NothingKnownError(f"a region is crossed from one of its copies to another one at step {t}")
+        # From outside of the face to beyond the far one.
+        asked.append((k, new[0] - old[1], np.inf) if from_above else (k, -np.inf, new[1] - old[0]))
     if not asked:
         return
-    assert now.arrival is not None
     low, high = np.array([ends for _, *ends in asked]).T
     shift, drift, variance, largest = _difference(now, [k for k, *_ in asked])
-    ends = [found.values[:, [k for k, *_ in asked]] for found in (now.outputs, now.arrival.was.outputs)]
+    ends = [found.values[:, [k for k, *_ in asked]] for found in (now.outputs, was.outputs)]
     least, most = ends[0].min(axis=0) - ends[1].max(axis=0), ends[0].max(axis=0) - ends[1].min(axis=0)
     spare = 8.0 * UNIT * (np.abs(ends[0]).max(axis=0) + np.abs(ends[1]).max(axis=0))
     below, above = (

@@ -11,9 +11,9 @@ from ..cells import FloatArray
 from ..certificates import SOMETIME, AlongPath
 from .crossings import add_jumps, limits_of
 from .gaussian_inequalities import Inequalities, shortened
-from .moment import Moment
+from .moment import Moment, of_copies
 from .moving import NothingKnownError
-from .own_angles import ROUNDED, TURN, axes_of_angles, copy_of, gap_of
+from .own_angles import axes_of_angles
 from .own_regions import RegionSpan
 from .roundings import UNIT
 
@@ -50,17 +50,6 @@ def add_limits(now: Moment, certificate: AlongPath, rows: Inequalities) -> None:
     add_jumps(now, certificate, rows)
 
 
-def _of_copies(now: Moment, k: int, low: float, high: float, holds: bool) -> tuple[int, float, float]:
-    """Return limits of an output; those of angles are the ends of a copy of a region, or of the gap between two."""
-    if k not in now.agent.angle_outputs:
-        return k, low, high
-    value = float(now.outputs.values[0, k])
-    if holds and high - low >= TURN:
-        return k, -np.inf, np.inf  # all of the circle
-    least, most = copy_of(low, high, value) if holds else gap_of(low, high, value)
-    return k, least + ROUNDED, most - ROUNDED
-
-
 def _regions(now: Moment, certificate: AlongPath) -> Iterator[tuple[FloatArray, float, float, float, float, float]]:
     """Yield row, nominal value from below and above, both limits, and the remainder, of forms of regions."""
     problem = certificate.problem
@@ -76,7 +65,7 @@ def _regions(now: Moment, certificate: AlongPath) -> Iterator[tuple[FloatArray, 
         region = RegionSpan.of(proposition, now.t)
         faces = range(region.low.shape[1])
         limits = [(k, float(region.low[1, k]), float(region.high[0, k])) for k in faces]
-        limits = [_of_copies(now, *limit, holds=True) for limit in limits]
+        limits = [of_copies(now, *limit, holds=True) for limit in limits]
         if value == SOMETIME:
             limits = limits_of(certificate.proof, now.t, p, limits)
         if value < 0:
@@ -87,7 +76,7 @@ def _regions(now: Moment, certificate: AlongPath) -> Iterator[tuple[FloatArray, 
             k, low, high = limits[face // 2]
             is_angle = k in now.agent.angle_outputs
             limits = [(k, high, np.inf) if face % 2 else (k, -np.inf, low)]
-            limits = [_of_copies(now, k, low, high, holds=False)] if is_angle else limits
+            limits = [of_copies(now, k, low, high, holds=False)] if is_angle else limits
         found = now.outputs
         for k, low, high in limits:
             yield found.matrix[k], found.values[0, k], found.values[1, k], low, high, float(found.off[k])

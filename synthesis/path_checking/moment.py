@@ -11,6 +11,7 @@ from ...envs.agents import AnyAgent
 from ..cells import FloatArray
 from .linear_deviations import Chain
 from .moving import Moving
+from .own_angles import ROUNDED, TURN, copy_of, gap_of
 from .own_bends import Expansion, expansion
 from .roundings import TAIL
 
@@ -56,3 +57,14 @@ class Arrival:
     middle: FloatArray
     remainder: FloatArray
     noise: FloatArray
+
+
+def of_copies(now: Moment, k: int, low: float, high: float, holds: bool) -> tuple[int, float, float]:
+    """Return limits of an output; those of angles are the ends of a copy of a region, or of the gap between two."""
+    if k not in now.agent.angle_outputs:
+        return k, low, high
+    value = float(now.outputs.values[0, k])
+    if holds and high - low >= TURN:
+        return k, -np.inf, np.inf  # all of the circle
+    least, most = copy_of(low, high, value) if holds else gap_of(low, high, value)
+    return k, least + ROUNDED, most - ROUNDED
