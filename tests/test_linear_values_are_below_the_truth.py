@@ -64,6 +64,23 @@ def test_best_below_is_below_everywhere(code: str, d: int, parts: int) -> None:
     assert helped > 50
 
 
+@pytest.mark.parametrize("code", ["search", "check"])
+@pytest.mark.parametrize("kink", [0.02, 0.08, 0.16, 0.3])
+def test_values_that_are_0_at_a_corner_do_not_begin_too_early(code: str, kink: float) -> None:
+    """As under uniform noise: 0 at a corner, up to a kink before the next point. The worst line is .0095 too high."""
+    sub = SubLattice.of(1, 8)
+    x, width = np.linspace(-1.0, 1.0, 2001)[:, None], 1.0 / 8.0
+    f = np.maximum(0.5 * (x[:, 0] + 1.0) - kink * width, 0.0)
+    values = np.interp(sub.points[:, 0], x[:, 0], f)[None, None]
+    # What the chord of the first part is above f, at the kink.
+    bend = np.array([[kink * (1.0 - kink) * width]])
+    lower = below(code, values, values[..., sub.corners], bend, sub)
+    assert np.all(interpolated(lower, x) <= f + 1e-14)
+    # Mirrored, and raised until nothing is 0: the same function is then used to scale.
+    raised = below(code, values + 0.5, values[..., sub.corners] + 0.5, bend, sub)
+    assert raised.max() > 1.0 and np.all(interpolated(raised, x) <= f + 0.5 + 1e-14)
+
+
 def test_clipping_single_corners_would_be_caught() -> None:
     """Sabotage: the additive form with negative corners set to 0 exceeds f in many cases."""
     rng = np.random.default_rng(7)

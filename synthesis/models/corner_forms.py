@@ -5,7 +5,7 @@ may be below the interpolation between the points of the sub-lattice, each of th
 again:
 
     c - E,        E = max (I - f)^+ + bend,        if no corner becomes negative;
-    theta c,      theta = min (f - bend)^+ / I;
+    theta c,      theta = min (f - bend)^+ / I,    0 if f < bend at any point, also where I is 0;
     the constant  min (f - bend)^+ .
 
 Setting single negative corners to 0 would be wrong. The best of the three, by its mean, is taken for every cell and
@@ -75,8 +75,9 @@ def best_below(values: FloatArray, corners: FloatArray, bend: FloatArray, interp
     shift = np.maximum(between - values, 0.0).max(axis=2) + bend
     additive = corners - shift[..., None]
     fits = np.all(additive >= 0.0, axis=2)
-    # Multiplicative: the smallest ratio; where nothing is there to be scaled it does not matter.
-    ratio = np.divide(least, between, out=np.ones_like(between), where=between > 0.0)
+    # Multiplicative: the smallest ratio. Where I is 0 any theta will do, unless f may be below 0 - bend there: f could
+    # be 0 up to the next point, and theta I is not.
+    ratio = np.divide(least, between, out=(values >= bend[..., None]).astype(float), where=between > 0.0)
     theta = np.minimum(ratio.min(axis=2), 1.0) * (1.0 - 1e-15)
     mean = corners.mean(axis=2)
     by_shift = np.where(fits, mean - shift, -1.0)

@@ -177,7 +177,8 @@ def _below(at: FloatArray, corners: FloatArray, between: FloatArray, lacking: Fl
     floor = sure.min(axis=2)
     shift = np.maximum(between - at, 0.0).max(axis=2) + lacking
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(between > 0.0, sure / between, 1.0)
+        # A function that is 0 at a point is not below f around it, unless nothing lacks there.
+        ratio = np.where(between > 0.0, sure / between, np.where(at >= lacking[:, :, None], 1.0, 0.0))
     scale = np.minimum(1.0, ratio.min(axis=2)) * (1.0 - 4.0 * UNIT)
     moved, scaled = corners - shift[:, :, None], scale[:, :, None] * corners
     average = corners.mean(axis=2)
