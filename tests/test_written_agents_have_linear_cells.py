@@ -188,6 +188,28 @@ def test_certificates_travel_and_hold(name: str, tmp_path: Path) -> None:
     assert 0.0 <= later[0] <= 1.0
 
 
+@pytest.mark.parametrize("cells", [50, 200, 400])
+def test_noise_that_is_narrow_in_a_wide_workspace_is_proved(cells: int) -> None:
+    """Hats of narrow cells are rounded far from 0, which the search has to count in full."""
+    agent = Agent(
+        name="drifter",
+        states=["x"],
+        inputs=["u"],
+        dynamics=["0.95*x + u"],
+        noise=[{"law": "uniform", "low": -0.5, "high": 0.5}],
+        state_low=[-5],
+        state_high=[5],
+        input_low=[-0.3],
+        input_high=[0.3],
+        initial_state=[-2],
+    )
+    regions = {"safe": Proposition("drifter", [-3], [3]), "goal": Proposition("drifter", [0.5], [1.5])}
+    task = Specification("G safe & F[5,7] goal", "finite-trace")
+    problem = Problem(name="drift", horizon=7, agents=[agent], propositions=regions, specification=task)
+    certificate = cg.synthesize(problem, cells, relation="linear").certificate
+    assert cg.check(certificate) and certificate.lower_bound > 0.44
+
+
 def test_linear_cells_lose_less_than_boxes() -> None:
     boxes = cg.synthesize(oscillator_reach(8), [20, 20], relation="boxes").certificate
     assert certificate_of("oscillator").lower_bound > boxes.lower_bound + 0.05

@@ -115,8 +115,9 @@ def uniform_hats(lattice: FloatArray, edges: FloatArray, law: Uniform) -> tuple[
     last = np.maximum(np.minimum(high, lattice[:, None] + law.high), first)
     mass = (last - first) / width
     upper = mass * (0.5 * (first + last) - low) / (high - low)
-    # Ends are rounded in the last place of the largest numbers; a mass is off by that over the width of the noise.
-    size = float(max(np.max(np.abs(edges)), np.max(np.abs(lattice)) + max(abs(law.low), abs(law.high))))
+    # Ends are rounded in the last place of the largest numbers; a mass is off by that over the width of the noise. The
+    # sum of the three is more than any of them, as the check counts them: no less may be taken off here than there.
+    size = float(np.max(np.abs(edges)) + np.max(np.abs(lattice)) + max(abs(law.low), abs(law.high)))
     slack = HAT_SLACK * UNIT * (size * (1.0 / width + 1.0 / float(np.min(high - low))) + 1.0)
     masses = np.stack([np.maximum(mass - upper - slack, 0.0), np.maximum(upper - slack, 0.0)], axis=-1)
     masses = np.where((mass > 0.0)[..., None], masses, 0.0).reshape(len(lattice), -1)
