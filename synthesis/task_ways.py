@@ -6,6 +6,7 @@ all. ``best_of`` tries the rows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -14,7 +15,7 @@ import numpy as np
 from ..envs.agents import Agent
 from ..envs.problem import Problem, written_out
 from .agreement import along_path
-from .cells import CellCounts, RelationRefused, cells_of_agent
+from .cells import CellCounts, RelationRefused, cells_of_agent, fewest_cells
 from .certificates import Synthesis
 from .choosing import (
     GOOD,
@@ -85,6 +86,9 @@ FEW_AGENTS = 2
 NEAR_PATH = 0.5
 """Share of the bound of a path from which the cells of other relations are made finer all the same."""
 
+MOST_CELLS_OF_LOST = 100_000
+"""Cells of an agent up to which a task that is out of reach has a grid, where no run comes near."""
+
 GOOD_CARRIED = 0.5
 """Share of the upper bound from which policies of coarser cells are gone on with alone: those tried many starts."""
 
@@ -102,6 +106,8 @@ def ways_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Pla
         first = Way("others", lambda results: compared(problem, cells, kinds, plan))
         given = cells is not None and len(asked) == 1 and may_be_linear(problem, plan)
         return [first, _linear_on(problem, cells, plan, every=asked == {"best"})] if given else [first]
+    if plan.effort.lost:
+        return _ways_of_lost(problem, kinds, plan)
     if is_beyond_grids(problem):
         # Where a grid does not reach a path may. Without noise in some states neither is better as a rule.
         ends = GOOD if any(np.any(agent.still_axes) for agent in problem.agents) else 0.0
@@ -112,6 +118,18 @@ def ways_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Pla
             return [replace(path, ends=GOOD), mixed, *([on_grids] if ends else [])]
         return [path, on_grids] if plan.paths else [on_grids]
     return [*_on_grids(problem, kinds, plan), *([path_way(problem, plan)] if plan.paths else [])]
+
+
+def _ways_of_lost(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:
+    """Return the ways of a task that is out of reach: what comes near, or else a bound of 0 on as few cells as can be.
+
+    A run that comes near shows what is missing. There is none if the start itself breaks the task.
+    """
+    cells = fewest_cells(problem)
+    ways = [replace(path_way(problem, plan), work=0.0)] if plan.paths else []
+    if max(math.prod(counts) for counts in cells.values()) > MOST_CELLS_OF_LOST:
+        return ways
+    return [*ways, Way("few cells", lambda results: compared(problem, cells, kinds, plan))]
 
 
 def ways_within(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:

@@ -137,6 +137,22 @@ def test_what_is_out_of_reach_takes_next_to_no_search_and_follows_what_comes_nea
     assert "not computed: the task is out of reach" in str(result.stats["tried"])
 
 
+@pytest.mark.parametrize("wind", ["", " + 0.1*sin(t)"])
+def test_a_start_that_breaks_the_task_says_so_at_once(wind: str) -> None:
+    """No run comes near: what is certified, 0, needs no more cells than there are regions."""
+    cart = robot(dynamics=["x + 0.5*y", f"y + 0.5*u{wind}"], inputs=["u"], input_low=[-1], input_high=[1])
+    here = cg.Proposition("robot", [-4.5, -1], [-3, 1])
+    result = cg.synthesize(asked("G !here & F goal", 6, (cart,), here=here))
+    certificate: Any = result.certificate
+    assert certificate.lower_bound == 0.0 and cg.check(certificate)
+    assert str(result.stats["nothing"]).startswith("the start itself breaks the task")
+    on_cells = certificate.proof.base if wind else certificate
+    assert sum(part.grid.n_cells for part in on_cells.proof.agents) < 60
+    other = robot(name="other", dynamics=["x + v*y", "y + u"])
+    with pytest.raises(ValueError, match=r"^the start itself breaks the task"):
+        cg.synthesize(asked("G !near", 6, (cart, other), near=cg.Pair(["robot", "other"], [-1, -1], [1, 1])))
+
+
 def test_what_is_named_is_what_is_needed() -> None:
     """A region that is only to be avoided is never said to be out of reach."""
     far = cg.Proposition("robot", [-5, -5], [-4.8, -4.9])

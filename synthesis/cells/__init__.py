@@ -6,6 +6,7 @@ from .agent_grids import (
     CellCounts,
     agent_grid,
     cells_of_agent,
+    fewest_cells,
     label_room,
     region_boundaries,
 )
@@ -67,6 +68,7 @@ __all__ = [
     "error_labels",
     "hat_share_of",
     "hats",
+    "fewest_cells",
     "grid_covariance",
     "grid_laws",
     "sharpness",

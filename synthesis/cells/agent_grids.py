@@ -135,6 +135,14 @@ def region_boundaries(problem: Problem, i: int, axis: int) -> list[float]:
     return boundaries
 
 
+def fewest_cells(problem: Problem) -> dict[str, tuple[int, ...]]:
+    """Return cells per axis of each agent that regions leave room for: one for each part into which they cut it."""
+    return {
+        agent.name: tuple(1 + len({*region_boundaries(problem, i, k)}) for k in range(agent.n_states))
+        for i, agent in enumerate(problem.agents)
+    }
+
+
 def label_room(problem: Problem, i: int) -> FloatArray:
     """Return the half width (d,), per state of agent i, of its narrowest region along that state, or of the workspace.
 

@@ -145,7 +145,7 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
             if way.ends <= 0.0 and result.certificate.lower_bound < HARDLY_LEFT:
                 ended_by = f"agents have more states than grids hold as a rule, which `{way.name}` is for"
     if not results:
-        raise _refused(ways, refusals)
+        raise _refused(ways, refusals, effort.lost)
     return _recorded(results, tried | effort.left_out, began, effort)
 
 
@@ -225,8 +225,10 @@ def _outcomes(way: Way, result: Synthesis) -> dict[str, Any]:
     return {way.name: _bound(result)}
 
 
-def _refused(ways: Sequence[Way], refusals: Mapping[str, str]) -> RelationRefused:
-    """Return why no way applies: each reason once, in the order of the table."""
+def _refused(ways: Sequence[Way], refusals: Mapping[str, str], lost: str) -> RelationRefused:
+    """Return why no way applies: why the task is out of reach, or else each reason once, in the order of the table."""
+    if lost:
+        return RelationRefused(lost)
     named = {way.name: refusals[way.name] for way in ways if way.name in refusals}
     reasons = list(dict.fromkeys(named.values()))
     if len(reasons) == 1:
