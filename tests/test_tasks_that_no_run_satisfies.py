@@ -1,4 +1,4 @@
-"""A task that no run satisfies, whatever agents do, says so, and what to write instead."""
+"""A task that no run satisfies, or that the end of a run satisfies, says so, and what to write instead."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.logic import may_accept, parse_formula, translate
 from certigym.envs.logic.windows import ahead, fitting
-from certigym.envs.problem import why_never
+from certigym.envs.problem import cut_by_the_end, why_never
 
 
 def walker(formula: str, horizon: int = 12, **changes: Any) -> cg.Problem:
@@ -46,6 +46,36 @@ def test_what_contradicts_itself_or_is_too_long_has_no_advice() -> None:
 @pytest.mark.parametrize("formula", ["F a & F b", "G (a -> F[1,5] b)", "G !b", "G[0,6] F[1,6] a"])
 def test_nothing_is_said_of_other_tasks(formula: str) -> None:
     assert why_never(walker(formula)) == ""
+
+
+@pytest.mark.parametrize(
+    ("formula", "instead"),
+    [
+        ("F G[0,5] a & G !b", "F[0,7] G[0,5] a & G !b"),
+        ("F[4,12] G[0,3] a", "F[4,9] G[0,3] a"),
+        ("F (b & X G[1,4] a) & F b", "F[0,7] (b & X G[1,4] a) & F b"),
+        ("G[9,14] a", ""),
+        ("F[2,4] F G[0,5] b", ""),
+        ("b U G[0,4] a", ""),
+    ],
+)
+def test_windows_that_the_end_cuts_are_told(formula: str, instead: str) -> None:
+    told = cut_by_the_end(walker(formula))
+    assert f"write `{instead}`" in told if instead else "longer `horizon`" in told
+    if instead:
+        assert cut_by_the_end(walker(instead)) == ""
+        # One letter at the end is enough before, and no longer.
+        last = translate(f"({formula}) & (!a U (a & !X true))", ["a", "b"], "finite-trace")
+        assert may_accept(last, 13)
+        last = translate(f"({instead}) & (!a U (a & !X true))", ["a", "b"], "finite-trace")
+        assert not may_accept(last, 13)
+
+
+@pytest.mark.parametrize(
+    "formula", ["G (a -> G[0,4] !b)", "F[0,7] G[0,5] a", "G[0,12] a", "!F G[0,5] a", "F[0,12] G a", "G a & F[9,20] b"]
+)
+def test_windows_within_the_horizon_are_not_told(formula: str) -> None:
+    assert cut_by_the_end(walker(formula)) == ""
 
 
 def test_letters_are_counted() -> None:

@@ -11,7 +11,7 @@ from .normal_form import NormalForm
 from .parser import parse_formula
 from .rebuilt import automaton_from_diagrams, over_propositions, with_meanings, with_sides, within
 from .translation import AutomatonSizeError, translate
-from .windows import ahead, fitting, may_accept, met_in_time
+from .windows import ahead, fitting, is_cut, may_accept, met_in_time, with_time_left
 
 __all__ = [
     "Automaton",
@@ -31,6 +31,7 @@ __all__ = [
     "cover",
     "fitting",
     "followed",
+    "is_cut",
     "letter_text",
     "may_accept",
     "met_in_time",
@@ -40,5 +41,6 @@ __all__ = [
     "translate",
     "with_meanings",
     "with_sides",
+    "with_time_left",
     "within",
 ]

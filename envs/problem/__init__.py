@@ -1,7 +1,7 @@
 """A problem: agents, propositions, specification and horizon, checked once; problem files; independent tasks."""
 
 from .joint_noise import JOINT_NOISE_REFUSAL, refuse_joint_noise
-from .never import why_never
+from .never import cut_by_the_end, why_never
 from .opposite import opposite_inside, opposite_of
 from .problem_file import load_problem, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
@@ -19,6 +19,7 @@ __all__ = [
     "Specification",
     "Unrolled",
     "checked_problem",
+    "cut_by_the_end",
     "load_problem",
     "opposite_inside",
     "opposite_of",

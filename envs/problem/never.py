@@ -1,8 +1,8 @@
-"""Tasks that no run satisfies, whatever agents do: why, and what to write instead."""
+"""Tasks that no run satisfies, or that runs satisfy by their end alone: why, and what to write instead."""
 
 from __future__ import annotations
 
-from ..logic import AutomatonSizeError, fitting, may_accept, parse_formula, translate
+from ..logic import AutomatonSizeError, fitting, is_cut, may_accept, parse_formula, translate, with_time_left
 from .record import Problem
 
 
@@ -29,3 +29,18 @@ def why_never(problem: Problem) -> str:
     if not may_accept(task, problem.horizon + 1):
         return why
     return f"{why}: near its end a window is beyond the horizon, where nothing is read; write `{shorter}`"
+
+
+def cut_by_the_end(problem: Problem) -> str:
+    """Return what is not asked for as a window of a ``G`` reaches beyond the horizon, in words; "" if none does.
+
+    A task that is judged at the horizon asks for nothing beyond it: ``F G[0,6] a`` is satisfied by one last ``a``.
+    """
+    text, horizon = problem.specification.formula, problem.horizon
+    if text is None or problem.specification.semantics != "finite-trace" or not is_cut(parse_formula(text), horizon):
+        return ""
+    what = f"a window of `G` reaches beyond the horizon of {horizon} steps, where nothing is asked for"
+    shorter = with_time_left(parse_formula(text), horizon)
+    if is_cut(shorter, horizon):
+        return f"{what}: give the task a longer `horizon`, or shorter windows"
+    return f"{what}, so that less than all of it will do; write `{shorter}` for all of it"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.agents import AnyAgent, Pair, Proposition, counted, matrix_text, vector_text
-from ..envs.problem import Problem, out_of_reach, why_never
+from ..envs.problem import Problem, cut_by_the_end, out_of_reach, why_never
 from ..envs.suite import make_problem, problem_ids, tier_of_id
 from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, shown_bound, start_of_claim
 from ..synthesis.checking import safety_rate
@@ -49,6 +49,7 @@ def describe(options: Namespace) -> int:
     if len(regions) > MOST_REGIONS_SHOWN:
         lines.append(f"... and {counted(len(regions) - MOST_REGIONS_SHOWN, 'more proposition')}")
     lines.append(_automaton_line(problem))
+    lines += [f"note: {cut}"] if (cut := cut_by_the_end(problem)) else []
     lines.append(f"fingerprint: {problem.fingerprint}")
     ways = _ways(problem)
     lines += ways[:MOST_WAYS_SHOWN]
@@ -96,6 +97,7 @@ def run(options: Namespace) -> int:
         save_certificate(result.certificate, options.out)
     more = {"certificate": options.out} if options.out else {}
     told = _lasting(result) if is_endless(options) else {}
+    told |= {"note": cut} if (cut := cut_by_the_end(result.certificate.problem)) else {}
     status = validate_result(options, result, None, checked_again(result.certificate), more | told)
     return status
 

@@ -61,7 +61,7 @@ def validate_result(
             disturbance=options.disturbance,
         )
     report = report if checked is None else report.with_check(checked)
-    said = {"no deadline": (more or {}).get("no_deadline")}
+    said = {"no deadline": (more or {}).get("no_deadline"), "note": (more or {}).get("note")}
     lines = [str(report), *(f"{label:<{LABEL_WIDTH}}{text}" for label, text in said.items() if text)]
     show(options, "\n".join(lines), {**report.to_dict(), **(more or {})})
     return 130 if report.interrupted else int(report.refuted or report.is_invalid)
