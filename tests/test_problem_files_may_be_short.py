@@ -214,3 +214,10 @@ def test_a_promise_until_the_end_needs_a_horizon() -> None:
         ValueError, match=r"`horizon` is missing; write how many control steps .* such as `horizon = 20`"
     ):
         problem_from_toml(text)
+
+
+def test_both_kinds_of_headings_in_one_file_are_told_apart() -> None:
+    """TOML takes the second agent for a part of the first one."""
+    second = '[agents.drain]\nstates = ["level"]\ndynamics = ["level"]\nnoise_std = [0.1]\n'
+    with pytest.raises(ValueError, match=r"number 1 .*: a heading \[agents.drain\] .* write \[\[agents\]\]"):
+        problem_from_toml(FILE.replace("[propositions]", second + "[propositions]"))

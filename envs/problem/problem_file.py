@@ -201,6 +201,7 @@ def _of_table(table: Any, horizon: Any, tables: Sequence[Any], most: int) -> Seq
     kind = _kind(table)
     table = spelled_out(table, horizon, tables)
     required, besides = _keys(kind)
+    _refuse_nested_agents(table)
     _check_keys(table, "", required, [*besides, "noise_std"])
     copies = table.get("copies")
     given = {key: value for key, value in table.items() if key != "copies"}
@@ -209,6 +210,16 @@ def _of_table(table: Any, horizon: Any, tables: Sequence[Any], most: int) -> Seq
     checked_count(copies, "copies", most=most)
     apart = starts_of_copies(given, copies)
     return kind(**given).copies(copies) if apart is None else [kind(**own) for own in apart]
+
+
+def _refuse_nested_agents(table: Any) -> None:
+    """Raise ValueError where an agent holds another one: TOML reads `[agents.cart]` after `[[agents]]` so."""
+    for key, value in table.items() if isinstance(table, Mapping) else ():
+        if isinstance(value, Mapping) and ("states" in value or "A" in value):
+            raise ValueError(
+                f"a heading [agents.{shown(key, 40)[1:-1]}] after [[agents]] makes that agent a part of this one; "
+                "write [[agents]] there too, and the name below it, or [agents.NAME] for all of them"
+            )
 
 
 def _named(name: str, table: Any) -> dict[str, Any]:
