@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray
 from .nonlinear_model import NonlinearModel
-from .tied_paths import Tie
+
+
+class Tie(NamedTuple):
+    """What an agent names: its unknown k is a state of agent j."""
+
+    k: int
+    agent: int
+    state: int
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,12 +22,12 @@ from .feedback_bounds import Feedback, NominalPath, worth_of
 from .in_line import in_line
 from .limit_rows import Worth
 from .nominal_planner import Aim, Planner
-from .nonlinear_search import ENOUGH, QUARTER, WIDEST, Found, NonlinearSearch, is_inside, reserves_for, scored
+from .nonlinear_search import ENOUGH, Found, NonlinearSearch, is_inside, reserves_for, scored
 from .pair_costs import PairAim, PairLimits, pair_limits
 from .pair_rows import PairRows, deviations_of, pair_rows
 from .path_limits import Limits, limits_along, sides_of
 from .team_model import TeamModel, key_of
-from .tied_paths import ROUNDS, Ties
+from .tied_paths import ROUNDS, Ties, kept_away
 
 BENDS = (0.25, -0.25, 0.5, 0.0)
 """How far straight lines are bent to the right, as shares of their lengths."""
@@ -200,18 +200,11 @@ class TeamSearch:
         self, letters: NDArray[np.int8], limits: list[PairLimits], found: TeamFound, reserve: float = 1.0
     ) -> TeamFound | None:
         """Return nominal paths planned with the deviations and drifts of others; None if that fails."""
-        pairs_of = []
-        for name, size in (("states", "width"), ("outputs", "spans"), ("inputs", "half")):
-            width = np.concatenate([getattr(search, size) for search in self.searches])
-            width = 2.0 * width if size == "half" else width
-            sd, drift = (np.concatenate([getattr(one.spreads, name)[k] for one in found.found], axis=1) for k in (0, 1))
-            pairs_of.append(
-                (np.clip(reserve * sd, 1e-5 * width, WIDEST * width), np.clip(QUARTER * drift, 0.0, WIDEST * width))
-            )
+        x, y, push = kept_away(self.searches, found.found, reserve)
         pairs = []
         for group in limits:
-            drift = pairs_of[1][1][:, group.places[0]] + pairs_of[1][1][:, group.places[1]]
-            pairs.append(PairAim(group, deviations_of(group, pairs_of[1][0]), drift))
+            drift = y[1][:, group.places[0]] + y[1][:, group.places[1]]
+            pairs.append(PairAim(group, deviations_of(group, y[0]), drift))
         u = np.concatenate([one.nominal.inputs for one in found.found], axis=1)
         states, faces = np.zeros(0), found.faces
         medians = [np.median(np.clip(one.spreads.outputs[0], 1e-5 * search.spans, None), axis=0)
@@ -223,7 +216,7 @@ class TeamSearch:
             shifts = (np.concatenate([one.spreads.states[2] for one in found.found], axis=1),
                       np.concatenate([one.spreads.outputs[2] for one in found.found], axis=1))  # fmt: skip
             own = own.for_nominal(*shifts)
-            aim = Aim(own, pairs_of[0], pairs_of[1], pairs_of[2], outputs, np.zeros(outputs.shape[1]), pairs)
+            aim = Aim(own, x, y, push, outputs, np.zeros(outputs.shape[1]), pairs)
             states, u, cost = Planner(self.model, aim, self.work).improved(u, 40)
             if not np.isfinite(cost):
                 return None
