@@ -6,6 +6,7 @@ import io
 import re
 import sys
 import time
+from argparse import Namespace
 from typing import Any
 
 import pytest
@@ -145,6 +146,28 @@ def test_where_there_is_no_terminal_what_takes_long_is_a_line(
         shown_on(bar)("way: linear", 0.25)
         time.sleep(0.5)
     assert re.fullmatch(r"\[0 s\] P >= 0\.250000 so far; linear\n", capsys.readouterr().err)
+
+
+def test_without_a_terminal_nothing_is_silent_for_long(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A search that takes long says how far it is, again and again; rollouts say how many there are."""
+    monkeypatch.setattr(work, "TICK", 0.01)
+    monkeypatch.setattr(work, "PATIENCE", 0.02)
+    monkeypatch.setattr(work, "REMIND", 0.1)
+    with tqdm(bar_format=BAR, disable=True) as bar, work.ticking(bar):
+        told = shown_on(bar)
+        told("way: path", 0.0)
+        told("path", 0.25)
+        time.sleep(0.6)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) >= 3
+    assert all(re.fullmatch(r"\[\d+ s\] nothing certified yet; path; this search: 0.250000", line) for line in lines)
+    options = Namespace(dask=None, workers=1, episodes=3000, seed=0, confidence=0.99)
+    with work.trials(options) as plan:
+        plan.progress(2000)
+        time.sleep(0.3)
+    assert "s] rollouts; 2000 episodes" in capsys.readouterr().err
 
 
 def test_a_search_that_found_nothing_shows_nothing_below_0() -> None:

@@ -25,9 +25,9 @@ from ..validation.policies import train as train_baseline
 from ..validation.simulation import TrialPlan, executor_for
 from .given import budget_of, cells_of, is_endless, problem_of, relation_of, say, search_of
 
-TICK, PATIENCE = 1.0, 3.0
-"""Seconds from one showing of the clock to the next, what it counts; and seconds after which a way is told of that
-takes longer, where there is no clock."""
+TICK, PATIENCE, REMIND = 1.0, 3.0, 15.0
+"""Seconds from one showing of the clock to the next, what it counts; where there is no clock, seconds after which a way
+is told of that takes longer, and seconds after which something is said in any case."""
 
 
 def synthesized(options: Namespace) -> Synthesis:
@@ -52,20 +52,24 @@ def synthesized(options: Namespace) -> Synthesis:
 def ticking(bar: tqdm) -> Iterator[None]:
     """Let the clock of a bar go on while nothing is reported, so that a long step does not look like a halt.
 
-    Where there is no bar, as output goes to no terminal, each way that takes longer than ``PATIENCE`` is a line there.
+    Where there is no bar, as output goes to no terminal, each way that takes longer than ``PATIENCE`` is a line there,
+    and how far it is another one every ``REMIND`` seconds.
     """
     ended = Event()
 
     def tick() -> None:
-        said, since, began = "", time.monotonic(), time.monotonic()
+        said, began = "", time.monotonic()
+        since = last = began
         while not ended.wait(TICK):
             bar.refresh()
-            now, under_way = time.monotonic(), getattr(bar, "desc", "") if bar.disable else ""
+            now, under_way = time.monotonic(), (getattr(bar, "desc", "") if bar.disable else "").rstrip(": ")
             if under_way != said:
                 said, since = under_way, now
-            elif under_way and now - since >= PATIENCE:
-                print(f"[{now - began:.0f} s] {under_way}", file=sys.stderr, flush=True)
-                since = math.inf
+            if under_way and (now - since >= PATIENCE or now - last >= REMIND):
+                how_far = getattr(bar, "postfix", None)
+                line = f"{under_way}; {how_far}" if how_far else under_way
+                print(f"[{now - began:.0f} s] {line}", file=sys.stderr, flush=True)
+                since, last = math.inf, now
 
     clock = Thread(target=tick, daemon=True)
     clock.start()
@@ -88,10 +92,17 @@ def trials(options: Namespace, total: int | None = None) -> Iterator[TrialPlan]:
     """Open the plan of rollouts that the options ask for, on its executor, with a bar of ``total`` episodes."""
     with (
         executor_for(options.dask, options.workers) as executor,
-        tqdm(total=total, desc="rollouts", unit=" episodes", disable=None, leave=False) as bar,
+        tqdm(total=total, unit=" episodes", disable=None, leave=False) as bar,
+        ticking(bar),
     ):
+        bar.set_description("rollouts")
+        done = 0
 
         def progress(count: int) -> None:
+            nonlocal done
+            done += count
+            if bar.disable:  # a bar shows it as it is
+                bar.set_postfix_str(f"{done} episodes")
             bar.update(count)
 
         numbers = options.episodes, options.seed, options.confidence
