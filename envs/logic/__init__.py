@@ -3,6 +3,7 @@
 from .automaton import OPPOSITE, SEMANTICS, Automaton, followed
 from .by_hand import automaton_from_transitions
 from .covers import Cube, cover
+from .cut_windows import is_cut, with_time_left
 from .decision_diagram import DecisionDiagrams, DiagramSizeError
 from .formula import RESERVED, Formula, FormulaError
 from .guard_diagrams import letter_text
@@ -11,7 +12,7 @@ from .normal_form import NormalForm
 from .parser import parse_formula
 from .rebuilt import automaton_from_diagrams, over_propositions, with_meanings, with_sides, within
 from .translation import AutomatonSizeError, translate
-from .windows import ahead, fitting, is_cut, may_accept, met_in_time, with_time_left
+from .windows import ahead, fitting, may_accept, met_in_time
 
 __all__ = [
     "Automaton",
