@@ -230,7 +230,7 @@ def test_a_grid_knows_boxes_of_some_states() -> None:
         ({"disc": {"centre": [0, 0], "radius": 1, "of": ["x", "y"]}, "of": ["x", "y"]}, "got one that does"),
         ({"union": ["q", "r"], "of": ["x", "y"]}, "one that consists of names"),
         ({"heading": {"from": 0, "to": 1}}, "expected the state that is the angle, got none"),
-        ({"low": [10], "high": [12], "of": ["x"]}, "expected a region that meets the workspace"),
+        ({"low": [10], "high": [12], "of": ["x"]}, "got [10, 12] against [-9, 9] along `x`; correct the region"),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(region: dict[str, Any], said: str) -> None:

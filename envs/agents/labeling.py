@@ -393,10 +393,11 @@ def _check_region(name: str, proposition: Proposition, agents: Mapping[str, AnyA
     outside[:states] |= proposition.low[:states] >= top[:states]
     if outside.any():
         axis = int(np.argmax(outside))
+        along = f"`{agent.output_names[axis]}`" if axis < len(agent.output_names) else f"axis {axis}"
         raise ValueError(
             f"`propositions.{name}`: expected a region that meets the workspace of agent {agent.name}, got "
-            f"[{proposition.low[axis]:g}, {proposition.high[axis]:g}] against [{bottom[axis]:g}, {top[axis]:g}] on "
-            f"axis {axis}; correct the region or the workspace"
+            f"[{proposition.low[axis]:g}, {proposition.high[axis]:g}] against [{bottom[axis]:g}, {top[axis]:g}] along "
+            f"{along}; correct the region or the workspace, or leave out what never holds"
         )
 
 
