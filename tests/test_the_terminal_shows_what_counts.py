@@ -165,6 +165,7 @@ def test_without_a_terminal_nothing_is_silent_for_long(
     assert all(re.fullmatch(r"\[\d+ s\] nothing certified yet; path; this search: 0.250000", line) for line in lines)
     options = Namespace(dask=None, workers=1, episodes=3000, seed=0, confidence=0.99)
     with work.trials(options) as plan:
+        assert callable(plan.progress)
         plan.progress(2000)
         time.sleep(0.3)
     assert "s] rollouts; 2000 episodes" in capsys.readouterr().err
