@@ -304,7 +304,7 @@ MUTANTS = [
         ("(variance + own) * TAIL", "variance * TAIL"),
         ("(near, far)\n", "(near, False)\n"),
         ("return met - ends if ends <= met else None", "return met - ends"),
-        ("after.high[0, k] - before.low[1, k]", "after.high[0, k] + 1.0 - before.low[1, k]"),
+        ("new[1] - old[0])", "new[1] + 1.0 - old[0])"),
         ("return shift + C @ arrival.middle, drift,", "return shift, drift,"),
     ),
     *_in(

@@ -80,7 +80,9 @@ TRUSTED = {
         "synthesis.checking.pairs_check synthesis.checking.opposite_task synthesis.path_checking.path_check "
         "synthesis.path_checking.hull_check synthesis.path_checking.own_bends "
         "synthesis.path_checking.law_moments synthesis.path_checking.linear_deviations "
-        "synthesis.path_checking.nonlinear_check synthesis.path_checking.gaussian_inequalities "
+        "synthesis.path_checking.nonlinear_check synthesis.path_checking.moving synthesis.path_checking.moment "
+        "synthesis.path_checking.limits_kept synthesis.path_checking.crossings "
+        "synthesis.path_checking.gaussian_inequalities "
         "synthesis.path_checking.pair_limits_check synthesis.path_checking.roundings "
         "synthesis.step_checking.readings synthesis.checking.regrown_tree synthesis.step_checking.relation_check "
         "synthesis.path_checking.own_angles synthesis.path_checking.own_regions synthesis.path_checking.start_check "
@@ -134,6 +136,8 @@ THEN = {
     "tensor trains": "synthesis.checking.train_check",
     "paths": "synthesis.path_checking.path_check synthesis.path_checking.linear_deviations "
     "synthesis.path_checking.nonlinear_check synthesis.path_checking.own_intervals "
+    "synthesis.path_checking.moving synthesis.path_checking.moment synthesis.path_checking.limits_kept "
+    "synthesis.path_checking.crossings "
     "synthesis.path_checking.own_bends synthesis.path_checking.gaussian_inequalities "
     "synthesis.path_checking.law_moments synthesis.certificates.path_proof "
     "synthesis.controllers.path_controller",

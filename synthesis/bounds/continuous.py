@@ -40,9 +40,9 @@ FAR_DEVIATIONS = 9.0
 MOST_LATTICE_POINTS = 4_000_000
 """Most lattice points of an agent; with more of them there is no bound."""
 
-MOST_MULTIPLICATIONS = 1e12
-"""Most multiplications of one agent, some minutes; with more of them there is no bound."""
-
+MOST_MULTIPLICATIONS, MOST_READ = 5e10, 2e7
+"""Most multiplications of one agent, and most points of its lattice times steps: some ten core seconds each. With more
+of them there is no bound: a task of hundreds of steps would wait for minutes for what its search has no use for."""
 
 POINTS_PER_CELL = (2, 1)
 """Lattice points per cell and axis: the first number for which the lattice is not too large."""
@@ -98,7 +98,7 @@ class Optimist:
     def of(cls, agent: LinearAgent, model: AgentModel, rounds: int = 1) -> Optimist | None:
         """Return the optimistic model on the cells of ``model``; None if its lattice would be too large.
 
-        ``rounds`` says how often it will be used: times the states of the automaton.
+        ``rounds`` says how often it will be used: times the states of the automaton that are not settled.
         """
         for per_cell in POINTS_PER_CELL:
             optimist = cls._with(agent, model, rounds, per_cell)
@@ -125,7 +125,8 @@ class Optimist:
         if np.prod(counts) > MOST_LATTICE_POINTS:  # before any axis of that length is made
             return None
         shape = tuple(int(count) for count in counts)
-        if rounds * math.prod(shape) * 2.0 * sum(grid.shape) > MOST_MULTIPLICATIONS:
+        read = rounds * math.prod(shape)
+        if read > MOST_READ or read * 2.0 * sum(grid.shape) > MOST_MULTIPLICATIONS:
             return None
         lattice = tuple(a + h * np.arange(n) for a, h, n in zip(first.tolist(), spacing.tolist(), shape, strict=True))
         axes = zip(lattice, grid.edges, deviations.tolist(), strict=True)
@@ -195,7 +196,7 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
         arrays = (agent.noise_covariance, agent.input_low, agent.input_high)
         alike = (id(model), *agent.motion_key, *(array.tobytes() for array in arrays))
         if alike not in optimists:
-            optimists[alike] = Optimist.of(with_matrices(agent), model, joint.horizon * joint.n_states)
+            optimists[alike] = Optimist.of(with_matrices(agent), model, joint.horizon * int(np.sum(~joint.absorbing)))
         optimist = optimists[alike]
         if optimist is None:
             return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,13 @@ class Limits:
     states: FloatArray
     outputs: FloatArray
     jumps: FloatArray
+
+    @classmethod
+    def side_by_side(cls, each: Sequence[Limits]) -> Limits:
+        """Return the limits of several agents as those of one."""
+        parts = [one.states for one in each], [one.outputs for one in each], [one.jumps for one in each]
+        states, outputs, jumps = (np.concatenate(part, axis=2) for part in parts)
+        return cls(states, outputs, jumps)
 
     @property
     def are_empty(self) -> bool:

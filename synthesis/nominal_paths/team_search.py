@@ -243,9 +243,7 @@ class TeamSearch:
         each = [limits_along(self.problem, search.agent, letters, faces) for search in self.searches]
         if any(limits.are_empty for limits in each):
             return None
-        parts = ([one.states for one in each], [one.outputs for one in each], [one.jumps for one in each])
-        states, outputs, jumps = (np.concatenate(part, axis=2) for part in parts)
-        return Limits(states, outputs, jumps)
+        return Limits.side_by_side(each)
 
     def _outputs(self, states: FloatArray) -> list[FloatArray]:
         """Return the outputs (S + 1, p) of each agent at states (S + 1, D)."""

@@ -143,7 +143,7 @@ class Ties:
             )
             for search, one in zip(searches, found, strict=True)
         ]
-        limits = Limits(*(np.concatenate([getattr(one, of) for one in each], axis=2) for of in ("states", "outputs")))
+        limits = Limits.side_by_side(each)
         outputs = np.concatenate([one.nominal.outputs[0] for one in found], axis=1)
         inputs = np.concatenate([one.nominal.inputs for one in found], axis=1)
         model = TeamModel([search.model for search in searches], self.of_agent)

@@ -120,14 +120,16 @@ class Motion:
 
     def variances(self, t: int, rows: FloatArray) -> FloatArray:
         """Variances (J,) of rows (J, d) of the deviation at time t, from above."""
-        noise, total, error = self.agent.noise_covariance, np.zeros(len(rows)), np.zeros(len(rows))
+        noise, powers = self.agent.noise_covariance, self.powers
         size, lengths, d = float(np.linalg.norm(noise)) * TAIL, np.linalg.norm(rows, axis=1) * TAIL, len(noise)
-        for k in range(t):
-            moved = rows @ self.powers.computed[k]
-            total += np.einsum("jd,de,je->j", moved, noise, moved, optimize=True)
-            moved_size = np.linalg.norm(moved, axis=1) * TAIL
-            wrong = lengths * (self.powers.errors[k] + (d + 2.0) * UNIT * self.powers.norms[k])
-            error += size * (2.0 * moved_size * wrong + wrong**2 + (2.0 * d + t + 4.0) * UNIT * moved_size**2)
+        # Rows (t, J, d) as all powers move them; one sum over states, then one over times: what is added rounds so.
+        moved = np.matmul(rows, np.array(powers.computed[:t]).reshape(-1, d, d))
+        total = np.sum(np.sum(np.matmul(moved, noise) * moved, axis=2), axis=0)
+        moved_size = np.linalg.norm(moved, axis=2) * TAIL
+        off = np.array(powers.errors[:t]) + (d + 2.0) * UNIT * np.array(powers.norms[:t])
+        wrong = off[:, None] * lengths
+        each = 2.0 * moved_size * wrong + wrong**2 + (2.0 * d + t + 4.0) * UNIT * moved_size**2
+        error = size * np.sum(each, axis=0)
         # Squares of tiny rows underflow; a variance of 0 would say that nothing can happen.
         least = np.where(np.any(rows != 0.0, axis=1), SMALLEST, 0.0)
         return np.asarray(np.maximum(total, 0.0) + error * TAIL + least)
