@@ -50,6 +50,11 @@ def test_expressions_copies_and_moving_boxes_are_spelled_out() -> None:
     assert problem_from_dict(problem.to_dict()).fingerprint == problem.fingerprint
 
 
+def test_copies_may_be_named_as_they_are_elsewhere() -> None:
+    problem = problem_from_toml(FILE.replace('name = "pump"', 'name = "pump_*"'))
+    assert problem.to_dict() == problem_from_toml(FILE).to_dict()
+
+
 def test_inputs_beyond_a_box_that_moves_count_as_its_end() -> None:
     """A full input at every step, against a loop of ten lines without noise."""
     text = FILE.replace('"pi / 100"', "0.0").replace("copies = 2\n", "").replace('[[0.0], ["pi / 2"]]', "[0.0]")

@@ -199,6 +199,9 @@ def _agents(tables: Any, horizon: Any) -> list[AnyAgent]:
 def _of_table(table: Any, horizon: Any, tables: Sequence[Any], most: int) -> Sequence[AnyAgent]:
     """Return the agents of one table, `most` at most."""
     kind = _kind(table)
+    if isinstance(table, Mapping) and "copies" in table and isinstance(name := table.get("name"), str):
+        # Copies are `drone_*` elsewhere, and may be so here.
+        table = {**table, "name": name.removesuffix("_*")}
     table = spelled_out(table, horizon, tables)
     required, besides = _keys(kind)
     _refuse_nested_agents(table)
