@@ -84,6 +84,7 @@ def test_the_upper_end_is_what_the_controllers_attain(task: str) -> None:
     assert above is not None and truth <= above <= end.upper_bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relation, room", [("linear", 0.01), ("boxes", 0.1)])
 @pytest.mark.parametrize("task", ["co-safe", "trace"])
 def test_rollouts_lie_below_and_near_upper_ends(task: str, relation: str, room: float) -> None:
@@ -254,6 +255,7 @@ def test_starts_on_the_upper_face_are_inside(relation: str, gap: float) -> None:
     assert cg.check(end) and 0.3 < end.lower_bound and end.gap < gap
 
 
+@pytest.mark.slow
 def test_ends_are_those_that_separate_code_finds_too() -> None:
     """Unions from below rest on ratios of small numbers, which the check does not find here: it has no part in them."""
     certificate = cg.synthesize("decoupled-chain-v0", above=True).certificate

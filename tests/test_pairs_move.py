@@ -118,6 +118,7 @@ def test_the_check_reads_pairs_at_their_time() -> None:
         assert not cg.check(replace(certificate, problem=wrong), wrong)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grows", ["1 + 0.12*t", "0.6 + 0.3*t"])
 def test_paths_for_a_pair_that_stands_still_do_not_do_for_one_that_grows(grows: str) -> None:
     still, wrong = (problem_of("!near U there", {"distance": d}, 0.15) for d in (1.0, grows))
@@ -138,6 +139,7 @@ def test_the_check_encloses_pairs(name: str) -> None:
         assert np.all(outer.high - inner.high < 1e-9)
 
 
+@pytest.mark.slow
 def test_grids_say_that_they_know_pairs_that_stand_still() -> None:
     problem = problem_of("!near U there", {"low": [-1, -1], "high": [1, "1 + t"]}, 0.9)
     for relation in ("exact", "joint", "mixed"):

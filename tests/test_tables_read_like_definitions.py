@@ -70,6 +70,7 @@ def problems() -> list[cg.Problem]:
     return [*suite, planar_pair(), two_agents("G (b -> X d)", "finite-trace")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problem", problems(), ids=lambda problem: problem.name)
 def test_tables_and_definitions_judge_all_worlds_alike(problem: cg.Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     dynamics, plain = Dynamics.of(problem), Dynamics.of(problem)

@@ -48,6 +48,7 @@ def test_colours_are_for_terminals(monkeypatch: pytest.MonkeyPatch, terminal: bo
     assert wants_colors() == wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [60, 132])
 def test_no_line_is_wider_than_the_terminal_and_no_word_is_lost(
     width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -92,6 +93,7 @@ def test_the_bar_shows_the_bound_before_what_a_narrow_terminal_cuts_off() -> Non
     assert "] P >= 0.904608 so far; linear, 160 cells" in last and len(last.rstrip()) <= 60
 
 
+@pytest.mark.slow
 def test_eighty_columns_show_bound_level_upper_end_and_what_is_left() -> None:
     """As a task of the suite tells them over few steps, whatever the clock says."""
     text, told = io.StringIO(), list[str]()
