@@ -43,6 +43,9 @@ MOST_PLANS = 40
 GOOD = 1e-3
 """Probability of failing from which no words of few cubes are tried."""
 
+PACES = (1.0, 0.6, 0.8, 0.35)
+"""Shares of the horizon up to which jumps are spread, in the order in which they are tried."""
+
 MOST_ALIKE = 3
 """Ways of teams that may be read alike: each is another attempt, with feedbacks that are drawn anew."""
 
@@ -179,7 +182,8 @@ def _timed(problem: Problem, drifts: Drifts, way: Way) -> Iterator[Plan]:
     n, seen = len(way.jumps), set[tuple[int, ...]]()
     if n > problem.horizon or (n == 0 and problem.automaton.is_co_safe):
         return
-    for share in (1.0, 0.6, 0.8, 0.35):
+    # Plans of teams with pairs take seconds, and the last share is for where waiting adds noise alone.
+    for share in PACES[: -1 if problem.labeling.pairs else None]:
         times = way.spread(max(n, round(share * problem.horizon)))
         if problem.labeling.moves:
             times = _nearest_times(problem, way, times)
