@@ -302,3 +302,16 @@ def test_feedbacks_that_change_with_the_time_are_tried_where_one_for_all_times_i
     assert cg.check(found) and cg.validate(found, 4000, seed=5).verdict in ("consistent", "confirmed")
     # Rays go along a path with one feedback all the same.
     assert cg.check(cg.synthesize(problem, starts=0.9).certificate)
+
+
+def test_no_set_of_starts_is_made_of_noise_that_is_not_normal() -> None:
+    agent = cg.LinearAgent(
+        name="tug", A=[[1.0]], B=[[1.0]], noise=[{"law": "laplace", "scale": 0.05}], state_low=[-3], state_high=[3],
+        input_low=[-1], input_high=[1], initial_state=[0.0],
+    )  # fmt: skip
+    problem = cg.Problem(name="tug", horizon=5, agents=[agent], specification=cg.Specification("F berth", "co-safe"),
+                         propositions={"berth": cg.Proposition("tug", [1.0], [2.5])})  # fmt: skip
+    certificate = cg.synthesize(problem, relation="path").certificate
+    assert certificate.lower_bound > 0.9
+    with pytest.raises(ValueError, match="sets of starts of a linear agent"):
+        certified_starts(certificate, 0.5)

@@ -77,7 +77,8 @@ def certified_starts(
         raise RelationRefused("sets of starts are for one agent; certify the agents one by one")
     if certificate.proof.paths[0].states is not None:
         # Its feedbacks change with the time: rays go along a path of which one feedback is for all times.
-        straight = None if not agent.initial.is_point else linear_certificate(problem, CountedWork())
+        is_straight = agent.is_linear_gaussian and agent.initial.is_point
+        straight = linear_certificate(problem, CountedWork()) if is_straight else None
         if straight is None:
             raise RelationRefused(
                 "sets of starts of a linear agent with a start that is a point can be found; certify others with a "
