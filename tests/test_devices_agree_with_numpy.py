@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import weakref
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,9 @@ from certigym.synthesis.values.devices import (
 
 pytestmark = pytest.mark.slow
 
-DEVICE = "torch:cpu"
+DEVICE = os.environ.get("CERTIGYM_DEVICE", "torch:cpu")
+"""`CERTIGYM_DEVICE=torch:cuda` or `cupy` tests an accelerator of this machine."""
+
 CLOSE = 1e-11
 """Relative difference allowed: far below the reserve for rounding, 1e-11 per agent and ten more."""
 
@@ -48,7 +51,7 @@ TASKS: dict[str, tuple[cg.Problem, dict[str, Any]]] = {
 
 @pytest.fixture(autouse=True)
 def _torch() -> None:
-    pytest.importorskip("torch")
+    pytest.importorskip(DEVICE.partition(":")[0])
     pytest.importorskip("array_api_compat")
 
 

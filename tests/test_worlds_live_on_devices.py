@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import subprocess
 import sys
 from types import ModuleType
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.arrays import device_put, numbers_beside, to_host
+from certigym.envs.arrays import LIBRARIES, device_put, numbers_beside, to_host
 from certigym.envs.dynamics import Dynamics, Worlds
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces import DeviceTeamEnv, Potential, TeamEnv
@@ -42,7 +43,11 @@ SPECIFICATIONS = [
 ]
 
 
-@pytest.fixture(params=["torch:cpu", "jax:cpu"])
+DEVICES = os.environ.get("CERTIGYM_DEVICE", "torch:cpu,jax:cpu").split(",")
+"""`CERTIGYM_DEVICE=torch:cuda` or `jax:gpu` tests an accelerator of this machine."""
+
+
+@pytest.fixture(params=DEVICES)
 def device(request: pytest.FixtureRequest) -> str:
     name = str(request.param)
     pytest.importorskip("array_api_compat")
@@ -155,7 +160,7 @@ def same_worlds(there: Worlds, here: Worlds) -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_random_problems_move_and_pay_alike(seed: int, device: str) -> None:
-    problem, put, rng = random_problem(seed), device_put(device, ("torch", "jax")), np.random.default_rng(seed)
+    problem, put, rng = random_problem(seed), device_put(device, LIBRARIES), np.random.default_rng(seed)
     behaviour = ("zero", "random", "periodic")[seed % 3]
     here, there = Dynamics.of(problem, behaviour), Dynamics.of(problem, behaviour, put)
     mine = Potential.of(here)
@@ -210,7 +215,7 @@ def test_steps_of_teams_tell_the_same(id: str, options: dict[str, Any], device: 
     """Observations, rewards, ends, new episodes: step by step those of numpy where no noise differs."""
     here, there = cg.team_env(id, 6, **options), cg.team_env(id, 6, device=device, **options)
     assert isinstance(here, TeamEnv) and isinstance(there, DeviceTeamEnv)
-    put, rng = device_put(device, ("torch", "jax")), np.random.default_rng(0)
+    put, rng = device_put(device, LIBRARIES), np.random.default_rng(0)
     here._batch._np_random = Fixed(np.asarray, None)  # type: ignore[assignment]
     there._numbers = Fixed(put, None)
     ours, theirs, ends = here.reset(), there.reset(), 0
@@ -257,7 +262,7 @@ def test_success_is_as_likely(id: str, device: str) -> None:
 
 
 def test_random_numbers_are_made_on_the_device_and_follow_the_seed(device: str) -> None:
-    put = device_put(device, ("torch", "jax"))
+    put = device_put(device, LIBRARIES)
     drawn = [to_host(numbers_beside(put(np.zeros(1)), seed).standard_normal((1000, 100))) for seed in (1, 1, 2)]
     np.testing.assert_array_equal(drawn[0], drawn[1])
     assert (drawn[0] != drawn[2]).all() and drawn[0].dtype == np.float64
