@@ -206,19 +206,19 @@ def along(problem: cg.Problem) -> tuple[Found, AlongPath]:
     return found, changed(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
 
 
-def without_the_tube(*arguments: Any) -> Any:
+def without_the_tube(*arguments: Any, **named: Any) -> Any:
     """Remainders at the point in place of the tube: none."""
-    middle, half = true_remainders(*arguments)
+    middle, half = true_remainders(*arguments, **named)
     return 0.0 * middle, 0.0 * half
 
 
-def with_the_other_sign(*arguments: Any) -> Any:
+def with_the_other_sign(*arguments: Any, **named: Any) -> Any:
     """Remainders that bend to the other side."""
-    middle, half = true_remainders(*arguments)
+    middle, half = true_remainders(*arguments, **named)
     return -middle, half
 
 
-true_remainders = feedback_bounds.remainders
+true_remainders: Any = feedback_bounds.remainders
 
 
 class NoDrift(feedback_bounds._Walk):
@@ -308,12 +308,12 @@ def test_what_is_forgotten_of_scales_is_refused(
         path = replace(found.path, slabs=spreads.slabs)
         return changed(certificate, paths=(path,), faces=found.faces, failure=float(worth.failures()[0]))
 
-    honest, scale = claimed(), search.model.scale
+    honest = claimed()
     assert cg.check(honest) and honest.proof.failure < 1.0
 
-    def nominal(program: Any, *rest: Any) -> Any:
-        middle, half = true_remainders(program, *rest)
-        factor = 0.0 if program is scale else 1.0
+    def nominal(*arguments: Any, follows: bool = True) -> Any:
+        middle, half = true_remainders(*arguments, follows)
+        factor = 1.0 if follows else 0.0  # only scales ask for no feedback
         return factor * middle, factor * half
 
     if forgotten == "what the scale varies":

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import intervals as on
-from .enclosure import _natural, _slopes_of
+from .chain_rule import Node, chained
 from .evaluation import power
 from .expression_tree import Name, Number, Operation, Tree, whole_exponent
-from .intervals import Interval
+from .tapes import Tape
 
 FloatArray = NDArray[Any]
-Bends = dict[tuple[int, int], Interval]
+Bends = dict[tuple[int, int], FloatArray]
 """Second derivatives by two variables ``j <= k``; those that are left out are 0."""
 
 
@@ -89,35 +88,66 @@ class Program:
 
     def slopes(self, variables: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the values (p, n) and partial derivatives (p, v, n) at variables (v, n) (rounded)."""
-        found = self._dual([(row, row) for row in variables], False)
+        found = self._derived.slopes(np.stack([variables, variables]))
         p, (v, n) = len(self.results), variables.shape
         values, matrix = np.empty((p, n)), np.zeros((p, v, n))
-        for i, k in enumerate(self.results):
-            interval, slopes, _ = found[k]
+        for i, interval in enumerate(found[:p]):
             values[i] = 0.5 * (interval[0] + interval[1])
-            for j, slope in slopes.items():
-                matrix[i, j] = 0.5 * (slope[0] + slope[1])
+        for (i, j), slope in zip(self._derived.first, found[p:], strict=True):
+            matrix[i, j] = 0.5 * (slope[0] + slope[1])
         return values, matrix
 
-    def curved(self, box: Sequence[Interval]) -> list[tuple[Interval, dict[int, Interval], Bends]]:
-        """Return intervals around values, first and second derivatives on boxes of variables (outer bounds)."""
-        found = self._dual(box, True)
-        return [found[k] for k in self.results]
+    def curved(self, box: FloatArray) -> list[tuple[dict[int, FloatArray], Bends]]:
+        """Return intervals around first and second derivatives on boxes (2, v, n) of variables (rounded to nearest).
 
-    def _dual(self, box: Sequence[Interval], twice: bool) -> list[tuple[Interval, dict[int, Interval], Bends]]:
-        found: list[tuple[Interval, dict[int, Interval], Bends]] = []
-        one = np.ones(1), np.ones(1)
-        with np.errstate(all="ignore"):
-            for step in self.steps:
-                tree = step.tree
-                if isinstance(tree, Number):
-                    number = np.array([tree.value])
-                    found.append(((number, number), {}, {}))
-                elif isinstance(tree, Name):
-                    found.append((box[step.variable], {step.variable: one}, {}))
-                else:
-                    found.append(_chained(tree, [found[k] for k in step.arguments], twice))
+        Derivatives that are left out are 0.
+        """
+        found: list[tuple[dict[int, FloatArray], Bends]] = [({}, {}) for _ in self.results]
+        intervals = iter(self._derived.bends(box))
+        for i, j in self._derived.first:
+            found[i][0][j] = next(intervals)
+        for i, j, k in self._derived.second:
+            found[i][1][j, k] = next(intervals)
         return found
+
+    @cached_property
+    def _derived(self) -> Derived:
+        """The tape of derivatives."""
+        tape = Tape()
+        found: list[Node] = []
+        for step in self.steps:
+            tree = step.tree
+            if isinstance(tree, Number):
+                found.append((tape.number(tree.value), {}, {}))
+            elif isinstance(tree, Name):
+                found.append((tape.variable(step.variable), {step.variable: tape.number(1.0)}, {}))
+            else:
+                found.append(chained(tape, tree, [found[k] for k in step.arguments]))
+        nodes = [found[k] for k in self.results]
+        first = [(i, j) for i, (_, slopes, _) in enumerate(nodes) for j in slopes]
+        second = [(i, j, k) for i, (_, _, bends) in enumerate(nodes) for j, k in bends]
+        slopes = [nodes[i][1][j] for i, j in first]
+        bends = [nodes[i][2][j, k] for i, j, k in second]
+        values = [value for value, _, _ in nodes]
+        return Derived(first, second, tape.running([*values, *slopes]), tape.running([*slopes, *bends]))
+
+
+@dataclass(frozen=True)
+class Derived:
+    """Which derivatives of which results there are, and functions of boxes (2, v, n) that enclose them.
+
+    Parameters
+    ----------
+    first, second : lists
+        Results with one variable, and with two.
+    slopes, bends : callable
+        Return values and first derivatives; first and second derivatives.
+    """
+
+    first: list[tuple[int, int]]
+    second: list[tuple[int, int, int]]
+    slopes: Callable[[FloatArray], list[FloatArray]]
+    bends: Callable[[FloatArray], list[FloatArray]]
 
 
 def _function(step: Step) -> Callable[..., Any]:
@@ -134,96 +164,6 @@ def _function(step: Step) -> Callable[..., Any]:
             return lambda variables, base, _: power(np.asarray(base), n)
     function = _FUNCTIONS[tree.name]
     return lambda variables, *arguments: function(*arguments)
-
-
-def _chained(
-    tree: Operation, inner: list[tuple[Interval, dict[int, Interval], Bends]], twice: bool
-) -> tuple[Interval, dict[int, Interval], Bends]:
-    """Return an operation with its derivatives, by the chain rule."""
-    values = [value for value, _, _ in inner]
-    value = _natural(tree.name, tree.arguments, values)
-    if not any(slopes for _, slopes, _ in inner):
-        return value, {}, {}
-    slopes: dict[int, Interval] = {}
-    bends: Bends = {}
-    factors = _slopes_of(tree.name, tree.arguments, values, value)
-    for factor, (_, own, own_bends) in zip(factors, inner, strict=True):
-        _add(slopes, own, factor)
-        _add(bends, own_bends, factor)
-    if twice:
-        for (a, b), factor in _second(tree, values, value).items():
-            first, second = inner[a][1], inner[b][1]
-            for j, one in first.items():
-                for k, other in second.items():
-                    if a == b and j > k:
-                        continue
-                    product = on.multiply(factor, on.multiply(one, other))
-                    # By two different arguments both orders count; on the diagonal they are the same number.
-                    if a != b and j == k:
-                        product = on.add(product, product)
-                    _add(bends, {(min(j, k), max(j, k)): product}, None)
-    return value, slopes, bends
-
-
-def _add(total: dict[Any, Interval], more: dict[Any, Interval], factor: Interval | None) -> None:
-    for k, interval in more.items():
-        scaled = interval if factor is None else on.multiply(factor, interval)
-        total[k] = on.add(total[k], scaled) if k in total else scaled
-
-
-def _second(tree: Operation, values: list[Interval], value: Interval) -> dict[tuple[int, int], Interval]:
-    """Return the second partial derivatives of an operation by its arguments; those that are left out are 0."""
-    first = values[0]
-    if tree.name in ("+", "-", "negative"):
-        return {}
-    if tree.name == "*":
-        return {(0, 1): _number(1.0)}
-    if tree.name == "/":
-        second = values[1]
-        return {
-            (0, 1): on.divide(_number(-1.0), on.power(second, 2)),
-            (1, 1): on.divide(on.multiply(_number(2.0), first), on.multiply(second, on.power(second, 2))),
-        }
-    if tree.name == "abs":
-        return {(0, 0): _nothing_at((first[0] <= 0.0) & (first[1] >= 0.0))}
-    if tree.name in ("min", "max"):
-        second = values[1]
-        unknown = _nothing_at((first[1] >= second[0]) & (second[1] >= first[0]))
-        return {(0, 0): unknown, (0, 1): unknown, (1, 1): unknown}
-    if tree.name == "**":
-        return {(0, 0): _second_of_power(tree.arguments[1], first)}
-    return {(0, 0): _SECOND[tree.name](first)}
-
-
-def _second_of_power(exponent: Tree, base: Interval) -> Interval:
-    if not isinstance(exponent, Number):
-        return _nothing_at(np.ones(1, dtype=bool))
-    n = exponent.value
-    factor, whole = _number(n * (n - 1.0)), whole_exponent(Number(n - 2.0))
-    return on.multiply(factor, on.power(base, whole) if whole is not None else on.constant_power(base, n - 2.0))
-
-
-def _number(x: float) -> Interval:
-    return np.array([x]), np.array([x])
-
-
-def _nothing_at(unknown: NDArray[np.bool_]) -> Interval:
-    ends = np.where(unknown, np.nan, 0.0)
-    return ends, ends
-
-
-def _of_tan(a: Interval) -> Interval:
-    t = on.tan(a)
-    return on.multiply(on.multiply(_number(2.0), t), on.add(_number(1.0), on.power(t, 2)))
-
-
-def _of_atan(a: Interval) -> Interval:
-    return on.divide(on.multiply(_number(-2.0), a), on.power(on.add(_number(1.0), on.power(a, 2)), 2))
-
-
-def _of_tanh(a: Interval) -> Interval:
-    t = on.tanh(a)
-    return on.multiply(on.multiply(_number(-2.0), t), on.subtract(_number(1.0), on.power(t, 2)))
 
 
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
@@ -245,15 +185,3 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sqrt": np.sqrt,
     "tanh": np.tanh,
 }
-
-_SECOND: dict[str, Callable[[Interval], Interval]] = {
-    "sin": lambda a: on.negative(on.sin(a)),
-    "cos": lambda a: on.negative(on.cos(a)),
-    "tan": _of_tan,
-    "exp": on.exp,
-    "log": lambda a: on.divide(_number(-1.0), on.power(a, 2)),
-    "sqrt": lambda a: on.divide(_number(-1.0), on.multiply(on.multiply(_number(4.0), a), on.sqrt(a))),
-    "atan": _of_atan,
-    "tanh": _of_tanh,
-}
-"""Second derivatives of functions of one argument."""

@@ -17,7 +17,7 @@ from ...envs.agents import Tail
 from ..cells import FloatArray
 from .exponential_moments import ExponentialMoments
 from .limit_rows import INWARD, OUTWARD, PAIR, Worth
-from .nonlinear_model import NonlinearModel, remainders
+from .nonlinear_model import Curved, NonlinearModel, Tube, remainders
 from .path_limits import Limits
 
 LEAST = 1e-6
@@ -144,7 +144,8 @@ class NominalPath:
         agent, steps = self.model.agent, len(self.inputs)
         if self.model.scale is None:
             return np.broadcast_to(self.model.covariance, (steps, agent.n_states, agent.n_states))
-        return np.array([np.diag((row * self.model.deviations) ** 2) for row in self.scales[0]])
+        squares = (self.scales[0] * self.model.deviations) ** 2
+        return squares[:, :, None] * np.eye(agent.n_states)
 
     @classmethod
     def many(cls, model: NonlinearModel, limits: Limits, states: FloatArray, inputs: FloatArray) -> list[NominalPath]:
@@ -202,16 +203,18 @@ class _Walk:
         self.jumped: tuple[FloatArray, ...] | None = None
         if self.model.scale is not None:
             self.scales, self.slopes = each(lambda p: p.scales[0]), each(lambda p: p.scales[1])
+            self.slope_forms = np.moveaxis(self.slopes, 1, 3)
         self.asked = _padded(paths, which)
         self.needs_outputs = any(len(path.limits.limited) or path.pairs for path in paths)
         self.needs_outputs |= any(bool(np.any(np.isfinite(ends))) for ends in self.jumps)
         self.shared = self.model.shared
         steps, d = self.steps, self.d
-        self.products = np.zeros((self.n, steps + 1, d, d))
+        # Closed loops since each remainder stand side by side, (N, d, S + 1, d): a step multiplies them all at once.
+        self.products = np.zeros((self.n, d, steps + 1, d))
         self.drifts, self.shifts = np.zeros((2, self.n, steps + 1, d))
         # The set of starts stands before the first remainder. Steps that leave none, as those of linear agents do, have
         # no place here: what they round has a covariance.
-        self.products[:, 0] = np.eye(d)
+        self.products[:, :, 0] = np.eye(d)
         self.keeps_all = self.model.tail == Tail.LONG or self.shared is not None
         self.faint = np.zeros((self.n, d, d))
         starts = [np.maximum(p.model.agent.initial.high - p.states[0], p.states[0] - p.model.agent.initial.low)
@@ -225,25 +228,64 @@ class _Walk:
         width = agent.state_high - agent.state_low
         self.least = LEAST * np.concatenate([width, np.maximum(agent.input_high - agent.input_low, 1e-9)])
         self.ends = self.model.ends
-        self.lost = LOST * width
+        self.lost, self.rounded = LOST * width, np.diag((1e-13 * width) ** 2)
+        self.forms, self.centres = self._derivatives()
+        self.rows, self.parts = self._rows()
+        self.found: tuple[FloatArray, ...] = ()
+
+    def _derivatives(self) -> tuple[FloatArray, FloatArray]:
+        """Return matrices (S, d, v, N) of the linear forms of steps, and what derivatives are off from them."""
+        unknown = self.unknowns
+        forms = np.concatenate([self.A, self.B, np.zeros_like(unknown)], axis=3)
+        centres = np.concatenate([np.zeros((*unknown.shape[:3], self.d + self.m)), unknown], axis=3)
+        return np.moveaxis(forms, 1, 3), np.moveaxis(centres, 1, 3)
+
+    def _rows(self) -> tuple[list[FloatArray], dict[str, slice]]:
+        """Return rows (N, J, d) of which something is asked at each time, and which of them are about what."""
+        n, d, steps = self.n, self.d, self.steps
+        blocks = {"states": np.broadcast_to(np.eye(d), (steps + 1, n, d, d)), "outputs": self.C}
+        gains = np.moveaxis(self.feedback.gains, 1, 0)
+        moving = {"inputs": gains}
+        if self.moments is not None:
+            slopes = self.slopes
+            moving["scales"] = slopes[..., :d] + np.matmul(slopes[..., d : d + self.m], gains)
+        ends = np.cumsum([0, *(block.shape[2] for block in (*blocks.values(), *moving.values()))])
+        parts = {name: slice(a, b) for name, a, b in zip((*blocks, *moving), ends[:-1], ends[1:], strict=True)}
+        last = np.concatenate([block[-1] for block in blocks.values()], axis=1)
+        rows = np.concatenate([*(block[:-1] for block in blocks.values()), *moving.values()], axis=2)
+        return [*rows, last], parts
+
+    def known(self, part: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return shifts, drifts and variances (N, J) of some rows at the time where the walk is."""
+        shift, drift, variance = (each[:, self.parts[part]] for each in self.found)
+        return shift, drift, variance
 
     def of_rows(self, t: int, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return shifts, drifts and variances (N, J) of rows (J, d) or (N, J, d) at time t."""
         rows = np.broadcast_to(rows, (self.n, *rows.shape[-2:]))
-        moved = np.matmul(rows[:, None], self.products[:, : self.count])
-        shift = np.einsum("nsjd,nsd->nj", moved, self.shifts[:, : self.count])
-        drift = np.einsum("nsjd,nsd->nj", np.abs(moved), self.drifts[:, : self.count])
+        moved = np.matmul(rows, self.products_to(self.count))
+        shifts, drifts = (each[:, : self.count].reshape(self.n, -1, 1) for each in (self.shifts, self.drifts))
+        shift, drift = np.matmul(moved, shifts)[..., 0], np.matmul(np.abs(moved), drifts)[..., 0]
         # A sum of t d numbers is at most the root of t d times the sum of their squares.
         faint = np.maximum(np.sum(np.matmul(rows, self.faint) * rows, axis=2), 0.0)
         drift = drift + np.sqrt(t * self.d * faint)
         return shift, drift * OUTWARD, np.sum(np.matmul(rows, self.covariance) * rows, axis=2)
+
+    def products_to(self, count: int, first: int = 0) -> FloatArray:
+        """Return the closed loops since some remainders, side by side (N, d, .. d)."""
+        return self.products[:, :, first:count].reshape(self.n, self.d, -1)
+
+    def moved_by(self, t: int, rows: FloatArray) -> FloatArray:
+        """Return rows (N, J, d) as rows (N, t, J, d) of the noise of each step before t."""
+        moved = np.matmul(rows, self.products_to(t + 1, 1)).reshape(*rows.shape[:2], t, self.d)
+        return np.asarray(moved.swapaxes(1, 2))
 
     def largest(self, t: int, rows: FloatArray) -> FloatArray | None:
         """Return what one step adds at most to these variances (N, J); None where no tail depends on it."""
         if self.model.tail != Tail.LONG or t == 0:
             return None
         rows = np.broadcast_to(rows, (self.n, *rows.shape[-2:]))
-        moved = np.matmul(rows[:, None], self.products[:, 1 : t + 1])
+        moved = self.moved_by(t, rows)
         each = np.sum(np.matmul(moved, self.each_noise[:, :t]) * moved, axis=3)
         return np.asarray(each.max(axis=1)) * OUTWARD
 
@@ -251,7 +293,7 @@ class _Walk:
         """Return what each number of shared noise adds to rows (N, J, d) at time t, as (N, J, t K)."""
         if self.shared is None:
             return np.zeros((*rows.shape[:2], 0))
-        each = np.matmul(np.matmul(rows[:, None], self.products[:, 1 : t + 1]), self.shared)
+        each = np.matmul(self.moved_by(t, rows), self.shared)
         return np.asarray(each.swapaxes(1, 2).reshape(*rows.shape[:2], -1))
 
     def walked(self) -> tuple[Worth, Spreads]:
@@ -262,7 +304,8 @@ class _Walk:
         eye = np.eye(d)
         for t in range(steps + 1):
             x = self.x[t]
-            shift, drift, variance = self.of_rows(t, eye)
+            self.found = self.of_rows(t, self.rows[t])
+            shift, drift, variance = self.known("states")
             sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
             asked = bent[:d] if t < steps else self.model.bent_outputs
             if self.needs_outputs:
@@ -308,15 +351,15 @@ class _Walk:
             return np.zeros(self.y[t].shape), np.zeros(self.y[t].shape)
         ends = self.ends[0][: self.d], self.ends[1][: self.d]
         matrix = np.moveaxis(self.C[t], 0, 2)
-        both = reach[0].T, reach[1].T
-        middle, off = remainders(self.model.output, self.x[t].T, matrix, np.zeros_like(matrix), both, ends)
+        tube = Tube.around(self.x[t].T, (reach[0].T, reach[1].T), ends)
+        middle, off = remainders(tube.curved(self.model.output), tube, matrix, np.zeros_like(matrix))
         return middle.T, off.T * OUTWARD
 
     def _outputs(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Add the limits of outputs; return their deviations, drifts and shifts (N, p)."""
         low, high = (end[t] for end in self.limits_y)
         y = self.y[t]
-        shift, drift, variance = self.of_rows(t, self.C[t])
+        shift, drift, variance = self.known("outputs")
         middle, off = self._off_outputs(t, reach)
         shift, drift = shift + middle, drift + off
         here = np.flatnonzero(np.any(np.isfinite(low) | np.isfinite(high), axis=0))
@@ -385,95 +428,107 @@ class _Walk:
         self.worth.add(asked.low + shift - drift, asked.high - shift - drift, nothing, both[0], names, both[1])
         return drift, variance, largest, shared, shift
 
-    def _tilt(self, t: int, a: FloatArray, b: FloatArray, off: FloatArray, tube: tuple[Both, FloatArray]) -> None:
+    def _tilt(self, t: int, b: FloatArray, off: FloatArray, tube: tuple[Both, FloatArray]) -> None:
         """Note what squares of deviations of a step's noise are below: the scale is b (N, d) + a (N, d, d) e, about."""
         assert self.moments is not None
         (below, above), noise = tube
-        shift, drift, _ = self.of_rows(t, a)
-        own_shift, own_drift, _ = self.of_rows(t, np.eye(self.d))
+        a = self.rows[t][:, self.parts["scales"]]
+        shift, drift, _ = self.known("scales")
+        own_shift, own_drift, _ = self.known("states")
         sizes = np.maximum(below, above) + np.abs(own_shift) + own_drift
         slab = np.minimum(self.slab_now, sizes) if t else np.zeros_like(sizes)
         self.moments.tilt((b + shift, off + drift, np.einsum("nkj,nj->nk", np.abs(a), slab), a),
                           self.model.deviations, np.einsum("nkk->nk", noise))  # fmt: skip
 
-    def _step(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Go on by a step; return deviations, drifts and shifts of inputs, and slabs of inputs and noises."""
-        d, m = self.d, self.m
-        gain, u, agent = self.feedback.gains[:, t], self.u[t], self.agent
-        shift, drift, variance = self.of_rows(t, gain)
-        sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
-        moved = np.any(gain != 0.0, axis=2)
-        asked = moved & self.model.bent[d:]
-        slab = np.where(asked, self.feedback.slabs[:, t, d : d + m] * sd + self.least[d:], np.inf)
-        size = np.einsum("nmd,nd->nm", np.abs(gain), np.maximum(*reach))
-        # No input is farther from its nominal value than the states that it follows.
-        wide = slab + drift
-        around = [
-            np.where(moved, np.minimum(np.maximum(wide + moves, 0.0), size) * OUTWARD + 1e-13 * np.abs(u), 0.0)
-            for moves in (-shift, shift)
-        ]
-        spare = INWARD * (np.abs(u) + 1e-3)
-        low = np.where(moved, u + shift - agent.input_low - drift - spare, np.inf)
-        high = np.where(moved, agent.input_high - u - shift - drift - spare, np.inf)
-        names = [f"{name} at step {t}" for name in self.model.names[d : d + m]]
-        self.worth.add(low, high, slab, sd**2, names, self.largest(t, gain))
-        self._ask(t, gain)
-        ends, at = self.ends, np.concatenate([self.x[t].T, u.T, self.model.known(self.n, t)])
+    def _tube(self, t: int, reach: Both, around: Both) -> Tube:
+        """Return the tube of a step: how far states (N, d) and inputs (N, m) reach below and above."""
+        at = np.concatenate([self.x[t].T, self.u[t].T, self.model.known(self.n, t)])
         least, most = self.model.unknown_at(t)
         half = np.repeat(0.5 * (most - least), self.n, axis=1)
-        half = np.concatenate([half, np.zeros((agent.names_time * 1, self.n))])  # the time is known
-        boxes = np.concatenate([reach[0].T, around[0].T, half]), np.concatenate([reach[1].T, around[1].T, half])
-        A, B = self.A[t], self.B[t]
-        matrix = np.concatenate([A, B, np.zeros((self.n, d, len(half)))], axis=2).transpose(1, 2, 0)
-        centre = np.concatenate([np.zeros((self.n, d, d + m)), self.unknowns[t]], axis=2).transpose(1, 2, 0)
-        middle, off = (part.T for part in remainders(self.model.motion, at, matrix, centre, boxes, ends, gain))
-        noise_slab, noise = np.full((self.n, d), np.inf), self.noises[t]
-        if self.model.scale is not None:
-            slopes = np.moveaxis(self.slopes[t], 0, 2)
-            bent, more = remainders(self.model.scale, at, np.zeros_like(matrix), np.abs(slopes), boxes, ends)
-            varied = (np.abs(bent) + more).T
-            is_varied = self.model.varied & (self.model.deviations > 0.0)
-            noise_slab = np.where(
-                is_varied & (self.model.tail == Tail.NORMAL), self.feedback.slabs[:, t, d + m :], np.inf
-            )
-            is_bounded = np.isfinite(noise_slab)
-            off = off + np.where(
-                is_bounded, varied * self.model.deviations * np.where(is_bounded, noise_slab, 0.0), 0.0
-            )
-            # Without a slab the scale is anything up to the largest one on the tube.
-            is_stopped = is_varied & ~is_bounded
-            own = np.where(
-                is_stopped, np.sqrt(np.einsum("nkk->nk", noise)) + varied * self.model.deviations * OUTWARD, 0.0
-            )
-            noise = np.where(is_stopped[:, :, None] * np.eye(d, dtype=bool), own[:, :, None] ** 2, noise)
-            self.worth.stop(np.any(is_stopped, axis=1))
-            nothing = np.full((self.n, d), np.inf)
-            noises = [f"noise of {name} at step {t}" for name in self.model.names[:d]]
-            self.worth.add(nothing, nothing, noise_slab, np.ones((self.n, d)), noises)
-        if self.moments is not None and self.model.scale is not None:
-            slopes = np.concatenate([self.slopes[t][..., : d + m], np.zeros((self.n, d, len(half)))], axis=2)
-            unknown = np.abs(self.slopes[t]) * (np.arange(d + m + len(half)) >= d + m)
-            form, centre = np.moveaxis(slopes, 0, 2), np.moveaxis(unknown, 0, 2)
-            curved, off_line = (part.T for part in remainders(self.model.scale, at, form, centre, boxes, ends, gain))
-            a = slopes[..., :d] + np.matmul(slopes[..., d : d + m], gain)
-            self._tilt(t, a, self.scales[t] + curved, off_line, (reach, noise))
-        width = agent.state_high - agent.state_low
+        half = np.concatenate([half, np.zeros((self.agent.names_time * 1, self.n))])  # the time is known
+        sides = [np.concatenate([states.T, inputs.T, half]) for states, inputs in zip(reach, around, strict=True)]
+        return Tube.around(at, (sides[0], sides[1]), self.ends, self.feedback.gains[:, t])
+
+    def _step(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Go on by a step; return deviations, drifts and shifts of inputs, and slabs of inputs and noises."""
+        inputs, slab, around = self._inputs(t, reach)
+        tube = self._tube(t, reach, around)
+        curved = tube.curved(self.model.step_parts)
+        middle, off = (part.T for part in remainders(curved[: self.d], tube, self.forms[t], self.centres[t]))
+        noise_slab, more, noise = self._varied_noise(t, tube, curved[self.d :], reach)
         # What is lost stays so; numbers remain finite, so that scores can be compared.
+        off = off + more
         is_known = np.isfinite(off) & np.isfinite(middle) & (np.abs(middle) < self.lost)
         middle = np.where(is_known, middle, 0.0)
         off = np.where(is_known, np.minimum(off, self.lost), self.lost)
-        closed, k = A + np.matmul(B, gain), self.count
+        closed = self.A[t] + np.matmul(self.B[t], self.feedback.gains[:, t])
         self.jumped = self._jump(t, reach, closed, (middle, off, noise))
-        self.products[:, :k] = np.clip(np.matmul(closed[:, None], self.products[:, :k]), -1e30, 1e30)
+        self._advance(t, closed, (middle, off, noise))
+        return *inputs, np.concatenate([slab, noise_slab], axis=1)
+
+    def _inputs(self, t: int, reach: Both) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray, Both]:
+        """Add the limits of inputs; return their deviations, drifts and shifts, slabs, and how far they reach."""
+        d, gain, u, agent = self.d, self.feedback.gains[:, t], self.u[t], self.agent
+        shift, drift, variance = self.known("inputs")
+        sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
+        moved = np.any(gain != 0.0, axis=2)
+        slabs = self.feedback.slabs[:, t, d : d + self.m]
+        slab = np.where(moved & self.model.bent[d:], slabs * sd + self.least[d:], np.inf)
+        # No input is farther from its nominal value than the states that it follows.
+        size = np.einsum("nmd,nd->nm", np.abs(gain), np.maximum(*reach))
+        wide, rounded = slab + drift, 1e-13 * np.abs(u)
+        below = np.where(moved, np.minimum(np.maximum(wide - shift, 0.0), size) * OUTWARD + rounded, 0.0)
+        above = np.where(moved, np.minimum(np.maximum(wide + shift, 0.0), size) * OUTWARD + rounded, 0.0)
+        spare = drift + INWARD * (np.abs(u) + 1e-3)
+        low = np.where(moved, u + shift - agent.input_low - spare, np.inf)
+        high = np.where(moved, agent.input_high - u - shift - spare, np.inf)
+        names = [f"{name} at step {t}" for name in self.model.names[d : d + self.m]]
+        self.worth.add(low, high, slab, sd**2, names, self.largest(t, gain))
+        self._ask(t, gain)
+        return (sd, drift, shift), slab, (below, above)
+
+    def _varied_noise(
+        self, t: int, tube: Tube, curved: Curved, reach: Both
+    ) -> tuple[FloatArray, FloatArray | float, FloatArray]:
+        """Return slabs of the noises of a step, what their scales add to its remainder, and covariances (N, d, d)."""
+        d, noise, nothing = self.d, self.noises[t], np.full((self.n, self.d), np.inf)
+        if self.model.scale is None:
+            return nothing, 0.0, noise
+        slopes, deviations = self.slope_forms[t], self.model.deviations
+        bent, more = remainders(curved, tube, np.zeros_like(slopes), np.abs(slopes), follows=False)
+        varied = (np.abs(bent) + more).T * deviations
+        is_varied = self.model.varied & (deviations > 0.0)
+        slabs = self.feedback.slabs[:, t, d + self.m :]
+        slab = np.where(is_varied, slabs, np.inf) if self.model.tail == Tail.NORMAL else nothing
+        is_bounded = np.isfinite(slab)
+        off = np.where(is_bounded, varied * np.where(is_bounded, slab, 0.0), 0.0)
+        # Without a slab the scale is anything up to the largest one on the tube.
+        is_stopped = is_varied & ~is_bounded
+        own = np.where(is_stopped, np.sqrt(np.einsum("nkk->nk", noise)) + varied * OUTWARD, 0.0)
+        noise = np.where(is_stopped[:, :, None] * np.eye(d, dtype=bool), own[:, :, None] ** 2, noise)
+        self.worth.stop(np.any(is_stopped, axis=1))
+        names = [f"noise of {name} at step {t}" for name in self.model.names[:d]]
+        self.worth.add(nothing, nothing, slab, np.ones((self.n, d)), names)
+        if self.moments is not None:
+            own_rows = (np.arange(len(slopes[0])) < d + self.m)[:, None]
+            form, centre = np.where(own_rows, slopes, 0.0), np.where(own_rows, 0.0, np.abs(slopes))
+            curve, off_line = (part.T for part in remainders(curved, tube, form, centre))
+            self._tilt(t, self.scales[t] + curve, off_line, (reach, noise))
+        return slab, off, noise
+
+    def _advance(self, t: int, closed: FloatArray, step: tuple[FloatArray, FloatArray, FloatArray]) -> None:
+        """Go on by a closed loop (N, d, d), to which a step adds a middle and a half width (N, d), and noise."""
+        (middle, off, noise), k = step, self.count
+        moved = np.clip(np.matmul(closed, self.products_to(k)), -1e30, 1e30)
+        self.products[:, :, :k] = moved.reshape(self.n, self.d, k, self.d)
         if self.keeps_all or np.any(off) or np.any(middle):
-            self.products[:, k] = np.eye(d)
+            self.products[:, :, k] = np.eye(self.d)
             self.shifts[:, k], self.drifts[:, k], self.each_noise[:, t] = middle, off, noise
             self.count += 1
-        self.faint = _moved(self.faint, closed) + np.diag((1e-13 * width) ** 2)
+        self.faint = _moved(self.faint, closed) + self.rounded
         self.covariance = _moved(self.covariance, closed) + noise
         if self.moments is not None:
             self.moments.advance(closed)
-        return sd, drift, shift, np.concatenate([slab, noise_slab], axis=1)
 
 
 def _moved(covariance: FloatArray, closed: FloatArray) -> FloatArray:

@@ -85,7 +85,7 @@ class Worth:
         unknown = np.full(shape, np.inf)
         values = (low, high, slab, variance, variance if largest is None else largest, unknown, unknown)
         for kept, new in zip(self._parts, values, strict=True):
-            kept.append(np.broadcast_to(new, shape))
+            kept.append(new if new.shape == shape else np.broadcast_to(new, shape))
         self.names += names
 
     def extend(self, other: Worth) -> None:

@@ -58,13 +58,22 @@ class NonlinearModel:
     @cached_property
     def motion(self) -> Program:
         """The mean of the next state."""
+        return Program.of(self._means, self.names)
+
+    @cached_property
+    def step_parts(self) -> Program:
+        """The mean of the next state, and what the noise is multiplied with: most share what they are made of."""
+        return Program.of([*self._means, *self.agent.timed_scale_trees], self.names)
+
+    @cached_property
+    def _means(self) -> list[Tree]:
         means = (self.agent.noise_axes @ self.laws[0]).tolist()
         trees: list[Tree] = list(self.agent.timed_trees)
         scales = self.agent.timed_scale_trees or [Number(1.0)] * len(trees)
         for k, mean in enumerate(means):
             if mean:
                 trees[k] = Operation("+", (trees[k], Operation("*", (Number(mean), scales[k]))))
-        return Program.of(trees, self.names)
+        return trees
 
     @cached_property
     def output(self) -> Program:
@@ -164,9 +173,9 @@ class NonlinearModel:
         """Which states and inputs (d + m,) a tube has to bound: those that anything is not linear in."""
         d, m = self.agent.n_states, self.agent.n_inputs
         bent = np.zeros(len(self.names), dtype=bool)
-        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self.ends, strict=True)]
+        wide = np.stack(self.ends)[..., None]
         for program in (self.motion, self.scale):
-            for _, slopes, bends in [] if program is None else program.curved(wide):
+            for slopes, bends in [] if program is None else program.curved(wide):
                 for (j, k), (low, high) in bends.items():
                     # What is linear at each time needs no tube, whatever its slope is at others.
                     if not (low == 0.0 and high == 0.0) and k < self.n_varying:
@@ -179,8 +188,8 @@ class NonlinearModel:
     def varied(self) -> NDArray[np.bool_]:
         """Which states (d,) have noise that is multiplied with what varies."""
         assert self.scale is not None
-        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self.ends, strict=True)]
-        return np.array([any(j < self.n_varying for j in slopes) for _, slopes, _ in self.scale.curved(wide)])
+        wide = np.stack(self.ends)[..., None]
+        return np.array([any(j < self.n_varying for j in slopes) for slopes, _ in self.scale.curved(wide)])
 
     @property
     def n_varying(self) -> int:
@@ -199,62 +208,103 @@ class NonlinearModel:
     def bent_outputs(self) -> NDArray[np.bool_]:
         """Which states (d,) outputs are not linear in."""
         bent = np.zeros(self.agent.n_states, dtype=bool)
-        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self.ends, strict=True)]
-        for _, _, bends in self.output.curved(wide[: self.agent.n_states]):
+        wide = np.stack(self.ends)[:, : self.agent.n_states, None]
+        for _, bends in self.output.curved(wide):
             for (j, k), (low, high) in bends.items():
                 if not (low == 0.0 and high == 0.0):
                     bent[[j, k]] = True
         return bent
 
 
+@dataclass(frozen=True, eq=False)
+class Tube:
+    """Boxes (v, n) of variables around points: how far they reach below and above, within closed limits.
+
+    Parameters
+    ----------
+    at : (v, n) array
+    low, high : (v, n) arrays
+        Ends of the boxes.
+    gains : (n, m, d) array, optional
+        Feedback: the m variables after the first d ones move by it. None if there are only states.
+    """
+
+    at: FloatArray
+    low: FloatArray
+    high: FloatArray
+    gains: FloatArray | None = None
+
+    @classmethod
+    def around(
+        cls,
+        at: FloatArray,
+        reach: tuple[FloatArray, FloatArray],
+        ends: tuple[FloatArray, FloatArray],
+        gains: FloatArray | None = None,
+    ) -> Tube:
+        """Return boxes that reach so far (v, n) below and above points, within limits (v,)."""
+        low = np.maximum(at - reach[0], np.minimum(ends[0][:, None], at))
+        return cls(at, low, np.minimum(at + reach[1], np.maximum(ends[1][:, None], at)), gains)
+
+    @cached_property
+    def sides(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """How far the boxes reach below and above, and the larger of both."""
+        below, above = self.at - self.low, self.high - self.at
+        return below, above, np.maximum(below, above)
+
+    @cached_property
+    def moves(self) -> NDArray[np.bool_]:
+        """Which variables (v,) have a reach: what has none, such as the time, adds nothing."""
+        return np.any(self.sides[2] != 0.0, axis=1)
+
+    def curved(self, program: Program) -> Curved:
+        """Return first and second derivatives of expressions in these boxes."""
+        return program.curved(np.array([self.low, self.high]))
+
+    def products(self, p: int, q: int) -> tuple[FloatArray, FloatArray]:
+        """Return the largest products (n,) of what two different variables are off: of one sign, and of two."""
+        below, above, _ = self.sides
+        same = np.maximum(below[p] * below[q], above[p] * above[q])
+        return same, np.maximum(below[p] * above[q], above[p] * below[q])
+
+
+Curved = list[tuple[dict[int, FloatArray], dict[tuple[int, int], FloatArray]]]
+"""First and second derivatives of each of some expressions, as intervals (2, n)."""
+
+
 def remainders(
-    program: Program,
-    at: FloatArray,
-    slopes: FloatArray,
-    centre: FloatArray,
-    reach: tuple[FloatArray, FloatArray],
-    ends: tuple[FloatArray, FloatArray],
-    gains: FloatArray | None = None,
+    curved: Curved, tube: Tube, slopes: FloatArray, centre: FloatArray, follows: bool = True
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what expressions are off their linear forms within ``reach`` of ``at`` (v, n): middles and half widths.
+    """Return what expressions are off their linear forms within a tube: middles and half widths.
 
     Where bends have a sign, so has what they add: a square is not below 0. With feedback the square of an input is one
     of states, too, and so is its product with a state.
 
     Parameters
     ----------
-    program : Program
-        With p results.
-    at : (v, n) array
+    curved : list
+        Derivatives of p expressions in the tube.
+    tube : Tube
     slopes : (p, v, n) array
         The matrix of the linear forms.
     centre : (p, v, n) array
         What derivatives at the point are off from it, at most.
-    reach : two (v, n) arrays
-        How far variables reach below and above.
-    ends : two (v,) arrays
-        Closed limits within which variables stay.
-    gains : (n, m, d) array, optional
-        Feedback: the m variables after the first d ones move by it. None if there are only states.
+    follows : bool
+        Whether the feedback of the tube, if it has one, is used.
 
     Returns
     -------
     two (p, n) arrays
         Not numbers where nothing is known.
     """
-    low = np.maximum(at - reach[0], np.minimum(ends[0][:, None], at))
-    high = np.minimum(at + reach[1], np.maximum(ends[1][:, None], at))
-    below, above = at - low, high - at
-    far = np.maximum(below, above)
-    v, n = at.shape
+    far, moves, gains = tube.sides[2], tube.moves, tube.gains if follows else None
+    v, n = far.shape
     d = v if gains is None else gains.shape[2]
     moved = v if gains is None else d + gains.shape[1]
-    middle, half = np.empty((2, len(program.results), n))
-    # What has no reach, such as the time, adds nothing, whatever its derivatives are.
-    moves = np.any(far != 0.0, axis=1)
-    for i, (_, first, bends) in enumerate(program.curved([*zip(low, high, strict=True)])):
-        total, mean = np.sum(centre[i][moves] * far[moves], axis=0), np.zeros(n)
-        closed = dict[tuple[int, int], FloatArray]()
+    middle, half = np.empty((2, len(curved), n))
+    first_order = np.einsum("pvn,vn->pn", centre[:, moves], far[moves])
+    for i, (first, bends) in enumerate(curved):
+        total, closed = first_order[i], dict[tuple[int, int], FloatArray]()
         for (j, k), (a, b) in bends.items():
             if not (moves[j] and moves[k]):
                 continue
@@ -274,18 +324,18 @@ def remainders(
                 square = factor * far[p] ** 2
                 least, most = least + np.minimum(square, 0.0), most + np.maximum(square, 0.0)
                 continue
-            outer, inner = (
-                np.maximum(below[p] * below[q], above[p] * above[q]),
-                np.maximum(below[p] * above[q], above[p] * below[q]),
-            )
-            least = least - np.where(factor > 0.0, factor * inner, -factor * outer)
-            most = most + np.where(factor > 0.0, factor * outer, -factor * inner)
+            same, opposite = tube.products(p, q)
+            is_positive = factor > 0.0
+            least = least - np.where(is_positive, factor * opposite, -factor * same)
+            most = most + np.where(is_positive, factor * same, -factor * opposite)
         width = total + 0.5 * (most - least)
         if bends:
-            for j, (a, b) in first.items():
+            mean = np.zeros(n)
+            for j, ends in first.items():
                 if not moves[j]:
                     continue
-                mean = mean + np.maximum(np.abs(a - slopes[i, j]), np.abs(b - slopes[i, j])) * far[j]
+                a, b = ends - slopes[i, j]
+                mean = mean + np.maximum(np.abs(a), np.abs(b)) * far[j]
             by_slopes = ~(width <= mean)
             middle[i], half[i] = np.where(by_slopes, 0.0, 0.5 * (least + most)), np.fmin(width, mean)
         else:
