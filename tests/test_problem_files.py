@@ -104,6 +104,11 @@ BAD = [
         TOML.replace("high = [5.0] }", 'high = [5.0], colour = "red" }'),
         "unknown key 'colour'; the keys are agent",
     ),
+    (TOML.replace("high = [5.0] }", 'high = [5.0], axes = ["x"] }'), "unknown key 'axes'; `of` names the states"),
+    (
+        TOML.replace("high = [5.0] }", "high = [5.0], normals = [[1.0]] }"),
+        "unknown key 'normals'; half-spaces together",
+    ),
     (TOML.replace("all(safe) U p1", "all(safe) U p2"), "task.toml: [specification]: `formula`: "),
     (TOML.replace("all(safe) U p1", "(all(safe) U p1"), "of the formula)"),
     (TOML.replace('"co-safe"', '"safe"'), "[specification]: `semantics`: expected 'co-safe' or 'finite-trace'"),

@@ -68,6 +68,7 @@ _ONE_STEP = "write `dynamics`, the mean of each state one step later, such as `x
 _BOXES = "the workspace is `state_low` and `state_high`, and the box of the inputs `input_low` and `input_high`"
 _SHAPE = "it stands in the table of a shape, such as `disc = { centre = [0, 0], radius = 1 }`"
 _WINDOW = 'times stand in the formula, such as `F[3,8] goal`; corners in quotes may name the time, such as `"0.1*t"`'
+_OF = '`of` names the states that a region is about: `of = ["x", "y"]`'
 _ELSEWHERE = {
     "": {
         "angles": "write the agent as expressions, with `states` and `dynamics`",
@@ -81,6 +82,8 @@ _ELSEWHERE = {
     },
     "[propositions]": {
         **dict.fromkeys(("centre", "center", "radius", "corners", "tip", "axis", "normal", "offset"), _SHAPE),
+        **dict.fromkeys(("normals", "offsets"), "half-spaces together are `polytope = { normals = .., offsets = .. }`"),
+        **dict.fromkeys(("axes", "dims", "dimensions", "states", "state", "variables", "indices"), _OF),
         **dict.fromkeys(("t", "time", "window", "steps", "start", "end", "until"), _WINDOW),
     },
     "[specification]": dict.fromkeys(("probability", "threshold", "p", "at_least", "confidence"), _PROBABILITY),
