@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-STEP, CANDIDATE = 4e-4, 1.5e-5
+STEP, CANDIDATE = 1.5e-4, 4e-6
 """Work of a step of a walk for each state, and what each candidate adds to that."""
 
-ROUND = 1.2e-4
+ROUND = 7e-5
 """Work of a step of a round of planning; it doubles at ``DOUBLED`` states, and grows like a square."""
 
 LEAST_TOLD = 1e-6

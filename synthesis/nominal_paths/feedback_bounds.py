@@ -7,7 +7,7 @@ little less than what is found here, and the check decides.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -147,11 +147,20 @@ class NominalPath:
         squares = (self.scales[0] * self.model.deviations) ** 2
         return squares[:, :, None] * np.eye(agent.n_states)
 
-    @classmethod
-    def many(cls, model: NonlinearModel, limits: Limits, states: FloatArray, inputs: FloatArray) -> list[NominalPath]:
-        """Return paths along states (N, S + 1, d) and inputs (N, S, m), whose derivatives are computed at once."""
+    def many(self, states: FloatArray, inputs: FloatArray) -> list[NominalPath]:
+        """Return paths along states (N, S + 1, d) and inputs (N, S, m) near this one, with its limits.
+
+        Their derivatives are computed at once. Pairs are kept apart in the directions in which they are now.
+        """
         n, steps, d = len(states), inputs.shape[1], states.shape[2]
-        paths = [cls(model, limits, x, u) for x, u in zip(states, inputs, strict=True)]
+        model, limits, cls = self.model, self.limits, type(self)
+        values, matrices = model.outputs(states.reshape(n * (steps + 1), d))
+        moved = values.reshape(n, steps + 1, -1) - self.outputs[0]
+        pairs: list[dict[int, OtherSides]] = [{} for _ in range(n)]
+        for t, asked in self.pairs.items():
+            for beside, nearer in zip(pairs, moved[:, t] @ asked.forms.T, strict=True):
+                beside[t] = replace(asked, low=asked.low + nearer, high=asked.high - nearer)
+        paths = [cls(model, limits, *one) for one in zip(states, inputs, pairs, strict=True)]
         # All of them one after another are one long path, of steps that begin anew.
         x, u = states[:, :-1].reshape(n * steps, d), inputs.reshape(n * steps, -1)
         times = np.tile(np.arange(steps), n)
@@ -162,7 +171,6 @@ class NominalPath:
         if model.scale is not None:
             parts["scales"] = together.scales_at(times)
         each = {name: [np.split(part, n) for part in found] for name, found in parts.items()}
-        values, matrices = model.outputs(states.reshape(n * (steps + 1), d))
         each["outputs"] = [np.split(values, n), np.split(matrices, n)]
         for k, path in enumerate(paths):
             for name, found in each.items():

@@ -334,16 +334,23 @@ class _Together:
         """Return the best plan after more work; plans of teams take so long that there is time for one."""
         assert self.best is not None
         _, (_, times, _), letters, found = self.best
-        found = self.search.full(letters, found)
-        return Refined(times, letters, found.found, found.failure, found.weakest, found.rows.normals)
+        return _refined_team(times, letters, self.search.full(letters, found))
 
     def crossed(self, best: Refined) -> Refined:
         """Return the plan: of teams that are planned together visits are at fixed times."""
         return best
 
     def touched_up(self, best: Refined) -> Refined:
-        """Return the plan: what pairs ask for ties all paths together."""
-        return best
+        """Return a plan that fails at most as often, after small moves of one agent after the other."""
+        if self.search.ties.are_any:
+            return best  # small moves of one agent would have to fit those of all others
+        touched = _refined_team(best.times, best.letters, self.search.touched_up(best.letters, best.found))
+        return touched if touched.failure < best.failure else best
+
+
+def _refined_team(times: tuple[int, ...], letters: NDArray[np.int8], team: TeamFound) -> Refined:
+    """Return a plan of agents that were planned together."""
+    return Refined(times, letters, team.found, team.failure, team.weakest, team.rows.normals)
 
 
 def nonlinear_certificate(problem: Problem, sources: Sequence[PlansOf], work: CountedWork) -> Synthesis:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..cells import FloatArray
 from .counted_work import work_of_walk
-from .feedback_bounds import Feedback, NominalPath, worth_of
+from .feedback_bounds import Feedback, worth_of
 from .nonlinear_search import Found, NonlinearSearch, feedback_of, found_of
 
 BATCH = 24
@@ -110,7 +110,7 @@ def _best_moved(search: NonlinearSearch, found: Found, moves: Moves) -> tuple[Fo
     fine = np.flatnonzero(np.isfinite(states).all(axis=(1, 2)))
     if not len(fine):
         return found, 0  # unstable agents may leave the numbers there are
-    paths = NominalPath.many(search.model, found.nominal.limits, states[fine], inputs[fine])
+    paths = found.nominal.many(states[fine], inputs[fine])
     which = np.arange(len(paths))
     gains = feedback_of(search, paths, which, found.theta + moves.weights[fine]).gains
     slabs = np.clip(found.feedback.slabs * np.exp(np.clip(moves.slabs[fine], -3.0, 3.0)), *SLABS)

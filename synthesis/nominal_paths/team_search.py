@@ -26,6 +26,7 @@ from .nonlinear_search import ENOUGH, Found, NonlinearSearch, is_inside, reserve
 from .pair_costs import PairAim, PairLimits, pair_limits
 from .pair_rows import PairRows, deviations_of, pair_rows
 from .path_limits import Limits, limits_along, sides_of
+from .polish import polished
 from .team_model import TeamModel, key_of
 from .tied_paths import ROUNDS, Ties, kept_away
 
@@ -43,6 +44,12 @@ NARROW = 0.15
 
 REPLANS = 4
 """How often a team is planned anew."""
+
+TOUCHES, TOUCHED = 12, 10
+"""How often small moves of all agents in turn are tried, and for how many generations each time."""
+
+OF_LITTLE_WEIGHT, NOT_WORTH_IT = 0.05, 0.99
+"""Shares of the failure of a team: of agents whose moves would hardly change it, and what a round has to come below."""
 
 FEW = 8
 """Agents up to which all generations are searched after a plan."""
@@ -122,6 +129,35 @@ class TeamSearch:
                 reserves.pop(0)
             found = again if again is not None and again.score < found.score else found
         return found
+
+    def touched_up(self, letters: NDArray[np.int8], each: Sequence[Found]) -> TeamFound:
+        """Return a team that fails at most as often, after small moves of each agent beside the others as they are."""
+        limits, faces = pair_limits(self.problem, letters), np.full(letters.shape, -1)
+        for one in each:
+            faces = np.where(one.faces >= 0, one.faces, faces)
+        found = self.judged(each, faces, limits)
+        for _ in range(TOUCHES):
+            before = found.failure
+            for i in np.argsort([-one.failure for one in found.found], kind="stable"):
+                if before <= ENOUGH or self.work.is_over():
+                    return found
+                if found.found[i].failure < OF_LITTLE_WEIGHT * found.failure:
+                    break
+                found = self._touched_up(found, int(i), limits)
+            if found.failure > NOT_WORTH_IT * before:
+                break
+        return found
+
+    def _touched_up(self, team: TeamFound, i: int, limits: list[PairLimits]) -> TeamFound:
+        """Return the team after small moves of one agent."""
+        search, one, nominal = self.searches[i], team.found[i], self._asking(team)[i]
+        worth, _ = nominal.worth(one.feedback)
+        begun = replace(one, score=float(worth.scores()[0]), failure=float(worth.failures()[0]), nominal=nominal)
+        moved = polished(search, begun, TOUCHED)
+        if moved is begun:
+            return team
+        again = self.judged([*team.found[:i], moved, *team.found[i + 1 :]], team.faces, limits)
+        return again if again.score < team.score else team
 
     # --- plans
     def _guesses(self, letters: NDArray[np.int8], bend: float) -> list[FloatArray]:
