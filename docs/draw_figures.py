@@ -121,6 +121,33 @@ def suite() -> Any:
     return figure
 
 
+def learning_curves() -> Any:
+    """Success while training, second by second, of every seed of the learners on open and hard problems."""
+    curves = json.loads((FOLDER.parent / "learning_curves.json").read_text(encoding="utf-8"))
+    rates, colours = _rates(), dict(zip(("ppo", "mappo", "sac"), AGENTS, strict=False))
+    columns = 3
+    lines = -(-len(curves) // columns)
+    figure, panels = new_figure(9.6, 2.1 * lines + 0.5, lines, columns)
+    for plot in panels[len(curves) :]:
+        plot.axis("off")
+    for plot, (id, learners) in zip(panels, curves.items(), strict=False):
+        plot.axhline(rates[id]["bound"], color=SOFT, linestyle="--", linewidth=1.0)
+        for learner, seeds in learners.items():
+            for number, (seconds, success) in enumerate(seeds):
+                label = learner if number == 0 else None
+                plot.plot(seconds, success, color=colours[learner], linewidth=0.9, alpha=0.8, label=label)
+        plot.set_title(id, fontsize=9)
+        plot.set_ylim(-0.03, 1.03)
+    for plot in panels[max(0, len(curves) - columns) : len(curves)]:
+        plot.set_xlabel("seconds", fontsize=8)
+    labelled: dict[str, Any] = {}
+    for plot in panels:
+        handles, labels = plot.get_legend_handles_labels()
+        labelled |= dict(zip(labels, handles, strict=True))
+    figure.legend(labelled.values(), labelled.keys(), loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
 def _rates() -> dict[str, dict[str, float]]:
     """Return by problem the success rates of its policies, and the bound that is certified.
 
@@ -146,7 +173,7 @@ def _rates() -> dict[str, dict[str, float]]:
 
 
 FIGURES: dict[str, Callable[[], Any]] = {
-    draw.__name__: draw for draw in (relation, tree, bounds, value, ranks, automaton, suite)
+    draw.__name__: draw for draw in (relation, tree, bounds, value, ranks, automaton, suite, learning_curves)
 }
 
 

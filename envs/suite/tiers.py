@@ -42,7 +42,7 @@ TIERS: dict[str, str] = {
     "platoon-distance-v0": "solved",
     "platoon-v0": "solved",
     "quadrotor-v0": "solved",
-    "reach-avoid-20-rough-v0": "hard",
+    "reach-avoid-20-rough-v0": "open",
     "reach-avoid-20-v0": "open",
     "reach-avoid-kinematic-v0": "solved",
     "reach-avoid-n-v0": "solved",

@@ -25,10 +25,10 @@ stay below half of it (or next to nothing is known), and **open** otherwise. "Le
 reached by no learner without help: open and hard problems come first, and of each tier those where most is left. The
 best learner without help is bold.
 
-How long a learner learned is in the second table: a short time where a dash would stand else. What `certigym train`
-reaches with its defaults is in [learners](learners.md), how much a probe gains in two minutes in [probes](probes.md). A
-dash means not measured. Made by `certigym leaderboard`; the numbers are also in `leaderboard.json`.
-[How to submit a row](how-to/leaderboard.md).
+Rates of learners with several seeds are means over them. How long a learner learned is in the second table: a short
+time where a dash would stand else. What `certigym train` reaches with its defaults is in [learners](learners.md), how
+much a probe gains in two minutes in [probes](probes.md). A dash means not measured. Made by `certigym leaderboard`; the
+numbers are also in `leaderboard.json`. [Seeds, curves, and how to submit a row](how-to/leaderboard.md).
 """
 
 DETAILS = """
