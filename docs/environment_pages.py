@@ -243,6 +243,7 @@ def _minute(id: str) -> list[str]:
         "ppo": "PPO without help",
         "mappo": "MAPPO (central critic) without help",
         "warm-ppo": "PPO from a clone of the certified controllers",
+        "shielded-ppo": "PPO behind the shield of the certificate",
         "sac": "SAC without help",
     }
     rows = {row["policy"]: row for row in _table("leaderboard")["rows"] if row["problem"] == id}

@@ -1,4 +1,4 @@
-"""Claims along paths that the check agrees with: the larger probability of failing of both is claimed.
+"""Claims along paths, and of mixed teams, that the check agrees with: the larger probability of failing is claimed.
 
 Search and check enclose the same expressions by code of their own, and neither is always the narrower one. A claim
 that the check would refuse by a little is of no use to anybody.
@@ -10,8 +10,8 @@ from dataclasses import replace
 
 from ..envs.problem import Problem, out_of_reach
 from .cells import NoRunFound
-from .certificates import AlongPath, Synthesis, changed, path_under
-from .checking import check
+from .certificates import AlongPath, Certificate, MixedProof, Synthesis, changed, path_under
+from .checking import check, wrong_mixed
 from .nominal_paths import CountedWork, path_certificate
 
 MOST_PAIRS = 15
@@ -52,3 +52,9 @@ def agreed_path(certificate: AlongPath) -> AlongPath:
     # The check says a bound near 1, and what is left of it is known up to its last digit alone.
     proved = 1.0 - report.recomputed + LAST_DIGIT if report else 1.0
     return changed(certificate, failure=min(1.0, proved * (1.0 + 1e-9)))
+
+
+def agreed_mixed(certificate: Certificate[MixedProof]) -> Certificate[MixedProof]:
+    """Return a mixed team's certificate that takes off no less for its pairs than the check does."""
+    failures, near = wrong_mixed(certificate, certificate.problem)
+    return certificate if failures or near <= certificate.proof.near else changed(certificate, near=near)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from .agreement import agreed_path
+from .agreement import agreed_mixed, agreed_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import AlongPath, Certificate, MixedProof, Synthesis, known_letters, reached_states
 from .certification import certificate_of
@@ -83,7 +83,7 @@ def mixed_certificate(problem: Problem, cells: CellCounts, plan: Plan) -> Synthe
     places = {i: Marginals(*each) for i, each in zip(on_paths, whereabouts, strict=True)}
     beside = BesidePaths(problem, on_grids, places, usual, asked)
     part, near, stats = _on_grids(grids, beside, cells, plan)
-    certificate = _mixed(problem, part, paths, tuple(usual.tolist()), near)
+    certificate = agreed_mixed(_mixed(problem, part, paths, tuple(usual.tolist()), near))
     try:
         certificate.controller  # noqa: B018 controllers have to know which state of the task on grids they are in
     except ValueError as error:

@@ -5,6 +5,7 @@ from .checked_first import standing
 from .greedy import Greedy, greedy_disturbance
 from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
 from .later_values import ValueInTime, claimed_values, value_in_time
+from .mixed_check import wrong_mixed
 from .opposite_task import other_controllers, wrong_opposite
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
 from .team_check import wrong_team
@@ -28,6 +29,7 @@ __all__ = [
     "ValueInTime",
     "vertices_of",
     "wrong_base",
+    "wrong_mixed",
     "wrong_opposite",
     "wrong_team",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,22 +12,31 @@ from ...envs.agents import write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem, problem_ids
 from ...synthesis.certificates import Certificate, Synthesis, load_certificate, save_certificate
+from ...synthesis.shielding import Shield, shield_of
 from ...synthesis.synthesize import synthesize
+from ..shields import ShieldedController
 from .actors import load_actor
 from .comparison import Contestant, contestants_of
 from .probing import Probe, probe
 from .rollout_policies import RandomController
 from .training import CLONED, Training, certificate_of, train
 
-LEARNERS: dict[str, tuple[str, bool]] = {
-    "ppo": ("ppo", False),
-    "warm-ppo": ("ppo", True),
-    "ippo": ("ippo", False),
-    "mappo": ("mappo", False),
-    "central-ppo": ("central-ppo", False),
-    "sac": ("sac", False),
+CLONE, SHIELD = "clone", "shield"
+
+LEARNERS: dict[str, tuple[str, str | None]] = {
+    "ppo": ("ppo", None),
+    "warm-ppo": ("ppo", CLONE),
+    "shielded-ppo": ("ppo", SHIELD),
+    "ippo": ("ippo", None),
+    "mappo": ("mappo", None),
+    "central-ppo": ("central-ppo", None),
+    "sac": ("sac", None),
 }
-"""Learners by the name of their column: algorithm, and whether it starts from the certified controllers."""
+"""Learners by the name of their column: algorithm, and whether it starts from the certified controllers or learns, and
+is judged, behind their shield."""
+
+KEPT = 0.5
+"""Share of the certified bound that the shield of a shielded learner keeps: more leaves a learner little to decide."""
 
 POLICIES = ("certified", "probe", "ppo", "warm-ppo", "sac", "random")
 """The columns that are filled by default."""
@@ -113,17 +122,36 @@ class Entrants:
         """Return one trained actor, from its folder if it is there."""
         folder = self.sources.learners
         place = None if folder is None else folder / self.label / policy / f"seed-{seed}"
+        algorithm, help_ = LEARNERS.get(policy, (policy, None))
+        shield = self._shield if help_ == SHIELD else None
         if place is not None and (place / "actor.npz").is_file():
-            return saved(self.problem, policy, place)
+            return _behind(shield, saved(self.problem, policy, place))
         if policy == "probe":
             found = probe(self.problem, self.certificate, seconds=self.sources.seconds, seed=seed)
             return _probed(self.problem, found, seed, place)
-        algorithm, is_helped = LEARNERS[policy]
-        start = self.certificate if is_helped else None
-        training = train(self.problem, algorithm, seed=seed, warm_start=start, seconds=self.sources.seconds)
+        start = self.certificate if help_ == CLONE else None
+        training = train(
+            self.problem, algorithm, seed=seed, warm_start=start, shield=shield, seconds=self.sources.seconds
+        )
         if place is not None:
             training.save(place)
-        return given(self.problem, policy, training)[0]
+        return _behind(shield, given(self.problem, policy, training)[0])
+
+    @cached_property
+    def _shield(self) -> Shield:
+        """The shield behind which learners are trained and judged.
+
+        Raises
+        ------
+        ValueError
+            If the certificate has none, or one of several tasks: learners are trained on one task.
+        """
+        found = shield_of(self.certificate, KEPT * self.certificate.lower_bound)
+        if not isinstance(found, Shield):
+            raise ValueError(
+                "`policies`: expected one task for 'shielded-ppo', got several, each with a shield of its own"
+            )
+        return found
 
 
 def label_of(given: Any) -> str:
@@ -153,6 +181,16 @@ def saved(problem: Problem, name: str, folder: Path) -> Entrant:
         name, name, facts["information"], actor, seconds=float(facts["seconds"]), seed=int(facts["seed"])
     )
     return Entrant(problem, contestant, int(facts["steps"]))
+
+
+def _behind(shield: Shield | None, entrant: Entrant) -> Entrant:
+    """Return a policy behind a shield, which gives it a bound; or as it is."""
+    if shield is None:
+        return entrant
+    bare = entrant.contestant
+    guarded = ShieldedController(bare.controller, shield)
+    told = replace(bare, controller=guarded, information=guarded.information, lower_bound=guarded.kept)
+    return replace(entrant, contestant=told)
 
 
 def _probed(problem: Problem, found: Probe, seed: int, place: Path | None) -> Entrant:

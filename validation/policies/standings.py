@@ -165,7 +165,7 @@ def leaderboard(
     ids : iterable of problems, ids or paths, optional
         Default: the suite.
     policies : sequence of str
-        Of "certified", "probe", "random", "ppo", "warm-ppo", "ippo", "mappo", "central-ppo", "sac".
+        Of "certified", "probe", "random", "ppo", "warm-ppo", "shielded-ppo", "ippo", "mappo", "central-ppo", "sac".
     plan, **trial
         Episodes per policy and training seed (default 20,000), seed, confidence (.999), chunk, executor, progress.
     sources : Sources

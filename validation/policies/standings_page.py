@@ -17,6 +17,8 @@ problem:
 - **ppo, ippo, mappo, central-ppo, sac**: learners **without help** from any certificate, described in
   [learned policies](how-to/learned_policies.md);
 - **warm-ppo**: PPO that starts from a clone of the certified controllers: helped, so no independent baseline;
+- **shielded-ppo**: PPO that learns behind the shield of the certificate, which keeps half of its bound, and is judged
+  behind it: it has a bound of its own, and is helped, too;
 - **random**: uniformly random inputs.
 
 **Tiers** say what is left to learn. *Known* to be possible is the bound, or the lower limit of any row if that is

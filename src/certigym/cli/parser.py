@@ -247,7 +247,7 @@ def _add_leaderboard(commands: Any) -> None:
         "--policies",
         default="certified,probe,ppo,warm-ppo,sac,random",
         metavar="LIST",
-        help="columns to fill, separated by commas; also central-ppo, ippo, mappo (default: %(default)s)",
+        help="columns to fill, separated by commas; also central-ppo, ippo, mappo, shielded-ppo (default: %(default)s)",
     )
     board.add_argument(
         "--seconds", type=float, default=60.0, metavar="S", help="for each learner that is trained (default: 60)"
