@@ -50,6 +50,22 @@ def test_expressions_copies_and_moving_boxes_are_spelled_out() -> None:
     assert problem_from_dict(problem.to_dict()).fingerprint == problem.fingerprint
 
 
+def test_deviations_that_name_states_or_the_time_are_scales() -> None:
+    text = FILE.replace('noise_scale = ["1 + 0.1*flow"]\n', "").replace(
+        '"pi / 100"', '"0.02 + 0.01*level**2 + 0.001*t"'
+    )
+    agent = problem_from_toml(text).agents[0]
+    assert isinstance(agent, cg.Agent)
+    assert agent.noise_scale == ("0.02 + 0.01*level**2 + 0.001*t",)
+    assert agent.to_dict()["noise"] == [{"law": "gaussian", "std": 1.0}]
+    # A name that nothing has is refused, and told with those that there are.
+    with pytest.raises(ValueError, match="unknown name 'lavel'; did you mean 'level'"):
+        problem_from_toml(text.replace("level**2", "lavel**2"))
+    # Beside a scale they are numbers.
+    with pytest.raises(ValueError, match="`noise_std`: unknown name 'level'"):
+        problem_from_toml(FILE.replace('"pi / 100"', '"0.01*level"'))
+
+
 def test_copies_may_be_named_as_they_are_elsewhere() -> None:
     problem = problem_from_toml(FILE.replace('name = "pump"', 'name = "pump_*"'))
     assert problem.to_dict() == problem_from_toml(FILE).to_dict()

@@ -15,7 +15,7 @@ from ..agents import TIME, float_array, shown
 from ..expressions import ExpressionError, Tree, computed, names_in, read_expression
 
 CONSTANTS = ("state_low", "state_high", "initial_low", "initial_high", "initial_state", "noise_std")
-"""Keys of arrays whose entries may be expressions of numbers, such as `"-pi"`."""
+"""Keys of arrays whose entries may be expressions of numbers, such as `"-pi"`; deviations may name states, too."""
 
 STARTS = ("initial_state", "initial_low", "initial_high")
 """Keys that may be a list for each copy."""
@@ -43,6 +43,7 @@ def spelled_out(table: Any, horizon: Any, others: Sequence[Any]) -> Any:
     """
     if not isinstance(table, Mapping):
         return table
+    table = _with_scales(dict(table))
     table = {key: _numbers(value, key) if key in CONSTANTS else value for key, value in table.items()}
     return _with_covariance(_with_moving_inputs(table, horizon, others))
 
@@ -79,6 +80,28 @@ def _numbers(value: Any, key: str) -> Any:
     if not isinstance(value, str):
         return value
     return float(np.asarray(computed((_tree(value, key, ()),), {})[0]).reshape(-1)[0])
+
+
+def _with_scales(table: dict[str, Any]) -> dict[str, Any]:
+    """Return a table whose standard deviations are numbers: one that names a state, an input or the time is a scale."""
+    given, known = table.get("noise_std"), not {"noise_scale", "noise"} & {*table}
+    if not isinstance(given, list) or not known or not isinstance(table.get("dynamics"), list):
+        return table
+    named = [isinstance(entry, str) and _names_something(entry) for entry in given]
+    if not any(named):
+        return table
+    deviations = [1.0 if moves else entry for entry, moves in zip(given, named, strict=True)]
+    scales = [entry if moves else "1" for entry, moves in zip(given, named, strict=True)]
+    return {**table, "noise_std": deviations, "noise_scale": scales}
+
+
+def _names_something(text: str) -> bool:
+    """Whether a text is no expression of numbers alone."""
+    try:
+        read_expression(text, ())
+    except ExpressionError as error:
+        return "unknown name" in str(error)
+    return False
 
 
 def _with_moving_inputs(table: dict[str, Any], horizon: Any, others: Sequence[Any]) -> dict[str, Any]:
