@@ -62,7 +62,13 @@ class Plan:
         """What a search along paths may take: all that is left of the effort."""
         progress = self.effort.progress
         told = (lambda bound: None) if progress is None else (lambda bound: progress("path", bound))
-        return CountedWork(self.effort.left, lambda: self.effort.is_over, told=told, is_hopeless=bool(self.effort.lost))
+        return CountedWork(
+            self.effort.left,
+            lambda: self.effort.is_over,
+            told=told,
+            counted=self.effort.tell_again,
+            is_hopeless=bool(self.effort.lost),
+        )
 
     def anew(self) -> Plan:
         """Return the plan of another task: with as much effort, whose clock its search heeds."""

@@ -82,6 +82,8 @@ class Effort:
     """What ``counted`` may become before what is under way is given up."""
     is_overdrawn: bool = False
     """Whether what was given up last took more work than it was allowed."""
+    begun: tuple[str, float] = ("", 0.0)
+    """Which way or level was told last, and the largest bound then."""
 
     def __post_init__(self) -> None:
         for name, value, what in (("effort", self.work, "of core seconds"), ("seconds", self.seconds, "of the clock")):
@@ -114,16 +116,21 @@ class Effort:
 
     def tell(self, what: str, bound: float) -> None:
         """Say which way or level begins, what may be left to gain and to spend, beside the largest bound so far."""
-        if self.progress is not None:
-            most = f", at most {rounded_up(self.above, 4)}" if self.above < 1.0 else ""
-            self.progress(f"{BEGINS}{what}{most}{self._in_hand}", bound)
+        self.begun = what, bound
+        self.tell_again(0.0)
 
-    @property
-    def _in_hand(self) -> str:
+    def tell_again(self, more: float) -> None:
+        """Say once more which way is under way, when it has taken so much work that is not counted as spent yet."""
+        if self.progress is not None:
+            what, bound = self.begun
+            most = f", at most {rounded_up(self.above, 4)}" if self.above < 1.0 else ""
+            self.progress(f"{BEGINS}{what}{most}{self._in_hand(more)}", bound)
+
+    def _in_hand(self, more: float) -> str:
         """What was spent, of how much, in words that leave 80 columns room for it; every task has as much."""
         if self.seconds is not None:
             return f", {self.elapsed:.0f} of {self.seconds:.0f} s"
-        return f", effort {min(self.spent, self.limit):.0f} of {self.limit:.0f}"
+        return f", effort {min(self.spent + more, self.limit):.0f} of {self.limit:.0f}"
 
     def count(self, work: float) -> None:
         """Count work of a sweep that is about to be done; raise OutOfTime if it is not allowed."""

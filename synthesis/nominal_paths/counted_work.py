@@ -39,6 +39,8 @@ class CountedWork:
         Whether what was found so far has to do for another reason, such as seconds that are over.
     told : callable
         Told each bound that is larger than all before.
+    counted : callable
+        Told the work so far, once for each core second.
     is_hopeless : bool
         Whether it is known that the task is out of reach: then what comes near has to do.
     """
@@ -47,6 +49,7 @@ class CountedWork:
     is_broken_off: Callable[[], bool] = lambda: False
     spent: float = 0.0
     told: Callable[[float], None] = lambda bound: None
+    counted: Callable[[float], None] = lambda spent: None
     largest: float = 0.0
     is_hopeless: bool = False
 
@@ -76,15 +79,21 @@ class CountedWork:
 
     def walk(self, steps: int, states: int, candidates: int) -> None:
         """Count a walk along a path with some candidates of feedback."""
-        self.spent += work_of_walk(steps, states, candidates)
+        self.count(work_of_walk(steps, states, candidates))
 
     def programmed(self, inputs: int) -> None:
         """Count a program of so many nominal inputs."""
-        self.spent += PROGRAM * inputs
+        self.count(PROGRAM * inputs)
 
     def planned(self, steps: int, states: int, rounds: int) -> None:
         """Count some rounds of planning."""
-        self.spent += ROUND * steps * rounds * (1.0 + (states / DOUBLED) ** 2)
+        self.count(ROUND * steps * rounds * (1.0 + (states / DOUBLED) ** 2))
+
+    def count(self, work: float) -> None:
+        """Count work that is about to be done."""
+        before, self.spent = self.spent, self.spent + work
+        if int(before) < int(self.spent):
+            self.counted(self.spent)
 
 
 def work_of_walk(steps: int, states: int, candidates: int) -> float:

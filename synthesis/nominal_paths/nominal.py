@@ -65,7 +65,7 @@ class Response:
         for t in np.unique(slabs.times):
             here = np.flatnonzero(slabs.times == t)
             # inputs 0 .. t - 1 were t - 1 .. 0 steps ago
-            matrix[here, :t] = np.einsum("jd,sdm->jsm", slabs.rows[here], self.impulse[:t][::-1], optimize=True)
+            matrix[here, :t] = np.tensordot(slabs.rows[here], self.impulse[:t][::-1], axes=(1, 1))
         return constant, matrix.reshape(len(slabs.times), -1)
 
 

@@ -43,6 +43,9 @@ MOST_PLANS = 40
 GOOD = 1e-3
 """Probability of failing from which no words of few cubes are tried."""
 
+PLENTY = 1e-9
+"""Probability of failing from which nobody needs another plan, or other times."""
+
 PACES = (1.0, 0.6, 0.8, 0.35)
 """Shares of the horizon up to which jumps are spread, in the order in which they are tried."""
 
@@ -104,13 +107,14 @@ def linear_certificate(problem: Problem, work: CountedWork) -> tuple[Synthesis, 
     finder = _Finder(problem, work)
     best: tuple[float, Plan, Any] | None = None
     patience = work.spent + PATIENCE * max(agent.n_states for agent in problem.agents) * work.limit
-    for plans, enough in zip((source(problem) for source in SOURCES), (GOOD, ENOUGH, GOOD, GOOD), strict=True):
+    for plans, enough in zip((source(problem) for source in SOURCES), (GOOD, PLENTY, GOOD, GOOD), strict=True):
         for plan in islice(plans, MOST_PLANS):
             if work.spent > patience if best is None else best[0] <= enough or work.is_over():
                 break
             found = finder.of_plan(plan)
             if found is not None and (best is None or found[0] < best[0]):
                 best = found[0], plan, found[1]
+                work.tell(found[0])
         best = best if best is None or work.is_over() else _with_better_times(finder, best)
     if best is None or best[0] >= HOPELESS:
         return None
@@ -278,7 +282,7 @@ def _may_be_read(problem: Problem, cube: Cube, p: int, holds: bool) -> NDArray[n
 def _with_better_times(finder: _Finder, best: tuple[float, Plan, Any]) -> tuple[float, Plan, Any]:
     """Return the best plan after moves of single jumps, as long as they help."""
     step = max(1, finder.problem.horizon // 8)
-    while step and best[0] > ENOUGH:
+    while step and best[0] > PLENTY:
         improved = False
         for group in best[1].way.groups:
             for move in (-step, step):

@@ -124,7 +124,7 @@ def state_slabs(limits: list[Limit], covariances: FloatArray) -> Slabs:
     variances = np.empty(len(times))
     for t in np.unique(times):
         here = np.flatnonzero(times == t)
-        variances[here] = np.einsum("jd,de,je->j", rows[here], covariances[t], rows[here], optimize=True)
+        variances[here] = np.sum((rows[here] @ covariances[t]) * rows[here], axis=1)
     low, high = (np.array([limit[k] for limit in limits], dtype=float) for k in (2, 3))
     return Slabs(times, rows, low, high, np.sqrt(np.maximum(variances, 0.0)) * OUTWARD)
 
@@ -132,7 +132,7 @@ def state_slabs(limits: list[Limit], covariances: FloatArray) -> Slabs:
 def input_slabs(agent: LinearAgent, gain: FloatArray, covariances: FloatArray, steps: int) -> Slabs:
     """Return the limits of inputs at all steps."""
     m = agent.n_inputs
-    variances = np.einsum("md,tde,me->tm", gain, covariances[:steps], gain, optimize=True)
+    variances = np.sum((gain @ covariances[:steps]) * gain, axis=2)
     deviations = np.sqrt(np.maximum(variances, 0.0)).ravel() * OUTWARD
     times, rows = np.repeat(np.arange(steps), m), np.tile(np.eye(m), (steps, 1))
     return Slabs(times, rows, np.tile(agent.input_low, steps), np.tile(agent.input_high, steps), deviations)

@@ -177,7 +177,7 @@ def _explored(
             x = model.step(x[:, parents], u, t - 1)
         cost, q = read(t, x, q[parents])
         total = total[parents] + cost + push
-        work.spent += STEP * x.shape[1]
+        work.count(STEP * x.shape[1])
         usable = np.isfinite(total)
         x, q, total, u, push = x[:, usable], q[usable], total[usable], u[:, usable], push[usable]
         if not len(total):

@@ -63,8 +63,10 @@ def ticking(bar: tqdm) -> Iterator[None]:
         while not ended.wait(TICK):
             bar.refresh()
             now, under_way = time.monotonic(), (getattr(bar, "desc", "") if bar.disable else "").rstrip(": ")
-            if under_way != said:
-                said, since = under_way, now
+            # How much was spent stands last, and is another way of saying the same.
+            way = under_way.rpartition(", ")[0] or under_way
+            if way != said:
+                said, since = way, now
             if under_way and (now - since >= PATIENCE or now - last >= REMIND):
                 how_far = getattr(bar, "postfix", None)
                 line = f"{under_way}; {how_far}" if how_far else under_way
