@@ -67,8 +67,9 @@ PATH_ENDS = 0.99
 WRITTEN_ENOUGH = 0.999
 """Bound of grids of agents with expressions from which no path is tried beside them."""
 
-COMPARED = 20.0
-"""Work of comparing relations of agents with several states; those of single states take next to nothing."""
+COMPARED, MANY_STATES = 20.0, 256
+"""Work of comparing relations of agents with several states, for so many automaton states at most; those of single
+states take next to nothing."""
 
 DOUBLED = 20.0
 """Work of comparing them on twice as many cells per axis."""
@@ -321,7 +322,8 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
         ]
     scalar = all(agent.n_states == 1 for agent in problem.agents)
     cells = first_cells(problem)
-    least = _tree_work(problem) if scalar else COMPARED
+    # Guards of thousands of automaton states alone take minutes.
+    least = _tree_work(problem) if scalar else COMPARED * max(1.0, problem.automaton.n_states / MANY_STATES)
     # Where linear cells do not apply boxes are compared on default cells, too.
     usual = {} if linear else {a.name: cells_of_agent(a, None) for a in problem.agents if isinstance(a, Agent)}
     work = least if is_scalar(problem) else max(least, box_work(problem, usual | (cells or {})))

@@ -22,6 +22,8 @@ from certigym.synthesis.on_cells import Plan
 from certigym.synthesis.path_checking import Whereabouts
 from certigym.synthesis.search import Search
 from certigym.synthesis.synthesize import ways_ahead
+from deployed import problem_of
+from small_problems import small_spec
 
 FALSE_ALARM = 1e-6
 
@@ -118,9 +120,19 @@ def test_a_charge_that_is_too_small_is_refused_by_the_check(
         return paths[0], [SABOTAGES[name](*one) for one in paths[1]]
 
     monkeypatch.setattr(mixed_teams, "certified_paths", sabotaged)
+    # The search would notice: it asks the check what pairs spoil.
+    monkeypatch.setattr(mixed_teams, "agreed_mixed", lambda certificate: certificate)
     forged = mixed(team())
     report = cg.check(forged)
     assert not report.valid and "pairs spoil" in str(report)
+
+
+@pytest.mark.parametrize("seed", [22, 46])
+def test_no_less_is_taken_off_than_the_check_takes_off(seed: int) -> None:
+    """Search and check enclose how paths bend by code of their own: here the search's drifts are smaller."""
+    spec = small_spec("mixed", seed)
+    certificate = cg.synthesize(problem_of(spec), **spec["options"]).certificate
+    assert type(certificate.proof) is MixedProof and cg.check(certificate)
 
 
 @pytest.fixture(scope="module")

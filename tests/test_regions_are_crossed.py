@@ -10,8 +10,8 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.synthesis.certificates import SOMETIME, AgentPath, AlongPath, Certificate, PathProof, changed
+from certigym.synthesis.nominal_paths.accepted_words import is_accepted
 from certigym.synthesis.nominal_paths.visits import visits_of, with_windows
-from certigym.synthesis.nominal_paths.words import is_accepted
 from certigym.synthesis.path_checking.path_check import wrong_paths
 
 PACE, STEPS = 0.2, 12

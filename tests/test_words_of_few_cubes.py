@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from itertools import groupby, islice, pairwise
+from itertools import groupby, islice, pairwise, product
 from typing import Any
 
 import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.certificates import SOMETIME
+from certigym.synthesis.nominal_paths import words
+from certigym.synthesis.nominal_paths.accepted_words import is_accepted, without_needless
 from certigym.synthesis.nominal_paths.drifts import Drifts
 from certigym.synthesis.nominal_paths.segments import segmented_ways
 from certigym.synthesis.nominal_paths.timed_words import timed_ways
-from certigym.synthesis.nominal_paths.words import is_accepted, ways_of, without_needless
+from certigym.synthesis.nominal_paths.words import ways_of
 
 
 def robot(**changes: Any) -> cg.LinearAgent:
@@ -111,6 +114,98 @@ def test_visits_again_and_again_are_timed_by_how_far_it_is() -> None:
     visits = [tuple(letter) for letter in letters[1:].tolist() if max(letter) > 0]
     runs = [visit for visit, _ in groupby(visits)]
     assert len(runs) >= 5 and all(a != b for a, b in pairwise(runs))
+    result = cg.synthesize(problem, relation="path")
+    assert result.certificate.lower_bound > 0.9999
+    assert cg.check(result.certificate, problem)
+
+
+FORMULAS = (
+    ("F (lane & F here)", "co-safe"),
+    ("!lane U here", "co-safe"),
+    ("G (lane -> X here)", "finite-trace"),
+    ("F lane & G !(lane & here)", "finite-trace"),
+)
+
+
+@pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
+def test_a_word_is_accepted_if_every_word_that_agrees_is(formula: str, semantics: str) -> None:
+    """Against all words of four letters, one after the other."""
+    problem, rng, outcomes = task(formula, 4, semantics), np.random.default_rng(8), set[bool]()
+    automaton, n = problem.automaton, len(problem.automaton.propositions)
+
+    def leads_to_acceptance(word: tuple[tuple[bool, ...], ...]) -> bool:
+        q = problem.initial_q
+        assert q is not None
+        for letter in word:
+            q = int(automaton.next_state(q, np.array(letter)))
+        return bool(automaton.accepting[q])
+
+    words_of_four = list(product(product((False, True), repeat=n), repeat=4))
+    for _ in range(60):
+        letters = rng.choice([-1, 0, 0, 1], size=(5, n)).astype(np.int8)
+        if rng.random() < 0.5:  # something holds at some time of a window
+            begin, end = sorted(rng.choice(np.arange(1, 6), size=2, replace=False))
+            letters[begin:end, rng.integers(n)] = SOMETIME
+        agreeing = [word for word in words_of_four if _agrees(word, letters)]
+        expected = all(map(leads_to_acceptance, agreeing))
+        assert is_accepted(problem, letters) == expected
+        outcomes.add(expected)
+    assert outcomes == {False, True}
+
+
+def _agrees(word: tuple[tuple[bool, ...], ...], letters: np.ndarray) -> bool:
+    """Whether a word has what letters ask for, and in each window, a run of ``SOMETIME``, what is to be met in it."""
+    read, asked = np.array([(False,) * letters.shape[1], *word]), letters.copy()
+    asked[0] = 0
+    if np.any(read[asked == 1] != True) or np.any(read[asked == -1]):  # noqa: E712 arrays
+        return False
+    for p in range(letters.shape[1]):
+        for is_window, group in groupby(range(1, len(letters)), key=lambda t, p=p: letters[t, p] == SOMETIME):
+            if is_window and not read[[*group], p].any():
+                return False
+    return True
+
+
+@pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
+def test_as_much_is_left_out_as_one_by_one(formula: str, semantics: str) -> None:
+    problem = task(formula, 8, semantics)
+    for way in islice(ways_of(problem), 4):
+        times = way.spread(8)
+        letters = way.letters(times, 8, len(problem.automaton.propositions))
+        if letters is None or not is_accepted(problem, letters):
+            continue
+        expected = letters.copy()
+        stays = np.cumsum(np.any(np.diff(letters, axis=0, prepend=letters[:1]) != 0, axis=1))
+        stays[0] = stays[1]
+        for value, p in product((-1, 1), range(letters.shape[1])):
+            asked = expected[:, p] == value
+            for part in [asked, *(asked & (stays == stay) for stay in np.unique(stays[asked]))]:
+                less = expected.copy()
+                less[part, p] = 0
+                expected = less if is_accepted(problem, less) else expected
+        np.testing.assert_array_equal(without_needless(problem, letters), expected)
+
+
+def test_errands_of_several_agents_are_done_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Too many beginnings to look at them all: those that end soonest are found all the same."""
+    regions = {"a": (1.0, 2.0), "b": (-1.0, 0.0), "home": (-4.8, -3.2)}
+    problem = cg.Problem(
+        name="errands",
+        horizon=20,
+        agents=[robot(name=f"r_{k}") for k in range(4)],
+        propositions={
+            f"{name}_{k}": cg.Proposition(f"r_{k}", low=[low], high=[high])
+            for name, (low, high) in regions.items()
+            for k in range(4)
+        },
+        specification=cg.Specification(
+            " & ".join(f"F (a_{k} & F b_{k})" for k in range(4)) + " & F (home_0 & home_1 & home_2 & home_3)",
+            semantics="co-safe",
+        ),
+    )
+    # At the start all are at home; a and b take a jump each.
+    monkeypatch.setattr(words, "MOST_SEQUENCES", 2)
+    assert len(next(ways_of(problem)).jumps) == 2
     result = cg.synthesize(problem, relation="path")
     assert result.certificate.lower_bound > 0.9999
     assert cg.check(result.certificate, problem)

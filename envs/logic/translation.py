@@ -145,7 +145,8 @@ def _explore(
             if len(number) > max_states:
                 raise AutomatonSizeError(
                     f"the automaton needs more than `max_states` = {max_states} states; "
-                    "simplify the formula, shorten its bounds or raise the limit"
+                    "each `F` beside others doubles them: say an order, such as `F (a & F b)`, or what is done at once, "
+                    "`F (a & b)`; shorten bounds, or raise the limit"
                 )
         return target.terminal(number[n])
 

@@ -18,6 +18,7 @@ from ...envs.problem import Problem
 from ..cells import FloatArray, NoRunFound, RelationRefused
 from ..certificates import AgentPath, AlongPath, Certificate, PathProof, Synthesis
 from ..controllers import covariances_of, nominal_states
+from .accepted_words import without_needless
 from .angle_paths import along_angles
 from .counted_work import CountedWork
 from .drifts import Drifts
@@ -29,7 +30,7 @@ from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .some_paths import Whereabouts, paths_of_some
 from .timed_words import timed_ways
 from .whatever_others_do import Reach, whatever_others_do
-from .words import Cube, Plan, Way, letters_of, ways_of, without_needless
+from .words import Cube, Plan, Way, letters_of, ways_of
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
 """Costs of inputs, against states, of the feedbacks that are tried."""
@@ -43,7 +44,7 @@ MOST_PLANS = 40
 GOOD = 1e-3
 """Probability of failing from which no words of few cubes are tried."""
 
-PLENTY = 1e-9
+PLENTY = 1e-8
 """Probability of failing from which nobody needs another plan, or other times."""
 
 PACES = (1.0, 0.6, 0.8, 0.35)

@@ -12,10 +12,12 @@ from collections.abc import Iterator
 from itertools import combinations, pairwise, product, zip_longest
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...envs.problem import Problem
+from .accepted_words import course_of, targets_of
 from .exclusions import exclusions
-from .words import Cube, Way, cubes_of, targets_of
+from .words import Cube, Way, cubes_of
 
 MOST_CUBES = 8
 """Cubes that words are made of: those that ask for least, and of these the ones that most edges have."""
@@ -30,8 +32,14 @@ LATE = 0.75
 """Share of the horizon by which the last change is tried first, of tasks that are not over with it: there is time to
 come, and time to stay."""
 
-States = frozenset[int]
-"""States of the automaton that words which agree with what is read may lead to."""
+MOST_STATES = 1_000
+"""States of the automaton, evenly spread, whose edges are looked at for cubes."""
+
+MOST_READ = 5_000_000
+"""Letters that are read, from a state each: thousands of states are followed for a second or two."""
+
+States = int
+"""States of the automaton that words which agree with what is read may lead to, as bits."""
 
 
 def segmented_ways(problem: Problem) -> Iterator[tuple[Way, tuple[int, ...]]]:
@@ -49,6 +57,8 @@ def _of_number(words: _Words, n: int) -> Iterator[tuple[Way, tuple[int, ...]]]:
     late = problem.horizon * (1.0 if problem.automaton.is_co_safe else LATE)
     for times in _changes(problem.horizon, n, late):
         for cubes in product(words.pool, repeat=n):
+            if words.read > MOST_READ:
+                return
             if all(a != b for a, b in pairwise(cubes)):
                 end = words.end(cubes, times)
                 if end is not None:
@@ -68,10 +78,10 @@ class _Words:
     """What the automaton makes of words of few cubes; each stretch of one cube is followed once."""
 
     def __init__(self, problem: Problem) -> None:
-        self.problem, self.automaton = problem, problem.automaton
+        self.problem, self.automaton, self.course = problem, problem.automaton, course_of(problem.automaton)
         assert problem.initial_q is not None
-        self.start: States = frozenset({problem.initial_q})
-        self.steps: dict[tuple[Cube, int], States] = {}
+        self.start, self.read = 1 << problem.initial_q, 0
+        self.steps: dict[tuple[Cube, int], set[int]] = {}
         self.pool = self.cubes()
         self.stretches: dict[tuple[Cube, States, int], States] = {}
 
@@ -97,37 +107,43 @@ class _Words:
 
     def is_lost(self, states: States) -> bool:
         """Return whether some word is lost."""
-        return any(self.automaton.dead[q] for q in states)
+        return bool(states & self.course.dead)
 
     def accepts(self, states: States) -> bool:
         """Return whether all words are accepted."""
-        return all(self.automaton.accepting[q] for q in states)
+        return not states & self.course.rejecting
 
     def after(self, cube: Cube, states: States, n: int) -> States:
         """Return the states after n letters that agree with a cube."""
         key = cube, states, n
         if key not in self.stretches:
-            found = states
+            found, letter = states, self.letter(cube)
             for _ in range(n):
-                found = frozenset().union(*(self.step(cube, q) for q in found))
+                self.read += found.bit_count()
+                found = self.course.after(letter, found)
                 if self.is_lost(found):
                     break
             self.stretches[key] = found
         return self.stretches[key]
 
-    def step(self, cube: Cube, q: int) -> States:
-        """Return the states to which letters that agree with a cube lead."""
+    def letter(self, cube: Cube) -> NDArray[np.int8]:
+        """Return the letter (P,) of a cube: 1, -1, or 0 of what it says nothing."""
+        letter = np.zeros(len(self.automaton.propositions), dtype=np.int8)
+        for p, holds in cube:
+            letter[p] = 1 if holds else -1
+        return letter
+
+    def step(self, cube: Cube, q: int) -> set[int]:
+        """Return the states to which letters that agree with a cube lead from one state."""
         if (cube, q) not in self.steps:
-            letter = np.zeros(len(self.automaton.propositions), dtype=np.int8)
-            for p, holds in cube:
-                letter[p] = 1 if holds else -1
-            self.steps[cube, q] = frozenset(targets_of(self.automaton, q, letter.tolist()))
+            self.steps[cube, q] = targets_of(self.automaton, q, self.letter(cube).tolist())
         return self.steps[cube, q]
 
     def cubes(self) -> list[Cube]:
         """Return the cubes of edges between states from which words are accepted, those that ask for least first."""
         found, apart = Counter[Cube](), exclusions(self.problem)
-        for q in np.flatnonzero(~self.automaton.dead):
+        alive = np.flatnonzero(~self.automaton.dead)
+        for q in alive[:: -(-len(alive) // MOST_STATES)]:
             for cubes in cubes_of(self.problem, int(q), apart).values():
                 found.update({self.least(tuple(sorted(cube)), int(q)) for cube in cubes})
         order = sorted(found, key=lambda cube: (-found[cube], _asks(cube)))

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from .accepted_words import targets_of
 from .drifts import Drifts
 from .exclusions import exclusions
 from .nonlinear_model import NonlinearModel
 from .path_limits import corners_along
 from .segments import way_of
-from .words import Way, cubes_of, targets_of
+from .words import Way, cubes_of
 
 MOST_LETTERS, MOST_BETWEEN = 16, 4
 """Letters of visits: those that ask for least; and of these, letters that may be read between visits."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...envs.problem import Problem
 from ..certificates import SOMETIME
-from .words import is_accepted
+from .accepted_words import is_accepted
 
 HALVES = (2, 4, 8)
 """Halves of windows that are tried, in steps."""

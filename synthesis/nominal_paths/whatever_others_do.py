@@ -13,9 +13,10 @@ import numpy as np
 from ...envs.agents import AnyAgent
 from ...envs.logic import Automaton, automaton_from_diagrams
 from ...envs.problem import Problem, Specification
+from .accepted_words import without_needless
 from .path_limits import corners_along
 from .timed_words import fastest_moves, spans_of
-from .words import Plan, without_needless
+from .words import Plan
 
 MOST_SETS = 2_000
 """Sets of states beyond which no words are looked for in this way."""

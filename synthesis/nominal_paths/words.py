@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from heapq import heappop, heappush
-from itertools import product
+from itertools import islice, product
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Proposition
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
-from ..certificates import SOMETIME
+from .accepted_words import is_accepted, without_needless
 from .exclusions import exclusions
 
 MOST_STEPS = 20_000
@@ -35,6 +35,10 @@ MOST_WAYS, MOST_CHOICES = 12, 60
 MOST_SEQUENCES = 20_000
 """Beginnings of ways that are looked at: an automaton that counts steps has more of them than there are steps to take.
 Its words are found by ``timed_words`` and ``segments``."""
+
+MOST_JUMPS = 10
+"""Jumps of the shortest ways of an automaton with more beginnings than that: agents with errands of their own do them
+side by side."""
 
 Cube = tuple[tuple[int, bool], ...]
 """Propositions by their number, and whether they hold."""
@@ -128,7 +132,41 @@ def _state_sequences(problem: Problem, cubes: dict[int, dict[int, list[Cube]]], 
         if len(path) > problem.horizon:
             continue
         queue.extend((*path, q) for q in cubes.get(path[-1], {}) if q not in path and q in cubes)
-    return found
+    return found or [*islice(_shortest_sequences(automaton, cubes, start), MOST_WAYS)]
+
+
+def _shortest_sequences(
+    automaton: Automaton, cubes: dict[int, dict[int, list[Cube]]], start: int
+) -> Iterator[tuple[int, ...]]:
+    """Yield the sequences of fewest jumps to acceptance, if these are few; beginnings of longer ones are not tried."""
+    left = _jumps_left(automaton, cubes)
+    if left.get(start, MOST_JUMPS + 1) > MOST_JUMPS:
+        return
+    stack: list[tuple[int, ...]] = [(start,)]
+    while stack:
+        path = stack.pop()
+        if not left[path[-1]]:
+            yield path
+            continue
+        nearer = [q for q in cubes[path[-1]] if left.get(q) == left[path[-1]] - 1]
+        stack += [(*path, q) for q in reversed(nearer)]
+
+
+def _jumps_left(automaton: Automaton, cubes: dict[int, dict[int, list[Cube]]]) -> dict[int, int]:
+    """Return the fewest jumps to acceptance, by the state; states from which there are none are left out."""
+    before: dict[int, list[int]] = {}
+    for q, targets in cubes.items():
+        for target in targets:
+            before.setdefault(target, []).append(q)
+    left = {q: 0 for q in cubes if automaton.accepting[q]}
+    queue = deque(left)
+    while queue:
+        target = queue.popleft()
+        for q in before.get(target, ()):
+            if q not in left:
+                left[q] = left[target] + 1
+                queue.append(q)
+    return left
 
 
 def cubes_of(problem: Problem, q: int, apart: NDArray[np.bool_] | None = None) -> dict[int, list[Cube]]:
@@ -176,82 +214,6 @@ def _leads_to(automaton: Automaton, root: int) -> dict[int, set[int]]:
         stack.pop()
         result[entry] = set().union(*({-1 - child} if child < 0 else result[child] for child in children))
     return result
-
-
-def is_accepted(problem: Problem, letters: NDArray[np.int8]) -> bool:
-    """Return whether every word that agrees with letters (S + 1, P) at times 1 to S is accepted."""
-    automaton = problem.automaton
-    nothing = frozenset[int]()
-    reached = set() if problem.initial_q is None else {(problem.initial_q, nothing)}
-    known: dict[tuple[int, bytes], set[int]] = {}
-    for t, letter in enumerate(letters[1:], start=1):
-        goes_on = letters[t + 1] == SOMETIME if t + 1 < len(letters) else np.zeros(len(letter), dtype=bool)
-        ending = {*np.flatnonzero((letter == SOMETIME) & ~goes_on).tolist()}
-        after = set[tuple[int, frozenset[int]]]()
-        for q, met in reached:
-            for read, by_now in _readings(letter, met):
-                if not ending <= by_now:
-                    continue  # nothing was met in a window that ends here
-                key = q, read.tobytes()
-                if key not in known:
-                    known[key] = targets_of(automaton, q, read.tolist())
-                after |= {(target, by_now - ending) for target in known[key]}
-        reached = after
-        # From a dead state no word is accepted.
-        if any(automaton.dead[q] for q, _ in reached):
-            return False
-    return all(automaton.accepting[q] for q, _ in reached)
-
-
-def _readings(letter: NDArray[np.int8], met: frozenset[int]) -> Iterator[tuple[NDArray[np.int8], frozenset[int]]]:
-    """Yield letters (P,) that may be read, and what was met in windows by then: it holds now, or not yet."""
-    is_open = letter == SOMETIME
-    if not is_open.any():
-        yield letter, met
-        return
-    waiting = [p for p in np.flatnonzero(is_open).tolist() if p not in met]
-    for each in product((-1, 1), repeat=len(waiting)):
-        read = np.where(is_open, 0, letter).astype(np.int8)
-        read[waiting] = each
-        yield read, met | {p for p, value in zip(waiting, each, strict=True) if value > 0}
-
-
-def targets_of(automaton: Automaton, q: int, letter: list[int]) -> set[int]:
-    """Return the states to which letters lead that agree with one, -1, 0 or 1 for each proposition."""
-    entries, seen, targets = [int(automaton.root[q])], set[int](), set[int]()
-    while entries:
-        entry = entries.pop()
-        if entry < 0:
-            targets.add(-1 - entry)
-        elif entry not in seen:
-            seen.add(entry)
-            holds = letter[automaton.variable[entry]]
-            entries += [int(automaton.high[entry])] if holds >= 0 else []
-            entries += [int(automaton.low[entry])] if holds <= 0 else []
-    return targets
-
-
-def without_needless(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Return letters that ask for less, as long as every word that agrees with them is accepted.
-
-    A diagram asks that a goal does not hold while one waits for it; a task seldom does, and often only up to a jump: a
-    proposition is left out at all times, or else between two times at which other letters are asked for.
-    """
-    changes = np.flatnonzero(np.any(letters[1:] != letters[:-1], axis=1)) + 1
-    stays = np.searchsorted(changes, np.arange(len(letters)), side="right")
-    for value in (-1, 1):
-        for p in range(letters.shape[1]):
-            asked = letters[:, p] == value
-            if not asked.any():
-                continue
-            for times in (asked, *(asked & (stays == stay) for stay in np.unique(stays[asked]))):
-                less = letters.copy()
-                less[times, p] = 0
-                if is_accepted(problem, less):
-                    letters = less
-                    if times is asked:
-                        break
-    return letters
 
 
 def without_implied(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.int8] | None:
