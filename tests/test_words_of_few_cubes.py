@@ -123,7 +123,7 @@ FORMULAS = (
     ("F (lane & F here)", "co-safe"),
     ("!lane U here", "co-safe"),
     ("G (lane -> X here)", "finite-trace"),
-    ("F lane & G !(lane & here)", "finite-trace"),
+    ("G !(lane & here)", "finite-trace"),
 )
 
 
