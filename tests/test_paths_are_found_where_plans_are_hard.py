@@ -16,6 +16,7 @@ from certigym.synthesis.certificates import AgentPart, axis_tables, changed
 from certigym.synthesis.choosing import first_cells
 from certigym.synthesis.models import box_model
 from certigym.synthesis.nominal_paths import CountedWork, path_certificate
+from certigym.synthesis.nominal_paths.accepted_words import is_accepted
 from certigym.synthesis.nominal_paths.feedback_bounds import Feedback, NominalPath, _Walk
 from certigym.synthesis.nominal_paths.nominal_planner import Aim, Planner, rolled
 from certigym.synthesis.nominal_paths.nonlinear_model import NonlinearModel
@@ -235,3 +236,50 @@ def test_hopeless_plans_take_a_small_share_of_the_work() -> None:
     work = CountedWork(40.0)
     assert path_certificate(problem, work).certificate.lower_bound == 0.0
     assert work.spent < 0.2 * work.limit
+
+
+def crossing(count: int, semantics: str = "finite-trace") -> cg.Problem:
+    """Return cars that come to a crossing at the same time: one may be in it, and all have to come through."""
+    cars = [
+        cg.LinearAgent(
+            name=f"car_{k}", A=[[1.0]], B=[[1.0]], noise_covariance=[[4e-4]], state_low=[-12.0], state_high=[12.0],
+            input_low=[0.0], input_high=[1.6], initial_state=[-4.0],
+        )
+        for k in range(count)
+    ]  # fmt: skip
+    regions = {f"in_{k}": cg.Proposition(f"car_{k}", [-1.0], [1.0]) for k in range(count)}
+    regions |= {f"out_{k}": cg.Proposition(f"car_{k}", [2.0], [12.0]) for k in range(count)}
+    alone = " & ".join(f"G !(in_{i} & in_{j})" for i in range(count) for j in range(i))
+    through = " & ".join(f"F out_{k}" for k in range(count))
+    task = cg.Specification(f"{alone} & {through}", semantics)
+    return cg.Problem(name="crossing", horizon=20, agents=cars, propositions=regions, specification=task)
+
+
+def test_cars_come_through_a_crossing_one_after_the_other() -> None:
+    problem = crossing(4)
+    plans = list(plans_of_runs(problem, CountedWork()))
+    assert len(plans) == 2, "in the order of the problem, and in the opposite one"
+    for plan in plans:
+        letters = plan.way.letters(plan.times, plan.steps, len(problem.automaton.propositions))
+        assert letters is not None and is_accepted(problem, letters) and letters_of(problem, plan) is not None
+    # Nobody finds that by words of few cubes: each car is in the crossing while three others are not.
+    result = cg.synthesize(problem, relation="path")
+    assert result.certificate.lower_bound > 0.9999
+    assert cg.check(result.certificate, problem)
+    again = cg.synthesize(problem, relation="path")
+    assert again.certificate.lower_bound == result.certificate.lower_bound, "deterministic"
+
+
+def test_who_is_in_the_way_of_everybody_leaves_no_runs_in_turn() -> None:
+    """A car that nobody steers stands in the crossing; pairs, coupled agents and many states have no such runs."""
+    problem = crossing(3)
+    parked = cg.LinearAgent(
+        name="car_0", A=[[1.0]], noise_covariance=[[4e-4]], state_low=[-12.0], state_high=[12.0], initial_state=[0.0]
+    )
+    alone = cg.Specification("G !(in_0 & in_1) & G !(in_0 & in_2) & F out_1 & F out_2", "finite-trace")
+    blocked = cg.Problem(
+        name="blocked", horizon=20, agents=[parked, *problem.agents[1:]], propositions=dict(problem.propositions),
+        specification=alone,
+    )  # fmt: skip
+    assert list(plans_of_runs(blocked, CountedWork())) == []
+    assert list(plans_of_runs(chase(), CountedWork())) == []

@@ -160,7 +160,9 @@ def _agrees(word: tuple[tuple[bool, ...], ...], letters: np.ndarray) -> bool:
     if np.any(read[asked == 1] != True) or np.any(read[asked == -1]):  # noqa: E712 arrays
         return False
     for p in range(letters.shape[1]):
-        for is_window, group in groupby(range(1, len(letters)), key=lambda t, p=p: letters[t, p] == SOMETIME):
+        for is_window, group in groupby(
+            range(1, len(letters)), key=[bool(x) for x in letters[:, p] == SOMETIME].__getitem__
+        ):
             if is_window and not read[[*group], p].any():
                 return False
     return True

@@ -72,6 +72,9 @@ WORTHLESS = 0.999
 """Probability of failing from which nothing is claimed: so near to 1 the check rounds more than that is worth."""
 
 
+BEFORE_RUNS = 2
+"""Sources of plans before runs of a team are tried, where these give nothing."""
+
 CALM = 1e-2
 """Share of the noise with which a run is looked for that satisfies the task without noise."""
 
@@ -401,7 +404,13 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
     team: _Apart | _Together = _Together(problem, work) if pairs else _Apart(problem, work)
     share = team.patience * work.limit
     patience = work.spent + share
-    for some in plans:
+    for source, some in enumerate(plans):
+        is_hopeless = team.best is None or team.best[0] >= HARDLY
+        if source == BEFORE_RUNS and problem.n_agents > 1 and is_hopeless:
+            # Agents that keep out of each other's way take turns, for which words are long.
+            team.with_tried_inputs()
+            if team.best is not None and team.best[0] < HARDLY:
+                break
         possible = (plan for plan in some if letters_of(problem, plan) is not None)
         for number, plan in enumerate(islice(possible, MOST_HOPELESS if pairs <= FEW_PAIRS else 2), start=1):
             team.of_plan(plan)

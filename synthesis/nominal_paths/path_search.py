@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from itertools import chain, islice, zip_longest
 from typing import Any
 
@@ -29,6 +30,7 @@ from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .some_paths import Whereabouts, paths_of_some
 from .timed_words import timed_ways
+from .tried_runs import plans_of_runs
 from .whatever_others_do import Reach, whatever_others_do
 from .words import Cube, Plan, Way, letters_of, ways_of
 
@@ -86,8 +88,10 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
         return nonlinear_certificate(problem, SOURCES, work)
     found = linear_certificate(problem, work)
     if found is None:
-        # Planned with soft limits instead there may be one that claims nothing, or a word on what is missed.
-        return nonlinear_certificate(problem, SOURCES, work)
+        # Planned with soft limits instead there may be one that claims nothing, or a word on what is missed. Of teams
+        # it is in none of the words that were tried: agents take turns first.
+        turns = [partial(plans_of_runs, work=work)] if problem.n_agents > 1 else []
+        return nonlinear_certificate(problem, [*turns, *SOURCES], work)
     straight, plan = found
     if not GOOD < straight.certificate.proof.failure < FAINT or work.is_over():
         return straight

@@ -10,17 +10,21 @@ are when the agent has time for them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
+from ...envs.logic import Automaton
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from .accepted_words import targets_of
 from .counted_work import CountedWork
+from .drifts import Drifts
 from .nonlinear_model import NonlinearModel
 from .path_limits import corners_along
 from .soft_costs import soft_costs
@@ -49,8 +53,9 @@ EFFORT = 3e-2
 STEP = 2e-7
 """Work of a step of a single state."""
 
-Read = Callable[[int, FloatArray, NDArray[np.int64]], tuple[FloatArray, NDArray[np.int64]]]
-"""Costs (n,) of states (d, n) at a time, and automaton states (n,) that follow on those before."""
+Read = Callable[[int, FloatArray, NDArray[np.int64]], tuple[NDArray[np.int64], FloatArray, NDArray[np.int64]]]
+"""What may be read in states (d, n) at a time, after automaton states (n,): the numbers (k,) of these states, once for
+each automaton state that follows, their costs (k,), and what follows (k,)."""
 
 
 def tried_run(
@@ -64,9 +69,9 @@ def tried_run(
         return None
     places = _Places(problem, model.agent)
 
-    def read(t: int, x: FloatArray, q: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:
+    def read(t: int, x: FloatArray, q: NDArray[np.int64]) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.int64]]:
         spare = [within * wanted for within, wanted in zip(places.depths(t, x), letters[t, places.own]) if wanted]
-        return places.cost(x, spare), q
+        return np.arange(len(q)), places.cost(x, spare), q
 
     steps = len(letters) - 1
     fronts = [*_explored(model, (start, 0), steps, read, work)]
@@ -74,41 +79,115 @@ def tried_run(
 
 
 def plans_of_runs(problem: Problem, work: CountedWork) -> Iterator[Plan]:
-    """Yield the plan of a run that the automaton accepts, if one is found, of problems of one agent of few states."""
-    agent, automaton, q = problem.agents[0], problem.automaton, problem.initial_q
-    if problem.n_agents > 1 or agent.n_states not in CELLS or not agent.n_inputs or q is None:
+    """Yield plans of runs that the automaton accepts, as far as some are found, of agents of few states.
+
+    The agents of a team are planned in turn, in the order of the problem and in the opposite one: each knows what those
+    before it do, and reads what suits it of those after it. So who comes later waits, or goes first.
+    """
+    agents, every = problem.agents, range(problem.n_agents)
+    steered = [i for i in every if not np.array_equal(agents[i].input_low, agents[i].input_high)]
+    few = all(agents[i].n_states in CELLS and agents[i].n_inputs for i in steered)
+    if problem.labeling.pairs or problem.initial_q is None or not (steered and few) or any(a.others for a in agents):
         return
-    places = _Places(problem, agent)
-
-    def read(t: int, x: FloatArray, q: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:
-        q = automaton.next_state(q, problem.labeling.at(t).letter([x])).astype(np.int64)
-        # Whether regions are entered or not: where that is nearly the same a run says little.
-        cost = places.cost(x, [np.abs(depth) for depth in places.depths(t, x)])
-        return np.where(automaton.dead[q], np.inf, cost), q
-
-    model, start = NonlinearModel(agent), 0.5 * (agent.initial.low + agent.initial.high)
-    cheapest, inputs = np.inf, np.zeros((0, agent.n_inputs))
-    fronts = _explored(model, (start, q), problem.horizon, read, work, automaton.finished)
-    for t, front in enumerate(fronts, start=1):
-        if automaton.is_co_safe or t == problem.horizon:
-            total = np.where(automaton.accepting[front.q], front.total, np.inf)
-            at = int(np.argmin(total))
-            if total[at] < cheapest:
-                cheapest, inputs = float(total[at]), front.inputs(at)
-    yield from _plan_along(problem, model, start, inputs)
+    for order in [steered] if len(steered) == 1 else [steered, steered[::-1]]:
+        inputs = _runs_in_turn(problem, order, work)
+        if inputs is not None:
+            yield from _plan_along(problem, inputs)
 
 
-def _plan_along(problem: Problem, model: NonlinearModel, start: FloatArray, inputs: FloatArray) -> Iterator[Plan]:
+def _runs_in_turn(problem: Problem, order: Sequence[int], work: CountedWork) -> list[FloatArray] | None:
+    """Return inputs (S, m) of all agents along runs that are accepted together; None if an agent has none in its turn.
+
+    Agents that are not in the order have no choice of inputs.
+    """
+    automaton, told = problem.automaton, Drifts(problem).letters.copy()
+    inputs = [np.tile(agent.input_low, (problem.horizon, 1)) for agent in problem.agents]
+    for i in order:
+        if work.is_over():
+            return None
+        agent, places = problem.agents[i], _Places(problem, problem.agents[i])
+        model, start = NonlinearModel(agent), _middle(agent)
+        alone = len(order) == 1
+        fronts = _explored(
+            model,
+            (start, int(problem.initial_q or 0)),
+            problem.horizon,
+            partial(_read_in_turn, automaton, told, places, {}),
+            work,
+            automaton.finished if alone else None,
+        )
+        cheapest, found = np.inf, None
+        for t, front in enumerate(fronts, start=1):
+            # A team goes on until all are there.
+            if t == problem.horizon or (alone and automaton.is_co_safe):
+                total = np.where(automaton.accepting[front.q], front.total, np.inf)
+                at = int(np.argmin(total))
+                if total[at] < cheapest:
+                    cheapest, found = float(total[at]), front.inputs(at)
+        if found is None:
+            return None
+        inputs[i], x = found, start
+        for t, u in enumerate(found, start=1):
+            x = model.step(x[:, None], u[:, None], t - 1)[:, 0]
+            told[t, places.own] = [1 if depth[0] >= 0.0 else -1 for depth in places.depths(t, x[:, None])]
+    return [own[: len(inputs[order[-1]])] for own in inputs]
+
+
+def _read_in_turn(
+    automaton: Automaton,
+    told: NDArray[np.int8],
+    places: _Places,
+    known: dict[tuple[int, int, int], list[int]],
+    t: int,
+    x: FloatArray,
+    q: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.int64]]:
+    """Return what may be read in states (d, n) of one agent: each with every state that letters of others lead to.
+
+    Letters ``told`` (T + 1, P) say what others read, 0 where that is open.
+    """
+    depths = places.depths(t, x)
+    # Whether regions are entered or not: where that is nearly the same a run says little.
+    cost = places.cost(x, [np.abs(depth) for depth in depths])
+    inside = np.array([depth >= 0.0 for depth in depths]).reshape(len(depths), -1)
+    codes = np.zeros(x.shape[1], dtype=np.int64)
+    for row in inside:
+        codes = 2 * codes + row
+    _, firsts, of = np.unique(codes * automaton.n_states + q, return_index=True, return_inverse=True)
+    targets = list[list[int]]()
+    for first in firsts.tolist():
+        key = t, int(q[first]), int(codes[first])
+        if key not in known:
+            letter = told[t].copy()
+            letter[places.own] = np.where(inside[:, first], 1, -1)
+            reached = targets_of(automaton, int(q[first]), letter.tolist())
+            known[key] = sorted(to for to in reached if not automaton.dead[to])
+        targets.append(known[key])
+    counts = np.array([len(own) for own in targets])[of]
+    rows = np.repeat(np.arange(len(q)), counts)
+    return rows, cost[rows], np.array([to for k in of.tolist() for to in targets[k]], dtype=np.int64)
+
+
+def _middle(agent: AnyAgent) -> FloatArray:
+    """Return the middle (d,) of an agent's starts."""
+    return np.asarray(0.5 * (agent.initial.low + agent.initial.high))
+
+
+def _plan_along(problem: Problem, inputs: Sequence[FloatArray]) -> Iterator[Plan]:
     """Yield the plan of what is read along a run: a cube for each step, the one before as long as it may be."""
-    automaton, q, x = problem.automaton, problem.initial_q, start
+    automaton, q, models = problem.automaton, problem.initial_q, [NonlinearModel(agent) for agent in problem.agents]
+    states = [_middle(agent) for agent in problem.agents]
     assert q is not None
     cubes, known = list[Cube](), dict[int, dict[int, list[Cube]]]()
-    for t, u in enumerate(inputs, start=1):
+    for t in range(1, len(inputs[0]) + 1):
         if automaton.finished[q]:
             break
-        x = model.step(x[:, None], u[:, None], t - 1)[:, 0]
-        letter = problem.labeling.at(t).letter([x])
+        given = zip(models, states, inputs, strict=True)
+        states = [model.step(x[:, None], u[t - 1][:, None], t - 1)[:, 0] for model, x, u in given]
+        letter = problem.labeling.at(t).letter(states)
         after = int(automaton.next_state(np.int64(q), letter))
+        if automaton.dead[after]:
+            return
         if q not in known:
             known[q] = cubes_of(problem, q)
         fitting = [cube for cube in known[q].get(after, []) if all(letter[p] == holds for p, holds in cube)]
@@ -175,9 +254,10 @@ def _explored(
             parents = np.arange(x.shape[1])
         with np.errstate(all="ignore"):
             x = model.step(x[:, parents], u, t - 1)
-        cost, q = read(t, x, q[parents])
-        total = total[parents] + cost + push
+        rows, cost, q = read(t, x, q[parents])
         work.count(STEP * x.shape[1])
+        parents, x, u, push = parents[rows], x[:, rows], u[:, rows], push[rows]
+        total = total[parents] + cost + push
         usable = np.isfinite(total)
         x, q, total, u, push = x[:, usable], q[usable], total[usable], u[:, usable], push[usable]
         if not len(total):
