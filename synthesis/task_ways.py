@@ -323,7 +323,8 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
     scalar = all(agent.n_states == 1 for agent in problem.agents)
     cells = first_cells(problem)
     # Guards of thousands of automaton states alone take minutes.
-    least = _tree_work(problem) if scalar else COMPARED * max(1.0, problem.automaton.n_states / MANY_STATES)
+    states = problem.automaton.n_states / MANY_STATES
+    least = max(_tree_work(problem) if scalar else COMPARED, COMPARED * states if states > 1.0 else 0.0)
     # Where linear cells do not apply boxes are compared on default cells, too.
     usual = {} if linear else {a.name: cells_of_agent(a, None) for a in problem.agents if isinstance(a, Agent)}
     work = least if is_scalar(problem) else max(least, box_work(problem, usual | (cells or {})))
