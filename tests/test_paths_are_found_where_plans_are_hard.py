@@ -283,3 +283,31 @@ def test_who_is_in_the_way_of_everybody_leaves_no_runs_in_turn() -> None:
     )  # fmt: skip
     assert list(plans_of_runs(blocked, CountedWork())) == []
     assert list(plans_of_runs(chase(), CountedWork())) == []
+
+
+def test_drones_with_velocities_pass_a_gate_one_after_the_other() -> None:
+    """Agents of four states are points for that: what a point reads is a guess that is planned as any word."""
+    A = [[1, 0, 0.5, 0], [0, 1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]]
+    drones = [
+        cg.LinearAgent(
+            name=f"d_{k}", A=A, B=[[0.125, 0], [0, 0.125], [0.5, 0], [0, 0.5]],
+            noise_covariance=np.diag([1e-4, 1e-4, 4e-4, 4e-4]), state_low=[-10, -10, -3, -3],
+            state_high=[10, 10, 3, 3], input_low=[-1.5] * 2, input_high=[1.5] * 2, initial_state=[-6, y, 0, 0],
+            output_matrix=np.eye(2, 4),
+        )
+        for k, y in enumerate((-1.0, 1.0))
+    ]  # fmt: skip
+    regions = {}
+    for k in range(2):
+        regions[f"gate_{k}"] = cg.Proposition(f"d_{k}", [-1, -1], [1, 1])
+        regions[f"top_{k}"] = cg.Proposition(f"d_{k}", [-1, 1], [1, 10])
+        regions[f"bottom_{k}"] = cg.Proposition(f"d_{k}", [-1, -10], [1, -1])
+        regions[f"through_{k}"] = cg.Proposition(f"d_{k}", [2, -10], [10, 10])
+    walls = " & ".join(f"!top_{k} & !bottom_{k}" for k in range(2))
+    task = cg.Specification(f"G ({walls} & !(gate_0 & gate_1)) & F (through_0 & through_1)", "finite-trace")
+    problem = cg.Problem(name="gate", horizon=40, agents=drones, propositions=regions, specification=task)
+    assert len(list(plans_of_runs(problem, CountedWork()))) == 2
+    result = cg.synthesize(problem, relation="path")
+    assert result.certificate.lower_bound > 0.9999
+    assert cg.check(result.certificate, problem)
+    assert cg.rollout(problem, result.certificate, 2000, seed=3).successes >= 1990

@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
 from ..cells import FloatArray
@@ -28,7 +28,7 @@ from .drifts import Drifts
 from .nonlinear_model import NonlinearModel
 from .path_limits import corners_along
 from .soft_costs import soft_costs
-from .timed_words import spans_of
+from .timed_words import fastest_moves, spans_of
 from .words import Cube, Plan, Way, cubes_of
 
 CELLS = {1: 200, 2: 60, 3: 24}
@@ -36,6 +36,9 @@ CELLS = {1: 200, 2: 60, 3: 24}
 
 LEVELS, OFFERED = {1: 7, 2: 3}, 3
 """Levels of each input, by their number, and beyond."""
+
+LEVELS_OF_POINTS = {1: 9, 2: 5, 3: 5}
+"""Levels of each velocity of a point, which comes to as few places as there are levels."""
 
 DECISIONS = 20
 """About how often inputs are chosen along a run."""
@@ -49,6 +52,9 @@ SHARP = 0.02
 
 EFFORT = 3e-2
 """Cost of an input at half its range, for each step."""
+
+SHARE_OF_SPEED = 0.5
+"""Share of the fastest move of an agent of many states at which it counts as a point: it has to turn, and to brake."""
 
 STEP = 2e-7
 """Work of a step of a single state."""
@@ -79,58 +85,96 @@ def tried_run(
 
 
 def plans_of_runs(problem: Problem, work: CountedWork) -> Iterator[Plan]:
-    """Yield plans of runs that the automaton accepts, as far as some are found, of agents of few states.
+    """Yield plans of runs that the automaton accepts, as far as some are found.
 
     The agents of a team are planned in turn, in the order of the problem and in the opposite one: each knows what those
     before it do, and reads what suits it of those after it. So who comes later waits, or goes first.
     """
     agents, every = problem.agents, range(problem.n_agents)
     steered = [i for i in every if not np.array_equal(agents[i].input_low, agents[i].input_high)]
-    few = all(agents[i].n_states in CELLS and agents[i].n_inputs for i in steered)
-    if problem.labeling.pairs or problem.initial_q is None or not (steered and few) or any(a.others for a in agents):
+    if problem.labeling.pairs or problem.initial_q is None or not steered or any(agent.others for agent in agents):
         return
+    movers = {i: _mover_of(problem, i, len(steered) > 1) for i in steered}
     for order in [steered] if len(steered) == 1 else [steered, steered[::-1]]:
-        inputs = _runs_in_turn(problem, order, work)
-        if inputs is not None:
-            yield from _plan_along(problem, inputs)
+        letters = _read_by_turns(problem, [movers[i] for i in order], work)
+        if letters is not None:
+            yield from _plan_along(problem, letters)
 
 
-def _runs_in_turn(problem: Problem, order: Sequence[int], work: CountedWork) -> list[FloatArray] | None:
-    """Return inputs (S, m) of all agents along runs that are accepted together; None if an agent has none in its turn.
+@dataclass(frozen=True, eq=False)
+class _Mover:
+    """An agent that tries inputs, its regions, where it starts (d,), and how many levels its inputs have."""
 
-    Agents that are not in the order have no choice of inputs.
+    model: NonlinearModel
+    places: _Places
+    start: FloatArray
+    levels: dict[int, int]
+
+
+def _mover_of(problem: Problem, i: int, in_team: bool) -> _Mover | None:
+    """Return an agent as it is, if it has few states; one of a team may be a point that moves at some speed instead.
+
+    A point has the outputs that regions limit for states. What its run reads is no more than a guess, like all words.
     """
-    automaton, told = problem.automaton, Drifts(problem).letters.copy()
-    inputs = [np.tile(agent.input_low, (problem.horizon, 1)) for agent in problem.agents]
-    for i in order:
-        if work.is_over():
+    agent = problem.agents[i]
+    if agent.n_states in CELLS and agent.n_inputs:
+        return _Mover(NonlinearModel(agent), _Places(problem, agent), _middle(agent), LEVELS)
+    low, high = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
+    own = problem.labeling.agent_propositions[i]
+    corners = [corners_along(problem, problem.automaton.propositions[p], problem.horizon + 1) for p in own]
+    asked = np.flatnonzero([
+        any(np.any((a[:, k] > low[k]) | (b[:, k] < high[k])) for a, b in corners) for k in range(len(low))
+    ])  # fmt: skip
+    bounded = np.all(np.isfinite(low[asked]) & np.isfinite(high[asked]) & (low[asked] < high[asked]))
+    if not in_team or len(asked) not in CELLS or agent.added_outputs or not agent.n_inputs or not bounded:
+        return None
+    speed = SHARE_OF_SPEED * fastest_moves(agent)[asked] * spans_of(agent)[asked]
+    if not np.all(speed > 0.0):
+        return None
+    start = agent.outputs(_middle(agent)[:, None])[asked, 0]
+    eye, box = np.eye(len(asked)), np.clip(start, low[asked], high[asked])
+    point = LinearAgent(
+        name=agent.name, A=eye, B=eye, noise_covariance=eye, state_low=low[asked], state_high=high[asked],
+        input_low=-speed, input_high=speed, initial_state=box,
+    )  # fmt: skip
+    places = _Places(problem, point, [(a[:, asked], b[:, asked]) for a, b in corners])
+    return _Mover(NonlinearModel(point), places, box, LEVELS_OF_POINTS)
+
+
+def _read_by_turns(problem: Problem, movers: Sequence[_Mover | None], work: CountedWork) -> NDArray[np.bool_] | None:
+    """Return the letters (S + 1, P) that are read along runs that are accepted together.
+
+    None if an agent has no run in its turn. Agents without a mover here have no choice of inputs.
+    """
+    automaton, told, last = problem.automaton, Drifts(problem).letters.copy(), 0
+    for mover in movers:
+        if mover is None or work.is_over():
             return None
-        agent, places = problem.agents[i], _Places(problem, problem.agents[i])
-        model, start = NonlinearModel(agent), _middle(agent)
-        alone = len(order) == 1
+        alone = len(movers) == 1
         fronts = _explored(
-            model,
-            (start, int(problem.initial_q or 0)),
+            mover.model,
+            (mover.start, int(problem.initial_q or 0)),
             problem.horizon,
-            partial(_read_in_turn, automaton, told, places, {}),
+            partial(_read_in_turn, automaton, told, mover.places, {}),
             work,
             automaton.finished if alone else None,
+            mover.levels,
         )
-        cheapest, found = np.inf, None
+        cheapest, inputs = np.inf, None
         for t, front in enumerate(fronts, start=1):
             # A team goes on until all are there.
             if t == problem.horizon or (alone and automaton.is_co_safe):
                 total = np.where(automaton.accepting[front.q], front.total, np.inf)
                 at = int(np.argmin(total))
                 if total[at] < cheapest:
-                    cheapest, found = float(total[at]), front.inputs(at)
-        if found is None:
+                    cheapest, inputs = float(total[at]), front.inputs(at)
+        if inputs is None:
             return None
-        inputs[i], x = found, start
-        for t, u in enumerate(found, start=1):
-            x = model.step(x[:, None], u[:, None], t - 1)[:, 0]
-            told[t, places.own] = [1 if depth[0] >= 0.0 else -1 for depth in places.depths(t, x[:, None])]
-    return [own[: len(inputs[order[-1]])] for own in inputs]
+        x, last = mover.start, len(inputs)
+        for t, u in enumerate(inputs, start=1):
+            x = mover.model.step(x[:, None], u[:, None], t - 1)[:, 0]
+            told[t, mover.places.own] = [1 if depth[0] >= 0.0 else -1 for depth in mover.places.depths(t, x[:, None])]
+    return told[: last + 1] > 0
 
 
 def _read_in_turn(
@@ -173,21 +217,15 @@ def _middle(agent: AnyAgent) -> FloatArray:
     return np.asarray(0.5 * (agent.initial.low + agent.initial.high))
 
 
-def _plan_along(problem: Problem, inputs: Sequence[FloatArray]) -> Iterator[Plan]:
-    """Yield the plan of what is read along a run: a cube for each step, the one before as long as it may be."""
-    automaton, q, models = problem.automaton, problem.initial_q, [NonlinearModel(agent) for agent in problem.agents]
-    states = [_middle(agent) for agent in problem.agents]
+def _plan_along(problem: Problem, letters: NDArray[np.bool_]) -> Iterator[Plan]:
+    """Yield the plan of letters (S + 1, P) that are accepted: a cube for each step, kept for as long as it may be."""
+    automaton, q = problem.automaton, problem.initial_q
     assert q is not None
     cubes, known = list[Cube](), dict[int, dict[int, list[Cube]]]()
-    for t in range(1, len(inputs[0]) + 1):
+    for letter in letters[1:]:
         if automaton.finished[q]:
             break
-        given = zip(models, states, inputs, strict=True)
-        states = [model.step(x[:, None], u[t - 1][:, None], t - 1)[:, 0] for model, x, u in given]
-        letter = problem.labeling.at(t).letter(states)
         after = int(automaton.next_state(np.int64(q), letter))
-        if automaton.dead[after]:
-            return
         if q not in known:
             known[q] = cubes_of(problem, q)
         fitting = [cube for cube in known[q].get(after, []) if all(letter[p] == holds for p, holds in cube)]
@@ -225,13 +263,14 @@ def _explored(
     read: Read,
     work: CountedWork,
     over: NDArray[np.bool_] | None = None,
+    levels: dict[int, int] | None = None,
 ) -> Iterator[_Front]:
     """Yield the runs after each step, as long as there are any.
 
-    From automaton states that are ``over`` nothing is gone on with.
+    From automaton states that are ``over`` nothing is gone on with. ``levels`` of inputs are ``LEVELS`` as a rule.
     """
     agent = model.agent
-    menu, hold = _menu(agent), max(1, round(steps / DECISIONS))
+    menu, hold = _menu(agent, levels or LEVELS), max(1, round(steps / DECISIONS))
     k, d = menu.shape[1], agent.n_states
     most = max(1, MOST_STEPS // (steps * k))
     count = min(CELLS[d], max(2, int(most ** (1.0 / d))))
@@ -281,20 +320,22 @@ def _ranks(q: NDArray[np.int64], total: FloatArray) -> NDArray[np.int64]:
     return ranks
 
 
-def _menu(agent: AnyAgent) -> FloatArray:
+def _menu(agent: AnyAgent, levels: dict[int, int]) -> FloatArray:
     """Return inputs (m, k) that are tried: evenly spaced ones."""
-    levels = LEVELS.get(agent.n_inputs, OFFERED)
+    count = levels.get(agent.n_inputs, OFFERED)
     ends = zip(agent.input_low, agent.input_high, strict=True)
-    return np.array([*product(*(np.unique(np.linspace(low, high, levels)) for low, high in ends))]).T
+    return np.array([*product(*(np.unique(np.linspace(low, high, count)) for low, high in ends))]).T
 
 
 class _Places:
     """How far states of one agent are within its workspace and its regions, and what it costs to be near their ends."""
 
-    def __init__(self, problem: Problem, agent: AnyAgent) -> None:
+    def __init__(
+        self, problem: Problem, agent: AnyAgent, corners: Sequence[tuple[FloatArray, FloatArray]] | None = None
+    ) -> None:
         self.agent, names = agent, problem.automaton.propositions
         self.own = problem.labeling.agent_propositions[problem.agent_names.index(agent.name)]
-        self.corners = [corners_along(problem, names[q], problem.horizon + 1) for q in self.own]
+        self.corners = corners or [corners_along(problem, names[q], problem.horizon + 1) for q in self.own]
         self.spans = spans_of(agent)[:, None]
 
     def depths(self, t: int, x: FloatArray) -> list[FloatArray]:
