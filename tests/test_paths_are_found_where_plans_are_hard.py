@@ -24,7 +24,8 @@ from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
 from certigym.synthesis.nominal_paths.path_limits import farthest_sides, limits_along
 from certigym.synthesis.nominal_paths.team_search import TeamSearch
 from certigym.synthesis.nominal_paths.tied_paths import Ties
-from certigym.synthesis.nominal_paths.tried_runs import plans_of_runs, tried_run
+from certigym.synthesis.nominal_paths.tried_runs import tried_run
+from certigym.synthesis.nominal_paths.turns import plans_of_runs, runs_in_turn
 from certigym.synthesis.nominal_paths.words import letters_of
 
 PLANE: dict[str, Any] = {"states": ["x", "y"], "state_low": [-6, -6], "state_high": [6, 6]}
@@ -311,3 +312,38 @@ def test_drones_with_velocities_pass_a_gate_one_after_the_other() -> None:
     assert result.certificate.lower_bound > 0.9999
     assert cg.check(result.certificate, problem)
     assert cg.rollout(problem, result.certificate, 2000, seed=3).successes >= 1990
+
+
+def roads() -> cg.Problem:
+    """Return two roads with two cars each, which keep a distance; the crossing is for one road at a time."""
+    cars = [
+        cg.LinearAgent(
+            name=f"{road}_{k}", A=[[1, 0.5], [0, 1]], B=[[0.125], [0.5]], noise_covariance=np.eye(2) * 0.0025,
+            state_low=[-30, -0.5], state_high=[60, 4], input_low=[-2], input_high=[1.5], initial_state=[-8 - 5 * k, 2],
+            output_matrix=[[1, 0]],
+        )
+        for road in "ne"
+        for k in range(2)
+    ]  # fmt: skip
+    regions: dict[str, Any] = {f"in_{car.name}": cg.Proposition(car.name, [-2], [2]) for car in cars}
+    for road in "ne":
+        regions[f"out_{road}"] = cg.Proposition(f"{road}_1", [3], [60])
+        regions[f"hit_{road}"] = cg.Pair([f"{road}_0", f"{road}_1"], [-60], [2])
+    alone = "!((in_n_0 | in_n_1) & (in_e_0 | in_e_1))"
+    task = cg.Specification(f"G (!hit_n & !hit_e & {alone}) & F (out_n & out_e)", "finite-trace")
+    return cg.Problem(name="roads", horizon=30, agents=cars, propositions=regions, specification=task)
+
+
+def test_cars_of_two_roads_keep_their_distance_and_take_turns() -> None:
+    """Not every order will do: who is in front has to make room for who follows."""
+    problem = roads()
+    (_, runs), *_ = runs_in_turn(problem, CountedWork())
+    assert [own.shape for own in runs] == [(31, 1)] * 4
+    gaps = [runs[0][1:] - runs[1][1:], runs[2][1:] - runs[3][1:]]
+    assert min(gap.min() for gap in gaps) >= 2.0, "who is behind stays behind"
+    in_crossing = [(own[1:, 0] >= -2.0) & (own[1:, 0] < 2.0) for own in runs]
+    assert not np.any((in_crossing[0] | in_crossing[1]) & (in_crossing[2] | in_crossing[3]))
+    result = cg.synthesize(problem, relation="path")
+    assert result.certificate.lower_bound > 0.999
+    assert cg.check(result.certificate, problem)
+    assert cg.rollout(problem, result.certificate, 2000, seed=3).successes >= 1980

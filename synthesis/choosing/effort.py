@@ -121,7 +121,7 @@ class Effort:
 
     def tell_again(self, more: float) -> None:
         """Say once more which way is under way, when it has taken so much work that is not counted as spent yet."""
-        if self.progress is not None:
+        if self.progress is not None and self.begun[0]:
             what, bound = self.begun
             most = f", at most {rounded_up(self.above, 4)}" if self.above < 1.0 else ""
             self.progress(f"{BEGINS}{what}{most}{self._in_hand(more)}", bound)

@@ -23,7 +23,7 @@ from .path_limits import corners_along
 from .polish import polished
 from .team_search import TeamFound, TeamSearch, search_key
 from .tied_paths import Ties
-from .tried_runs import plans_of_runs
+from .turns import plans_of_runs, runs_in_turn
 from .visits import HALVES, with_windows
 from .words import Plan, letters_of
 
@@ -331,7 +331,11 @@ class _Together:
             self.work.tell(found.failure)
 
     def with_tried_inputs(self) -> None:
-        """Do nothing: what one agent does alone does not tell what a team does together."""
+        """Look for paths along runs that agents find in turn."""
+        for plan, runs in runs_in_turn(self.problem, self.work):
+            self.search.runs = runs
+            self.of_plan(plan)
+        self.search.runs = None
 
     def refined(self, count: int = 1) -> Refined:
         """Return the best plan after more work; plans of teams take so long that there is time for one."""

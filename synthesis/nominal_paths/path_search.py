@@ -30,7 +30,7 @@ from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .some_paths import Whereabouts, paths_of_some
 from .timed_words import timed_ways
-from .tried_runs import plans_of_runs
+from .turns import plans_of_runs
 from .whatever_others_do import Reach, whatever_others_do
 from .words import Cube, Plan, Way, letters_of, ways_of
 

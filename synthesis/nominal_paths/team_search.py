@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,8 @@ class TeamSearch:
         self.ties = Ties(problem, self.searches)
         self.model: Any = TeamModel([search.model for search in self.searches], self.ties.of_agent)
         self.columns = sum(pair.size for pair in problem.labeling.pairs)
+        self.runs: list[FloatArray] | None = None
+        """Outputs (T + 1, p) of each agent that are guessed first, if there are any."""
 
     @property
     def tried(self) -> int:
@@ -96,8 +99,10 @@ class TeamSearch:
         limits = pair_limits(self.problem, letters)
         self.ties.begin()
         best: tuple[float, Any] | None = None
-        for bend in BENDS:
-            planned = self._planned(letters, limits, in_line(self._guesses(letters, bend), limits))
+        lines = (in_line(self._guesses(letters, bend), limits) for bend in BENDS)
+        runs = [] if self.runs is None else [[own[: len(letters)] for own in self.runs]]
+        for guess in chain(runs, lines):
+            planned = self._planned(letters, limits, guess)
             if planned is not None and (best is None or planned[0] < best[0]):
                 best = planned
             # A plan that keeps every limit by some deviations is as good as others.
