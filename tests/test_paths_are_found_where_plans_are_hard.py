@@ -253,7 +253,7 @@ def crossing(count: int, semantics: str = "finite-trace") -> cg.Problem:
     alone = " & ".join(f"G !(in_{i} & in_{j})" for i in range(count) for j in range(i))
     through = " & ".join(f"F out_{k}" for k in range(count))
     task = cg.Specification(f"{alone} & {through}", semantics)
-    return cg.Problem(name="crossing", horizon=20, agents=cars, propositions=regions, specification=task)
+    return cg.Problem(name="crossing", horizon=26, agents=cars, propositions=regions, specification=task)
 
 
 def test_cars_come_through_a_crossing_one_after_the_other() -> None:

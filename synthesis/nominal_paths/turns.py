@@ -30,7 +30,7 @@ from .words import Cube, Plan, Way, cubes_of
 LEVELS_OF_POINTS = {1: 9, 2: 5, 3: 5}
 """Levels of each velocity of a point, which comes to as few places as there are levels."""
 
-ENOUGH, FEW, MOST_ORDERS = 2, 4, 12
+ENOUGH, FEW, MOST_ORDERS = 2, 4, 24
 """Plans that are handed over; agents up to which any order is tried, and how many are, at most."""
 
 TIME_TO_SPARE = 0.04
@@ -171,6 +171,7 @@ def _read_by_turns(
     task if others are so many steps earlier or later than they are.
     """
     automaton, told, last = problem.automaton, Drifts(problem).letters.copy(), 0
+    owned = list[NDArray[np.int64]]()
     gone = _drifting(problem, [i for i in range(problem.n_agents) if i not in movers])
     for i, mover in movers.items():
         if mover is None or work.is_over():
@@ -180,7 +181,7 @@ def _read_by_turns(
             mover.model,
             (mover.start, int(problem.initial_q or 0)),
             problem.horizon,
-            partial(_read_in_turn, automaton, _sooner_or_later(told, early), places, {}),
+            partial(_read_in_turn, automaton, _sooner_or_later(told, early, owned), places, {}),
             work,
             automaton.finished if alone else None,
             mover.levels,
@@ -199,6 +200,7 @@ def _read_by_turns(
         for t in range(1, last + 1):
             depths = places.depths_of(t, gone[i][1][t][:, None])
             told[t, places.own] = [1 if depth[0] >= 0.0 else -1 for depth in depths]
+        owned.append(places.own)
     return told[: last + 1] > 0, [gone[i][0].whole(problem.agents[i], gone[i][1]) for i in range(problem.n_agents)]
 
 
@@ -212,13 +214,19 @@ def _drifting(problem: Problem, agents: Sequence[int]) -> dict[int, tuple[_Mover
     return result
 
 
-def _sooner_or_later(told: NDArray[np.int8], early: int) -> list[NDArray[np.int8]]:
-    """Return letters (T + 1, P) as they are, and with all that begins sooner and ends later, or the other way round."""
-    if not early:
-        return [told]
+def _sooner_or_later(told: NDArray[np.int8], early: int, owned: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int8]]:
+    """Return letters (T + 1, P) as they are, and such that all that one agent reads begins sooner and ends later.
+
+    Or the other way round. ``owned`` are the propositions of each agent whose run is known.
+    """
+    result = [told]
     padded = np.pad(told, ((early, early), (0, 0)), mode="edge")
     near = np.stack([padded[k : k + len(told)] for k in range(2 * early + 1)])
-    return [told, near.max(axis=0), near.min(axis=0)]
+    for own in owned if early else ():
+        for ends in (near.max(axis=0), near.min(axis=0)):
+            result.append(told.copy())
+            result[-1][:, own] = ends[:, own]
+    return result
 
 
 def _read_in_turn(
