@@ -246,7 +246,7 @@ def _read_in_turn(
     depths = places.depths(t, x)
     # Whether regions are entered or not: where that is nearly the same a run says little.
     cost = places.cost(x, [np.abs(depth) for depth in depths])
-    inside = np.array([depth >= 0.0 for depth in depths]).reshape(len(depths), -1)
+    inside = np.array([depth >= 0.0 for depth in depths], dtype=bool).reshape(len(depths), x.shape[1])
     codes = np.zeros(x.shape[1], dtype=np.int64)
     for row in inside:
         codes = 2 * codes + row
