@@ -59,7 +59,9 @@ def runs_in_turn(problem: Problem, work: CountedWork) -> Iterator[tuple[Plan, li
     in_time = 0 if len(steered) == 1 else max(1, round(TIME_TO_SPARE * problem.horizon))
     for early in dict.fromkeys((in_time, 0)):
         for order in _orders(steered):
-            read = _read_by_turns(problem, {i: movers[i] for i in order}, early, work) if found < ENOUGH else None
+            if found == ENOUGH:
+                return
+            read = _read_by_turns(problem, {i: movers[i] for i in order}, early, work)
             if read is not None:
                 found += 1
                 yield from ((plan, read[1]) for plan in _plan_along(problem, read[0]))
@@ -71,13 +73,8 @@ def _orders(agents: Sequence[int]) -> Iterator[Sequence[int]]:
     if len(agents) == 1:
         return
     yield agents[::-1]
-    others = (
-        permutations(agents)
-        if len(agents) <= FEW
-        else (
-            turned[::step] for k in range(1, len(agents)) for turned in [[*agents[k:], *agents[:k]]] for step in (1, -1)
-        )
-    )
+    turned = ([*agents[k:], *agents[:k]] for k in range(1, len(agents)))
+    others = permutations(agents) if len(agents) <= FEW else (one[::step] for one in turned for step in (1, -1))
     yield from (order for order in islice(others, MOST_ORDERS) if [*order] not in ([*agents], [*agents[::-1]]))
 
 
@@ -138,9 +135,12 @@ def _mover_of(problem: Problem, i: int, in_team: bool) -> _Mover | None:
     low, high = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
     own = problem.labeling.agent_propositions[i]
     corners = [corners_along(problem, problem.automaton.propositions[p], problem.horizon + 1) for p in own]
-    sides = [(pair.first, pair.second).index(i) for pair in problem.labeling.pairs if i in (pair.first, pair.second)]
-    mine = (pair for pair in problem.labeling.pairs if i in (pair.first, pair.second))
-    compared = {k for pair, side in zip(mine, sides, strict=True) for k in pair.outputs[side]}
+    compared = {
+        k
+        for pair in problem.labeling.pairs
+        for one, outputs in zip((pair.first, pair.second), pair.outputs, strict=True)
+        for k in (outputs if one == i else ())
+    }
     asked = np.flatnonzero([
         k in compared or any(np.any((a[:, k] > low[k]) | (b[:, k] < high[k])) for a, b in corners)
         for k in range(len(low))
