@@ -128,3 +128,20 @@ def test_learners_are_made_within_their_budget_and_kept(
     record.write_text(record.read_text().replace(RA2.fingerprint, "0" * 64))
     with pytest.raises(ValueError, match="another version"):
         cg.leaderboard(["reach-avoid-v0"], ["ppo"], 300, sources=sources)
+
+
+@pytest.mark.slow
+def test_learners_behind_a_shield_are_judged_behind_it(folder: Path, tmp_path: Path) -> None:
+    """Half of the bound is kept whatever was learned; P < 1e-6 of fewer successes than are asked for here."""
+    pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
+    sources = Sources(folder, tmp_path, seconds=0.1)
+    (row,) = cg.leaderboard(["reach-avoid-v0"], ["shielded-ppo"], 1000, sources=sources).rows
+    kept = 0.5 * cg.load(folder / "reach-avoid-v0.npz").lower_bound
+    assert row.lower_bound == pytest.approx(kept, rel=1e-6) and "the shield" in row.information
+    assert row.successes[0] >= 1000 * kept - 80
+    (again,) = cg.leaderboard(["reach-avoid-v0"], ["shielded-ppo"], 1000, sources=sources).rows
+    assert again.successes == row.successes, "read, and put behind the same shield"
+    # Along a path nothing is known of other states, by which a shield would judge.
+    cg.save(cg.synthesize("swarm-v0").certificate, folder / "swarm-v0.npz")
+    with pytest.raises(ValueError, match="expected one with values of all states"):
+        cg.leaderboard(["swarm-v0"], ["shielded-ppo"], 100, sources=sources)
