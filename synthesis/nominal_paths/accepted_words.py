@@ -17,8 +17,8 @@ from ...envs.logic import Automaton
 from ...envs.problem import Problem
 from ..certificates import SOMETIME
 
-MOST_LETTERS = 256
-"""Letters of which it is remembered where they lead: their numbers of thousands of bits take room."""
+MOST_LETTERS, MOST_KNOWN = 256, 20_000
+"""Letters of which it is remembered where they lead, and sets of states from which it is: such numbers take room."""
 
 
 class Course:
@@ -29,15 +29,21 @@ class Course:
         self.dead, self.rejecting = _bits(automaton.dead), _bits(~automaton.accepting)
         self._nodes = _children_first(automaton)
         self._targets: dict[bytes, list[int]] = {}
+        self._after: dict[tuple[bytes, int], int] = {}
 
     def after(self, letter: NDArray[np.int8], states: int) -> int:
         """Return the states to which all words lead that agree with a letter, from any of some states."""
-        targets, result = self._of(letter), 0
-        while states:
-            lowest = states & -states
-            result |= targets[lowest.bit_length() - 1]
-            states ^= lowest
-        return result
+        key = letter.tobytes(), states
+        if key not in self._after:
+            if len(self._after) >= MOST_KNOWN:
+                self._after.clear()
+            targets, result, left = self._of(letter), 0, states
+            while left:
+                lowest = left & -left
+                result |= targets[lowest.bit_length() - 1]
+                left ^= lowest
+            self._after[key] = result
+        return self._after[key]
 
     def _of(self, letter: NDArray[np.int8]) -> list[int]:
         """Return, by state, the states to which words lead that agree with a letter."""

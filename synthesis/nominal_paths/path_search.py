@@ -113,6 +113,8 @@ def linear_certificate(problem: Problem, work: CountedWork) -> tuple[Synthesis, 
     best: tuple[float, Plan, Any] | None = None
     patience = work.spent + PATIENCE * max(agent.n_states for agent in problem.agents) * work.limit
     for plans, enough in zip((source(problem) for source in SOURCES), (GOOD, PLENTY, GOOD, GOOD), strict=True):
+        if best is not None and best[0] <= enough:
+            continue  # even to look for a first word may take seconds
         for plan in islice(plans, MOST_PLANS):
             if work.spent > patience if best is None else best[0] <= enough or work.is_over():
                 break
