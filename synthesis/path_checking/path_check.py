@@ -243,17 +243,18 @@ def _wrong_word(certificate: AlongPath) -> list[str]:
     """Whether every word that agrees with the letters is accepted."""
     problem, automaton = certificate.problem, certificate.problem.automaton
     assert problem.initial_q is not None  # others were refused
-    reached: set[tuple[int, Met]] = {(problem.initial_q, frozenset())}
+    # By what was met in open windows: what is known of a letter is the same in all states.
+    reached: dict[Met, set[int]] = {frozenset(): {problem.initial_q}}
     for t in range(1, certificate.proof.n_steps + 1):
-        after = set[tuple[int, Met]]()
-        for q, met in reached:
+        after: dict[Met, set[int]] = {}
+        for met, states in reached.items():
             for letter, by_now in readings(certificate.proof.letters[t].tolist(), met):
                 # Where a window ends and nothing was met in it, no run is.
                 if (rest := closed(certificate.proof, t, by_now)) is not None:
                     known = _known(problem, letter, t)
-                    after |= {(target, rest) for target in _targets(certificate, q, known)}
+                    after.setdefault(rest, set()).update(*(_targets(certificate, q, known) for q in states))
         reached = after
-    states = {q for q, _ in reached}
+    states = {q for own in reached.values() for q in own}
     if not automaton.is_co_safe and certificate.proof.n_steps != problem.horizon:
         return ["its path ends before the horizon, and the task is judged there"]
     if not all(automaton.accepting[q] for q in states):
