@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import SOMETIME
+from certigym.synthesis.certificates import SOMETIME, changed
 from certigym.synthesis.nominal_paths import words
 from certigym.synthesis.nominal_paths.accepted_words import is_accepted, without_needless
 from certigym.synthesis.nominal_paths.drifts import Drifts
 from certigym.synthesis.nominal_paths.segments import segmented_ways
 from certigym.synthesis.nominal_paths.timed_words import timed_ways
 from certigym.synthesis.nominal_paths.words import ways_of
+from certigym.synthesis.path_checking.path_check import _wrong_word
 
 
 def robot(**changes: Any) -> cg.LinearAgent:
@@ -30,11 +31,11 @@ def task(formula: str, horizon: int, semantics: str = "finite-trace", **agents: 
     return cg.Problem(
         name="words",
         horizon=horizon,
-        agents=[robot(), *agents.values()],
+        agents=[*({"robot": robot()} | agents).values()],
         propositions={
             "here": cg.Proposition("robot", low=[1.0], high=[3.0]),
             "lane": cg.Proposition("robot", low=[-0.7], high=[0.7]),
-            **({"busy": cg.Proposition("other", low=[-1.5], high=[1.5])} if agents else {}),
+            **({"busy": cg.Proposition("other", low=[-1.5], high=[1.5])} if "other" in agents else {}),
         },
         specification=cg.Specification(formula, semantics=semantics),
     )
@@ -151,6 +152,37 @@ def test_a_word_is_accepted_if_every_word_that_agrees_is(formula: str, semantics
         assert is_accepted(problem, letters) == expected
         outcomes.add(expected)
     assert outcomes == {False, True}
+
+
+@pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
+def test_the_check_follows_every_word_that_agrees(formula: str, semantics: str) -> None:
+    """Against all words of four letters: states that one letter leads to are followed all, and none is made up."""
+    fast = {"robot": robot(input_low=[-4.0], input_high=[4.0])}
+    problem, rng, outcomes = task(formula, 4, semantics, **fast), np.random.default_rng(9), list[bool]()
+    automaton, n = problem.automaton, len(problem.automaton.propositions)
+    certificate = cg.synthesize(problem, relation="path").certificate
+    here, lane = (automaton.propositions.index(name) for name in ("here", "lane"))
+    words_of_four = list(product(product((False, True), repeat=n), repeat=4))
+    for _ in range(80):
+        letters = rng.choice([-1, 0, 0, 1], size=(5, n)).astype(np.int8)
+        letters[0] = certificate.proof.letters[0]
+        # Both regions are apart: where one is said to hold the other one does not.
+        for p, q in ((here, lane), (lane, here)):
+            letters[(letters[:, p] > 0) & (letters[:, q] > 0), q] = -1
+        told = letters.copy()
+        told[told[:, here] > 0, lane] = told[told[:, lane] > 0, here] = -1
+        expected = True
+        for word in words_of_four:
+            if _agrees(word, told):
+                q = problem.initial_q
+                for letter in word:
+                    q = int(automaton.next_state(np.int64(q or 0), np.array(letter)))
+                expected = expected and bool(automaton.accepting[q])
+        forged = changed(certificate, letters=letters)
+        assert forged.proof.n_steps == 4
+        assert (not _wrong_word(forged)) == expected
+        outcomes.append(expected)
+    assert {*outcomes} == {False, True}
 
 
 def _agrees(word: tuple[tuple[bool, ...], ...], letters: np.ndarray) -> bool:
