@@ -266,7 +266,10 @@ MUTANTS = [
         ),
         ("        state, values = np.ones(agent.n_states), {", "        values = {"),
         ("if problem.propositions[name].agent != owner or value == 0:", "if value == 0:"),
-        ("(_targets(certificate, q, known) for q in states))", "(_targets(certificate, q, known) for q in [*states][:1]))"),
+        (
+            "(_targets(certificate, q, known) for q in states))",
+            "(_targets(certificate, q, known) for q in [*states][:1]))",
+        ),
         ("    if problem.joint_noise or are_tied:\n        # Agents", "    if False:\n        # Agents"),
     ),
     *_in(

@@ -174,10 +174,10 @@ def test_the_check_follows_every_word_that_agrees(formula: str, semantics: str) 
         expected = True
         for word in words_of_four:
             if _agrees(word, told):
-                q = problem.initial_q
+                state = problem.initial_q or 0
                 for letter in word:
-                    q = int(automaton.next_state(np.int64(q or 0), np.array(letter)))
-                expected = expected and bool(automaton.accepting[q])
+                    state = int(automaton.next_state(np.int64(state), np.array(letter)))
+                expected = expected and bool(automaton.accepting[state])
         forged = changed(certificate, letters=letters)
         assert forged.proof.n_steps == 4
         assert (not _wrong_word(forged)) == expected
