@@ -130,11 +130,11 @@ Afterwards every actor plays {episodes:,} episodes alone, on common random numbe
 steps, which is little: the defaults have 1,500,000. Made by `python benchmarks/from_certificates.py`; the numbers are
 also in `from_certificates.json`.
 
-What was found on four problems with five seeds each (four in some rows): only the clone matters. From it all seeds come
+What was found on five problems with five seeds each (four in some rows): only the clone matters. From it all seeds come
 near what is certified or above it, behind the shield as well as without, and behind it in a third of the time or less.
 (The episodes that the clone is fitted to are not among the world steps.) The certified value as a potential changes
-nothing on one problem and spoils two, on which every seed stays at 0; starts where the value is large change little;
-on the fourth problem nothing but the clone succeeds at all. After a shield that fell away no actor was better than
+nothing on one problem and spoils three, on which every seed stays at 0; starts where the value is large change little;
+on `meeting-v0` nothing but the clone succeeds at all. After a shield that fell away no actor was better than
 alone, and most were worse, or failed. Why was not tested.
 
 ![Success after {steps:,} world steps by problem and way, a dot for each seed](figures/from_certificates.png)
