@@ -145,7 +145,7 @@ def _explore(
             if len(number) > max_states:
                 raise AutomatonSizeError(
                     f"the automaton needs more than `max_states` = {max_states} states; "
-                    "each `F` beside others doubles them: say an order, such as `F (a & F b)`, or what is done at once, "
+                    "each `F` beside others doubles them: say an order, such as `F (a & F b)`, or what is at once, "
                     "`F (a & b)`; shorten bounds, or raise the limit"
                 )
         return target.terminal(number[n])
