@@ -61,6 +61,9 @@ def test_deviations_that_name_states_or_the_time_are_scales() -> None:
     # A name that nothing has is refused, and told with those that there are.
     with pytest.raises(ValueError, match="unknown name 'lavel'; did you mean 'level'"):
         problem_from_toml(text.replace("level**2", "lavel**2"))
+    linear = text.replace('dynamics = ["level + flow - 0.2*cos(flow)"]', "A = [[1.0]]\nB = [[1.0]]")
+    with pytest.raises(ValueError, match="is for agents written as expressions"):
+        problem_from_toml(linear)
     # Beside a scale they are numbers.
     with pytest.raises(ValueError, match="`noise_std`: unknown name 'level'"):
         problem_from_toml(FILE.replace('"pi / 100"', '"0.01*level"'))

@@ -85,11 +85,16 @@ def _numbers(value: Any, key: str) -> Any:
 def _with_scales(table: dict[str, Any]) -> dict[str, Any]:
     """Return a table whose standard deviations are numbers: one that names a state, an input or the time is a scale."""
     given, known = table.get("noise_std"), not {"noise_scale", "noise"} & {*table}
-    if not isinstance(given, list) or not known or not isinstance(table.get("dynamics"), list):
+    if not isinstance(given, list) or not known:
         return table
     named = [isinstance(entry, str) and _names_something(entry) for entry in given]
     if not any(named):
         return table
+    if not isinstance(table.get("dynamics"), list):
+        raise ValueError(
+            f"`noise_std`: expected numbers, got {shown(given)}; noise that names states or the time is for agents "
+            "written as expressions, with `states` and `dynamics`"
+        )
     deviations = [1.0 if moves else entry for entry, moves in zip(given, named, strict=True)]
     scales = [entry if moves else "1" for entry, moves in zip(given, named, strict=True)]
     return {**table, "noise_std": deviations, "noise_scale": scales}
