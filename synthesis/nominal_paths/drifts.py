@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem
+from ..cells import FloatArray
 from .nonlinear_model import NonlinearModel
 from .path_limits import corners_along
 
@@ -20,22 +21,26 @@ class Drifts:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
+        self.agents = [i for i, a in enumerate(problem.agents) if np.array_equal(a.input_low, a.input_high)]
+
+    def outputs(self, i: int) -> FloatArray:
+        """Return the outputs (T + 1, p) of an agent without a choice of inputs."""
+        agent = self.problem.agents[i]
+        model, states = NonlinearModel(agent), [0.5 * (agent.initial.low + agent.initial.high)]
+        for t in range(self.problem.horizon):
+            states.append(model.step(states[-1][:, None], agent.input_low[:, None], t)[:, 0])
+        return model.outputs(np.array(states))[0]
 
     @cached_property
     def letters(self) -> NDArray[np.int8]:
         """Letters (T + 1, P): 1 where a proposition holds, -1 where it does not, 0 where inputs decide."""
-        problem = self.problem
-        names = problem.automaton.propositions
-        letters = np.zeros((problem.horizon + 1, len(names)), dtype=np.int8)
-        for agent, own in zip(problem.agents, problem.labeling.agent_propositions, strict=True):
-            if not len(own) or not np.array_equal(agent.input_low, agent.input_high):
-                continue
-            model, states = NonlinearModel(agent), [0.5 * (agent.initial.low + agent.initial.high)]
-            for t in range(problem.horizon):
-                states.append(model.step(states[-1][:, None], agent.input_low[:, None], t)[:, 0])
-            outputs, _ = model.outputs(np.array(states))
+        names = self.problem.automaton.propositions
+        letters = np.zeros((self.problem.horizon + 1, len(names)), dtype=np.int8)
+        for i in self.agents:
+            own = self.problem.labeling.agent_propositions[i]
+            outputs = self.outputs(i) if len(own) else np.zeros(0)
             for p in own:
-                low, high = corners_along(problem, names[p], len(letters))
+                low, high = corners_along(self.problem, names[p], len(letters))
                 letters[:, p] = np.where(np.all((low <= outputs) & (outputs < high), axis=1), 1, -1)
         return letters
 

@@ -51,9 +51,9 @@ def runs_in_turn(problem: Problem, work: CountedWork) -> Iterator[tuple[Plan, li
     The agents of a team are planned in turn, in several orders: each knows what those before it do, and reads what
     suits it of those after it. So who comes later waits, or goes first.
     """
-    agents, every = problem.agents, range(problem.n_agents)
-    steered = [i for i in every if not np.array_equal(agents[i].input_low, agents[i].input_high)]
-    if problem.initial_q is None or not steered or any(agent.others for agent in agents):
+    nobodys = Drifts(problem).agents
+    steered = [i for i in range(problem.n_agents) if i not in nobodys]
+    if problem.initial_q is None or not steered or any(agent.others for agent in problem.agents):
         return
     movers, found = {i: _mover_of(problem, i, len(steered) > 1) for i in steered}, 0
     in_time = 0 if len(steered) == 1 else max(1, round(TIME_TO_SPARE * problem.horizon))
@@ -170,9 +170,10 @@ def _read_by_turns(
     None if an agent has no run in its turn. Agents without a mover here have no choice of inputs. Nobody breaks the
     task if others are so many steps earlier or later than they are.
     """
-    automaton, told, last = problem.automaton, Drifts(problem).letters.copy(), 0
+    automaton, drifts, last = problem.automaton, Drifts(problem), 0
+    told = drifts.letters.copy()
     owned = list[NDArray[np.int64]]()
-    gone = _drifting(problem, [i for i in range(problem.n_agents) if i not in movers])
+    gone = {i: (_Mover.of(problem, problem.agents[i]), drifts.outputs(i)) for i in drifts.agents}
     for i, mover in movers.items():
         if mover is None or work.is_over():
             return None
@@ -202,16 +203,6 @@ def _read_by_turns(
             told[t, places.own] = [1 if depth[0] >= 0.0 else -1 for depth in depths]
         owned.append(places.own)
     return told[: last + 1] > 0, [gone[i][0].whole(problem.agents[i], gone[i][1]) for i in range(problem.n_agents)]
-
-
-def _drifting(problem: Problem, agents: Sequence[int]) -> dict[int, tuple[_Mover, FloatArray]]:
-    """Return agents that have no choice of inputs, with their outputs (T + 1, p) without noise."""
-    result = {}
-    for i in agents:
-        agent = problem.agents[i]
-        mover = _Mover.of(problem, agent)
-        result[i] = mover, mover.outputs(np.tile(agent.input_low, (problem.horizon, 1)))
-    return result
 
 
 def _sooner_or_later(told: NDArray[np.int8], early: int, owned: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int8]]:
