@@ -1,6 +1,6 @@
 """Mutation testing of the trusted base: who notices one wrong line?
 
-    python benchmarks/mutations.py [--only FROM TO] [--json PATH] [--table PATH]
+    python benchmarks/mutations.py [--only FROM TO] [--covered DATA] [--json PATH] [--page]
 
 Every mutant (``mutants``) is made in a temporary copy of the tree. There certificates are made and judged in a process
 of its own:
@@ -11,7 +11,11 @@ of its own:
             search and check share may deceive both.
 *rollouts*  whether the package's own rollouts refute a false one.
 *forgeries* which of a few forged certificates the mutant's check accepts; an honest check accepts none.
-*tests*     whether a fast selection of the tests fails.
+*tests*     the first test that fails. The one that noticed last time (``docs/mutations.json``) is asked first, then
+            those that run the line, the quickest first, if ``--covered`` names what ``coverage`` wrote with one context
+            per test (``dynamic_context = test_function``); otherwise a fixed selection.
+
+With ``--json`` rows are added to those that the file has, so that a run may be cut in parts.
 """
 
 from __future__ import annotations
@@ -35,7 +39,10 @@ from mutants import MUTANTS, Mutant
 
 ROOT = Path(__file__).resolve().parents[1]
 EPISODES, LEVEL = 30_000, 1e-7
-TREES = ("envs", "synthesis", "validation", "src", "tests", "benchmarks", "docs", "pyproject.toml", "Makefile")
+TREES = (
+    "envs", "synthesis", "validation", "src", "tests", "benchmarks", "docs", "examples", "pyproject.toml", "Makefile",
+    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "constraints.txt",
+)  # fmt: skip
 TESTS = (
     "test_claims_agree_with_an_independent_evaluation.py", "test_kernel_is_a_lower_bound.py",
     "test_cells_are_found_exactly.py", "test_labeling.py", "test_regions_are_what_they_are.py",
@@ -50,7 +57,22 @@ TESTS = (
 )  # fmt: skip
 """From the quickest to the slowest; the first failure ends the run."""
 
-TEST_SECONDS, JUDGE_SECONDS = 600, 300
+TEST_SECONDS, JUDGE_SECONDS = 300, 300
+
+MOST_TESTS = 60
+"""Tests that are asked, of those that run a line."""
+
+FOUND = ROOT / "docs" / "mutations.json"
+"""What came out last time, from which the page is written."""
+
+TRIALS = (
+    ("paths", 3), ("paths", 5), ("nonlinear", 5), ("nonlinear", 8), ("fleets", 4), ("mixed", 2), ("states", 1),
+    ("laws", 1), ("neighbours", 1), ("common", 1), ("menus", 1), ("networks", 1), ("upper", 1),
+)  # fmt: skip
+"""Random problems of other kinds (``small_problems``) that are certified, checked and simulated, too."""
+
+OF_PATHS = ("paths", "nonlinear", "fleets", "mixed")
+"""Kinds of which alone something is claimed through the room ``path_checking``."""
 
 
 # --- what a mutant certifies -----------------------------------------------------------------------------------
@@ -125,14 +147,17 @@ PROBLEMS: dict[str, tuple[Any, dict[str, Any]]] = {
 }
 
 
-def judge() -> Row:
-    """What the package on the path certifies, checks and refutes: run by ``judged`` in the mutant's tree."""
+def judge(of_paths: bool) -> Row:
+    """What the package on the path certifies, checks and refutes, of paths alone or of everything.
+
+    It is run in the mutant's tree.
+    """
     import certigym as cg
     from adversary import Deployed, problem_of
     from independent import successes
 
     outcome: Row = {"false": [], "refused": [], "refuted": [], "errors": [], "forged": []}
-    for name, (make, options) in PROBLEMS.items():
+    for name, (make, options) in PROBLEMS.items() if not of_paths else ():
         spec = make()
         try:
             certificate = cg.synthesize(problem_of(spec), **options).certificate
@@ -154,7 +179,24 @@ def judge() -> Row:
             outcome["forged"] += [f"{name}: {title}" for title in _accepted(cg, certificate)]
         except Exception as error:  # noqa: BLE001 a crash is an answer, too
             outcome["errors"].append(f"{name}: {type(error).__name__}")
+    for kind, seed in TRIALS:
+        if kind in OF_PATHS or not of_paths:
+            _try(kind, seed, outcome)
     return outcome
+
+
+def _try(kind: str, seed: int, outcome: Row) -> None:
+    """Judge what is claimed of a random problem of a kind."""
+    from kind_trials import trial
+
+    name = f"{kind} {seed}"
+    try:
+        finding = trial(kind, seed, LEVEL, more=1)["finding"]
+    except Exception as error:  # noqa: BLE001 a crash is an answer, too
+        outcome["errors"].append(f"{name}: {type(error).__name__}")
+        return
+    outcome["false"] += [name] if finding.startswith("refuted") else []
+    outcome["refused"] += [name] if finding and not finding.endswith("check: valid") else []
 
 
 def guards_twice(certificate: Any) -> Any:
@@ -239,22 +281,19 @@ def _run(folder: Path, words: list[str], seconds: float) -> subprocess.Completed
         return None
 
 
-def row_of(mutant: Mutant | None, with_tests: bool) -> Row:
-    """What becomes of one mutant (None: of the tree as it is)."""
+def row_of(mutant: Mutant | None, tests: list[str] | None) -> Row:
+    """What becomes of one mutant (None: of the tree as it is), and of these tests, in their order."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         _tree(folder, mutant)
-        done = _run(folder, [str(folder / "benchmarks" / "mutations.py"), "--judge"], JUDGE_SECONDS)
+        which = "paths" if mutant is not None and "path_checking" in mutant.path else "all"
+        done = _run(folder, [str(folder / "benchmarks" / "mutations.py"), "--judge", which], JUDGE_SECONDS)
         found = json.loads(done.stdout.splitlines()[-1]) if done is not None and done.returncode == 0 else None
-        tests = None
-        if with_tests:
-            words = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *(f"tests/{test}" for test in TESTS)]
-            done = _run(folder, words, TEST_SECONDS)
-            tests = "no end" if done is None else "pass" if done.returncode == 0 else "fail"
+        noticed = None if tests is None else _first_failure(folder, tests)
     row: Row = {
         "module": "-" if mutant is None else mutant.path,
         "line": "the tree as it is" if mutant is None else mutant.new,
-        "false claims": None, "check": None, "rollouts": None, "forgeries": None, "tests": tests,
+        "false claims": None, "check": None, "rollouts": None, "forgeries": None, "tests": noticed,
     }  # fmt: skip
     if found is None:
         return row | {"false claims": "crash"}
@@ -262,41 +301,140 @@ def row_of(mutant: Mutant | None, with_tests: bool) -> Row:
     missed = [name for name in false if name not in refused]
     row["false claims"] = ", ".join(false) + (" crash" if found["errors"] and not false else "")
     row["check"] = "MISSES " + ", ".join(missed) if missed else "refuses" if refused else ""
-    row["rollouts"] = "" if not false else "refute" if found["refuted"] else "pass"
+    row["rollouts"] = "" if not {*false} & PROBLEMS.keys() else "refute" if found["refuted"] else "pass"
     row["forgeries"] = ", ".join(found["forged"])
     return row
 
 
+def _first_failure(folder: Path, tests: list[str]) -> str:
+    """The first test that fails in a copy of the tree, with its file; empty if none does."""
+    done = _run(folder, ["-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", *tests], TEST_SECONDS)
+    if done is None:
+        return "no end"
+    failed = [line.split(" - ")[0] for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    return failed[0].split(" ", 1)[1].removeprefix("tests/") if failed else "" if done.returncode == 0 else "crash"
+
+
+def _line_of(mutant: Mutant) -> tuple[int, int]:
+    """The first and the last line that a mutant changes."""
+    text = (ROOT / mutant.path).read_text(encoding="utf-8")
+    first = text[: text.index(mutant.old)].count("\n") + 1
+    return first, first + mutant.old.count("\n")
+
+
+def tests_of(mutant: Mutant, before: dict[tuple[str, str], str], covered: Any) -> list[str]:
+    """The tests that a mutant is shown to: who noticed last time, and who runs its line or a fixed selection."""
+    last = before.get((mutant.path, mutant.new), "")
+    first = [f"tests/{last}"] if ".py" in last and (ROOT / "tests" / last.split("::")[0]).exists() else []
+    if covered is None:
+        return [*first, *(f"tests/{test}" for test in TESTS)]
+    lines, (start, end) = covered.contexts_of(mutant.path), _line_of(mutant)
+    running = {test for line in range(start, end + 1) for test in lines.get(line, ())}
+    return [*first, *sorted(running, key=lambda test: (covered.seconds.get(test, 1.0), test))[:MOST_TESTS]]
+
+
+class Covered:
+    """Which test functions run which lines, as ``coverage`` saw it, and how long they take."""
+
+    def __init__(self, path: str, durations: str | None) -> None:
+        import re
+
+        from coverage import CoverageData
+
+        self.data = CoverageData(path)
+        self.data.read()
+        self.seconds: dict[str, float] = {}
+        for line in Path(durations).read_text(encoding="utf-8").splitlines() if durations else ():
+            if match := re.match(r"\s*([\d.]+)s call +(tests/\S+?\.py::\w+)", line):
+                name = match[2]
+                self.seconds[name] = self.seconds.get(name, 0.0) + float(match[1])
+
+    def contexts_of(self, path: str) -> dict[int, set[str]]:
+        """The tests that run each line of a file."""
+        found = [file for file in self.data.measured_files() if file.endswith(f"/{path}")]
+        result: dict[int, set[str]] = {}
+        for file in found:
+            for line, contexts in self.data.contexts_by_lineno(file).items():
+                names = (context.removeprefix("tests.").rsplit(".", 1) for context in contexts if context)
+                result.setdefault(line, set()).update(
+                    f"tests/{module}.py::{test}" for module, test in (name for name in names if len(name) == 2)
+                )
+        return result
+
+
 def page_of(rows: Rows) -> str:
-    """The table as a page of the documentation."""
+    """The table as a part of a page of the documentation."""
     heads = ["module", "line", "false claims", "check", "rollouts", "forgeries", "tests"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in rows:
-        cells = [str(row[head] or "") for head in heads]
-        cells[1] = f"`{cells[1].strip().replace('|', '&#124;')[:70]}`"
+        cells = [str(row[head] or "").replace("|", "&#124;") for head in heads]
+        cells[1] = f"`{' '.join(cells[1].split())[:70]}`"
+        cells[6] = f"`{cells[6].split('[')[0].removeprefix('test_').replace('.py::test_', ': ')}`" if cells[6] else ""
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
+def summary_of(rows: Rows) -> str:
+    """What came out, in a sentence or two."""
+    mutants = [row for row in rows if row["module"] != "-"]
+    false = [row for row in mutants if row["false claims"] and row["false claims"].strip() != "crash"]
+    missed = [row for row in false if str(row["check"]).startswith("MISSES")]
+    refused = [row for row in mutants if row["check"] == "refuses"]
+    unnoticed = [row for row in mutants if row["tests"] == ""]
+    return (
+        f"{len(mutants)} mutants; {len(false)} of them claim something visibly false, of which the check refuses "
+        f"{len(false) - len(missed)}. In {len(refused)} copies the check refuses claims. Tests notice "
+        f"{len(mutants) - len(unnoticed)}."
+    )
+
+
+def merged(path: Path, rows: Rows) -> Rows:
+    """Rows in the order of the mutants, with those that a file has of mutants that are not among them."""
+    known = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.exists() else []
+    found = {(row["module"], row["line"]): row for row in [*known, *rows]}
+    order = [("-", "the tree as it is"), *((mutant.path, mutant.new) for mutant in MUTANTS)]
+    return [found[key] for key in order if key in found]
+
+
+def write_page(rows: Rows) -> None:
+    """Write summary and table into the page, after its marks."""
+    page = ROOT / "docs" / "mutations.md"
+    head = page.read_text(encoding="utf-8").split("<!-- what came out -->")[0]
+    page.write_text(f"{head}<!-- what came out -->\n\n{summary_of(rows)}\n\n{page_of(rows)}", encoding="utf-8")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--judge", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--judge", choices=("all", "paths"), help=argparse.SUPPRESS)
     parser.add_argument("--only", nargs=2, type=int, metavar=("FROM", "TO"), default=(0, len(MUTANTS)))
     parser.add_argument("--no-tests", action="store_true")
+    parser.add_argument("--covered", metavar="DATA", help="what coverage wrote, with one context per test")
+    parser.add_argument("--durations", metavar="FILE", help="what pytest printed with --durations=0 -vv")
     parser.add_argument("--json", metavar="PATH")
-    parser.add_argument("--table", metavar="PATH", help="write the table as Markdown")
+    parser.add_argument("--page", action="store_true", help="write docs/mutations.md from docs/mutations.json and stop")
     given = parser.parse_args()
     if given.judge:
-        print(json.dumps(judge()))
+        print(json.dumps(judge(given.judge == "paths")))
         return
-    rows: Rows = [row_of(None, not given.no_tests)]
+    if given.page:
+        write_page(merged(FOUND, []))
+        return
+    before = {(row["module"], row["line"]): str(row["tests"] or "") for row in merged(FOUND, [])}
+    covered = Covered(given.covered, given.durations) if given.covered else None
+    rows: Rows = []
     for mutant in MUTANTS[slice(*given.only)]:
-        rows.append(row_of(mutant, not given.no_tests))
+        rows.append(row_of(mutant, None if given.no_tests else tests_of(mutant, before, covered)))
         print(rows[-1], flush=True)
+        if given.json:
+            save({"rows": merged(Path(given.json), rows)}, given.json)
+    if not given.no_tests:
+        # Who noticed something has to notice nothing in the tree as it is.
+        noticed = sorted({f"tests/{row['tests']}" for row in rows if ".py" in str(row["tests"])})
+        rows.insert(0, row_of(None, noticed))
+        print(rows[0], flush=True)
+        if given.json:
+            save({"rows": merged(Path(given.json), rows)}, given.json)
     show("Mutants", rows)
-    save({"rows": rows}, given.json)
-    if given.table:
-        Path(given.table).write_text(page_of(rows), encoding="utf-8")
 
 
 if __name__ == "__main__":

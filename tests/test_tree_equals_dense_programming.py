@@ -12,14 +12,16 @@ from hypothesis import strategies as st
 
 from certigym import LinearAgent, Problem, Proposition, Specification
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
-from certigym.synthesis.models import gather
+from certigym.synthesis.models import gather, kernel
 from certigym.synthesis.models.abstraction import AgentModel, abstract
 from certigym.synthesis.models.guards import compile_guards
 from certigym.synthesis.models.joint import cell_masks, join, start_of
+from certigym.synthesis.models.kernel import AxisTable, Kernel
 from certigym.synthesis.models.target_windows import TargetWindows
+from certigym.synthesis.search import occupancy
 from certigym.synthesis.search.ascent import resting_policies, sweep
 from certigym.synthesis.search.limits import Limits
-from certigym.synthesis.search.occupancy import forward
+from certigym.synthesis.search.occupancy import forward, push
 from certigym.synthesis.search.tree import assemble, candidates, terminal_terms
 from certigym.synthesis.values.terms import Terms
 from problems import exact_model, fractions, scalar_agent
@@ -194,6 +196,33 @@ def test_alive_mass_never_exceeds_one_and_counts_what_it_drops() -> None:
         mass = [sum(o.masses(q).sum() for q in range(joint.n_states)) for o in (a, b)]
         assert mass[1] * (1 - 1e-12) <= mass[0] <= min(1.0, mass[1] + b.leftover) * (1 + 1e-12)
     assert cut[-1].leftover > 0
+
+
+def test_alive_mass_is_the_same_however_little_of_it_is_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = problem_of(2, "(!p0 | !p2) U p1", "co-safe", 6)
+    joint = join(problem, abstract(problem, 32))
+    policies = sweep(joint, resting_policies(joint), None, Limits(), improve=True).policies
+    whole = forward(joint, policies, start_of(problem, joint), Limits())
+    pushes = []
+    monkeypatch.setattr(occupancy, "STORED", 0)
+    monkeypatch.setattr(occupancy, "push", lambda *given: pushes.append(1) or push(*given))
+    again = forward(joint, policies, start_of(problem, joint), Limits())
+    assert len(pushes) > joint.horizon - 1  # some were pushed once more
+    for a, b in zip(whole, again, strict=True):
+        assert a.leftover == b.leftover
+        for one, other in zip((*a.terms.factors, *a.terms.index), (*b.terms.factors, *b.terms.index), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_kernels_take_rows_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    table, rng = AxisTable.dense, np.random.default_rng(3)
+    maker = Kernel((table(rng.random((5, 4)) / 4), table(rng.random((6, 3)) / 3)))
+    values, policy = rng.random((9, 12)), rng.integers(-1, 30, 12)
+    whole = maker.smooth(values), maker.push(values, policy)
+    for numbers in (1, 70, 200):
+        monkeypatch.setattr(kernel, "NUMBERS_AT_ONCE", numbers)
+        for one, other in zip(whole, (maker.smooth(values), maker.push(values, policy)), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-14)
 
 
 def test_two_dimensional_agents_agree_with_dense_programming() -> None:

@@ -41,6 +41,9 @@ SUPPORT_STEP = 64
 MANY_PRODUCTS = 4_000_000
 """Products from which it pays to look for the lattice points that carry mass before pushing it."""
 
+NUMBERS_AT_ONCE = 1 << 22
+"""Numbers on lattices that are formed at once, 32 MB: more would be no faster, and take memory several times."""
+
 FEW_MASSES = 4
 """Rows up to which ``bincount`` adds up masses faster than a sparse product."""
 
@@ -249,7 +252,10 @@ class Kernel:
 
     def smooth(self, factors: NDArray) -> NDArray:
         """Return ``sum_s P(s | z) v[s]`` for every lattice point z, a lower bound for v >= 0: (n, S) -> (n, Z)."""
-        return _along_axes(factors, self.shape, [table.smooth for table in self.tables])
+        maps = [table.smooth for table in self.tables]
+        if len(maps) == 1:
+            return maps[0](factors)
+        return _in_parts(lambda some: _along_axes(some, self.shape, maps), factors, math.prod(self.lattice_shape))
 
     def push(self, masses: FloatArray, policy: NDArray[np.integer]) -> FloatArray:
         """Return the distribution after one step, from below: (n, S) masses under ``policy`` (S,) -> (n, S).
@@ -259,11 +265,31 @@ class Kernel:
         n_lattice = math.prod(self.lattice_shape)
         # Cells without a choice send their mass to one more point, which is thrown away.
         slot = np.where(policy < 0, n_lattice, policy)
-        if len(masses) <= FEW_MASSES and isinstance(masses, np.ndarray):
-            on_lattice = np.stack([np.bincount(slot, weights=row, minlength=n_lattice + 1) for row in masses])
-        else:
-            on_lattice = add_rows(masses.T, slot, n_lattice + 1).T
-        return _along_axes(on_lattice[:, :n_lattice], self.lattice_shape, [table.push for table in self.tables])
+        maps = [table.push for table in self.tables]
+
+        def pushed(some: NDArray) -> NDArray:
+            if len(some) <= FEW_MASSES and isinstance(some, np.ndarray):
+                on_lattice = np.stack([np.bincount(slot, weights=row, minlength=n_lattice + 1) for row in some])
+            else:
+                on_lattice = add_rows(some.T, slot, n_lattice + 1).T
+            return _along_axes(on_lattice[:, :n_lattice], self.lattice_shape, maps)
+
+        return _in_parts(pushed, masses, n_lattice)
+
+
+def _in_parts(map_of: Callable[[NDArray], NDArray], values: NDArray, numbers: int) -> NDArray:
+    """Return what a map makes of the rows of values, few at a time where each takes many numbers on the way."""
+    parts = min(len(values), len(values) * numbers // NUMBERS_AT_ONCE + 1)
+    if parts <= 1 or not isinstance(values, np.ndarray):
+        return map_of(values)
+    first, *others = np.array_split(values, parts)
+    start = map_of(first)
+    result, end = np.empty((len(values), start.shape[1]), dtype=start.dtype), len(first)
+    result[:end] = start
+    for some in others:
+        result[end : end + len(some)] = map_of(some)
+        end += len(some)
+    return result
 
 
 def _along_axes(values: NDArray, shape: tuple[int, ...], maps: list[Callable[[NDArray], NDArray]]) -> NDArray:

@@ -37,7 +37,7 @@ from ..values import IndexArray, Occupancy, Skeleton, Terms, beside, compress, n
 from .inner_products import Others, collected, inner_products
 from .ladder import Arrivals
 from .limits import Limits
-from .occupancy import forward_on_device, nowhere, put_everywhere
+from .occupancy import AliveMass, nowhere, put_everywhere
 from .tree import Candidates, Loss, assemble, candidates, shared, terminal_terms
 
 MOST_WEIGHTS = 30_000_000
@@ -106,8 +106,9 @@ def policies_text(policies: Policies, stationary: bool) -> str:
 
 def resting_policies(joint: JointModel) -> Policies:
     """Return policies under which every agent stays where it is, at all times and states."""
-    resting = (model.resting_policy(joint.horizon) for model in joint.models)
-    return tuple(np.repeat(policy[:, None], joint.n_states, axis=1) for policy in resting)
+    resting = [model.resting_policy(joint.horizon)[:, None] for model in joint.models]
+    # Views: all states share what is the same for all.
+    return tuple(np.broadcast_to(each, (len(each), joint.n_states, each.shape[2])) for each in resting)
 
 
 def start_value(start: Occupancy, terms: Terms) -> float:
@@ -152,16 +153,13 @@ def sweep(
         Share that uniting two terms from below may lose where steps are not additive (``ladders``); None: none are.
     """
     policies = joint.agreed(policies)
-    occupancies = [nowhere(joint)] * joint.horizon
-    if start is not None:
-        occupancies = forward_on_device(joint, policies, start, limits)
+    mass = None if start is None else AliveMass(joint, policies, start, limits)
     policies = tuple(policy.copy() for policy in policies) if improve else policies
     terms = put_everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
     dropped, rank, skeletons = 0.0, terms.rank, []
     ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]
     for t in reversed(range(joint.horizon)):
-        # Taken off the list to free memory: early times have many terms, late ones much mass.
-        occupancy = occupancies.pop()
+        occupancy = nowhere(joint) if mass is None else mass.pop()
         if joint.spend is not None:
             joint.spend(work_of_products(joint, terms))
         arrivals = None if climb is None else _arrivals(joint, occupancy, policies, t)

@@ -17,6 +17,7 @@ from .terms import (
     merge_rows,
     term_depths,
     term_masses,
+    unite_again,
 )
 from .train_values import (
     Rounding,
@@ -83,4 +84,5 @@ __all__ = [
     "term_depths",
     "term_masses",
     "to_host",
+    "unite_again",
 ]

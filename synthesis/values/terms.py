@@ -7,8 +7,9 @@ about a guard contribute the same factor to many terms.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -112,6 +113,40 @@ class Merges:
         names = ("into", "absorbed", "agent", "rests")
         return Merges(*(np.concatenate([getattr(self, name), getattr(later, name)]) for name in names))
 
+    def runs(self) -> Iterator[tuple[int, slice]]:
+        """Return the agents one after the other in whose factors rows were united, and which unions these are."""
+        ends = np.flatnonzero(np.diff(self.agent)) + 1
+        for first, last in pairwise([0, *ends.tolist(), len(self.agent)]):
+            if first < last:
+                yield int(self.agent[first]), slice(first, last)
+
+    def of_rows(self, wanted: IndexArray, count: int) -> tuple[IndexArray, Merges, IndexArray]:
+        """Return what some of the rows that remain are united from, where no union leaves a rest.
+
+        Parameters
+        ----------
+        wanted : (m,) array
+            Numbers of the rows.
+        count : int
+            Number of rows before anything was united.
+
+        Returns
+        -------
+        rows : (n,) array
+            The rows that are united into them, and they themselves, in order.
+        merges : Merges
+            The unions of these, with rows numbered by their place among them.
+        place : (m,) array
+            Where the wanted rows are among them.
+        """
+        needed = np.zeros(count, dtype=bool)
+        needed[wanted] = True
+        for _, run in reversed([*self.runs()]):
+            needed[self.absorbed[run]] = needed[self.into[run]]
+        rows, number = np.flatnonzero(needed), np.cumsum(needed) - 1
+        here = needed[self.into]
+        return rows, Merges(number[self.into[here]], number[self.absorbed[here]], self.agent[here]), number[wanted]
+
     def __repr__(self) -> str:
         return f"Merges(rows united: {len(self.into)})"
 
@@ -181,6 +216,14 @@ def merge_rows(factors: list[NDArray], rows: IndexArray, groups: IndexArray) -> 
     if not history:
         return remaining, rows, Merges.none()
     return remaining, rows, Merges(*(np.concatenate(columns) for columns in zip(*history, strict=True)))
+
+
+def unite_again(factors: list[NDArray], rows: IndexArray, merges: Merges) -> IndexArray:
+    """Unite rows (L, I) as it was done before, with these factors, which are extended in place (exact)."""
+    rows = rows.copy()
+    for agent, run in merges.runs():
+        _sum_factors(factors, rows, agent, merges.into[run], merges.absorbed[run])
+    return rows
 
 
 def _sum_factors(factors: list[NDArray], rows: IndexArray, i: int, into: IndexArray, absorbed: IndexArray) -> None:
