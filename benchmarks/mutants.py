@@ -96,7 +96,7 @@ MUTANTS = [
     *_in("synthesis/cells/lookup.py", ("reached = points >= self.edge", "reached = points > self.edge + 0.05")),
     # --- finite models
     *_in(
-        "synthesis/models/kernel.py",
+        "synthesis/readings/kernel.py",
         ("x = (edges[None, :] - means[:, None]) / std", "x = (edges[None, :] - means[:, None]) / std**2"),
         ("x = (edges[None, :] - means[:, None]) / std", "x = (edges[None, :] - means[:, None]) / (0.8 * std)"),
         ("mass = np.where(straddles, 1.0 - lower - upper", "mass = np.where(straddles, 1.0 - lower"),
@@ -245,7 +245,7 @@ MUTANTS = [
         ('named = getattr(agent, "others", ()) if "common" in self.relation else ()', "named = ()"),
     ),
     *_in(
-        "synthesis/step_checking/readings.py",
+        "synthesis/step_checking/checked_readings.py",
         ("found.append(np.asarray(values * (points >= 0)))", "found.append(np.asarray(values * 1.0))"),
     ),
     *_in(

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import certigym as cg
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.models.kernel import AxisTable, Kernel, gaussian_masses, gaussian_table
+from certigym.synthesis.readings.kernel import AxisTable, Kernel, gaussian_masses, gaussian_table
 from certigym.synthesis.search.ascent import resting_policies, sweep
 from certigym.synthesis.search.limits import Limits
 from certigym.synthesis.values.devices import UNIT

@@ -84,7 +84,8 @@ TRUSTED = {
         "synthesis.path_checking.limits_kept synthesis.path_checking.crossings "
         "synthesis.path_checking.gaussian_inequalities "
         "synthesis.path_checking.pair_limits_check synthesis.path_checking.roundings "
-        "synthesis.step_checking.readings synthesis.checking.regrown_tree synthesis.step_checking.relation_check "
+        "synthesis.step_checking.checked_readings synthesis.checking.regrown_tree "
+        "synthesis.step_checking.relation_check "
         "synthesis.path_checking.own_angles synthesis.path_checking.own_regions synthesis.path_checking.start_check "
         "synthesis.checking.team_check synthesis.checking.timed_check "
         "synthesis.checking.train_check "
@@ -106,7 +107,7 @@ FIRST = {
     "synthesis.step_checking.execution": "how far a controller in floating point can be off, from the matrices",
     "synthesis.step_checking.carrying_out": "the controllers themselves, run on thousands of points of their cells",
     "synthesis.certificates.checked_kernel": "masses of cells, from below: the only probabilities that there are",
-    "synthesis.step_checking.readings": "how a factor is taken one step back, through these masses",
+    "synthesis.step_checking.checked_readings": "how a factor is taken one step back, through these masses",
     "synthesis.checking.regrown_tree": "the recursion over time; a term that is dropped only lowers the sum",
     "synthesis.checking.forward_mass": "the same sum from the start on, for the upper end",
     "synthesis.checking.upper_end": "the upper end, where one is claimed",

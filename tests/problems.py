@@ -13,8 +13,8 @@ from certigym.envs.agents import AnyAgent
 from certigym.synthesis.cells.grid import Grid
 from certigym.synthesis.cells.labels import CellLabels
 from certigym.synthesis.models.abstraction import AgentModel
-from certigym.synthesis.models.kernel import AxisTable, Kernel
 from certigym.synthesis.models.target_windows import TargetWindows
+from certigym.synthesis.readings.kernel import AxisTable, Kernel
 from certigym.synthesis.relations.exact import exact_relation
 
 

@@ -17,7 +17,7 @@ from certigym.envs.pictures.palette import rgb
 from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.controllers import path_controller
-from certigym.synthesis.models import box_kernel
+from certigym.synthesis.readings import box_kernel
 from certigym.synthesis.shielding import shield_of
 
 ROTOR: dict[str, Any] = {

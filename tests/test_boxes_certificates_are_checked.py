@@ -17,8 +17,8 @@ from certigym.synthesis.bounds.dense import dense_optimum
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking import claimed_values
 from certigym.synthesis.models import box_choices
-from certigym.synthesis.models.box_kernel import BoxKernel
-from certigym.synthesis.models.kernel import Kernel
+from certigym.synthesis.readings.box_kernel import BoxKernel
+from certigym.synthesis.readings.kernel import Kernel
 from certigym.synthesis.relations import BoxRelation, MeanBoxes, box_relation
 from certigym.synthesis.values import Terms
 from certigym.validation import figures

@@ -14,10 +14,10 @@ from certigym.envs.agents import Gaussian
 from certigym.synthesis.cells.grid import Grid
 from certigym.synthesis.certificates import value_of
 from certigym.synthesis.checking.regrown_tree import regrow
-from certigym.synthesis.models.box_kernel import box_kernel
-from certigym.synthesis.models.box_minima import least_over_boxes
 from certigym.synthesis.models.box_model import box_model
-from certigym.synthesis.models.kernel import Kernel
+from certigym.synthesis.readings.box_kernel import box_kernel_of
+from certigym.synthesis.readings.box_minima import least_over_boxes
+from certigym.synthesis.readings.kernel import Kernel
 from certigym.synthesis.step_checking import boxes_check
 from certigym.synthesis.values import Terms
 from problems import cart, cart_reach, linear, two_agents
@@ -54,7 +54,7 @@ def test_interpolants_are_below_the_expectation_everywhere(d: int, ratio: float)
     deviations = rng.uniform(0.2, 0.5, d)
     grid = Grid(tuple(edges))
     lattice = tuple(np.arange(-12, 13) * ratio * s for s in deviations)
-    kernel = box_kernel(grid, lattice, [Gaussian(float(deviation)) for deviation in deviations])
+    kernel = box_kernel_of(grid, lattice, [Gaussian(float(deviation)) for deviation in deviations])
     factors = rng.uniform(0.0, 1.0, (4, grid.n_cells)) * (rng.random((4, grid.n_cells)) < 0.6)
     charged, bare = kernel.smooth(factors), Kernel.smooth(kernel, factors)
     wrong = 0

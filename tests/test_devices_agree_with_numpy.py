@@ -20,7 +20,7 @@ from certigym.synthesis.bounds.certified import robust_loss
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.models.kernel import AxisTable, Kernel, gaussian_table
+from certigym.synthesis.readings.kernel import AxisTable, Kernel, gaussian_table
 from certigym.synthesis.search.ascent import Sweep, resting_policies, sweep
 from certigym.synthesis.search.limits import Limits
 from certigym.synthesis.search.occupancy import forward

@@ -11,7 +11,8 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.models import CornerChoices, corner_model
+from certigym.synthesis.models import corner_model
+from certigym.synthesis.readings import CornerReading
 from certigym.synthesis.relations import ExactRelation
 from certigym.synthesis.step_checking.written_linear import MatrixMaps
 
@@ -141,7 +142,7 @@ def test_files_without_the_word_have_no_targets(tmp_path: Any) -> None:
 
 def test_what_is_read_between_lattice_points_is_charged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sabotage of the search alone: values without what they lack; the check refuses the claim."""
-    monkeypatch.setattr(CornerChoices, "_lacking", lambda self, table, *rest: np.zeros((len(table), len(rest[0]))))
+    monkeypatch.setattr(CornerReading, "_lacking", lambda self, table, *rest: np.zeros((len(table), len(rest[0]))))
     wrong = cg.synthesize(planar(False), 14, relation="linear").certificate
     monkeypatch.undo()
     assert wrong.lower_bound > certified(False).lower_bound and not cg.check(wrong)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.models import kernel as kernel_module
 from certigym.synthesis.models.guards import compile_guards
+from certigym.synthesis.readings import kernel as kernel_module
 from certigym.synthesis.relations import exact as relation_exact
 from certigym.synthesis.values.terms import Guards
 from problems import scalar_agent, two_agents

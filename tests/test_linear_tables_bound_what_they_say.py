@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.synthesis.cells import Grid
-from certigym.synthesis.models import bends
-from certigym.synthesis.models.bends import _fourth
-from certigym.synthesis.models.kernel import Kernel
-from certigym.synthesis.models.linear_kernel import hat_masses, hat_table
+from certigym.synthesis.readings import bends
+from certigym.synthesis.readings.bends import _fourth
+from certigym.synthesis.readings.kernel import Kernel
+from certigym.synthesis.readings.linear_kernel import hat_masses, hat_table
 from certigym.synthesis.step_checking import linear_tables
 from problems import linear
 

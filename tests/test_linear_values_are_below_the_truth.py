@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import certigym as cg
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking import regrow
-from certigym.synthesis.models.corner_forms import SubLattice, best_below
+from certigym.synthesis.readings.corner_forms import SubLattice, best_below
 from certigym.synthesis.step_checking import linear_check
 from certigym.synthesis.values import Terms
 from problems import cart, cart_reach, linear, scalar_agent

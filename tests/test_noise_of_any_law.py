@@ -16,8 +16,8 @@ from certigym.envs.agents.noise import laws_of
 from certigym.synthesis.cells import grid_laws
 from certigym.synthesis.certificates import lost_to_rounding
 from certigym.synthesis.certificates.checked_laws import law_charge, law_error, lawful_masses, probability_below
-from certigym.synthesis.models.box_kernel import BoxKernel
-from certigym.synthesis.models.kernel import Kernel, law_table
+from certigym.synthesis.readings.box_kernel import BoxKernel
+from certigym.synthesis.readings.kernel import Kernel, law_table
 
 DECLARED: list[dict[str, Any]] = [
     {"law": "gaussian", "std": 0.3},

@@ -21,7 +21,8 @@ from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.cells import CellAxis, MeanAxis, RelationRefused, ScaleAxis, lattice_axes
 from certigym.synthesis.certificates import changed, scale_charge, value_of
 from certigym.synthesis.checking.regrown_tree import regrow
-from certigym.synthesis.models import box_choices, box_kernel
+from certigym.synthesis.models import box_choices
+from certigym.synthesis.readings import box_kernel
 from certigym.synthesis.relations import BoxRelation, MeanBoxes
 from certigym.synthesis.step_checking import boxes_check
 from certigym.synthesis.values import Terms
@@ -407,7 +408,7 @@ def test_the_check_makes_its_own_tables(monkeypatch: pytest.MonkeyPatch) -> None
     certificate = cg.synthesize(task(walker()), [24, 24], relation="boxes").certificate
     (part,), (agent,) = certificate.proof.agents, certificate.problem.agents
     mine = boxes_check.axis_tables(agent, part, {})
-    theirs = box_kernel.box_kernel(part.grid, part.lattice, agent.laws, lattice_axes(agent))  # type: ignore[arg-type]
+    theirs = box_kernel.box_kernel_of(part.grid, part.lattice, agent.laws, lattice_axes(agent))  # type: ignore[arg-type]
     for table, other in zip(mine, theirs.tables, strict=True):
         np.testing.assert_allclose(table, other.toarray(), atol=1e-13)
     assert MeanBoxes.__dataclass_fields__["scales"].default is None

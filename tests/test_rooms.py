@@ -35,10 +35,11 @@ MAY_IMPORT = {
     "synthesis.values": "envs.arrays",
     "synthesis.cells": ENVS,
     "synthesis.relations": f"{ENVS} synthesis.cells",
-    "synthesis.models": f"{ENVS} envs.suite synthesis.values synthesis.cells synthesis.relations",
+    "synthesis.readings": f"{ENVS} synthesis.values synthesis.cells synthesis.relations",
+    "synthesis.models": f"{ENVS} envs.suite synthesis.values synthesis.cells synthesis.relations synthesis.readings",
     "synthesis.search": f"{ENVS} synthesis.values synthesis.cells synthesis.models",
-    "synthesis.bounds": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.models "
-    "synthesis.search",
+    "synthesis.bounds": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.readings "
+    "synthesis.models synthesis.search",
     "synthesis.controllers": f"{ENVS} synthesis.cells synthesis.relations",
     "synthesis.certificates": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.controllers",
     "synthesis.bridges": f"{ENVS} envs.interfaces envs.suite synthesis.relations synthesis.controllers "
@@ -50,7 +51,7 @@ MAY_IMPORT = {
     "synthesis.checking",
     "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
     "synthesis.permissions": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
-    "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
+    "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.readings synthesis.models synthesis.search",
     "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES}",
     "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
@@ -72,7 +73,7 @@ MAY_IMPORT = {
 }
 """Rooms that the files of a room may import, lazily or for types alone, too; ``synthesis`` is its hall, the verbs."""
 
-SEARCH = ("search", "models", "bounds", "choosing", "nominal_paths", "pairs")
+SEARCH = ("search", "readings", "models", "bounds", "choosing", "nominal_paths", "pairs")
 """Rooms that the check must not reach."""
 
 

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 
 from certigym import LinearAgent, Problem, Proposition, Specification
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
-from certigym.synthesis.models import gather, kernel
+from certigym.synthesis.models import gather
 from certigym.synthesis.models.abstraction import AgentModel, abstract
 from certigym.synthesis.models.guards import compile_guards
 from certigym.synthesis.models.joint import cell_masks, join, start_of
-from certigym.synthesis.models.kernel import AxisTable, Kernel
 from certigym.synthesis.models.target_windows import TargetWindows
+from certigym.synthesis.readings import kernel
+from certigym.synthesis.readings.kernel import AxisTable, Kernel
 from certigym.synthesis.search import occupancy
 from certigym.synthesis.search.ascent import resting_policies, sweep
 from certigym.synthesis.search.limits import Limits
@@ -203,9 +204,14 @@ def test_alive_mass_is_the_same_however_little_of_it_is_stored(monkeypatch: pyte
     joint = join(problem, abstract(problem, 32))
     policies = sweep(joint, resting_policies(joint), None, Limits(), improve=True).policies
     whole = forward(joint, policies, start_of(problem, joint), Limits())
-    pushes = []
+    pushes: list[int] = []
+
+    def counted(*given: Any) -> Any:
+        pushes.append(1)
+        return push(*given)
+
     monkeypatch.setattr(occupancy, "STORED", 0)
-    monkeypatch.setattr(occupancy, "push", lambda *given: pushes.append(1) or push(*given))
+    monkeypatch.setattr(occupancy, "push", counted)
     again = forward(joint, policies, start_of(problem, joint), Limits())
     assert len(pushes) > joint.horizon - 1  # some were pushed once more
     for a, b in zip(whole, again, strict=True):

@@ -14,9 +14,9 @@ import certigym as cg
 from certigym.envs.agents.composed_laws import Mixture
 from certigym.envs.agents.laws import Gaussian, Laplace, Law, Uniform
 from certigym.synthesis.cells import Grid, MeanAxis, ScaleAxis
-from certigym.synthesis.models import near_charge
-from certigym.synthesis.models.box_kernel import box_kernel
-from certigym.synthesis.models.near_charge import over_windows
+from certigym.synthesis.readings import near_charge
+from certigym.synthesis.readings.box_kernel import box_kernel_of
+from certigym.synthesis.readings.near_charge import over_windows
 from certigym.synthesis.step_checking import near_slack
 
 LAWS: list[Law] = [
@@ -42,7 +42,7 @@ def test_interpolants_stay_below_the_truth(law: Law, is_scaled: bool, kind: str)
     }[kind]
     axes = [ScaleAxis(0), MeanAxis(0)] if is_scaled else [MeanAxis(0)]
     lattice = (levels, means) if is_scaled else (means,)
-    kernel = box_kernel(Grid((edges,)), lattice, [law], axes)
+    kernel = box_kernel_of(Grid((edges,)), lattice, [law], axes)
     if kernel.near is None:
         assert not is_scaled and law.name == "gaussian"  # second differences say more
         return

@@ -15,9 +15,9 @@ import certigym as cg
 from certigym import Agent, Problem, Proposition, Specification
 from certigym.synthesis.cells import Grid, hats
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.models import CornerChoices
 from certigym.synthesis.models.corner_model import corner_model
-from certigym.synthesis.models.lattice_kernel import bend_of
+from certigym.synthesis.readings import CornerReading
+from certigym.synthesis.readings.lattice_kernel import bend_of
 from certigym.synthesis.relations import AffineBoxes, AffineMeans
 from certigym.synthesis.step_checking.map_spans import map_spans
 from written_problems import oscillator, oscillator_reach
@@ -230,7 +230,7 @@ def test_other_laws_are_refused_in_words() -> None:
 
 def sabotaged(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
     """Break the search in one of several ways; the check has code of its own."""
-    around, lacking = AffineMeans.around, CornerChoices._lacking
+    around, lacking = AffineMeans.around, CornerReading._lacking
 
     def smaller(self: AffineMeans, *args: Any) -> AffineBoxes:
         maps = around(self, *args)
@@ -244,16 +244,16 @@ def sabotaged(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
         maps = around(self, *args)
         return replace(maps, gain=np.roll(maps.gain, 7, axis=0))
 
-    def without_slopes(self: CornerChoices, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
+    def without_slopes(self: CornerReading, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
         return lacking(self, table, middle, steps, np.zeros_like(rest))
 
-    def without_bends(self: CornerChoices, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
+    def without_bends(self: CornerReading, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
         return lacking(self, table, middle, np.zeros_like(steps), rest)
 
     if how == "slopes left out":
-        monkeypatch.setattr(CornerChoices, "_lacking", without_slopes)
+        monkeypatch.setattr(CornerReading, "_lacking", without_slopes)
     elif how == "bends left out":
-        monkeypatch.setattr(CornerChoices, "_lacking", without_bends)
+        monkeypatch.setattr(CornerReading, "_lacking", without_bends)
     else:
         changed = {"what is left 1 % too small": smaller, "a disturbance left out": calm}
         monkeypatch.setattr(AffineMeans, "around", changed.get(how, of_another_cell))

@@ -30,7 +30,8 @@ from scipy.ndimage import maximum_filter1d
 from ...envs.agents import AnyAgent, LinearAgent, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray, Grid, corner_sides, hat_share_of, in_grid_coordinates, spread, to_places
-from ..models import AgentModel, Bends, JointModel, Kernel, hat_table
+from ..models import AgentModel, JointModel
+from ..readings import Bends, Kernel, hat_table
 from ..search import favourable_successors
 from ..values import UNIT, Occupancy, to_host
 

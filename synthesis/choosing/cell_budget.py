@@ -28,7 +28,8 @@ import numpy as np
 from ...envs.agents import AnyAgent, LinearAgent, with_expressions
 from ...envs.problem import Problem
 from ..cells import DEFAULT_TARGETS, FloatArray, deviations_of, region_boundaries
-from ..models import BAND_BYTES, INPUT_LEVELS, LATTICE_BLOCK, REACH_DEVIATIONS, SNAPPED_POINTS
+from ..models import BAND_BYTES, INPUT_LEVELS, SNAPPED_POINTS
+from ..readings import LATTICE_BLOCK, REACH_DEVIATIONS
 from ..relations import commands_of, coupling_failure
 
 Shape = tuple[int, ...]

@@ -21,18 +21,8 @@ from ...envs.agents import Agent, AnyAgent
 from ...envs.problem import Problem
 from ..cells import MOST_CELLS, RelationRefused, agent_grid, deviations_of, grid_laws, region_boundaries
 from ..certificates import Synthesis
-from ..models import (
-    MOST_SCALED,
-    MOST_SCALES,
-    Abstraction,
-    BoxChoices,
-    Policies,
-    Settings,
-    abstraction_of,
-    count_of_decisions,
-    points_per_cell,
-    reaches_every_mean,
-)
+from ..models import Abstraction, BoxChoices, Policies, Settings, abstraction_of, count_of_decisions, reaches_every_mean
+from ..readings import MOST_SCALED, MOST_SCALES, points_per_cell
 from ..search import RELAXED
 from .carrying import carried_over
 from .cell_budget import axis_weights, cells_at

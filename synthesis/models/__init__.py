@@ -16,30 +16,22 @@ from .abstraction import (
     relations_of,
 )
 from .agent_models import SNAPPED_POINTS, reaches_every_mean
-from .bends import Bends
 from .box_choices import BoxChoices
-from .box_kernel import MOST_SCALED, MOST_SCALES, BoxKernel, points_per_cell
 from .box_model import INPUT_LEVELS
 from .choices import TIE, Choices, Policies, StepPolicy, best_offered, gather, shifted
 from .common_choices import CommonGroup, common_inputs_of
 from .corner_choices import CornerChoices
 from .input_menu import InputMenu
 from .joint import JointModel, count_of_decisions, join, spread_start, start_of
-from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
-from .linear_kernel import hat_table
 from .network_model import network_abstraction, network_tables
 from .surroundings import surrounded
 from .target_windows import BAND_BYTES, TargetWindows
 
 __all__ = [
-    "MOST_SCALES",
-    "MOST_SCALED",
     "Abstraction",
     "AgentModel",
     "BAND_BYTES",
-    "Bends",
     "BoxChoices",
-    "BoxKernel",
     "Choices",
     "CornerChoices",
     "CommonGroup",
@@ -49,10 +41,7 @@ __all__ = [
     "KINDS_WITH",
     "RELATIONS",
     "JointModel",
-    "Kernel",
-    "LATTICE_BLOCK",
     "Policies",
-    "REACH_DEVIATIONS",
     "Relations",
     "SNAPPED_POINTS",
     "Settings",
@@ -68,10 +57,8 @@ __all__ = [
     "count_of_decisions",
     "gather",
     "reaches_every_mean",
-    "hat_table",
     "join",
     "models_of",
-    "points_per_cell",
     "network_abstraction",
     "network_tables",
     "relations_of",

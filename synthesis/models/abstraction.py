@@ -48,6 +48,7 @@ from ..cells import (
     spread,
     start_share,
 )
+from ..readings import Kernel
 from ..relations import CommonInputs, Relation
 from ..values import Residents
 from .agent_models import (
@@ -64,7 +65,6 @@ from .box_model import box_model
 from .choices import Choices, shifted
 from .common_choices import common_inputs_of, common_relation
 from .corner_model import corner_model
-from .kernel import Kernel
 
 Relations = str | Mapping[str, str]
 """Relation of all agents, or of each by its name."""

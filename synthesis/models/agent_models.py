@@ -13,6 +13,7 @@ import numpy as np
 
 from ...envs.agents import AnyAgent, LinearAgent, with_expressions
 from ..cells import FloatArray, Grid, RelationRefused, grid_laws
+from ..readings import Kernel, gaussian_table, law_table
 from ..relations import (
     CoupledRelation,
     Relation,
@@ -26,7 +27,6 @@ from ..relations import (
 from .choices import Choices
 from .ellipsoid_search import find_ellipsoid
 from .input_menu import InputMenu
-from .kernel import Kernel, gaussian_table, law_table
 from .target_windows import windows_of
 
 SharedModel = tuple[Relation, tuple[FloatArray, ...], Kernel, Choices]

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray, Grid, LatticeAxis, MeanAxis, RelationRefused, grid_laws, shape_text
+from ..readings import BoxKernel, box_kernel_of, each_window_minima, least_over_boxes
 from ..relations import BoxRelation, MeanBoxes
 from ..values import beside, to_host
-from .box_kernel import BoxKernel, box_kernel
-from .box_minima import each_window_minima, least_over_boxes
 from .choices import TIE, Choices, MeansAt, StepPolicy, shifted
 
 MOST_IN_BOX = 100_000.0
@@ -85,7 +84,7 @@ class BoxChoices(Choices):
     def kernel_on(self, agent: AnyAgent, grid: Grid) -> BoxKernel:
         """Return the kernel from the lattice to other cells."""
         laws = grid_laws(agent, self.relation.coordinates)
-        return box_kernel(grid, self.lattice, laws, self.axes, agent.wrapped_axes.tolist())
+        return box_kernel_of(grid, self.lattice, laws, self.axes, agent.wrapped_axes.tolist())
 
     @property
     def n_choices(self) -> int:

@@ -26,9 +26,9 @@ from ..cells import (
     in_grid_coordinates,
     lattice_axes,
 )
+from ..readings import MOST_SCALED, MOST_SCALES, BoxKernel, box_kernel_of, box_lattice, points_per_cell, scale_levels
 from ..relations import BoxRelation, CommonMeans, WrittenMeans, box_relation
 from .box_choices import BoxChoices, box_choices
-from .box_kernel import MOST_SCALED, MOST_SCALES, BoxKernel, box_kernel, box_lattice, points_per_cell, scale_levels
 
 INPUT_LEVELS = {1: 17, 2: 7, 3: 4}
 """Levels of each input, by the number of inputs; 3 beyond."""
@@ -116,7 +116,7 @@ def box_model(
         choices = replace(choices, n_parts=len(relation.common.numbers))
     if agent.has_clock:
         choices = replace(choices, n_times=int(agent.input_high[-1]) + 1)
-    return relation, lattice, box_kernel(grid, lattice, laws, axes, agent.wrapped_axes.tolist()), choices
+    return relation, lattice, box_kernel_of(grid, lattice, laws, axes, agent.wrapped_axes.tolist()), choices
 
 
 def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[FloatArray, ...] | None:

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray, Grid, grid_laws
+from ..readings import Kernel, law_table
 from ..relations import describe_relation
 from ..values import beside, namespace, take, to_host
-from .kernel import Kernel, law_table
 
 StepPolicy = NDArray[np.int32]
 """(S,) choice of each cell for one step; -1 for none."""

@@ -1,27 +1,16 @@
-"""Choices under the relation ``linear``: constant inputs and targets, their values at corners of cells, and the best.
+"""Choices under the relation ``linear``: constant inputs and targets, compared as they are read.
 
-Under a constant input the mean from x in a cell with centre c is ``m(x) + r``, ``m(x) = z + G (x - c)``,
-``|r_k| <= rho_k``. With I the multilinear interpolant of g on the lattice, steps n_ki of the points that are read
-(along side k of the cell, in lattice steps of axis i), and the largest differences around the image, everywhere in the
-cell
-
-    g(m(x) + r)  >=  interpolation of I(m(x_k))  -  sum_i rho_i slope_i  -  sum_ki bend(n_ki) second_i
-                     -  sum_k sum_ij n_ki n_kj / 4 mixed_ij  -  what g may be below I .
-
-What is multilinear and below that at the corners is found by ``corner_forms``.
-
-A target puts the mean on one lattice point from the whole cell: its value is that of the point, and nothing is lost. It
-keeps input in reserve for all of the cell; constant inputs, which keep none, are better near the limits of the inputs
-and in wide cells. Choices are compared as they are certified, whatever they are.
+Under a constant input the mean is affine in the state up to a box (``readings.corner_reading``). A target puts it on
+one lattice point from the whole cell: its value is that of the point, and nothing is lost. It keeps input in reserve
+for all of the cell; constant inputs, which keep none, are better near the limits of the inputs and in wide cells.
+Choices are compared as they are certified, whatever they are.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -29,26 +18,11 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray, Grid, corner_sides, grid_laws, of_cells, shape_text, to_places
-from ..relations import AffineBoxes, MapRelation, block_of
+from ..readings import FAR, CornerReading, Images, LatticeKernel, in_chunks, lattice_kernel_of
+from ..relations import AffineBoxes, MapRelation
 from ..values import beside, to_host
 from .choices import Choices, MeansAt, StepPolicy
-from .corner_forms import SubLattice, best_below
-from .lattice_kernel import LatticeKernel, bend_of, blocks_of, lattice_kernel
 from .target_windows import TargetWindows, windows_of
-
-LOOK = 0.37
-"""Share of a lattice step that is added before a position is rounded down to the point where differences are read.
-
-A half would make rounding decide, as positions on half steps are common; search and check have to read alike."""
-
-BESIDE = 1.63
-"""Lattice steps that the point where differences are read may be off the position, and one to the next point."""
-
-NUMBERS_AT_ONCE = 200_000
-"""Numbers of factors at points that are formed at once: they fit into the cache of a core."""
-
-ROUGH_PARTS = 2
-"""Parts of each side of an image at which it is read to choose a policy."""
 
 FINALISTS = 2
 """Inputs of a menu whose loss is computed before one is chosen."""
@@ -84,10 +58,7 @@ class CornerChoices(Choices):
         Lattice points per cell and axis, at most.
     maps : AffineBoxes
         Means of all cells and inputs, (S, A, ..).
-    charged : tuple of float
-        What second differences along each axis count for g below I: an eighth for normal noise, 0 for uniform noise.
-    has_ends : bool
-        Whether smoothed factors have columns for what uniform noise adds between lattice points.
+    reading : CornerReading
     n_times : int
         Parts of equal length in which the inputs come, one for each step, in which alone these may be chosen; 1 if all
         may be chosen at every step. There are no targets then.
@@ -100,8 +71,7 @@ class CornerChoices(Choices):
     relation: MapRelation
     per_cell: int
     maps: AffineBoxes
-    charged: tuple[float, ...]
-    has_ends: bool = False
+    reading: CornerReading
     memory: dict[str, object] = field(default_factory=dict, repr=False)
     n_times: int = 1
     handicap: float = HANDICAP
@@ -117,7 +87,7 @@ class CornerChoices(Choices):
 
     def kernel_on(self, agent: AnyAgent, grid: Grid) -> LatticeKernel:
         """Return the kernel from the lattice to other cells."""
-        return lattice_kernel(grid, self.lattice, grid_laws(agent, self.relation.coordinates), self.reach)
+        return lattice_kernel_of(grid, self.lattice, grid_laws(agent, self.relation.coordinates), self.reading.reach)
 
     @cached_property
     def windows(self) -> TargetWindows | None:
@@ -154,57 +124,21 @@ class CornerChoices(Choices):
             found.append(replace(self, relation=relation, maps=maps, memory={}, n_times=1))
         return tuple(found)
 
-    @cached_property
+    @property
     def n_points(self) -> int:
         """Number of lattice points Z."""
-        return int(np.prod(self.shape))
-
-    @cached_property
-    def origin(self) -> FloatArray:
-        """First point (d,) of the lattice."""
-        return np.array([axis[0] for axis in self.lattice])
-
-    @cached_property
-    def pitch(self) -> FloatArray:
-        """Lattice steps (d,)."""
-        return np.array(
-            [(axis[-1] - axis[0]) / max(1, len(axis) - 1) if len(axis) > 1 else 1.0 for axis in self.lattice]
-        )
-
-    @cached_property
-    def _sub_lattices(self) -> tuple[SubLattice, SubLattice]:
-        """Where images are read: for lower bounds, and to choose by."""
-        d = len(self.lattice)
-        return SubLattice.of(d, self.relation.parts), SubLattice.of(d, 1 if d > 2 else ROUGH_PARTS)
-
-    @property
-    def reach(self) -> tuple[int, ...]:
-        """Lattice steps along each axis within which largest differences are taken."""
-        return self.relation.reach
+        return self.reading.n_points
 
     @cached_property
     def _admissible(self) -> NDArray[np.bool_]:
         """(S, A) whether the image of the cell is known and lies inside the lattice, what is left of it included."""
-        known: NDArray[np.bool_] = np.all(np.isfinite(self.maps.centre), axis=2)
-        position = (np.where(known[..., None], self.maps.centre, 0.0) - self.origin) / self.pitch
-        return known & self._inside(position, self._extent)
+        maps, half = self.maps, self.grid.half_widths[:, None]
+        return self.reading.holds(maps.centre, maps.gain, maps.rest, half)
 
-    @cached_property
-    def _extent(self) -> FloatArray:
-        """(S, 1 or A, d) lattice steps from the middle of an image to its ends, what is left of means included."""
-        half = np.einsum("sakj,sj->sak", np.abs(self.maps.gain), self.grid.half_widths)
-        return (half + self.maps.rest) / self.pitch
-
-    def _inside(self, position: FloatArray, extent: FloatArray) -> NDArray[np.bool_]:
-        """Return which images lie inside: second differences are not known at the border of the lattice."""
-        last = np.array(self.shape) - 1
-        inside = (position - extent >= 1.0) & (position + extent <= last - 1.0)
-        inside &= extent + BESIDE <= np.array(self.reach)
-        return np.asarray(np.all(inside, axis=-1))
-
-    def _own(self, numbers: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
-        """Return what maps hold of cells (C,) under choices (C,)."""
-        return np.asarray(numbers[cells, choices if numbers.shape[1] > 1 else 0])
+    def images(self, cells: NDArray[np.int64], choices: NDArray) -> Images:
+        """Return where inputs (C,) take cells (C,)."""
+        gain, rest = (each[cells, choices if each.shape[1] > 1 else 0] for each in (self.maps.gain, self.maps.rest))
+        return Images(self.maps.centre[cells, choices], gain, rest, self._half[cells])
 
     def targets(self, choices: NDArray) -> NDArray[np.bool_]:
         """Return which choices put the mean on one lattice point for the whole cell."""
@@ -214,8 +148,7 @@ class CornerChoices(Choices):
         """Return the means (C, d) of the centres of cells under choices (C,); far away where they are not known."""
         index = np.unravel_index(np.clip(policy - self.n_inputs, 0, self.n_points - 1), self.shape)
         points = np.stack([axis[k] for axis, k in zip(self.lattice, index, strict=True)], axis=1)
-        inputs = self.maps.centre[cells, np.minimum(policy, self.n_inputs - 1)]
-        means = np.nan_to_num(inputs, nan=np.finfo(float).max ** 0.25)
+        means = self._input_centres(cells, np.minimum(policy, self.n_inputs - 1))
         return np.where(self.targets(policy)[:, None], points, means)
 
     def points(self, policy: StepPolicy) -> NDArray[np.int64]:
@@ -224,25 +157,16 @@ class CornerChoices(Choices):
         Masses are pushed to them: a heuristic where means lie between lattice points.
         """
         cells, chosen = np.arange(self.grid.n_cells), np.clip(policy, 0, self.n_inputs - 1)
-        flat = self._corners_of(cells, chosen).astype(np.int64)
+        flat = self.reading.corners(self.images(cells, chosen)).astype(np.int64)
         known = (policy >= 0) & self._admissible[cells, chosen]
         flat = np.where(known[:, None], flat, -1)
         return to_places(
             np.where(self.targets(policy)[:, None], policy[:, None] - self.n_inputs, flat), self.grid.shape
         )
 
-    def _corners_of(self, cells: NDArray[np.int64], choices: NDArray) -> NDArray[np.int32]:
-        """Return the lattice points (C, 2^d) nearest to the images of the corners of cells, moved into the lattice."""
-        sides = 2.0 * corner_sides(len(self.shape)) - 1.0
-        reach = np.einsum("sij,sj,cj->sci", self._own(self.maps.gain, cells, choices), self._half[cells], sides)
-        position = (self._input_centres(cells, choices)[:, None] + reach - self.origin) / self.pitch
-        index = np.clip(np.nan_to_num(position), 0, np.array(self.shape) - 1)
-        index = np.rint(index).astype(np.int64)
-        return np.ravel_multi_index(tuple(np.moveaxis(index, 2, 0)), self.shape).astype(np.int32)
-
     def _input_centres(self, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
         """Return ``centres`` of inputs alone."""
-        return np.nan_to_num(self.maps.centre[cells, choices], nan=np.finfo(float).max ** 0.25)
+        return np.nan_to_num(self.maps.centre[cells, choices], nan=FAR)
 
     @cached_property
     def _half(self) -> FloatArray:
@@ -260,81 +184,13 @@ class CornerChoices(Choices):
 
     def at(self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray, rough: bool = False) -> FloatArray:
         """Return lower bounds (n, C, 2^d) at the corners of cells (C,) under choices (C,); about right if ``rough``."""
-        sub_lattice = self._sub_lattices[rough]
         values = np.empty((len(table), len(cells), 2 ** len(self.lattice)))
         fixed = self.targets(choices)
         values[:, fixed] = table[:, choices[fixed] - self.n_inputs][..., None]
-        for rows in self._chunks(np.flatnonzero(~fixed), len(table) * len(sub_lattice.points)):
-            values[:, rows] = self._of_images(table, cells[rows], choices[rows], sub_lattice)
+        moved, inputs = cells[~fixed], choices[~fixed]
+        images = self.images(moved, inputs)
+        values[:, ~fixed] = self.reading.below(table, images, self._admissible[moved, inputs], rough)
         return values
-
-    def _chunks(self, rows: NDArray[np.int64], numbers: int) -> Iterator[NDArray[np.int64]]:
-        """Return rows in parts that form few numbers at once."""
-        if len(rows):
-            yield from np.array_split(rows, len(rows) * numbers // NUMBERS_AT_ONCE + 1)
-
-    def _of_images(
-        self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray, sub_lattice: SubLattice
-    ) -> FloatArray:
-        """Return lower bounds (n, C, 2^d) at the corners of cells (C,) under choices (C,)."""
-        gains = self._own(self.maps.gain, cells, choices)
-        rest = self._own(self.maps.rest, cells, choices) / self.pitch
-        middle = (self._input_centres(cells, choices) - self.origin) / self.pitch
-        inside = self._admissible[cells, choices]
-        middle = np.where(inside[:, None], middle, 1.0)
-        moved = gains * self._half[cells][:, None, :] / self.pitch[:, None]  # (C, i, k) in lattice steps
-        moved = np.where(inside[:, None, None], moved, 0.0)
-        values = self._interpolant(
-            table, [middle[:, i, None] + moved[:, i] @ sub_lattice.points.T for i in range(len(self.shape))]
-        )
-        parts = round(len(sub_lattice.points) ** (1.0 / len(self.shape))) - 1
-        lacking = self._lacking(table, middle, 2.0 * np.abs(moved) / parts, rest)
-        lower = best_below(values, values[:, :, sub_lattice.corners], lacking, sub_lattice.interpolation)
-        return lower * inside[:, None]
-
-    def _interpolant(self, table: FloatArray, position: list[FloatArray]) -> FloatArray:
-        """Return the interpolant (n, C, K) of values; positions, one (C, K) per axis, are in lattice steps."""
-        base = [np.clip(np.floor(x), 0.0, n - 2.0) for x, n in zip(position, self.shape, strict=True)]
-        share = [x - low for x, low in zip(position, base, strict=True)]
-        strides = [int(np.prod(self.shape[k + 1 :])) for k in range(len(self.shape))]
-        first = sum(low.astype(np.int64) * stride for low, stride in zip(base, strides, strict=True))
-        total = np.zeros((len(table), *position[0].shape))
-        for corner in product((0, 1), repeat=len(self.shape)):
-            factors = [right if side else 1.0 - right for right, side in zip(share, corner, strict=True)]
-            weight = math.prod(factors[1:], start=factors[0])
-            places = first + int(np.dot(corner, strides))
-            for row, own in zip(total, table, strict=True):
-                row += weight * own.take(places)
-        return total
-
-    def _lacking(self, table: FloatArray, middle: FloatArray, steps: FloatArray, rest: FloatArray) -> FloatArray:
-        """Return how far the value may be below interpolations of what is read (n, C).
-
-        Parameters
-        ----------
-        middle : (C, d) array
-            Images of centres, in lattice steps.
-        steps : (C, d, d) array
-            Lattice steps along each axis (second index) between points that are read along each side (last index).
-        rest : (C, d) array
-            What is left of means, in lattice steps.
-        """
-        d, reach = len(self.shape), self.reach
-        index = np.clip(np.floor(middle + LOOK).astype(np.int64), 0, np.array(self.shape) - 1)
-        blocks = blocks_of(self.shape, reach)
-        flat = np.ravel_multi_index(tuple(index[:, k] // block_of(n) for k, n in enumerate(reach)), blocks)
-        weights = [bend_of(steps[:, i]).sum(axis=1) + self.charged[i] for i in range(d)]
-        weights += [0.25 * (steps[:, i] * steps[:, j]).sum(axis=1) for i, j in combinations(range(d), 2)]
-        weights += [rest[:, i] for i in range(d)]
-        weights += [np.ones(len(middle))] if self.has_ends else []
-        lacking = np.zeros((len(table), len(middle)))
-        if table.shape[1] == self.n_points:  # about right is enough
-            return lacking
-        for row, own in zip(lacking, table, strict=True):
-            row[:] = own[-1]
-            for number, weight in enumerate(weights):
-                row += weight * own.take(self.n_points + number * math.prod(blocks) + flat)
-        return lacking
 
     def best(self, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:
         """Return the choices (S,) of the largest weighted value, losses taken off; the incumbent stays among equals.
@@ -383,7 +239,7 @@ class CornerChoices(Choices):
         if self.windows is None:
             return inputs
         targets = self.windows.nearest_to(means)
-        gains = self.maps.gain[cells, inputs if self.maps.gain.shape[1] > 1 else 0]
+        gains = self.images(cells, inputs).gain
         aims = self.centres(cells, np.maximum(targets, 0) + self.n_inputs)
         moved, aimed = np.zeros(len(cells)), np.where(targets >= 0, 0.0, np.inf)
         for side in 2.0 * corner_sides(len(scale)) - 1.0:
@@ -405,7 +261,7 @@ class CornerChoices(Choices):
     def _score(self, weights: FloatArray, table: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
         """Return weighted values (C,) of choices with their losses; minus infinity where there is no choice."""
         score = np.full(len(cells), -np.inf)
-        for rows in self._chunks(np.flatnonzero(choices >= 0), len(table) * len(self._sub_lattices[True].points)):
+        for rows in in_chunks(np.flatnonzero(choices >= 0), len(table) * self.reading.numbers(rough=True)):
             values = self.at(table, cells[rows], choices[rows], rough=True)
             score[rows] = np.einsum("nsc,nsc->s", weights[:, rows], values)
         return score
@@ -507,7 +363,7 @@ class CornerChoices(Choices):
     def _corner_table(self) -> list[NDArray[np.int32]]:
         """Lattice points (S, 2^d) nearest to the images of corners, for every input."""
         cells = np.arange(self.grid.n_cells)
-        return [self._corners_of(cells, np.full(len(cells), a)) for a in range(self.n_inputs)]
+        return [self.reading.corners(self.images(cells, np.full(len(cells), a))) for a in range(self.n_inputs)]
 
     @cached_property
     def resting_choice(self) -> StepPolicy:
@@ -515,7 +371,7 @@ class CornerChoices(Choices):
         best, nearest = np.full(self.grid.n_cells, -1, dtype=np.int32), np.full(self.grid.n_cells, np.inf)
         cells = np.arange(self.grid.n_cells)
         for a in range(self.n_inputs):
-            away = (self._input_centres(cells, np.full(len(cells), a)) - self.grid.centres) / self.pitch
+            away = (self._input_centres(cells, np.full(len(cells), a)) - self.grid.centres) / self.reading.pitch
             distance = np.where(self._admissible[:, a], np.sum(away**2, axis=1), np.inf)
             closer = distance < nearest
             nearest, best = np.where(closer, distance, nearest), np.where(closer, a, best).astype(np.int32)

@@ -10,12 +10,11 @@ import numpy as np
 
 from ...envs.agents import AnyAgent, Gaussian, Law, Uniform
 from ..cells import FEWER, FloatArray, Grid, RelationRefused, grid_laws
+from ..readings import BESIDE, CornerReading, LatticeKernel, box_lattice, lattice_kernel_of
 from ..relations import AffineBoxes, MapRelation, map_relation
 from .agent_models import reaches_every_mean
-from .box_kernel import box_lattice
 from .box_model import clock_menu, with_rest
-from .corner_choices import BESIDE, HANDICAP, HANDICAP_IN_TEAMS, CornerChoices
-from .lattice_kernel import LatticeKernel, lattice_kernel
+from .corner_choices import HANDICAP, HANDICAP_IN_TEAMS, CornerChoices
 
 POINTS_PER_DEVIATION = {1: 12.0, 2: 8.0}
 """Lattice points per deviation of normal noise, at least, by dimension: the slack is then 1e-5 per axis and step."""
@@ -126,11 +125,10 @@ def lattice_model(
     reach = tuple(int(n) for n in np.ceil(_most_of((half + maps.rest) / pitch, 0.999) + BESIDE))
     steps = 2.0 * float(np.max(_most_of(half / pitch, 0.9)))
     relation = replace(relation, parts=int(np.clip(round(steps), 2, PARTS.get(d, 2))), reach=reach)
-    kernel = lattice_kernel(grid, lattice, laws, reach)
+    kernel = lattice_kernel_of(grid, lattice, laws, reach)
     charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
-    has_ends = kernel.ends is not None
-    choices = CornerChoices(grid, lattice, relation, max(points), maps, charged, has_ends)
-    return relation, lattice, kernel, choices
+    reading = CornerReading(lattice, reach, charged, kernel.ends is not None, parts=relation.parts)
+    return relation, lattice, kernel, CornerChoices(grid, lattice, relation, max(points), maps, reading)
 
 
 def _refuse_laws(agent: AnyAgent, laws: Sequence[Law]) -> None:

@@ -27,10 +27,10 @@ from ..cells import (
     grid_laws,
     points_by_axis,
 )
+from ..readings import Kernel
 from ..values import beside, to_host
 from .abstraction import Abstraction, AgentModel
 from .choices import Choices, Policies, StepPolicy
-from .kernel import Kernel
 
 FAR, NEAR = 12.0, 6.0
 """Deviations of the noise by which single wide cells reach beyond the workspace, and how far many narrow ones do."""

@@ -33,9 +33,9 @@ from ..values import (
     take,
     term_masses,
     to_host,
-    unite_again,
 )
 from .limits import Limits
+from .uniting import rows_behind, unite_again
 
 MANY_ALIKE = 2
 """Agents with one model from which equal numbers are looked for: comparing takes less than pushing."""
@@ -208,12 +208,12 @@ def push(
     mass = term_masses(sums, united[remaining])
     chosen, dropped = _largest(mass, target[remaining], tolerance, max_rank)
     remaining = remaining[chosen]
-    whole, merges, remaining_there = merges.of_rows(remaining, len(index))
+    whole, merges, place = rows_behind(remaining, len(index), merges)
     index, made = index[whole], list[NDArray]()
     for i, masked in enumerate(factors):
         array, index[:, i] = masked.made(index[:, i])
         made.append(array)
-    index = unite_again(made, index, merges)[remaining_there]
+    index = unite_again(made, index, merges)[place]
     for i in range(n_agents):
         made[i], index[:, i] = compress(made[i], index[:, i])
     per_state = tuple(index[target[remaining] == q] for q in range(n_states))

@@ -15,9 +15,9 @@ from .terms import (
     compress,
     distinct,
     merge_rows,
+    sum_factors,
     term_depths,
     term_masses,
-    unite_again,
 )
 from .train_values import (
     Rounding,
@@ -80,9 +80,9 @@ __all__ = [
     "smoothed_core",
     "start_above",
     "start_value",
+    "sum_factors",
     "take",
     "term_depths",
     "term_masses",
     "to_host",
-    "unite_again",
 ]

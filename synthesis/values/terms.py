@@ -7,9 +7,8 @@ about a guard contribute the same factor to many terms.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -113,40 +112,6 @@ class Merges:
         names = ("into", "absorbed", "agent", "rests")
         return Merges(*(np.concatenate([getattr(self, name), getattr(later, name)]) for name in names))
 
-    def runs(self) -> Iterator[tuple[int, slice]]:
-        """Return the agents one after the other in whose factors rows were united, and which unions these are."""
-        ends = np.flatnonzero(np.diff(self.agent)) + 1
-        for first, last in pairwise([0, *ends.tolist(), len(self.agent)]):
-            if first < last:
-                yield int(self.agent[first]), slice(first, last)
-
-    def of_rows(self, wanted: IndexArray, count: int) -> tuple[IndexArray, Merges, IndexArray]:
-        """Return what some of the rows that remain are united from, where no union leaves a rest.
-
-        Parameters
-        ----------
-        wanted : (m,) array
-            Numbers of the rows.
-        count : int
-            Number of rows before anything was united.
-
-        Returns
-        -------
-        rows : (n,) array
-            The rows that are united into them, and they themselves, in order.
-        merges : Merges
-            The unions of these, with rows numbered by their place among them.
-        place : (m,) array
-            Where the wanted rows are among them.
-        """
-        needed = np.zeros(count, dtype=bool)
-        needed[wanted] = True
-        for _, run in reversed([*self.runs()]):
-            needed[self.absorbed[run]] = needed[self.into[run]]
-        rows, number = np.flatnonzero(needed), np.cumsum(needed) - 1
-        here = needed[self.into]
-        return rows, Merges(number[self.into[here]], number[self.absorbed[here]], self.agent[here]), number[wanted]
-
     def __repr__(self) -> str:
         return f"Merges(rows united: {len(self.into)})"
 
@@ -210,7 +175,7 @@ def merge_rows(factors: list[NDArray], rows: IndexArray, groups: IndexArray) -> 
             # a x b + a x b' = a x (b + b'): docs/theory/tree.md, "Uniting terms".
             changed = stale = True
             pairs_into, pairs_from = into[absorbed], remaining[absorbed]
-            _sum_factors(factors, rows, i, pairs_into, pairs_from)
+            sum_factors(factors, rows, i, pairs_into, pairs_from)
             history.append((pairs_into, pairs_from, np.full(len(absorbed), i)))
             remaining = np.delete(remaining, absorbed)
     if not history:
@@ -218,15 +183,7 @@ def merge_rows(factors: list[NDArray], rows: IndexArray, groups: IndexArray) -> 
     return remaining, rows, Merges(*(np.concatenate(columns) for columns in zip(*history, strict=True)))
 
 
-def unite_again(factors: list[NDArray], rows: IndexArray, merges: Merges) -> IndexArray:
-    """Unite rows (L, I) as it was done before, with these factors, which are extended in place (exact)."""
-    rows = rows.copy()
-    for agent, run in merges.runs():
-        _sum_factors(factors, rows, agent, merges.into[run], merges.absorbed[run])
-    return rows
-
-
-def _sum_factors(factors: list[NDArray], rows: IndexArray, i: int, into: IndexArray, absorbed: IndexArray) -> None:
+def sum_factors(factors: list[NDArray], rows: IndexArray, i: int, into: IndexArray, absorbed: IndexArray) -> None:
     """Replace the factor of agent i in rows ``into`` by its sum with those of the rows absorbed into them."""
     # Sort the pairs by the absorbing row: its summands then form one run.
     order = np.argsort(into, kind="stable")

@@ -246,7 +246,7 @@ def bend_of(steps: FloatArray) -> FloatArray:
     return np.where(steps < 1.0, 0.25 * steps, 0.125 * (steps**2 + 1.0))
 
 
-def lattice_kernel(
+def lattice_kernel_of(
     grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law], reach: tuple[int, ...]
 ) -> LatticeKernel:
     """Return the kernel on a lattice."""

@@ -12,7 +12,7 @@ that are small, the errors of the special function and of its argument are subtr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -292,7 +292,7 @@ def _in_parts(map_of: Callable[[NDArray], NDArray], values: NDArray, numbers: in
     return result
 
 
-def _along_axes(values: NDArray, shape: tuple[int, ...], maps: list[Callable[[NDArray], NDArray]]) -> NDArray:
+def _along_axes(values: NDArray, shape: tuple[int, ...], maps: Sequence[Callable[[NDArray], NDArray]]) -> NDArray:
     """Apply a linear map of the last axis to each axis of values (n, prod(shape)) in turn; return (n, prod(out))."""
     if len(maps) == 1:
         return maps[0](values)

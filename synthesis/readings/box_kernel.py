@@ -207,7 +207,7 @@ def box_lattice(
     return tuple(axes)
 
 
-def box_kernel(
+def box_kernel_of(
     grid: Grid,
     lattice: tuple[FloatArray, ...],
     laws: Sequence[Law],
