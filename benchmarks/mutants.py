@@ -218,7 +218,7 @@ MUTANTS = [
     ),
     # --- the check
     *_in(
-        "synthesis/certificates/checked_kernel.py",
+        "synthesis/masses/checked_kernel.py",
         ("x = (edges - axis[:, None]) / (deviation * np.sqrt(2.0))", "x = (edges - axis[:, None]) / deviation"),
         ("repr(lattice_axes(agent)).encode()", 'b""'),
     ),
@@ -241,7 +241,7 @@ MUTANTS = [
         ("sides = sides / scales", "sides = sides * 1.0"),
     ),
     *_in(
-        "synthesis/certificates/part.py",
+        "synthesis/masses/part.py",
         ('named = getattr(agent, "others", ()) if "common" in self.relation else ()', "named = ()"),
     ),
     *_in(
@@ -452,18 +452,18 @@ MUTANTS = [
     ),
     # --- the claim in balls: what the check takes for granted must be stated, and every statement proved
     *_in(
-        "synthesis/certificates/checked_kernel.py",
+        "synthesis/masses/checked_kernel.py",
         ('    state("masses", agent, part, known[key])', "    pass"),
         ("0.5 * erfc(x), 0.5 * erfc(-x)", "0.500000001 * erfc(x), 0.500000001 * erfc(-x)"),
     ),
     *_in(
-        "synthesis/certificates/checked_laws.py",
+        "synthesis/masses/checked_laws.py",
         (
             "    charge = exact_charge(law, pitch, FLOATS) * OUTWARD",
             "    charge = exact_charge(law, pitch, FLOATS) * 0.9",
         ),
     ),
-    *_in("synthesis/certificates/stated.py", ("    if notes is not None:", "    if False:")),
+    *_in("synthesis/masses/stated.py", ("    if notes is not None:", "    if False:")),
     *_in(
         "synthesis/balls/ball_masses.py",
         ("            if not mass <= tails.between(s, s + 1):", "            if False:"),

@@ -22,7 +22,7 @@ import certigym as cg
 from certigym.synthesis.controllers import covariances_of
 from certigym.synthesis.nominal_paths import path_search
 from certigym.synthesis.nominal_paths.nominal import Response, nominal_inputs
-from certigym.synthesis.nominal_paths.slabs import Slabs, input_slabs, limits_of, state_slabs
+from certigym.synthesis.path_bounds.slabs import Slabs, input_slabs, limits_of, state_slabs
 from measuring import Rows, once, options, save, show
 
 FloatArray = NDArray[np.float64]

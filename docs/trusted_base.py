@@ -44,7 +44,7 @@ TRUSTED = {
         "synthesis.cells.axes_of_lattices synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
         "synthesis.cells.turned_starts "
         "synthesis.certificates.certificate synthesis.certificates.certificate_file synthesis.certificates.version_one "
-        "synthesis.certificates.grid_reader synthesis.certificates.claim synthesis.certificates.part "
+        "synthesis.certificates.grid_reader synthesis.certificates.claim synthesis.masses.part "
         "synthesis.certificates.proof synthesis.certificates.grid_proof synthesis.certificates.path_proof "
         "synthesis.certificates.hull_proof synthesis.certificates.subtraction_proof "
         "synthesis.certificates.mixed_proof synthesis.certificates.joint_proof "
@@ -67,7 +67,7 @@ TRUSTED = {
         "synthesis.relations.written_means"
     ),
     "The check": (
-        "synthesis.certificates.checked_kernel synthesis.certificates.checked_laws synthesis.certificates.stated "
+        "synthesis.masses.checked_kernel synthesis.masses.checked_laws synthesis.masses.stated "
         "synthesis.checking.certificate_check "
         "synthesis.step_checking.carrying_out synthesis.step_checking.common_check synthesis.step_checking.execution "
         "synthesis.checking.forward_mass synthesis.step_checking.geometry synthesis.checking.grid_check "
@@ -97,7 +97,7 @@ TRUSTED = {
 
 FIRST = {
     "synthesis.checking.certificate_check": "the order of the steps; nothing is called valid before all have passed",
-    "synthesis.certificates.part": "what a certificate holds of each agent: grid, labels, menu, policy, relation",
+    "synthesis.masses.part": "what a certificate holds of each agent: grid, labels, menu, policy, relation",
     "synthesis.certificates.grid_proof": "what it holds of all of them: guards, tree, value, bound",
     "synthesis.certificates.certificate": "the claim: a problem, a proof, and the two ends that are read from it",
     "synthesis.checking.grid_check": "cells tile the workspace, and each has the labels that hold in all of it",
@@ -106,7 +106,7 @@ FIRST = {
     "synthesis.step_checking.relation_check": "inputs are admissible in the whole cell, and lead to the claimed mean",
     "synthesis.step_checking.execution": "how far a controller in floating point can be off, from the matrices",
     "synthesis.step_checking.carrying_out": "the controllers themselves, run on thousands of points of their cells",
-    "synthesis.certificates.checked_kernel": "masses of cells, from below: the only probabilities that there are",
+    "synthesis.masses.checked_kernel": "masses of cells, from below: the only probabilities that there are",
     "synthesis.step_checking.checked_readings": "how a factor is taken one step back, through these masses",
     "synthesis.checking.regrown_tree": "the recursion over time; a term that is dropped only lowers the sum",
     "synthesis.checking.forward_mass": "the same sum from the start on, for the upper end",
@@ -132,7 +132,7 @@ THEN = {
     "synthesis.checking.pair_moves synthesis.relations.networks",
     "tubes and ellipsoids": "synthesis.relations.coupled synthesis.relations.ellipsoid_facts "
     "synthesis.controllers.abstract_state",
-    "noise of other laws": "envs.agents.laws envs.agents.composed_laws synthesis.certificates.checked_laws "
+    "noise of other laws": "envs.agents.laws envs.agents.composed_laws synthesis.masses.checked_laws "
     "synthesis.step_checking.uniform_noise",
     "tensor trains": "synthesis.checking.train_check",
     "paths": "synthesis.path_checking.path_check synthesis.path_checking.linear_deviations "
@@ -169,7 +169,7 @@ BESIDE = (
     "envs.dynamics.worlds envs.expressions.compiled envs.logic.by_hand envs.logic.hoa envs.logic.hoa_text "
     "envs.logic.mona "
     "envs.problem.summary synthesis.cells.refusal synthesis.cells.sizes synthesis.certificates.digits "
-    "synthesis.certificates.given_certificate synthesis.certificates.regrown_trains "
+    "synthesis.certificates.given_certificate synthesis.masses.regrown_trains "
     "synthesis.certificates.result synthesis.certificates.summaries synthesis.values.devices "
     "synthesis.values.tensor_train synthesis.values.train_values synthesis.values.value_function"
 )

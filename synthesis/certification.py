@@ -26,7 +26,8 @@ from .bounds import (
     train_bound,
     undecided_steps,
 )
-from .certificates import AgentPart, Certificate, GridProof, OnGrid, Synthesis, delta_of
+from .certificates import Certificate, GridProof, OnGrid, Synthesis, delta_of
+from .masses import AgentPart
 from .models import Abstraction, JointModel, start_of
 from .relations import describe_relation
 from .search import FINAL, Found, Relaxation, Sweep, TrainSweep, forward, sweep

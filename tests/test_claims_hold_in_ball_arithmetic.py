@@ -16,8 +16,9 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.agents import Gaussian, Law
 from certigym.synthesis.balls import check_rigorous, rigorous
-from certigym.synthesis.certificates import GridProof, changed, checked_kernel, checked_laws
+from certigym.synthesis.certificates import GridProof, changed
 from certigym.synthesis.checking import pairs_check
+from certigym.synthesis.masses import checked_kernel, checked_laws
 from certigym.synthesis.path_checking import gaussian_inequalities, own_intervals, path_check
 from certigym.synthesis.relations import Network
 from certigym.synthesis.step_checking import (

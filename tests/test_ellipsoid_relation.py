@@ -16,8 +16,8 @@ from scipy.stats import binomtest, kstest, norm
 import certigym as cg
 import problems
 from certigym.synthesis.cells.grid import Grid
-from certigym.synthesis.certificates.part import AgentPart
 from certigym.synthesis.controllers.abstract_state import Memory, Tracker
+from certigym.synthesis.masses.part import AgentPart
 from certigym.synthesis.models.agent_models import ellipsoid_model
 from certigym.synthesis.models.ellipsoid_search import find_ellipsoid
 from certigym.synthesis.models.input_menu import InputMenu

@@ -15,11 +15,11 @@ import certigym as cg
 from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed, start_of_claim
 from certigym.synthesis.nominal_paths import CountedWork
-from certigym.synthesis.nominal_paths.accepted_words import is_accepted
-from certigym.synthesis.nominal_paths.limit_rows import Worth
 from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
-from certigym.synthesis.nominal_paths.pair_rows import PairRows
-from certigym.synthesis.nominal_paths.words import Way, ways_of
+from certigym.synthesis.path_bounds.limit_rows import Worth
+from certigym.synthesis.path_bounds.pair_inequalities import PairRows
+from certigym.synthesis.path_words.accepted_words import is_accepted
+from certigym.synthesis.path_words.words import Way, ways_of
 from test_nonlinear_paths_are_certified import path_of
 
 FALSE_ALARM = 1e-6

@@ -14,8 +14,9 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.bounds.dense import dense_optimum
-from certigym.synthesis.certificates import AgentPart, changed, value_of
+from certigym.synthesis.certificates import changed, value_of
 from certigym.synthesis.checking import claimed_values
+from certigym.synthesis.masses import AgentPart
 from certigym.synthesis.values import Terms
 from problems import cart, cart_reach, scalar_agent, two_agents
 

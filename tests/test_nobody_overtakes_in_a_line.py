@@ -11,7 +11,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.nominal_paths import CountedWork, in_line, path_search, team_search
-from certigym.synthesis.nominal_paths.words import letters_of
+from certigym.synthesis.path_words.words import letters_of
 
 
 def carts(number: int, order: bool = True) -> cg.Problem:

@@ -14,8 +14,8 @@ import certigym as cg
 from certigym.envs.agents.laws import Law
 from certigym.envs.agents.noise import laws_of
 from certigym.synthesis.cells import grid_laws
-from certigym.synthesis.certificates import lost_to_rounding
-from certigym.synthesis.certificates.checked_laws import law_charge, law_error, lawful_masses, probability_below
+from certigym.synthesis.masses import lost_to_rounding
+from certigym.synthesis.masses.checked_laws import law_charge, law_error, lawful_masses, probability_below
 from certigym.synthesis.readings.box_kernel import BoxKernel
 from certigym.synthesis.readings.kernel import Kernel, law_table
 

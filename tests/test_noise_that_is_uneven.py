@@ -19,8 +19,9 @@ from certigym.envs.dynamics import Dynamics, OneWorld
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.cells import CellAxis, MeanAxis, RelationRefused, ScaleAxis, lattice_axes
-from certigym.synthesis.certificates import changed, scale_charge, value_of
+from certigym.synthesis.certificates import changed, value_of
 from certigym.synthesis.checking.regrown_tree import regrow
+from certigym.synthesis.masses import scale_charge
 from certigym.synthesis.models import box_choices
 from certigym.synthesis.readings import box_kernel
 from certigym.synthesis.relations import BoxRelation, MeanBoxes

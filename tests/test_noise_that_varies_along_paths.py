@@ -9,8 +9,8 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.nominal_paths.exponential_moments import ExponentialMoments
-from certigym.synthesis.nominal_paths.limit_rows import Worth
+from certigym.synthesis.path_bounds.exponential_moments import ExponentialMoments
+from certigym.synthesis.path_bounds.limit_rows import Worth
 from certigym.synthesis.path_checking.linear_deviations import Chain, Tilted
 
 B, A, STEPS, RUNS, FALSE_ALARM_DEVIATIONS = 0.1, 0.2, 10, 400_000, 5.0

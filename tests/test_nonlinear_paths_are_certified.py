@@ -16,10 +16,10 @@ import certigym as cg
 from certigym.envs.expressions import Program, computed, read_expression
 from certigym.synthesis.agreement import agreed
 from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed, start_of_claim
-from certigym.synthesis.nominal_paths import feedback_bounds
 from certigym.synthesis.nominal_paths.counted_work import CountedWork
-from certigym.synthesis.nominal_paths.limit_rows import Worth
 from certigym.synthesis.nominal_paths.nonlinear_search import Found, NonlinearSearch
+from certigym.synthesis.path_bounds import feedback_bounds
+from certigym.synthesis.path_bounds.limit_rows import Worth
 from certigym.synthesis.path_checking.gaussian_inequalities import Inequalities
 from certigym.synthesis.path_checking.linear_deviations import Chain
 from certigym.synthesis.path_checking.own_bends import Feedback, expansion

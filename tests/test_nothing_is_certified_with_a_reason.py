@@ -14,7 +14,7 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.problem.problem_file import problem_from_toml
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.nominal_paths.calm_runs import most_missed, satisfies
+from certigym.synthesis.path_bounds.calm_runs import most_missed, satisfies
 
 FILE = """
 name = "{name}"

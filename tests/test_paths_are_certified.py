@@ -13,8 +13,9 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed
-from certigym.synthesis.nominal_paths import CountedWork, certified_starts, path_search, slabs
+from certigym.synthesis.nominal_paths import CountedWork, certified_starts, path_search
 from certigym.synthesis.nominal_paths.path_search import linear_certificate
+from certigym.synthesis.path_bounds import slabs
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""

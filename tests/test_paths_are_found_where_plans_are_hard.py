@@ -12,21 +12,22 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import AgentPart, axis_tables, changed
+from certigym.synthesis.certificates import changed
 from certigym.synthesis.choosing import first_cells
+from certigym.synthesis.masses import AgentPart, axis_tables
 from certigym.synthesis.models import box_model
 from certigym.synthesis.nominal_paths import CountedWork, path_certificate
-from certigym.synthesis.nominal_paths.accepted_words import is_accepted
-from certigym.synthesis.nominal_paths.feedback_bounds import Feedback, NominalPath, _Walk
 from certigym.synthesis.nominal_paths.nominal_planner import Aim, Planner, rolled
-from certigym.synthesis.nominal_paths.nonlinear_model import NonlinearModel
 from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
-from certigym.synthesis.nominal_paths.path_limits import farthest_sides, limits_along
 from certigym.synthesis.nominal_paths.team_search import TeamSearch
 from certigym.synthesis.nominal_paths.tied_paths import Ties
 from certigym.synthesis.nominal_paths.tried_runs import tried_run
 from certigym.synthesis.nominal_paths.turns import plans_of_runs, runs_in_turn
-from certigym.synthesis.nominal_paths.words import letters_of
+from certigym.synthesis.path_bounds.feedback_bounds import Feedback, NominalPath, _Walk
+from certigym.synthesis.path_bounds.nonlinear_model import NonlinearModel
+from certigym.synthesis.path_bounds.path_limits import farthest_sides, limits_along
+from certigym.synthesis.path_words.accepted_words import is_accepted
+from certigym.synthesis.path_words.words import letters_of
 
 PLANE: dict[str, Any] = {"states": ["x", "y"], "state_low": [-6, -6], "state_high": [6, 6]}
 

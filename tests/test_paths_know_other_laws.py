@@ -13,7 +13,7 @@ from scipy.special import ndtri
 import certigym as cg
 from certigym.envs.agents import Law, Tail
 from certigym.synthesis.certificates import PathProof, changed
-from certigym.synthesis.nominal_paths.nonlinear_model import NonlinearModel
+from certigym.synthesis.path_bounds.nonlinear_model import NonlinearModel
 from certigym.synthesis.path_checking.gaussian_inequalities import Inequalities, moment_tails
 from certigym.synthesis.path_checking.law_moments import LONG as LONG_TAIL
 from certigym.synthesis.path_checking.law_moments import moments_of

@@ -10,8 +10,8 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.nominal_paths.coarse_ways import guesses
-from certigym.synthesis.nominal_paths.exclusions import exclusions
-from certigym.synthesis.nominal_paths.words import ways_of
+from certigym.synthesis.path_words.exclusions import exclusions
+from certigym.synthesis.path_words.words import ways_of
 
 
 def rover(regions: dict[str, Any], formula: str, horizon: int = 12, **changes: Any) -> cg.Problem:

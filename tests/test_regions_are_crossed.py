@@ -10,9 +10,9 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.synthesis.certificates import SOMETIME, AgentPath, AlongPath, Certificate, PathProof, changed
-from certigym.synthesis.nominal_paths.accepted_words import is_accepted
-from certigym.synthesis.nominal_paths.visits import visits_of, with_windows
 from certigym.synthesis.path_checking.path_check import wrong_paths
+from certigym.synthesis.path_words.accepted_words import is_accepted
+from certigym.synthesis.path_words.visits import visits_of, with_windows
 
 PACE, STEPS = 0.2, 12
 

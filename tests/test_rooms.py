@@ -19,7 +19,9 @@ ROOT = Path(__file__).parents[1]
 WINGS = tuple(drawn.ORDER)
 
 ENVS = "envs.arrays envs.expressions envs.agents envs.logic envs.problem envs.dynamics"
-CERTIFICATES = "synthesis.values synthesis.cells synthesis.relations synthesis.controllers synthesis.certificates"
+CERTIFICATES = (
+    "synthesis.values synthesis.cells synthesis.relations synthesis.controllers synthesis.masses synthesis.certificates"
+)
 EVIDENCE = f"{ENVS} {CERTIFICATES} validation.statistics validation.simulation"
 
 MAY_IMPORT = {
@@ -41,7 +43,9 @@ MAY_IMPORT = {
     "synthesis.bounds": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.readings "
     "synthesis.models synthesis.search",
     "synthesis.controllers": f"{ENVS} synthesis.cells synthesis.relations",
-    "synthesis.certificates": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.controllers",
+    "synthesis.masses": f"{ENVS} synthesis.values synthesis.cells synthesis.relations",
+    "synthesis.certificates": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.controllers "
+    "synthesis.masses",
     "synthesis.bridges": f"{ENVS} envs.interfaces envs.suite synthesis.relations synthesis.controllers "
     "synthesis.certificates",
     "synthesis.path_checking": f"{ENVS} {CERTIFICATES}",
@@ -52,7 +56,9 @@ MAY_IMPORT = {
     "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
     "synthesis.permissions": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.readings synthesis.models synthesis.search",
-    "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES}",
+    "synthesis.path_bounds": f"{ENVS} {CERTIFICATES}",
+    "synthesis.path_words": f"{ENVS} {CERTIFICATES} synthesis.path_bounds",
+    "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES} synthesis.path_bounds synthesis.path_words",
     "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
     "synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking synthesis.bridges synthesis.balls "
@@ -73,7 +79,7 @@ MAY_IMPORT = {
 }
 """Rooms that the files of a room may import, lazily or for types alone, too; ``synthesis`` is its hall, the verbs."""
 
-SEARCH = ("search", "readings", "models", "bounds", "choosing", "nominal_paths", "pairs")
+SEARCH = ("search", "readings", "models", "bounds", "choosing", "path_bounds", "path_words", "nominal_paths", "pairs")
 """Rooms that the check must not reach."""
 
 

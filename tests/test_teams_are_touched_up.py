@@ -8,8 +8,8 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.synthesis.nominal_paths import CountedWork
-from certigym.synthesis.nominal_paths.pair_costs import pair_limits
 from certigym.synthesis.nominal_paths.team_search import TeamFound, TeamSearch
+from certigym.synthesis.path_bounds.pair_costs import pair_limits
 from test_fleets_are_certified_along_paths import FALSE_ALARM, mixed, swap
 from test_nonlinear_paths_are_certified import path_of
 

@@ -20,10 +20,10 @@ from certigym.synthesis.bounds.certified import nominal_bound, stranded_mass, tr
 from certigym.synthesis.bounds.dense import dense_value
 from certigym.synthesis.cells.grid import Grid
 from certigym.synthesis.certificates import OnGrid, changed, start_of_claim
-from certigym.synthesis.certificates.checked_kernel import lost_to_rounding
 from certigym.synthesis.certificates.digits import shown_bound
 from certigym.synthesis.checking.forward_mass import TooManyProducts, masses
 from certigym.synthesis.checking.upper_end import MOST, attained, inexact
+from certigym.synthesis.masses.checked_kernel import lost_to_rounding
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.joint import JointModel, join, start_of
 from certigym.synthesis.search.relaxation import upper_bound

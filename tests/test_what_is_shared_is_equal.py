@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import AgentPart, axis_tables, changed, kernel_key
+from certigym.synthesis.certificates import changed
+from certigym.synthesis.masses import AgentPart, axis_tables, kernel_key
 
 
 def walker(name: str, scales: list[str]) -> cg.Agent:

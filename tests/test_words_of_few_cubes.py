@@ -10,13 +10,13 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import SOMETIME, changed
-from certigym.synthesis.nominal_paths import words
-from certigym.synthesis.nominal_paths.accepted_words import is_accepted, without_needless
-from certigym.synthesis.nominal_paths.drifts import Drifts
-from certigym.synthesis.nominal_paths.segments import segmented_ways
-from certigym.synthesis.nominal_paths.timed_words import timed_ways
-from certigym.synthesis.nominal_paths.words import ways_of
+from certigym.synthesis.path_bounds.drifts import Drifts
 from certigym.synthesis.path_checking.path_check import _wrong_word
+from certigym.synthesis.path_words import words
+from certigym.synthesis.path_words.accepted_words import is_accepted, without_needless
+from certigym.synthesis.path_words.segments import segmented_ways
+from certigym.synthesis.path_words.timed_words import timed_ways
+from certigym.synthesis.path_words.words import ways_of
 
 
 def robot(**changes: Any) -> cg.LinearAgent:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
 from ..cells import CellAxis, FloatArray, MeanAxis, ScaleAxis, points_by_axis
-from ..certificates import AgentPart, axis_tables, kernel_key
+from ..masses import AgentPart, axis_tables, kernel_key
 from .ball_memory import Memory, Proof
 from .ball_spans import balls
 

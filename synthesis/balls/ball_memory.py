@@ -7,7 +7,7 @@ from typing import Any
 from flint import arb
 
 from ...envs.agents import AnyAgent
-from ..certificates import AgentPart, kernel_key
+from ..masses import AgentPart, kernel_key
 
 UNIT = 2.0**-53
 

@@ -11,7 +11,7 @@ from flint import arb, arb_mat
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..certificates import AgentPart
+from ..masses import AgentPart
 from .ball_memory import Memory, Proof
 from .ball_spans import balls, unproved
 

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart
+from ..masses import AgentPart
 from ..relations import CoupledRelation, ExactRelation
 from ..step_checking import MOST_TERMS, cell_boxes
 from .ball_memory import UNIT, Balls, Memory, Proof

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from flint import arb
 
-from ..certificates import AgentPart, OnGrid
+from ..certificates import OnGrid
+from ..masses import AgentPart
 from ..step_checking import places_of
 from .ball_memory import UNIT, Memory, Proof
 

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from ...envs.suite import as_problem
-from ..certificates import Offer, Statement, certificate_from, members_of, noted, require
+from ..certificates import Offer, certificate_from, members_of, require
 from ..checking import check
+from ..masses import Statement, noted
 
 BITS = 106
 """Precision of the balls: twice that of doubles."""

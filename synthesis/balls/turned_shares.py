@@ -9,7 +9,7 @@ import numpy as np
 from flint import fmpq, fmpq_mat
 
 from ..cells import FloatArray
-from ..certificates import AgentPart
+from ..masses import AgentPart
 from .ball_memory import Memory, Proof
 
 Point = tuple[Fraction, ...]

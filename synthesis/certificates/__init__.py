@@ -20,8 +20,6 @@ from .certificate import (
     with_claims,
 )
 from .certificate_file import UNREADABLE, certificate_in, load_certificate, save_certificate
-from .checked_kernel import axis_tables, grid_noise, kernel_key, lost_to_rounding, smooth
-from .checked_laws import law_charge, law_error, probability_below, scale_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import (
@@ -38,22 +36,17 @@ from .hull_proof import HullProof, corner, from_start
 from .joint_proof import JointProof, TimedProof, joint_certificate, timed_certificate
 from .mixed_proof import MixedProof
 from .mixed_states import known_letters, pairs_between, reached_states
-from .part import AgentPart
 from .path_proof import SOMETIME, AgentPath, AlongPath, PathProof
 from .path_tube import KEPT, Tube, tube_along
 from .product_proof import ProductProof, product_certificate, split
 from .proof import Offer, Proof
-from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
 from .seen import Seen
-from .stated import Statement, noted, state
 from .subtraction_proof import SubtractionProof
 
 __all__ = [
-    "AgentPart",
     "AgentPath",
     "AlongPath",
-    "BrokenTrainError",
     "Certificate",
     "Claim",
     "EXACT_GAP",
@@ -69,7 +62,6 @@ __all__ = [
     "Proof",
     "SOMETIME",
     "Seen",
-    "Statement",
     "SubtractionProof",
     "Synthesis",
     "TimedProof",
@@ -79,7 +71,6 @@ __all__ = [
     "path_under",
     "any_certificate",
     "as_certificate",
-    "axis_tables",
     "certificate_in",
     "certificate_on_grids",
     "changed",
@@ -88,44 +79,33 @@ __all__ = [
     "delta_of",
     "from_start",
     "certificate_from",
-    "grid_noise",
     "is_exact",
     "joint_certificate",
     "joint_states",
-    "kernel_key",
     "known_letters",
     "lasting_bound",
-    "law_charge",
-    "law_error",
     "load_certificate",
-    "lost_to_rounding",
     "member_agents",
     "members_of",
     "nameless",
-    "noted",
     "of_one_task",
     "on_cells",
     "packed",
     "pairs_between",
-    "probability_below",
     "product_certificate",
     "reached_states",
-    "regrow_trains",
     "relations_tried",
     "require",
     "rounded_down",
     "rounded_up",
     "save_certificate",
-    "scale_charge",
     "seen_by",
     "shown_bound",
     "significant_down",
     "significant_up",
-    "smooth",
     "speaks_of_one_start",
     "split",
     "start_of_claim",
-    "state",
     "timed_certificate",
     "tube_along",
     "value_of",

@@ -19,9 +19,9 @@ from ...envs.agents import slices_of, tree_text
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
 from ..cells import FloatArray, alike_text, cells_met, hat_share_of, shape_text, start_share
+from ..masses import AgentPart
 from ..relations import Relation
 from ..values import Guards, Skeleton, Terms, Trains, Unread, ValueFunction, term_depths
-from .part import AgentPart
 
 MAX_JOINT_CELLS = 20_000_000
 """Largest number of joint cells over which ``min`` is taken cell by cell."""

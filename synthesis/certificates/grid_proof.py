@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 
 from ...envs.problem import Problem
 from ..controllers import AgentController, Controller
+from ..masses import AgentPart, BrokenTrainError, regrow_trains
 from ..relations import Relation, joint_delta
 from ..values import Guards, Rounding, Skeleton, Terms, Trains
 from .archive import Pool, Stored
 from .certificate import Certificate
 from .claim import Claim, with_early_acceptance
 from .grid_reader import CLAIM_FIELDS, GridReader
-from .part import AgentPart
 from .proof import Proof
-from .regrown_trains import BrokenTrainError, regrow_trains
 from .written_values import put_agent, put_rounding, put_skeleton, put_terms
 
 CORRECTION_INFLATION = 1 + 1e-9

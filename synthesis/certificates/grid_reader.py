@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from ...envs.problem import Problem
 from ..cells import Grid, lattice_axes
+from ..masses import AgentPart
 from ..relations import check_description
 from ..values import Merges, Rounding, Skeleton, Terms
 from .archive import Stored
-from .part import AgentPart
 
 CLAIM_FIELDS = ("method", "bound", "bounds", "lower_bound", "gap", "relative_rounding", "rank")
 """Fields of a proof about its claim, which files hold under the same names."""

@@ -19,11 +19,11 @@ import numpy as np
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..controllers import ProductController
+from ..masses import AgentPart
 from ..values import UNIT
 from .archive import Pool, Stored
 from .certificate import Certificate, alike_among, nameless
 from .claim import joint_states
-from .part import AgentPart
 from .proof import Proof
 
 

@@ -21,12 +21,12 @@ import numpy as np
 
 from ...envs.problem import Problem
 from ..controllers import Controller
+from ..masses import AgentPart
 from ..values import UNIT
 from .archive import Pool, Stored
 from .certificate import Certificate
 from .digits import significant_up
 from .grid_proof import OnGrid
-from .part import AgentPart
 from .path_proof import probability
 from .proof import Offer, Proof
 

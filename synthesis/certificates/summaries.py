@@ -12,8 +12,8 @@ from typing import Any
 from ...envs.agents import counted, names_text, shortened
 from ...envs.problem import Problem
 from ..cells import alike_text, shape_text
+from ..masses import AgentPart
 from .digits import shown_bound
-from .part import AgentPart
 from .proof import Offer
 
 MOST_TOLD = 3

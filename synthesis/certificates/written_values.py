@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..masses import AgentPart
 from ..values import Merges, Rounding, Skeleton, Terms
 from .archive import Pool
-from .part import AgentPart
 
 
 def put_agent(pool: Pool, part: AgentPart) -> dict[str, Any]:

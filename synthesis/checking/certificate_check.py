@@ -33,7 +33,6 @@ from ...envs.suite import as_problem
 from ..cells import FloatArray, lattice_axes
 from ..certificates import (
     AlongPath,
-    BrokenTrainError,
     Certificate,
     GridProof,
     HullProof,
@@ -47,11 +46,10 @@ from ..certificates import (
     alike_members,
     certificate_from,
     delta_of,
-    noted,
     significant_down,
     significant_up,
-    state,
 )
+from ..masses import BrokenTrainError, noted, state
 from ..path_checking import wrong_angles, wrong_hull, wrong_paths
 from ..step_checking import execution_of, label_margin, places_of, verify_relation, wrong_actions, wrong_common
 from ..values import UNIT, Terms

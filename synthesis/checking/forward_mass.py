@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from ..cells import FloatArray
-from ..certificates import OnGrid, axis_tables, start_of_claim
+from ..certificates import OnGrid, start_of_claim
+from ..masses import axis_tables
 from ..step_checking import hat_weights, masks_of, start_shares
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ import numpy as np
 
 from ...envs.agents import AnyAgent, Box
 from ..cells import FloatArray
-from ..certificates import AgentPart, OnGrid, grid_noise, state
+from ..certificates import OnGrid
+from ..masses import AgentPart, grid_noise, state
 from ..step_checking import UNIT, wrong_for_uneven_noise
 
 CORRELATION = 1e-11

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ...envs.logic import followed
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import AgentPart, OnGrid
+from ..certificates import OnGrid
+from ..masses import AgentPart
 from ..step_checking import box_image, cell_boxes, classes_in_boxes, is_identity
 
 

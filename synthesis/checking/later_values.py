@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ...envs.agents import tree_text
 from ...envs.arrays import is_whole
 from ..cells import FloatArray
-from ..certificates import Claim, OnGrid, Seen, checked_certificate, joint_states, regrow_trains, seen_by, value_of
+from ..certificates import Claim, OnGrid, Seen, checked_certificate, joint_states, seen_by, value_of
+from ..masses import regrow_trains
 from ..values import Terms, Trains
 from .checked_first import standing
 from .regrown_tree import regrow

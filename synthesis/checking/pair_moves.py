@@ -15,7 +15,7 @@ from scipy.special import erfc
 
 from ...envs.agents import AnyAgent, with_expressions, with_matrices
 from ..cells import FloatArray
-from ..certificates import AgentPart, axis_tables, lost_to_rounding
+from ..masses import AgentPart, axis_tables, lost_to_rounding
 from ..step_checking import (
     cell_boxes,
     driven_spans,

@@ -26,7 +26,8 @@ from scipy.special import erfc
 from ...envs.agents import AnyAgent, Gaussian, PairRegion
 from ...envs.logic import Automaton
 from ..cells import FloatArray
-from ..certificates import OnGrid, state
+from ..certificates import OnGrid
+from ..masses import state
 from ..step_checking import start_shares
 from .forward_mass import moved
 from .guard_check import cell_classes

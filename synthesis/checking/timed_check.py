@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ...envs.agents import TIME, AnyAgent, Proposition
 from ...envs.problem import Places, states_in_time, written_out
-from ..certificates import AgentPart, Certificate, TimedProof, on_cells
+from ..certificates import Certificate, TimedProof, on_cells
+from ..masses import AgentPart
 from ..path_checking import RegionSpan
 
 if TYPE_CHECKING:

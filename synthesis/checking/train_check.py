@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..certificates import BrokenTrainError, OnGrid, axis_tables, smooth
+from ..certificates import OnGrid
+from ..masses import BrokenTrainError, axis_tables, smooth
 from .forward_mass import mass_at_start
 
 ROUNDOFF = 2.0**-52

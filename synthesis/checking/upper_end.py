@@ -17,7 +17,8 @@ import math
 
 import numpy as np
 
-from ..certificates import OnGrid, kernel_key, lost_to_rounding, start_of_claim
+from ..certificates import OnGrid, start_of_claim
+from ..masses import kernel_key, lost_to_rounding
 from ..step_checking import is_identity
 from .forward_mass import TooManyProducts, masses
 from .guard_check import cell_classes, joint_cells_by_target

@@ -16,7 +16,8 @@ import numpy as np
 
 from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
-from ..certificates import AgentPart, OnGrid, checked_certificate
+from ..certificates import OnGrid, checked_certificate
+from ..masses import AgentPart
 from ..models import KINDS_WITH, Abstraction, AgentModel, Policies, Settings
 
 NUMBERS: dict[str, tuple[type, ...]] = {"epsilon": (int, float), "feedback": (int, float), "inputs": (int,)}

@@ -1,4 +1,4 @@
-"""Certificates along a path: letters chosen from the automaton, a nominal path through them, and feedback."""
+"""Certificates along a nominal path: the search for the path and its feedback, for one agent and for teams."""
 
 from .counted_work import CountedWork
 from .path_search import certified_paths, path_certificate, refuse_without_path

@@ -21,7 +21,7 @@ from ...envs.agents import Agent, AnyAgent
 from ...envs.expressions import names_in
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from .path_limits import corners_along
+from ..path_bounds import corners_along
 
 CELLS = {1: 120, 2: 40, 3: 16}
 """Cells per axis, by the number of outputs that are planned."""

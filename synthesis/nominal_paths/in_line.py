@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..cells import FloatArray
-from .pair_costs import PairLimits
+from ..path_bounds import PairLimits
 
 MORE = 1.25
 """Share of what pairs ask for by which guesses are apart."""

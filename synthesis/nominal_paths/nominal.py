@@ -16,7 +16,7 @@ from scipy.special import ndtr
 
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray
-from .slabs import Slabs
+from ..path_bounds import Slabs
 
 ENOUGH = 1e-12
 """Probability of failing from which a nominal path is not improved."""

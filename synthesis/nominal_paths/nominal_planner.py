@@ -14,11 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cells import FloatArray
+from ..path_bounds import Limits, NonlinearModel, PairAim, soft_costs
 from .counted_work import CountedWork
-from .nonlinear_model import NonlinearModel
-from .pair_costs import PairAim
-from .path_limits import Limits
-from .soft_costs import soft_costs
 
 STEPS = 0.5 ** np.arange(8)
 """Shares of a step that are tried at once."""

@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath
+from ..path_bounds import Feedback, NominalPath, NonlinearModel, Spreads, Worth, limits_along, sides_of, worth_of
 from .coarse_ways import guesses
 from .counted_work import CountedWork
-from .feedback_bounds import Feedback, NominalPath, Spreads, worth_of
-from .limit_rows import Worth
 from .nominal_planner import Aim, Planner, rolled
-from .nonlinear_model import NonlinearModel
-from .path_limits import limits_along, sides_of
 from .regulators import regulators
 from .tried_runs import tried_run
 

@@ -16,16 +16,14 @@ from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray, NoRunFound, RelationRefused
 from ..certificates import Certificate, PathProof, Synthesis
-from .calm_runs import most_missed, satisfies
+from ..path_bounds import corners_along, most_missed, satisfies
+from ..path_words import HALVES, Plan, letters_of, with_windows
 from .counted_work import CountedWork
 from .nonlinear_search import Found, NonlinearSearch
-from .path_limits import corners_along
 from .polish import polished
 from .team_search import TeamFound, TeamSearch, search_key
 from .tied_paths import Ties
 from .turns import plans_of_runs, runs_in_turn
-from .visits import HALVES, with_windows
-from .words import Plan, letters_of
 
 MOST_PLANS, MOST_HOPELESS = 6, 18
 """Ways with times that are tried at first, and as long as none of them can be followed at all."""

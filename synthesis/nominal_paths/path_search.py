@@ -19,20 +19,35 @@ from ...envs.problem import Problem
 from ..cells import FloatArray, NoRunFound, RelationRefused
 from ..certificates import AgentPath, AlongPath, Certificate, PathProof, Synthesis
 from ..controllers import covariances_of, nominal_states
-from .accepted_words import without_needless
+from ..path_bounds import (
+    Drifts,
+    Slabs,
+    corners_along,
+    failure_of,
+    farthest_sides,
+    input_slabs,
+    limits_of,
+    state_slabs,
+    without_far_ends,
+)
+from ..path_words import (
+    Cube,
+    Plan,
+    Reach,
+    Way,
+    letters_of,
+    segmented_ways,
+    timed_ways,
+    ways_of,
+    whatever_others_do,
+    without_needless,
+)
 from .angle_paths import along_angles
 from .counted_work import CountedWork
-from .drifts import Drifts
 from .nominal import ENOUGH, Response, nominal_inputs
 from .nonlinear_team import any_failure, nonlinear_certificate, refuse_other_noise
-from .path_limits import corners_along, farthest_sides, without_far_ends
-from .segments import segmented_ways
-from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .some_paths import Whereabouts, paths_of_some
-from .timed_words import timed_ways
 from .turns import plans_of_runs
-from .whatever_others_do import Reach, whatever_others_do
-from .words import Cube, Plan, Way, letters_of, ways_of
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
 """Costs of inputs, against states, of the feedbacks that are tried."""

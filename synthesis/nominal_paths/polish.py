@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cells import FloatArray
+from ..path_bounds import Feedback, worth_of
 from .counted_work import work_of_walk
-from .feedback_bounds import Feedback, worth_of
 from .nonlinear_search import Found, NonlinearSearch, feedback_of, found_of
 
 BATCH = 24

@@ -13,10 +13,10 @@ import numpy as np
 from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..certificates import AlongPath, Certificate, PathProof
+from ..path_bounds import pair_limits
 from .counted_work import CountedWork
 from .nonlinear_search import Found
 from .nonlinear_team import WORTHLESS, PlansOf, found_for_team
-from .pair_costs import pair_limits
 from .team_search import TeamSearch
 
 Whereabouts = tuple[FloatArray, FloatArray, FloatArray]

@@ -16,10 +16,10 @@ from ...envs.arrays import on_one_thread
 from ..cells import FloatArray, RelationRefused
 from ..certificates import AlongPath, Certificate, HullProof, any_certificate, path_under
 from ..controllers import covariances_of
+from ..path_bounds import OUTWARD, Slabs, input_slabs, limits_of, state_slabs
 from .counted_work import CountedWork
 from .nominal import Response, nominal_inputs
 from .path_search import linear_certificate
-from .slabs import OUTWARD, Slabs, input_slabs, limits_of, state_slabs
 
 HALVINGS = 12
 """Halvings of the distance along a ray: what remains is a few ten thousandths of it."""

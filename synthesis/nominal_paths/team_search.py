@@ -17,18 +17,29 @@ from numpy.typing import NDArray
 
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from ..path_bounds import (
+    Feedback,
+    Limits,
+    NominalPath,
+    PairAim,
+    PairLimits,
+    PairRows,
+    TeamModel,
+    Worth,
+    deviations_of,
+    key_of,
+    limits_along,
+    pair_limits,
+    pair_rows,
+    sides_of,
+    worth_of,
+)
 from .coarse_ways import guesses
 from .counted_work import CountedWork
-from .feedback_bounds import Feedback, NominalPath, worth_of
 from .in_line import in_line
-from .limit_rows import Worth
 from .nominal_planner import Aim, Planner
 from .nonlinear_search import ENOUGH, Found, NonlinearSearch, is_inside, reserves_for, scored
-from .pair_costs import PairAim, PairLimits, pair_limits
-from .pair_rows import PairRows, deviations_of, pair_rows
-from .path_limits import Limits, limits_along, sides_of
 from .polish import polished
-from .team_model import TeamModel, key_of
 from .tied_paths import ROUNDS, Ties, kept_away
 
 BENDS = (0.25, -0.25, 0.5, 0.0)

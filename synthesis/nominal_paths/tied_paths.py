@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from ...envs.agents import place_of
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from ..path_bounds import Limits, NonlinearModel, TeamModel, Tie, limits_along
 from .nominal_planner import Aim, Planner
-from .nonlinear_model import NonlinearModel
 from .nonlinear_search import BATCH, QUARTER, WIDEST, Found, NonlinearSearch
-from .path_limits import Limits, limits_along
-from .team_model import TeamModel, Tie
 
 ROUNDS = 3
 """How often all agents are planned anew between the tubes of the others."""

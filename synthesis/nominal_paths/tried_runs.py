@@ -21,11 +21,9 @@ from numpy.typing import NDArray
 from ...envs.agents import AnyAgent, PairRegion
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from ..path_bounds import NonlinearModel, corners_along, soft_costs
+from ..path_words import spans_of
 from .counted_work import CountedWork
-from .nonlinear_model import NonlinearModel
-from .path_limits import corners_along
-from .soft_costs import soft_costs
-from .timed_words import spans_of
 
 CELLS = {1: 200, 2: 60, 3: 24}
 """Cells per axis, by the number of states: of more states cells say too little of where one is."""

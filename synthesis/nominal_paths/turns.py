@@ -18,14 +18,10 @@ from ...envs.agents import AnyAgent, LinearAgent
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from .accepted_words import targets_of
+from ..path_bounds import Drifts, NonlinearModel, corners_along
+from ..path_words import Cube, Plan, Way, cubes_of, fastest_moves, spans_of, targets_of
 from .counted_work import CountedWork
-from .drifts import Drifts
-from .nonlinear_model import NonlinearModel
-from .path_limits import corners_along
-from .timed_words import fastest_moves, spans_of
 from .tried_runs import CELLS, LEVELS, Beside, Places, explored
-from .words import Cube, Plan, Way, cubes_of
 
 LEVELS_OF_POINTS = {1: 9, 2: 5, 3: 5}
 """Levels of each velocity of a point, which comes to as few places as there are levels."""

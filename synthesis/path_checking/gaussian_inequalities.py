@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import erfc
 
 from ..cells import FloatArray
-from ..certificates import state
+from ..masses import state
 from .law_moments import LIGHT, NORMAL
 from .roundings import SMALLEST, TAIL, UNIT
 

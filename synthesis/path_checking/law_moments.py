@@ -16,7 +16,7 @@ from typing import Any
 from scipy.special import stdtr, stdtrit
 
 from ...envs.agents import Law
-from ..certificates import state
+from ..masses import state
 
 OUTWARD = 1.0 + 1e-12
 """Factor on deviations, far above what they are rounded by."""

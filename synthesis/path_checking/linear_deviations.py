@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..cells import FloatArray
-from ..certificates import state
+from ..masses import state
 from .roundings import SMALLEST, TAIL, UNIT
 
 FACTORS = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25)

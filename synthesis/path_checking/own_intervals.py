@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...envs.expressions import Name, Number, Operation, Tree, whole_exponent
 from ..cells import FloatArray
-from ..certificates import state
+from ..masses import state
 
 OFF = 2.0**-48
 """Relative error of elementary functions, with room to spare."""

@@ -17,7 +17,8 @@ from scipy.special import erfc
 from ...envs.agents import LinearAgent, Proposition, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import SOMETIME, AgentPath, AlongPath, state
+from ..certificates import SOMETIME, AgentPath, AlongPath
+from ..masses import state
 from .crossings import Met, closed, readings, wrong_windows
 from .nonlinear_check import nonlinear_failures, wrong_nonlinear_path
 from .own_regions import RegionSpan

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import AgentPart, OnGrid, rounded_down
+from ..certificates import OnGrid, rounded_down
 from ..controllers import AgentController
+from ..masses import AgentPart
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from ...envs.agents import AnyAgent
 from ...envs.arrays import on_one_thread
 from ..cells import FloatArray
-from ..certificates import AgentPart, OnGrid, certificate_on_grids, on_cells, rounded_down
+from ..certificates import OnGrid, certificate_on_grids, on_cells, rounded_down
 from ..checking import standing
+from ..masses import AgentPart
 from ..relations import ExactRelation, WrittenTargets
 from ..step_checking import Reading, by_cell, execution_of, reading_of
 from .permission import Menus, Permission, count_of_choices, in_layers

@@ -21,7 +21,7 @@ from scipy.special import erfc
 
 from ...envs.agents import AnyAgent, Law
 from ..cells import CellAxis, FloatArray, ScaleAxis, lattice_axes
-from ..certificates import AgentPart, grid_noise, law_charge, law_error, probability_below, scale_charge
+from ..masses import AgentPart, grid_noise, law_charge, law_error, probability_below, scale_charge
 
 REACH = 6.0
 """Standard deviations around a mean within which cells are looked at: 2e-9 of the mass lies beyond, which no budget

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent
 from ...envs.expressions import Tree, operations_in
 from ..cells import FloatArray
-from ..certificates import AgentPart, state
+from ..masses import AgentPart, state
 from ..path_checking import Span, bounds, computed_off, span
 from ..relations import Turn, WrittenTargets
 from .geometry import cell_boxes

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent, with_expressions, with_matrices
 from ..cells import FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
-from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth, state
+from ..masses import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth, state
 from ..relations import commands_of
 from .common_check import by_number, known_inputs
 from .geometry import cell_boxes

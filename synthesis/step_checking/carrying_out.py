@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent, with_expressions
 from ..cells import FloatArray, linear_agent
-from ..certificates import AgentPart
 from ..controllers import AgentController
+from ..masses import AgentPart
 from ..relations import (
     CoupledRelation,
     commands_of,

@@ -15,7 +15,8 @@ import numpy as np
 
 from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray, linear_agent
-from ..certificates import AgentPart, OnGrid, axis_tables, smooth
+from ..certificates import OnGrid
+from ..masses import AgentPart, axis_tables, smooth
 from .boxes_check import BoxTables, box_tables, box_values
 from .execution import execution_of
 from .linear_check import linear_values

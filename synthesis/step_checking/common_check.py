@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, OnGrid
+from ..certificates import OnGrid
+from ..masses import AgentPart
 
 
 def wrong_common(certificate: OnGrid) -> list[str]:

@@ -21,7 +21,7 @@ from scipy.special import erf
 
 from ...envs.agents import AnyAgent, with_matrices
 from ..cells import FloatArray
-from ..certificates import AgentPart, state
+from ..masses import AgentPart, state
 from ..relations import (
     BoxRelation,
     CoupledRelation,

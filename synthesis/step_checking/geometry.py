@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...envs.agents import AnyAgent, with_expressions, with_matrices
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import AgentPart
+from ..masses import AgentPart
 from .mean_spans import output_spans
 from .turned_boxes import turned_shares
 

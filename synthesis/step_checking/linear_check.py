@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent, LinearAgent, with_matrices
 from ..cells import FloatArray
-from ..certificates import AgentPart
+from ..masses import AgentPart
 from .linear_tables import ON_LATTICE, UNIT, LinearTables, grid_matrix, values_and_bends
 from .written_linear import WrittenTables, image_values, written_values
 

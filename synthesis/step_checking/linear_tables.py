@@ -18,7 +18,7 @@ from scipy.special import erfc
 
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, grid_noise, state
+from ..masses import AgentPart, grid_noise, state
 
 HALF_NORMS = (1.40031, 0.60241, 0.46840)
 """Half the L1 norms of ``phi''''``, ``phi''' phi'`` and ``phi'' phi''``, rounded up in the fifth digit."""

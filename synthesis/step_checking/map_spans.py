@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent
 from ...envs.expressions import Name, Operation, Tree, substituted
 from ..cells import FloatArray
-from ..certificates import AgentPart, state
+from ..masses import AgentPart, state
 from ..path_checking import Span, bounds, products
 from .geometry import cell_boxes
 from .mean_spans import Enclosed, Fed, spans_of_means

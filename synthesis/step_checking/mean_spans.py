@@ -16,7 +16,7 @@ import numpy as np
 from ...envs.agents import Agent, AnyAgent
 from ...envs.expressions import Name, Operation, Tree, substituted
 from ..cells import FloatArray
-from ..certificates import state
+from ..masses import state
 from ..path_checking import Span, bounds, computed_off, products, span
 from ..relations import Command
 

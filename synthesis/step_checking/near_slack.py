@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray, NearWindow, near_windows, points_by_axis
-from ..certificates import AgentPart
+from ..masses import AgentPart
 
 SUMS = 4.0 * 2.0**-53
 """What a sum of masses is off by, for each of them."""

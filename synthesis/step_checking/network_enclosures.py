@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, state
+from ..masses import AgentPart, state
 from .geometry import cell_boxes
 from .mean_spans import enclosed_means
 

@@ -18,7 +18,7 @@ from scipy.special import erf
 
 from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray, lattice_axes, linear_agent
-from ..certificates import AgentPart, state
+from ..masses import AgentPart, state
 from ..relations import (
     BoxRelation,
     CoupledRelation,

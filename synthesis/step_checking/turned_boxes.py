@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..certificates import AgentPart, state
+from ..masses import AgentPart, state
 
 RESERVE = 1e-13
 """Taken off every share, for the rounding of corners and areas."""

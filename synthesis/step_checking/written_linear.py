@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent, LinearAgent, with_expressions
 from ..cells import FloatArray, linear_agent
-from ..certificates import AgentPart, grid_noise, state
+from ..masses import AgentPart, grid_noise, state
 from .geometry import cell_boxes
 from .linear_tables import UNIT, applied, grid_matrix, normal_hats
 from .map_spans import Maps, maps_of

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ...envs.pictures import coordinate_name, have_one_scale
 from ...envs.problem import Problem
-from ...synthesis.certificates import OnGrid, as_certificate, of_one_task, on_cells, regrow_trains, shown_bound
+from ...synthesis.certificates import OnGrid, as_certificate, of_one_task, on_cells, shown_bound
+from ...synthesis.masses import regrow_trains
 from ...synthesis.values import Trains
 from ..audits import standing_cells
 from ..simulation import Loop, frames

@@ -13,8 +13,8 @@ import numpy as np
 from ...envs.agents import AnyAgent
 from ...envs.logic import Automaton, automaton_from_diagrams
 from ...envs.problem import Problem, Specification
+from ..path_bounds import corners_along
 from .accepted_words import without_needless
-from .path_limits import corners_along
 from .timed_words import fastest_moves, spans_of
 from .words import Plan
 

@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from ..path_bounds import Drifts, NonlinearModel, corners_along
 from .accepted_words import targets_of
-from .drifts import Drifts
 from .exclusions import exclusions
-from .nonlinear_model import NonlinearModel
-from .path_limits import corners_along
 from .segments import way_of
 from .words import Way, cubes_of
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...envs.agents import PairRegion
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from .soft_costs import soft_costs
+from .soft_limits import soft_costs
 
 EMPTY = 1e-9
 """By how much a box that moves is empty where its check sees that it is, far beyond the rounding of its corners."""
