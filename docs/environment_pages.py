@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from importlib import import_module
-from inspect import getdoc, signature
+from inspect import cleandoc, signature
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ import certigym as cg
 from certigym.envs.agents import AnyAgent, LinearAgent, Pair, counted
 from certigym.envs.pictures import edges
 from certigym.envs.pictures.automaton_drawing import svg
-from certigym.envs.suite import tier_of_id
+from certigym.envs.suite import made_by, tier_of_id
 from certigym.envs.suite.ids import MODULES, gymnasium_id
 from certigym.synthesis.certificates.digits import shown_bound
 
@@ -265,7 +264,7 @@ def _table(name: str) -> dict[str, Any]:
 
 def _docstring(id: str) -> tuple[str, str, str, str]:
     """Name, sentence, story and versions in the docstring of a suite module, whose title is "Name: sentence."."""
-    text = getdoc(import_module(f"certigym.envs.suite.{MODULES[id]}")) or ""
+    text = cleandoc(made_by(id)[1])
     title, _, rest = text.partition("\n")
     story, _, versions = rest.partition("**Versions**:")
     name, _, about = title.strip().rstrip(".").partition(": ")
@@ -499,7 +498,7 @@ def _ends(problem: cg.Problem) -> str:
 
 
 def _arguments(id: str) -> str:
-    make = import_module(f"certigym.envs.suite.{MODULES[id]}").problem
+    make, _ = made_by(id)
     rows = [(name, json.dumps(p.default), "of the problem") for name, p in signature(make).parameters.items()]
     lines = ["| argument | default | |", "|---|---|---|"]
     return "\n".join([*lines, *(f"| `{name}` | {default} | {text} |" for name, default, text in [*rows, *OPTIONS])])

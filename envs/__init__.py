@@ -1,10 +1,9 @@
 """Agents, propositions, task automata, problems and the environments that step them.
 
-The modules of the suite can be imported from here, as in other environment packages:
+The problems of the suite can be imported from here as modules, as in other environment packages:
 ``from certigym.envs import reach_avoid_v0``.
 """
 
-from importlib import import_module
 from typing import Any
 
 from .suite.ids import MODULES
@@ -14,9 +13,13 @@ if __name__ == "envs":
 
 
 def __getattr__(name: str) -> Any:
-    if name in MODULES.values():
-        return import_module(f".suite.{name}", __name__)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    ids = [id for id, module in MODULES.items() if module == name]
+    if not ids:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from .suite import module_of
+
+    module = globals()[name] = module_of(ids[0])
+    return module
 
 
 def __dir__() -> list[str]:

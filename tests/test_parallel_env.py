@@ -15,9 +15,9 @@ import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import certigym as cg
+from certigym.envs import reach_avoid_v0
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces.problem_env import ProblemEnv
-from certigym.envs.suite import reach_avoid_v0
 from kinds import IDS_OF_KINDS
 from sample_problems import mixed_problem, scalar
 

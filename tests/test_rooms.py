@@ -33,6 +33,8 @@ MAY_IMPORT = {
     "envs.dynamics": "envs.arrays envs.expressions envs.agents envs.logic envs.problem",
     "envs.pictures": "envs.agents envs.logic envs.problem",
     "envs.interfaces": f"{ENVS} envs.pictures",
+    "envs.solo": ENVS,
+    "envs.teams": ENVS,
     "envs.suite": f"{ENVS} envs.interfaces",
     "synthesis.values": "envs.arrays",
     "synthesis.cells": ENVS,

@@ -1,3 +1,4 @@
+from .catalogue import made_by as made_by
 from .catalogue import make_problem as make_problem
 from .catalogue import problem_ids as problem_ids
 from .catalogue import tier_of_id as tier_of_id
@@ -9,6 +10,9 @@ from .make import (
 )
 from .make import (
     central_env as central_env,
+)
+from .make import (
+    module_of as module_of,
 )
 from .make import (
     parallel_env as parallel_env,
@@ -32,7 +36,9 @@ __all__ = [
     "as_problem",
     "central_env",
     "gymnasium_id",
+    "made_by",
     "make_problem",
+    "module_of",
     "parallel_env",
     "problem_ids",
     "register_suite",

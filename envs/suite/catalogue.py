@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
+from functools import cache
 from importlib import import_module
 from inspect import signature
 from typing import Any
 
 from ..agents import shown, unknown_argument
 from ..problem import Problem
-from .ids import MODULES, NAMESPACE, gymnasium_id
+from .ids import MODULES, NAMESPACE, ROOMS, VARIANTS, gymnasium_id
 from .tiers import NAMES, TIERS
 
 # Arguments that every problem takes: they are handed to `Problem.replace`.
@@ -78,7 +79,7 @@ def problem_of_id(id: str, arguments: dict[str, Any], also: Iterable[str] = ()) 
         remedy = f"did you mean {close[0]!r}?" if close else f"the ids are {', '.join(problem_ids())}"
         raise ValueError(f"`id`: expected the id of a suite problem, got {shown(id)}; {remedy}")
     # Load the one module that is needed; its parameters are the problem's arguments.
-    make: Callable[..., Problem] = import_module(f".{MODULES[key]}", __package__).problem
+    make, _ = made_by(key)
     changes = {name: value for name, value in arguments.items() if name in _CHANGES}
     arguments = {name: value for name, value in arguments.items() if name not in _CHANGES}
     parameters = list(signature(make).parameters)
@@ -87,3 +88,24 @@ def problem_of_id(id: str, arguments: dict[str, Any], also: Iterable[str] = ()) 
             raise unknown_argument(name, key, [*parameters, *_CHANGES, *also])
     problem = make(**arguments)
     return problem.replace(**changes) if changes else problem
+
+
+@cache
+def made_by(id: str) -> tuple[Callable[..., Problem], str]:
+    """Return the function that makes the problem of an id, with its arguments as parameters, and what is said of it."""
+    if id not in VARIANTS:
+        room = next(room for room, ids in ROOMS.items() if id in ids)
+        module = import_module(f"...{room}.{MODULES[id]}", __name__)
+        return module.problem, module.__doc__ or ""
+    variant = VARIANTS[id]
+    of, _ = made_by(variant.of)
+
+    def problem(**arguments: Any) -> Problem:
+        made = of(**{**variant.arguments, **variant.usual, **arguments})
+        return made.replace(name=id, **variant.changes)
+
+    asked = [own for name, own in signature(of).parameters.items() if name not in variant.arguments]
+    usual = [own.replace(default=variant.usual.get(own.name, own.default)) for own in asked]
+    problem.__doc__ = f"Return the problem {id}: {variant.about}."
+    problem.__signature__ = signature(of).replace(parameters=usual)  # type: ignore[attr-defined]
+    return problem, f"{variant.name}: {variant.about}.\n\n**Versions**: v0: the first version.\n"

@@ -5,8 +5,8 @@ The shells of ``interfaces`` take a `Problem`; this module finds the problem beh
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from pettingzoo import AECEnv
@@ -16,7 +16,8 @@ from ..agents import UnknownArgument
 from ..arrays import HOST
 from ..interfaces import CentralEnv, DeviceTeamEnv, ProblemEnv, ProblemVectorEnv, TasksEnv, TeamEnv
 from ..problem import Problem, load_problem
-from .catalogue import problem_of_id
+from .catalogue import made_by, problem_of_id
+from .ids import MODULES
 
 SIGHT = ("scale", "automaton", "sensor_noise")
 """Arguments of all environments that say how states and the automaton state are seen."""
@@ -179,11 +180,11 @@ def resolve(problem: Any, arguments: dict[str, Any], options: tuple[str, ...] = 
     return problem
 
 
-def environments(id: str) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]:
-    """Return the functions `parallel_env`, `env` and `raw_env` that the module of a suite problem offers.
+def module_of(id: str) -> ModuleType:
+    """Return what is imported of a suite problem: `problem`, and `parallel_env`, `env` and `raw_env` of PettingZoo.
 
-    Each takes `render_mode` and the arguments of the problem. `env` and `raw_env` return the agent-environment-cycle
-    form, the one with and the other without PettingZoo's check of the call order.
+    The latter take `render_mode` and the arguments of the problem. `env` and `raw_env` return the
+    agent-environment-cycle form, the one with and the other without PettingZoo's check of the call order.
     """
 
     def parallel(render_mode: str | None = None, **arguments: Any) -> Any:
@@ -198,7 +199,10 @@ def environments(id: str) -> tuple[Callable[..., Any], Callable[..., Any], Calla
         """Return the agent-environment-cycle form without checks."""
         return env(render_mode, **arguments).env
 
-    return parallel, env, raw_env
+    make, about = made_by(id)
+    module = ModuleType(f"certigym.envs.{MODULES[id]}", about)
+    vars(module).update(problem=make, parallel_env=parallel, env=env, raw_env=raw_env)
+    return module
 
 
 def _taken(arguments: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:

@@ -11,22 +11,22 @@ from __future__ import annotations
 import gymnasium
 from pettingzoo import aec_registry, parallel_registry, register
 
-from .ids import MODULES, NAMESPACE, gymnasium_id
+from .ids import IDS, NAMESPACE, gymnasium_id
 
 
 def register_suite() -> None:
     """Register every suite problem that is not registered yet."""
-    for id, module in MODULES.items():
+    for id in IDS:
         for name in (f"{NAMESPACE}/{id}", gymnasium_id(id)):
-            _register(name, id, module)
+            _register(name, id)
 
 
-def _register(name: str, id: str, module: str) -> None:
+def _register(name: str, id: str) -> None:
     """Register one suite problem under one of its two names, with both libraries."""
     if name not in parallel_registry:
-        register("parallel", name, f"certigym.envs.suite.{module}:parallel_env")
+        register("parallel", name, "certigym.envs.suite.make:parallel_env", kwargs={"problem": id})
     if name not in aec_registry:
-        register("aec", name, f"certigym.envs.suite.{module}:env")
+        register("aec", name, "certigym.envs.suite.make:aec_env", kwargs={"problem": id})
     if name not in gymnasium.registry:
         gymnasium.register(
             name,

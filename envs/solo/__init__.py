@@ -1,0 +1,1 @@
+"""The named problems of one agent, a file each."""

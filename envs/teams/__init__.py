@@ -1,0 +1,1 @@
+"""The named problems of several agents, a file each."""
