@@ -23,7 +23,7 @@ demo: .venv/core
 test: .venv/test lint
 	@$(BIN)/python -m mypy & types=$$!; $(PYTEST) -m "not pages"; tests=$$?; wait $$types && exit $$tests
 
-# the inner loop: what is not marked slow; `make quick ARGS=tests/test_labeling.py` runs all of one file
+# the inner loop: what is not marked slow; `make quick ARGS=tests/envs/test_labeling.py` runs all of one file
 quick: .venv/test
 	$(BIN)/python -m ruff check --quiet .
 	$(PYTEST) $(or $(ARGS),-m "not slow and not pages")

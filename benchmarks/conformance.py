@@ -3,7 +3,7 @@
 For each id: PettingZoo's tests of the parallel and of the turn-based environment, of their seeds and of the state;
 Gymnasium's checker; that of Stable-Baselines3; making by name with both libraries; batches by `gymnasium.make_vec`; and
 whole episodes, which must repeat with a seed, after pickling too. Warnings are failures. Prints what failed and how
-many checks passed; `tests/test_every_id_conforms.py` runs the same checks, so a new id has to pass all of them.
+many checks passed; `tests/envs/test_every_id_conforms.py` runs the same checks, so a new id has to pass all of them.
 """
 
 from __future__ import annotations

@@ -312,7 +312,10 @@ def _first_failure(folder: Path, tests: list[str]) -> str:
     if done is None:
         return "no end"
     failed = [line.split(" - ")[0] for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
-    return failed[0].split(" ", 1)[1].removeprefix("tests/") if failed else "" if done.returncode == 0 else "crash"
+    if not failed:
+        return "" if done.returncode == 0 else "crash"
+    file, *name = failed[0].split(" ", 1)[1].split("::")
+    return "::".join([Path(file).name, *name])
 
 
 def _line_of(mutant: Mutant) -> tuple[int, int]:
@@ -322,12 +325,19 @@ def _line_of(mutant: Mutant) -> tuple[int, int]:
     return first, first + mutant.old.count("\n")
 
 
+def _placed(test: str) -> str:
+    """A test with the folder that it is in now."""
+    file, *name = test.split("::")
+    place = next((ROOT / "tests").rglob(file)).relative_to(ROOT)
+    return "::".join([place.as_posix(), *name])
+
+
 def tests_of(mutant: Mutant, before: dict[tuple[str, str], str], covered: Any) -> list[str]:
     """The tests that a mutant is shown to: who noticed last time, and who runs its line or a fixed selection."""
     last = before.get((mutant.path, mutant.new), "")
-    first = [f"tests/{last}"] if ".py" in last and (ROOT / "tests" / last.split("::")[0]).exists() else []
+    first = [_placed(last)] if ".py" in last else []
     if covered is None:
-        return [*first, *(f"tests/{test}" for test in TESTS)]
+        return [*first, *map(_placed, TESTS)]
     lines, (start, end) = covered.contexts_of(mutant.path), _line_of(mutant)
     running = {test for line in range(start, end + 1) for test in lines.get(line, ())}
     return [*first, *sorted(running, key=lambda test: (covered.seconds.get(test, 1.0), test))[:MOST_TESTS]]
@@ -346,7 +356,7 @@ class Covered:
         self.seconds: dict[str, float] = {}
         for line in Path(durations).read_text(encoding="utf-8").splitlines() if durations else ():
             if match := re.match(r"\s*([\d.]+)s call +(tests/\S+?\.py::\w+)", line):
-                name = match[2]
+                name = _placed(match[2].rsplit("/", 1)[-1])
                 self.seconds[name] = self.seconds.get(name, 0.0) + float(match[1])
 
     def contexts_of(self, path: str) -> dict[int, set[str]]:
@@ -357,7 +367,8 @@ class Covered:
             for line, contexts in self.data.contexts_by_lineno(file).items():
                 names = (context.removeprefix("tests.").rsplit(".", 1) for context in contexts if context)
                 result.setdefault(line, set()).update(
-                    f"tests/{module}.py::{test}" for module, test in (name for name in names if len(name) == 2)
+                    _placed(f"{module.rsplit('.')[-1]}.py::{test}")
+                    for module, test in (name for name in names if len(name) == 2)
                 )
         return result
 
@@ -429,7 +440,7 @@ def main() -> None:
             save({"rows": merged(Path(given.json), rows)}, given.json)
     if not given.no_tests:
         # Who noticed something has to notice nothing in the tree as it is.
-        noticed = sorted({f"tests/{row['tests']}" for row in rows if ".py" in str(row["tests"])})
+        noticed = sorted({_placed(str(row["tests"])) for row in rows if ".py" in str(row["tests"])})
         rows.insert(0, row_of(None, noticed))
         print(rows[0], flush=True)
         if given.json:

@@ -1,6 +1,7 @@
 """Write the table of what cannot be asked of which certificate, and why, into the page of limits.
 
-`python docs/limits_table.py`; the table is that of `tests/test_everything_composes.py`, whose tests ask everything.
+`python docs/limits_table.py`; the table is that of `tests/claims/test_everything_composes.py`, whose tests ask
+everything.
 """
 
 from __future__ import annotations

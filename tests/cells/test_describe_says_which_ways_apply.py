@@ -1,0 +1,89 @@
+"""``describe`` says which ways a problem will be certified in, and which do not apply and why, before any search."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import certigym as cg
+from certigym.cli.main import main
+from certigym.synthesis.cells import RelationRefused
+from certigym.synthesis.choosing import first_cells, linear_work
+from certigym.synthesis.models import Settings
+from certigym.synthesis.synthesize import ways_ahead
+
+OWN = Path(__file__).parents[2] / "examples" / "own"
+
+LONG = {"agv", "cascade", "drone_and_balls", "epidemic", "patrol", "queue", "reactor", "samples"}
+"""Examples about which nearly all is counted that there is to count, with the ways of others."""
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[str]:
+    assert main(["describe", *arguments]) == 0
+    return [line for line in capsys.readouterr().out.splitlines() if line.startswith(("way", "not"))]
+
+
+def test_ways_stand_in_the_order_in_which_they_are_tried(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = said(capsys, str(OWN / "unicycle.toml"))
+    assert lines[0].startswith("way 1: along a path, about ")
+    assert lines[1].startswith("way 2: other relations")
+    assert lines[-1].startswith("not `linear`, level by level: agent `robot`: ")
+
+
+def test_no_one_is_asked_for_fewer_of_what_nobody_gave(capsys: pytest.CaptureFixture[str]) -> None:
+    for file in sorted(file for file in OWN.glob("*.toml") if file.stem not in LONG):
+        for line in said(capsys, str(file)):
+            assert "fewer `cells`" not in line, (file.name, line)
+
+
+def test_cells_that_nobody_gave_fit() -> None:
+    """Four states, of which narrow cells would be a thousand million: refused in words, or default cells."""
+    axes = {"state_low": [-3, -3, -1, -3], "state_high": [3, 3, 1, 3], "input_low": [-2], "input_high": [2]}
+    cart = cg.Agent(
+        name="cart", states=["x", "v", "th", "w"], inputs=["u"], initial_state=[0, 0, 0, 0], **axes,
+        dynamics=["x + 0.1*v", "v + 0.1*u", "th + 0.1*w", "w + 0.1*(sin(th) - u*cos(th))"],
+        noise=[{"law": "gaussian", "std": 0.01}] * 4,
+    )  # fmt: skip
+    goal = cg.Proposition("cart", [2, -3, -1, -3], [3, 3, 1, 3])
+    task = cg.Specification("F goal", "co-safe")
+    problem = cg.Problem(name="far", horizon=5, agents=[cart], propositions={"goal": goal}, specification=task)
+    with pytest.raises(RelationRefused, match=r"grids hold 2e\+07 at most") as refusal:
+        linear_work(problem, Settings(), lambda *models: cg.synthesize(problem))
+    assert "fewer" not in str(refusal.value)
+    assert first_cells(problem) is None
+
+
+def test_who_asks_for_cells_is_told_to_ask_for_fewer() -> None:
+    with pytest.raises(ValueError, match="ask for fewer `cells`"):
+        cg.synthesize(cg.load(OWN / "unicycle.toml"), (60, 60, 60), relation="linear")
+
+
+def test_laws_without_paths_are_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    text = (
+        (OWN / "heat_pump.toml")
+        .read_text()
+        .replace(
+            'law = "uniform", low = -0.4, high = 0.4',
+            'law = "scipy", name = "gumbel_r", scale = 0.2, cdf_error = 1e-9, variation = 4.0',
+        )
+    )
+    file = tmp_path / "scipy.toml"
+    file.write_text(text)
+    (line,) = [line for line in said(capsys, str(file)) if line.startswith("not along a path")]
+    assert "exponential moments are known, got scipy" in line
+
+
+def test_what_is_said_is_what_is_tried() -> None:
+    problem = cg.load(OWN / "response.toml")
+    ((task, ways),) = ways_ahead(problem)
+    assert task is problem
+    tried = cg.synthesize(problem).stats["tried"]
+    assert isinstance(tried, dict)
+    assert {way.name for way in ways} - {"others", "finer cells"} <= {*tried}
+    assert ways[0].name in tried and isinstance(tried[ways[0].name], float)
+
+
+def test_independent_tasks_and_pairs_have_ways_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+    assert any("one joint agent" in line for line in said(capsys, str(OWN / "crane_cart_drone.toml")))
+    assert said(capsys, "invariance-v0")

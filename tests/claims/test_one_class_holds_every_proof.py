@@ -1,0 +1,159 @@
+"""Whatever was proved is one class with a dozen members, one file, and reads what 0.2 has written."""
+
+from __future__ import annotations
+
+import inspect
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.certificates import Offer, certificate_from, changed, from_start, on_cells, require
+from certigym.synthesis.certificates.archive import _digest
+
+FOLDER = Path(__file__).parents[1] / "data" / "version_1"
+"""One small certificate of each kind, written by 0.2."""
+
+KINDS = {
+    "hull": "hull", "joint": "joint", "mixed": "mixed", "opposite": "grid", "path": "path", "product": "product",
+    "subtraction": "subtraction", "timed": "timed", "train": "grid",
+}  # fmt: skip
+"""Names of files, and how what they hold was proved."""
+
+MOST_MEMBERS = 12
+
+
+def header_of(path: Path) -> dict[str, Any]:
+    with np.load(path) as archive:
+        header: dict[str, Any] = json.loads(bytes(archive["header"]).decode())
+        return header
+
+
+def with_header(path: Path, target: Path, entries: dict[str, Any]) -> Path:
+    """The same file with other entries of its header, as a forger writes it: with a digest that fits."""
+    with np.load(io.BytesIO(path.read_bytes())) as archive:
+        arrays = [archive[str(k)] for k in range(len(archive.files) - 1)]
+    header = {**header_of(path), **entries}
+    header["digest"] = _digest(header, arrays)
+    text = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    np.savez_compressed(target, allow_pickle=False, header=text, **{str(k): a for k, a in enumerate(arrays)})
+    return target
+
+
+def test_the_class_has_a_dozen_public_members() -> None:
+    names = {name for name, _ in inspect.getmembers(cg.Certificate) if name[0] != "_"}
+    assert len(names | set(cg.Certificate.__dataclass_fields__)) <= MOST_MEMBERS
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_files_of_0_2_are_read_and_written_anew(name: str, tmp_path: Path) -> None:
+    old, new = FOLDER / f"{name}.npz", tmp_path / "new.npz"
+    certificate = cg.load(old)
+    assert type(certificate) is cg.Certificate and certificate.proof.kind == KINDS[name]
+    assert header_of(old)["version"] == 1 and cg.check(certificate)
+    cg.save(certificate, new)
+    header = header_of(new)
+    assert header["version"] == 2 and header["proof"]["kind"] == KINDS[name]
+    assert {*header} == {"format", "version", "problem", "fingerprint", "settings", "proof", "digest"}
+    again = cg.load(new)
+    assert cg.check(again, certificate.problem) and again.settings == certificate.settings
+    assert (again.lower_bound, again.upper_bound) == (certificate.lower_bound, certificate.upper_bound)
+    assert len(again.proof.parts) == len(certificate.proof.parts)
+    assert all(type(part) is cg.Certificate for part in again.proof.parts)
+
+
+@pytest.mark.parametrize("name", sorted({*KINDS} - {"hull"}))
+def test_controllers_of_files_of_0_2_keep_their_bound(name: str) -> None:
+    """Fixed seed, 2,000 rollouts each, false alarm 1e-6."""
+    assert not cg.validate(FOLDER / f"{name}.npz", 2000, seed=1, confidence=1 - 1e-6).refuted
+
+
+def test_members_that_a_proof_has_no_answer_to_say_what_to_do() -> None:
+    hull = cg.load(FOLDER / "hull.npz")
+    with pytest.raises(ValueError, match="a set of starts"):
+        hull.controller  # noqa: B018
+    with pytest.raises(ValueError, match="initial_state=x"):
+        cg.validate(hull, 10)
+    assert cg.check(from_start(hull, hull.proof.corners.mean(axis=0)))
+    for name in ("hull", "mixed", "path", "subtraction"):
+        certificate = cg.load(FOLDER / f"{name}.npz")
+        for ask in (certificate.at, lambda states, c=certificate: c.mean(states, states)):
+            with pytest.raises(ValueError, match="`certificate`: expected"):
+                ask(np.zeros(certificate.problem.n_states))
+    with pytest.raises(ValueError, match="one of a mixed team"):
+        require(cg.load(FOLDER / "mixed.npz"), Offer.BALLS)
+
+
+def test_values_are_those_of_the_certificate_on_cells() -> None:
+    for name in ("joint", "timed"):
+        certificate = cg.load(FOLDER / f"{name}.npz")
+        start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
+        assert certificate.at(start) == on_cells(certificate).at(start) >= certificate.lower_bound - 1e-5
+        assert certificate.min(start, start) == on_cells(certificate).min(start, start)
+    product = cg.load(FOLDER / "product.npz")
+    start = np.concatenate([agent.initial.low for agent in product.problem.agents])
+    assert product.mean(start, start) == pytest.approx(product.lower_bound, rel=1e-3)
+
+
+def test_names_of_0_2_say_where_they_are() -> None:
+    certificate: Any = cg.load(FOLDER / "opposite.npz")
+    for name in ("agents", "guards", "method", "opposite", "start", "exact", "value"):
+        with pytest.warns(DeprecationWarning, match=f"`Certificate.{name}` will go; it is"):
+            getattr(certificate, name)
+    with pytest.raises(AttributeError, match="no attribute 'cheese'"):
+        certificate.cheese  # noqa: B018
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {"fingerprint": "0" * 64}, {"problem": {}}, {"settings": [1]}, {"agents": "all"}, {"parts": [0]}, {"path": {}},
+        {"team": 10**400}, {"written_out": 0}, {"without_pairs": []}, {"hull": {"axes": "x"}}, {"failure": "none"},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_hostile_headers_of_version_1_are_refused(name: str, entries: dict[str, Any], tmp_path: Path) -> None:
+    """What they say beside their own entries decides nothing, or they are refused with one kind of error."""
+    path = with_header(FOLDER / f"{name}.npz", tmp_path / "forged.npz", entries)
+    try:
+        loaded = cg.load(path)
+    except ValueError as error:
+        assert "expected a certigym certificate" in str(error)
+    else:
+        assert loaded.proof.kind == KINDS[name] and cg.check(loaded)
+        assert not {*entries} & {"fingerprint", "problem", "settings"}
+
+
+def test_parts_are_of_the_kinds_that_belong_there(tmp_path: Path) -> None:
+    """A file of a product in the place of the base of a joint agent, and so on: refused when it is read."""
+    for name, outer in (("product", "joint"), ("hull", "product"), ("joint", "mixed"), ("subtraction", "timed")):
+        whole = cg.load(FOLDER / f"{outer}.npz")
+        inner = cg.load(FOLDER / f"{name}.npz")
+        fields = {"joint": "base", "timed": "base", "mixed": "grids"}
+        wrong: Any = (inner,) * len(whole.proof.parts) if outer == "product" else inner
+        object.__setattr__(whole.proof, fields.get(outer, "parts"), wrong)
+        cg.save(whole, tmp_path / "wrong.npz")
+        with pytest.raises(ValueError, match="expected a certigym certificate"):
+            cg.load(tmp_path / "wrong.npz")
+
+
+def test_parts_are_of_the_kinds_that_belong_there_in_memory_too() -> None:
+    """The bound of a set of starts is none for the start of a problem: nothing else may rest on it."""
+    hull = cg.load(FOLDER / "hull.npz")
+    for outer in ("joint", "timed", "mixed", "subtraction", "product"):
+        whole: Any = cg.load(FOLDER / f"{outer}.npz")
+        fields: dict[str, Any] = {"mixed": {"grids": hull}, "product": {"parts": (hull,) * len(whole.proof.parts)}}
+        forged = changed(whole, **fields.get(outer, {"base": hull}))
+        assert "proved in other ways" in str(cg.check(forged))
+
+
+def test_what_is_given_may_be_a_synthesis_a_certificate_or_a_path() -> None:
+    path = FOLDER / "path.npz"
+    assert certificate_from(path).proof.kind == certificate_from(cg.load(path)).proof.kind == "path"
+    with pytest.raises(ValueError, match="expected a Synthesis, a certificate or the path of one, got int"):
+        certificate_from(3)

@@ -1,0 +1,211 @@
+"""Agents by expressions are agents like others: in files, in one world and in many, in environments and commands."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
+
+import certigym as cg
+from certigym.baselines import RandomController
+from certigym.cli.main import main
+from certigym.envs.dynamics import Dynamics, OneWorld, worlds
+from certigym.envs.pictures import panels
+from certigym.envs.problem import problem_from_dict
+from written_problems import bent, bent_team, oscillator, oscillator_reach
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "pendulum_and_cart.toml"
+
+
+def independent_step(state: Any, u: float, z: Any) -> Any:
+    """The oscillator's step, written by hand."""
+    x, y = state
+    mean = np.array([x + 0.1 * y, y + 0.1 * (-x + (1 - x * x) * y) + u])
+    return mean + np.sqrt(0.2) * z
+
+
+def test_files_fingerprints_and_pickles_keep_the_agent() -> None:
+    problem = cg.load(EXAMPLE)
+    pendulum = problem.agents[0]
+    assert isinstance(pendulum, cg.Agent) and isinstance(problem.agents[1], cg.LinearAgent)
+    assert pendulum.noise_covariance.tolist() == [[0.1 * 0.1, 0.0], [0.0, 0.2 * 0.2]]
+    again = problem_from_dict(problem.to_dict())
+    assert again.fingerprint == problem.fingerprint == pickle.loads(pickle.dumps(problem)).fingerprint
+    assert copy.copy(pendulum).to_dict() == pendulum.to_dict() == cg.Agent(**pendulum.to_dict()).to_dict()
+    # Another parameter is another problem; another name of the problem is not.
+    data = problem.to_dict()
+    data["agents"][0]["parameters"]["damping"] = 0.3
+    assert problem_from_dict(data).fingerprint != problem.fingerprint
+    assert problem.replace(disturbance_scale=2.0).agents[0].noise_covariance[0, 0] == pytest.approx(0.04)
+    assert problem.replace(initial_state={"pendulum": [0.5, 0.1]}).agents[0].initial.low.tolist() == [0.5, 0.1]
+    assert "angle'" in repr(pendulum) and "sin(angle)" in repr(pendulum)
+    assert cg.split_axes(problem) is problem
+    assert [agent.name for agent in pendulum.copies(2)] == ["pendulum_0", "pendulum_1"]
+
+
+def test_simulation_is_that_of_an_independent_step() -> None:
+    """200 worlds, 10 steps, against a step written by hand; then one world at a time, bit by bit."""
+    problem = oscillator_reach(10)
+    dynamics, rng = Dynamics.of(problem), np.random.default_rng(0)
+    many = worlds.initial(dynamics, rng, 200)
+    one_world = OneWorld.of(dynamics)
+    ones = [one_world.begin(worlds.selected(many, np.array([k]))) for k in range(5)]
+    for _ in range(10):
+        normals, u = worlds.noise(dynamics, rng, 200), rng.uniform(-1, 1, (1, 1, 200))
+        after = worlds.transition(dynamics, many, [u], normals)
+        for k in range(200):
+            hand = independent_step(many.states[0][:, 0, k], u[0, 0, k], normals[0][:, 0, k])
+            assert np.allclose(after.states[0][:, 0, k], hand, rtol=1e-13, atol=1e-14)
+        ones = [
+            one_world.step(world, [[float(u[0, 0, k])]], normals[0][:, 0, k].tolist()) for k, world in enumerate(ones)
+        ]
+        for k, world in enumerate(ones):
+            assert list(world.states[0]) == after.states[0][:, 0, k].tolist()
+            assert (world.q, world.failed, world.accepted) == (after.q[k], after.failed[k], after.accepted[k])
+        many = after
+
+
+def test_what_is_not_defined_is_outside_the_workspace() -> None:
+    agent = bent("one", dynamics=["log(x) + u"])
+    problem = bent_team()
+    problem = cg.Problem(
+        name="log",
+        horizon=2,
+        agents=[agent, problem.agents[1]],
+        propositions=problem.declared,
+        specification=problem.specification,
+    )
+    rollouts = cg.rollout(problem, RandomController(), episodes=50, seed=0)
+    assert not rollouts.success.any()  # the logarithm of the start, -2, is not a number
+
+
+def test_linear_agents_written_as_expressions_move_alike() -> None:
+    """The same matrices as expressions: equal up to rounding, with the same draws, beside agents of both kinds."""
+    written = bent("one", dynamics=["0.9*x + 0.5*u"])
+    matrices = cg.LinearAgent(
+        name="one",
+        A=[[0.9]],
+        B=[[0.5]],
+        noise_covariance=written.noise_covariance,
+        state_low=[-4],
+        state_high=[4],
+        input_low=[-1.5],
+        input_high=[1.5],
+        initial_state=[-2.0],
+    )
+    goal = {"a": cg.Proposition("one", [3.9], [4.0])}
+    found = []
+    for agent in (written, matrices):
+        problem = cg.Problem(
+            name="p", horizon=6, agents=[agent], propositions=goal, specification=cg.Specification("F a", "co-safe")
+        )
+        env = cg.central_env(problem)
+        observation, _ = env.reset(seed=3)
+        path = [observation]
+        for _ in range(6):
+            observation, *_ = env.step(np.array([0.7]))
+            path.append(observation)
+        found.append(np.array(path))
+    assert np.allclose(found[0], found[1], rtol=0, atol=1e-13) and found[0][:, 0].std() > 0.1
+
+
+def test_environments_pass_the_checkers_of_their_interfaces() -> None:
+    problem = cg.load(EXAMPLE)
+    parallel_api_test(cg.parallel_env(problem), num_cycles=50)
+    check_env(cg.central_env(problem), skip_render_check=True)
+    env = cg.central_env(oscillator_reach(5), render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render().shape[2] == 3
+    vector = cg.vector_env(bent_team(4), 8)
+    observations, _ = vector.reset(seed=0)
+    assert isinstance(vector, gymnasium.vector.VectorEnv) and np.isfinite(observations).all()
+    team = cg.team_env(bent_team(4), 16, reward="shaped")
+    team.reset(seed=0)
+    assert team.step({name: np.zeros((16, 1)) for name in team.agents}) is not None
+
+
+def test_outputs_may_be_expressions() -> None:
+    """A ring in the plane is an interval of the distance; labels of points and of boxes agree with it."""
+    agent = oscillator(outputs=["sqrt(x**2 + y**2)", "x"])
+    problem = cg.Problem(
+        name="ring",
+        horizon=3,
+        agents=[agent],
+        propositions={"ring": cg.Proposition("vdp", [1.0, -9.0], [2.0, 9.0])},
+        specification=cg.Specification("G ring", "finite-trace"),
+    )
+    points = np.random.default_rng(0).uniform(-3, 3, (2, 500))
+    radius = np.hypot(*points)
+    assert np.array_equal(problem.labeling.class_at(0, points)[0], (1.0 <= radius) & (radius < 2.0))
+    assert agent.output_axis(0) is None and agent.output_axis(1) == (0, 1.0)
+    low = points.T - 0.05
+    possible = problem.labeling.box_classes(0, low, low + 0.1)
+    inside = np.flatnonzero(problem.labeling.classes[0][:, 0])
+    corners = [np.hypot(*(low + 0.1 * np.array(side)).T) for side in ((0, 0), (0, 1), (1, 0), (1, 1), (0.5, 0.5))]
+    for radius in corners:
+        holds = (1.0 <= radius) & (radius < 2.0)
+        assert np.all(possible[:, inside].any(axis=1) >= holds) and np.all(possible.sum(axis=1) >= 1)
+    assert possible.sum(axis=1).mean() < 1.4
+    assert panels(problem)[0].regions == ()
+    assert len(cg.rollout(problem, RandomController(), episodes=100, seed=0).success) == 100
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dynamics": ["x + step*y", "y + step*(1 - x**2)*v"]}, r"`dynamics\[1\]`: unknown name 'v'"),
+        ({"dynamics": ["x"]}, "2 strings, one for each state"),
+        ({"dynamics": "x + y"}, "2 strings"),
+        ({"states": ["x", "x"]}, "'x' twice"),
+        ({"states": ["x", "sin"]}, "no function"),
+        ({"states": ["x", "lambda"]}, "no word of Python"),
+        ({"inputs": ["x"]}, "'x' twice"),
+        ({"inputs": []}, "`input_low`: expected nothing for an agent without inputs"),
+        ({"parameters": {"step": "0.1"}}, "plain numbers"),
+        ({"parameters": [0.1]}, "mapping"),
+        ({"disturbances": {"wind": [1, 0]}}, "exchange the two"),
+        ({"disturbances": {"wind": 1}}, "shape"),
+        ({"outputs": ["u"]}, r"`outputs\[0\]`: unknown name 'u'"),
+        ({"noise": [{"law": "gaussian", "std": 0.1}] * 2}, "either `noise` or `noise_covariance`"),
+        ({"noise_covariance": None}, "got none; give one, such as `noise_std = "),
+        ({"noise_covariance": None, "noise": [{"law": "cauchy", "std": 1}] * 2}, "one of the laws gaussian"),
+        ({"noise_covariance": None, "noise": [{"law": "gaussian", "std": -1}] * 2}, "std of at least 0"),
+        ({"noise_covariance": None, "noise": [{"law": "gaussian", "std": 1}]}, "2 laws"),
+        ({"state_low": [-3]}, "state_low"),
+    ],
+)
+def test_mistakes_are_named(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        oscillator(**changes)
+
+
+def test_mistakes_in_files_are_named_with_a_caret_under_expressions(tmp_path: Path) -> None:
+    text = EXAMPLE.read_text(encoding="utf-8")
+    for old, new, message in (
+        ("damping*rate", "dampin*rate", "did you mean 'damping'"),
+        ('inputs = ["torque"]', "", "without inputs, got .*; give `inputs`"),
+        ("dynamics =", "dynamic =", "did you mean `dynamics`"),
+        ("damping*rate", "c*rate", "a number goes into `parameters`, such as { c = 0.1 }, a bounded unknown into"),
+        ("parameters =", "A =", "unknown key 'A'"),
+    ):
+        path = tmp_path / "problem.toml"
+        path.write_text(text.replace(old, new, 1), encoding="utf-8")
+        with pytest.raises(ValueError, match=message) as caught:
+            cg.load(path)
+        said, *below = str(caught.value).split("\n")
+        assert "[[agents]] number 1 ('pendulum')" in said
+        assert not below or (new in below[0] and below[0].index(new) == below[1].index("^"))
+        assert bool(below) == (old == "damping*rate")
+
+
+def test_commands_take_such_problems(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["describe", str(EXAMPLE)]) == 0
+    shown = capsys.readouterr().out
+    assert "angle' = angle + step*rate + w" in shown and "x' = A x + B u + c + w" in shown

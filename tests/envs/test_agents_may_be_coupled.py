@@ -1,0 +1,158 @@
+"""Agents whose expressions name states of others are simulated as they are, and certified whatever these do."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.envs.dynamics import Dynamics, OneWorld, worlds
+from certigym.envs.problem import problem_from_dict
+from certigym.synthesis.relations import commands_of
+from team_problems import ring, room
+
+FALSE_ALARM = 1e-6
+"""Probability that a true claim is refuted here; the seeds are fixed."""
+
+
+def test_simulation_is_that_of_an_independent_step() -> None:
+    """200 worlds against a step written by hand; then one world at a time, bit by bit."""
+    problem = ring(4)
+    dynamics, rng = Dynamics.of(problem), np.random.default_rng(0)
+    assert len(dynamics.blocks) == 1  # equal but for the names of their neighbours
+    many = worlds.initial(dynamics, rng, 200)
+    one_world = OneWorld.of(dynamics)
+    ones = [one_world.begin(worlds.selected(many, np.array([k]))) for k in range(5)]
+    for _ in range(4):
+        [z], u = worlds.noise(dynamics, rng, 200), rng.uniform(-0.5, 1.5, (1, 4, 200))
+        x = many.states[0][0]
+        expected = x + 0.1 * (np.roll(x, 1, axis=0) + np.roll(x, -1, axis=0) - 2 * x) - 0.5 + u[0] + 0.2 * z[0]
+        many = worlds.transition(dynamics, many, [u], [z])
+        np.testing.assert_allclose(many.states[0][0], expected, rtol=1e-13)
+        for k in range(5):
+            ones[k] = one_world.step(ones[k], [[u[0, i, k]] for i in range(4)], z[0, :, k].tolist())
+            assert [s[0] for s in ones[k].states] == many.states[0][0, :, k].tolist()
+
+
+def test_files_and_pickles_keep_the_coupling() -> None:
+    problem = ring(3)
+    again = problem_from_dict(problem.to_dict())
+    assert again.fingerprint == problem.fingerprint == pickle.loads(pickle.dumps(problem)).fingerprint
+    assert ring(3, told=False).fingerprint != problem.fingerprint
+    moved = problem.replace(initial_state={"room_1": [21.0]}, disturbance_scale=0.5)
+    for copy in (again, pickle.loads(pickle.dumps(problem)), moved):
+        first = copy.agents[1]
+        assert isinstance(first, cg.Agent)
+        assert first.unknowns == {"neighbour 0": (17.0, 25.0), "neighbour 1": (17.0, 25.0)}
+    assert "room_2.warmth" in repr(problem.agents[0]) and "told by" in repr(problem.agents[0])
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_certificates_are_checked_and_hold(told: bool) -> None:
+    """10,000 rollouts do not refute the bound, nor does a neighbour that does what it likes."""
+    problem = ring(3, told)
+    result = cg.synthesize(problem, cells=32, relation="boxes")
+    assert cg.check(result.certificate)
+    assert len({id(part.grid) for part in result.certificate.proof.agents}) == 1
+    assert ("room_0 by room_2, room_1" in repr(result.certificate)) is told
+    assert any(any(part.relation["steer"]) for part in result.certificate.proof.agents) is told
+    report = cg.validate(result.certificate, 10_000, seed=0, confidence=1.0 - FALSE_ALARM)
+    assert report.verdict != "refuted"
+    assert result.certificate.lower_bound > (0.9 if told else 0.5)
+
+
+def test_neighbours_count_as_disturbances_where_nothing_is_told() -> None:
+    """The bound of a ring is the product of those of single rooms between disturbances as wide as the workspaces."""
+    whole = cg.synthesize(ring(3, told=False), cells=32).certificate.lower_bound
+    product = 1.0
+    for i in range(3):
+        ranges = {"left": [17, 25], "right": [17, 25]}
+        means = ["warmth + 0.1*(left + right - 2*warmth) - 0.5 + heat"]
+        alone = room(i, 3, False, dynamics=means, disturbances=ranges)
+        problem = cg.Problem(
+            name="one",
+            horizon=6,
+            agents=[alone],
+            propositions={"comfort": cg.Proposition(alone.name, [19.0], [22.5])},
+            specification=cg.Specification("G comfort", "finite-trace"),
+        )
+        product *= cg.synthesize(problem, cells=32).certificate.lower_bound
+    assert whole == pytest.approx(product, abs=1e-9)
+
+
+def test_what_is_told_raises_what_is_certified() -> None:
+    known, unknown = (cg.synthesize(ring(2, told), cells=32).certificate.lower_bound for told in (True, False))
+    assert 1.0 - known < 0.1 * (1.0 - unknown)
+
+
+def test_controllers_act_alike_in_environments_and_batches() -> None:
+    problem = ring(3)
+    controller = cg.synthesize(problem, cells=32).controller
+    env = cg.parallel_env(problem)
+    observations, infos = env.reset(seed=3)
+    controller.reset(observations, infos)
+    dynamics = Dynamics.of(problem)
+    batch = controller.batch(dynamics)
+    for _ in range(4):
+        actions = controller.act(observations, infos)
+        states = np.concatenate([infos[name]["state"] for name in problem.agent_names])[None]
+        here = replace(worlds.initial_at(dynamics, states), time=int(infos["room_0"]["time"]))
+        [inputs], _ = batch.act(here, batch.begin(here, np.random.default_rng(0)))
+        assert inputs[0, :, 0].tolist() == [float(actions[name][0]) for name in problem.agent_names]
+        observations, _, _, _, infos = env.step(actions)
+    with pytest.raises(ValueError, match="`beside`"):
+        controller.act({"room_0": observations["room_0"]}, {"room_0": infos["room_0"]})
+
+
+def test_targets_need_what_is_told() -> None:
+    """A certificate that cancels what nobody tells is refused."""
+    told, untold = ring(3), ring(3, told=False)
+    assert len(commands_of(told.agents[0])) == 1 and not commands_of(untold.agents[0])  # type: ignore[arg-type]
+    for relation, reason in {"boxes": "cannot steer", "exact": "not `communicated`"}.items():
+        certificate = cg.synthesize(told, cells=32, relation=relation).certificate
+        report = cg.check(replace(certificate, problem=untold))
+        assert not report and reason in str(report)
+
+
+def test_a_range_of_neighbours_that_is_too_small_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sabotage: the search thinks neighbours stay within nine tenths of their workspace."""
+    problem = ring(3, told=False)
+    true = cg.Agent.unknowns
+    assert isinstance(true, property) and true.fget is not None
+    of = true.fget
+    narrow = {"neighbour 0": (17.4, 24.6), "neighbour 1": (17.4, 24.6)}
+    with monkeypatch.context() as patch:
+        patch.setattr(cg.Agent, "unknowns", property(lambda agent: {**of(agent), **narrow}))
+        certificate = cg.synthesize(problem, cells=32).certificate
+        assert cg.check(certificate)
+    assert not cg.check(certificate)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dynamics": ["warmth + room_0.warmth + heat"], "communicated": None}, "states of other agents"),
+        ({"communicated": ["nobody"]}, "`communicated`"),
+        ({"dynamics": ["warmth + attic.warmth + heat"], "communicated": None}, "'attic'"),
+        ({"dynamics": ["warmth + room_1.cold + heat"], "communicated": None}, "'room_1.cold'"),
+        ({"outputs": ["warmth + room_1.warmth"]}, "unknown name 'room_1.warmth'"),
+    ],
+)
+def test_mistakes_are_named(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        cg.Problem(
+            name="ring",
+            horizon=3,
+            agents=[room(0, 3, **changes), room(1, 3), room(2, 3)],
+            propositions={"comfort": cg.Proposition("room_*", [19.0], [22.5])},
+            specification=cg.Specification("G all(comfort)", "finite-trace"),
+        )
+
+
+def test_agents_alone_know_no_ranges() -> None:
+    with pytest.raises(ValueError, match="agent of a problem"):
+        _ = room(0, 3).unknowns

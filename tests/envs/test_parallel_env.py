@@ -1,0 +1,247 @@
+"""The environments keep PettingZoo's contract, repeat themselves exactly, and pay satisfaction as the core has it."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pettingzoo
+import pytest
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+import certigym as cg
+from certigym.envs import reach_avoid_v0
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.interfaces.problem_env import ProblemEnv
+from kinds import IDS_OF_KINDS
+from sample_problems import mixed_problem, scalar
+
+PROBLEMS: dict[str, Any] = {**{id: id for id in cg.problem_ids()}, "mixed": mixed_problem()}
+each = pytest.mark.parametrize("name", PROBLEMS)
+each_kind = pytest.mark.parametrize("name", [*IDS_OF_KINDS, "mixed"])
+
+
+def actions_of(env: ProblemEnv, seed: int) -> Iterator[dict[str, np.ndarray]]:
+    rng = np.random.default_rng(seed)
+    while True:
+        boxes = {agent.name: (agent.input_low, agent.input_high) for agent in env.problem.agents}
+        yield {name: low + rng.random(low.shape) * (high - low) for name, (low, high) in boxes.items()}
+
+
+def episode(env: ProblemEnv, seed: int | None) -> list[Any]:
+    record: list[Any] = [env.reset(seed=seed)]
+    for actions in actions_of(env, 0):
+        record.append(env.step(actions))
+        if not env.agents:
+            return record
+    raise AssertionError
+
+
+def digest(record: list[Any]) -> bytes:
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(item) for key, item in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [plain(item) for item in value]
+        return value.tolist() if isinstance(value, np.ndarray) else value
+
+    return repr(plain(record)).encode()
+
+
+def test_pettingzoo_takes_agents_of_several_sizes_that_no_id_has() -> None:
+    parallel_api_test(cg.parallel_env(PROBLEMS["mixed"]), num_cycles=60)
+    parallel_seed_test(lambda: cg.parallel_env(PROBLEMS["mixed"]))
+
+
+def test_modules_offer_the_three_functions() -> None:
+    assert isinstance(reach_avoid_v0.parallel_env(horizon=2), pettingzoo.ParallelEnv)
+    for make in (reach_avoid_v0.env, reach_avoid_v0.raw_env):
+        assert isinstance(make(), pettingzoo.AECEnv)
+    assert reach_avoid_v0.parallel_env(render_mode="ansi").render_mode == "ansi"
+
+
+@each_kind
+def test_whole_episodes_repeat_with_a_seed_also_with_seed_zero(name: str) -> None:
+    for seed in (0, 1):
+        env = cg.parallel_env(PROBLEMS[name])
+        first = digest(episode(env, seed))
+        assert digest(episode(env, seed)) == first
+        assert digest(episode(cg.parallel_env(PROBLEMS[name]), seed)) == first
+        onward = digest(episode(env, None))  # the generator goes on
+        assert onward != first
+    assert digest(episode(env, 0)) != digest(episode(env, 1))
+
+
+def test_two_processes_tell_the_same_story() -> None:
+    program = (
+        "import hashlib, test_parallel_env as t, certigym as cg;"
+        "print(hashlib.sha256(t.digest(t.episode(cg.parallel_env('reach-avoid-v0'), 0))).hexdigest())"
+    )
+    root = Path(__file__).parents[2]
+    paths = (root / "src", root / "tests", Path(__file__).parent)
+    environment = {"PYTHONPATH": os.pathsep.join(map(str, paths))}
+    said = [
+        subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    assert len(said[0].stdout.strip()) == 64
+    assert said[0].stdout == said[1].stdout
+
+
+@each_kind
+def test_pickled_environments_go_on_alike(name: str) -> None:
+    env = cg.parallel_env(PROBLEMS[name])
+    env.reset(seed=3)
+    moves = actions_of(env, 1)
+    env.step(next(moves))
+    twin = pickle.loads(pickle.dumps(env))
+    while env.agents:
+        actions = next(moves)
+        assert digest(list(env.step(actions))) == digest(list(twin.step(actions)))
+    assert twin.agents == []
+
+
+@each_kind
+def test_the_environment_is_the_core_with_one_world(name: str) -> None:
+    env = cg.parallel_env(PROBLEMS[name])
+    env.reset(seed=5)
+    dynamics = core.Dynamics.of(env.problem)
+    rng = np.random.default_rng(5)
+    worlds = core.initial(dynamics, rng, 1)
+    for actions in actions_of(env, 2):
+        joint = core.joint(dynamics, worlds)[0]
+        env_joint = np.concatenate([env._infos()[agent]["state"] for agent in env.possible_agents])
+        assert (env_joint == joint).all()
+        inputs = []
+        for block in dynamics.blocks:
+            stacked = np.stack([actions[env.possible_agents[i]] for i in block.agents], axis=1)
+            inputs.append(stacked[..., None])
+        _, rewards, terminations, truncations, infos = env.step(actions)
+        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 1))
+        verdict = bool(core.satisfied(dynamics, worlds)[0])
+        assert set(rewards.values()) == {float(verdict)}
+        for agent in env.possible_agents:
+            assert infos[agent]["satisfied"] == verdict
+            assert infos[agent]["automaton_state"] == worlds.q[0]
+            assert infos[agent]["time"] == worlds.time
+            assert not (terminations[agent] and truncations[agent])
+        if not env.agents:
+            return
+
+
+@each_kind
+def test_the_return_is_satisfaction(name: str) -> None:
+    env = cg.parallel_env(PROBLEMS[name])
+    for seed in range(20):
+        record = episode(env, seed)
+        total = sum(step[1][env.possible_agents[0]] for step in record[1:])
+        last = record[-1][4][env.possible_agents[0]]
+        assert total == float(last["satisfied"])
+        assert len(record) - 1 <= env.problem.horizon
+
+
+def test_observations_hold_state_automaton_and_time() -> None:
+    env = cg.parallel_env(cg.make_problem("reach-avoid-v0", initial_state=[-10.0, -4.0]))
+    observations, infos = env.reset(seed=0)
+    n_q = env.problem.automaton.n_states
+    one_hot = np.eye(n_q)[env.problem.initial_q]
+    assert observations["agent_0"].dtype == np.float64
+    assert observations["agent_0"].tolist() == [-10.0, *one_hot, 1.0]
+    assert env.state().tolist() == [-10.0, -4.0, *one_hot, 1.0]
+    assert env.state_space.contains(env.state())
+    observations, *_, infos = env.step({agent: np.zeros(1) for agent in env.agents})
+    assert observations["agent_0"][-1] == 1.0 - 1.0 / 7.0
+    assert infos["agent_0"]["state"][0] == observations["agent_0"][0]
+
+
+def test_actions_are_clipped_and_bad_ones_refused() -> None:
+    env, twin = cg.parallel_env("reach-avoid-v0"), cg.parallel_env("reach-avoid-v0")
+    env.reset(seed=0), twin.reset(seed=0)
+    zero = np.zeros(1)
+    far = env.step({"agent_0": np.array([99.0]), "agent_1": zero})[0]
+    edge = twin.step({"agent_0": np.array([5.0]), "agent_1": zero})[0]
+    assert (far["agent_0"] == edge["agent_0"]).all()
+    for bad in (np.array([np.nan]), np.zeros(2), "0.0"):
+        with pytest.raises(ValueError, match=r"`actions\['agent_0'\]`: expected finite numbers of shape \(1,\)"):
+            env.step({"agent_0": bad, "agent_1": zero})
+    with pytest.raises(ValueError, match="got none for 'agent_1'"):
+        env.step({"agent_0": zero})
+
+
+def test_an_exit_terminates_and_the_observation_stays_in_its_space() -> None:
+    problem = cg.make_problem("invariance-v0", n_agents=2, initial_state=[9.9, 9.9], setting="B")
+    outside = problem.replace(initial_state=[50.0, 0.0])
+    env = cg.parallel_env(outside, infos="words")
+    observations, infos = env.reset(seed=0)
+    assert env.observation_space("agent_0").contains(observations["agent_0"])
+    assert infos["agent_0"]["state"].tolist() == [50.0] and infos["agent_0"]["letter"] == ()
+    _, rewards, terminations, truncations, infos = env.step({agent: np.zeros(1) for agent in env.agents})
+    assert rewards == {"agent_0": 0.0, "agent_1": 0.0} and terminations == {"agent_0": True, "agent_1": True}
+    assert truncations == {"agent_0": False, "agent_1": False} and infos["agent_1"]["time"] == 0
+    assert env.agents == [] and env.step({}) == ({}, {}, {}, {}, {})
+
+
+def test_a_start_that_satisfies_pays_once_at_the_first_step() -> None:
+    env = cg.parallel_env(cg.make_problem("reach-avoid-v0", initial_state=[0.0, -4.0]), infos="words")
+    _, infos = env.reset(seed=0)
+    assert infos["agent_0"]["satisfied"] and infos["agent_0"]["letter"] == ("p1",)
+    _, rewards, terminations, _, _ = env.step({agent: np.zeros(1) for agent in env.agents})
+    assert set(rewards.values()) == {1.0} and all(terminations.values()) and env.agents == []
+
+
+def test_a_dead_automaton_state_terminates() -> None:
+    env = cg.parallel_env(cg.make_problem("reach-avoid-v0", initial_state=[-3.0, -18.0]))
+    env.reset(seed=0)
+    _, rewards, terminations, _, _ = env.step({agent: np.zeros(1) for agent in env.agents})
+    assert set(rewards.values()) == {0.0} and all(terminations.values())
+
+
+def test_the_horizon_truncates_and_pays_finite_traces() -> None:
+    env = cg.parallel_env("invariance-4-v0", horizon=3)
+    _, _ = env.reset(seed=0)
+    while env.agents:
+        _, rewards, terminations, truncations, infos = env.step({agent: np.zeros(1) for agent in env.agents})
+    assert all(truncations.values()) and not any(terminations.values())
+    assert set(rewards.values()) == {1.0} and infos["agent_0"]["time"] == 3
+
+
+def test_reset_options_replace_the_start() -> None:
+    env = cg.parallel_env("reach-avoid-v0")
+    _, infos = env.reset(seed=0, options={"initial_state": {"agent_0": [-7.5]}})
+    assert infos["agent_0"]["state"].tolist() == [-7.5] and -5.0 <= infos["agent_1"]["state"][0] < -2.5
+    assert env.reset(seed=0)[1]["agent_0"]["state"].tolist() != [-7.5]
+
+
+def test_rendering() -> None:
+    env = cg.parallel_env("reach-avoid-v0", render_mode="ansi", initial_state=[-10.0, -4.0])
+    env.reset(seed=0)
+    assert env.render() == f"t=0/7 q={env.problem.automaton.state_names[env.problem.initial_q or 0]}: " + (
+        "agent_0 [-10.0], agent_1 [-4.0]"
+    )
+    assert cg.parallel_env("reach-avoid-v0").render() is None
+    with pytest.raises(
+        ValueError, match=r"`render_mode`: expected None or 'ansi' or 'rgb_array' or 'human', got 'gif'"
+    ):
+        cg.parallel_env("reach-avoid-v0", render_mode="gif")
+
+
+def test_spaces_are_equal_where_agents_are_and_the_same_object_each_time() -> None:
+    env = cg.parallel_env("invariance-4-v0")
+    assert env.action_space("agent_0") == env.action_space("agent_3")
+    assert env.observation_space("agent_0") == env.observation_space("agent_3")
+    assert env.action_space("agent_0") is env.action_space("agent_0")
+    with pytest.raises(RuntimeError, match="reset"):
+        env.step({})
+
+
+def test_a_problem_takes_no_arguments_beside_it() -> None:
+    with pytest.raises(ValueError, match=r"`horizon`: expected only with a problem id; use `problem.replace`"):
+        cg.parallel_env(cg.make_problem("reach-avoid-v0"), horizon=3)
+    with pytest.raises(ValueError, match=r"`problem`: expected a Problem or the id of one, got LinearAgent"):
+        cg.parallel_env(scalar())  # type: ignore[arg-type]

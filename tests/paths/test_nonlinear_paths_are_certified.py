@@ -1,0 +1,582 @@
+"""Paths of agents written as expressions: certified below the truth, checked by other code, carried out, kept."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom, norm
+
+import certigym as cg
+from certigym.envs.expressions import Program, computed, read_expression
+from certigym.synthesis.agreement import agreed
+from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed, start_of_claim
+from certigym.synthesis.nominal_paths.counted_work import CountedWork
+from certigym.synthesis.nominal_paths.nonlinear_search import Found, NonlinearSearch
+from certigym.synthesis.path_bounds import feedback_bounds
+from certigym.synthesis.path_bounds.limit_rows import Worth
+from certigym.synthesis.path_checking.gaussian_inequalities import Inequalities
+from certigym.synthesis.path_checking.linear_deviations import Chain
+from certigym.synthesis.path_checking.own_bends import Feedback, expansion
+from fleet_problems import path_of
+
+FALSE_ALARM = 1e-6
+"""Probability that a test of rollouts fails although the claim is true."""
+
+
+def problem_of(agents: list[Any], regions: dict[str, cg.Proposition], formula: str, horizon: int) -> cg.Problem:
+    """Return a problem; formulas with G are judged at the end."""
+    task = cg.Specification(formula, "finite-trace" if "G" in formula else "co-safe")
+    return cg.Problem(name="path", agents=agents, propositions=regions, specification=task, horizon=horizon)
+
+
+def cart(**changes: Any) -> cg.Agent:
+    """A car with four states: place, heading and speed."""
+    arguments: dict[str, Any] = {
+        "states": ["x", "y", "heading", "speed"], "inputs": ["turn", "push"],
+        "dynamics": ["x + 0.4*speed*cos(heading)", "y + 0.4*speed*sin(heading)", "heading + 0.4*turn",
+                     "speed + 0.4*push"],
+        "noise_covariance": np.diag([0.03**2, 0.03**2, 0.03**2, 0.03**2]), "state_low": [-1, -3, -3, -1],
+        "state_high": [7, 3, 3, 2], "input_low": [-2, -2], "input_high": [2, 2], "initial_state": [0, 0, 0, 0.5],
+        "outputs": ["x", "y"],
+    }  # fmt: skip
+    return cg.Agent(name="cart", **{**arguments, **changes})
+
+
+def bend(horizon: int = 12, **changes: Any) -> cg.Problem:
+    """Return the cart that passes a rock on its way to a dock."""
+    regions = {"rock": cg.Proposition("cart", [1.5, -1.0], [2.5, 0.4]), "dock": cg.Proposition("cart", [4, -1], [6, 1])}
+    return problem_of([cart(**changes)], regions, "(!rock) U dock", horizon)
+
+
+def tank() -> cg.Problem:
+    """Return a tank whose outflow is a root, with noise that grows with the level, and a disturbance."""
+    agent = cg.Agent(
+        name="tank", states=["upper", "lower"], inputs=["pump"], disturbances={"leak": [-0.01, 0.02]},
+        dynamics=["upper + 0.2*pump - 0.2*sqrt(upper)", "lower + 0.2*sqrt(upper) - 0.2*sqrt(lower) - leak"],
+        noise=[{"law": "gaussian", "std": 0.02}, {"law": "gaussian", "std": 0.02}],
+        noise_scale=["0.5 + 0.5*upper", "1"], state_low=[0.1, 0.1], state_high=[4, 4], input_low=[0], input_high=[2],
+        initial_state=[1, 1],
+    )  # fmt: skip
+    return problem_of([agent], {"full": cg.Proposition("tank", [1.4, 1.3], [2.2, 2.0])}, "F full", 16)
+
+
+PROBLEMS = {"cart": bend(), "box": bend(initial_state=None, initial_low=[-0.1, -0.1, -0.05, 0.45],
+                                       initial_high=[0.1, 0.1, 0.05, 0.55]), "tank": tank()}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def certificates() -> dict[str, AlongPath]:
+    return {name: path_of(problem) for name, problem in PROBLEMS.items()}
+
+
+@pytest.mark.parametrize("name", sorted(PROBLEMS))
+def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[str, AlongPath]) -> None:
+    certificate = certificates[name]
+    report = cg.check(certificate, PROBLEMS[name])
+    assert report.valid, report.failures
+    assert certificate.lower_bound > 0.9
+    verdict = cg.validate(certificate, 20_000, seed=1, confidence=1.0 - FALSE_ALARM / 3)
+    assert verdict.verdict != "refuted"
+
+
+def test_the_search_is_deterministic() -> None:
+    first, second = (path_of(bend(8)) for _ in range(2))
+    assert first.proof.failure == second.proof.failure
+    assert np.array_equal(first.proof.paths[0].gains, second.proof.paths[0].gains)
+
+
+@pytest.mark.parametrize("start", [[-0.1, -0.1, -0.05, 0.45], [0.1, 0.1, 0.05, 0.55], [0.1, -0.1, 0.05, 0.45]])
+def test_corners_of_a_start_box_keep_the_bound(start: list[float], certificates: dict[str, AlongPath]) -> None:
+    certificate = certificates["box"]
+    assert start_of_claim(certificate) == "mean" and start_of_claim(certificates["cart"]) == "point"
+    problem = PROBLEMS["box"].replace(initial_state=start)
+    done = cg.rollout(problem, certificate.controller, 20_000, seed=3)
+    assert binom.cdf(done.successes, 20_000, certificate.lower_bound) > FALSE_ALARM / 3
+
+
+@pytest.mark.parametrize("leak", [-0.01, 0.02])
+def test_disturbances_at_their_ends_keep_the_bound(leak: float, certificates: dict[str, AlongPath]) -> None:
+    """Against dynamics written here once more."""
+    certificate, rng, n = certificates["tank"], np.random.default_rng(4), 20_000
+    (path,) = certificate.proof.paths
+    assert path.states is not None
+    x, kept = np.ones((2, n)), np.ones(n, dtype=bool)
+    reached = np.zeros(n, dtype=bool)
+    for t in range(certificate.proof.n_steps):
+        u = np.clip(path.inputs[t][:, None] + path.gains[t] @ (x - path.states[t][:, None]), 0.0, 2.0)
+        upper, lower = x
+        scale = np.stack([0.5 + 0.5 * upper, np.ones(n)])
+        flow, out = 0.2 * np.sqrt(upper), 0.2 * np.sqrt(lower)
+        mean = np.stack([upper + 0.2 * u[0] - flow, lower + flow - out - leak])
+        x = mean + 0.02 * scale * rng.standard_normal((2, n))
+        kept &= np.all((x >= 0.1) & (x <= 4.0), axis=0) | reached
+        reached |= kept & (x[0] >= 1.4) & (x[0] < 2.2) & (x[1] >= 1.3) & (x[1] < 2.0)
+        x = np.clip(x, 0.1, 4.0)
+    assert binom.cdf(int(reached.sum()), n, certificate.lower_bound) > FALSE_ALARM / 2
+
+
+def test_one_step_is_nearly_exact() -> None:
+    """A step without any past has no drift: the bound is that of the interval that is to be hit."""
+    agent = cg.Agent(
+        name="one", states=["x"], inputs=["u"], dynamics=["x + u*cos(x)"], noise_covariance=[[0.04]], state_low=[-3],
+        state_high=[3], input_low=[-1], input_high=[1], initial_state=[0.3],
+    )  # fmt: skip
+    certificate = path_of(problem_of([agent], {"goal": cg.Proposition("one", [0.6], [1.4])}, "F goal", 1))
+    truth = 2.0 * norm.cdf(0.4 / 0.2) - 1.0
+    assert truth - 1e-5 < certificate.lower_bound <= truth
+    assert cg.check(certificate)
+
+
+def shifted(certificate: AlongPath, **changes: Any) -> AlongPath:
+    (path,) = certificate.proof.paths
+    return changed(certificate, paths=(replace(path, **{k: f(getattr(path, k)) for k, f in changes.items()}),))
+
+
+FORGERIES = {
+    "failure": lambda c: changed(c, failure=0.9 * c.proof.failure),
+    "no failure": lambda c: changed(c, failure=0.0),
+    "letters": lambda c: changed(c, letters=np.zeros_like(c.proof.letters)),
+    "sides": lambda c: changed(c, faces=np.where(c.proof.faces >= 0, c.proof.faces ^ 1, -1)),
+    "inputs": lambda c: shifted(c, inputs=lambda u: 0.9 * u),
+    "states": lambda c: shifted(c, states=lambda x: x + 0.05),
+    "start": lambda c: shifted(c, states=lambda x: np.vstack([x[:1] + 0.3, x[1:]])),
+    "gains": lambda c: shifted(c, gain=lambda k: 1.5 * k),
+    "gains of another step": lambda c: shifted(c, gain=lambda k: np.roll(k, 3, axis=0)),
+    "no feedback": lambda c: shifted(c, gain=lambda k: 0.0 * k),
+    "wide slabs": lambda c: shifted(c, slabs=lambda s: 4.0 * s),
+    "no slabs": lambda c: shifted(c, slabs=lambda s: np.full_like(s, np.inf)),
+    "narrow slabs": lambda c: shifted(c, slabs=lambda s: 0.5 * s),
+    "slabs that are none": lambda c: shifted(c, slabs=lambda s: -s),
+    "too large inputs": lambda c: shifted(c, inputs=lambda u: u + 3.0),
+    "one step less": lambda c: changed(
+        c, letters=c.proof.letters[1:], faces=c.proof.faces[1:],
+        paths=tuple(AgentPath(p.inputs[1:], p.gain[1:], p.states[1:], p.slabs[1:]) for p in c.proof.paths)),
+    "form": lambda c: shifted(c, states=lambda x: x[:-1]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(FORGERIES))
+def test_forgeries_are_refused(name: str, certificates: dict[str, AlongPath]) -> None:
+    assert not cg.check(FORGERIES[name](certificates["cart"]))
+
+
+@pytest.mark.parametrize(
+    ("value", "gain", "admissible"),
+    [(-1.0, 0.0, True), (1.0, 0.0, True), (1.01, 0.0, False), (-1.01, 0.0, False), (1.0, 0.1, False),
+     (-1.0, 0.1, False), (0.0, 0.1, True)],
+)  # fmt: skip
+def test_inputs_keep_their_box_with_their_feedback(value: float, gain: float, admissible: bool) -> None:
+    """A third input moves nothing: what is asked of it is its box alone."""
+    agent = cart(inputs=["turn", "push", "idle"], input_low=[-2, -2, -1], input_high=[2, 2, 1])
+    problem = problem_of([agent], {"dock": cg.Proposition("cart", [1.0, -1], [6, 1])}, "F dock", 5)
+    search = NonlinearSearch(problem, 0, CountedWork())
+    letters = np.zeros((6, 1), dtype=np.int8)
+    letters[5] = 1
+    found = search.quick(letters)
+    assert found is not None
+    inputs, gains = found.path.inputs.copy(), found.path.gain.copy()
+    inputs[:, 2], gains[:, 2] = value, [gain, 0.0, 0.0, 0.0]
+    path = replace(found.path, inputs=inputs, gain=gains)
+    certificate = cg.Certificate(problem, PathProof((path,), letters, np.full((6, 1), -1), 0.1), {})
+    assert bool(cg.check(certificate)) == admissible
+
+
+def noisy() -> cg.Problem:
+    """The cart with so much noise that failures are not negligible."""
+    noise = np.diag([0.05**2, 0.05**2, 0.06**2, 0.04**2])
+    return bend(noise_covariance=noise, input_low=[-1, -1], input_high=[1, 1])
+
+
+def along(problem: cg.Problem) -> tuple[Found, AlongPath]:
+    """What little work finds along a path, and its certificate."""
+    certificate = path_of(problem)
+    found = NonlinearSearch(problem, 0, CountedWork()).quick(certificate.proof.letters)
+    assert found is not None
+    return found, changed(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
+
+
+def without_the_tube(*arguments: Any, **named: Any) -> Any:
+    """Remainders at the point in place of the tube: none."""
+    middle, half = true_remainders(*arguments, **named)
+    return 0.0 * middle, 0.0 * half
+
+
+def with_the_other_sign(*arguments: Any, **named: Any) -> Any:
+    """Remainders that bend to the other side."""
+    middle, half = true_remainders(*arguments, **named)
+    return -middle, half
+
+
+true_remainders: Any = feedback_bounds.remainders
+
+
+class NoDrift(feedback_bounds._Walk):
+    """Tubes, inputs and limits that only linear deviations are kept from."""
+
+    def of_rows(self, t: int, rows: Any) -> Any:
+        shift, drift, variance = super().of_rows(t, rows)
+        return shift, 0.0 * drift, variance
+
+
+class Unlimited(feedback_bounds._Walk):
+    """Inputs whose feedback is not asked to keep their limits."""
+
+    def _step(self, t: int, reach: Any) -> Any:
+        result = super()._step(t, reach)
+        for part in (self.worth.low, self.worth.high):
+            part[-1] = np.full_like(part[-1], np.inf)
+        return result
+
+
+class NoTubeRows(feedback_bounds._Walk):
+    """Tubes that are not asked for in the product."""
+
+    def walked(self) -> Any:
+        worth, spreads = super().walked()
+        worth.slab = [np.full(part.shape, np.inf) for part in worth.slab]
+        return worth, spreads
+
+
+SABOTAGES: dict[str, tuple[str, Any]] = {
+    "remainder at the point": ("remainders", without_the_tube),
+    "tube without drift": ("_Walk", NoDrift),
+    "limits without feedback": ("_Walk", Unlimited),
+    "tube rows left out": ("_Walk", NoTubeRows),
+}
+
+
+def bowl() -> cg.Problem:
+    """A ball that rolls to the middle, and a cost that its square adds to: all of the bend is on one side."""
+    noise = [{"law": "gaussian", "std": 0.05}, {"law": "gaussian", "std": 0.01}]
+    agent = cg.Agent(name="ball", states=["x", "cost"], dynamics=["0.8*x", "0.9*cost + 0.3*x**2"], noise=noise,
+                     state_low=[-2, -1], state_high=[2, 1], initial_state=[0.5, 0.0])  # fmt: skip
+    return problem_of([agent], {"dear": cg.Proposition("ball", [-2, 0.4], [2, 1])}, "G !dear", 6)
+
+
+@cache
+def honest(bowled: bool) -> tuple[Found, AlongPath]:
+    """What is found for the ball, or for noisy agents; the check accepts it."""
+    found, certificate = along(bowl() if bowled else noisy())
+    assert cg.check(certificate), "honest"
+    return found, certificate
+
+
+@pytest.mark.parametrize("name", [*sorted(SABOTAGES), "remainder of the other sign", "jacobian of a later step"])
+def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found, certificate = honest(name not in SABOTAGES)
+    nominal = found.nominal
+    if name in SABOTAGES:
+        monkeypatch.setattr(feedback_bounds, *SABOTAGES[name])
+    elif name == "remainder of the other sign":
+        monkeypatch.setattr(feedback_bounds, "remainders", with_the_other_sign)
+    else:
+        nominal = feedback_bounds.NominalPath(nominal.model, nominal.limits, nominal.states, nominal.inputs)
+        nominal.__dict__["linear"] = tuple(np.vstack([m[1:], m[-1:]]) for m in found.nominal.linear)
+    feedback = found.feedback
+    worth, spreads = nominal.worth(feedback)
+    path = AgentPath(found.nominal.inputs, feedback.gains[0], found.nominal.states, spreads.slabs)
+    forged = changed(certificate, paths=(path,), failure=float(worth.failures()[0]))
+    assert forged.proof.failure < 0.999 * found.failure and not cg.check(forged)
+
+
+@pytest.mark.parametrize("slab", [3.5, np.inf])
+@pytest.mark.parametrize("forgotten", ["what the scale varies", "that the noise depends on the past"])
+def test_what_is_forgotten_of_scales_is_refused(
+    slab: float, forgotten: str, certificates: dict[str, AlongPath], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With slabs on the noise, and with variances of the largest scale: the nominal scale alone is not enough."""
+    certificate, search = certificates["tank"], NonlinearSearch(PROBLEMS["tank"], 0, CountedWork())
+    found = search.quick(certificate.proof.letters)
+    assert found is not None
+    slabs = found.feedback.slabs.copy()
+    slabs[:, :, 3:] = slab
+    feedback = replace(found.feedback, slabs=slabs)
+
+    def claimed() -> AlongPath:
+        worth, spreads = found.nominal.worth(feedback)
+        path = replace(found.path, slabs=spreads.slabs)
+        return changed(certificate, paths=(path,), faces=found.faces, failure=float(worth.failures()[0]))
+
+    honest = claimed()
+    assert cg.check(honest) and honest.proof.failure < 1.0
+
+    def nominal(*arguments: Any, follows: bool = True) -> Any:
+        middle, half = true_remainders(*arguments, follows)
+        factor = 1.0 if follows else 0.0  # only scales ask for no feedback
+        return factor * middle, factor * half
+
+    if forgotten == "what the scale varies":
+        monkeypatch.setattr(feedback_bounds, "remainders", nominal)
+    elif slab == np.inf:
+        monkeypatch.setattr(Worth, "stop", lambda self, which: None)
+    else:  # a slab on the noise has a tail
+        monkeypatch.setattr(Worth, "add", without_noise(Worth.add))
+    forged = claimed()
+    assert forged.proof.failure < 0.999 * honest.proof.failure and not cg.check(forged)
+
+
+def without_noise(add: Any) -> Any:
+    """Add all rows but those on the noise."""
+
+    def kept(self: Worth, *rows: Any) -> None:
+        if not rows[4][0].startswith("noise"):
+            add(self, *rows)
+
+    return kept
+
+
+@pytest.mark.parametrize("longest", [30.0, 3000.0])
+def test_a_clock_is_a_state_without_noise(longest: float) -> None:
+    """A reference that moves with the time: the check refused slabs that were thinner than what it rounds by."""
+    agent = cg.Agent(
+        name="one", states=["x", "clock"], inputs=["u"], dynamics=["x + u", "clock + 1"],
+        outputs=["x - 2*sin(0.4*clock)"], noise=[{"law": "gaussian", "std": std} for std in (0.1, 0.0)],
+        state_low=[-4, -1], state_high=[4, longest], input_low=[-1], input_high=[1], initial_state=[0, 0],
+    )  # fmt: skip
+    certificate = path_of(problem_of([agent], {"near": cg.Proposition("one", [-0.5], [0.5])}, "G near", 20))
+    assert certificate.lower_bound > 0.999 and cg.check(certificate)
+    assert cg.validate(certificate, 20_000, seed=2, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
+
+
+def test_noise_that_stops_at_the_limit_needs_twice_the_tail() -> None:
+    """A walk that stands still once it is beyond the limit exceeds it nearly twice as often as a Gaussian number."""
+    rng, n, steps = np.random.default_rng(2), 20_000, 600
+    walk = np.zeros(n)
+    for _ in range(steps):
+        walk += np.where(walk < 2.0, 1.0, 0.0) * rng.standard_normal(n) / math.sqrt(steps)
+    rows = Inequalities(is_stopped=True)
+    rows.add(np.array([np.inf]), np.array([2.0]), np.array([np.inf]), np.array([1.0]))
+    assert rows.failure() == pytest.approx(2.0 * norm.sf(2.0))
+    exceeded = int(np.sum(walk >= 2.0))
+    assert binom.sf(exceeded - 1, n, rows.failure()) > FALSE_ALARM
+    assert binom.sf(exceeded - 1, n, norm.sf(2.0)) < FALSE_ALARM
+
+
+def test_noise_that_grows_with_the_state_is_certified_at_any_size() -> None:
+    """Noise of which no slab is small: the largest scale on the tube counts, and no more than the tails double."""
+    agent = cg.Agent(
+        name="plant", states=["upper", "lower"], inputs=["pump"],
+        dynamics=["upper + 0.5*(pump - 0.4*sqrt(max(upper, 0)))",
+                  "lower + 0.5*(0.4*sqrt(max(upper, 0)) - 0.35*sqrt(max(lower, 0)))"],
+        noise=[{"law": "gaussian", "std": 1.0}] * 2,
+        noise_scale=["0.02 + 0.05*pump", "0.02 + 0.02*sqrt(max(upper, 0))"], state_low=[0, 0], state_high=[4, 4],
+        input_low=[0], input_high=[1], initial_state=[1, 0.5],
+    )  # fmt: skip
+    regions = {"good": cg.Proposition("plant", [0.5, 1.4], [3.0, 2.2]), "full": cg.Proposition("plant", [0, 3], [4, 4])}
+    certificate = path_of(problem_of([agent], regions, "(!full) U good", 25))
+    assert certificate.lower_bound > 0.97  # with slabs on the noise alone .85
+    assert cg.check(certificate) and np.any(np.isinf(certificate.proof.paths[0].slabs[1:-1, 3:]))  # type: ignore[index]
+    assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
+
+
+def test_drift_and_variance_are_those_of_all_products() -> None:
+    """Against sums that are written out, with matrices that do not commute and units of very different size."""
+    rng, d, steps = np.random.default_rng(6), 3, 7
+    units = np.array([1.0, 128.0, 0.0078125])
+    closed = [(np.eye(d) + 0.4 * rng.standard_normal((d, d))) * units[:, None] / units for _ in range(steps)]
+    drifts = [rng.random(d) * [1.0, 100.0, 0.01] for _ in range(steps)]
+    middles = [rng.standard_normal(d) * [1.0, 100.0, 0.01] for _ in range(steps)]
+    noises = [np.diag(rng.random(d)) for _ in range(steps)]
+    chain, rows = Chain(units, np.array([0.1, 2.0, 0.0])), rng.standard_normal((4, d))
+    for F, m, r, Q in zip(closed, middles, drifts, noises, strict=True):
+        chain.advance(F, m, r, Q)
+    moved, (shift, drift, variance) = rows, np.zeros((3, 4))
+    for F, m, r, Q in zip(closed[::-1], middles[::-1], drifts[::-1], noises[::-1], strict=True):
+        drift += np.abs(moved) @ r
+        shift += moved @ m
+        variance += np.einsum("jd,de,je->j", moved, Q, moved)
+        moved = moved @ F
+    drift += np.abs(moved) @ [0.1, 2.0, 0.0]
+    found_shift, found_drift = chain.drift(rows)
+    for found, truth in ((found_drift, drift), (chain.variances(rows), variance)):
+        assert np.all(found >= truth) and np.all(found <= truth * (1.0 + 1e-9))
+    assert np.all(np.abs(found_shift - shift) <= found_drift - drift) and np.any(np.abs(shift) > 0.1)
+
+
+CURVES = ("x*x - 2*y", "x*u", "x*v", "sqrt(3 + x)*u + x*y", "cos(x + u) - y*v*w", "exp(u)*v + w*x")
+"""Expressions of states x and y, inputs u and v that follow them, and a disturbance w."""
+
+
+@pytest.mark.parametrize("text", CURVES)
+def test_expressions_stay_where_their_expansion_under_feedback_says(text: str) -> None:
+    """Random points and corners of boxes that are not symmetric, inputs that follow, and a disturbance."""
+    rng, names = np.random.default_rng(7), ("x", "y", "u", "v", "w")
+    tree, gain, c = read_expression(text, names, {}), np.array([[1.5, 0.0], [-0.7, 0.4]]), np.array([0.2, -0.3])
+    below, above, nominal = np.array([0.3, 0.1]), np.array([0.5, 0.6]), np.array([0.4, -0.2])
+    reach = np.abs(gain) @ np.maximum(below, above)
+    box = np.stack([np.concatenate([c - below, nominal - reach, [-0.5]]),
+                    np.concatenate([c + above, nominal + reach, [0.25]])])  # fmt: skip
+    centre = np.concatenate([c, nominal, [0.0]])
+    found = expansion([tree], names, centre, box, 4, Feedback(gain, np.zeros(2)))
+    e = rng.uniform(-below, above, (20_000, 2))
+    corner = rng.random(e.shape) < 0.5
+    e = np.where(corner, np.where(rng.random(e.shape) < 0.5, -below, above), e)
+    z = np.hstack([e, e @ gain.T, rng.choice([-0.5, 0.0, 0.25], (len(e), 1))])
+    (values,) = computed([tree], dict(zip(names, (centre + z).T, strict=True)))
+    rest = values - z @ found.matrix[0]
+    middle, off = found.values.mean(axis=0)[0], found.off[0]
+    assert np.all(np.abs(rest - middle) <= off * (1.0 + 1e-9))
+    if text == "x*u":
+        # K e e is a square times K: nothing lies on the other side, and what is known is what there is.
+        assert off == pytest.approx(0.5 * 1.5 * 0.25, rel=1e-9) and np.ptp(rest) > 1.99 * off
+
+
+def test_tails_of_one_side_are_not_counted_twice() -> None:
+    rows = Inequalities()
+    rows.add(np.full(3, 2.0), np.full(3, np.inf), np.full(3, np.inf), np.ones(3))
+    assert rows.failure() == pytest.approx(3.0 * norm.sf(2.0), rel=1e-9)
+    rows.add(np.full(2, 2.0), np.full(2, 3.0), np.full(2, 1.5), np.ones(2))
+    assert rows.failure() > 1.0 - (1.0 - 2.0 * norm.sf(1.5)) ** 2
+    rows.add(np.array([0.0]), np.array([1.0]), np.array([np.inf]), np.array([0.0]))
+    assert rows.failure() == 1.0
+
+
+@pytest.mark.parametrize("nothing", [-np.inf, np.nan])
+def test_limits_of_which_nothing_is_known_are_not_kept(nothing: float) -> None:
+    rows = Inequalities()
+    rows.add(np.array([nothing]), np.array([np.inf]), np.array([np.inf]), np.ones(1))
+    assert rows.failure() == 1.0
+    rows = Inequalities()
+    rows.add(np.ones(1), np.full(1, np.inf), np.full(1, np.inf), np.full(1, abs(nothing)))
+    assert rows.failure() == 1.0
+
+
+def test_outputs_of_which_nothing_is_known_on_the_tube_certify_nothing() -> None:
+    """The logarithm of a state that the tube takes beyond 0 has no bounds: no limit on it is kept."""
+    agent = cg.Agent(
+        name="one", states=["x"], inputs=["u"], dynamics=["x + u"], noise_covariance=[[1e-4]], state_low=[-1],
+        state_high=[1], input_low=[-1], input_high=[1], initial_state=[0.505], outputs=["log(x)"],
+    )  # fmt: skip
+    problem = problem_of([agent], {"bad": cg.Proposition("one", [-9.0], [-0.69])}, "G !bad", 1)
+    path = AgentPath(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full((2, 1), 0.505), np.full((2, 3), np.inf))
+    letters, faces = np.array([[0], [-1]], dtype=np.int8), np.array([[-1], [1]])
+    for failure in (0.6, 0.99):
+        assert not cg.check(cg.Certificate(problem, PathProof((path,), letters, faces, failure), {}))
+
+
+def test_files_keep_nonlinear_paths(certificates: dict[str, AlongPath], tmp_path: Path) -> None:
+    certificate = certificates["cart"]
+    cg.save(certificate, tmp_path / "path.npz")
+    again: Any = cg.load(tmp_path / "path.npz")
+    assert isinstance(again.proof, PathProof) and again.proof.failure == certificate.proof.failure
+    assert cg.check(again, certificate.problem).valid
+    states = np.random.default_rng(0).normal(size=(4, 5))
+    for t in range(3):
+        np.testing.assert_array_equal(
+            again.controller._inputs(0, states, t), certificate.controller._inputs(0, states, t)
+        )
+
+
+def test_reports_show_the_tube(certificates: dict[str, AlongPath], tmp_path: Path) -> None:
+    content = cg.report(certificates["cart"], tmp_path / "path.html", episodes=200)
+    assert content.checked is not None and content.checked.valid
+    page = (tmp_path / "path.html").read_text(encoding="utf-8")
+    assert page.count("<svg") >= 1
+    # Deviations that dynamics bend are not those of the tube: no probability is said of them.
+    assert "the tube that linear deviations" in page and "kept with probability" not in page
+
+
+TEXTS = [
+    "x + 0.1*z*cos(y)", "z*tan(y)/(1 + x**2)", "sqrt(2 + x)*exp(y)*atan(z)", "tanh(x*y)/(2 + sin(z))",
+    "x*x*y + x**3/z", "z**1.5*log(z) + x**y", "abs(x)*y", "max(x, y)*z", "min(x*y, 0.1)", "abs(x - 0.3)*z", "z**-2*x",
+    "sin(2*x + y)", "cos(2*x)", "exp(x)", "log(z)", "atan(2*x)", "tanh(2*x)", "sqrt(z)", "tan(x)",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_expansions_hold_on_their_boxes(text: str) -> None:
+    """Against values at random points and corners; a bound that is never reached by half would say nothing."""
+    rng, names = np.random.default_rng(5), ("x", "y", "z")
+    tree = read_expression(text, names, {})
+    program, worst = Program.of([tree], names), 0.0
+    for _ in range(20):
+        at, width = np.array([0.35, 0.2, 1.1]), rng.uniform(0.01, 0.15, 3)
+        box = np.stack([at - width, at + width])
+        found = expansion([tree], names, at, box, 3)
+        z = at[:, None] + width[:, None] * np.where(rng.random((3, 500)) < 0.5, rng.choice([-1.0, 1.0], (3, 500)),
+                                                    rng.uniform(-1.0, 1.0, (3, 500)))  # fmt: skip
+        middle = found.values.mean(axis=0)[0]
+        off = np.abs(program.values(z)[0] - middle - found.matrix[0] @ (z - at[:, None]))
+        assert np.all(off <= found.off[0] + 1e-14)
+        worst = max(worst, float(off.max() / max(found.off[0], 1e-300)))
+    assert worst > 0.5 or text == "abs(x)*y"
+    assert math.isfinite(worst)
+
+
+def test_undefined_expressions_have_no_expansion() -> None:
+    tree = read_expression("sqrt(x)", ("x",), {})
+    found = expansion([tree], ("x",), np.array([0.1]), np.array([[-0.1], [0.3]]), 1)
+    assert found.off[0] == np.inf
+
+
+def test_nonlinear_paths_are_taken_without_any_options() -> None:
+    """Four states have no grid; the example has five, two obstacles and nothing else."""
+    assert isinstance(cg.synthesize(bend(8)).certificate.proof, PathProof)
+    example = Path(__file__).resolve().parents[2] / "examples" / "car_slalom.toml"
+    certificate: Any = cg.synthesize(example).certificate
+    assert isinstance(certificate.proof, PathProof) and certificate.lower_bound > 0.99999
+    assert cg.check(certificate)
+
+
+def test_independent_agents_multiply() -> None:
+    """Two carts, one of which has matrices, with one task about both."""
+    second = cg.LinearAgent(
+        name="wagon", A=[[1.0, 0.4], [0.0, 1.0]], B=[[0.0], [0.4]], noise_covariance=1e-3 * np.eye(2),
+        state_low=[-3, -2], state_high=[5, 2], input_low=[-1], input_high=[1], initial_state=[0, 0],
+    )  # fmt: skip
+    regions = {"dock": cg.Proposition("cart", [3, -1], [6, 1]), "stop": cg.Proposition("wagon", [1, -2], [4, 2])}
+    certificate = path_of(problem_of([cart(), second], regions, "F (dock & stop)", 10))
+    assert cg.check(certificate) and certificate.lower_bound > 0.99
+    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
+    assert verdict.verdict != "refuted"
+
+
+def test_agents_that_name_each_other_have_paths() -> None:
+    """What another one does is anything in its box, which joins the drift."""
+    pushed = cart(dynamics=["x + 0.4*speed*cos(heading) + 0.01*wagon.place", "y + 0.4*speed*sin(heading)",
+                            "heading + 0.4*turn", "speed + 0.4*push"])  # fmt: skip
+    second = cg.Agent(
+        name="wagon", states=["place"], inputs=["push"], dynamics=["0.9*place + push"], noise_covariance=[[0.01]],
+        state_low=[-1], state_high=[1], input_low=[-1], input_high=[1], initial_state=[0],
+    )  # fmt: skip
+    regions = {"dock": cg.Proposition("cart", [3, -1], [6, 1])}
+    certificate = path_of(problem_of([pushed, second], regions, "F dock", 9))
+    assert cg.check(certificate) and certificate.lower_bound > 0.9
+    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
+    assert verdict.verdict != "refuted"
+
+
+def test_outputs_may_bend() -> None:
+    """The square of the distance from a mast is kept above 1 on the way past it."""
+    agent = cart(outputs=["x", "(x - 2)**2 + y**2"])
+    regions = {"mast": cg.Proposition("cart", [-1, -1], [7, 1]), "dock": cg.Proposition("cart", [4, 0], [6, 30])}
+    certificate = path_of(problem_of([agent], regions, "(!mast) U dock", 12))
+    assert cg.check(certificate) and certificate.lower_bound > 0.9
+    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
+    assert verdict.verdict != "refuted"
+    assert not cg.check(changed(certificate, failure=0.5 * certificate.proof.failure))
+
+
+def test_what_nonlinear_paths_do_not_do_is_said() -> None:
+    law = [{"law": "scipy", "name": "gumbel_r", "scale": 0.01, "cdf_error": 1e-9, "variation": 80.0}] * 4
+    with pytest.raises(ValueError, match="exponential moments are known, got scipy"):
+        cg.synthesize(bend(noise=law, noise_covariance=None), relation="path")
+    with pytest.raises(ValueError, match="no nominal path"):
+        cg.synthesize(bend(2), relation="path")
+
+
+def test_no_more_is_claimed_than_the_check_proves() -> None:
+    """Search and check enclose expressions by code of their own: the larger failure of both is claimed."""
+    _, certificate = along(noisy())
+    bold: Any = changed(certificate, failure=0.5 * certificate.proof.failure)
+    assert not cg.check(bold)
+    modest = agreed(cg.Synthesis(bold, bold.controller, {})).certificate
+    assert cg.check(modest) and modest.lower_bound <= cg.check(certificate).recomputed
+    honest: Any = certificate
+    assert agreed(cg.Synthesis(honest, honest.controller, {})).certificate is certificate

@@ -1,0 +1,128 @@
+"""Certificates along paths are reported like any other, with the tube along the path; what they do not know is said."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+import certigym as cg
+from certigym.cli.main import main
+from certigym.synthesis.certificates import KEPT, AlongPath, tube_along
+from certigym.validation.simulation import Loop, paths
+
+FOLDER = Path(__file__).parents[2] / "benchmarks" / "arch"
+
+
+@pytest.fixture(scope="module")
+def building() -> AlongPath:
+    """A building with four states, two of which are drawn."""
+    found: Any = cg.synthesize(FOLDER / "bas_4_deviation.toml", relation="path").certificate
+    return found
+
+
+@pytest.fixture(scope="module")
+def saved(building: AlongPath, tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = str(tmp_path_factory.mktemp("saved") / "building.npz")
+    cg.save(building, path)
+    return path
+
+
+def test_a_page_shows_claim_rollouts_and_tube(saved: str, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    content = cg.report(saved, page, episodes=2000)
+    text = page.read_text(encoding="utf-8")
+    assert not content.refuted and content.audit is None and content.field is None
+    assert "0.9997838" in text and text.count('<polygon class="tube') == 2 * 6 and "kept with probability 0.99" in text
+    assert "Other starts" not in text and "Step by step" not in text
+
+
+@pytest.mark.parametrize("axes", [(0,), (1, 0), (3,)])
+def test_tubes_are_kept_as_often_as_they_say(building: AlongPath, axes: tuple[int, ...]) -> None:
+    """20,000 rollouts; false alarm 1e-6. Inputs are cut off with probability below 2.2e-4, as the certificate says."""
+    rows = np.eye(4)[list(axes)]
+    tube = tube_along(building, rows)
+    assert tube is not None and tube.middle.shape == (7, len(axes))
+    states, _ = paths(Loop(building.problem, building.controller, 3, 20_000), 20_000)
+    away = states[1:] @ rows.T - tube.middle[1:, None]
+    distances = np.einsum("tmi,tij,tmj->tm", away, np.linalg.inv(tube.covariances[1:]), away)
+    # Of episodes that ended early only what was seen counts; they are failures, fewer than the certificate allows.
+    kept = np.all(~(distances > tube.radius**2), axis=0).sum()
+    assert binom.cdf(kept, 20_000, KEPT - building.proof.failure) > 1e-6
+    # Half the radius is left often: the tube is not merely large.
+    assert np.all(~(distances > 0.25 * tube.radius**2), axis=0).mean() < 0.9
+
+
+def test_edges_of_tubes_are_where_they_are_drawn(building: AlongPath) -> None:
+    tube = tube_along(building, np.eye(4)[:2])
+    assert tube is not None
+    away = tube.outlines()[1:] - tube.middle[1:, None]
+    distances = np.einsum("tpi,tij,tpj->tp", away, np.linalg.inv(tube.covariances[1:]), away)
+    np.testing.assert_allclose(distances, tube.radius**2, rtol=1e-9)
+    # Noise of the first step is that of the problem: a standard deviation of .0774 in each zone.
+    np.testing.assert_allclose(tube.half_widths()[1] / tube.radius, 0.0774, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"), [(None, "keep with probability 0.99"), (0.03, "standard deviations around")]
+)
+def test_what_is_said_of_tubes_depends_on_the_noise(scale: float | None, said: str, tmp_path: Path) -> None:
+    """Other noise has other tails: no probability is said of its tube. Discs and polygons are drawn by their roles."""
+    law = {"law": "gaussian", "std": 0.04} if scale is None else {"law": "laplace", "scale": scale}
+    agent = cg.Agent(
+        name="robot", states=["x", "y"], inputs=["u", "v"], dynamics=["x + u", "y + 0.5*x + v"], noise=[law, law],
+        state_low=[-6, -6], state_high=[6, 6], input_low=[-1, -1], input_high=[1, 1], initial_state=[-3, 0],
+    )  # fmt: skip
+    task = cg.Specification("!rock U goal", "co-safe")
+    regions = {
+        "goal": cg.Proposition("robot", disc={"centre": [3, 1], "radius": 2}),
+        "rock": cg.Proposition("robot", polygon={"corners": [[-2, 3], [0, 3], [-1, 5]]}),
+    }
+    problem = cg.Problem(name="far", horizon=8, agents=[agent], propositions=regions, specification=task)
+    cg.report(cg.synthesize(problem, relation="path"), tmp_path / "page.html", episodes=50)
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert said in text and ("kept with" in text or "keep with" in text) == (scale is None)
+    drawn = re.findall(r'<(?:path|rect) class="(region[^"]*)"', text)
+    assert {*drawn} == {"region r-reached", "region r-avoided"}
+
+
+def test_agents_on_grids_have_no_tube() -> None:
+    certificate: Any = cg.synthesize("reach-avoid-v0", 20).certificate
+    assert tube_along(certificate, np.eye(certificate.problem.n_states)[:1]) is None
+
+
+@pytest.mark.parametrize("kind", ["rollouts", "episode", "automaton"])
+def test_what_has_a_picture_is_drawn(saved: str, tmp_path: Path, kind: str) -> None:
+    assert main(["plot", kind, saved, "--out", str(tmp_path / "a.png")]) == 0
+
+
+@pytest.mark.parametrize("words", [["validate", "--episodes", "2000"], ["stress", "--episodes", "200"]])
+def test_what_tests_one_start_runs(saved: str, words: list[str]) -> None:
+    assert main([words[0], saved, *words[1:]]) == 0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["validate", "--initial-state", "20", "20", "35", "35"],
+        ["validate-field"],
+        ["validate-field", "--search"],
+        ["audit"],
+        ["plot", "value"],
+        ["plot", "relation"],
+        ["plot", "rank"],
+        ["plot", "tree"],
+    ],
+)
+def test_what_needs_other_starts_is_refused_in_plain_words(
+    saved: str, tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    plot = words[0] == "plot"
+    given = [*words, saved, "--out", str(tmp_path / "a.png")] if plot else [words[0], saved, *words[1:]]
+    assert main(given) == 2
+    said = capsys.readouterr().err
+    assert "along a path" in said and ("`synthesize(starts=...)`" in said or "`check`" in said)
