@@ -369,11 +369,10 @@ class Covered:
         result: dict[int, set[str]] = {}
         for file in found:
             for line, contexts in self.data.contexts_by_lineno(file).items():
-                names = (context.removeprefix("tests.").rsplit(".", 1) for context in contexts if context)
-                result.setdefault(line, set()).update(
-                    _placed(f"{module.rsplit('.')[-1]}.py::{test}")
-                    for module, test in (name for name in names if len(name) == 2)
-                )
+                for context in contexts:
+                    *_, module, test = ["", "", *context.split(".")]
+                    if module.startswith("test_") and test.startswith("test_"):
+                        result.setdefault(line, set()).add(_placed(f"{module}.py::{test}"))
         return result
 
 

@@ -12,7 +12,7 @@ ascent").
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -236,13 +236,16 @@ def _hull(cells: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]
     return box.ravel()
 
 
-def staged_starts(joint: JointModel, start: Occupancy, naive: Policies) -> dict[str, Policies]:
-    """Return policies that take the most likely way through the task, in several stagings (see ``paths``)."""
-    starts: dict[str, Policies] = {}
+def staged_starts(joint: JointModel, start: Occupancy, naive: Policies) -> Iterator[tuple[str, Policies]]:
+    """Return policies that take the most likely way through the task, one staging after the other (see ``paths``).
+
+    They are made when they are asked for: on fine cells each may take a quarter of a gigabyte.
+    """
+    number = 0
     for likely in best_paths(joint, start, width=32, count=1):
         for path in staged_paths(joint, likely):
-            starts[f"staged start {len(starts) + 1}"] = path_policies(joint, path, naive)
-    return starts
+            number += 1
+            yield f"staged start {number}", path_policies(joint, path, naive)
 
 
 def perturbed(policies: Policies, rng: np.random.Generator) -> Policies:

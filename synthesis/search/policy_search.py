@@ -328,15 +328,18 @@ class _TreeAscent:
         if self.is_solved or self.is_long:
             self.run(RELAXED, relaxed.policies, self.how.max_sweeps - 1, relaxed.value)
             return
-        tried = {RELAXED: relaxed}
-        for name, policies in staged_starts(self.joint, self.start, naive).items():
-            (tried[name],) = self.each({name: policies})
+        leading, value = [(RELAXED, relaxed)], relaxed.value
+        for number, (name, policies) in enumerate(staged_starts(self.joint, self.start, naive)):
+            (outcome,) = self.each({name: policies})
+            # Only the best two are kept, the first ones among equals.
+            leading = sorted([*leading, (name, outcome)], key=lambda one: -one[1].value)[:2]
             # The most likely way is where agents go that trust the team: other times of the same jumps gain nothing.
-            if len(tried) == 2 and abs(relaxed.value - tried[name].value) <= SAME_VALUE_SHARE * relaxed.value:
+            if number == 0 and abs(value - outcome.value) <= SAME_VALUE_SHARE * value:
                 break
-        for name, outcome in sorted(tried.items(), key=lambda item: -item[1].value)[:2]:
-            if not self.is_solved:
-                self.run(name, outcome.policies, self.how.max_sweeps - 1)
+        del relaxed
+        while leading and not self.is_solved:
+            name, outcome = leading.pop(0)
+            self.run(name, outcome.policies, self.how.max_sweeps - 1)
 
     def evaluated(self, policies: Policies) -> Sweep:
         """Return the largest evaluation of policies; where it is far below what sweeps see, of others as well.

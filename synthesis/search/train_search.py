@@ -48,8 +48,8 @@ class TrainAscent:
         # One sweep from every staged start; continue with the best two.
         if not self.is_good and self.how.max_sweeps >= 2:
             staged = staged_starts(self.joint, self.start, naive)
-            tried = {name: self.run(name, policies, 1) for name, policies in staged.items()}
-            for k, (name, outcome) in enumerate(sorted(tried.items(), key=lambda item: -item[1].value)[:2]):
+            tried = [(name, self.run(name, policies, 1)) for name, policies in staged]
+            for k, (name, outcome) in enumerate(sorted(tried, key=lambda one: -one[1].value)[:2]):
                 if k == 0 or not self.is_good:
                     self.run(name, outcome.policies, self.how.max_sweeps - 1)
         rng = np.random.default_rng(RESTART_SEED)
