@@ -44,10 +44,12 @@ def refuse_shape(value: Mapping[str, Any], where: str) -> None:
     """Raise ValueError if a proposition about pairs is written as a shape that no difference can be in."""
     words = [key for key in value if key in SHAPES and key not in FLAT]
     if words:
+        several = value["agents"] if isinstance(value["agents"], str) else "robot_*"
         raise ValueError(
             f"{where}: expected `low` and `high` of a difference, a `distance`, or a shape with flat faces "
-            f"({', '.join(FLAT)}), got `{words[0]}`; other shapes are about one agent (`agent`); take one around it "
-            "where a pair keeps apart, or one within it where it is to hold"
+            f"({', '.join(FLAT)}), got `{words[0]}`; other shapes are about one agent, or about each of several by "
+            f'itself (`agent = "{several}"`); take one around it where a pair keeps apart, or one within it where it '
+            "is to hold"
         )
 
 
