@@ -293,6 +293,7 @@ def row_of(mutant: Mutant | None, tests: list[str] | None) -> Row:
     row: Row = {
         "module": "-" if mutant is None else mutant.path,
         "line": "the tree as it is" if mutant is None else mutant.new,
+        "was": "" if mutant is None else mutant.old,
         "false claims": None, "check": None, "rollouts": None, "forgeries": None, "tests": noticed,
     }  # fmt: skip
     if found is None:
@@ -332,9 +333,9 @@ def _placed(test: str) -> str:
     return "::".join([place.as_posix(), *name])
 
 
-def tests_of(mutant: Mutant, before: dict[tuple[str, str], str], covered: Any) -> list[str]:
+def tests_of(mutant: Mutant, before: dict[tuple[str, str, str], str], covered: Any) -> list[str]:
     """The tests that a mutant is shown to: who noticed last time, and who runs its line or a fixed selection."""
-    last = before.get((mutant.path, mutant.new), "")
+    last = before.get((mutant.path, mutant.new, mutant.old), "")
     first = [_placed(last)] if ".py" in last else []
     if covered is None:
         return [*first, *map(_placed, TESTS)]
@@ -381,7 +382,8 @@ def page_of(rows: Rows) -> str:
     heads = ["module", "line", "false claims", "check", "rollouts", "forgeries", "tests"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in rows:
-        cells = [str(row[head] or "").replace("|", "&#124;") for head in heads]
+        shown = row if row["line"] else row | {"line": f"(left out) {row['was']}"}
+        cells = [str(shown[head] or "").replace("|", "&#124;") for head in heads]
         cells[1] = f"`{' '.join(cells[1].split())[:70]}`"
         cells[6] = f"`{cells[6].split('[')[0].removeprefix('test_').replace('.py::test_', ': ')}`" if cells[6] else ""
         lines.append("| " + " | ".join(cells) + " |")
@@ -394,19 +396,20 @@ def summary_of(rows: Rows) -> str:
     false = [row for row in mutants if row["false claims"] and row["false claims"].strip() != "crash"]
     missed = [row for row in false if str(row["check"]).startswith("MISSES")]
     refused = [row for row in mutants if row["check"] == "refuses"]
-    unnoticed = [row for row in mutants if row["tests"] == ""]
+    judged = [row for row in mutants if row["check"] is not None]
+    noticed = [row for row in mutants if row["tests"]]
     return (
-        f"{len(mutants)} mutants; {len(false)} of them claim something visibly false, of which the check refuses "
-        f"{len(false) - len(missed)}. In {len(refused)} copies the check refuses claims. Tests notice "
-        f"{len(mutants) - len(unnoticed)}."
+        f"{len(mutants)} mutants, of which tests notice {len(noticed)}. The claims of {len(judged)} were judged: "
+        f"{len(false)} claim something visibly false, of which the check refuses {len(false) - len(missed)}; in "
+        f"{len(refused)} copies the check refuses claims."
     )
 
 
 def merged(path: Path, rows: Rows) -> Rows:
     """Rows in the order of the mutants, with those that a file has of mutants that are not among them."""
     known = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.exists() else []
-    found = {(row["module"], row["line"]): row for row in [*known, *rows]}
-    order = [("-", "the tree as it is"), *((mutant.path, mutant.new) for mutant in MUTANTS)]
+    found = {(row["module"], row["line"], row["was"]): row for row in [*known, *rows]}
+    order = [("-", "the tree as it is", ""), *((mutant.path, mutant.new, mutant.old) for mutant in MUTANTS)]
     return [found[key] for key in order if key in found]
 
 
@@ -434,12 +437,14 @@ def main() -> None:
     if given.page:
         write_page(merged(FOUND, []))
         return
-    before = {(row["module"], row["line"]): str(row["tests"] or "") for row in merged(FOUND, [])}
+    before = {(row["module"], row["line"], row["was"]): str(row["tests"] or "") for row in merged(FOUND, [])}
     covered = Covered(given.covered, given.durations) if given.covered else None
     rows: Rows = []
-    known = {(row["module"], row["line"]): row for row in (merged(Path(given.json), []) if given.json else [])}
+    known = {
+        (row["module"], row["line"], row["was"]): row for row in (merged(Path(given.json), []) if given.json else [])
+    }
     for mutant in MUTANTS[slice(*given.only)]:
-        row = known.get((mutant.path, mutant.new), {})
+        row = known.get((mutant.path, mutant.new, mutant.old), {})
         if given.again and row.get("check") is not None and "::" in (row["tests"] or ""):
             continue
         rows.append(row_of(mutant, None if given.no_tests else tests_of(mutant, before, covered)))

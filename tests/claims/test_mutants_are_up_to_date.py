@@ -26,5 +26,5 @@ def test_the_page_is_what_the_run_gave() -> None:
 
 def test_every_mutant_was_shown_to_the_tests() -> None:
     """A line that is new has to be tried: ``python benchmarks/mutations.py --only .. --json docs/mutations.json``."""
-    tried = {(row["module"], row["line"]) for row in merged(FOUND, []) if row["tests"] is not None}
-    assert {(mutant.path, mutant.new) for mutant in MUTANTS} <= tried
+    tried = {(row["module"], row["line"], row["was"]) for row in merged(FOUND, []) if row["tests"] is not None}
+    assert {(mutant.path, mutant.new, mutant.old) for mutant in MUTANTS} <= tried
