@@ -54,7 +54,17 @@ def test_balls_add_three_modules() -> None:
 
 
 def test_the_trusted_base_holds_nothing_of_the_search() -> None:
-    for room in ("models", "search", "bounds", "choosing"):
+    for room in (
+        "readings",
+        "models",
+        "search",
+        "bounds",
+        "choosing",
+        "path_bounds",
+        "path_words",
+        "nominal_paths",
+        "pairs",
+    ):
         assert not [name for name in trusted_base.reached(trusted_base.CHECK) if f"synthesis.{room}." in name]
 
 
