@@ -354,9 +354,9 @@ class Covered:
     def __init__(self, path: str, durations: str | None) -> None:
         import re
 
-        from coverage import CoverageData
+        from coverage import CoverageData  # of `pip install coverage`, which nothing else needs
 
-        self.data = CoverageData(path)
+        self.data: Any = CoverageData(path)
         self.data.read()
         self.seconds: dict[str, float] = {}
         for line in Path(durations).read_text(encoding="utf-8").splitlines() if durations else ():
@@ -371,7 +371,7 @@ class Covered:
         for file in found:
             for line, contexts in self.data.contexts_by_lineno(file).items():
                 for context in contexts:
-                    *_, module, test = ["", "", *context.split(".")]
+                    *_, module, test = ["", "", *str(context).split(".")]
                     if module.startswith("test_") and test.startswith("test_"):
                         result.setdefault(line, set()).add(_placed(f"{module}.py::{test}"))
         return result
