@@ -59,7 +59,7 @@ TRUSTED = {
         "synthesis.controllers.team_controller "
         "synthesis.controllers.timed_controller synthesis.controllers.told "
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
-        "synthesis.relations.affine_means synthesis.relations.aims synthesis.relations.coordinates "
+        "synthesis.relations.affine_means synthesis.relations.coordinates "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
         "synthesis.relations.common_means synthesis.relations.sectors "
         "synthesis.relations.input_forms synthesis.relations.solved_means "

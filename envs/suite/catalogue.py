@@ -100,12 +100,14 @@ def made_by(id: str) -> tuple[Callable[..., Problem], str]:
     variant = VARIANTS[id]
     of, _ = made_by(variant.of)
 
-    def problem(**arguments: Any) -> Problem:
-        made = of(**{**variant.arguments, **variant.usual, **arguments})
-        return made.replace(name=id, **variant.changes)
-
     asked = [own for name, own in signature(of).parameters.items() if name not in variant.arguments]
     usual = [own.replace(default=variant.usual.get(own.name, own.default)) for own in asked]
+    form = signature(of).replace(parameters=usual)
+
+    def problem(*given: Any, **named: Any) -> Problem:
+        own = form.bind(*given, **named).arguments
+        return of(**{**variant.arguments, **variant.usual, **own}).replace(name=id, **variant.changes)
+
     problem.__doc__ = f"Return the problem {id}: {variant.about}."
-    problem.__signature__ = signature(of).replace(parameters=usual)  # type: ignore[attr-defined]
+    problem.__signature__ = form  # type: ignore[attr-defined]
     return problem, f"{variant.name}: {variant.about}.\n\n**Versions**: v0: the first version.\n"

@@ -1,7 +1,6 @@
 """What ties a continuous agent to its cells, and how surely it holds."""
 
 from .affine_means import AffineBoxes, AffineMeans, MapRelation, MatrixMaps, block_of, map_relation
-from .aims import aimed_relation
 from .boxes import BoxRelation, LinearMeans, MeanBoxes, NetworkMeans, box_relation
 from .commands import Command, commands_of
 from .common_means import CommonInputs, CommonMeans
@@ -9,7 +8,7 @@ from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from .description import Relation, check_description, describe_relation, relation_from
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
-from .exact import ExactOnCells, ExactRelation, exact_relation
+from .exact import ExactOnCells, ExactRelation, aimed_relation, exact_relation
 from .input_forms import Turn
 from .linear import LinearRelation, linear_relation
 from .network_maps import NetworkMaps, network_linear_relation

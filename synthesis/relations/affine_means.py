@@ -34,10 +34,9 @@ from ...envs.expressions import (
     split_at,
 )
 from ..cells import FloatArray, RelationRefused, linear_agent
-from .aims import aimed_relation
 from .boxes import LinearMeans, MeanBoxes, linear_means
 from .coordinates import ReadsCoordinates
-from .exact import ExactRelation
+from .exact import ExactRelation, aimed_relation
 from .rounding import missed_cells, reading_of
 from .solved_means import WrittenTargets
 from .written_means import ROTATED

@@ -20,11 +20,10 @@ import numpy as np
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray, Grid, linear_agent
 from .affine_means import MapRelation, map_relation
-from .aims import aimed_relation
 from .boxes import BoxRelation, box_relation
 from .coupled import COUPLED_ARRAYS, COUPLED_NUMBERS, CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
-from .exact import ExactRelation
+from .exact import ExactRelation, aimed_relation
 from .linear import LinearRelation, linear_relation
 from .network_maps import network_linear_relation
 from .networks import check_network, network_policy

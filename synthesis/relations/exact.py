@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent, LinearAgent, counted
+from ...envs.agents import AnyAgent, LinearAgent, counted, with_expressions
 from ..cells import FloatArray, Grid, RelationRefused, linear_agent
 from .coordinates import ReadsByRows
 from .rounding import sizes_of, target_loss, target_rounding
 from .rows import Row, product, rows_of, times
+from .solved_means import WrittenTargets, written_targets
 
 INPUT_MARGIN = 1e-12
 """Relative reserve on inputs that keeps a computed input inside its box in spite of rounding; always restrictive."""
@@ -231,3 +232,10 @@ def _right_inverse(matrix: FloatArray) -> FloatArray:
     if np.all(used.sum(axis=1) == 1) and np.all(used.sum(axis=0) <= 1):
         return np.divide(1.0, matrix, out=np.zeros(matrix.shape), where=used).T
     return np.linalg.pinv(matrix)
+
+
+def aimed_relation(agent: AnyAgent, coordinates: FloatArray) -> ExactRelation | WrittenTargets:
+    """Return the exact relation of an agent, or refuse it in words."""
+    if agent.is_affine:
+        return exact_relation(linear_agent(agent, "exact"), coordinates)
+    return written_targets(with_expressions(agent), coordinates)

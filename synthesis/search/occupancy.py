@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ..cells import FloatArray
 from ..models import JointModel, Policies, StepPolicy
 from ..values import (
+    UNIT,
     Guards,
     IndexArray,
     Occupancy,
@@ -217,7 +218,8 @@ def push(
     for i in range(n_agents):
         made[i], index[:, i] = compress(made[i], index[:, i])
     per_state = tuple(index[target[remaining] == q] for q in range(n_states))
-    missing = dropped + NOTHING * sum(joint.n_cells)
+    # Sums over cells may be too small by a unit for each of them.
+    missing = dropped * (1.0 + 2.0 * UNIT * sum(joint.n_cells)) + NOTHING * sum(joint.n_cells)
     return Occupancy(Terms(tuple(made), per_state), (occupancy.leftover + missing) * (1 + 1e-12))
 
 
