@@ -10,8 +10,9 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "design.md"
 ORDER = {
     "envs": "arrays expressions agents logic problem dynamics pictures interfaces solo teams suite",
-    "synthesis": "cells relations values readings models search bounds choosing path_bounds path_words nominal_paths "
-    "pairs controllers masses certificates bridges path_checking step_checking checking balls shielding permissions",
+    "synthesis": "checker cells relations values readings models search bounds choosing path_bounds path_words "
+    "nominal_paths pairs controllers masses certificates bridges path_checking step_checking checking balls shielding "
+    "permissions",
     "validation": "statistics simulation verdicts audits shields policies figures reports studio paper",
 }
 """The rooms of each wing, in the order in which a problem passes through them."""

@@ -1,0 +1,284 @@
+"""Problems and certificates in the form that the checker reads: everything written out, nothing left to expand.
+
+Families, shapes, units, moving corners and covariances are sugar. Here they become agents with expressions, limits on
+outputs for each time, factors of noise, and one formula over plain names (docs/reference/certificate_format.md). The
+checker trusts nothing of it: a test compares the simulator with one that is written from the canonical problem alone.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..envs.agents import Agent, AnyAgent, LinearAgent, write_bytes
+from ..envs.logic import Formula, parse_formula
+from ..envs.problem import Problem
+from .cells import FloatArray
+from .certificates import SOMETIME, AgentPath, Certificate, PathProof
+from .checker import FORMAT, VERSION, Contents, check_contents
+
+
+class NotCanonicalError(ValueError):
+    """A problem or a proof that the canonical form has no words for yet; the message says which part."""
+
+
+def canonical_problem(problem: Problem) -> dict[str, Any]:
+    """Return a problem in canonical form, as plain values (exact, but for square roots of covariances).
+
+    Raises
+    ------
+    NotCanonicalError
+        If it has angles, noise that is not normal or has a scale, or independent tasks.
+    """
+    if problem.groups:
+        raise NotCanonicalError("independent tasks that are not joined have no canonical form yet")
+    names = _plain_names(problem.labeling.names)
+    return {
+        "horizon": problem.horizon,
+        "agents": [_agent(problem, i) for i in range(problem.n_agents)],
+        "regions": _regions(problem, names),
+        "pairs": _pairs(problem, names),
+        "task": _task(problem, names),
+    }
+
+
+def canonical_bytes(certificate: Certificate) -> bytes:
+    """Return the file of a certificate in canonical form, with the bound that the checker proves of it.
+
+    Raises
+    ------
+    NotCanonicalError
+        If its problem or its proof has no canonical form yet.
+    ValueError
+        If the checker refuses it.
+    """
+    proof = certificate.proof
+    if not isinstance(proof, PathProof):
+        raise NotCanonicalError(f"proofs of the kind {proof.kind!r} have no canonical form yet")
+    problem = certificate.problem
+    arrays: list[np.ndarray] = []
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": problem.name,
+        "problem": canonical_problem(problem),
+        "claim": {"failure": 1.0},
+        "proof": _along_trajectories(problem, proof, arrays),
+    }
+    verdict = check_contents(Contents(header, tuple(arrays), set()))
+    if not verdict.proved:
+        raise ValueError(f"`certificate`: the checker refuses it: {verdict.reason}")
+    return archive({**header, "claim": {"failure": verdict.recomputed}}, arrays)
+
+
+def save_canonical(certificate: Certificate, path: str | Path) -> None:
+    """Write the file of a certificate in canonical form."""
+    write_bytes(path, canonical_bytes(certificate))
+
+
+def archive(header: Mapping[str, Any], arrays: Sequence[np.ndarray]) -> bytes:
+    """Return the bytes of a file: the same for the same content, on every machine."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as target:
+        target.writestr(zipfile.ZipInfo("header.json"), json.dumps(header, allow_nan=False))
+        for number, array in enumerate(arrays):
+            member = io.BytesIO()
+            np.lib.format.write_array(member, array, version=(1, 0), allow_pickle=False)
+            target.writestr(zipfile.ZipInfo(f"{number}.npy"), member.getvalue())
+    return file.getvalue()
+
+
+# Agents.
+
+
+def _agent(problem: Problem, i: int) -> dict[str, Any]:
+    agent, written = problem.agents[i], problem.written_agents[i]
+    if agent.laws is not None:
+        raise NotCanonicalError(f"agent `{agent.name}` has noise that is not normal, or a scale of it")
+    if agent.angles:
+        raise NotCanonicalError(f"agent `{agent.name}` has angles")
+    shared = problem.shared_noise[i]
+    data: dict[str, Any] = {
+        "name": agent.name,
+        "outputs": _outputs(agent),
+        "state_low": agent.state_low.tolist(),
+        "state_high": agent.state_high.tolist(),
+        "input_low": agent.input_low.tolist(),
+        "input_high": agent.input_high.tolist(),
+        "start_low": agent.initial.low.tolist(),
+        "start_high": agent.initial.high.tolist(),
+        "noise": _columns(written.noise_factor if shared.size else agent.noise_factor),
+    }
+    if isinstance(agent, LinearAgent):
+        data |= {"states": _numbered("x", agent.n_states), "inputs": _numbered("u", agent.n_inputs)}
+        data |= {"A": agent.A.tolist(), "B": agent.B.tolist(), "c": agent.offset.tolist()}
+    else:
+        assert isinstance(agent, Agent)
+        data |= {"states": list(agent.states), "inputs": list(agent.inputs), "dynamics": list(agent.dynamics)}
+        data |= {"parameters": dict(agent.parameters)} if agent.parameters else {}
+        ranges = {name: [low, high] for name, (low, high) in agent.disturbances.items()}
+        data |= {"disturbances": ranges} if ranges else {}
+    return data | ({"shared_noise": shared.tolist()} if shared.shape[1] else {})
+
+
+def _numbered(letter: str, count: int) -> list[str]:
+    return [f"{letter}{k}" for k in range(count)]
+
+
+def _columns(factor: FloatArray) -> list[list[float]]:
+    """Return a factor of noise without the sources that reach nothing."""
+    kept: list[list[float]] = factor[:, np.any(factor != 0.0, axis=0)].tolist()
+    return kept
+
+
+def _outputs(agent: AnyAgent) -> list[str]:
+    """Return outputs as texts in the states."""
+    if not isinstance(agent, LinearAgent):
+        assert isinstance(agent, Agent)
+        return list(agent.output_expressions)
+    rows = agent.output_matrix
+    return [" + ".join(_term(float(c), f"x{k}") for k, c in enumerate(row) if c) or "0" for row in rows]
+
+
+def _term(factor: float, name: str) -> str:
+    return name if factor == 1.0 else f"{factor!r}*{name}"
+
+
+# Propositions.
+
+
+def _plain_names(names: Sequence[str]) -> dict[str, str]:
+    """Return a name of letters, digits and underscores for each proposition."""
+    plain: dict[str, str] = {}
+    for name in names:
+        candidate = re.sub(r"[^A-Za-z0-9_]", "_", name)
+        while candidate in plain.values():
+            candidate += "_"
+        plain[name] = candidate
+    return plain
+
+
+def _regions(problem: Problem, names: Mapping[str, str]) -> list[dict[str, Any]]:
+    labeling, regions = problem.labeling, []
+    times = range(problem.horizon + 1) if labeling.moving else [0]
+    for i, positions in enumerate(labeling.agent_propositions):
+        for column, position in enumerate(positions.tolist()):
+            corners = [_corners(here.low[i][:, column], here.high[i][:, column]) for here in map(labeling.at, times)]
+            low, high = ([list(corner) for corner in each] for each in zip(*corners, strict=True))
+            name = names[labeling.names[position]]
+            regions.append({"name": name, "agent": i, "low": _over_time(low), "high": _over_time(high)})
+    return regions
+
+
+def _corners(low: FloatArray, high: FloatArray) -> tuple[list[float | None], list[float | None]]:
+    """Return corners of a region at a time; null where there is no limit."""
+    if np.any(low == np.inf):  # it begins on the upper face of the workspace, and holds nowhere
+        return [0.0] * len(low), [0.0] * len(low)
+    return [None if x == -np.inf else x for x in low.tolist()], [None if x == np.inf else x for x in high.tolist()]
+
+
+def _over_time(rows: list[Any]) -> Any:
+    """Return one entry for all times where it never changes."""
+    return rows[0] if all(row == rows[0] for row in rows) else rows
+
+
+def _pairs(problem: Problem, names: Mapping[str, str]) -> list[dict[str, Any]]:
+    labeling, pairs = problem.labeling, []
+    for pair, name in zip(labeling.pairs, labeling.names[labeling.first_pair :], strict=True):
+        data: dict[str, Any] = {
+            "name": names[name],
+            "agents": [pair.first, pair.second],
+            "outputs": [list(axes) for axes in pair.outputs],
+        }
+        here = [pair.at(t) for t in (range(problem.horizon + 1) if pair.moves else [0])]
+        if any(region.is_round for region in here):
+            data["radius"] = _over_time([0.0 if region.is_empty else float(region.radius) for region in here])
+        else:
+            corners = [_corners(region.low, region.high) for region in here]
+            data["low"], data["high"] = (_over_time(list(each)) for each in zip(*corners, strict=True))
+        pairs.append(data)
+    return pairs
+
+
+# The task.
+
+
+def _task(problem: Problem, names: Mapping[str, str]) -> dict[str, Any]:
+    automaton, specification = problem.automaton, problem.specification
+    if automaton.semantics not in ("co-safe", "finite-trace"):
+        raise NotCanonicalError("opposite tasks have no canonical form yet")
+    data = {
+        "semantics": automaton.semantics,
+        "automaton": {
+            "initial": int(automaton.initial),
+            "accepting": automaton.accepting.tolist(),
+            **{key: getattr(automaton, key).tolist() for key in ("root", "variable", "low", "high")},
+        },
+    }
+    if specification.formula is None:
+        return data
+    formula = _substituted(parse_formula(specification.formula), problem, names)
+    return {**data, "formula": str(formula)}
+
+
+def _substituted(formula: Formula, problem: Problem, names: Mapping[str, str]) -> Formula:
+    """Return a formula over plain names: families and shapes written out."""
+    if formula.operator in ("all", "any"):
+        members = tuple(Formula("atom", name=name) for name in problem.families[formula.name])
+        joined = members[0] if len(members) == 1 else Formula("&" if formula.operator == "all" else "|", members)
+        return _substituted(joined, problem, names)
+    if formula.operator == "atom":
+        if formula.name in problem.meanings:
+            return _substituted(problem.meanings[formula.name], problem, names)
+        return Formula("atom", name=names[formula.name])
+    operands = tuple(_substituted(operand, problem, names) for operand in formula.operands)
+    return Formula(formula.operator, operands, formula.name, formula.bounds)
+
+
+# Proofs.
+
+
+def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndarray]) -> dict[str, Any]:
+    """Return the entry of a proof along trajectories, and add its arrays to those of the file."""
+    if np.any(proof.letters == SOMETIME):
+        raise NotCanonicalError("regions that are crossed in a window have no canonical form yet")
+
+    def put(array: Any, dtype: Any = np.float64) -> int:
+        arrays.append(np.ascontiguousarray(array, dtype=dtype))
+        return len(arrays) - 1
+
+    pairs = zip(problem.agents, proof.paths, strict=True)
+    return {
+        "kind": "trajectory",
+        "letters": put(proof.letters, np.int8),
+        "faces": put(proof.faces, np.int32),
+        "normals": put(np.zeros((proof.n_steps + 1, 0)) if proof.normals is None else proof.normals),
+        "agents": [{key: put(array) for key, array in _trajectory(*pair).items()} for pair in pairs],
+    }
+
+
+def _trajectory(agent: AnyAgent, path: AgentPath) -> dict[str, FloatArray]:
+    """Return nominal inputs, gains, states and widths of the tube of one agent."""
+    steps, d, m = path.n_steps, agent.n_states, agent.n_inputs
+    widths = np.full((steps + 1, d + m), np.inf) if path.slabs is None else path.slabs[:, : d + m]
+    return {
+        "inputs": path.inputs,
+        "gains": np.array(path.gains),
+        "states": nominal_states(agent, path.inputs) if path.states is None else path.states,
+        "widths": widths,
+    }
+
+
+def nominal_states(agent: AnyAgent, inputs: FloatArray) -> FloatArray:
+    """Return the states (S + 1, d) to which inputs (S, m) lead a linear agent without noise, up to rounding."""
+    states = [agent.initial.low]
+    for u in inputs:
+        states.append(agent.mean(states[-1][:, None], u[:, None])[:, 0])
+    return np.array(states)

@@ -1,0 +1,16 @@
+"""The checker: reads a certificate file and proves its claim, with numpy alone and nothing else of the package.
+
+Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``problem``;
+``automaton``, ``formula``, ``letters``; ``constraints``, ``trajectories``; ``selftest``, ``verdict``. Each file begins
+with its theorem.
+"""
+
+from .fields import Unreadable
+from .file import FORMAT, MOST_BYTES, VERSION, Contents, is_certificate, parse_file, read_file
+from .problem import read_problem
+from .verdict import Verdict, check, check_contents, shown
+
+__all__ = [
+    "FORMAT", "MOST_BYTES", "VERSION", "Contents", "Unreadable", "Verdict", "check", "check_contents",
+    "is_certificate", "parse_file", "read_file", "read_problem", "shown",
+]  # fmt: skip

@@ -1,0 +1,120 @@
+"""Deterministic finite automata (DFA) over letters, and words of which some letters are known in part.
+
+The transitions of a state are a binary decision diagram over the propositions. Entries e >= 0 are nodes, which test
+proposition ``variable[e]`` and go on at ``low[e]`` or ``high[e]``; entries e < 0 are states ``-1 - e``. A node tests a
+smaller proposition than its children, so that every letter leads from every state to one state.
+
+**Theorem** (``wrong_word``). Let every run satisfy what is known of its letters at times 0 .. S. If every word that
+agrees with it has entered an accepting state by then (co-safe), or is in one at the horizon (finite-trace), then every
+run satisfies the task. *Proof.* The set of states that such words can reach is followed letter by letter; a co-safe
+automaton that accepts once has satisfied the task, whatever comes after. QED
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+CO_SAFE, FINITE_TRACE = "co-safe", "finite-trace"
+
+Known = Mapping[int, bool]
+"""What is known of a letter: propositions by number, and whether they hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class Automaton:
+    """A complete deterministic automaton; ``initial`` is its state before the letter of time 0."""
+
+    propositions: tuple[str, ...]
+    semantics: str
+    initial: int
+    accepting: tuple[bool, ...]
+    root: tuple[int, ...]
+    variable: tuple[int, ...]
+    low: tuple[int, ...]
+    high: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        states, nodes = len(self.accepting), len(self.variable)
+        if self.semantics not in (CO_SAFE, FINITE_TRACE):
+            raise ValueError(f"semantics are {CO_SAFE} or {FINITE_TRACE}, not {self.semantics!r}")
+        if not 0 <= self.initial < states or len(self.root) != states:
+            raise ValueError("the automaton has another number of states than it says")
+        if len(self.low) != nodes or len(self.high) != nodes:
+            raise ValueError("the diagrams of the automaton have lists of different lengths")
+        if any(not -states <= entry < nodes for entry in (*self.root, *self.low, *self.high)):
+            raise ValueError("a diagram of the automaton leads to a node or a state that does not exist")
+        if any(not 0 <= p < len(self.propositions) for p in self.variable):
+            raise ValueError("a diagram of the automaton tests a proposition that does not exist")
+        # children test larger propositions: there is no circle, and every letter has one way
+        for node, children in enumerate(zip(self.low, self.high, strict=True)):
+            if any(child >= 0 and self.variable[child] <= self.variable[node] for child in children):
+                raise ValueError("a diagram of the automaton tests propositions out of order")
+
+    @property
+    def is_co_safe(self) -> bool:
+        """Whether a run satisfies the task as soon as the automaton accepts."""
+        return self.semantics == CO_SAFE
+
+    def targets(self, q: int, known: Known) -> set[int]:
+        """Return the states to which q leads by letters that agree with what is known."""
+        entries, seen, targets = [self.root[q]], set(), set()
+        while entries:
+            entry = entries.pop()
+            if entry < 0:
+                targets.add(-1 - entry)
+            elif entry not in seen:
+                seen.add(entry)
+                p = self.variable[entry]
+                if known.get(p, True):
+                    entries.append(self.high[entry])
+                if not known.get(p, False):
+                    entries.append(self.low[entry])
+        return targets
+
+    def dead(self) -> tuple[bool, ...]:
+        """Return which states lead to no accepting state: computed, and not read from any file."""
+        sources: dict[int, set[int]] = {q: set() for q in range(len(self.accepting))}
+        for q in sources:
+            for target in self.targets(q, {}):
+                sources[target].add(q)
+        alive = {q for q, accepts in enumerate(self.accepting) if accepts}
+        waiting = list(alive)
+        while waiting:
+            new = sources[waiting.pop()] - alive
+            alive |= new
+            waiting += new
+        return tuple(q not in alive for q in sources)
+
+
+def followed(automaton: Automaton, states: Iterable[int], known: Known) -> set[int]:
+    """Return the states after one letter; a co-safe automaton that has accepted stays where it is."""
+    reached: set[int] = set()
+    for q in states:
+        done = automaton.is_co_safe and automaton.accepting[q]
+        reached |= {q} if done else automaton.targets(q, known)
+    return reached
+
+
+def wrong_word(automaton: Automaton, horizon: int, letters: Sequence[Known]) -> str:
+    """Return why not all words that agree with what is known are accepted; an empty text if all are.
+
+    Parameters
+    ----------
+    automaton : Automaton
+    horizon : int
+        Number T of control steps: words have T + 1 letters.
+    letters : sequence of Known
+        At times 0, 1, .. S.
+    """
+    if len(letters) > horizon + 1:
+        return "the trajectory goes on after the horizon"
+    # A co-safe task may be satisfied before any letter is read.
+    states = {automaton.initial}
+    for known in letters:
+        states = followed(automaton, states, known)
+    if not automaton.is_co_safe and len(letters) != horizon + 1:
+        return "the trajectory ends before the horizon, where the task is judged"
+    if all(automaton.accepting[q] for q in states):
+        return ""
+    return "a word that agrees with the letters of the trajectory is not accepted"

@@ -1,0 +1,284 @@
+"""Formulas of linear temporal logic (LTL): that an automaton accepts no word that its formula does not.
+
+Over words: ``!`` ``&`` ``|`` ``->`` ``<->``; ``X f`` (there is a next letter, and f holds from it on), ``N f`` (if
+there is a next letter, f holds from it on), ``f U g``, ``f R g``, ``f W g``, ``f M g``, ``F f``, ``G f``, and with
+steps counted ``X[k] f``, ``F[a,b] f``, ``G[a,b] f`` (``F[k]`` is ``F[0,k]``). Under *finite-trace* semantics the word
+has T + 1 letters; a *co-safe* task is satisfied by a prefix if every infinite word that goes on from it satisfies the
+formula.
+
+**Theorem.** If ``wrong_automaton`` returns nothing, every word that the automaton accepts satisfies the formula.
+
+*Proof.* What a formula asks of the rest of a word is a Boolean function of formulas that hold from the next letter on
+(progression: ``f U g`` is ``g | f & X (f U g)``), kept as a reduced ordered decision diagram, so that equal functions
+are the same number. All pairs (state, function) that words reach are visited, beginning with the letter of time 0.
+Where a state accepts, the function must be true of the word that ends there: true for every continuation (co-safe), or
+true where no next letter exists (finite-trace). From dead states no word is accepted. QED
+
+The test is sound and not complete: equal languages whose functions differ are refused. Nothing is minimised, and no
+translation is trusted. Reference: Bacchus and Kabanza, Annals of Mathematics and Artificial Intelligence 22 (1998).
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, TypeAlias
+
+from .automaton import Automaton
+from .fields import Refused
+
+Formula: TypeAlias = Any
+
+TOKEN = re.compile(r"\s*(<->|->|[()!&|,\[\]]|[A-Za-z_][A-Za-z0-9_]*|[0-9]+)")
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+WORDS = frozenset(("true", "false", "X", "N", "F", "G", "U", "R", "W", "M"))
+POWER = {"<->": 1, "->": 2, "|": 3, "&": 4, "U": 5, "R": 5, "W": 5, "M": 5}
+"""How tightly operators bind; ``->`` and the temporal ones bind to the right."""
+
+LARGEST_BOUND, LONGEST, DEEPEST, MOST = 10_000, 200_000, 200, 200_000
+"""Steps in a window, characters, levels of brackets, and nodes or pairs that are visited at most."""
+
+
+class _Parser:
+    """Recursive descent over the tokens of a text."""
+
+    def __init__(self, text: str) -> None:
+        if len(text) > LONGEST:
+            raise ValueError(f"the formula has more than {LONGEST} characters")
+        self.tokens, self.at, self.depth = [*TOKEN.findall(text), ""], 0, 0
+        if "".join(self.tokens) != re.sub(r"\s", "", text):
+            raise ValueError("the formula holds a character that no formula has")
+
+    def take(self, wanted: str = "") -> str:
+        token = self.tokens[self.at]
+        if not token or (wanted and token != wanted):
+            raise ValueError(f"the formula has {token or 'its end'!r} where {wanted or 'more'!r} is expected")
+        self.at += 1
+        return token
+
+    def whole(self) -> Formula:
+        formula = self.binary(1)
+        if self.tokens[self.at]:
+            raise ValueError(f"the formula has {self.tokens[self.at]!r} after its end")
+        return formula
+
+    def binary(self, power: int) -> Formula:
+        left = self.unary()
+        while (own := POWER.get(self.tokens[self.at], 0)) >= power:
+            token = self.take()
+            right = self.binary(own if own in (2, 5) else own + 1)
+            left = (token, left, right)
+        return left
+
+    def unary(self) -> Formula:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise ValueError(f"the formula is nested deeper than {DEEPEST} levels")
+        formula = self._unary(self.take())
+        self.depth -= 1
+        return formula
+
+    def _unary(self, token: str) -> Formula:
+        if token == "(":
+            inner = self.binary(1)
+            self.take(")")
+            return inner
+        if token == "!":
+            return ("!", self.unary())
+        if token in ("X", "N", "F", "G"):
+            return self._temporal(token, self._bounds(token))
+        if not NAME.fullmatch(token) or token in WORDS - {"true", "false"}:
+            raise ValueError(f"the formula has {token!r} where a name is expected")
+        return {"true": True, "false": False}.get(token, token)
+
+    def _bounds(self, token: str) -> tuple[int, ...]:
+        if self.tokens[self.at] != "[":
+            return ()
+        self.take("[")
+        bounds = [int(self.take())]
+        if self.tokens[self.at] == ",":
+            self.take(",")
+            bounds.append(int(self.take()))
+        self.take("]")
+        if max(bounds) > LARGEST_BOUND or sorted(bounds) != bounds or len(bounds) > (2 if token in "FG" else 1):
+            raise ValueError(f"the formula has a window {bounds} that no operator {token} has")
+        return tuple(bounds)
+
+    def _temporal(self, token: str, bounds: tuple[int, ...]) -> Formula:
+        inner = self.unary()
+        if not bounds:
+            return (token, inner)
+        if token == "N":
+            raise ValueError("the formula has a window after N, which has none")
+        if token == "X":
+            for _ in range(bounds[0]):
+                inner = ("X", inner)
+            return inner
+        return (token, inner, *((0, *bounds) if len(bounds) == 1 else bounds))
+
+
+def parse(text: str) -> Formula:
+    """Return the formula of a text: a Boolean, a name, or a tuple (operator, operands .., bounds ..)."""
+    return _Parser(text).whole()
+
+
+class _Diagrams:
+    """Reduced ordered decision diagrams: 0, 1, and nodes (variable, low, high) by number."""
+
+    def __init__(self) -> None:
+        self.nodes: list[tuple[int, int, int]] = [(-1, 0, 0), (-1, 1, 1)]
+        self.numbers: dict[tuple[int, int, int], int] = {}
+        self.variables: dict[Formula, int] = {}
+        self.meanings: list[Formula] = []
+        self.memo: dict[tuple[int, int, int], int] = {}
+
+    def node(self, variable: int, low: int, high: int) -> int:
+        if low == high:
+            return low
+        key = variable, low, high
+        if key not in self.numbers:
+            if len(self.nodes) > MOST:
+                raise Refused(f"the formula needs more than {MOST} nodes to be proved")
+            self.numbers[key] = len(self.nodes)
+            self.nodes.append(key)
+        return self.numbers[key]
+
+    def variable(self, meaning: Formula) -> int:
+        """Return the diagram of a variable: a proposition, or a formula that holds from the next letter on."""
+        if meaning not in self.variables:
+            self.variables[meaning] = len(self.meanings)
+            self.meanings.append(meaning)
+        return self.node(self.variables[meaning], 0, 1)
+
+    def ite(self, f: int, g: int, h: int) -> int:
+        """Return (f and g) or (not f and h)."""
+        if f < 2:
+            return g if f else h
+        if (f, g, h) not in self.memo:
+            v = min(self.nodes[n][0] for n in (f, g, h) if n > 1)
+            low, high = ([self.side(n, v, s) for n in (f, g, h)] for s in (1, 2))
+            self.memo[f, g, h] = self.node(v, self.ite(*low), self.ite(*high))
+        return self.memo[f, g, h]
+
+    def side(self, f: int, v: int, side: int) -> int:
+        return self.nodes[f][side] if f > 1 and self.nodes[f][0] == v else f
+
+
+class _Progression:
+    """What formulas ask of the rest of a word, letter by letter."""
+
+    def __init__(self, propositions: tuple[str, ...]) -> None:
+        self.diagrams, self.P = _Diagrams(), len(propositions)
+        for name in propositions:  # propositions come first in the order of variables
+            self.diagrams.variable(name)
+        self.memo: dict[Formula, int] = {}
+        self.after: dict[int, int] = {}
+
+    def now(self, f: Formula) -> int:
+        """Return what a formula asks from a letter on, over propositions there and formulas at the next letter."""
+        if f not in self.memo:
+            self.memo[f] = self._now(f)
+        return self.memo[f]
+
+    def _now(self, f: Formula) -> int:
+        d = self.diagrams
+        if isinstance(f, bool):
+            return int(f)
+        if isinstance(f, str):
+            if f not in d.variables:
+                raise Refused(f"the formula names {f!r}, which is no proposition")
+            return d.variable(f)
+        operator, a, *rest = f
+        if operator == "X":
+            return d.variable(f)
+        if operator == "N":
+            return d.ite(d.variable(("X", ("!", a))), 0, 1)
+        if operator == "!":
+            return d.ite(self.now(a), 0, 1)
+        if operator == "F" and rest:
+            return self._window(a, *rest)
+        if operator == "U":
+            return d.ite(self.now(rest[0]), 1, d.ite(self.now(a), d.variable(("X", f)), 0))
+        if operator == "F":
+            return self.now(("U", True, a))
+        if operator == "G":
+            return self.now(("!", ("F", ("!", a), *rest)))
+        b = rest[0]
+        if operator == "M":
+            return self.now(("U", b, ("&", a, b)))
+        if operator == "R":
+            return self.now(("!", ("U", ("!", a), ("!", b))))
+        if operator == "W":
+            return self.now(("!", ("U", ("!", b), ("&", ("!", a), ("!", b)))))
+        x, y = self.now(a), self.now(b)
+        # f holds and what then; f fails and what then
+        then, otherwise = {"&": (y, 0), "|": (1, y), "->": (y, 1), "<->": (y, d.ite(y, 0, 1))}[operator]
+        return d.ite(x, then, otherwise)
+
+    def _window(self, a: Formula, low: int, high: int) -> int:
+        """Return what F[low,high] a asks."""
+        if low:
+            return self.diagrams.variable(("X", ("F", a, low - 1, high - 1)))
+        if not high:
+            return self.now(a)
+        return self.diagrams.ite(self.now(a), 1, self.diagrams.variable(("X", ("F", a, 0, high - 1))))
+
+    def stepped(self, f: int) -> int:
+        """Return a function over formulas at the next letter as one over the propositions of that letter."""
+        if f < 2:
+            return f
+        if f not in self.after:
+            v, low, high = self.diagrams.nodes[f]
+            promised = self.now(self.diagrams.meanings[v][1])  # the f of X f
+            self.after[f] = self.diagrams.ite(promised, self.stepped(high), self.stepped(low))
+        return self.after[f]
+
+    def holds_at_end(self, f: int) -> bool:
+        """Return whether a function is true where no next letter exists: every X is false there."""
+        while f > 1:
+            f = self.diagrams.nodes[f][1]
+        return bool(f)
+
+
+def wrong_automaton(automaton: Automaton, formula: Formula) -> str:
+    """Return which state accepts a word that the formula does not; an empty text if none does."""
+    progression, dead = _Progression(automaton.propositions), automaton.dead()
+    # The word of no letter: a co-safe automaton that accepts it accepts every word.
+    before = progression.diagrams.variable(("X", formula))
+    if automaton.is_co_safe and automaton.accepting[automaton.initial] and progression.now(formula) != 1:
+        return f"state {automaton.initial} accepts before any letter, and the formula is not always true"
+    stack = _letters(progression, automaton, automaton.initial, progression.stepped(before))
+    seen: set[tuple[int, int]] = set()
+    while stack:
+        pair = q, f = stack.pop()
+        if pair in seen or dead[q]:
+            continue
+        seen.add(pair)
+        if len(seen) > MOST:
+            raise Refused(f"the formula needs more than {MOST} pairs to be proved")
+        if automaton.accepting[q] and not (f == 1 if automaton.is_co_safe else progression.holds_at_end(f)):
+            return f"state {q} accepts a word that does not satisfy the formula"
+        # a function that is true stays so, and a co-safe run that has accepted is done
+        if f != 1 and not (automaton.is_co_safe and automaton.accepting[q]):
+            stack += _letters(progression, automaton, q, progression.stepped(f))
+    return ""
+
+
+def _letters(progression: _Progression, automaton: Automaton, q: int, f: int) -> list[tuple[int, int]]:
+    """Return the states and functions that letters lead to: the two diagrams over propositions, side by side."""
+    d, pairs = progression.diagrams, []
+    stack, seen = [(automaton.root[q], f)], set[tuple[int, int]]()
+    while stack:
+        entry, f = place = stack.pop()
+        if place in seen:
+            continue
+        seen.add(place)
+        tests = [automaton.variable[entry]] if entry >= 0 else []
+        tests += [d.nodes[f][0]] if f > 1 and d.nodes[f][0] < progression.P else []
+        if not tests:
+            pairs.append((-1 - entry, f))
+            continue
+        p = min(tests)
+        here = entry >= 0 and automaton.variable[entry] == p
+        entries = (automaton.low[entry], automaton.high[entry]) if here else (entry, entry)
+        stack += zip(entries, (d.side(f, p, 1), d.side(f, p, 2)), strict=True)
+    return pairs

@@ -1,0 +1,178 @@
+"""Letters: which propositions hold at a time, what a trajectory promises of them, and what that asks of outputs.
+
+A trajectory says of each proposition at each time 1 .. S that it holds (1), that it does not (-1), or nothing (0).
+
+* A region that is to hold asks for ``low <= y < high`` of every output.
+* One that is not to hold asks for one side of it, its *face*: ``y_k < low_k`` (face 2k) or ``y_k >= high_k`` (2k + 1).
+* A pair that is to hold asks for limits that only points of its box or ball satisfy. One that is not to hold asks for
+  ``n.(y_a - y_b) >= max of n.z over the box or ball``, with the *normal* n that the trajectory names.
+
+What follows is known, too: a region that holds nowhere at this time does not hold, nor does one that has no point in
+common with a region of the same agent that holds. At time 0 letters are those that hold on the whole box of starts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .expressions import Tree
+from .fields import Refused
+from .jets import value_on
+from .problem import Agent, Pair, Problem
+from .rigorous import Array, U
+
+INSIDE = 1.0 - 1e-12
+"""Factor on limits that lie within a ball: more than faces of a unit octagon are rounded by, which is 4 U."""
+
+
+@dataclass(frozen=True, eq=False)
+class Demand:
+    """``low <= sum of factors times outputs < high``; ``parts`` are (agent, output, factor)."""
+
+    parts: tuple[tuple[int, int, float], ...]
+    low: float
+    high: float
+    label: str
+
+
+def known_at(problem: Problem, letters: NDArray[np.int64], t: int) -> dict[int, bool]:
+    """Return what is known of the letter of a time t >= 1, by number of the proposition."""
+    known = {p: value > 0 for p, value in enumerate(letters[t].tolist()) if value}
+    for p, region in enumerate(problem.regions):
+        if p in known:
+            continue
+        apart = [
+            np.any(region.high[t] <= other.low[t]) or np.any(other.high[t] <= region.low[t])
+            for other, value in zip(problem.regions, letters[t].tolist())
+            if value > 0 and other.agent == region.agent
+        ]
+        if np.any(region.low[t] >= region.high[t]) or any(apart):
+            known[p] = False
+    return known
+
+
+def known_at_start(problem: Problem) -> dict[int, bool]:
+    """Return what is known of the letter of time 0, for all starts in the box."""
+    outputs = [
+        np.concatenate([_output(agent, tree) for tree in agent.outputs], axis=1) if agent.outputs else np.zeros((2, 0))
+        for agent in problem.agents
+    ]
+    known = {}
+    for p, region in enumerate(problem.regions):
+        low, high = outputs[region.agent]
+        if np.all((region.low[0] <= low) & (high < region.high[0])):
+            known[p] = True
+        elif np.any((high < region.low[0]) | (region.high[0] <= low)) or np.any(region.low[0] >= region.high[0]):
+            known[p] = False
+    for p, pair in enumerate(problem.pairs, start=len(problem.regions)):
+        sides = [outputs[i][:, list(axes)] for i, axes in zip(pair.agents, pair.outputs, strict=True)]
+        held = _held(pair, *sides) if all(np.all(np.isfinite(side)) for side in sides) else None
+        if held is not None:
+            known[p] = held
+    return known
+
+
+def _output(agent: Agent, tree: Tree) -> Array:
+    """Return ends (2, 1) of an output on the box of starts; of a state they are exact."""
+    return value_on(tree, {name: agent.start[:, k : k + 1] for k, name in enumerate(agent.states)})
+
+
+def _held(pair: Pair, first: Array, second: Array) -> bool | None:
+    """Return whether a pair holds at time 0 for all outputs between ends (2, p); None if that is not known.
+
+    Starts may lie on a face, so differences are rational numbers; those that a simulator rounds lie between their ends.
+    """
+    ends = []
+    for a_low, a_high, b_low, b_high in zip(*first.tolist(), *second.tolist(), strict=True):
+        exact = Fraction(a_low) - Fraction(b_high), Fraction(a_high) - Fraction(b_low)
+        ends.append((min(exact[0], Fraction(a_low - b_high)), max(exact[1], Fraction(a_high - b_low))))
+    if pair.radius is None:
+        limits = list(zip(ends, pair.low[0].tolist(), pair.high[0].tolist(), strict=True))
+        if all(a <= low and high < b for (low, high), a, b in limits):
+            return True
+        return False if any(high < a or b <= low or a >= b for (low, high), a, b in limits) else None
+    radius = Fraction(float(pair.radius[0]))
+    least = sum(0 if low <= 0 <= high else min(low * low, high * high) for low, high in ends)
+    most = sum(max(low * low, high * high) for low, high in ends)
+    # a simulator rounds squares and their sum: what is this near to the face is not known
+    spare = 1 + Fraction(len(ends) + 4, 2**50)
+    if radius <= 0 or least >= radius * radius * spare:
+        return False
+    return True if most * spare < radius * radius else None
+
+
+def demands(
+    problem: Problem, letters: NDArray[np.int64], faces: NDArray[np.int64], normals: Array, t: int
+) -> list[Demand]:
+    """Return what the letter of a time t >= 1 asks of outputs; raise ``Refused`` if a side that is named is none."""
+    asked: list[Demand] = []
+    for p, region in enumerate(problem.regions):
+        value, face, label = int(letters[t, p]), int(faces[t, p]), f"`{region.name}` at time {t}"
+        low, high = region.low[t], region.high[t]
+        if value > 0:
+            limits = zip(range(len(low)), low.tolist(), high.tolist())
+            asked += [Demand(((region.agent, k, 1.0),), a, b, label) for k, a, b in limits if a > -np.inf or b < np.inf]
+        elif value < 0 and not np.any(low >= high):
+            k, above = divmod(face, 2)
+            if not 0 <= k < len(low) or not np.isfinite((high if above else low)[k]):
+                raise Refused(f"{label}: the side {face} that is kept away from has no limit")
+            ends = (float(high[k]), np.inf) if above else (-np.inf, float(low[k]))
+            asked.append(Demand(((region.agent, k, 1.0),), *ends, f"not {label}"))
+    first = 0
+    for p, pair in enumerate(problem.pairs, start=len(problem.regions)):
+        count = len(pair.outputs[0])
+        normal = normals[t, first : first + count]
+        first += count
+        if letters[t, p] > 0:
+            asked += _near(pair, t)
+        elif letters[t, p] < 0:
+            asked += _apart(pair, normal, t)
+    return asked
+
+
+def _between(pair: Pair, factors: Array, low: float, high: float, label: str) -> Demand:
+    """Return limits on ``factors.(y_a - y_b)``."""
+    sides = zip(pair.agents, pair.outputs, (1.0, -1.0), strict=True)
+    parts = [(i, k, sign * f) for i, axes, sign in sides for k, f in zip(axes, factors.tolist(), strict=True) if f]
+    return Demand(tuple(parts), low, high, label)
+
+
+def _near(pair: Pair, t: int) -> list[Demand]:
+    """Return limits which together hold in points of a pair alone."""
+    label, count = f"`{pair.name}` at time {t}", len(pair.outputs[0])
+    if pair.radius is None:
+        limits = zip(np.eye(count), pair.low[t].tolist(), pair.high[t].tolist())
+        return [_between(pair, axis, a, b, label) for axis, a, b in limits if a > -np.inf or b < np.inf]
+    radius = float(pair.radius[t])
+    if count == 2:
+        # a regular octagon in the disc: its corners are at the radius, its faces at radius times cos(pi / 8)
+        turns = 0.25 * np.pi * np.arange(4)
+        faces, limit = np.column_stack([np.cos(turns), np.sin(turns)]), 0.9238795325112867 * radius * INSIDE
+    else:
+        faces, limit = np.eye(count), radius / float(np.sqrt(count)) * INSIDE
+    return [_between(pair, face, -limit, limit, label) for face in faces]
+
+
+def _apart(pair: Pair, normal: Array, t: int) -> list[Demand]:
+    """Return the half-space beyond a pair in the direction of a normal; nothing where the pair is empty."""
+    label = f"not `{pair.name}` at time {t}"
+    if pair.radius is None:
+        low, high = pair.low[t], pair.high[t]
+        if np.any(low >= high):
+            return []
+        # n.z on the closed box is largest at a corner; an infinite side times 0 asks for nothing
+        with np.errstate(invalid="ignore"):
+            corner = np.where(normal == 0.0, 0.0, np.maximum(normal * low, normal * high))
+        largest = float(np.sum(corner)) + (len(normal) + 2.0) * U * float(np.sum(np.abs(corner)))
+    else:
+        radius = max(float(pair.radius[t]), 0.0)
+        if radius == 0.0:
+            return []
+        largest = radius * float(np.sqrt(np.sum(normal * normal))) * (1.0 + (len(normal) + 8.0) * U)
+    if not np.any(normal) or not np.isfinite(largest):
+        raise Refused(f"{label}: the direction {normal.tolist()} leads out of no side of it")
+    return [_between(pair, normal, largest, np.inf, label)]

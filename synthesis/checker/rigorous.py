@@ -1,0 +1,193 @@
+"""Elementary functions and the tail of the normal distribution, each enclosed between two doubles.
+
+**Theorem.** For every double x each function here returns ``(low, high)`` with ``low <= f(x) <= high``; what is not a
+number gives nan. Only ``+ - * / sqrt``, ``rint``, ``ldexp`` and comparisons are trusted, rounded to nearest.
+
+*Proof.* U = 2^-53 is the relative error of one operation. Each function reduces its argument, sums a series with all
+errors counted (``EXP_ERROR``, ``SIN_ERROR``), and widens the sum by that count; log and atan are guesses that the
+function they invert proves on both sides. The tail of the normal distribution is a series of positive terms below
+3/2, and beyond it lies between consecutive convergents of Laplace's continued fraction, so that the number of terms
+decides how wide the enclosure is, and never whether it holds. Counts are compared with 300 bits in
+``tests/checker``.
+
+References: Higham, Accuracy and Stability of Numerical Algorithms (2002), 3.1; Cody and Waite (1980) for reductions;
+Abramowitz and Stegun 26.2.14 for the continued fraction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ends = tuple[Array, Array]
+"""Lower and upper ends, arrays of one shape."""
+
+U = 2.0**-53
+"""Largest relative error of one rounded operation."""
+
+TINY = 2.0**-1060
+"""More than all underflow in a function can add: no operation here loses more than 2^-1074."""
+
+LN2 = (0.693147180369123816490, 1.90821492927058770002e-10)
+"""ln 2 in two parts; the first ends in 21 zeros, so that whole multiples up to 2^20 are exact."""
+
+HALF_PI = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
+"""pi / 2 in three parts, the first two with room for whole multiples up to 2^20."""
+
+EXP_ERROR, SIN_ERROR = 32 * U, 24 * U
+"""Counted errors of exp (relative) and of sin and cos (absolute)."""
+
+LARGEST_ANGLE = 1e6
+"""Angles beyond it are not reduced: sin and cos are between -1 and 1 there."""
+
+PHI_0 = (0.39894228040143267, 0.39894228040143271)
+"""1 / sqrt(2 pi), from below and from above."""
+
+
+def _widened(value: Array, error: Any, low: float = -np.inf, high: float = np.inf) -> Ends:
+    return np.maximum(value - error - TINY, low), np.minimum(value + error + TINY, high)
+
+
+def exp(x: Array) -> Ends:
+    """Return ends of e^x."""
+    with np.errstate(all="ignore"):
+        # x = k ln 2 + r with |r| <= .35: the first difference is exact, the second is off by less than U
+        k = np.rint(np.clip(x, -1000.0, 1000.0) / LN2[0])
+        r = (x - k * LN2[0]) - k * LN2[1]
+        # Horner's scheme; r^17 / 17! is below U
+        series = np.ones_like(r)
+        for n in range(16, 0, -1):
+            series = 1.0 + r * series / n
+        value = np.ldexp(series, np.where(np.isnan(k), 0.0, k).astype(int))
+        value = np.where(x < -1000.0, 0.0, np.where(x > 709.0, np.inf, value))
+        # r is off by k times the rounding of the second part of ln 2
+        return _widened(value, EXP_ERROR * (1.0 + 2.0**-9 * np.abs(k)) * value, 0.0)
+
+
+def _quadrant(x: Array) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return k modulo 4, sin r and cos r where x = k pi/2 + r, off by ``SIN_ERROR`` at most."""
+    k = np.rint(x / (HALF_PI[0] + HALF_PI[1]))
+    # |r| <= .79; both differences round once, numbers below 1
+    r = (x - k * HALF_PI[0]) - k * HALF_PI[1]
+    r = r - k * HALF_PI[2]
+    sine, cosine, square = np.ones_like(r), np.ones_like(r), r * r
+    for n in range(11, 0, -1):
+        sine = 1.0 - square * sine / ((2 * n) * (2 * n + 1))
+        cosine = 1.0 - square * cosine / ((2 * n - 1) * (2 * n))
+    return np.mod(k, 4).astype(np.int64), r * sine, cosine
+
+
+def _circular(x: Array, turned: int) -> Ends:
+    """Return ends of sin(x + turned pi/2)."""
+    with np.errstate(all="ignore"):
+        known = np.abs(x) < LARGEST_ANGLE  # false for nan
+        k, sine, cosine = _quadrant(np.where(known, x, 0.0))
+        value = np.choose((k + turned) % 4, [sine, cosine, -sine, -cosine])
+        low, high = _widened(value, SIN_ERROR, -1.0, 1.0)
+        beyond = np.where(np.isnan(x), np.nan, 1.0)
+        return np.where(known, low, -beyond), np.where(known, high, beyond)
+
+
+def sin(x: Array) -> Ends:
+    """Return ends of sin x."""
+    return _circular(x, 0)
+
+
+def cos(x: Array) -> Ends:
+    """Return ends of cos x."""
+    return _circular(x, 1)
+
+
+def _proved_inverse(guess: Array, rising: Callable[[Array], Ends], x: Array, radius: Array) -> Ends:
+    """Return ends of the y with rising(y) = x: a guess moved outward and proved on both sides, else nan."""
+    low, high = guess - radius, guess + radius
+    return np.where(rising(low)[1] <= x, low, np.nan), np.where(rising(high)[0] >= x, high, np.nan)
+
+
+def log(x: Array) -> Ends:
+    """Return ends of ln x; nan where x <= 0."""
+    with np.errstate(all="ignore"):
+        guess = np.log(x)
+        return _proved_inverse(guess, exp, x, 2.0**-44 * (np.abs(guess) + 1.0))
+
+
+def _tan(y: Array) -> Ends:
+    """Return ends of tan y for |y| < pi/2."""
+    sine, cosine = sin(y), cos(y)
+    quotients = np.stack([s / c for s in sine for c in cosine])
+    error = 4 * U * np.abs(quotients).max(axis=0)
+    return quotients.min(axis=0) - error, quotients.max(axis=0) + error
+
+
+def atan(x: Array) -> Ends:
+    """Return ends of the arc tangent of x."""
+    with np.errstate(all="ignore"):
+        low, high = _proved_inverse(np.arctan(x), _tan, x, 2.0**-44 * (1.0 + 0 * x))
+        # beyond 10^6 the arc tangent is within 10^-6 of a quarter turn: 1.5707 < pi/2 - 10^-6 < pi/2 < 1.5708
+        far_low = np.where(x > 0, 1.5707, np.where(x < 0, -1.5708, np.nan))
+        far_high = np.where(x > 0, 1.5708, np.where(x < 0, -1.5707, np.nan))
+        near = np.abs(x) < 1e6
+        return np.where(near, low, far_low), np.where(near, high, far_high)
+
+
+def tanh(x: Array) -> Ends:
+    """Return ends of tanh x."""
+    with np.errstate(all="ignore"):
+        # (e - 1) / (e + 1) rises with e = exp(2 x); three operations on numbers of at most 1 in size
+        low, high = exp(2.0 * np.clip(x, -300.0, 300.0))
+        return (
+            np.maximum((low - 1) / (low + 1) - 4 * U, -1.0),
+            np.minimum((high - 1) / (high + 1) + 4 * U, 1.0),
+        )
+
+
+SERIES_END = 1.5
+"""Below it the tail is 1/2 less a series of positive terms, of which 31 leave less than U."""
+
+FRACTIONS = ((SERIES_END, 3.0, 100), (3.0, 6.0, 40), (6.0, np.inf, 16))
+"""From where to where, and how many terms of the continued fraction make both convergents agree to a few U."""
+
+
+def tail(z: Any) -> Ends:
+    """Return ends of P(N > z) for z >= 0 and standard normal N; nan for what is not a number."""
+    z = np.minimum(np.asarray(z, dtype=float), 1e3)  # beyond, the lower end is 0 and the upper one next to it
+    with np.errstate(all="ignore"):
+        square = z * z  # off by U of itself, so that its exponential is off by U z^2 of itself
+        low, high = exp(-0.5 * square)
+        spare = (square + 8.0) * U
+        density = low * (1 - spare) * PHI_0[0], high * (1 + spare) * PHI_0[1]
+        ends = np.full((2, *z.shape), np.nan)
+        _near_tail(z, density, ends)
+        for first, last, count in FRACTIONS:
+            _far_tail(z, (z >= first) & (z < last), count, density, ends)
+        return np.maximum(ends[0], 0.0), ends[1]
+
+
+def _near_tail(z: Array, density: Ends, ends: Array) -> None:
+    """Write the tail where z < 3/2: P(N > z) = 1/2 - phi(z) sum of z^(2n+1) / (1 3 5 .. (2n+1))."""
+    at = z < SERIES_END
+    x = z[at]
+    term = series = x
+    for n in range(1, 32):
+        term = term * x * x / (2 * n + 1)
+        series = series + term
+    # positive terms: the sum is off by less than 130 U of itself, and what is left is less than the last term
+    ends[0, at] = 0.5 - density[1][at] * series * (1 + 200 * U) - U
+    ends[1, at] = 0.5 - density[0][at] * series * (1 - 200 * U) + U
+
+
+def _far_tail(z: Array, at: NDArray[np.bool_], count: int, density: Ends, ends: Array) -> None:
+    """Write the tail where ``at`` says: phi(z) / (z + 1/(z + 2/(z + 3/..))), between two convergents in a row."""
+    x, convergents = z[at], []
+    for terms in (count, count + 1):
+        fraction = x
+        for n in range(terms, 0, -1):
+            fraction = x + n / fraction
+        convergents.append(1.0 / fraction)
+    # errors of the fraction are damped at each step; 16 U covers what is left of them, the product and the quotient
+    ends[0, at] = density[0][at] * np.minimum(*convergents) * (1 - 16 * U)
+    ends[1, at] = density[1][at] * np.maximum(*convergents) * (1 + 16 * U) + 2.0**-1000

@@ -1,0 +1,441 @@
+"""Certificates along nominal trajectories: any dynamics, any number of agents and states, normal noise.
+
+All agents are one system with the joint state ``x = xbar + e`` and inputs ``u = ubar + K e + rho`` (rho: the rounding
+of a controller), clipped to their boxes. On a *tube* of errors e its step is ``e' = F e + m + r + L w`` with any matrix
+F, where the linearization error r and the mismatch m lie in a box (``jets.off_linear``). For a row c at time t take any
+numbers y_s (D,) with ``y_t = c``. By telescoping
+
+    c e_t = y_0 e_0 + sum_s y_(s+1) L w_s + sum_s y_(s+1) (m_s + r_s) + sum_s (y_(s+1) F_s - y_s) e_s.
+
+The second term is a normal number g with the variance ``sum_s |L' y_(s+1)|^2``; the others lie in a box that the tube
+bounds. The last sum charges whatever y was rounded by, so nothing is said of how y was computed.
+
+**Theorem.** Ask at every time 1 .. S that errors stay in the tube (``|g| <= width`` for each state), states in their
+workspaces, and outputs where the letters say; and at 0 .. S - 1 that inputs stay in their boxes. If every word that
+agrees with the letters is accepted, then P(task) >= 1 - P(a constraint fails), for every start in the box.
+
+*Proof.* While all constraints up to a time hold, errors are in the tube, no input is clipped, and so the next step is
+the one above; hence at the first failure a constraint on the numbers g fails (``constraints``). If none fails no agent
+leaves its workspace, and the word agrees with the letters (``letters``, ``automaton``). QED
+
+Reference: docs/theory/paths.md, "Agents of any dynamics", "Teams".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import fields
+from .automaton import wrong_word
+from .constraints import ROUNDED, Constraints, Normal
+from .expressions import Tree
+from .fields import Refused
+from .file import Contents
+from .intervals import add, down, interval, mul, neg, up
+from .jets import Follow, Jet, Memory, jet, off_linear
+from .letters import Demand, demands, known_at, known_at_start
+from .problem import Agent, Problem
+from .rigorous import Array, U
+
+LARGEST_ERROR = 1e100
+"""Linearization errors beyond it end the check: what follows overflows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Of one agent: inputs (S, m), feedback gains (S, m, d), states (S + 1, d), widths (S + 1, d + m) of the tube."""
+
+    inputs: Array
+    gains: Array
+    states: Array
+    widths: Array
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryProof:
+    """Trajectories of all agents and what they promise: letters and faces (S + 1, P), normals (S + 1, .) of pairs."""
+
+    trajectories: tuple[Trajectory, ...]
+    letters: NDArray[np.int64]
+    faces: NDArray[np.int64]
+    normals: Array
+
+
+def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
+    """Return the proof in a file; raise ``Unreadable`` if there is none of this kind."""
+    keys = "kind", "letters", "faces", "normals", "agents"
+    data = fields.table(contents.header["proof"], "proof", keys)
+    propositions, compared = len(problem.automaton.propositions), sum(len(pair.outputs[0]) for pair in problem.pairs)
+    letters = contents.integers(data["letters"], "proof.letters", (None, propositions), -1, 2)
+    steps = len(letters) - 1
+    if not 1 <= steps <= problem.horizon:
+        raise fields.Unreadable(f"proof.letters: {steps} steps do not fit the horizon {problem.horizon}")
+    # the face of a proposition of which nothing is said is never looked at
+    faces = contents.integers(data["faces"], "proof.faces", (steps + 1, propositions), -1, 2**31)
+    normals = contents.floats(data["normals"], "proof.normals", (steps + 1, compared))
+    entries = fields.each(data["agents"], "proof.agents", _entry, len(problem.agents))
+    trajectories = []
+    for agent, entry in zip(problem.agents, entries, strict=True):
+        d, m, place = len(agent.states), len(agent.inputs), f"proof.{agent.name}"
+        widths = contents.floats(entry["widths"], f"{place}.widths", (steps + 1, d + m), infinite=True)
+        if np.any(widths < 0.0):
+            raise fields.Unreadable(f"{place}.widths: it holds a negative number")
+        trajectories.append(
+            Trajectory(
+                contents.floats(entry["inputs"], f"{place}.inputs", (steps, m)),
+                contents.floats(entry["gains"], f"{place}.gains", (steps, m, d)),
+                contents.floats(entry["states"], f"{place}.states", (steps + 1, d)),
+                widths,
+            )
+        )
+    return TrajectoryProof(tuple(trajectories), letters, faces, normals)
+
+
+def _entry(value: Any, place: str) -> dict[str, Any]:
+    return fields.table(value, place, ("inputs", "gains", "states", "widths"))
+
+
+class ErrorSystem:
+    """What entered the errors at each step: F (D, D), boxes (2, D) of m + r, half widths (D,) of e, and the noise."""
+
+    def __init__(self, spread: Array, noise: Array) -> None:
+        self.spread, self.noise = spread, noise
+        self.products = np.eye(len(spread))[None]  # of all F from each time on: (t + 1, D, D)
+        self.matrices: list[Array] = []
+        self.pushed: list[Array] = []
+        self.reach: list[Array] = []
+
+    def step(self, matrix: Array, pushed: Array, reach: Array) -> None:
+        """Add a step: ``e' = matrix e + pushed + noise`` for all |e| <= reach."""
+        self.products = np.concatenate([np.matmul(matrix, self.products), np.eye(len(matrix))[None]])
+        self.matrices.append(matrix)
+        self.pushed.append(pushed)
+        self.reach.append(reach)
+
+    def rows(self, c: Array) -> tuple[Array, Normal]:
+        """Return ends (2, J) of what rows c (J, D) of e are besides g, and g."""
+        t, d = len(self.matrices), c.shape[1]
+        y = np.matmul(c[None], self.products)  # (t + 1, J, D)
+        # sums of so many numbers of one sign are rounded by less
+        counted = 1.0 + 4.0 * U * (y.shape[0] * d + 64.0)
+        spare = np.abs(y[0]) @ self.spread * counted
+        if not t:
+            still = Normal(np.zeros(len(c)), np.zeros((len(c), self.noise.shape[1]), dtype=bool))
+            return np.stack([-spare, spare]), still
+        before, after, size = y[:-1], y[1:], np.abs(y[1:])
+        matrices, pushed = np.array(self.matrices), np.array(self.pushed)
+        # what y misses: the difference, its rounding, and underflow
+        missed = np.abs(np.matmul(after, matrices) - before)
+        missed += (d + 4.0) * U * (np.matmul(size, np.abs(matrices)) + np.abs(before)) + 1e-290
+        spare = spare + np.einsum("sjd,sd->j", missed, np.array(self.reach)) * counted
+        middle, half = 0.5 * (pushed[:, 0] + pushed[:, 1]), 0.5 * (pushed[:, 1] - pushed[:, 0])
+        shift, shifted = np.einsum("sjd,sd->j", after, middle), np.einsum("sjd,sd->j", size, np.abs(middle))
+        spare += np.einsum("sjd,sd->j", size, half + 2 * U * np.abs(middle)) * counted
+        spare += (d * t + 8.0) * U * shifted + 1e-290
+        # every product y L is off by less than this, and its square enters the variance
+        moved = np.abs(np.matmul(after, self.noise))
+        moved += (d + 4.0) * U * np.matmul(size, np.abs(self.noise)) + np.where(moved > 0.0, 1e-160, 0.0)
+        variance = np.einsum("sjw,sjw->j", moved, moved) * (counted + 4.0 * U * t * moved.shape[2])
+        return np.stack([shift - spare, shift + spare]), Normal(variance, (moved > 0.0).any(axis=0))
+
+
+def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constraints]:
+    """Return an upper bound on the probability that the task fails, and the constraints that it rests on.
+
+    Raises
+    ------
+    Refused
+        If words that agree with the letters are not accepted, or nothing is known beyond a step.
+    """
+    letters = [known_at_start(problem)]
+    letters += [known_at(problem, proof.letters, t) for t in range(1, len(proof.letters))]
+    if wrong := wrong_word(problem.automaton, problem.horizon, letters):
+        raise Refused(wrong)
+    joint = _Joint.of(problem, proof)
+    errors, constraints = ErrorSystem(joint.spread, problem.noise), Constraints()
+    for t in range(len(proof.letters)):
+        known = errors.rows(np.eye(len(joint.spread)))
+        tube = joint.tube(known[0], t)
+        if t:
+            asked = demands(problem, proof.letters, proof.faces, proof.normals, t)
+            _ask_states(joint, errors, constraints, tube, known, asked, t)
+        if t < len(proof.letters) - 1:
+            _advance(joint, errors, constraints, tube, t)
+    return constraints.failure(), constraints
+
+
+@dataclass(frozen=True, eq=False)
+class _Joint:
+    """All agents as one: where each is in the joint state, boxes (2, D), nominal states and widths (S + 1, D)."""
+
+    agents: tuple[Agent, ...]
+    trajectories: tuple[Trajectory, ...]
+    slices: list[slice]
+    box: Array
+    states: Array
+    widths: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, problem: Problem, proof: TrajectoryProof) -> _Joint:
+        agents, trajectories = problem.agents, proof.trajectories
+        box, start = (np.concatenate(ends, axis=1) for ends in zip(*((a.state_box, a.start) for a in agents)))
+        states = np.concatenate([own.states for own in trajectories], axis=1)
+        if np.any(start[0] < box[0]) or np.any(start[1] > box[1]):
+            raise Refused("a start lies outside the workspace of its agent")
+        point = start[0] == start[1]
+        if np.any(point & (start[0] != states[0])):
+            raise Refused("a trajectory begins elsewhere than its agent")
+        wrong = np.argwhere((states < box[0]) | (states > box[1]))
+        if len(wrong):
+            raise Refused(f"state {wrong[0, 1]} of the nominal trajectory leaves the workspace at time {wrong[0, 0]}")
+        spread = np.where(point, 0.0, np.maximum(up(start[1] - states[0]), up(states[0] - start[0])))
+        widths = [own.widths[:, : len(agent.states)] for agent, own in zip(agents, trajectories, strict=True)]
+        slices = problem.slices
+        return cls(agents, trajectories, slices, box, states, np.concatenate(widths, axis=1), spread)
+
+    def tube(self, ends: Array, t: int) -> Array:
+        """Return ends (2, D) between which errors stay, from those (2, D) of what they are besides g."""
+        width = self.widths[t] if t else np.zeros(len(self.spread))
+        still = (ends == 0).all(axis=0) & (width == 0)
+        low, high = np.minimum(down(ends[0] - width), 0.0), np.maximum(up(ends[1] + width), 0.0)
+        # states are in their workspaces, too; the tube holds 0, where the dynamics are expanded
+        low = np.maximum(low, np.minimum(down(self.box[0] - self.states[t]), 0.0))
+        high = np.minimum(high, np.maximum(up(self.box[1] - self.states[t]), 0.0))
+        return np.where(still, 0.0, np.stack([low, high]))
+
+    def row(self, i: int, part: Array) -> Array:
+        """Return the row (D,) of the joint state that is ``part`` for agent i."""
+        row = np.zeros(len(self.spread))
+        row[self.slices[i]] = part
+        return row
+
+
+def _ask_states(
+    joint: _Joint,
+    errors: ErrorSystem,
+    constraints: Constraints,
+    tube: Array,
+    known: tuple[Array, Normal],
+    asked: Sequence[Demand],
+    t: int,
+) -> None:
+    """Ask for workspaces, the tube and letters at a time: rows with two ends, one for all that asks for the same.
+
+    ``known`` are ends (2, D) and numbers g of the states themselves: the tube is made of these very numbers.
+    """
+    axes, D = np.eye(len(joint.spread)), len(joint.spread)
+    values = interval(joint.states[t])
+    rows, limits, labels = [*axes], [*joint.box.T.tolist()], [f"state {k} at time {t}" for k in range(D)]
+    ends = [values[:, k : k + 1] for k in range(D)]
+    place = {(axis.tobytes(), value.tobytes()): k for k, (axis, value) in enumerate(zip(axes, ends, strict=True))}
+    for (row, value), demand in zip(_linear_forms(joint, tube, asked, t), asked, strict=True):
+        k = place.setdefault(((row + 0.0).tobytes(), value.tobytes()), len(rows))
+        if k == len(rows):
+            rows.append(row)
+            ends.append(value)
+            limits.append([-np.inf, np.inf])
+            labels.append(demand.label)
+        if demand.low > limits[k][0] or demand.high < limits[k][1]:
+            labels[k] = demand.label
+        limits[k] = [max(limits[k][0], demand.low), min(limits[k][1], demand.high)]
+    more = errors.rows(np.array(rows[D:]).reshape(-1, D))
+    drift, normal = np.concatenate([known[0], more[0]], axis=1), known[1].joined(more[1])
+    low, high = np.array(limits).T
+    value = add(np.concatenate(ends, axis=1), drift)
+    width = np.concatenate([joint.widths[t], np.full(len(rows) - D, np.inf)])
+    constraints.add(down(value[0] - low), down(high - value[1]), width, normal, labels)
+
+
+def _linear_forms(joint: _Joint, tube: Array, asked: Sequence[Demand], t: int) -> list[tuple[Array, Array]]:
+    """Return rows (D,) and ends (2, 1) besides them of what is asked, on the tube."""
+    known: dict[tuple[int, int], tuple[Array, Array]] = {}
+    for i, (agent, here) in enumerate(zip(joint.agents, joint.slices, strict=True)):
+        used = sorted({k for demand in asked for j, k, _ in demand.parts if j == i})
+        places = {name: k for k, name in enumerate(agent.states)}
+        trees = [agent.outputs[k] for k in used]
+        matrix, ends = expanded(trees, joint.states[t, here], places, tube[:, here], t)
+        known.update({(i, k): (matrix[n], ends[:, n : n + 1]) for n, k in enumerate(used)})
+    forms = []
+    for demand in asked:
+        row, value, size = np.zeros(len(joint.spread)), np.zeros((2, 1)), np.zeros(len(joint.spread))
+        for i, k, factor in demand.parts:
+            matrix, ends = known[i, k]
+            row += joint.row(i, factor * matrix)
+            size += joint.row(i, np.abs(factor * matrix))
+            value = add(value, mul(interval(np.full(1, factor)), ends))
+        # the row is rounded where it is a product or a sum, and acts on errors in the tube
+        owners = [i for i, _, _ in demand.parts]
+        if any(abs(factor) != 1.0 for _, _, factor in demand.parts) or len(set(owners)) < len(owners):
+            spare = (len(owners) + 3.0) * U * size @ np.abs(tube).max(axis=0) * ROUNDED + 1e-290
+            value = add(value, np.array([[-spare], [spare]]))
+        forms.append((row, value))
+    return forms
+
+
+def expanded(
+    trees: Sequence[Tree],
+    point: Array,
+    places: dict[str, int],
+    box: Array,
+    t: int,
+    free: int | None = None,
+    follow: Follow | None = None,
+) -> tuple[Array, Array]:
+    """Return a matrix (p, v), and ends (2, p) of what trees are besides it, for deviations in a box (2, v) of a point.
+
+    Parameters
+    ----------
+    trees : sequence of Tree
+    point : (v,) array
+    places : dict
+        Which of the v variables a name is.
+    box : (2, v) array
+        Around 0.
+    t : int
+        The time, unless a variable is called ``t``.
+    free : int, optional
+        The matrix has zeros beyond the first ``free`` variables; default: all of them.
+    follow : Follow, optional
+        How variables follow one another (``off_linear``).
+
+    Raises
+    ------
+    Refused
+        If an expression is not defined on the box.
+    """
+    v = len(point)
+    leaves: list[dict[str, Jet]] = []
+    for around in (np.zeros_like(box), box):
+        named = {
+            name: Jet.variable(add(interval(point[k : k + 1]), around[:, k : k + 1]), np.eye(v)[:, k : k + 1])
+            for name, k in places.items()
+        }
+        named.setdefault("t", Jet.variable(interval(np.full(1, float(t))), np.zeros((v, 1))))
+        leaves.append(named)
+    matrix, ends = np.zeros((len(trees), v)), np.zeros((2, len(trees)))
+    memories: tuple[Memory, Memory] = {}, {}
+    for p, tree in enumerate(trees):
+        centre, around_jet = (jet(tree, own, memory) for own, memory in zip(leaves, memories))
+        row = 0.5 * (centre.slope[0] + centre.slope[1])
+        row[v if free is None else free :] = 0.0
+        if not np.all(np.isfinite(row)):
+            raise Refused(f"an expression has no slope on the nominal trajectory at time {t}: {str(tree)[:60]}")
+        ends[:, p] = add(centre.value, off_linear(centre, around_jet, box[:, :, None], row, follow))[:, 0]
+        matrix[p] = row[:, 0]
+        if not np.all(np.isfinite(ends[:, p])):
+            raise Refused(f"an expression is not known on the tube at time {t}: {str(tree)[:60]}")
+    return matrix, ends
+
+
+@dataclass(frozen=True, eq=False)
+class _Moves:
+    """Inputs of one agent at a time: nominal (m,), deviations (2, m), rounding (m,) of the controller."""
+
+    nominal: Array
+    deviation: Array
+    rounding: Array
+
+
+def _inputs(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: Array, i: int, t: int) -> _Moves:
+    """Ask that the inputs of an agent stay in their box, and return what they may be."""
+    agent, own, here = joint.agents[i], joint.trajectories[i], joint.slices[i]
+    d, m = len(agent.states), len(agent.inputs)
+    gain, u, (low, high) = own.gains[t], own.inputs[t], agent.input_box
+    if np.any((u < low) | (u > high)):
+        raise Refused(f"a nominal input of `{agent.name}` leaves its box at time {t}")
+    reach = np.abs(tube[:, here]).max(axis=0)
+    # inputs that no error reaches are their nominal values to the last bit
+    moved = np.any((gain != 0.0) & (reach > 0.0), axis=1)
+    # u + K (x - xbar) as floating point computes it: d products and sums, and the difference of states
+    size = np.abs(u) + np.abs(gain) @ (reach + U * np.abs(joint.states[t, here]))
+    rounding = np.where(moved, 4.0 * (d + 3.0) * U * size, 0.0)
+    rows = np.array([joint.row(i, row) for row in gain * moved[:, None]]).reshape(m, -1)
+    ends, normal = errors.rows(rows)
+    width = own.widths[t, d:] if t else np.where(moved, np.inf, 0.0)
+    spread = np.abs(gain) @ reach * ROUNDED
+    low_move, high_move = np.maximum(ends[0] - width, -spread), np.minimum(ends[1] + width, spread)
+    low_move, high_move = np.minimum(low_move - rounding, 0.0), np.maximum(high_move + rounding, 0.0)
+    # no input is beyond its box while constraints hold; what is clipped by rounding is nearer to its nominal value
+    deviation = np.stack([np.maximum(low_move, down(low - u)), np.minimum(high_move, up(high - u))])
+    deviation = np.where(moved, deviation, 0.0)
+    value = add(add(interval(u), np.stack([-rounding, rounding])), ends)[:, moved]
+    labels = [f"input `{agent.inputs[k]}` of `{agent.name}` at time {t}" for k in np.flatnonzero(moved)]
+    if labels:
+        below, above = down(value[0] - low[moved]), down(high[moved] - value[1])
+        constraints.add(below, above, width[moved], normal.at(moved), labels)
+    return _Moves(u, deviation, rounding)
+
+
+def _advance(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: Array, t: int) -> None:
+    """One step of all agents: inputs stay in their boxes, and the next error is F e and something in a box."""
+    D = len(joint.spread)
+    matrix, pushed = np.zeros((D, D)), np.zeros((2, D))
+    moves = [_inputs(joint, errors, constraints, tube, i, t) for i in range(len(joint.agents))]
+    for i, here in enumerate(joint.slices):
+        columns, rows, ends = _step(joint, moves, tube, i, t)
+        matrix[here, columns] = rows
+        pushed[:, here] = add(ends, neg(interval(joint.states[t + 1, here])))
+    if not np.all(np.isfinite(matrix)) or not np.abs(pushed).max() <= LARGEST_ERROR:
+        raise Refused(f"the linearization error grows beyond all limits at time {t}")
+    errors.step(matrix, pushed, np.abs(tube).max(axis=0))
+
+
+def _step(joint: _Joint, moves: Sequence[_Moves], tube: Array, i: int, t: int) -> tuple[list[int], Array, Array]:
+    """Return columns (n,) of the joint error, rows (d, n) of F there, and ends (2, d) of the rest of a step."""
+    agent = joint.agents[i]
+    # variables: errors that the step depends on, then inputs, then disturbances
+    named = _names_in(agent.dynamics)
+    states = {name: place for name, place in agent.states_of_others.items() if name in named}
+    inputs = {name: place for name, place in agent.inputs_of_others.items() if name in named}
+    inputs = {**{name: (i, k) for k, name in enumerate(agent.inputs)}, **inputs}
+    columns = [*range(joint.slices[i].start, joint.slices[i].stop)]
+    columns += [joint.slices[j].start + k for j, k in states.values()]
+    for j, _ in inputs.values():  # an input follows the errors of its own agent
+        columns += range(joint.slices[j].start, joint.slices[j].stop)
+    columns = list(dict.fromkeys(columns))
+    n, m = len(columns), len(inputs)
+    ranges = np.array(list(agent.disturbances.values())).reshape(-1, 2)
+    middle = 0.5 * ranges[:, 0] + 0.5 * ranges[:, 1]
+    away = np.stack([down(ranges[:, 0] - middle), up(ranges[:, 1] - middle)])
+    chosen = [(moves[j], k) for j, k in inputs.values()]
+    nominal = np.array([own.nominal[k] for own, k in chosen])
+    rounding = np.array([own.rounding[k] for own, k in chosen])
+    deviation = np.array([own.deviation[:, k] for own, k in chosen]).reshape(m, 2).T
+    point = np.concatenate([joint.states[t, columns], nominal, middle])
+    box = np.concatenate([tube[:, columns], deviation, away], axis=1)
+    places = {name: k for k, name in enumerate(agent.states)}
+    places |= {name: columns.index(joint.slices[j].start + k) for name, (j, k) in states.items()}
+    places |= {name: n + k for k, name in enumerate(inputs)}
+    places |= {name: n + m + k for k, name in enumerate(agent.disturbances)}
+    # how inputs follow errors
+    transform = np.eye(len(point))
+    for row, (j, k) in enumerate(inputs.values(), start=n):
+        for column, gain in zip(range(joint.slices[j].start, joint.slices[j].stop), joint.trajectories[j].gains[t, k]):
+            transform[row, columns.index(column)] = gain
+    transform = np.delete(transform, range(n, n + m), axis=1)
+    offsets = np.concatenate([np.zeros(n), rounding, np.zeros(len(middle))])
+    follow = transform, [*range(n), *range(n + m, len(point))], offsets
+    slopes, ends = expanded(agent.dynamics, point, places, box, t, n + m, follow)
+    A, B, gains = slopes[:, :n], slopes[:, n : n + m], transform[n : n + m, :n]
+    # A + B K is rounded, and inputs are off by their rounding
+    spare = (m + 3.0) * U * (np.abs(A) + np.abs(B) @ np.abs(gains)) @ np.abs(box[:, :n]).max(axis=0)
+    spare = (spare + np.abs(B) @ rounding) * ROUNDED + 1e-290
+    return columns, A + B @ gains, add(ends, np.stack([-spare, spare]))
+
+
+def _names_in(trees: Sequence[Tree]) -> set[str]:
+    """Return the names in trees."""
+    names, waiting = set[str](), list(trees)
+    while waiting:
+        tree = waiting.pop()
+        if isinstance(tree, str):
+            names.add(tree)
+        elif isinstance(tree, tuple):
+            waiting += tree[1:]
+    return names

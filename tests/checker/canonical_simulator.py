@@ -1,0 +1,152 @@
+"""A simulator written from the canonical problem alone: dynamics, noise, boxes and letters as the format says them."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+
+FUNCTIONS = {
+    "abs": np.abs,
+    "atan": np.arctan,
+    "clip": np.clip,
+    "cos": np.cos,
+    "exp": np.exp,
+    "log": np.log,
+    "sin": np.sin,
+    "sqrt": np.sqrt,
+    "tan": np.tan,
+    "tanh": np.tanh,
+    "max": lambda *values: np.maximum.reduce(np.broadcast_arrays(*values)),
+    "min": lambda *values: np.minimum.reduce(np.broadcast_arrays(*values)),
+    "pi": np.pi,
+}
+
+
+class Simulator:
+    """Runs of a canonical problem: states are lists of arrays (d_i, n), one for each agent."""
+
+    def __init__(self, problem: dict[str, Any]) -> None:
+        self.problem, self.agents = problem, problem["agents"]
+        self.programs = [
+            [compile(_python(text), "dynamics", "eval") for text in agent.get("dynamics", [])] for agent in self.agents
+        ]
+        self.outputs = [
+            [compile(_python(text), "outputs", "eval") for text in agent["outputs"]] for agent in self.agents
+        ]
+
+    def means(self, x: list[np.ndarray], u: list[np.ndarray], v: list[dict[str, Any]], t: int) -> list[np.ndarray]:
+        """The next states without noise."""
+        named = {}
+        for agent, state, inputs in zip(self.agents, x, u, strict=True):
+            values = [*zip(agent["states"], state, strict=True), *zip(agent["inputs"], inputs, strict=True)]
+            named |= {f"{agent['name']}__of__{key}": value for key, value in values}
+        result = []
+        for i, agent in enumerate(self.agents):
+            n = x[i].shape[1]
+            if "A" in agent:
+                drift = np.array(agent["A"]) @ x[i] + np.array(agent["B"]).reshape(len(x[i]), -1) @ u[i]
+                result.append(drift + np.array(agent["c"])[:, None])
+                continue
+            local = {**FUNCTIONS, **named, "t": float(t), **agent.get("parameters", {}), **v[i]}
+            local |= dict(zip(agent["states"], x[i], strict=True)) | dict(zip(agent["inputs"], u[i], strict=True))
+            with np.errstate(all="ignore"):
+                rows = [np.broadcast_to(eval(code, {}, local), n) for code in self.programs[i]]
+            result.append(np.array(rows, dtype=float).reshape(-1, n))
+        return result
+
+    def noise(self, rng: np.random.Generator, n: int) -> list[np.ndarray]:
+        """Noise of one step."""
+        common = rng.standard_normal((np.array(self.agents[0].get("shared_noise", [[]])).shape[-1], n))
+        result = []
+        for agent in self.agents:
+            own = np.array(agent["noise"]).reshape(len(agent["states"]), -1)
+            result.append(own @ rng.standard_normal((own.shape[1], n)))
+            if "shared_noise" in agent:
+                result[-1] = result[-1] + np.array(agent["shared_noise"]) @ common
+        return result
+
+    def letters(self, x: list[np.ndarray], t: int) -> np.ndarray:
+        """Which propositions hold, bool (P, n)."""
+        n, outputs = x[0].shape[1], []
+        for agent, state, codes in zip(self.agents, x, self.outputs, strict=True):
+            local = {**FUNCTIONS, **agent.get("parameters", {}), **dict(zip(agent["states"], state, strict=True))}
+            with np.errstate(all="ignore"):
+                outputs.append([np.broadcast_to(eval(code, {}, local), n) for code in codes])
+        rows = []
+        for region in self.problem["regions"]:
+            rows.append(_inside(outputs[region["agent"]], region, t, n))
+        for pair in self.problem["pairs"]:
+            (a, b), (first, second) = pair["agents"], pair["outputs"]
+            difference = [outputs[a][k] - outputs[b][m] for k, m in zip(first, second, strict=True)]
+            if "radius" in pair:
+                radius = pair["radius"][t] if isinstance(pair["radius"], list) else pair["radius"]
+                rows.append((sum(y * y for y in difference) < radius * radius) & (radius > 0))
+            else:
+                rows.append(_inside(difference, pair, t, n))
+        return np.array(rows, dtype=bool).reshape(-1, n)
+
+    def in_workspace(self, x: list[np.ndarray]) -> np.ndarray:
+        """Whether all agents are in their workspaces, bool (n,)."""
+        inside = np.ones(x[0].shape[1], dtype=bool)
+        for agent, state in zip(self.agents, x, strict=True):
+            low, high = (np.array(agent[key])[:, None] for key in ("state_low", "state_high"))
+            inside &= np.all((low <= state) & (state <= high), axis=0)
+        return inside
+
+    def failures(
+        self, proof: dict[str, Any], arrays: list[np.ndarray], rng: np.random.Generator, n: int, extreme: float = 1.0
+    ) -> int:
+        """How many of n runs of the controllers in a file fail; disturbances are at one end of their ranges."""
+        x = [np.repeat(rng.uniform(a["start_low"], a["start_high"])[:, None], n, axis=1) for a in self.agents]
+        v = [
+            {k: low + (high - low) * extreme for k, (low, high) in a.get("disturbances", {}).items()}
+            for a in self.agents
+        ]
+        task = self.problem["task"]
+        q = np.full(n, task["automaton"]["initial"])
+        accepting = np.array(task["automaton"]["accepting"])
+        alive = np.ones(n, dtype=bool)
+        for t in range(self.problem["horizon"] + 1):
+            done = accepting[q] if task["semantics"] == "co-safe" else np.zeros(n, dtype=bool)
+            alive &= self.in_workspace(x) | done if t else True
+            q = np.where(done | ~alive, q, _read(task["automaton"], q, self.letters(x, t)))
+            if t == self.problem["horizon"]:
+                break
+            u = []
+            for agent, entry, state in zip(self.agents, proof["agents"], x, strict=True):
+                if t < len(arrays[entry["inputs"]]):
+                    gain, nominal = arrays[entry["gains"]][t], arrays[entry["states"]][t]
+                    chosen = arrays[entry["inputs"]][t][:, None] + gain @ (state - nominal[:, None])
+                else:
+                    chosen = np.zeros((len(agent["inputs"]), n))
+                u.append(np.clip(chosen, np.array(agent["input_low"])[:, None], np.array(agent["input_high"])[:, None]))
+            x = [mean + own for mean, own in zip(self.means(x, u, v, t), self.noise(rng, n), strict=True)]
+        return int(n - np.sum(alive & accepting[q]))
+
+
+def _python(text: str) -> str:
+    """An expression as Python reads it; names of other agents become plain ones."""
+    return re.sub(r"([A-Za-z_]\w*)\.([A-Za-z_]\w*)", r"\1__of__\2", text.replace("^", "**"))
+
+
+def _inside(values: list[np.ndarray], region: dict[str, Any], t: int, n: int) -> np.ndarray:
+    low, high = (
+        corner[t] if corner and isinstance(corner[0], list) else corner for corner in (region["low"], region["high"])
+    )
+    inside = np.ones(n, dtype=bool)
+    for y, a, b in zip(values, low, high, strict=True):
+        inside &= (y >= (-np.inf if a is None else a)) & (y < (np.inf if b is None else b))
+    return inside
+
+
+def _read(automaton: dict[str, Any], q: np.ndarray, letters: np.ndarray) -> np.ndarray:
+    """The states after a letter, for many runs."""
+    entry, runs = np.array(automaton["root"])[q], np.arange(len(q))
+    variable, low, high = (np.array(automaton[key], dtype=int) for key in ("variable", "low", "high"))
+    while np.any(entry >= 0):
+        node = np.maximum(entry, 0)
+        after = np.where(letters[variable[node], runs], high[node], low[node]) if len(variable) else entry
+        entry = np.where(entry >= 0, after, entry)
+    return -1 - entry

@@ -1,0 +1,175 @@
+"""Certificate files made by hand, for tests of the checker: nothing of the package writes them."""
+
+from __future__ import annotations
+
+import copy
+import json
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+STEPS = 4
+
+
+def two_carts() -> tuple[dict[str, Any], list[np.ndarray]]:
+    """Header and arrays: two carts on a line that reach their goals, keep off a rock, and never come near each other.
+
+    One cart moves by ``x + u + .05 sin(x)``, the other one by ``x + u + push``, where the push is known up to .01.
+    About one run in 23 misses a goal at the end.
+    """
+
+    def cart(name: str, start: float, drift: str) -> dict[str, Any]:
+        return {
+            "name": name,
+            "states": ["x"],
+            "inputs": ["u"],
+            "dynamics": [drift],
+            "outputs": ["x"],
+            "state_low": [-10.0],
+            "state_high": [10.0],
+            "input_low": [-2.0],
+            "input_high": [2.0],
+            "start_low": [start],
+            "start_high": [start],
+            "noise": [[0.1]],
+            "shared_noise": [[0.02]],
+        }
+
+    agents = [cart("left", -4.0, "x + u + 0.05*sin(x)"), cart("right", 4.0, "x + u + push")]
+    agents[1]["disturbances"] = {"push": [-0.01, 0.01]}
+    automaton = {  # of "!rock & !near U goals", propositions goal_0, goal_1, rock, near
+        "initial": 0,
+        "accepting": [False, True, False],
+        "root": [0, -2, -3],
+        "variable": [0, 1, 2, 3],
+        "low": [2, 2, 3, -1],
+        "high": [1, -2, -3, -3],
+    }
+    problem = {
+        "horizon": STEPS,
+        "agents": agents,
+        "regions": [
+            {"name": "goal_0", "agent": 0, "low": [-1.1], "high": [-0.6]},
+            {"name": "goal_1", "agent": 1, "low": [0.5], "high": [1.1]},
+            {"name": "rock", "agent": 0, "low": [5.0], "high": [None]},
+        ],
+        "pairs": [{"name": "near", "agents": [0, 1], "outputs": [[0], [0]], "radius": 0.5}],
+        "task": {
+            "formula": "!(rock | near) U (goal_0 & goal_1)",
+            "semantics": "co-safe",
+            "automaton": automaton,
+        },
+    }
+    left, right = [-4.0], [4.0]
+    inputs = np.array([[0.8], [0.8], [0.8], [0.8]])
+    for u in inputs[:, 0]:
+        left.append(left[-1] + u + 0.05 * np.sin(left[-1]))
+        right.append(right[-1] - u)
+    letters = np.zeros((STEPS + 1, 4), np.int8)
+    letters[1:, 2:], letters[-1, :2] = -1, 1
+    faces = np.full((STEPS + 1, 4), -1, np.int32)
+    faces[1:, 2] = 0
+    normals = np.full((STEPS + 1, 1), -1.0)
+    gains, widths = np.full((STEPS, 1, 1), -0.5), np.full((STEPS + 1, 2), np.inf)
+    widths[:, 0] = 0.5
+    arrays = [
+        letters,
+        faces,
+        normals,
+        inputs,
+        gains,
+        np.array(left)[:, None],
+        widths,
+        -inputs,
+        np.array(right)[:, None],
+    ]
+    entry = {
+        "kind": "trajectory",
+        "letters": 0,
+        "faces": 1,
+        "normals": 2,
+        "agents": [
+            {"inputs": 3, "gains": 4, "states": 5, "widths": 6},
+            {"inputs": 7, "gains": 4, "states": 8, "widths": 6},
+        ],
+    }
+    header = {
+        "format": "certigym-certificate",
+        "version": 3,
+        "name": "two carts",
+        "problem": problem,
+        "claim": {"failure": 0.1},
+        "proof": entry,
+    }
+    return header, arrays
+
+
+def npy(array: np.ndarray) -> bytes:
+    """The member of an array."""
+    shape = f"({', '.join(map(str, array.shape))}{',' if array.ndim == 1 else ''})"
+    text = f"{{'descr': '{array.dtype.str}', 'fortran_order': False, 'shape': {shape}, }}"
+    text += " " * (-(len(text) + 11) % 64) + "\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text.encode() + np.ascontiguousarray(array).tobytes()
+
+
+def members_of(header: Any, arrays: Sequence[np.ndarray]) -> list[tuple[str, bytes]]:
+    """Names and contents of the members of a file; the header may be a text."""
+    text = header if isinstance(header, str) else json.dumps(header)
+    return [("header.json", text.encode()), *((f"{k}.npy", npy(array)) for k, array in enumerate(arrays))]
+
+
+def archive(members: Sequence[tuple[str, bytes]]) -> bytes:
+    """A ZIP archive of stored members, as the format wants it."""
+    body, directory = b"", b""
+    for name, data in members:
+        numbers = struct.pack("<HHHHIII", 0, 0, 0, 33, zlib.crc32(data), len(data), len(data))
+        place, raw = len(body), name.encode()
+        body += b"PK\x03\x04" + struct.pack("<H", 20) + numbers + struct.pack("<HH", len(raw), 0) + raw + data
+        directory += b"PK\x01\x02" + struct.pack("<HH", 20, 20) + numbers
+        directory += struct.pack("<HHHHHII", len(raw), 0, 0, 0, 0, 0, place) + raw
+    count = len(members)
+    return body + directory + struct.pack("<4sHHHHIIH", b"PK\x05\x06", 0, 0, count, count, len(directory), len(body), 0)
+
+
+def file_of(header: Any, arrays: Sequence[np.ndarray]) -> bytes:
+    """The bytes of a file."""
+    return archive(members_of(header, arrays))
+
+
+Path = tuple[str | int, ...]
+
+
+def places(value: Any, path: Path = ()) -> Iterator[Path]:
+    """All places in a header, the deepest first."""
+    entries: list[tuple[str | int, Any]] = []
+    if isinstance(value, dict):
+        entries = list(value.items())
+    elif isinstance(value, list):
+        entries = list(enumerate(value))
+    for key, inner in entries:
+        yield from places(inner, (*path, key))
+        yield (*path, key)
+
+
+def at(value: Any, path: Path) -> Any:
+    """What stands at a place."""
+    for key in path:
+        value = value[key]
+    return value
+
+
+def changed(header: dict[str, Any], path: Path, new: Any) -> dict[str, Any]:
+    """A header with something else at a place."""
+    result = copy.deepcopy(header)
+    at(result, path[:-1])[path[-1]] = new
+    return result
+
+
+def without(header: dict[str, Any], path: Path) -> dict[str, Any]:
+    """A header in which an entry is left out."""
+    result = copy.deepcopy(header)
+    del at(result, path[:-1])[path[-1]]
+    return result

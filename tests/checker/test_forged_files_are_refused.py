@@ -1,0 +1,235 @@
+"""Files that say what is not so are refused or unreadable: every entry, array and byte of one was changed in turn.
+
+A change may be harmless (a name, a wider workspace). Then the claim must still be true, which a simulator that shares
+no code with the checker is asked. With a false-alarm probability of 1e-6 for all changes together it sees failures that
+are .072 above the claim (Hoeffding: 2,000 runs, 1,000 changes).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from canonical_simulator import Simulator
+from certificate_files import Path, archive, at, changed, file_of, members_of, npy, places, two_carts, without
+from certigym.synthesis.checker import Unreadable, check_contents, parse_file
+
+RUNS, FALSE_ALARM, CHANGES = 2000, 1e-6, 1000
+SLACK = math.sqrt(math.log(CHANGES / FALSE_ALARM) / (2.0 * RUNS))
+
+WRONG_VALUES = (
+    None,
+    True,
+    False,
+    -1,
+    0,
+    1,
+    2,
+    3,
+    10**9,
+    2**63,
+    0.5,
+    -0.0,
+    1e-320,
+    1e308,
+    "x",
+    "x + w",
+    "true",
+    [],
+    {},
+    [1],
+)
+
+
+def verdict_of(raw: bytes) -> str:
+    """``proved``, ``refused`` or ``unreadable``; anything else is an error of the checker."""
+    try:
+        return "proved" if check_contents(parse_file(raw)) else "refused"
+    except Unreadable:
+        return "unreadable"
+
+
+def is_true(header: dict[str, Any], arrays: list[np.ndarray]) -> bool:
+    """Whether simulations agree with what a changed file claims, disturbances at either end of their ranges."""
+    claim, rng = header["claim"]["failure"], np.random.default_rng(0)
+    simulator = Simulator(header["problem"])
+    failed = max(simulator.failures(header["proof"], arrays, rng, RUNS, extreme) for extreme in (0.0, 1.0))
+    return failed / RUNS <= claim + SLACK
+
+
+def test_the_file_itself_is_proved_and_true() -> None:
+    header, arrays = two_carts()
+    assert verdict_of(file_of(header, arrays)) == "proved"
+    assert is_true(header, arrays)
+
+
+def test_a_claim_a_little_too_good_is_refused() -> None:
+    header, arrays = two_carts()
+    failure = check_contents(parse_file(file_of(header, arrays))).recomputed
+    assert 0.05 < failure < 0.06
+    assert verdict_of(file_of(changed(header, ("claim", "failure"), failure), arrays)) == "proved"
+    assert verdict_of(file_of(changed(header, ("claim", "failure"), failure * (1 - 1e-12)), arrays)) == "refused"
+
+
+def header_changes(header: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Every entry of the header left out, given twice, and replaced by what does not belong there."""
+    for path in places(header):
+        yield f"without {path}", without(header, path)
+        for value in WRONG_VALUES:
+            if type(at(header, path)) is not type(value) or at(header, path) != value:
+                yield f"{path} = {value!r}", changed(header, path, value)
+        here = at(header, path)
+        if isinstance(here, list) and here:
+            yield f"{path} longer", changed(header, path, [*here, here[-1]])
+            yield f"{path} reversed", changed(header, path, here[::-1])
+        if isinstance(here, int | float) and not isinstance(here, bool):
+            yield f"{path} larger", changed(header, path, here + 1)
+            yield f"{path} smaller", changed(header, path, here - 1)
+            yield f"{path} opposite", changed(header, path, -here)
+
+
+def test_every_change_of_the_header_is_refused_or_harmless() -> None:
+    header, arrays = two_carts()
+    false, proved, count = [], 0, 0
+    for what, forged in header_changes(header):
+        count += 1
+        if verdict_of(file_of(forged, arrays)) == "proved":
+            proved += 1
+            if not is_true(forged, arrays):
+                false.append(what)
+    assert false == []
+    assert count > 2000 and 0 < proved < CHANGES  # names, and limits that nothing rests on
+
+
+def test_unknown_keys_and_keys_given_twice_are_unreadable() -> None:
+    header, arrays = two_carts()
+    tables: list[Path] = [path for path in [(), *places(header)] if isinstance(at(header, path), dict)]
+    for path in tables:
+        if path[-1:] == ("disturbances",):
+            continue  # its keys are names
+        forged = json.loads(json.dumps(header))
+        at(forged, path)["more"] = 1
+        assert verdict_of(file_of(forged, arrays)) == "unreadable", path
+    text = json.dumps(header)
+    for key in ("horizon", "failure", "name", "low", "kind", "format", "formula", "letters"):
+        twice = text.replace(f'"{key}":', f'"{key}": 1, "{key}":', 1)
+        assert verdict_of(archive(members_of(twice, arrays))) == "unreadable", key
+
+
+@pytest.mark.parametrize("token", ["NaN", "Infinity", "-Infinity", "1e400", "1" * 400, "-1e999", "0x1", "1_0", "01"])
+def test_tokens_that_are_no_numbers_are_unreadable(token: str) -> None:
+    header, arrays = two_carts()
+    for before in ('"failure": ', '"start_low": [', '"horizon": ', '"noise": [['):
+        start = json.dumps(header).index(before) + len(before)
+        text = json.dumps(header)
+        end = min(text.index(c, start) for c in ",]}" if c in text[start:])
+        assert verdict_of(archive(members_of(text[:start] + token + text[end:], arrays))) == "unreadable", before
+
+
+def array_changes(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """An array with one number changed, other shapes, other types."""
+    for place in np.ndindex(array.shape):
+        numbers = (
+            (np.nan, np.inf, -np.inf, 1e308, -1e-320, 1e6, -1.0, 0.0)
+            if array.dtype.kind == "f"
+            else (-128, 127, 1, 0, -1)
+        )
+        for number in numbers:
+            forged = array.copy()
+            forged[place] = number
+            yield f"{place} = {number}", forged
+    yield "one step less", array[:-1]
+    yield "one step more", np.concatenate([array, array[-1:]])
+    yield "reversed", array[::-1]
+    yield "one column more", np.concatenate([array, array[..., -1:]], axis=-1)
+    yield "flat", array.ravel()
+    yield "in one more dimension", array[..., None]
+    yield "empty", array[:0]
+    for dtype in ("<f4", "<f8", "<i8", "<i4", "|i1", "<u4", "|b1", ">f8", ">i4", "<c16", "<U4"):
+        if np.dtype(dtype) != array.dtype:
+            yield dtype, array.astype(dtype)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value", "ignore:Casting complex")
+def test_every_change_of_an_array_is_refused_or_harmless() -> None:
+    header, arrays = two_carts()
+    false, proved, count = [], 0, 0
+    with np.errstate(all="ignore"):
+        for number, array in enumerate(arrays):
+            for what, forged in array_changes(array):
+                count += 1
+                files = [*arrays[:number], forged, *arrays[number + 1 :]]
+                if verdict_of(file_of(header, files)) == "proved":
+                    proved += 1
+                    if not is_true(header, files):
+                        false.append((number, what))
+    assert false == []
+    assert count > 400 and 0 < proved < CHANGES
+
+
+def test_arrays_that_nothing_names_and_names_without_array_are_unreadable() -> None:
+    header, arrays = two_carts()
+    assert verdict_of(file_of(header, [*arrays, np.zeros(3)])) == "unreadable"
+    assert verdict_of(file_of(header, arrays[:-1])) == "unreadable"
+    assert verdict_of(file_of(changed(header, ("proof", "letters"), 9), [*arrays])) == "unreadable"
+
+
+def test_no_byte_of_an_archive_can_be_changed_unseen() -> None:
+    """Members are as they were written, or nothing is read: only versions and attributes mean nothing."""
+    raw = file_of(*two_carts())
+    meaningless = set()
+    at_directory, count = raw.index(b"PK\x01\x02"), 10
+    place = 0
+    for _ in range(count):  # version needed of each member, and in the directory version, version needed, attributes
+        meaningless |= {place + 4, place + 5}
+        place += (
+            30
+            + int.from_bytes(raw[place + 26 : place + 28], "little")
+            + int.from_bytes(raw[place + 22 : place + 26], "little")
+        )
+    place = at_directory
+    for _ in range(count):
+        meaningless |= {place + k for k in (4, 5, 6, 7, *range(34, 42))}
+        place += 46 + int.from_bytes(raw[place + 28 : place + 30], "little")
+    rng = np.random.default_rng(0)
+    for k in [*range(60), *rng.integers(60, at_directory, 600).tolist(), *range(at_directory, len(raw))]:
+        if k in meaningless:
+            continue
+        forged = bytearray(raw)
+        forged[k] ^= int(rng.integers(1, 256))
+        assert verdict_of(bytes(forged)) == "unreadable", k
+
+
+def test_files_that_are_cut_off_or_longer_are_unreadable() -> None:
+    raw = file_of(*two_carts())
+    for k in [*range(0, len(raw), 97), len(raw) - 1]:
+        assert verdict_of(raw[:k]) == "unreadable", k
+    assert verdict_of(raw + b"\0") == "unreadable"
+    assert verdict_of(b"\0" + raw) == "unreadable"
+
+
+def test_members_are_what_and_where_they_should_be() -> None:
+    members = members_of(*two_carts())
+    assert verdict_of(archive(members)) == "proved"
+    for wrong in (
+        members[1:],
+        members[::-1],
+        [*members, ("0.npy", members[1][1])],
+        [*members, ("header.json", members[0][1])],
+        [*members[:-1], ("../8.npy", members[-1][1])],
+        [*members[:-1], ("x" * 50, members[-1][1])],
+        [("header.json", b"\xff" + members[0][1]), *members[1:]],
+        [("header.json", b"[" * 100_000), *members[1:]],
+        [("header.json", b"[]"), *members[1:]],
+        [members[0], ("0.npy", members[1][1].replace(b"False", b"True ")), *members[2:]],
+        [members[0], ("0.npy", b"\x93NUMPY\x02\x00" + members[1][1][8:]), *members[2:]],
+        [members[0], ("0.npy", npy(np.zeros(5))[:-1]), *members[2:]],
+        [members[0], ("0.npy", npy(np.zeros((5, 4))).replace(b"(5, 4)", b"(5, 10**9)")), *members[2:]],
+        [members[0], ("0.npy", npy(np.zeros((5, 4))).replace(b"(5, 4)", b"(" + b"9" * 5000 + b", 4)")), *members[2:]],
+    ):
+        assert verdict_of(archive(wrong)) == "unreadable"

@@ -1,0 +1,80 @@
+"""The checker is read, run and trusted on its own: the standard library and numpy are all that it imports."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from certificate_files import changed, file_of, two_carts
+
+FOLDER = Path(__file__).parents[2] / "synthesis" / "checker"
+FILES = sorted(FOLDER.glob("*.py"))
+MOST_LINES, MOST_IN_A_FILE = 5000, 450
+
+
+def test_it_imports_the_standard_library_and_numpy_alone() -> None:
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module or ""] if node.level == 0 else []
+                assert node.level <= 1, f"{path.name} reaches beyond its folder"
+            else:
+                continue
+            assert all(name.split(".")[0] in {*sys.stdlib_module_names, "numpy"} for name in names), path.name
+
+
+def test_it_can_be_read_in_a_day() -> None:
+    lines = {path.name: path.read_text(encoding="utf-8").count("\n") for path in FILES}
+    assert sum(lines.values()) <= MOST_LINES
+    assert max(lines.values()) <= MOST_IN_A_FILE, lines
+
+
+def test_no_statement_of_it_vanishes_under_optimisation() -> None:
+    """``assert`` states facts about the program's own cases, never about a file: Python may leave it out."""
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Assert):
+                assert {name.id for name in ast.walk(node.test) if isinstance(name, ast.Name)} <= {"name"}, path.name
+
+
+def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-O", "-s", str(folder), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder.parent)
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the folder, with nothing of the package around it."""
+    return Path(shutil.copytree(FOLDER, tmp_path_factory.mktemp("alone") / "checker"))
+
+
+def test_it_runs_from_its_folder_and_its_status_is_the_verdict(alone: Path, tmp_path: Path) -> None:
+    header, arrays = two_carts()
+    good, bad, none = (tmp_path / name for name in ("good.npz", "bad.npz", "none.npz"))
+    good.write_bytes(file_of(header, arrays))
+    bad.write_bytes(file_of(changed(header, ("claim", "failure"), 0.01), arrays))
+    none.write_bytes(b"PK")
+    done = run(alone, str(good))
+    assert done.returncode == 0, done.stderr
+    assert "PROVED: P >= 0.899999" in done.stdout and "trajectories" in done.stdout
+    done = run(alone, str(bad))
+    assert done.returncode == 1
+    assert "a failure of at most 0.05365" in done.stdout and "not 0.01" in done.stdout and "goal_0" in done.stdout
+    for path in (none, tmp_path / "missing.npz"):
+        done = run(alone, str(path))
+        assert done.returncode == 2 and "UNREADABLE" in done.stdout
+    assert run(alone, str(good), str(bad), str(none)).returncode == 2
+
+
+def test_files_beyond_a_size_are_not_read(alone: Path, tmp_path: Path) -> None:
+    path = tmp_path / "large.npz"
+    path.write_bytes(file_of(*two_carts()))
+    done = run(alone, "--most-bytes", "1000", str(path))
+    assert done.returncode == 2 and "more than 1000" in done.stdout
