@@ -31,6 +31,7 @@ COMMANDS: dict[str, list[list[str]]] = {
     ],
     "synthesize": [[*TASK, "--out", "made.npz"]],
     "check": [["c.npz"], ["c.npz", "--rigorous"]],
+    "canonical": [["task.toml"]],
     "validate": [["c.npz", *FEW]],
     "validate-field": [["c.npz", "--random", "3", *FEW]],
     "audit": [["c.npz", *FEW]],

@@ -33,7 +33,8 @@ MODULES = {
     "run": "synthesis_commands",
     "synthesize": "synthesis_commands",
     "certify": "learning_commands",
-    "check": "synthesis_commands",
+    "check": "canonical_commands",
+    "canonical": "canonical_commands",
     "validate": "validation_commands",
     "validate-field": "validation_commands",
     "audit": "validation_commands",
@@ -137,6 +138,12 @@ def _add_synthesis(commands: Any) -> None:
         action="store_true",
         help="prove every number of the check in ball arithmetic (needs certigym[rigorous])",
     )
+
+    canonical = commands.add_parser(
+        "canonical", help="print a problem as the checker reads it, or bring a certificate into that form"
+    )
+    canonical.add_argument("source", metavar="ID|FILE|CERT", help="suite id, problem file or certificate")
+    canonical.add_argument("--out", metavar="CERT", help="certificate file to write: that of CERT in canonical form")
 
 
 def _add_validation(commands: Any) -> None:

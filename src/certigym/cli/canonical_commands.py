@@ -1,0 +1,91 @@
+"""Commands about the form that the small checker reads: ``check``, and ``canonical``, which writes it.
+
+``check`` of a file in this form loads numpy and the checker, and nothing else of the package.
+"""
+
+from __future__ import annotations
+
+import json
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from ..synthesis.checker import check_contents, is_certificate, read_file, shown
+from .terminal import on_terminal
+
+
+def check(options: Namespace) -> int:
+    """Prove the claim of a certificate again: by the small checker, or, in the form of 0.3, by the one of its kind."""
+    path = options.certificate
+    if not Path(path).is_file() or not is_certificate(path):
+        from .synthesis_commands import check as check_of_0_3
+
+        return check_of_0_3(options)
+    contents = read_file(path)
+    if options.problem is not None:
+        _compare(options, contents.header["problem"])
+    verdict = check_contents(contents)
+    outcome = {
+        "valid": verdict.proved,
+        "lower_bound": verdict.lower_bound,
+        "claimed_failure": verdict.claimed,
+        "proved_failure": verdict.recomputed,
+        "modules": list(verdict.modules),
+        "reason": verdict.reason,
+    }
+    _show(options, f"{contents.header['name']}: {verdict}", outcome)
+    return 0 if verdict else 1
+
+
+def _compare(options: Namespace, inside: dict[str, Any]) -> None:
+    """Raise ValueError unless the problem in a file is the one that was asked for."""
+    from ..synthesis.canonical import canonical_problem
+    from .given import named_problem
+
+    asked = json.loads(json.dumps(canonical_problem(named_problem(options.problem, options.horizon))))
+    differing = [key for key in asked if asked[key] != inside.get(key)]
+    if differing:
+        raise ValueError(f"`--problem`: the certificate is about another problem, with other {', '.join(differing)}")
+
+
+def canonical(options: Namespace) -> int:
+    """Print a problem as the checker reads it, or bring a certificate of 0.3 into the form that it reads."""
+    source = Path(options.source)
+    is_archive = source.suffix == ".npz" and source.is_file()
+    if options.out is None:
+        problem = read_file(source).header["problem"] if is_archive and is_certificate(source) else _problem(options)
+        _show(options, json.dumps(problem, indent=1), problem)
+        return 0
+    if not is_archive:
+        raise ValueError(f"`--out`: expected with a certificate file (.npz), got {options.source!r}; leave `--out` out")
+    from ..envs.agents import write_bytes
+    from ..synthesis.canonical import canonical_bytes
+    from ..synthesis.certificates import load_certificate
+
+    certificate = load_certificate(source)
+    write_bytes(options.out, canonical_bytes(certificate))
+    failure = read_file(options.out).header["claim"]["failure"]
+    outcome = {"problem": certificate.problem.name, "failure": failure, "certificate": options.out}
+    _show(options, f"{certificate.problem.name}: P >= {shown(failure)}\nsaved to {options.out}", outcome)
+    return 0
+
+
+def _problem(options: Namespace) -> dict[str, Any]:
+    """Return the canonical form of a suite problem, a problem file, or the problem of a certificate of 0.3."""
+    from ..synthesis.canonical import canonical_problem
+    from ..synthesis.certificates import load_certificate
+    from .given import named_problem
+
+    if Path(options.source).suffix == ".npz":
+        return canonical_problem(load_certificate(options.source).problem)
+    return canonical_problem(named_problem(options.source))
+
+
+def _show(options: Namespace, text: str, outcome: Any) -> None:
+    """Print the text, or write JSON; the package that knows how is loaded for JSON only."""
+    if options.json is None:
+        print(on_terminal(text), flush=True)
+        return
+    from .given import show
+
+    show(options, text, outcome)
