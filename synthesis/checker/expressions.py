@@ -118,3 +118,15 @@ def affine(row: Sequence[float], names: Sequence[str], constant: float) -> Tree:
         pairs = [("+", *terms[k : k + 2]) for k in range(0, len(terms) - 1, 2)]
         terms = pairs + terms[len(terms) - len(terms) % 2 :]
     return terms[0]
+
+
+def names_in(trees: Sequence[Tree]) -> set[str]:
+    """Return the names in trees."""
+    names, waiting = set[str](), list(trees)
+    while waiting:
+        tree = waiting.pop()
+        if isinstance(tree, str):
+            names.add(tree)
+        elif isinstance(tree, tuple):
+            waiting += tree[1:]
+    return names

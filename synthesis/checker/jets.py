@@ -3,9 +3,10 @@
 A *jet* holds, on n boxes at once and for v directions, an interval around the value (2, n), one around each partial
 derivative (2, v, n), and one around each second derivative (2, v, v, n).
 
-**Theorem** (derivatives). Let leaves enclose variables that depend on e in a convex set, with their derivatives in e. Then ``jet``
-encloses value and derivatives of the tree for every e there. Where a function is continuous and piecewise smooth
-(abs, min, max at a kink), first derivatives enclose all *difference quotients*, and second ones are nan: not known.
+**Theorem** (derivatives). Let leaves enclose variables that depend on e in a convex set, with their derivatives in e.
+Then ``jet`` encloses value and derivatives of the tree for every e there. Where a function is continuous and piecewise
+smooth (abs, min, max at a kink), first derivatives enclose all *difference quotients*, and second ones are nan: not
+known.
 
 *Proof.* Sum, product and chain rule in interval arithmetic, operation by operation. At a kink the slope of the chord
 lies in the hull of the slopes on both sides, which is what is returned there.

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from . import fields
 from .automaton import wrong_word
 from .constraints import ROUNDED, Constraints, Normal
-from .expressions import Tree
+from .expressions import Tree, names_in
 from .fields import Refused
 from .file import Contents
 from .intervals import add, down, interval, mul, neg, up
@@ -390,7 +390,7 @@ def _step(joint: _Joint, moves: Sequence[_Moves], tube: Array, i: int, t: int) -
     """Return columns (n,) of the joint error, rows (d, n) of F there, and ends (2, d) of the rest of a step."""
     agent = joint.agents[i]
     # variables: errors that the step depends on, then inputs, then disturbances
-    named = _names_in(agent.dynamics)
+    named = names_in(agent.dynamics)
     states = {name: place for name, place in agent.states_of_others.items() if name in named}
     inputs = {name: place for name, place in agent.inputs_of_others.items() if name in named}
     inputs = {**{name: (i, k) for k, name in enumerate(agent.inputs)}, **inputs}
@@ -427,15 +427,3 @@ def _step(joint: _Joint, moves: Sequence[_Moves], tube: Array, i: int, t: int) -
     spare = (m + 3.0) * U * (np.abs(A) + np.abs(B) @ np.abs(gains)) @ np.abs(box[:, :n]).max(axis=0)
     spare = (spare + np.abs(B) @ rounding) * ROUNDED + 1e-290
     return columns, A + B @ gains, add(ends, np.stack([-spare, spare]))
-
-
-def _names_in(trees: Sequence[Tree]) -> set[str]:
-    """Return the names in trees."""
-    names, waiting = set[str](), list(trees)
-    while waiting:
-        tree = waiting.pop()
-        if isinstance(tree, str):
-            names.add(tree)
-        elif isinstance(tree, tuple):
-            waiting += tree[1:]
-    return names

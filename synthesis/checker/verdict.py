@@ -12,12 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from . import fields, trajectories
+from . import cell_proofs, fields, trajectories
 from .fields import Refused
 from .file import MOST_BYTES, Contents, read_file
 from .formula import wrong_automaton
-from .problem import read_problem
+from .problem import Problem, read_problem
 from .selftest import wrong_arithmetic
+
+KINDS = {
+    "trajectory": ("trajectories", "letters", "constraints"),
+    "cells": ("cells", "motions", "tables", "labels", "tree"),
+}
+"""Kinds of proofs, and the modules of the checker that prove them."""
 
 
 @dataclass(frozen=True)
@@ -81,27 +87,35 @@ def check_contents(contents: Contents) -> Verdict:
     if not 0.0 <= claimed <= 1.0:
         raise fields.expected("claim.failure", "a probability", claimed)
     kind = contents.header["proof"].get("kind") if isinstance(contents.header["proof"], dict) else None
-    if kind != "trajectory":
-        raise fields.expected("proof.kind", "'trajectory'", kind)
-    proof = trajectories.read_proof(contents, problem)
-    contents.everything_was_used()
-    modules = ("trajectories", "letters", "constraints")
+    if kind not in KINDS:
+        raise fields.expected("proof.kind", " or ".join(map(repr, KINDS)), kind)
+    modules = KINDS[kind]
     try:
         # What overflows becomes infinite or nan, and neither is ever better than a limit.
         with np.errstate(all="ignore"):
-            if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
-                raise Refused(f"the automaton is not that of the formula: {wrong}")
-            failure, constraints = trajectories.failure_of(problem, proof)
+            failure, worst = _failure_of(contents, problem, kind)
     except Refused as refused:
         return Verdict(False, claimed, 1.0, modules, str(refused))
     except RecursionError:
         return Verdict(False, claimed, 1.0, modules, "a formula or an expression is nested too deeply to be proved")
     if not failure <= claimed:
-        worst = constraints.likeliest()
-        reason = f"a failure of at most {failure:.5g} follows, not {claimed:.5g}; most probable: {worst}"
+        reason = f"a failure of at most {failure:.5g} follows, not {claimed:.5g}{worst}"
         return Verdict(False, claimed, failure, modules, reason)
     given = "" if problem.formula is not None else "; the task is the automaton in the file, which has no formula"
     return Verdict(True, claimed, failure, modules, given)
+
+
+def _failure_of(contents: Contents, problem: Problem, kind: str) -> tuple[float, str]:
+    """Return an upper bound on the probability that the task fails, and what fails most, in words."""
+    along = kind == "trajectory"
+    proof = trajectories.read_proof(contents, problem) if along else cell_proofs.read_proof(contents, problem)
+    contents.everything_was_used()
+    if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
+        raise Refused(f"the automaton is not that of the formula: {wrong}")
+    if isinstance(proof, trajectories.TrajectoryProof):
+        failure, constraints = trajectories.failure_of(problem, proof)
+        return failure, f"; most probable: {constraints.likeliest()}"
+    return cell_proofs.failure_of(problem, proof), ""
 
 
 def bound_of(failure: float) -> float:

@@ -1,0 +1,225 @@
+"""Value iteration on a tree of products: from the end to the start, one factor for each agent in each term.
+
+At time t and in automaton state q the value is a sum of *vertices*, products of one factor for each agent. A vertex
+comes from a *guard*, which leads from q to another state for all letters in a product of sets of cells, and from a
+vertex of that state one step later: each factor is cut to the set of the guard, and taken one step back (``cells``).
+
+**Theorem.** Let guards out of a state be disjoint, and lead where they say for all letters that their cells may have
+(or to acceptance for good). Then the sum of any vertices, each taken once, is at most the probability to satisfy the
+task from there, and so is what is left when two vertices a x b and a' x b' are united:
+
+    a x b + a' x b' >= (a + a') x m + a x (b - m),    m = min(b, b'),
+
+where the last product may stay as a *remainder* or be dropped. QED by induction over time: vertices of different guards
+are about different next letters, noise of agents is independent, and sums only ever drop what is at least 0.
+
+Reference: docs/theory/tree.md, docs/theory/guards.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .automaton import Automaton
+from .cells import Cells
+from .fields import Refused
+from .labels import Labels
+from .rigorous import Array, U
+
+Whole = NDArray[np.int64]
+
+KEPT = 1.0 - 1e-9
+"""Share of a factor from which a remainder is taken where steps are not additive: the difference of nearly equal
+factors has no digits left, and is larger in its second differences than it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Guards:
+    """From where to where (G,), and the set of cells (G, I) of each agent, a row of its ``sets``."""
+
+    source: Whole
+    target: Whole
+    sets: Whole
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """Vertices (n, 4): time, state, guard, child; unions (n, 6): time, state, into, absorbed, agent, remainder; and
+    what is kept (n, 3): time, state, vertex. Rows stand in the order of times and states."""
+
+    vertices: Whole
+    unions: Whole
+    kept: Whole
+
+    def at(self, t: int, q: int) -> tuple[Whole, Whole, Whole]:
+        """Return guards and children (n, 2), unions (m, 4) and kept vertices (k,) of a time and a state."""
+        vertices, unions, kept = (rows[_between(rows, t, q)] for rows in (self.vertices, self.unions, self.kept))
+        return vertices[:, 2:], unions[:, 2:], kept[:, 2]
+
+
+def _between(rows: Whole, t: int, q: int) -> slice:
+    """Return where the rows of a time and a state are; they are sorted, which ``check_order`` asked."""
+    key = rows[:, 0] * 2**31 + rows[:, 1]
+    return slice(*np.searchsorted(key, [t * 2**31 + q, t * 2**31 + q + 1]).tolist())
+
+
+def check_order(tree: Tree) -> None:
+    """Raise ``Refused`` unless rows stand in the order of times and states."""
+    for rows in (tree.vertices, tree.unions, tree.kept):
+        if np.any(np.diff(rows[:, 0] * 2**31 + rows[:, 1]) < 0):
+            raise Refused("the rows of the tree are not in the order of times and states")
+
+
+def finished(automaton: Automaton) -> list[bool]:
+    """Return which states are accepting for good, whatever comes: those that a co-safe run has satisfied by then."""
+    return [automaton.is_co_safe and accepts for accepts in automaton.accepting]
+
+
+def check_guards(
+    automaton: Automaton, guards: Guards, sets: Sequence[NDArray[np.bool_]], known: Sequence[tuple[list[int], Labels]]
+) -> None:
+    """Raise ``Refused`` unless guards out of one state are disjoint and lead where they say.
+
+    ``known`` are the propositions of each agent and their labels in its cells.
+    """
+    done = finished(automaton)
+    meets = [(own.astype(np.int64) @ own.T.astype(np.int64)) > 0 for own in sets]
+    for q in np.unique(guards.source).tolist():
+        here = np.flatnonzero(guards.source == q)
+        overlap = np.ones((len(here), len(here)), dtype=bool)
+        for i, both in enumerate(meets):
+            overlap &= both[np.ix_(guards.sets[here, i], guards.sets[here, i])]
+        if np.any(overlap & ~np.eye(len(here), dtype=bool)) or done[q]:
+            raise Refused(f"guards out of automaton state {q} overlap, or leave what is decided")
+    letters = [[np.unique(labels[cells], axis=0).tolist() for cells in own] for own, (_, labels) in zip(sets, known)]
+    for g, (q, target) in enumerate(zip(guards.source.tolist(), guards.target.tolist(), strict=True)):
+        entries = {automaton.root[q]}
+        for i, (propositions, _) in enumerate(known):
+            if propositions:
+                rows = letters[i][guards.sets[g, i]]
+                entries = {e for entry in entries for row in rows for e in _led(automaton, entry, propositions, row)}
+        if not all(entry < 0 and (-1 - entry == target or done[-1 - entry]) for entry in entries):
+            raise Refused(f"guard {g} out of automaton state {q} does not always lead to state {target}")
+
+
+def _led(automaton: Automaton, entry: int, propositions: list[int], row: list[int]) -> set[int]:
+    """Return the entries that are reached through propositions of one agent with these labels."""
+    if entry < 0 or automaton.variable[entry] not in propositions:
+        return {entry}
+    label = row[propositions.index(automaton.variable[entry])]
+    high = _led(automaton, automaton.high[entry], propositions, row) if label >= 0 else set()
+    return high | (_led(automaton, automaton.low[entry], propositions, row) if label <= 0 else set())
+
+
+@dataclass(eq=False)
+class _Values:
+    """The value function at a time: distinct factors (n, places) of each agent, and terms (n, I) of each state."""
+
+    factors: list[Array]
+    terms: list[Whole]
+
+
+def value_at_start(
+    automaton: Automaton,
+    horizon: int,
+    agents: Sequence[Cells],
+    guards: Guards,
+    start: Guards,
+    tree: Tree,
+) -> float:
+    """Return a lower bound on the probability that the task is satisfied from the start."""
+    check_order(tree)
+    ones = [np.ones((1, cells.places)) for cells in agents]
+    terms = [np.zeros((int(accepts), len(agents)), dtype=np.int64) for accepts in automaton.accepting]
+    later, size = _Values(ones, terms), 0
+    for t in range(horizon - 1, -1, -1):
+        later = _one_step_earlier(automaton, agents, guards, tree, later, t)
+        size += sum(len(rows) for rows in later.terms)
+    # Read the value where runs start: over products of sets of cells that the letter of time 0 leads from.
+    total = 0.0
+    for g in range(len(start.source)):
+        rows = later.terms[start.target[g]]
+        read = [
+            (cells.start_shares(start.sets[g, i]) @ later.factors[i].T)[rows[:, i]] for i, cells in enumerate(agents)
+        ]
+        total += float(np.prod(read, axis=0).sum()) if len(rows) else 0.0
+    # all numbers are at least 0: sums and products of so many are off by less than this share of themselves
+    count = size + len(tree.unions) + sum(cells.places for cells in agents) + 8 * horizon * len(agents) + 64
+    return min(1.0, max(0.0, total * (1.0 - 4.0 * U * count)))
+
+
+def _one_step_earlier(
+    automaton: Automaton, agents: Sequence[Cells], guards: Guards, tree: Tree, later: _Values, t: int
+) -> _Values:
+    """Return the value function at time t from that of time t + 1."""
+    stacks = [[np.ones((1, cells.places))] for cells in agents]
+    terms = []
+    # agents that are alike, with the same policy, take equal factors back once
+    memory: dict[tuple[int, bytes, bytes], Array] = {}
+    for q, is_done in enumerate(finished(automaton)):
+        if is_done:
+            terms.append(np.zeros((1, len(agents)), dtype=np.int64))
+            continue
+        vertices, unions, kept = tree.at(t, q)
+        below = _children(guards, later, vertices, q)
+        _check_unions(unions, kept, len(vertices), len(agents))
+        terms.append(np.zeros((len(kept), len(agents)), dtype=np.int64))
+        for i, cells in enumerate(agents):
+            vertex = cells.spread(guards.sets[vertices[:, 0], i]) * later.factors[i][below[:, i]]
+            _unite(vertex, unions, i, KEPT if cells.kernel.moves else 1.0)
+            distinct, where = np.unique(vertex[kept], axis=0, return_inverse=True)
+            policy = cells.policy_at(t, q)
+            key = id(cells.kernel), distinct.tobytes(), policy.tobytes()
+            if key not in memory:
+                memory[key] = cells.kernel.backup(distinct, policy)
+            terms[-1][:, i] = where.reshape(-1) + sum(len(own) for own in stacks[i])
+            stacks[i].append(memory[key])
+    return _Values([np.concatenate(own) for own in stacks], terms)
+
+
+def _children(guards: Guards, later: _Values, vertices: Whole, q: int) -> Whole:
+    """Return the factors (n, I) of the children of vertices (n, 2)."""
+    guard, child = vertices[:, 0], vertices[:, 1]
+    if np.any(guards.source[guard] != q):
+        raise Refused("the tree uses a guard of another automaton state")
+    if len(np.unique(vertices, axis=0)) != len(vertices):
+        raise Refused("the tree counts a vertex twice")
+    below = np.zeros((len(vertices), guards.sets.shape[1]), dtype=np.int64)
+    for k, target in enumerate(guards.target[guard].tolist()):
+        if child[k] >= len(later.terms[target]):
+            raise Refused("the tree names a vertex that does not exist")
+        below[k] = later.terms[target][child[k]]
+    return below
+
+
+def _check_unions(unions: Whole, kept: Whole, n: int, n_agents: int) -> None:
+    """Raise ``Refused`` if a vertex is counted twice: absorbed and used again, or kept twice."""
+    into, absorbed, agent, rest = unions.T
+    if np.any(unions[:, :2] >= n) or np.any(kept >= n) or np.any(agent >= n_agents):
+        raise Refused("the tree unites or keeps a vertex that does not exist")
+    if np.any((rest < -n_agents) | (rest > n_agents) | ((rest != 0) & (np.abs(rest) - 1 == agent))):
+        raise Refused("the tree keeps a remainder of no agent, or of the one whose factors are added")
+    gone: set[int] = set()
+    for a, b, remains in zip(into.tolist(), absorbed.tolist(), rest.tolist(), strict=True):
+        if a == b or a in gone or b in gone:
+            raise Refused("the tree counts a vertex twice")
+        if not remains:
+            gone.add(b)
+    if len(np.unique(kept)) != len(kept) or gone & set(kept.tolist()):
+        raise Refused("the tree counts a vertex twice")
+
+
+def _unite(vertex: Array, unions: Whole, i: int, share: float) -> None:
+    """Unite factors (n, places) of agent i in place; a positive remainder is of the first vertex, else the second."""
+    for a, b, agent, rest in unions.tolist():
+        first, second = vertex[a].copy(), vertex[b].copy()
+        least = np.minimum(first, second)
+        vertex[a] = first + second if agent == i else least
+        if rest:
+            remaining = first if rest > 0 else second
+            lessened = np.maximum(remaining * share - least, 0.0) if abs(rest) - 1 == i else least
+            vertex[b] = remaining if agent == i else lessened
