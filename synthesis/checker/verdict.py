@@ -87,7 +87,7 @@ def check_contents(contents: Contents) -> Verdict:
     if not 0.0 <= claimed <= 1.0:
         raise fields.expected("claim.failure", "a probability", claimed)
     kind = contents.header["proof"].get("kind") if isinstance(contents.header["proof"], dict) else None
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise fields.expected("proof.kind", " or ".join(map(repr, KINDS)), kind)
     modules = KINDS[kind]
     try:

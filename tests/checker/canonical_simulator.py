@@ -99,7 +99,7 @@ class Simulator:
         self, proof: dict[str, Any], arrays: list[np.ndarray], rng: np.random.Generator, n: int, extreme: float = 1.0
     ) -> int:
         """How many of n runs of the controllers in a file fail; disturbances are at one end of their ranges."""
-        x = [np.repeat(rng.uniform(a["start_low"], a["start_high"])[:, None], n, axis=1) for a in self.agents]
+        x = [rng.uniform(a["start_low"], a["start_high"], (n, len(a["states"]))).T for a in self.agents]
         v = [
             {k: low + (high - low) * extreme for k, (low, high) in a.get("disturbances", {}).items()}
             for a in self.agents
@@ -116,14 +116,45 @@ class Simulator:
                 break
             u = []
             for agent, entry, state in zip(self.agents, proof["agents"], x, strict=True):
-                if t < len(arrays[entry["inputs"]]):
-                    gain, nominal = arrays[entry["gains"]][t], arrays[entry["states"]][t]
-                    chosen = arrays[entry["inputs"]][t][:, None] + gain @ (state - nominal[:, None])
-                else:
-                    chosen = np.zeros((len(agent["inputs"]), n))
+                choose = _on_cells if proof["kind"] == "cells" else _along_trajectory
+                chosen = choose(agent, entry, arrays, state, q, t)
                 u.append(np.clip(chosen, np.array(agent["input_low"])[:, None], np.array(agent["input_high"])[:, None]))
             x = [mean + own for mean, own in zip(self.means(x, u, v, t), self.noise(rng, n), strict=True)]
         return int(n - np.sum(alive & accepting[q]))
+
+
+def _along_trajectory(
+    agent: dict[str, Any], entry: dict[str, Any], arrays: list[np.ndarray], state: np.ndarray, q: np.ndarray, t: int
+) -> np.ndarray:
+    """Inputs (m, n) of an agent along a trajectory; anything after it."""
+    if t >= len(arrays[entry["inputs"]]):
+        return np.zeros((len(agent["inputs"]), state.shape[1]))
+    gain, nominal = arrays[entry["gains"]][t], arrays[entry["states"]][t]
+    return np.asarray(arrays[entry["inputs"]][t][:, None] + gain @ (state - nominal[:, None]))
+
+
+def _on_cells(
+    agent: dict[str, Any], entry: dict[str, Any], arrays: list[np.ndarray], state: np.ndarray, q: np.ndarray, t: int
+) -> np.ndarray:
+    """Inputs (m, n) of an agent on cells, whose dynamics are matrices where it has targets."""
+    edges, lattice = ([arrays[k] for k in entry[key]] for key in ("edges", "lattice"))
+    places = [
+        np.clip(np.searchsorted(e, x, side="right") - 1, 0, len(e) - 2) for e, x in zip(edges, state, strict=True)
+    ]
+    cell = np.ravel_multi_index(places, [len(axis) - 1 for axis in edges])
+    policy = arrays[entry["policy"]]
+    choice = policy[min(t, len(policy) - 1), q, cell]
+    inputs = arrays[entry["inputs"]]
+    aimed = np.maximum(choice - len(inputs), 0)
+    targets = np.stack([axis[k] for axis, k in zip(lattice, np.unravel_index(aimed, [len(axis) for axis in lattice]))])
+    A, c = np.array(agent["A"]), np.array(agent["c"])[:, None]
+    inverse = np.zeros((len(agent["inputs"]), len(state))) if entry["inverse"] is None else arrays[entry["inverse"]]
+    toward = inverse @ (targets - A @ state - c)
+    if not len(inputs):
+        return np.where(choice < 0, 0.0, toward)
+    return np.where(
+        choice >= len(inputs), toward, np.where(choice < 0, 0.0, inputs[np.clip(choice, 0, len(inputs) - 1)].T)
+    )
 
 
 def _python(text: str) -> str:

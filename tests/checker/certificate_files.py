@@ -107,6 +107,95 @@ def two_carts() -> tuple[dict[str, Any], list[np.ndarray]]:
     return header, arrays
 
 
+def two_tanks() -> tuple[dict[str, Any], list[np.ndarray]]:
+    """Header and arrays of a proof on cells: two tanks that fill within two steps, one of them never beyond a mark.
+
+    The first tank chooses targets, ``x' = x/2 + u``, with values that are constant on cells; the second one chooses
+    inputs and a target, ``y' = 0.8 y + u``, with values that are linear in cells. The tree holds all vertices.
+    """
+
+    def tank(name: str, state: str, factor: float, low: float) -> dict[str, Any]:
+        return {
+            "name": name,
+            "states": [state],
+            "inputs": ["u"],
+            "A": [[factor]],
+            "B": [[1.0]],
+            "c": [0.0],
+            "outputs": [state],
+            "state_low": [low],
+            "state_high": [4.0],
+            "input_low": [-3.0],
+            "input_high": [3.0],
+            "start_low": [0.25],
+            "start_high": [0.75],
+            "noise": [[0.4]],
+        }
+
+    regions = [
+        {"name": "full_0", "agent": 0, "low": [1.0], "high": [None]},
+        {"name": "full_1", "agent": 1, "low": [1.0], "high": [3.0]},
+        {"name": "over", "agent": 1, "low": [3.0], "high": [None]},
+    ]
+    automaton = {  # of "!over U (full_0 & full_1)"
+        "initial": 0,
+        "accepting": [False, True, False],
+        "root": [0, -2, -3],
+        "variable": [0, 1, 2],
+        "low": [2, 2, -1],
+        "high": [1, -2, -3],
+    }
+    problem = {
+        "horizon": 2,
+        "agents": [tank("first", "x", 0.5, -4.0), tank("second", "y", 0.8, -4.0)],
+        "regions": regions,
+        "pairs": [],
+        "task": {"formula": "!over U (full_0 & full_1)", "semantics": "co-safe", "automaton": automaton},
+    }
+    edges, lattice = np.linspace(-4.0, 4.0, 17), np.linspace(-8.0, 8.0, 257)
+    middles = 0.5 * edges[:-1] + 0.5 * edges[1:]
+    # sets of cells by what is known in them: x below 1, x from 1 on; y below 1, from 1 to 3, from 3 on
+    sets_0 = np.stack([middles < 1.0, middles > 1.0])
+    sets_1 = np.stack([middles < 1.0, (middles > 1.0) & (middles < 3.0), middles > 3.0])
+    lead = [(0, (0, 0)), (0, (0, 1)), (0, (1, 0)), (1, (1, 1))]
+    target, sets = np.array([q for q, _ in lead], np.int32), np.array([pair for _, pair in lead], np.int32)
+    source = np.zeros(len(lead), np.int32)
+    # at the last step the guard that accepts has one vertex below it; one step earlier the others have one each, too
+    vertices = np.array([[0, 0, g, 0] for g in range(4)] + [[1, 0, 3, 0]], np.int32)
+    kept = np.array([[0, 0, k] for k in range(4)] + [[1, 0, 0]], np.int32)
+    inputs, aim = np.array([[-1.0], [0.0], [1.0], [2.0]]), np.searchsorted(lattice, 2.0)
+    policy_0, policy_1 = np.full((1, 3, 16), -1, np.int32), np.full((1, 3, 16), -1, np.int32)
+    reached = np.abs(2.0 - 0.5 * middles) < 2.8
+    policy_0[0, 0, reached] = aim
+    policy_1[0, 0] = np.abs(0.8 * middles[:, None] + inputs[:, 0] - 2.0).argmin(axis=1)
+    policy_1[0, 0, 9] = len(inputs) + aim
+    arrays = [
+        source, target, sets, vertices, np.zeros((0, 6), np.int32), kept, edges, lattice, np.zeros((0, 1)),
+        np.ones((1, 1)), sets_0, policy_0, inputs, sets_1, policy_1,
+    ]  # fmt: skip
+    shared = {"edges": [6], "lattice": [7], "inverse": 9}
+    agents = [
+        {**shared, "values": "cells", "parts": 2, "inputs": 8, "sets": 10, "start_sets": 10, "policy": 11},
+        {**shared, "values": "corners", "parts": 2, "inputs": 12, "sets": 13, "start_sets": 13, "policy": 14},
+    ]
+    proof = {
+        "kind": "cells",
+        "guards": {"source": 0, "target": 1, "sets": 2},
+        "start": {"target": 1, "sets": 2},
+        "tree": {"vertices": 3, "unions": 4, "kept": 5},
+        "agents": agents,
+    }
+    header = {
+        "format": "certigym-certificate",
+        "version": 3,
+        "name": "two tanks",
+        "problem": problem,
+        "claim": {"failure": 0.1},
+        "proof": proof,
+    }
+    return header, arrays
+
+
 def npy(array: np.ndarray) -> bytes:
     """The member of an array."""
     shape = f"({', '.join(map(str, array.shape))}{',' if array.ndim == 1 else ''})"

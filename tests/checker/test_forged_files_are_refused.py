@@ -16,7 +16,19 @@ import numpy as np
 import pytest
 
 from canonical_simulator import Simulator
-from certificate_files import Path, archive, at, changed, file_of, members_of, npy, places, two_carts, without
+from certificate_files import (
+    Path,
+    archive,
+    at,
+    changed,
+    file_of,
+    members_of,
+    npy,
+    places,
+    two_carts,
+    two_tanks,
+    without,
+)
 from certigym.synthesis.checker import Unreadable, check_contents, parse_file
 
 RUNS, FALSE_ALARM, CHANGES = 2000, 1e-6, 1000
@@ -62,23 +74,30 @@ def is_true(header: dict[str, Any], arrays: list[np.ndarray]) -> bool:
     return failed / RUNS <= claim + SLACK
 
 
-def test_the_file_itself_is_proved_and_true() -> None:
-    header, arrays = two_carts()
+KINDS = pytest.mark.parametrize("made", [two_carts, two_tanks], ids=["trajectory", "cells"])
+
+
+@KINDS
+def test_the_file_itself_is_proved_and_true(made: Any) -> None:
+    header, arrays = made()
     assert verdict_of(file_of(header, arrays)) == "proved"
     assert is_true(header, arrays)
 
 
-def test_a_claim_a_little_too_good_is_refused() -> None:
-    header, arrays = two_carts()
+@KINDS
+def test_a_claim_a_little_too_good_is_refused(made: Any) -> None:
+    header, arrays = made()
     failure = check_contents(parse_file(file_of(header, arrays))).recomputed
-    assert 0.05 < failure < 0.06
+    assert 0.02 < failure < 0.06
     assert verdict_of(file_of(changed(header, ("claim", "failure"), failure), arrays)) == "proved"
     assert verdict_of(file_of(changed(header, ("claim", "failure"), failure * (1 - 1e-12)), arrays)) == "refused"
 
 
 def header_changes(header: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Every entry of the header left out, given twice, and replaced by what does not belong there."""
+    """Every entry of the header left out, longer, and replaced by what does not belong there."""
     for path in places(header):
+        if path[:2] == ("problem", "agents") and path[2:3] == (0,) and header["proof"]["kind"] == "cells":
+            continue  # like the other agent, and like those of the other file
         yield f"without {path}", without(header, path)
         for value in WRONG_VALUES:
             if type(at(header, path)) is not type(value) or at(header, path) != value:
@@ -93,8 +112,10 @@ def header_changes(header: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]
             yield f"{path} opposite", changed(header, path, -here)
 
 
-def test_every_change_of_the_header_is_refused_or_harmless() -> None:
-    header, arrays = two_carts()
+@pytest.mark.slow
+@KINDS
+def test_every_change_of_the_header_is_refused_or_harmless(made: Any) -> None:
+    header, arrays = made()
     false, proved, count = [], 0, 0
     for what, forged in header_changes(header):
         count += 1
@@ -103,7 +124,7 @@ def test_every_change_of_the_header_is_refused_or_harmless() -> None:
             if not is_true(forged, arrays):
                 false.append(what)
     assert false == []
-    assert count > 2000 and 0 < proved < CHANGES  # names, and limits that nothing rests on
+    assert count > 1500 and 0 < proved < CHANGES  # names, and limits that nothing rests on
 
 
 def test_unknown_keys_and_keys_given_twice_are_unreadable() -> None:
@@ -133,7 +154,8 @@ def test_tokens_that_are_no_numbers_are_unreadable(token: str) -> None:
 
 def array_changes(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """An array with one number changed, other shapes, other types."""
-    for place in np.ndindex(array.shape):
+    # of long arrays every seventeenth number
+    for place in list(np.ndindex(array.shape))[:: 1 if array.size < 100 else 17]:
         numbers = (
             (np.nan, np.inf, -np.inf, 1e308, -1e-320, 1e6, -1.0, 0.0)
             if array.dtype.kind == "f"
@@ -156,8 +178,10 @@ def array_changes(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 
 
 @pytest.mark.filterwarnings("ignore:invalid value", "ignore:Casting complex")
-def test_every_change_of_an_array_is_refused_or_harmless() -> None:
-    header, arrays = two_carts()
+@pytest.mark.slow
+@KINDS
+def test_every_change_of_an_array_is_refused_or_harmless(made: Any) -> None:
+    header, arrays = made()
     false, proved, count = [], 0, 0
     with np.errstate(all="ignore"):
         for number, array in enumerate(arrays):
