@@ -21,7 +21,7 @@ from ..envs.agents import Agent, AnyAgent, LinearAgent, write_bytes
 from ..envs.logic import Formula, parse_formula
 from ..envs.problem import Problem
 from .cells import FloatArray
-from .certificates import SOMETIME, AgentPath, Certificate, GridProof, PathProof
+from .certificates import AgentPath, Certificate, GridProof, PathProof
 from .checker import FORMAT, VERSION, Contents, check_contents
 from .masses import AgentPart
 
@@ -101,8 +101,8 @@ def archive(header: Mapping[str, Any], arrays: Sequence[np.ndarray]) -> bytes:
 
 def _agent(problem: Problem, i: int) -> dict[str, Any]:
     agent, written = problem.agents[i], problem.written_agents[i]
-    if agent.laws is not None:
-        raise NotCanonicalError(f"agent `{agent.name}` has noise that is not normal, or a scale of it")
+    if any(law.name == "scipy" for law in agent.laws or ()):
+        raise NotCanonicalError(f"agent `{agent.name}` has noise of a distribution of scipy")
     if agent.angles:
         raise NotCanonicalError(f"agent `{agent.name}` has angles")
     shared = problem.shared_noise[i]
@@ -115,8 +115,14 @@ def _agent(problem: Problem, i: int) -> dict[str, Any]:
         "input_high": agent.input_high.tolist(),
         "start_low": agent.initial.low.tolist(),
         "start_high": agent.initial.high.tolist(),
-        "noise": _columns(written.noise_factor if shared.size else agent.noise_factor),
+        "noise": agent.noise_axes.tolist(),
     }
+    if agent.laws is None:
+        data["noise"] = _columns(written.noise_factor if shared.size else agent.noise_factor)
+    else:
+        data["distributions"] = [law.to_dict() for law in agent.laws]
+    if agent.noise_scale is not None:
+        data["noise_scale"] = list(agent.noise_scale)
     if isinstance(agent, LinearAgent):
         data |= {"states": _numbered("x", agent.n_states), "inputs": _numbered("u", agent.n_inputs)}
         data |= {"A": agent.A.tolist(), "B": agent.B.tolist(), "c": agent.offset.tolist()}
@@ -263,9 +269,6 @@ class _Pool:
 
 def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndarray]) -> dict[str, Any]:
     """Return the entry of a proof along trajectories, and add its arrays to those of the file."""
-    if np.any(proof.letters == SOMETIME):
-        raise NotCanonicalError("regions that are crossed in a window have no canonical form yet")
-
     put = _Pool(arrays)
     pairs = zip(problem.agents, proof.paths, strict=True)
     return {

@@ -19,7 +19,7 @@ from .fields import Refused
 from .file import Contents
 from .labels import cell_labels
 from .motions import check_targets, maps_of_inputs
-from .problem import Agent, Problem
+from .problem import STANDARD, Agent, Problem
 from .rigorous import Array
 from .tables import normal_table
 from .tree import Guards, Tree, check_guards, value_at_start
@@ -207,6 +207,8 @@ class _AgentCells:
 
 def _deviations(agent: Agent) -> Array:
     """Return the deviation (d,) of the noise along each state; ``Refused`` unless it is independent along them."""
+    if agent.scale or any(envelope != STANDARD for envelope in agent.envelopes):
+        raise Refused(f"the noise of `{agent.name}` is not normal and the same everywhere")
     used = agent.noise != 0.0
     if np.any(used.sum(axis=1) != 1) or np.any(used.sum(axis=0) > 1):
         raise Refused(f"the noise of `{agent.name}` is not independent and positive along each of its states")

@@ -1,9 +1,9 @@
-"""Chance constraints on numbers that are jointly normal: an upper bound on the probability that one of them fails.
+"""Chance constraints along a trajectory: an upper bound on the probability that one of them fails.
 
-Each constraint is about a normal number g of mean 0 with a variance of at most V: ``-low <= g <= high``, and, where a
-tube needs it, ``|g| <= width``.
+Each constraint is about a linear form g of the noise, of mean 0: ``-low <= g <= high``, and, where a tube needs it,
+``|g| <= width``. V is an upper bound on its variance, or on that of what is above the noise (``distributions``).
 
-**Theorem.** For any choice of strips ``|g_j| <= d_j`` and of tails beyond them,
+**Theorem.** For normal noise, any choice of strips ``|g_j| <= d_j`` and of tails beyond them,
 
     P(a constraint fails) <= 1 - prod_j (1 - P(|g_j| > d_j)) + sum of tails.
 
@@ -11,7 +11,11 @@ tube needs it, ``|g| <= width``.
 Statistical Association 62, 1967: each strip is about one normal number). What is left of a constraint beyond its strip
 is one tail, taken off by the union bound. A larger variance only makes each bound larger. QED
 
-Constraints whose numbers are made of disjoint sources of noise are independent: probabilities of keeping all of one
+Where the size of normal noise depends on the past, g is a Brownian motion read at a random time of at most V: it
+exceeds d with at most twice the tail of a normal number with the variance V (reflection principle). Other noise has the
+tails of its exponential moments. In both cases all tails are added up.
+
+Constraints whose forms are made of disjoint sources of noise are independent: probabilities of keeping all of one
 component are multiplied.
 """
 
@@ -24,24 +28,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import rigorous
-from .intervals import up
+from .distributions import LIGHT, NORMAL, STOPPED
+from .intervals import down, up
 from .rigorous import Array, U
 
 
 @dataclass(frozen=True, eq=False)
-class Normal:
-    """Normal numbers of mean 0: upper bounds on their variances (J,), and the sources (J, W) of which they are made."""
+class Forms:
+    """Linear forms of noise, of mean 0: upper bounds on their variances (J,) and on what one step adds to them (J,).
+
+    ``sources`` (J, W) says of which sources of noise they are made.
+    """
 
     variance: Array
+    largest: Array
     sources: NDArray[np.bool_]
 
-    def joined(self, other: Normal) -> Normal:
-        """Return these numbers and others after them."""
-        return Normal(np.concatenate([self.variance, other.variance]), np.concatenate([self.sources, other.sources]))
+    def joined(self, other: Forms) -> Forms:
+        """Return these forms and others after them."""
+        pairs = zip((self.variance, self.largest, self.sources), (other.variance, other.largest, other.sources))
+        return Forms(*(np.concatenate(pair) for pair in pairs))
 
-    def at(self, places: NDArray[np.bool_]) -> Normal:
-        """Return some of these numbers."""
-        return Normal(self.variance[places], self.sources[places])
+    def at(self, places: NDArray[np.bool_]) -> Forms:
+        """Return some of these forms."""
+        return Forms(self.variance[places], self.largest[places], self.sources[places])
 
 
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
@@ -52,29 +62,35 @@ ROUNDED = 1.0 + 2.0**-40
 
 
 class Constraints:
-    """Distances from 0 at which constraints end, variances, and sources of noise, as they are asked for."""
+    """Distances from 0 at which constraints end, and their forms, as they are asked for.
 
-    def __init__(self) -> None:
+    ``kinds`` (W,) are those of the sources of noise; ``lost`` is a probability of noise that is given up.
+    """
+
+    def __init__(self, kinds: NDArray[np.int64]) -> None:
+        self.kinds, self.lost = kinds, 0.0
         self.rows: list[Array] = []
         self.sources: list[NDArray[np.bool_]] = []
         self.labels: list[str] = []
 
-    def add(self, low: Array, high: Array, width: Array, normal: Normal, labels: Sequence[str]) -> None:
+    def add(self, low: Array, high: Array, width: Array, forms: Forms, labels: Sequence[str]) -> None:
         """Ask for ``-low <= g <= high`` and ``|g| <= width`` (J,); what is nan is not kept at all."""
         low, high, width = (np.where(np.isnan(end), -np.inf, end) for end in (low, high, width))
-        self.rows.append(np.stack([low, high, width, normal.variance]))
-        self.sources.append(normal.sources)
+        self.rows.append(np.stack([low, high, width, forms.variance, forms.largest]))
+        self.sources.append(forms.sources)
         self.labels += labels
 
     def failure(self) -> float:
         """Return an upper bound on the probability that one of them fails."""
-        rows, component = np.concatenate(self.rows, axis=1), _components(np.concatenate(self.sources))
-        each = [_failure_of(*rows[:, component == k]) for k in range(int(component.max(initial=-1)) + 1)]
-        return min(1.0, _union(np.array(each)))
+        rows, sources = np.concatenate(self.rows, axis=1), np.concatenate(self.sources)
+        component, kinds = _components(sources), np.where(sources, self.kinds, NORMAL).max(axis=1, initial=NORMAL)
+        members = [component == k for k in range(int(component.max(initial=-1)) + 1)]
+        each = [_failure_of(rows[:, here], kinds[here]) for here in members]
+        return min(1.0, (_union(np.array(each)) + self.lost) * ROUNDED)
 
     def likeliest(self) -> str:
         """Return which constraint fails most probably, in words."""
-        low, high, width, variance = np.concatenate(self.rows, axis=1)
+        low, high, width, variance, _ = np.concatenate(self.rows, axis=1)
         each = tails(np.minimum(np.minimum(low, high), width), variance)
         return self.labels[int(np.argmax(each))]
 
@@ -89,8 +105,13 @@ def _components(sources: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.unique(component, return_inverse=True)[1].reshape(-1)
 
 
-def _failure_of(low: Array, high: Array, width: Array, variance: Array) -> float:
-    """Return an upper bound on the probability that one of some constraints (J,) fails."""
+def _failure_of(rows: Array, kinds: NDArray[np.int64]) -> float:
+    """Return an upper bound on the probability that one of some constraints, rows (5, J), fails."""
+    low, high, width, variance, largest = rows
+    if np.any(kinds != NORMAL):
+        ends = (np.minimum(end, width) for end in (low, high))
+        total = sum(float(np.sum(_tails_by_kind(end, variance, largest, kinds))) for end in ends)
+        return min(1.0, total * _rounded(2 * len(low)))
     both = np.minimum(2.0 * tails(np.minimum(np.minimum(low, high), width), variance), 1.0)
     inner = np.minimum(2.0 * tails(width, variance), 1.0)
     outer = np.where(low < width, tails(low, variance), 0.0) + np.where(high < width, tails(high, variance), 0.0)
@@ -115,17 +136,53 @@ def _rounded(count: int) -> float:
     return float(ROUNDED ** (1 + count // 8000))
 
 
+def _tails_by_kind(distance: Array, variance: Array, largest: Array, kinds: NDArray[np.int64]) -> Array:
+    """Return upper bounds (J,) on P(g > distance), whatever the noise is made of."""
+    z = _in_deviations(distance, variance)
+    # normal noise whose size depends on the past is sub-Gaussian, too
+    normal, light = tails(distance, variance), _light_tail(z)
+    stopped, long = np.minimum(np.minimum(2.0 * normal, light), 1.0), _long_tail(z, variance, largest)
+    return np.select([kinds == NORMAL, kinds == STOPPED, kinds == LIGHT], [normal, stopped, light], long)
+
+
+def _in_deviations(distance: Array, variance: Array) -> Array:
+    """Return lower bounds (J,) on distances in deviations; infinite ends for what is kept, or not, for sure."""
+    with np.errstate(all="ignore"):
+        distance = np.where(np.isnan(variance), -np.inf, distance)
+        z = distance / np.sqrt(variance)
+        # root and quotient round by U each, and a smaller z has a larger tail
+        z = z - 8 * U * np.minimum(np.abs(z), 1e300)
+        z = np.where(variance > 0, z, np.where(distance > 0, np.inf, -np.inf))
+        return np.where(np.isnan(z), -np.inf, z)
+
+
 def tails(distance: Array, variance: Array) -> Array:
     """Return upper bounds (J,) on P(g > distance) for normal g of mean 0 and a variance of at most this.
 
     Without noise a distance is kept if it is positive. Distances or variances of which nothing is known are not kept.
     """
+    z = _in_deviations(distance, variance)
     with np.errstate(all="ignore"):
-        distance = np.where(np.isnan(variance), -np.inf, distance)
-        z = distance / np.sqrt(variance)
-        # root and quotient round by U each, and the tail falls: a smaller z gives a larger one
-        z = np.where(variance > 0, z - 8 * U * np.minimum(np.abs(z), 1e300), np.where(distance > 0, np.inf, -np.inf))
-        size = np.minimum(np.abs(np.where(np.isnan(z), 0.0, z)), 37.0)
-        low, high = rigorous.tail(size)
+        low, high = rigorous.tail(np.minimum(np.abs(z), 37.0))
         tail = np.where(z >= 0, high, up(1.0 - low))
-    return np.where(np.isnan(z) | (z == -np.inf), 1.0, np.where(z == np.inf, 0.0, tail))
+    return np.where(z == -np.inf, 1.0, np.where(z == np.inf, 0.0, tail))
+
+
+def _light_tail(z: Array) -> Array:
+    """Return exp(-z^2 / 2) from above, and 1 where z <= 0."""
+    size = np.clip(z, 0.0, 1e3)
+    tail = rigorous.exp(-0.5 * size * size * (1.0 - 4.0 * U))[1]
+    return np.where(z <= 0.0, 1.0, np.where(z == np.inf, 0.0, np.minimum(tail, 1.0)))
+
+
+def _long_tail(z: Array, variance: Array, largest: Array) -> Array:
+    """Return ((1 + r)/2 exp(1 - r))^n from above, where n = V/v and r^2 = 1 + 2 z^2 / n; 1 where z <= 0."""
+    with np.errstate(all="ignore"):
+        # any v will do that is at least what one step adds: n may be smaller than it is
+        n = np.clip(np.nan_to_num(variance / largest, nan=1.0) * (1.0 - 4.0 * U), 1.0, 1e4)
+        size = np.clip(z, 0.0, 1e6)
+        r = down(np.sqrt(1.0 + 2.0 * (size * size / n) * (1.0 - 8.0 * U)))
+        exponent = n * (rigorous.log(up(0.5 + 0.5 * r))[1] + up(1.0 - r))
+        exponent = np.minimum(exponent + 8.0 * U * n * (1.0 + r), 0.0)
+        tail = rigorous.exp(exponent)[1]
+    return np.where(z <= 0.0, 1.0, np.where(z == np.inf, 0.0, np.minimum(tail, 1.0)))

@@ -1,6 +1,7 @@
 """Letters: which propositions hold at a time, what a trajectory promises of them, and what that asks of outputs.
 
-A trajectory says of each proposition at each time 1 .. S that it holds (1), that it does not (-1), or nothing (0).
+A trajectory says of each proposition at each time 1 .. S that it holds (1), that it does not (-1), or nothing (0);
+or that it holds at some time of a window (2, ``crossings``).
 
 * A region that is to hold asks for ``low <= y < high`` of every output.
 * One that is not to hold asks for one side of it, its *face*: ``y_k < low_k`` (face 2k) or ``y_k >= high_k`` (2k + 1).
@@ -113,7 +114,7 @@ def demands(
     for p, region in enumerate(problem.regions):
         value, face, label = int(letters[t, p]), int(faces[t, p]), f"`{region.name}` at time {t}"
         low, high = region.low[t], region.high[t]
-        if value > 0:
+        if value == 1:
             limits = zip(range(len(low)), low.tolist(), high.tolist())
             asked += [Demand(((region.agent, k, 1.0),), a, b, label) for k, a, b in limits if a > -np.inf or b < np.inf]
         elif value < 0 and not np.any(low >= high):
@@ -127,7 +128,7 @@ def demands(
         count = len(pair.outputs[0])
         normal = normals[t, first : first + count]
         first += count
-        if letters[t, p] > 0:
+        if letters[t, p] == 1:
             asked += _near(pair, t)
         elif letters[t, p] < 0:
             asked += _apart(pair, normal, t)

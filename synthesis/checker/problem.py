@@ -1,12 +1,13 @@
 """The problem that a certificate is about, in canonical form: what moves, what happens by chance, what is asked.
 
-At time t agent i has a state x_i (d_i,) and applies an input u_i in its closed box. With one vector w of independent
-standard normal numbers for each step, and disturbances v that are anywhere in their closed intervals at each step,
+At time t agent i has a state x_i (d_i,) and applies an input u_i in its closed box. With independent numbers w,
+standard normal or of other distributions, and disturbances v, which are anywhere in their closed intervals, whatever
+happened before, and do not know the noise of their step,
 
-    x_i(t + 1) = f_i(x, u, v, t) + N_i w_i + M_i w_shared,
+    x_i(t + 1) = f_i(x, u, v, t) + scale_i(x_i, u_i, v_i, t) * (N_i w_i) + M_i w_shared,
 
-where f_i may name states and inputs of other agents. Runs start anywhere in the box of starts. A run fails when a state
-leaves its closed workspace at a time 1 .. T. Proposition p holds at time t if ``low <= y < high`` for all outputs y of
+where f_i may name states and inputs of other agents. Runs start at a point that is drawn uniformly from the box of
+starts. A run fails when a state leaves its closed workspace at a time 1 .. T. Proposition p holds at time t if ``low <= y < high`` for all outputs y of
 its agent (a region), or for the differences of the outputs of two agents (a pair), or if the difference is shorter than
 a radius. ``null`` stands for no limit. The letters of times 0 .. T are a word; the formula says which words are right.
 
@@ -20,10 +21,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import fields
 from .automaton import Automaton
-from .expressions import Tree, affine, read_expression
+from .distributions import NORMAL, STOPPED, Envelope, read_distribution
+from .expressions import Tree, affine, names_in, read_expression
 from .fields import Unreadable
 from .formula import Formula, parse
 from .rigorous import Array
@@ -36,6 +39,7 @@ MOST_STATES, MOST_STEPS = 5000, 100_000
 class Agent:
     """One agent: names, dynamics and outputs as trees, boxes (2, .), factors of its noise.
 
+    ``envelopes`` are those of the sources of its noise, ``scale`` multiplies the noise of each state (none: 1).
     ``states_of_others`` and ``inputs_of_others`` say which variable of which agent a dotted name is.
     """
 
@@ -49,6 +53,8 @@ class Agent:
     input_box: Array
     start: Array
     noise: Array
+    envelopes: tuple[Envelope, ...]
+    scale: tuple[Tree, ...]
     shared_noise: Array
     states_of_others: dict[str, tuple[int, int]]
     inputs_of_others: dict[str, tuple[int, int]]
@@ -96,16 +102,31 @@ class Problem:
 
     @property
     def noise(self) -> Array:
-        """The factor L (D, W) of the noise of the joint state: own sources agent by agent, then the shared ones."""
+        """The factor L (D, W) of the noise of the joint state, before it is scaled.
+
+        Sources stand agent by agent, in deviations of what is above them, then come the shared ones.
+        """
         own = sum(agent.noise.shape[1] for agent in self.agents)
-        shared = self.agents[0].shared_noise.shape[1]
-        factor = np.zeros((self.slices[-1].stop, own + shared))
+        factor = np.zeros((self.slices[-1].stop, own + self.agents[0].shared_noise.shape[1]))
         column = 0
         for agent, here in zip(self.agents, self.slices, strict=True):
-            factor[here, column : column + agent.noise.shape[1]] = agent.noise
+            last = column + agent.noise.shape[1]
+            factor[here, column:last] = agent.noise * np.array([own.deviation for own in agent.envelopes])
             factor[here, own:] = agent.shared_noise
-            column += agent.noise.shape[1]
+            column = last
         return factor
+
+    @property
+    def kinds(self) -> NDArray[np.int64]:
+        """What is known of the tails of each source (W,) of noise."""
+        own = [_kind(agent, envelope) for agent in self.agents for envelope in agent.envelopes]
+        return np.array([*own, *[NORMAL] * self.agents[0].shared_noise.shape[1]], dtype=np.int64)
+
+
+def _kind(agent: Agent, envelope: Envelope) -> int:
+    """Return what is known of a source's tails; a scale that names the time only is a number at each step."""
+    depends = names_in(agent.scale) & {*agent.states, *agent.inputs, *agent.disturbances}
+    return STOPPED if depends and envelope.tail == NORMAL else envelope.tail
 
 
 def read_problem(header: dict[str, Any]) -> Problem:
@@ -134,7 +155,11 @@ REQUIRED = (
     "name", "states", "inputs", "outputs", "state_low", "state_high", "input_low", "input_high", "start_low",
     "start_high", "noise",
 )  # fmt: skip
-OPTIONAL = ("dynamics", "A", "B", "c", "disturbances", "parameters", "shared_noise")
+OPTIONAL = (
+    "dynamics", "A", "B", "c", "disturbances", "parameters", "shared_noise", "distributions", "noise_scale",
+)  # fmt: skip
+STANDARD = Envelope(0.0, 0.0, 1.0, NORMAL)
+"""Noise is standard normal unless a file says otherwise."""
 
 
 def _read_agents(value: Any) -> tuple[Agent, ...]:
@@ -170,7 +195,14 @@ def _agent(i: int, own: dict[str, Any], names: tuple[str, ...], variables: list[
     # `t` is the time unless the agent has something of this name.
     local = (*states, *inputs, *disturbances)
     readable = (*local, *others[0], *others[1], *(() if "t" in (*local, *parameters) else ("t",)))
-    shared = own.get("shared_noise")
+    shared, noise = own.get("shared_noise"), fields.matrix(own["noise"], f"{name}.noise", d)
+    envelopes = [STANDARD] * noise.shape[1]
+    if "distributions" in own:
+        envelopes = fields.each(own["distributions"], f"{name}.distributions", read_distribution, len(envelopes))
+    timed = (*local, *(() if "t" in (*local, *parameters) else ("t",)))
+    scale = _trees(own.get("noise_scale", []), f"{name}.noise_scale", timed, parameters)
+    if len(scale) not in (0, d):
+        raise Unreadable(f"{name}.noise_scale: expected {d} expressions, got {len(scale)}")
     return Agent(
         name,
         states,
@@ -181,7 +213,9 @@ def _agent(i: int, own: dict[str, Any], names: tuple[str, ...], variables: list[
         _workspace(own, name, d),
         fields.box(own, name, "input_low", "input_high", m),
         fields.box(own, name, "start_low", "start_high", d),
-        fields.matrix(own["noise"], f"{name}.noise", d),
+        noise,
+        tuple(envelopes),
+        scale,
         np.zeros((d, 0)) if shared is None else fields.matrix(shared, f"{name}.shared_noise", d),
         *others,
     )

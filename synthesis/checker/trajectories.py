@@ -31,14 +31,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import fields
-from .automaton import wrong_word
-from .constraints import ROUNDED, Constraints, Normal
+from .constraints import ROUNDED, Constraints, Forms
+from .crossings import SOMETIME, Jump, check_words, jumps, limits
 from .expressions import Tree, names_in
 from .fields import Refused
 from .file import Contents
 from .intervals import add, down, interval, mul, neg, up
-from .jets import Follow, Jet, Memory, jet, off_linear
-from .letters import Demand, demands, known_at, known_at_start
+from .jets import Follow, Jet, Memory, jet, off_linear, value_on
+from .letters import Demand, demands
 from .problem import Agent, Problem
 from .rigorous import Array, U
 
@@ -71,7 +71,7 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
     keys = "kind", "letters", "faces", "normals", "agents"
     data = fields.table(contents.header["proof"], "proof", keys)
     propositions, compared = len(problem.automaton.propositions), sum(len(pair.outputs[0]) for pair in problem.pairs)
-    letters = contents.integers(data["letters"], "proof.letters", (None, propositions), -1, 2)
+    letters = contents.integers(data["letters"], "proof.letters", (None, propositions), -1, SOMETIME + 1)
     steps = len(letters) - 1
     if not 1 <= steps <= problem.horizon:
         raise fields.Unreadable(f"proof.letters: {steps} steps do not fit the horizon {problem.horizon}")
@@ -103,45 +103,58 @@ def _entry(value: Any, place: str) -> dict[str, Any]:
 class ErrorSystem:
     """What entered the errors at each step: F (D, D), boxes (2, D) of m + r, half widths (D,) of e, and the noise."""
 
-    def __init__(self, spread: Array, noise: Array) -> None:
-        self.spread, self.noise = spread, noise
+    def __init__(self, spread: Array, n_sources: int) -> None:
+        self.spread, self.n_sources = spread, n_sources
         self.products = np.eye(len(spread))[None]  # of all F from each time on: (t + 1, D, D)
         self.matrices: list[Array] = []
         self.pushed: list[Array] = []
         self.reach: list[Array] = []
+        self.noises: list[Array] = []
+        self.before = self.products
 
-    def step(self, matrix: Array, pushed: Array, reach: Array) -> None:
-        """Add a step: ``e' = matrix e + pushed + noise`` for all |e| <= reach."""
+    def step(self, matrix: Array, pushed: Array, reach: Array, noise: Array) -> None:
+        """Add a step: ``e' = matrix e + pushed + noise w`` for all |e| <= reach."""
+        self.before = self.products
         self.products = np.concatenate([np.matmul(matrix, self.products), np.eye(len(matrix))[None]])
         self.matrices.append(matrix)
         self.pushed.append(pushed)
         self.reach.append(reach)
+        self.noises.append(noise)
 
-    def rows(self, c: Array) -> tuple[Array, Normal]:
-        """Return ends (2, J) of what rows c (J, D) of e are besides g, and g."""
+    def rows(self, c: Array, earlier: Array | None = None) -> tuple[Array, Forms]:
+        """Return ends (2, J) of what rows c (J, D) of e are besides g, and g.
+
+        With ``earlier`` (J, D) the rows are ``c e_t + earlier e_(t-1)``.
+        """
         t, d = len(self.matrices), c.shape[1]
         y = np.matmul(c[None], self.products)  # (t + 1, J, D)
+        if earlier is not None:
+            y[:t] += np.matmul(earlier[None], self.before)
         # sums of so many numbers of one sign are rounded by less
         counted = 1.0 + 4.0 * U * (y.shape[0] * d + 64.0)
         spare = np.abs(y[0]) @ self.spread * counted
         if not t:
-            still = Normal(np.zeros(len(c)), np.zeros((len(c), self.noise.shape[1]), dtype=bool))
-            return np.stack([-spare, spare]), still
-        before, after, size = y[:-1], y[1:], np.abs(y[1:])
-        matrices, pushed = np.array(self.matrices), np.array(self.pushed)
+            still = np.zeros(len(c))
+            return np.stack([-spare, spare]), Forms(still, still, np.zeros((len(c), self.n_sources), dtype=bool))
+        before, after, size = y[:-1].copy(), y[1:], np.abs(y[1:])
+        if earlier is not None:
+            before[-1] -= earlier
+        matrices, pushed, noises = np.array(self.matrices), np.array(self.pushed), np.array(self.noises)
         # what y misses: the difference, its rounding, and underflow
         missed = np.abs(np.matmul(after, matrices) - before)
-        missed += (d + 4.0) * U * (np.matmul(size, np.abs(matrices)) + np.abs(before)) + 1e-290
+        missed += (d + 6.0) * U * (np.matmul(size, np.abs(matrices)) + np.abs(before) + np.abs(y[:-1])) + 1e-290
         spare = spare + np.einsum("sjd,sd->j", missed, np.array(self.reach)) * counted
         middle, half = 0.5 * (pushed[:, 0] + pushed[:, 1]), 0.5 * (pushed[:, 1] - pushed[:, 0])
         shift, shifted = np.einsum("sjd,sd->j", after, middle), np.einsum("sjd,sd->j", size, np.abs(middle))
         spare += np.einsum("sjd,sd->j", size, half + 2 * U * np.abs(middle)) * counted
         spare += (d * t + 8.0) * U * shifted + 1e-290
         # every product y L is off by less than this, and its square enters the variance
-        moved = np.abs(np.matmul(after, self.noise))
-        moved += (d + 4.0) * U * np.matmul(size, np.abs(self.noise)) + np.where(moved > 0.0, 1e-160, 0.0)
-        variance = np.einsum("sjw,sjw->j", moved, moved) * (counted + 4.0 * U * t * moved.shape[2])
-        return np.stack([shift - spare, shift + spare]), Normal(variance, (moved > 0.0).any(axis=0))
+        moved = np.abs(np.matmul(after, noises))
+        moved += (d + 4.0) * U * np.matmul(size, np.abs(noises)) + np.where(moved > 0.0, 1e-160, 0.0)
+        each = np.einsum("sjw,sjw->sj", moved, moved)
+        more = counted + 4.0 * U * t * moved.shape[2]
+        forms = Forms(each.sum(axis=0) * more, each.max(axis=0) * more, (moved > 0.0).any(axis=0))
+        return np.stack([shift - spare, shift + spare]), forms
 
 
 def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constraints]:
@@ -152,20 +165,22 @@ def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constra
     Refused
         If words that agree with the letters are not accepted, or nothing is known beyond a step.
     """
-    letters = [known_at_start(problem)]
-    letters += [known_at(problem, proof.letters, t) for t in range(1, len(proof.letters))]
-    if wrong := wrong_word(problem.automaton, problem.horizon, letters):
-        raise Refused(wrong)
+    check_words(problem, proof.letters, proof.faces)
     joint = _Joint.of(problem, proof)
-    errors, constraints = ErrorSystem(joint.spread, problem.noise), Constraints()
+    errors, constraints = ErrorSystem(joint.spread, len(problem.kinds)), Constraints(problem.kinds)
+    before = np.zeros((2, len(joint.spread)))
     for t in range(len(proof.letters)):
         known = errors.rows(np.eye(len(joint.spread)))
         tube = joint.tube(known[0], t)
         if t:
             asked = demands(problem, proof.letters, proof.faces, proof.normals, t)
+            asked += _crossed(problem, proof, t)
             _ask_states(joint, errors, constraints, tube, known, asked, t)
+            _ask_jumps(joint, errors, constraints, (before, tube), jumps(problem, proof.letters, proof.faces, t), t)
+        before = tube
         if t < len(proof.letters) - 1:
             _advance(joint, errors, constraints, tube, t)
+            constraints.lost += sum(envelope.lost for agent in problem.agents for envelope in agent.envelopes)
     return constraints.failure(), constraints
 
 
@@ -180,6 +195,7 @@ class _Joint:
     states: Array
     widths: Array
     spread: Array
+    noise: Array
 
     @classmethod
     def of(cls, problem: Problem, proof: TrajectoryProof) -> _Joint:
@@ -197,7 +213,7 @@ class _Joint:
         spread = np.where(point, 0.0, np.maximum(up(start[1] - states[0]), up(states[0] - start[0])))
         widths = [own.widths[:, : len(agent.states)] for agent, own in zip(agents, trajectories, strict=True)]
         slices = problem.slices
-        return cls(agents, trajectories, slices, box, states, np.concatenate(widths, axis=1), spread)
+        return cls(agents, trajectories, slices, box, states, np.concatenate(widths, axis=1), spread, problem.noise)
 
     def tube(self, ends: Array, t: int) -> Array:
         """Return ends (2, D) between which errors stay, from those (2, D) of what they are besides g."""
@@ -221,7 +237,7 @@ def _ask_states(
     errors: ErrorSystem,
     constraints: Constraints,
     tube: Array,
-    known: tuple[Array, Normal],
+    known: tuple[Array, Forms],
     asked: Sequence[Demand],
     t: int,
 ) -> None:
@@ -245,11 +261,46 @@ def _ask_states(
             labels[k] = demand.label
         limits[k] = [max(limits[k][0], demand.low), min(limits[k][1], demand.high)]
     more = errors.rows(np.array(rows[D:]).reshape(-1, D))
-    drift, normal = np.concatenate([known[0], more[0]], axis=1), known[1].joined(more[1])
+    drift, forms = np.concatenate([known[0], more[0]], axis=1), known[1].joined(more[1])
     low, high = np.array(limits).T
     value = add(np.concatenate(ends, axis=1), drift)
     width = np.concatenate([joint.widths[t], np.full(len(rows) - D, np.inf)])
-    constraints.add(down(value[0] - low), down(high - value[1]), width, normal, labels)
+    constraints.add(down(value[0] - low), down(high - value[1]), width, forms, labels)
+
+
+def _crossed(problem: Problem, proof: TrajectoryProof, t: int) -> list[Demand]:
+    """Return what regions that are met at some time ask of outputs."""
+    asked = []
+    for p, region in enumerate(problem.regions):
+        if proof.letters[t, p] == SOMETIME:
+            ends = limits(region, proof.letters, proof.faces, t, p)
+            label = f"`{region.name}` crossed at time {t}"
+            asked += [
+                Demand(((region.agent, k, 1.0),), low, high, label)
+                for k, low, high in ends
+                if low > -np.inf or high < np.inf
+            ]
+    return asked
+
+
+def _ask_jumps(
+    joint: _Joint,
+    errors: ErrorSystem,
+    constraints: Constraints,
+    tubes: tuple[Array, Array],
+    asked: Sequence[Jump],
+    t: int,
+) -> None:
+    """Ask that outputs jump over no region from time t - 1 to t, on the ``tubes`` of both times."""
+    if not asked:
+        return
+    outputs = [Demand(((jump.agent, jump.output, 1.0),), jump.low, jump.high, jump.label) for jump in asked]
+    old, new = (_linear_forms(joint, tube, outputs, time) for tube, time in zip(tubes, (t - 1, t), strict=True))
+    value = np.concatenate([add(now[1], neg(was[1])) for was, now in zip(old, new, strict=True)], axis=1)
+    drift, forms = errors.rows(np.array([now[0] for now in new]), -np.array([was[0] for was in old]))
+    value, (low, high) = add(value, drift), np.array([(jump.low, jump.high) for jump in asked]).T
+    nothing = np.full(len(asked), np.inf)
+    constraints.add(down(value[0] - low), down(high - value[1]), nothing, forms, [jump.label for jump in asked])
 
 
 def _linear_forms(joint: _Joint, tube: Array, asked: Sequence[Demand], t: int) -> list[tuple[Array, Array]]:
@@ -356,7 +407,7 @@ def _inputs(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: 
     size = np.abs(u) + np.abs(gain) @ (reach + U * np.abs(joint.states[t, here]))
     rounding = np.where(moved, 4.0 * (d + 3.0) * U * size, 0.0)
     rows = np.array([joint.row(i, row) for row in gain * moved[:, None]]).reshape(m, -1)
-    ends, normal = errors.rows(rows)
+    ends, forms = errors.rows(rows)
     width = own.widths[t, d:] if t else np.where(moved, np.inf, 0.0)
     spread = np.abs(gain) @ reach * ROUNDED
     low_move, high_move = np.maximum(ends[0] - width, -spread), np.minimum(ends[1] + width, spread)
@@ -368,22 +419,53 @@ def _inputs(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: 
     labels = [f"input `{agent.inputs[k]}` of `{agent.name}` at time {t}" for k in np.flatnonzero(moved)]
     if labels:
         below, above = down(value[0] - low[moved]), down(high[moved] - value[1])
-        constraints.add(below, above, width[moved], normal.at(moved), labels)
+        constraints.add(below, above, width[moved], forms.at(moved), labels)
     return _Moves(u, deviation, rounding)
 
 
 def _advance(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: Array, t: int) -> None:
     """One step of all agents: inputs stay in their boxes, and the next error is F e and something in a box."""
     D = len(joint.spread)
-    matrix, pushed = np.zeros((D, D)), np.zeros((2, D))
+    matrix, pushed, noise = np.zeros((D, D)), np.zeros((2, D)), joint.noise.copy()
     moves = [_inputs(joint, errors, constraints, tube, i, t) for i in range(len(joint.agents))]
-    for i, here in enumerate(joint.slices):
+    for i, (agent, here) in enumerate(zip(joint.agents, joint.slices, strict=True)):
         columns, rows, ends = _step(joint, moves, tube, i, t)
+        scale = _scale(joint, moves[i], tube, i, t)
         matrix[here, columns] = rows
-        pushed[:, here] = add(ends, neg(interval(joint.states[t + 1, here])))
-    if not np.all(np.isfinite(matrix)) or not np.abs(pushed).max() <= LARGEST_ERROR:
+        pushed[:, here] = add(add(ends, neg(interval(joint.states[t + 1, here]))), _noise_mean(agent, scale))
+        if agent.scale:  # shared sources come last, and nothing multiplies them
+            own = noise.shape[1] - agent.shared_noise.shape[1]
+            noise[here, :own] *= np.abs(scale).max(axis=0)[:, None] * (1.0 + 4.0 * U)
+    if not np.all(np.isfinite(matrix)) or not np.abs(pushed).max() <= LARGEST_ERROR or not np.all(np.isfinite(noise)):
         raise Refused(f"the linearization error grows beyond all limits at time {t}")
-    errors.step(matrix, pushed, np.abs(tube).max(axis=0))
+    errors.step(matrix, pushed, np.abs(tube).max(axis=0), noise)
+
+
+def _scale(joint: _Joint, moves: _Moves, tube: Array, i: int, t: int) -> Array:
+    """Return ends (2, d) of what multiplies the noise of an agent on the tube."""
+    agent, here = joint.agents[i], joint.slices[i]
+    if not agent.scale:
+        return np.ones((2, len(agent.states)))
+    inputs = add(interval(moves.nominal), moves.deviation)
+    states = add(interval(joint.states[t, here]), tube[:, here])
+    ranges = np.array(list(agent.disturbances.values())).reshape(-1, 2).T
+    ends = np.concatenate([states, inputs, ranges], axis=1)
+    names = (*agent.states, *agent.inputs, *agent.disturbances)
+    leaves = {"t": interval(np.full(1, float(t)))} | {name: ends[:, k : k + 1] for k, name in enumerate(names)}
+    scale = np.concatenate([np.broadcast_to(value_on(tree, leaves), (2, 1)) for tree in agent.scale], axis=1)
+    if not np.all(np.isfinite(scale)):
+        raise Refused(f"the size of the noise of `{agent.name}` is not known on the tube at time {t}")
+    return scale
+
+
+def _noise_mean(agent: Agent, scale: Array) -> Array:
+    """Return ends (2, d) of the mean of the noise of an agent, for its size between ends (2, d)."""
+    mean = np.zeros((2, len(agent.states)))
+    for column, own in zip(agent.noise.T, agent.envelopes, strict=True):
+        if own.mean or own.off:
+            ends = interval(np.full(len(column), own.mean), np.full(len(column), own.mean))
+            mean = add(mean, mul(interval(column), add(ends, np.array([[-own.off], [own.off]]))))
+    return mul(scale, mean)
 
 
 def _step(joint: _Joint, moves: Sequence[_Moves], tube: Array, i: int, t: int) -> tuple[list[int], Array, Array]:

@@ -1,0 +1,128 @@
+"""Regions that are met at some time of a window (letter 2): a run that crosses one meets it, whatever its pace.
+
+Let the region be ``low <= y < high``, and let a trajectory come to it along output k through the face low_k.
+
+**Theorem.** Suppose that ``low_j <= y_j < high_j`` for all outputs j other than k at all times a to b of a window, that
+``y_k < high_k`` at a and ``y_k >= low_k`` at b, and that ``y_k(t) - y_k(t - 1) < high_k(t) - low_k(t - 1)`` for all t
+from a + 1 to b. Then the region holds at some time of the window; and the same for the other face, signs changed.
+
+*Proof.* There is a first time t with ``y_k >= low_k``, since b is one. If it is a, then ``y_k < high_k`` there. If not,
+``y_k(t - 1) < low_k(t - 1)``, so that ``y_k(t) < high_k(t)``. QED
+
+The automaton has to accept every word in which the region holds at some time of its window: it is followed with a note
+of what was met, and where a window ends without that there is no such run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .automaton import Known, followed, wrong_word
+from .fields import Refused
+from .letters import known_at, known_at_start
+from .problem import Problem, Region
+
+SOMETIME = 2
+"""Letter of a proposition that is to hold at some time of a window."""
+
+MOST_OPEN = 4
+"""Most windows that are open at one time: each doubles the words that are followed."""
+
+Letters = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Jump:
+    """``low < y_k(t) - y_k(t - 1) < high`` for an output of an agent."""
+
+    agent: int
+    output: int
+    low: float
+    high: float
+    label: str
+
+
+def _one_window(letters: Letters, faces: Letters, t: int, p: int) -> bool:
+    """Return whether times t and t + 1 belong to one window of a proposition; another side begins another one."""
+    return bool(np.all(letters[t : t + 2, p] == SOMETIME)) and faces[t, p] == faces[t + 1, p]
+
+
+def is_first(letters: Letters, faces: Letters, t: int, p: int) -> bool:
+    """Return whether a window begins at time t; nothing is asked at time 0."""
+    return t == 1 or not _one_window(letters, faces, t - 1, p)
+
+
+def is_last(letters: Letters, faces: Letters, t: int, p: int) -> bool:
+    """Return whether a window ends at time t."""
+    return t == len(letters) - 1 or not _one_window(letters, faces, t, p)
+
+
+def limits(region: Region, letters: Letters, faces: Letters, t: int, p: int) -> list[tuple[int, float, float]]:
+    """Return limits (output, low, high) of a region that is met at some time of a window."""
+    k, from_above = divmod(int(faces[t, p]), 2)
+    if not 0 <= k < region.low.shape[1]:
+        raise Refused(f"`{region.name}` at time {t} is crossed from no side")
+    far, near = is_first(letters, faces, t, p), is_last(letters, faces, t, p)
+    keeps = (far, near) if from_above else (near, far)
+    ends = list(zip(range(region.low.shape[1]), region.low[t].tolist(), region.high[t].tolist(), strict=True))
+    ends[k] = k, ends[k][1] if keeps[0] else -np.inf, ends[k][2] if keeps[1] else np.inf
+    return ends
+
+
+def jumps(problem: Problem, letters: Letters, faces: Letters, t: int) -> list[Jump]:
+    """Return what is asked of outputs from time t - 1 to t, so that no region is jumped over."""
+    asked = []
+    for p, region in enumerate(problem.regions):
+        if letters[t, p] == SOMETIME and not is_first(letters, faces, t, p):
+            k, from_above = divmod(int(faces[t, p]), 2)
+            # from outside of the face to beyond the far one; rounded inward
+            most = float(np.nextafter(region.high[t, k] - region.low[t - 1, k], -np.inf))
+            least = float(np.nextafter(region.low[t, k] - region.high[t - 1, k], np.inf))
+            ends = (least, np.inf) if from_above else (-np.inf, most)
+            asked.append(Jump(region.agent, k, *ends, f"no jump over `{region.name}` at time {t}"))
+    return asked
+
+
+Met = frozenset[int]
+
+
+def check_words(problem: Problem, letters: Letters, faces: Letters) -> None:
+    """Raise ``Refused`` unless every word that agrees with the letters is accepted."""
+    automaton, start = problem.automaton, known_at_start(problem)
+    windows = letters[1:] == SOMETIME
+    if not np.any(windows):
+        word = [start, *(known_at(problem, letters, t) for t in range(1, len(letters)))]
+        if wrong := wrong_word(automaton, problem.horizon, word):
+            raise Refused(wrong)
+        return
+    if np.any(windows[:, len(problem.regions) :]) or np.any(windows.sum(axis=1) > MOST_OPEN):
+        raise Refused(f"a pair is crossed, or more than {MOST_OPEN} regions at one time")
+    if not automaton.is_co_safe and len(letters) != problem.horizon + 1:
+        raise Refused("the trajectory ends before the horizon, where the task is judged")
+    reached: dict[Met, set[int]] = {frozenset(): followed(automaton, {automaton.initial}, start)}
+    for t in range(1, len(letters)):
+        ends = {p for p in np.flatnonzero(letters[t] == SOMETIME).tolist() if is_last(letters, faces, t, p)}
+        after: dict[Met, set[int]] = {}
+        for met, states in reached.items():
+            for known, now in _readings(problem, letters, t, met):
+                if ends <= now:  # where a window ends and nothing was met in it, no run is
+                    after.setdefault(now - ends, set()).update(followed(automaton, states, known))
+        reached = after
+    if not all(automaton.accepting[q] for states in reached.values() for q in states):
+        raise Refused("a word that agrees with the letters of the trajectory is not accepted")
+
+
+def _readings(problem: Problem, letters: Letters, t: int, met: Met) -> Iterator[tuple[Known, Met]]:
+    """Yield what the letter of a time may say, and what was met by then: open regions hold at the time, or not yet."""
+    is_open = np.flatnonzero(letters[t] == SOMETIME).tolist()
+    waiting = [p for p in is_open if p not in met]
+    for holds in product((False, True), repeat=len(waiting)):
+        now = letters.copy()
+        now[t, is_open] = 0
+        now[t, waiting] = [1 if each else -1 for each in holds]
+        yield known_at(problem, now, t), met | {p for p, each in zip(waiting, holds, strict=True) if each}
