@@ -7,9 +7,10 @@ happened before, and do not know the noise of their step,
     x_i(t + 1) = f_i(x, u, v, t) + scale_i(x_i, u_i, v_i, t) * (N_i w_i) + M_i w_shared,
 
 where f_i may name states and inputs of other agents. Runs start at a point that is drawn uniformly from the box of
-starts. A run fails when a state leaves its closed workspace at a time 1 .. T. Proposition p holds at time t if ``low <= y < high`` for all outputs y of
-its agent (a region), or for the differences of the outputs of two agents (a pair), or if the difference is shorter than
-a radius. ``null`` stands for no limit. The letters of times 0 .. T are a word; the formula says which words are right.
+starts. A run fails when a state leaves its closed workspace at a time 1 .. T. Proposition p holds at time t if
+``low <= y < high`` for all outputs y of its agent (a region), or for the differences of the outputs of two agents (a
+pair), or if the difference is shorter than a radius. ``null`` stands for no limit. The letters of times 0 .. T are a
+word; the formula says which words are right.
 
 All of it is in the header of the file (docs/reference/certificate_format.md); nothing is expanded, guessed or completed
 here. Families, shapes, units and moving corners are written out before the file is made.

@@ -1,22 +1,17 @@
-"""Certificates along nominal trajectories: any dynamics, any number of agents and states, normal noise.
+"""Certificates along nominal trajectories: any dynamics, any number of agents and states.
 
 All agents are one system with the joint state ``x = xbar + e`` and inputs ``u = ubar + K e + rho`` (rho: the rounding
 of a controller), clipped to their boxes. On a *tube* of errors e its step is ``e' = F e + m + r + L w`` with any matrix
-F, where the linearization error r and the mismatch m lie in a box (``jets.off_linear``). For a row c at time t take any
-numbers y_s (D,) with ``y_t = c``. By telescoping
-
-    c e_t = y_0 e_0 + sum_s y_(s+1) L w_s + sum_s y_(s+1) (m_s + r_s) + sum_s (y_(s+1) F_s - y_s) e_s.
-
-The second term is a normal number g with the variance ``sum_s |L' y_(s+1)|^2``; the others lie in a box that the tube
-bounds. The last sum charges whatever y was rounded by, so nothing is said of how y was computed.
+F, where the linearization error r and the mismatch m lie in a box (``jets.off_linear``). So a row of e is a form g of
+the noise, and something in a box that the tube bounds (``error_system``).
 
 **Theorem.** Ask at every time 1 .. S that errors stay in the tube (``|g| <= width`` for each state), states in their
 workspaces, and outputs where the letters say; and at 0 .. S - 1 that inputs stay in their boxes. If every word that
 agrees with the letters is accepted, then P(task) >= 1 - P(a constraint fails), for every start in the box.
 
 *Proof.* While all constraints up to a time hold, errors are in the tube, no input is clipped, and so the next step is
-the one above; hence at the first failure a constraint on the numbers g fails (``constraints``). If none fails no agent
-leaves its workspace, and the word agrees with the letters (``letters``, ``automaton``). QED
+the one above; hence at the first failure a constraint on the forms g fails (``constraints``). If none fails no agent
+leaves its workspace, and the word agrees with the letters (``letters``, ``crossings``, ``automaton``). QED
 
 Reference: docs/theory/paths.md, "Agents of any dynamics", "Teams".
 """
@@ -33,6 +28,7 @@ from numpy.typing import NDArray
 from . import fields
 from .constraints import ROUNDED, Constraints, Forms
 from .crossings import SOMETIME, Jump, check_words, jumps, limits
+from .error_system import ErrorSystem
 from .expressions import Tree, names_in
 from .fields import Refused
 from .file import Contents
@@ -98,63 +94,6 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
 
 def _entry(value: Any, place: str) -> dict[str, Any]:
     return fields.table(value, place, ("inputs", "gains", "states", "widths"))
-
-
-class ErrorSystem:
-    """What entered the errors at each step: F (D, D), boxes (2, D) of m + r, half widths (D,) of e, and the noise."""
-
-    def __init__(self, spread: Array, n_sources: int) -> None:
-        self.spread, self.n_sources = spread, n_sources
-        self.products = np.eye(len(spread))[None]  # of all F from each time on: (t + 1, D, D)
-        self.matrices: list[Array] = []
-        self.pushed: list[Array] = []
-        self.reach: list[Array] = []
-        self.noises: list[Array] = []
-        self.before = self.products
-
-    def step(self, matrix: Array, pushed: Array, reach: Array, noise: Array) -> None:
-        """Add a step: ``e' = matrix e + pushed + noise w`` for all |e| <= reach."""
-        self.before = self.products
-        self.products = np.concatenate([np.matmul(matrix, self.products), np.eye(len(matrix))[None]])
-        self.matrices.append(matrix)
-        self.pushed.append(pushed)
-        self.reach.append(reach)
-        self.noises.append(noise)
-
-    def rows(self, c: Array, earlier: Array | None = None) -> tuple[Array, Forms]:
-        """Return ends (2, J) of what rows c (J, D) of e are besides g, and g.
-
-        With ``earlier`` (J, D) the rows are ``c e_t + earlier e_(t-1)``.
-        """
-        t, d = len(self.matrices), c.shape[1]
-        y = np.matmul(c[None], self.products)  # (t + 1, J, D)
-        if earlier is not None:
-            y[:t] += np.matmul(earlier[None], self.before)
-        # sums of so many numbers of one sign are rounded by less
-        counted = 1.0 + 4.0 * U * (y.shape[0] * d + 64.0)
-        spare = np.abs(y[0]) @ self.spread * counted
-        if not t:
-            still = np.zeros(len(c))
-            return np.stack([-spare, spare]), Forms(still, still, np.zeros((len(c), self.n_sources), dtype=bool))
-        before, after, size = y[:-1].copy(), y[1:], np.abs(y[1:])
-        if earlier is not None:
-            before[-1] -= earlier
-        matrices, pushed, noises = np.array(self.matrices), np.array(self.pushed), np.array(self.noises)
-        # what y misses: the difference, its rounding, and underflow
-        missed = np.abs(np.matmul(after, matrices) - before)
-        missed += (d + 6.0) * U * (np.matmul(size, np.abs(matrices)) + np.abs(before) + np.abs(y[:-1])) + 1e-290
-        spare = spare + np.einsum("sjd,sd->j", missed, np.array(self.reach)) * counted
-        middle, half = 0.5 * (pushed[:, 0] + pushed[:, 1]), 0.5 * (pushed[:, 1] - pushed[:, 0])
-        shift, shifted = np.einsum("sjd,sd->j", after, middle), np.einsum("sjd,sd->j", size, np.abs(middle))
-        spare += np.einsum("sjd,sd->j", size, half + 2 * U * np.abs(middle)) * counted
-        spare += (d * t + 8.0) * U * shifted + 1e-290
-        # every product y L is off by less than this, and its square enters the variance
-        moved = np.abs(np.matmul(after, noises))
-        moved += (d + 4.0) * U * np.matmul(size, np.abs(noises)) + np.where(moved > 0.0, 1e-160, 0.0)
-        each = np.einsum("sjw,sjw->sj", moved, moved)
-        more = counted + 4.0 * U * t * moved.shape[2]
-        forms = Forms(each.sum(axis=0) * more, each.max(axis=0) * more, (moved > 0.0).any(axis=0))
-        return np.stack([shift - spare, shift + spare]), forms
 
 
 def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constraints]:
