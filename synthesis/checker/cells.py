@@ -120,13 +120,15 @@ class Kernel:
         count = sum(table.shape[1] for table in self.tables)
         return np.asarray(np.where(tensor < NOTHING, 0.0, tensor * (1.0 - 2.0 * (count + 4.0) * U)))
 
-    def backup(self, factors: Array, policy: NDArray[np.int64]) -> Array:
-        """Return factors (n, places) one step earlier, at most the truth on every cell; 0 where nothing is chosen."""
-        n, S = len(factors), int(np.prod(self.shape))
+    def backup(self, values: Array, largest: Array, policy: NDArray[np.int64]) -> Array:
+        """Return factors (n, places) one step earlier, at most the truth on every cell; 0 where nothing is chosen.
+
+        ``values`` (n, Z_1, ..) and ``largest`` (n,) are V and the largest numbers of the factors one step later.
+        """
+        n, S = len(values), int(np.prod(self.shape))
         sides = 2 ** len(self.shape) if self.corners else 1
         result = np.zeros((n, S, sides))
         if n:
-            values, largest = self.values(factors), factors.max(axis=1)
             aimed = np.flatnonzero(policy >= self.inputs)
             # the mean is one lattice point, up to a rest that changes V by at most the largest density
             off = float(np.sum(self.target_rest * DENSITY / self.deviations)) * (1.0 + 8.0 * U)

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .automaton import Automaton
-from .cells import Cells
+from .cells import Cells, Kernel
 from .fields import Refused
 from .labels import Labels
 from .rigorous import Array, U
@@ -157,9 +157,7 @@ def _one_step_earlier(
 ) -> _Values:
     """Return the value function at time t from that of time t + 1."""
     stacks = [[np.ones((1, cells.places))] for cells in agents]
-    terms = []
-    # agents that are alike, with the same policy, take equal factors back once
-    memory: dict[tuple[int, bytes, bytes], Array] = {}
+    terms, memory = [], _Memory()
     for q, is_done in enumerate(finished(automaton)):
         if is_done:
             terms.append(np.zeros((1, len(agents)), dtype=np.int64))
@@ -171,14 +169,33 @@ def _one_step_earlier(
         for i, cells in enumerate(agents):
             vertex = cells.spread(guards.sets[vertices[:, 0], i]) * later.factors[i][below[:, i]]
             _unite(vertex, unions, i, KEPT if cells.kernel.moves else 1.0)
-            distinct, where = np.unique(vertex[kept], axis=0, return_inverse=True)
-            policy = cells.policy_at(t, q)
-            key = id(cells.kernel), distinct.tobytes(), policy.tobytes()
-            if key not in memory:
-                memory[key] = cells.kernel.backup(distinct, policy)
-            terms[-1][:, i] = where.reshape(-1) + sum(len(own) for own in stacks[i])
-            stacks[i].append(memory[key])
+            backed, where = memory.backup(cells.kernel, vertex[kept], cells.policy_at(t, q))
+            terms[-1][:, i] = where + sum(len(own) for own in stacks[i])
+            stacks[i].append(backed)
     return _Values([np.concatenate(own) for own in stacks], terms)
+
+
+class _Memory:
+    """What was computed at one time: agents that are alike, and states whose factors are equal, share it."""
+
+    def __init__(self) -> None:
+        self.values: dict[tuple[int, bytes], tuple[Array, float]] = {}
+        self.backups: dict[tuple[int, bytes, bytes], Array] = {}
+
+    def backup(self, kernel: Kernel, factors: Array, policy: Whole) -> tuple[Array, Whole]:
+        """Return distinct factors one step earlier, and which of them each of the factors (n, places) becomes."""
+        keys = [row.tobytes() for row in factors]
+        number = {key: k for k, key in enumerate(dict.fromkeys(keys))}
+        where = np.array([number[key] for key in keys], dtype=np.int64)
+        whole = id(kernel), b"".join(number), policy.tobytes()
+        if whole not in self.backups:
+            new = [keys.index(key) for key in number if (id(kernel), key) not in self.values]
+            for k, value in zip(new, kernel.values(factors[new]) if new else [], strict=True):
+                self.values[id(kernel), keys[k]] = value, float(factors[k].max())
+            found = [self.values[id(kernel), key] for key in number]
+            values = np.stack([value for value, _ in found]) if found else kernel.values(factors)
+            self.backups[whole] = kernel.backup(values, np.array([largest for _, largest in found]), policy)
+        return self.backups[whole], where
 
 
 def _children(guards: Guards, later: _Values, vertices: Whole, q: int) -> Whole:
