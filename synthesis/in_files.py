@@ -8,7 +8,7 @@ from typing import Any, Literal, overload
 from ..envs.problem import load_problem
 from .balls import RigorousReport, check_rigorous
 from .bridges import is_written_policy, save_policy
-from .certificates import Certificate, Synthesis, load_certificate, save_certificate
+from .certificates import MAX_BYTES, Certificate, Synthesis, load_certificate, save_certificate
 from .checking import CheckReport
 from .checking import check as check_certificate
 from .permissions import Permission, check_permission, is_permission_file, load_permission, save_permission
@@ -49,7 +49,7 @@ def save(kept: Any, path: str | Path, *, agent: str | None = None) -> Path:
     return Path(path)
 
 
-def load(path: str | Path, max_bytes: int | None = None) -> Any:
+def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Any:
     """Return what a file holds: a Problem (``.toml``), a Certificate or a Permission (``.npz``).
 
     What is read is well-formed, and nothing it claims is trusted: its numbers are what the file says until ``check``
@@ -58,8 +58,8 @@ def load(path: str | Path, max_bytes: int | None = None) -> Any:
     Parameters
     ----------
     path : str or Path
-    max_bytes : int, optional
-        Largest size, packed or unpacked, of a certificate that is read (default: 2 GiB).
+    max_bytes : int
+        Largest size, packed or unpacked, that is read (default: 1 GiB).
 
     Raises
     ------
@@ -71,8 +71,8 @@ def load(path: str | Path, max_bytes: int | None = None) -> Any:
     if Path(path).suffix == ".toml":
         return load_problem(path)
     if is_permission_file(path):
-        return load_permission(path)
-    return load_certificate(path) if max_bytes is None else load_certificate(path, max_bytes)
+        return load_permission(path, max_bytes)
+    return load_certificate(path, max_bytes)
 
 
 @overload

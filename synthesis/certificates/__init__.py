@@ -1,6 +1,6 @@
 """The certified claim, everything it rests on, and its file."""
 
-from .archive import packed
+from .archive import MAX_BYTES, check_sizes, packed
 from .certificate import (
     Certificate,
     alike_members,
@@ -54,6 +54,7 @@ __all__ = [
     "HullProof",
     "JointProof",
     "KEPT",
+    "MAX_BYTES",
     "MixedProof",
     "Offer",
     "OnGrid",
@@ -74,6 +75,7 @@ __all__ = [
     "certificate_in",
     "certificate_on_grids",
     "changed",
+    "check_sizes",
     "checked_certificate",
     "corner",
     "delta_of",

@@ -25,8 +25,11 @@ FORMAT = "certigym-certificate"
 VERSION = 2
 """Version of the format that is written; version 1 is read as well (``version_one``)."""
 
-MAX_BYTES = 2 * 2**30
+MAX_BYTES = 2**30
 """Largest unpacked size that is read, unless the caller allows more."""
+
+ALLOW = "if you trust it, allow more with `load(path, max_bytes={size})`, or `--max-bytes {size}` on the command line"
+"""How a larger size is allowed."""
 
 MAX_HEADER = 2**24
 """Largest header in bytes: reading text takes longer than reading numbers."""
@@ -84,7 +87,7 @@ class Stored:
         """Return the certificate whose file has a number: the same one for all who name it."""
         name = str(int(number))
         if name not in self.known:
-            self.known[name] = self.read(self.arrays[name].astype(np.uint8).tobytes())
+            self.known[name] = self.read(self.arrays[name].astype(np.uint8, copy=False).tobytes())
         return self.known[name]
 
 
@@ -115,19 +118,24 @@ def unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, ND
     """Return header and arrays of an archive, after their digest was checked."""
     # Look at the sizes before unpacking anything: a small file may announce gigabytes.
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-        _check_sizes(archive, max_bytes)
+        check_sizes(archive, max_bytes)
     with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
         header = json.loads(bytes(archive["header"]).decode())
         _check_version(header)
-        arrays = {name: archive[name] for name in archive.files if name != "header"}
-    _check_digest(header, arrays)
+        count = len(archive.files) - 1
+        if set(archive.files) != {"header", *map(str, range(count))}:
+            raise ValueError("its arrays are not numbered")
+        arrays = {str(k): archive[str(k)] for k in range(count)}
+    if header.get("digest") != _digest(header, [*arrays.values()]):
+        raise ValueError("its content was changed after it was written (the digest differs)")
     return header, arrays
 
 
-def _check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:
+def check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:
     """Raise ValueError if an archive would unpack to too much, or its arrays announce more numbers than they hold."""
-    if sum(entry.file_size for entry in archive.infolist()) > max_bytes:
-        raise ValueError(f"it would unpack to more than {max_bytes} bytes; allow more with `max_bytes`")
+    size = sum(entry.file_size for entry in archive.infolist())
+    if size > max_bytes:
+        raise ValueError(f"it would unpack to {size} bytes, more than {max_bytes}; {ALLOW.format(size=size)}")
     if any(entry.filename == "header.npy" and entry.file_size > MAX_HEADER for entry in archive.infolist()):
         raise ValueError(f"its header has more than {MAX_HEADER} bytes")
     if len(set(archive.namelist())) != len(archive.namelist()):
@@ -158,13 +166,6 @@ def _digest(header: dict[str, Any], arrays: list[NDArray]) -> str:
     state = hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode())
     for array in arrays:
         state.update(f"{array.dtype.str}{array.shape}".encode())
-        state.update(np.ascontiguousarray(array).tobytes())
+        # The bytes of the array itself: a copy would take as much memory again.
+        state.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
     return state.hexdigest()
-
-
-def _check_digest(header: dict[str, Any], arrays: dict[str, NDArray]) -> None:
-    """Raise ValueError if the digest is not that of header and arrays."""
-    if set(arrays) != {str(k) for k in range(len(arrays))}:
-        raise ValueError("its arrays are not numbered")
-    if header.get("digest") != _digest(header, [arrays[str(k)] for k in range(len(arrays))]):
-        raise ValueError("its content was changed after it was written (the digest differs)")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ...envs.agents import write_bytes
 from ...envs.problem import problem_from_dict
-from .archive import MAX_BYTES, VERSION, Stored, packed, unarchived
+from .archive import ALLOW, MAX_BYTES, VERSION, Stored, packed, unarchived
 from .certificate import Certificate
 from .grid_proof import GridProof, OnGrid
 from .hull_proof import HullProof
@@ -71,7 +71,7 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
     ----------
     path : str or Path
     max_bytes : int
-        Largest size, packed or unpacked, that is read.
+        Largest size, packed or unpacked, that is read (default: 1 GiB).
 
     Raises
     ------
@@ -86,7 +86,7 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
         )
     try:
         if (size := Path(path).stat().st_size) > max_bytes:
-            raise ValueError(f"it has {size} bytes, more than {max_bytes}")
+            raise ValueError(f"it has {size} bytes, more than {max_bytes}; {ALLOW.format(size=size)}")
         return _read(Path(path).read_bytes(), _Budget(max_bytes), frozenset(PROOFS))
     except UNREADABLE as error:
         message = str(error) or type(error).__name__

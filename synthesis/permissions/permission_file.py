@@ -11,13 +11,10 @@ from typing import Any
 import numpy as np
 
 from ...envs.agents import write_bytes
-from ..certificates import UNREADABLE, certificate_in, packed
+from ..certificates import MAX_BYTES, UNREADABLE, certificate_in, check_sizes, packed
 from .permission import Menus, Permission
 
 FORMAT, VERSION = "certigym-permission", 1
-
-MAX_BYTES = 2 * 2**30
-"""Largest unpacked size that is read."""
 
 
 def save_permission(permission: Permission, path: str | Path) -> None:
@@ -48,8 +45,14 @@ def is_permission_file(path: str | Path) -> bool:
         return False
 
 
-def load_permission(path: str | Path) -> Permission:
+def load_permission(path: str | Path, max_bytes: int = MAX_BYTES) -> Permission:
     """Return the permissive certificate in a file; it is well-formed then, not yet checked (``check_permission``).
+
+    Parameters
+    ----------
+    path : str or Path
+    max_bytes : int
+        Largest size, unpacked, that is read (default: 1 GiB).
 
     Raises
     ------
@@ -60,8 +63,7 @@ def load_permission(path: str | Path) -> Permission:
         raw = Path(path).read_bytes()
         # Look at the sizes before unpacking anything: a small file may announce gigabytes.
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            if sum(member.file_size for member in archive.infolist()) > MAX_BYTES:
-                raise ValueError(f"it unpacks to more than {MAX_BYTES} bytes")
+            check_sizes(archive, max_bytes)
         with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
             header = json.loads(arrays["header"].tobytes().decode())
             if header["format"] != FORMAT or header["version"] != VERSION:
@@ -70,7 +72,7 @@ def load_permission(path: str | Path) -> Permission:
                 Menus(arrays[f"counts_{i}"].astype(np.int32), arrays[f"choices_{i}"].astype(np.int32))
                 for i in range(int(header["agents"]))
             )
-            certificate = certificate_in(arrays["certificate"].tobytes())
+            certificate = certificate_in(arrays["certificate"].tobytes(), max_bytes)
         return Permission(certificate, menus, float(header["lower_bound"]))
     except (OSError, *UNREADABLE) as error:
         raise ValueError(f"`path`: expected a permissive certificate in {str(path)!r}, got none: {error}") from error

@@ -255,11 +255,43 @@ def test_archives_that_unpack_to_too_much_are_refused(raw: bytes, tmp_path: Path
     header, arrays = contents(raw)
     packed(header, [*arrays, np.zeros(4_000_000)], path)
     assert path.stat().st_size < 1_000_000
-    with pytest.raises(ValueError, match="would unpack to more than"):
+    with pytest.raises(ValueError, match=r"it would unpack to .* bytes, more than 10000000"):
         cg.load(path, max_bytes=10_000_000)
     assert cg.check(cg.load(path))
     with pytest.raises(ValueError, match="more than 100"):
         cg.load(path, max_bytes=100)
+
+
+def test_files_are_refused_at_the_cost_of_what_they_unpack_to(raw: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "c.npz"
+    header, arrays = contents(raw)
+    packed(header, [*arrays, np.zeros(4_000_000)], path)
+    size = sum(array.nbytes for array in contents(path.read_bytes())[1])
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(tmp_path / "changed.npz", "w", zipfile.ZIP_DEFLATED) as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name)[:-1] + b"!" if name == "1.npy" else old.read(name))
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="the digest differs"):
+        cg.load(tmp_path / "changed.npz")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1.3 * size
+
+
+def test_larger_files_are_read_where_they_are_allowed(
+    raw: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "c.npz"
+    path.write_bytes(raw)
+    assert main(["check", str(path), "--max-bytes", "1K"]) == 2
+    size = capsys.readouterr().err.rpartition("--max-bytes ")[2].split("`")[0]
+    assert main(["check", str(path), "--max-bytes", size]) == 2
+    size = capsys.readouterr().err.rpartition("--max-bytes ")[2].split("`")[0]
+    assert main(["check", str(path), "--max-bytes", size]) == 0
+    permission = tmp_path / "p.npz"
+    np.savez(permission, certificate=np.zeros(1000), counts_0=np.zeros(2))
+    with pytest.raises(ValueError, match=r"more than 100; .* allow more"):
+        cg.load(permission, max_bytes=100)
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")

@@ -93,9 +93,8 @@ def test_a_refuted_certificate_gives_status_1(task: str, tmp_path: Path, monkeyp
     import certigym.cli.validation_commands as commands
     from certigym.synthesis.certificates.certificate_file import load_certificate
 
-    def boastful(path: str) -> object:
-
-        return changed(load_certificate(path), lower_bound=0.9999)
+    def boastful(path: str, max_bytes: int) -> object:
+        return changed(load_certificate(path, max_bytes), lower_bound=0.9999)
 
     monkeypatch.setattr(commands, "load_certificate", boastful)
     assert main(["validate", cert, "--episodes", "2000"]) == 1

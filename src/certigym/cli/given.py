@@ -85,11 +85,21 @@ def budget_of(options: Namespace) -> dict[str, Any]:
     given = {name: getattr(options, name) for name in ("accuracy", "effort", "seconds")}
     budget: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if options.memory is not None:
-        size = SIZE.fullmatch(options.memory.strip())
-        if size is None:
-            raise ValueError(f"`--memory`: expected a number of bytes such as 500M or 2G, got {options.memory!r}")
-        budget["memory"] = float(size[1]) * 1024 ** " KMG".index((size[2] or " ").upper())
+        budget["memory"] = _bytes("--memory", options.memory)
     return budget
+
+
+def limit_of(options: Namespace) -> int:
+    """Return the largest size in bytes of ``--max-bytes``."""
+    return int(_bytes("--max-bytes", options.max_bytes))
+
+
+def _bytes(option: str, text: str) -> float:
+    """Return the number of bytes that an option says."""
+    size = SIZE.fullmatch(text.strip())
+    if size is None:
+        raise ValueError(f"`{option}`: expected a number of bytes such as 500M or 2G, got {text!r}")
+    return float(size[1]) * 1024 ** " KMG".index((size[2] or " ").upper())
 
 
 def check_places(*paths: str | None) -> None:

@@ -71,6 +71,9 @@ def add_source(parser: argparse.ArgumentParser) -> None:
 def add_certificate(parser: argparse.ArgumentParser) -> None:
     """Add a certificate file."""
     parser.add_argument("certificate", metavar="CERT", help="certificate file (.npz)")
+    parser.add_argument(
+        "--max-bytes", default="1G", metavar="BYTES", help="largest unpacked size of CERT that is read (default: 1G)"
+    )
 
 
 def add_horizon(parser: argparse.ArgumentParser) -> None:

@@ -16,7 +16,7 @@ from ..synthesis.checking import safety_rate
 from ..synthesis.in_files import check as check_claim
 from ..synthesis.in_files import load
 from ..synthesis.synthesize import ways_ahead
-from .given import is_endless, named_problem, problem_of, say, several_horizons, show, write_json
+from .given import is_endless, limit_of, named_problem, problem_of, say, several_horizons, show, write_json
 from .validation_commands import print_horizons, validate_result
 from .work import checked_again, synthesized
 
@@ -147,7 +147,7 @@ def synthesize(options: Namespace) -> int:
 
 def check(options: Namespace) -> int:
     """Verify a saved certificate without simulation."""
-    claim = load(options.certificate)
+    claim = load(options.certificate, limit_of(options))
     certificate = getattr(claim, "certificate", claim)  # a permission is about one, too
     problem = None if options.problem is None else named_problem(options.problem, options.horizon)
     if options.rigorous:

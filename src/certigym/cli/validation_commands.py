@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from ..synthesis.certificates import load_certificate, rounded_down
+from ..synthesis.certificates import Certificate, load_certificate, rounded_down
 from ..synthesis.checking import CheckReport
 from ..validation.audits import audit as audit_certificate
 from ..validation.reports import report as write_report
@@ -27,16 +27,21 @@ from ..validation.verdicts import (
 from ..validation.verdicts import stress as stress_certificate
 from ..validation.verdicts import validate as validate_certificate
 from ..validation.verdicts import validate_field as field_of
-from .given import budget_of, cells_of, problem_of, relation_of, say, search_of, show, state_of, write_json
+from .given import budget_of, cells_of, limit_of, problem_of, relation_of, say, search_of, show, state_of, write_json
 from .work import trials
 
 INVALID = "invalid: it fails its check"
 """What a row says of a certificate that its check refuses."""
 
 
+def _certificate(options: Namespace) -> Certificate:
+    """Return the certificate that is named, which is no larger than the options allow."""
+    return load_certificate(options.certificate, limit_of(options))
+
+
 def validate(options: Namespace) -> int:
     """Test a saved certificate by rollouts."""
-    return validate_result(options, load_certificate(options.certificate), state_of(options))
+    return validate_result(options, _certificate(options), state_of(options))
 
 
 def validate_result(
@@ -91,7 +96,7 @@ def print_horizons(options: Namespace, horizons: Sequence[int]) -> int:
 
 def validate_field(options: Namespace) -> int:
     """Test a saved certificate at many starts, or search for its weakest start."""
-    certificate = load_certificate(options.certificate)
+    certificate = _certificate(options)
     states, shape = _starts(options, certificate.problem)
     # --episodes counts per start, except in a search, where it counts all of them.
     with trials(options, options.episodes if options.search else options.episodes * len(states)) as plan:
@@ -106,7 +111,7 @@ def validate_field(options: Namespace) -> int:
 def audit(options: Namespace) -> int:
     """Test a saved certificate step by step."""
     with trials(options, options.episodes) as plan:
-        report = audit_certificate(options.certificate, plan)
+        report = audit_certificate(_certificate(options), plan)
     show(options, report, report.to_dict())
     return 130 if report.interrupted else int(report.refuted)
 
@@ -115,7 +120,7 @@ def stress(options: Namespace) -> int:
     """Test a saved certificate under mismatches; a refuted rung is no failure, for no rung is certified."""
     rungs = 1 + sum(len(rungs) for rungs in LADDERS.values())
     with trials(options, options.episodes * rungs) as plan:
-        report = stress_certificate(options.certificate, plan)
+        report = stress_certificate(_certificate(options), plan)
     show(options, report, report.to_dict())
     return 130 if report.interrupted else 0
 
@@ -123,7 +128,7 @@ def stress(options: Namespace) -> int:
 def report(options: Namespace) -> int:
     """Write one page about a saved certificate."""
     with trials(options) as plan:
-        content = write_report(options.certificate, options.out, plan, axes=options.axes)
+        content = write_report(_certificate(options), options.out, plan, axes=options.axes)
     show(options, f"{content.validation.with_check(content.checked)}\nwritten to {options.out}", content.to_dict())
     return int(content.refuted)
 
