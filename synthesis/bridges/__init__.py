@@ -1,7 +1,7 @@
 """Models of other libraries brought into the forms that verbs take: what they are, what they see, and written files."""
 
 from .actor_files import NotAnActor, stored
-from .bringing import as_policy, batchable, brought, certifiable, is_model
+from .bringing import RUN, as_policy, batchable, brought, certifiable, is_model
 from .environments import sight_of
 from .found import Found, Reader
 from .local_policies import LocalBatch, LocalController
@@ -10,6 +10,7 @@ from .sights import Sight
 from .writing import is_written_policy, save_policy
 
 __all__ = [
+    "RUN",
     "Found",
     "LocalBatch",
     "LocalController",

@@ -34,7 +34,10 @@ FILES: dict[str, Any] = {
 UNREADABLE = (zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, EOFError, KeyError)
 """What libraries raise at files that are not theirs."""
 
-FACTS = ("activation", "squashed", "key", "answer", "module")
+RUN = frozenset({".zip", ".pt", ".pth"})
+"""Ends of files that may run code as they are read, as checkpoints do."""
+
+FACTS = ("activation", "squashed", "key", "answer", "module", "trust")
 """What may be said of a model that it does not say itself."""
 
 
@@ -59,7 +62,9 @@ def as_policy(model: Any, problem: Any, env: Any = None, **facts: Any) -> Any:
         ``"parallel_env(actions=unit)"``. Needed where a model does not say what it observes.
     **facts
         ``activation`` ("tanh" or "relu") and ``squashed`` (whether tanh follows the outputs) of arrays; ``key`` and
-        ``answer``, what a policy of TorchRL reads and writes; ``module``, the name of a module of RLlib.
+        ``answer``, what a policy of TorchRL reads and writes; ``module``, the name of a module of RLlib; ``trust``,
+        whether files may run code that is in them (default: True). Reading ``.zip``, ``.pt`` and checkpoints runs such
+        code (pickle), unless a ``.pt`` holds numbers alone: give only files that you trust, or ``trust=False``.
 
     Returns
     -------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -74,6 +75,16 @@ class Reader(Protocol):
 
     def read(self, model: Any, facts: dict[str, Any]) -> Found:
         """Return what the model is; ``facts`` are what its file or its user says beside it."""
+
+
+def need_trust(path: Path, facts: dict[str, Any]) -> None:
+    """Raise ValueError for a file that has to be unpickled, which runs code that is in it, and is not trusted."""
+    if not facts.get("trust", True):
+        raise ValueError(
+            f"`{path}`: expected a file without code, got one that runs code as it is read (pickle); if you trust "
+            "whoever wrote it, give --trust (in Python `as_policy(path, problem, trust=True)`), else ask for .onnx or "
+            ".npz"
+        )
 
 
 def origins(model: Any) -> frozenset[str]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .found import Found, agreed, origins
+from .found import Found, agreed, need_trust, origins
 from .layers import NotFeedForward, network_of
 
 SAYS = "of RLlib (folders)"
@@ -50,6 +50,7 @@ def read(model: Any, facts: dict[str, Any]) -> Found:
 
 def read_file(path: Path, facts: dict[str, Any]) -> Found:
     """Return what a checkpoint holds: a folder of a module, or of an algorithm. It is unpickled: trust it."""
+    need_trust(path, facts)
     from ray.rllib.core.rl_module.rl_module import RLModule
 
     name = facts.get("module", "default_policy")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .found import Found, agreed, origins
+from .found import Found, agreed, need_trust, origins
 from .layers import NotFeedForward, network_of
 
 SAYS = "models of Stable-Baselines3 and sb3-contrib (.zip)"
@@ -57,6 +57,7 @@ def read_file(path: Path, facts: dict[str, Any]) -> Found:
     import torch
     from stable_baselines3.common.save_util import load_from_zip_file
 
+    need_trust(path, facts)
     data, parameters, _ = load_from_zip_file(path, device="cpu")
     if data is None or "policy_class" not in data or "policy" not in parameters:
         raise ValueError(f"`{path}`: expected a file that a model of Stable-Baselines3 has saved")

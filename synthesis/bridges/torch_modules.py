@@ -7,13 +7,14 @@ and ``fc_mu`` behind ``fc1``, ``fc2`` (its SAC, DDPG and TD3), ``mean_net``, ``m
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .found import Found, agreed, origins
+from .found import Found, agreed, need_trust, origins
 from .layers import NotFeedForward, network_of
 
 SAYS = "modules of torch (.pt)"
@@ -59,7 +60,11 @@ def read_file(path: Path, facts: dict[str, Any]) -> Found:
     """Return what a file of ``torch.save(module)`` holds. Such files are unpickled: read only those that you trust."""
     import torch
 
-    model = torch.load(path, map_location="cpu", weights_only=False)
+    try:  # numbers alone, which run nothing
+        model = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError):
+        need_trust(path, facts)
+        model = torch.load(path, map_location="cpu", weights_only=False)
     if not recognises(model):
         raise ValueError(
             f"`{path}`: expected a whole module of torch, got {type(model).__name__}; load the numbers into their "

@@ -467,6 +467,48 @@ def test_files_that_cannot_be_read_say_so(problem: cg.Problem, tmp_path: Path) -
         cg.as_policy(tmp_path / "numbers.pt", problem)
 
 
+class Intruder:
+    """An object whose reading makes a folder."""
+
+    def __init__(self, made: Path) -> None:
+        self.made = made
+
+    def __reduce__(self) -> object:
+        return Path.mkdir, (self.made,)
+
+
+@pytest.mark.parametrize("verb", ["compare", "certify", "record", "save-policy", "leaderboard", "plot"])
+def test_files_run_no_code_unless_they_are_trusted(
+    verb: str, problem: cg.Problem, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made, file = tmp_path / "made", str(tmp_path / "a.pt")
+    torch.save(Intruder(made), file)
+    asked = {
+        "compare": ["--policies", file],
+        "leaderboard": ["--add", f"mine={file}"],
+        "plot": ["--beside", file],
+    }.get(verb, ["--policy", file])
+    words = [verb, *(["episode"] if verb == "plot" else []), "reach-avoid-v0", *asked]
+    words += (
+        [] if verb == "compare" else ["--out", str(tmp_path / {"plot": "a.png", "save-policy": "a.h"}.get(verb, "a"))]
+    )
+    assert main(words) == 2
+    assert "runs code" in (said := capsys.readouterr()).err and "--trust" in said.err
+    assert not made.exists()
+    assert main([*words, "--trust"]) == 2  # a folder is no policy
+    assert "may run code" in capsys.readouterr().err
+    assert made.exists()
+
+
+def test_every_kind_of_file_that_is_unpickled_may_be_refused(problem: cg.Problem, tmp_path: Path) -> None:
+    sb3.PPO("MlpPolicy", shared_vec_env(problem, 2), n_steps=8, batch_size=16, device="cpu").save(tmp_path / "m.zip")
+    torch.save(chain(4, 1), tmp_path / "m.pt")
+    (tmp_path / "checkpoint").mkdir()
+    for name in ("m.zip", "m.pt", "checkpoint"):
+        with pytest.raises(ValueError, match="runs code"):
+            cg.as_policy(tmp_path / name, problem, trust=False)
+
+
 def test_functions_and_models_stand_beside_each_other(problem: cg.Problem) -> None:
     n = 1 + problem.automaton.n_states + 1
     module = chain(n, 1)
@@ -484,12 +526,12 @@ def test_the_command_line_takes_files(problem: cg.Problem, tmp_path: Path, capsy
     model.save(tmp_path / "m.zip")
     torch.save(seeker(proportional(task).network), tmp_path / "m.pt")
     names = f"{tmp_path / 'm.zip'},{tmp_path / 'm.pt'}@shared_vec_env,random"
-    given = ["compare", "reach-avoid-v0", "--horizon", "5", "--policies", names, "--episodes", "200"]
+    given = ["compare", "reach-avoid-v0", "--horizon", "5", "--policies", names, "--trust", "--episodes", "200"]
     assert main([*given, "--json", str(tmp_path / "c.json")]) == 0
     sees = {entry["information"] for entry in json.loads((tmp_path / "c.json").read_text())["entries"]}
     assert "own state, automaton state, time" in sees
     for more in ([], ["--as-is"]):
-        command = ["certify", "reach-avoid-v0", "--horizon", "5", "--policy", str(tmp_path / "m.zip"), *more]
+        command = ["certify", "reach-avoid-v0", "--horizon", "5", "--policy", str(tmp_path / "m.zip"), *more, "--trust"]
         assert main([*command, "--cells", "30", "--episodes", "200"]) == 0
     header = str(tmp_path / "policy.h")
     saving = ["save-policy", "reach-avoid-v0", "--horizon", "3", "--cells", "20", "--relation", "exact"]

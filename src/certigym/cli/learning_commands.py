@@ -135,7 +135,9 @@ def _with_own_row(board: Leaderboard, options: Namespace, plan: Any, finished: A
     if name in ("certified", "probe", "random", *LEARNERS):
         raise ValueError(f"`--add`: expected a name that is not a column of its own, got {name!r}")
     problem, settled = as_problem(options.ids[0]), judging_plan(planned(plan, {}, options.episodes))
-    row = judged(label_of(options.ids[0]), name, given(problem, name, policy_of_file(problem, file)), settled)
+    row = judged(
+        label_of(options.ids[0]), name, given(problem, name, policy_of_file(problem, file, options.trust)), settled
+    )
     board = board.with_row(row)
     finished(board, row)
     return board
@@ -197,7 +199,7 @@ def certify(options: Namespace) -> int:
         raise ValueError("`--policy`: expected an actor (.npz) or FILE.py:NAME, or an actor in place of the problem")
     else:
         problem, file = problem_of(options), options.policy
-    policy = policy_of_file(problem, file)
+    policy = policy_of_file(problem, file, options.trust)
     if options.as_is or options.repair is not None:
         return certify_raw(options, problem, policy)
     cells = cells_of(options)

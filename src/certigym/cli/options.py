@@ -198,6 +198,15 @@ def add_picture(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--plot", metavar="PICTURE", help=f"also draw {what} (.png, .svg, .pdf)")
 
 
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """Add whether files of policies may run code."""
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="read policies in .zip, .pt and checkpoints, which run code that is in them (pickle); refused without it",
+    )
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add where the result is written as JSON."""
     parser.add_argument("--json", metavar="PATH", help="write the result as JSON (- for standard output)")

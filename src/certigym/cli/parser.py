@@ -26,6 +26,7 @@ from .options import (
     add_task,
     add_test,
     add_trials,
+    add_trust,
 )
 
 MODULES = {
@@ -65,8 +66,8 @@ KINDS = {
 """The figures that ``plot`` draws."""
 
 POLICIES = (
-    "certified, ppo, ippo, mappo, central-ppo, sac, random, idle, a file (.npz, .zip, .onnx, .pt; @ENV behind it says "
-    "where it was trained), or FILE.py:NAME"
+    "certified, ppo, ippo, mappo, central-ppo, sac, random, idle, a file (.npz, .onnx; with --trust .zip, .pt; @ENV "
+    "behind it says where it was trained), or FILE.py:NAME, which is run"
 )
 """The words for policies on the command line."""
 
@@ -265,8 +266,9 @@ def _add_leaderboard(commands: Any) -> None:
     board.add_argument(
         "--add",
         metavar="NAME=POLICY",
-        help="judge an own policy: a file (.npz, .zip, .onnx, .pt[@ENV]) or FILE.py:NAME",
+        help="judge an own policy: a file (.npz, .onnx; with --trust .zip, .pt; [@ENV]) or FILE.py:NAME",
     )
+    add_trust(board)
     add_trials(board, 20_000, " per policy")
 
 
@@ -275,6 +277,7 @@ def _add_comparing(commands: Any) -> None:
     record = commands.add_parser("record", help="write episodes of a policy as arrays, or as a Minari dataset")
     add_problem(record)
     record.add_argument("--policy", required=True, metavar="POLICY", help=POLICIES)
+    add_trust(record)
     record.add_argument("--episodes", type=int, default=1000, metavar="M", help="episodes (default: 1000)")
     record.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the rollouts (default: 0)")
     record.add_argument("--steps", type=int, metavar="N", help="world steps of a learner (default: by algorithm)")
@@ -286,6 +289,7 @@ def _add_comparing(commands: Any) -> None:
     save = commands.add_parser("save-policy", help="write a policy for other programs: networks as ONNX, tables as C")
     add_problem(save)
     save.add_argument("--policy", required=True, metavar="POLICY", help=POLICIES)
+    add_trust(save)
     save.add_argument("--agent", metavar="NAME", help="whose policy (default: that of all agents)")
     save.add_argument("--steps", type=int, metavar="N", help="world steps of a learner (default: by algorithm)")
     save.add_argument("--train-seeds", nargs="+", type=int, default=[0], metavar="S", help="of a learner (0)")
@@ -300,6 +304,7 @@ def _add_comparing(commands: Any) -> None:
         metavar="LIST",
         help=f"separated by commas: {POLICIES} (default: certified,ppo,random)",
     )
+    add_trust(compare)
     compare.add_argument("--steps", type=int, metavar="N", help="world steps of learners (default: by algorithm)")
     compare.add_argument("--train-seeds", nargs="+", type=int, default=[0], metavar="S", help="of learners (0)")
     add_models(compare)
@@ -311,8 +316,10 @@ def _add_comparing(commands: Any) -> None:
     certify.add_argument(
         "--policy",
         metavar="POLICY",
-        help="actor (.npz, .zip, .onnx, .pt[@ENV]) or FILE.py:NAME (default: the actor in place of the problem)",
+        help="actor (.npz, .onnx; with --trust .zip, .pt; [@ENV]) or FILE.py:NAME (default: the actor in place of the "
+        "problem)",
     )
+    add_trust(certify)
     certify.add_argument("--as-is", action="store_true", help="certify the network itself as it is deployed")
     add_above(certify)
     certify.add_argument(
@@ -349,6 +356,7 @@ def _add_pictures(commands: Any) -> None:
         metavar="POLICY",
         help=f"of `episode`: policies side by side, on the same noise: {POLICIES}",
     )
+    add_trust(plot)
     plot.add_argument("--steps", type=int, metavar="N", help="world steps of learners that --beside trains")
     plot.set_defaults(train_seeds=[0])
     plot.add_argument("--fps", type=int, default=4, metavar="F", help="control steps per second of `episode` (4)")

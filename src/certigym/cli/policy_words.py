@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
 from ..envs.problem import Problem
-from ..synthesis.bridges import as_policy
+from ..synthesis.bridges import RUN, as_policy
 from ..synthesis.certificates import load_certificate
 from ..synthesis.synthesize import synthesize
 from ..validation.policies import ALGORITHMS, IdleController, NotAnActor, RandomController, load_actor
@@ -24,11 +25,14 @@ def policy_of_word(problem: Problem, name: str, options: Namespace) -> Any:
         return [trained(problem, name, options.steps, seed) for seed in options.train_seeds]
     if name in ("random", "idle"):
         return RandomController() if name == "random" else IdleController()
-    return policy_of_file(problem, name)
+    return policy_of_file(problem, name, options.trust)
 
 
-def policy_of_file(problem: Problem, name: str) -> Any:
-    """Return a policy from a file: an actor, a certificate, or an object of a Python file."""
+def policy_of_file(problem: Problem, name: str, trust: bool) -> Any:
+    """Return a policy from a file: an actor, a certificate, or an object of a Python file.
+
+    Files of other libraries that run code as they are read have to be trusted.
+    """
     # FILE.py:NAME runs the file and takes the object of this name.
     path, _, attribute = name.rpartition(":")
     if path.endswith(".py"):
@@ -49,7 +53,9 @@ def policy_of_file(problem: Problem, name: str) -> Any:
             "where it was trained in another environment than it says"
         )
     if file.suffix != ".npz":
-        return as_policy(name, problem)
+        if trust and (file.is_dir() or file.suffix in RUN):
+            print(f"certigym: `{file}` may run code that is in it as it is read (--trust)", file=sys.stderr)
+        return as_policy(name, problem, trust=trust)
     try:
         return load_actor(name, problem)
     except NotAnActor:  # an actor that does not fit the problem is refused above; any other file is a certificate
