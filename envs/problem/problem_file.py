@@ -69,8 +69,25 @@ _BOXES = "the workspace is `state_low` and `state_high`, and the box of the inpu
 _SHAPE = "it stands in the table of a shape, such as `disc = { centre = [0, 0], radius = 1 }`"
 _WINDOW = 'times stand in the formula, such as `F[3,8] goal`; corners in quotes may name the time, such as `"0.1*t"`'
 _OF = '`of` names the states that a region is about: `of = ["x", "y"]`'
+_MEASURED = dict.fromkeys(
+    (
+        *(
+            f"{word}{end}"
+            for word in ("sensor", "measurement", "observation")
+            for end in ("", "s", "_matrix", "_noise")
+        ),
+        *("C", "H", "sensor_std", "output_noise", "output_noise_std", "output_covariance"),
+    ),
+    "certificates assume that controllers measure the states exactly, and no key says otherwise; `output_matrix` says "
+    "what regions are about, and `sensor_noise` of environments is for learners and rollouts",
+)
+_START = "a start is `initial_state`, or drawn uniformly from the box `initial_low`, `initial_high`"
 _ELSEWHERE = {
     "": {
+        **_MEASURED,
+        **dict.fromkeys(("initial_std", "initial_covariance", "initial_distribution", "initial_noise"), _START),
+        **dict.fromkeys(("state_matrix", "system_matrix"), "the matrix of the states is `A`"),
+        "input_matrix": "the matrix of the inputs is `B`",
         "angles": "write the agent as expressions, with `states` and `dynamics`",
         "c": "what is added at every step is `offset`",
         "noise_scale": "write the agent as expressions, with `states` and `dynamics`",
@@ -88,6 +105,7 @@ _ELSEWHERE = {
     },
     "[specification]": dict.fromkeys(("probability", "threshold", "p", "at_least", "confidence"), _PROBABILITY),
     "the problem": {
+        **_MEASURED,
         "formula": "it stands in the table `[specification]`, or above all tables as `specification`",
         **dict.fromkeys(("probability", "threshold"), _PROBABILITY),
     },

@@ -139,6 +139,14 @@ BAD = [
     (TOML.replace("high = [5.0] }", "high = [5.0], radius = 1 }"), "such as `disc = { centre = [0, 0], radius = 1 }`"),
     (TOML.replace("high = [5.0] }", "high = [5.0], t = [3, 8] }"), "times stand in the formula, such as `F[3,8] goal`"),
     (TOML.replace("semantics =", "probability = 0.9\nsemantics ="), "there is no threshold: a run computes"),
+    *(
+        (TOML.replace("A =", f"{key} = [[1.0]]\nA ="), "assume that controllers measure the states exactly")
+        for key in ("sensor_matrix", "sensor_std", "output_noise_std", "measurement_matrix", "C")
+    ),
+    (f"sensor_noise = 0.1\n{TOML}", "assume that controllers measure the states exactly"),
+    (TOML.replace("A =", "initial_std = [0.1]\nA ="), "drawn uniformly from the box"),
+    (TOML.replace("A =", "state_matrix = [[1.0]]\nA ="), "the matrix of the states is `A`"),
+    (TOML.replace("A =", "input_matrix = [[1.0]]\nA ="), "the matrix of the inputs is `B`"),
     (TOML.replace('"drone_*"', '"drone"'), "there are 3 of it: write 'drone_*' for each of them, or 'drone_0' for one"),
     ("a = " + "9" * 5000, "expected TOML"),
 ]
