@@ -44,6 +44,7 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     *((module, "INPUT_LEVELS", {1: 7, 2: 5, 3: 3}) for module in (box_model, common_choices, cell_budget)),
     # Paths are planned with more times, refined and moved a little a hundred times: the first few gain the most.
     (nonlinear_search, "GENERATIONS", 3),
+    (nonlinear_search, "MORE_REPLANS", 0),
     (nonlinear_team, "MOST_MOVES", 2),
     (nonlinear_team, "REFINED", 1),
     (nonlinear_team, "POLISHED", ((1, 6),)),

@@ -29,8 +29,12 @@ BATCH = 24
 GENERATIONS = 5
 """Batches of candidates after a plan, each closer around the best ones."""
 
-REPLANS = 4
-"""How often a nominal path is planned anew."""
+REPLANS, MORE_REPLANS = 4, 6
+"""How often a nominal path is planned anew, as long as that helps, and how often besides where it fails rarely. To
+which of many paths a search comes hangs on the last bits of derivatives; a few rounds more make up for bad luck."""
+
+GOOD = 1e-4
+"""Failure from which nothing but plans made anew improves a path: no other times are tried, and nothing is moved."""
 
 RARE, RESERVES = 0.1, ((1.4, 2.0, 1.0), (1.0, 1.4))
 """What plans take a deviation for, in deviations, one after the other: of paths that fail less often than this, and of
@@ -141,8 +145,9 @@ class NonlinearSearch:
             return found
         found = self.searched(found, GENERATIONS)
         reserves = [*reserves_for(found.failure)]
-        for _ in range(REPLANS):
-            if found.failure <= ENOUGH or self.work.is_over() or not reserves:
+        for count in range(REPLANS + MORE_REPLANS):
+            is_for_others = count >= REPLANS and found.failure > GOOD
+            if found.failure <= ENOUGH or is_for_others or self.work.is_over() or not reserves:
                 break
             again = self._planned_anew(letters, found, reserves[0])
             again = None if again is None else self.searched(again, GENERATIONS)

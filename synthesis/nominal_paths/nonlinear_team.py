@@ -19,7 +19,7 @@ from ..certificates import Certificate, PathProof, Synthesis
 from ..path_bounds import corners_along, most_missed, satisfies
 from ..path_words import HALVES, Plan, letters_of, with_windows
 from .counted_work import CountedWork
-from .nonlinear_search import Found, NonlinearSearch
+from .nonlinear_search import GOOD, Found, NonlinearSearch
 from .polish import polished
 from .team_search import TeamFound, TeamSearch, search_key
 from .tied_paths import Ties
@@ -53,9 +53,6 @@ FAIR = 1e-3
 
 FEW_PAIRS = 15
 """Pairs up to which times of jumps are moved: plans of larger teams take seconds."""
-
-GOOD = 1e-4
-"""Failure from which no other times are tried."""
 
 HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a nonlinear path counts as impossible."""
