@@ -7,6 +7,7 @@ from .problem_file import load_problem, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification
 from .split import split_axes
+from .start_boxes import crossed_starts
 from .unreachable import OutOfReach, out_of_reach
 from .unrolling import Unrolled, unrolled
 from .writing_out import Places, states_in_time, written_out
@@ -19,6 +20,7 @@ __all__ = [
     "Specification",
     "Unrolled",
     "checked_problem",
+    "crossed_starts",
     "cut_by_the_end",
     "load_problem",
     "opposite_inside",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ...envs.agents import LinearAgent, with_matrices
-from ...envs.problem import Problem
+from ...envs.problem import Problem, crossed_starts
 from ..cells import FloatArray, NoRunFound, RelationRefused
 from ..certificates import AgentPath, AlongPath, Certificate, PathProof, Synthesis
 from ..controllers import covariances_of, nominal_states
@@ -166,7 +166,10 @@ def refuse_without_path(problem: Problem) -> None:
     for agent in problem.agents:
         refuse_other_noise(agent)
     if problem.initial_q is None:
-        raise RelationRefused("paths are for starts that have one first letter, or several that lead to one state")
+        why = crossed_starts(problem) or "agents may be near at the start, or not"
+        raise RelationRefused(
+            f"paths are for starts that have one first letter, or several that lead to one state: {why}"
+        )
 
 
 def _plans(problem: Problem) -> Iterator[Plan]:

@@ -14,7 +14,7 @@ from typing import Any
 from tqdm import tqdm
 
 from ..envs.agents import counted
-from ..envs.problem import Problem
+from ..envs.problem import Problem, crossed_starts
 from ..synthesis.certificates import Synthesis, rounded_down
 from ..synthesis.checking import CheckReport
 from ..synthesis.in_files import check
@@ -33,6 +33,8 @@ is told of that takes longer, and seconds after which something is said in any c
 def synthesized(options: Namespace) -> Synthesis:
     """Return the synthesis that the options for problem, models and search ask for."""
     problem, cells = problem_of(options), cells_of(options)
+    if why := crossed_starts(problem):
+        print(f"certigym: {why}", file=sys.stderr)
     with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
         report = shown_on(bar)
         chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
