@@ -204,7 +204,8 @@ def box_work(problem: Problem, cells: Mapping[str, tuple[int, ...]]) -> float:
                 lattice = max(lattice, min(lattice * MOST_SCALES, MOST_SCALED))
                 total += lattice * max(grid.shape) / MULTIPLICATIONS_PER_SECOND
             total += lattice / LATTICE_PER_SECOND + grid.n_cells / BoxChoices.read_per_second
-    return READINGS * count_of_decisions(problem) * total
+    # Counting decisions of large automata takes long: nothing is asked about no cells.
+    return READINGS * count_of_decisions(problem) * total if total else 0.0
 
 
 class _Levels:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Iterator
 from itertools import islice
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from ..envs.agents import AnyAgent, Pair, Proposition, counted, matrix_text, vector_text
 from ..envs.problem import Problem, cut_by_the_end, out_of_reach, why_never
@@ -15,13 +17,17 @@ from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, 
 from ..synthesis.checking import safety_rate
 from ..synthesis.in_files import check as check_claim
 from ..synthesis.in_files import load
+from ..synthesis.search import BAR
 from ..synthesis.synthesize import ways_ahead
 from .given import is_endless, limit_of, named_problem, problem_of, say, several_horizons, show, write_json
 from .validation_commands import print_horizons, validate_result
-from .work import checked_again, synthesized
+from .work import checked_again, synthesized, ticking, within
 
 VACUOUS_CHECK = "; vacuous: it promises P >= 0, which says nothing"
 """What is said of a certificate that holds because it claims nothing."""
+
+MOST_SECONDS = 20.0
+"""Seconds for which ``describe`` looks for what a search would try: automata of thousands of states take minutes."""
 
 MOST_AGENTS_SHOWN, MOST_REGIONS_SHOWN = 12, 24
 """Agents and propositions that ``describe`` prints: about two screens."""
@@ -31,7 +37,9 @@ def describe(options: Namespace) -> int:
     """List the suite, or print one problem."""
     if options.problem is None:
         return _list_suite(options)
-    problem = problem_of(options)
+    with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
+        bar.set_description_str("the automaton of the task, ")
+        problem = problem_of(options)
     semantics = problem.specification.semantics
     lines = [
         f"{problem.name}: {counted(problem.n_agents, 'agent')}, horizon {problem.horizon}, {semantics}",
@@ -49,12 +57,22 @@ def describe(options: Namespace) -> int:
     if len(regions) > MOST_REGIONS_SHOWN:
         lines.append(f"... and {counted(len(regions) - MOST_REGIONS_SHOWN, 'more proposition')}")
     lines.append(_automaton_line(problem))
-    lines += [f"note: {cut}"] if (cut := cut_by_the_end(problem)) else []
     lines.append(f"fingerprint: {problem.fingerprint}")
-    ways = _ways(problem)
-    lines += ways[:MOST_WAYS_SHOWN]
-    show(options, "\n".join(lines), {**problem.to_dict(), "fingerprint": problem.fingerprint, "ways": ways})
+    say(options, "\n".join(lines))
+    # What is worth a search is looked for at last, and for so long.
+    ways, are_all = within(MOST_SECONDS, _looked_for(problem))
+    if not are_all:
+        ways.append(f"not known after {MOST_SECONDS:g} s: what else a search tries; `run` tries it")
+    say(options, "\n".join(ways[:MOST_WAYS_SHOWN]))
+    write_json(options, {**problem.to_dict(), "fingerprint": problem.fingerprint, "ways": ways})
     return 0
+
+
+def _looked_for(problem: Problem) -> Iterator[str]:
+    """Yield a line for each thing that is known of a problem before a search: notes, and then the ways."""
+    lost = why_never(problem) or ("" if (found := out_of_reach(problem)) is None else found.why)
+    yield from (f"note: {note}" for note in (lost, cut_by_the_end(problem)) if note)
+    yield from _ways(problem)
 
 
 WAY_WORDS = {
@@ -71,19 +89,18 @@ MOST_WAYS_SHOWN, MOST_TASKS_SHOWN = 16, 2
 """Lines about ways, and independent tasks whose ways are told: they are alike as a rule."""
 
 
-def _ways(problem: Problem) -> list[str]:
-    """Return a line for each way that ``run`` tries without options, in order, and for each that does not apply."""
+def _ways(problem: Problem) -> Iterator[str]:
+    """Yield a line for each way that ``run`` tries without options, in order, and for each that does not apply."""
     if problem.starts_outside:
-        return ["ways: none, a start is outside its workspace"]
-    lines = list[str]()
+        yield "ways: none, a start is outside its workspace"
+        return
     for task, ways in islice(ways_ahead(problem), MOST_TASKS_SHOWN):
         of = "" if task is problem else f" of task {task.name}"
         open_ways = [way for way in ways if not way.refusal]
         for number, way in enumerate(open_ways, start=1):
             work = f", about {way.work:.2g} core seconds at first" if way.work >= 0.1 else ""
-            lines.append(f"way {number}{of}: {WAY_WORDS.get(way.name, way.name)}{work}")
-        lines += [f"not{of} {WAY_WORDS.get(way.name, way.name)}: {way.refusal}" for way in ways if way.refusal]
-    return lines
+            yield f"way {number}{of}: {WAY_WORDS.get(way.name, way.name)}{work}"
+        yield from (f"not{of} {WAY_WORDS.get(way.name, way.name)}: {way.refusal}" for way in ways if way.refusal)
 
 
 def run(options: Namespace) -> int:
@@ -239,11 +256,9 @@ def _automaton_line(problem: Problem) -> str:
         return f"{len(problem.groups)} independent tasks, automata of {', '.join(map(str, sizes))} states"
     automaton = problem.automaton
     accepting = ", ".join(automaton.state_names[q] for q in np.flatnonzero(automaton.accepting)) or "none"
-    lost = why_never(problem)
-    lost = lost or ("" if (found := out_of_reach(problem)) is None else found.why)
     return (
         f"automaton: {automaton.n_states} states, initial {automaton.state_names[automaton.initial]}, "
-        f"accepting {accepting}" + (f"\nnote: {lost}" if lost else "")
+        f"accepting {accepting}"
     )
 
 

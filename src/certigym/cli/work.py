@@ -6,10 +6,10 @@ import math
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from threading import Event, Thread
-from typing import Any
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
@@ -24,6 +24,8 @@ from ..validation.policies import Training
 from ..validation.policies import train as train_baseline
 from ..validation.simulation import TrialPlan, executor_for
 from .given import budget_of, cells_of, is_endless, problem_of, relation_of, say, search_of
+
+Part = TypeVar("Part")
 
 TICK, PATIENCE, REMIND = 1.0, 3.0, 15.0
 """Seconds from one showing of the clock to the next, what it counts; where there is no clock, seconds after which a way
@@ -82,6 +84,27 @@ def ticking(bar: tqdm) -> Iterator[None]:
     finally:
         ended.set()
         clock.join()
+
+
+def within(seconds: float, parts: Iterable[Part]) -> tuple[list[Part], bool]:
+    """Return what is known of some parts, which are made one by one, after so many seconds, and whether that is all."""
+    known, refusals, ended = list[Part](), list[ValueError | MemoryError](), Event()
+
+    def collect() -> None:
+        try:
+            for part in parts:
+                known.append(part)
+            ended.set()
+        except (ValueError, MemoryError) as error:
+            refusals.append(error)
+
+    # A daemon, so that what is not finished keeps no process alive.
+    collecting = Thread(target=collect, daemon=True)
+    collecting.start()
+    collecting.join(seconds)
+    for refusal in refusals:
+        raise refusal
+    return [*known], ended.is_set()
 
 
 def checked_again(certificate: Any) -> CheckReport:
