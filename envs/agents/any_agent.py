@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..arrays import is_host, namespace
-from ..expressions import Tree
+from ..expressions import Tree, affine_form, computed, names_in
 from .box import Box
 from .checks import read_only, shown
 from .laws import Law
@@ -252,6 +252,14 @@ class AnyAgent(ABC):
         found = self.output_axis(k)
         assert found is not None  # outputs that bend have no row
         return np.asarray(found[1] * np.eye(self.n_states)[found[0]])
+
+    def straight_output(self, k: int) -> tuple[np.ndarray, float] | None:
+        """Return row (d,) and offset of an output that is seen to be linear in the states (rounded); None of others."""
+        form = affine_form(self.output_trees[k : k + 1], self.states)
+        if form is None or any(map(names_in, (*form.factors[0], *form.rests))):
+            return None
+        *row, offset = (float(value[0]) for value in computed((*form.factors[0], *form.rests), {}))
+        return np.array(row), offset
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:

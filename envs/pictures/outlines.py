@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..agents import Form, Piece, Proposition
+from ..agents import AnyAgent, Form, Piece, Proposition
 from ..logic import Formula
 from ..problem import Problem
 
@@ -118,13 +118,15 @@ class Drawer:
     def _of_box(self, name: str, time: int) -> Iterator[tuple[np.ndarray, float]]:
         region = self._problem.propositions[name]
         assert isinstance(region, Proposition)
-        region = region.at(time)
-        for k, (low, high) in enumerate(zip(region.low.tolist(), region.high.tolist(), strict=True)):
-            axis = self._agent.output_axis(k)
-            if axis is not None and axis[1] == 1.0 and axis[0] in self._axes:
-                row = np.zeros(len(self._axes))
-                row[self._axes.index(axis[0])] = 1.0
-                yield from _sides(row, low, high)
+        region, sides = region.at(time), list[tuple[np.ndarray, float]]()
+        for k in limited_outputs(self._agent, region.low, region.high):
+            if (straight := self._agent.straight_output(k)) is None:
+                return  # what is left without a limit that bends is more than the region
+            row, offset = straight
+            own = row[[*self._axes]]
+            if np.count_nonzero(own) == np.count_nonzero(row):
+                sides += _sides(own, float(region.low[k]) - offset, float(region.high[k]) - offset)
+        yield from sides
 
     def _of_piece(self, piece: Piece) -> Iterator[tuple[np.ndarray, float]]:
         for limit in piece.limits:
@@ -196,6 +198,12 @@ def terms_of(formula: Formula, positive: bool) -> list[list[Literal]]:
     for part in parts:
         result = [[*term, *more] for term in result for more in part][: MOST_TERMS + 1]
     return result
+
+
+def limited_outputs(agent: AnyAgent, low: np.ndarray, high: np.ndarray) -> list[int]:
+    """Return the outputs that corners of a region limit within the workspace."""
+    first, last = (ends[0] for ends in agent.output_range(agent.state_low[None], agent.state_high[None]))
+    return np.flatnonzero((low > first) | (high < last)).tolist()
 
 
 def _sides(row: np.ndarray, low: float | None, high: float | None) -> Iterator[tuple[np.ndarray, float]]:

@@ -17,7 +17,7 @@ import numpy as np
 from ..agents import AnyAgent, Box, LinearAgent, Pair, Proposition, heading_of
 from ..logic import Formula
 from ..problem import Problem
-from .outlines import Drawer, Outline
+from .outlines import Drawer, Outline, limited_outputs
 from .task_roles import FREE, roles
 
 MOST_STRETCHED = 3.0
@@ -265,7 +265,8 @@ def _signature(regions: tuple[Region, ...]) -> tuple[object, ...]:
 def _agent(problem: Problem, i: int, number: int) -> _Shown:
     """Return one agent on the axes that its regions restrict."""
     agent = problem.agents[i]
-    if any(isinstance(p, Proposition) and p.agent == agent.name and p.shape for p in problem.written.values()):
+    shapes = (isinstance(p, Proposition) and p.agent == agent.name and p.shape for p in problem.written.values())
+    if not agent.has_straight_outputs or any(shapes):
         return _shaped(problem, i, number)
     # Regions carry the name of their family, so that all agents' regions of one family share a colour.
     low, high = _output_box(agent)
@@ -273,8 +274,6 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
     of_agents = {n: p for n, p in problem.propositions.items() if isinstance(p, Proposition)}
     named = [(families.get(n, n), p) for n, p in of_agents.items() if p.agent == agent.name]
     placed = [(name, *place) for name, p in named for place in _places(p, problem.horizon)]
-    if not agent.has_straight_outputs:
-        return _bent(problem, i, number)
     # Show the first two axes on which some region is smaller than the workspace; the first two at all if none is.
     restricted = np.zeros(agent.n_outputs, dtype=bool)
     for _, _, least, most in placed:
@@ -296,7 +295,7 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
 
 
 def _shaped(problem: Problem, i: int, number: int) -> _Shown:
-    """Return an agent with shapes on the first two states that its regions restrict."""
+    """Return an agent with shapes, or outputs that are no states, on the first two states that its regions restrict."""
     agent = problem.agents[i]
     own = {n: p for n, p in problem.written.items() if isinstance(p, Proposition) and p.agent == agent.name}
     axes = _restricted_states(problem, i)
@@ -323,7 +322,7 @@ def _shaped(problem: Problem, i: int, number: int) -> _Shown:
 def _restricted_states(problem: Problem, i: int) -> list[int]:
     """Return the first two states that regions of an agent restrict."""
     agent = problem.agents[i]
-    states: set[int] = set()
+    states = set[int]()
     for name, region in problem.propositions.items():
         if not isinstance(region, Proposition) or region.agent != agent.name:
             continue
@@ -333,12 +332,10 @@ def _restricted_states(problem: Problem, i: int) -> list[int]:
                 states |= {k for row in rows for k, entry in enumerate(row[: agent.n_states]) if entry}
             continue
         for _, least, most in _places(region, problem.horizon):
-            for k in range(agent.n_outputs):
-                axis = agent.output_axis(k)
-                if axis is not None and axis[1] == 1.0:
-                    s = axis[0]
-                    states |= {s} if least[k] > agent.state_low[s] or most[k] < agent.state_high[s] else set()
-    return sorted(states)[:2] or [*range(min(2, agent.n_states))]
+            for k in limited_outputs(agent, least, most):
+                straight = agent.straight_output(k)
+                states |= {0, 1} if straight is None else {*np.flatnonzero(straight[0]).tolist()}
+    return sorted(states & {*range(agent.n_states)})[:2] or [*range(min(2, agent.n_states))]
 
 
 def _atoms(formula: Formula) -> list[str]:
@@ -352,15 +349,6 @@ def _places(region: Proposition, horizon: int) -> list[tuple[int | None, np.ndar
         return [(None, region.low, region.high)]
     low, high = region.over(np.arange(horizon + 1, dtype=float))
     return [(t, low[:, t], high[:, t]) for t in range(horizon + 1) if np.all(low[:, t] < high[:, t])]
-
-
-def _bent(problem: Problem, i: int, number: int) -> _Shown:
-    """Return an agent some of whose outputs are expressions: its first two states, without regions of outputs."""
-    agent = problem.agents[i]
-    axes = np.arange(min(2, agent.n_states))
-    rows = np.zeros((len(axes), problem.n_states))
-    rows[axes, problem.columns[i].start + axes] = 1.0
-    return _Shown(Curve(agent.name, number, rows), Box(agent.state_low[axes], agent.state_high[axes]), ())
 
 
 def _robot(name: str, x: _Shown, y: _Shown) -> _Shown:

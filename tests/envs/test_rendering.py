@@ -19,6 +19,7 @@ from certigym.envs.pictures import AGENTS, Picture
 from certigym.envs.pictures.label_places import Labels, beside
 from certigym.envs.pictures.palette import rgb
 from certigym.envs.pictures.scene import coordinate_name, panels
+from certigym.envs.problem import problem_from_toml
 from sample_problems import mixed_problem
 
 TASK = """
@@ -278,3 +279,45 @@ def test_large_families_are_counted_and_the_missing_are_named() -> None:
     told = picture._told([name for name in members if name != members[7]])
     assert told == ["safe: 99 of 100", f"not {members[7]}"]
     assert picture._told([]) == ["none"]
+
+
+@pytest.mark.parametrize("rock", ["", 'rock = { agent = "a", disc = { centre = [-1, -1], radius = 0.5 } }'])
+@pytest.mark.parametrize("outputs", [["x", "y"], ["2*x", "-3*y + 1"], ["x + y", "x - 2*y"], ["x**2", "y"]])
+def test_boxes_of_outputs_are_drawn_where_they_are(outputs: list[str], rock: str) -> None:
+    """Whatever states are multiplied with; where a limit bends nothing is drawn, which is less than something wrong."""
+    problem = problem_from_toml(f"""
+        horizon = 4
+        specification = "{"!rock U goal" if rock else "F goal"}"
+        [[agents]]
+        name = "a"
+        states = ["x", "y"]
+        inputs = ["u"]
+        dynamics = ["x + u", "y + u"]
+        outputs = {outputs}
+        noise_std = [0.1, 0.1]
+        state_low = [-3, -3]
+        state_high = [3, 3]
+        input_low = [-1]
+        input_high = [1]
+        initial_state = [0, 0]
+        [propositions]
+        goal = {{ agent = "a", low = [0.5, 0.5], high = [1.5, 2] }}
+        {rock}""")
+    (panel,) = panels(problem)
+    states = np.random.default_rng(0).uniform(-3.0, 3.0, (2000, 2))
+    p = problem.automaton.propositions.index("goal")
+    truth = np.array([problem.labeling.letter([state])[p] for state in states], dtype=bool)
+    assert truth.any()
+    places, (rows,) = states, [curve.rows for curve in panel.curves]
+    assert np.array_equal(rows, np.eye(2))
+    drawn = [region for region in panel.regions if region.name == "goal"]
+    if "x**2" in outputs:
+        assert not drawn
+        return
+    (region,) = drawn
+    inside = np.all((np.array(region.low) <= places) & (places < np.array(region.high)), axis=1)
+    if region.outline is not None:
+        for first, last in zip(region.outline.edges[0], np.roll(region.outline.edges[0], -1, axis=0), strict=True):
+            along, off = last - first, places - first
+            inside &= along[0] * off[:, 1] - along[1] * off[:, 0] >= 0.0  # edges go counter-clockwise
+    assert np.array_equal(inside, truth)

@@ -38,10 +38,12 @@ def intervals(problem: Problem, k: int) -> dict[str, Interval]:
         region = proposition.at(0)  # starts are there at time 0
         if np.any(region.low >= region.high):
             continue
-        # An output that is the coordinate itself restricts it; other outputs are no intervals of one coordinate.
+        # An output that is a multiple of the coordinate restricts it; others are no intervals of one coordinate.
         for output, (a, b) in enumerate(zip(region.low, region.high, strict=True)):
-            if agent.output_axis(output) == (axis, 1.0):
-                cut = max(low, float(a)), min(high, float(b))
+            found = agent.output_axis(output)
+            if found is not None and found[0] == axis:
+                a, b = sorted((float(a) / found[1], float(b) / found[1]))
+                cut = max(low, a), min(high, b)
                 if cut != (low, high):
                     intervals_of_regions[name] = cut
     return intervals_of_regions
