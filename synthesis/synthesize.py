@@ -204,7 +204,7 @@ def synthesize(
 
     begun = None if start is None else certificate_from(start, "start")
     if isinstance(horizon, int | np.integer):
-        problem, horizon = problem.replace(horizon=int(horizon)), OWN
+        problem, horizon = problem.replace(horizon=horizon), OWN
     if horizon == OWN:
         return once(problem, begun) if starts is None else _around(once(problem, begun), starts)
     if begun is not None or starts is not None:

@@ -148,6 +148,8 @@ def test_replace_names_its_argument() -> None:
         problem.replace(initial_state=[[1.0]])
     with pytest.raises(ValueError, match="`horizon`"):
         problem.replace(horizon=-1)
+    with pytest.raises(ValueError, match=r"`horizon`: .*got True"):
+        cg.synthesize(problem, 10, horizon=True)
     for name in ("", "a\nb", "x" * 201, 3):
         with pytest.raises(ValueError, match="`name`: expected a line of 1 to 200 printable characters"):
             problem.replace(name=name)  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -150,3 +151,27 @@ def test_initial_states_may_be_negative_and_separated_by_commas(tmp_path: Path) 
         assert main(["synthesize", "reach-avoid-v0", *settings, *state, "--out", out]) == 0
         bounds.append(cg.load(out).lower_bound)
     assert bounds[0] == bounds[1] == bounds[2] > 0.5
+
+
+def test_terminals_without_umlauts_show_numbers_and_json_is_written(tmp_path: Path) -> None:
+    file, out = tmp_path / "task.toml", tmp_path / "out.json"
+    file.write_text(TASK.replace('"hop"', '"Türme"'), encoding="utf-8")
+    words = ["run", str(file), "--cells", "20", "--relation", "exact", "--episodes", "100", "--json", str(out)]
+    ran = subprocess.run(
+        [sys.executable, "-m", "certigym", *words],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert rb"T\xfcrme" in ran.stdout
+    assert json.loads(out.read_text(encoding="utf-8"))["problem"] == "Türme"
+
+
+def test_readers_that_stop_reading_are_no_news() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "certigym", "describe"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as describing:
+        assert describing.stdout is not None and describing.stderr is not None
+        describing.stdout.close()
+        assert describing.stderr.read() == b""

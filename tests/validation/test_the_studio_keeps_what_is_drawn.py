@@ -364,6 +364,20 @@ def test_the_page_may_load_nothing_from_elsewhere(studio: Studio) -> None:
     assert "http://" not in page.replace("http://www.w3.org", "") and "https://" not in page
 
 
+def test_true_is_no_number(studio: Studio) -> None:
+    """Although Python takes it for 1."""
+    text = f"/{studio.token}/text"
+    assert asked(studio, "POST", text, {"text": "a = 1", "base": studio.session.state(-1, 0.0)["revision"]})[0] == 200
+    with pytest.raises(ValueError, match="`seconds`"):
+        studio.session.certify(True)
+    with pytest.raises(ValueError, match="`seed`"):
+        studio.session.play(True)
+    assert studio.session.state(-1, 0.0)["revision"] == 1
+    assert asked(studio, "POST", text, {"text": "a = 2", "base": True})[0] == 409
+    with pytest.raises(ValueError, match="expected"):
+        edited("a = [0, 1]", {"set": [[["propositions", True], 3]]})
+
+
 def test_two_who_write_at_once_are_told(tmp_path: Path) -> None:
     page = Studio(tmp_path, "task.toml").start()
     try:

@@ -107,19 +107,23 @@ class Session:
 
     # The text.
 
+    def _is_newest(self, base: Any) -> bool:
+        """Whether a tab knows the text as it is; True is no revision, although Python takes it for 1."""
+        return type(base) is int and base == self._revision
+
     def put_text(self, text: Any, base: Any) -> None:
         """Take a text from a tab that knew revision `base`; Refused if another tab was faster."""
         if not isinstance(text, str) or len(text) > MOST_TEXT:
             raise ValueError(f"`text`: expected at most {MOST_TEXT} characters")
         with self._changed:
-            if base != self._revision and text != self._text:
+            if not self._is_newest(base) and text != self._text:
                 raise Refused("the text was changed in another tab")
             self._set(text)
 
     def edit(self, edit: Any, base: Any) -> None:
         """Change the text as the picture asks; Refused if it is about another text."""
         with self._changed:
-            if base != self._revision:
+            if not self._is_newest(base):
                 raise Refused("the text was changed in another tab")
             try:
                 self._set(edited(self._text, edit))
@@ -186,7 +190,7 @@ class Session:
 
     def certify(self, seconds: Any) -> None:
         """Begin to certify the text."""
-        if seconds is not None and not (isinstance(seconds, int | float) and 0 < seconds <= 86_400):
+        if seconds is not None and not (type(seconds) in (int, float) and 0 < seconds <= 86_400):
             raise ValueError("`seconds`: expected a number from 0 to 86400")
         with self._changed:
             if self._job["state"] in ("running", "stopping", "playing"):
@@ -213,7 +217,7 @@ class Session:
 
     def play(self, seed: Any) -> None:
         """Simulate the certified controllers."""
-        if not isinstance(seed, int) or not 0 <= seed < 2**31:
+        if type(seed) is not int or not 0 <= seed < 2**31:
             raise ValueError("`seed`: expected a whole number from 0 on")
         with self._changed:
             if self._job["state"] != "done" or not self._job.get("result"):

@@ -130,7 +130,7 @@ def _sets(listed: Any) -> list[tuple[Path, Any]]:
         if not (isinstance(item, list) and len(item) == 2 and isinstance(item[0], list) and len(item[0]) > 1):
             raise ValueError("`set`: expected pairs of a path and a value")
         path = item[0]
-        if path[0] not in _EDITABLE or not all(isinstance(key, str | int) for key in path):
+        if path[0] not in _EDITABLE or not all(type(key) in (str, int) for key in path):
             raise ValueError(f"`set`: expected paths that begin with one of {', '.join(_EDITABLE)}")
         pairs.append((tuple(path), item[1]))
     return pairs

@@ -7,6 +7,7 @@ is refuted or fails the check; 2 for bad input, with one line on standard error;
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import re
 import sys
@@ -32,6 +33,9 @@ A TOML file can stand for an id. `certigym --help` lists all commands, `certigym
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # What a terminal has no letters for is written as numbers, as on standard error.
+        sys.stdout.reconfigure(errors="backslashreplace")
     # argparse takes "-10,-3" for an option; a leading blank marks it as a value.
     if not words:
         print(_WELCOME)
@@ -50,6 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # With `--json -` standard output holds JSON alone; what is printed besides, by libraries, too, goes elsewhere.
         with redirect_stdout(sys.stderr) if options.json == "-" else nullcontext():
             return int(getattr(module, options.command.replace("-", "_"))(options))
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains when it exits
+        return 2
     except (ValueError, OSError) as error:
         said = str(error).strip()
         # An expression with a caret under the mistake keeps its lines.
@@ -59,9 +66,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MemoryError:
         remedy = "; ask for fewer --cells" if hasattr(options, "cells") else ""
         print(f"certigym: not enough memory for this problem{remedy}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains when it exits
         return 2
     except KeyboardInterrupt:
         print("certigym: interrupted", file=sys.stderr)
