@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..agents import AnyAgent, Gaussian, Law
-from ..expressions import Affine, Tree, enclosed, operations_in
+from ..expressions import Affine, Operation, Tree, enclosed, names_in, operations_in, turns
 from .record import Problem
 
 RARE = 1e-6
@@ -29,6 +29,9 @@ MOST_OPERATIONS, MOST_READ = 6_000, 10_000
 
 PARTS = {1: 16, 2: 6, 3: 3, 4: 2}
 """Parts of a box per axis, by the number of states: they are enclosed all at once, and what is around them is less."""
+
+TURN, NEARLY = 2.0 * np.pi, 0.15
+"""A turn, and by how much the workspace of a state may differ from one that looks like an angle."""
 
 MOST_DEVIATIONS = 1e9
 """Deviations beyond which noise is not known."""
@@ -60,16 +63,62 @@ def out_of_reach(problem: Problem, rare: float = RARE) -> OutOfReach | None:
     if problem.horizon * moved > MOST_OPERATIONS or problem.horizon * read > MOST_READ:
         return None
     reach = _Reach(problem, rare)
+    may, lost = _seen(problem, reach)
+    if may:
+        return None
+    more = f"; no controller satisfies the task more often than {rare:g}" if rare else ""
+    return OutOfReach(f"{_words(problem, reach, lost)}{_words_of_angles(problem, rare)}{more}", rare)
+
+
+def _seen(problem: Problem, reach: _Reach) -> tuple[bool, int | None]:
+    """Return whether a task may be satisfied, and from which step on nothing is left of it; None if something is."""
     steps = 0
     for reached in reach.steps(problem.horizon):
         if any(problem.automaton.finished[q] for q in reached):
-            return None
+            return True, None
         steps += bool(reached)
-    if not problem.automaton.is_co_safe and any(problem.automaton.accepting[q] for q in reached):
-        return None
-    lost = None if reached else steps
-    more = f"; no controller satisfies the task more often than {rare:g}" if rare else ""
-    return OutOfReach(f"{_words(problem, reach, lost)}{more}", rare)
+    may = not problem.automaton.is_co_safe and any(problem.automaton.accepting[q] for q in reached)
+    return may, None if reached else steps
+
+
+def _words_of_angles(problem: Problem, rare: float) -> str:
+    """Return that states may be angles, in words, if the task might be in reach then; else nothing."""
+    like = [like_angles(agent) for agent in problem.agents]
+    pairs = zip(problem.agents, like, strict=True)
+    names = dict.fromkeys(agent.states[k] for agent, axes in pairs for k in np.flatnonzero(axes))
+    if not names or not _seen(problem, _Reach(problem, rare, like))[0]:
+        return ""
+    which, listed = ", ".join(f"`{name}`" for name in names), ", ".join(f'"{name}"' for name in names)
+    how = f'write `angles = [{listed}]`, with workspaces from "-pi" to "pi", so that nothing ends there'
+    return f"; if {which} {'is an angle' if len(names) == 1 else 'are angles'}, {how}"
+
+
+def like_angles(agent: AnyAgent) -> NDArray[np.bool_]:
+    """Return which states (d,) may be angles that are not declared: they go around once, or stand in sines.
+
+    All dynamics are the same a turn further on.
+    """
+    trees, sines = agent.timed_trees, frozenset[str]().union(*map(_in_sines, agent.timed_trees))
+    around = np.abs(agent.state_high - agent.state_low - TURN) <= NEARLY
+    result = np.zeros(agent.n_states, dtype=bool)
+    for k, name in enumerate(agent.states):
+        if not agent.wrapped_axes[k] and (around[k] or name in sines):
+            grown = [turns(tree, name) for tree in trees]
+            result[k] = (
+                grown[k] is not None
+                and grown[k].denominator == 1
+                and not any(grow is None or grow for j, grow in enumerate(grown) if j != k)
+            )
+    return result
+
+
+def _in_sines(tree: Tree) -> frozenset[str]:
+    """Return the names that sines, cosines and tangents are taken of."""
+    if not isinstance(tree, Operation):
+        return frozenset()
+    if tree.name in ("sin", "cos", "tan"):
+        return names_in(tree)
+    return frozenset[str]().union(*map(_in_sines, tree.arguments))
 
 
 def _words(problem: Problem, reach: _Reach, lost: int | None) -> str:
@@ -118,8 +167,12 @@ def _is_needed(problem: Problem, p: int) -> bool:
 class _Reach:
     """Boxes around what agents can do, by automaton states, from step to step."""
 
-    def __init__(self, problem: Problem, rare: float) -> None:
+    def __init__(self, problem: Problem, rare: float, free: Sequence[NDArray[np.bool_]] = ()) -> None:
         self.problem, self.automaton = problem, problem.automaton
+        # States that wrap, and those that are taken to, may be anything.
+        self.free = [agent.wrapped_axes for agent in problem.agents]
+        if free:
+            self.free = [axes | more for axes, more in zip(self.free, free, strict=True)]
         count = problem.horizon * sum(agent.n_states for agent in problem.agents)
         self.noises = [_largest_noise(agent, rare / count) for agent in problem.agents]
         self.held = np.zeros(len(self.automaton.propositions), dtype=bool)
@@ -184,8 +237,8 @@ class _Reach:
         each = [end * scale for end in noise for scale in scales]
         first, last = mean[0] + np.minimum.reduce(each), mean[1] + np.maximum.reduce(each)
         # What is not known may be anything in the workspace, and so may what wraps.
-        first = np.where(np.isnan(first) | agent.wrapped_axes, -np.inf, first).min(axis=1)
-        last = np.where(np.isnan(last) | agent.wrapped_axes, np.inf, last).max(axis=1)
+        first = np.where(np.isnan(first) | self.free[i], -np.inf, first).min(axis=1)
+        last = np.where(np.isnan(last) | self.free[i], np.inf, last).max(axis=1)
         return np.maximum(first, agent.state_low), np.minimum(last, agent.state_high)
 
     def _read(self, q: int, boxes: Boxes, time: int) -> Iterator[tuple[int, Boxes]]:
