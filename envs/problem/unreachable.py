@@ -103,12 +103,8 @@ def like_angles(agent: AnyAgent) -> NDArray[np.bool_]:
     result = np.zeros(agent.n_states, dtype=bool)
     for k, name in enumerate(agent.states):
         if not agent.wrapped_axes[k] and (around[k] or name in sines):
-            grown = [turns(tree, name) for tree in trees]
-            result[k] = (
-                grown[k] is not None
-                and grown[k].denominator == 1
-                and not any(grow is None or grow for j, grow in enumerate(grown) if j != k)
-            )
+            own, *others = (turns(tree, name) for tree in (trees[k], *trees[:k], *trees[k + 1 :]))
+            result[k] = own is not None and own.denominator == 1 and all(grown == 0 for grown in others)
     return result
 
 

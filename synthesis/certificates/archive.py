@@ -167,5 +167,5 @@ def _digest(header: dict[str, Any], arrays: list[NDArray]) -> str:
     for array in arrays:
         state.update(f"{array.dtype.str}{array.shape}".encode())
         # The bytes of the array itself: a copy would take as much memory again.
-        state.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
+        state.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
     return state.hexdigest()

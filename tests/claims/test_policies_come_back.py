@@ -473,7 +473,7 @@ class Intruder:
     def __init__(self, made: Path) -> None:
         self.made = made
 
-    def __reduce__(self) -> object:
+    def __reduce__(self) -> tuple[Any, ...]:
         return Path.mkdir, (self.made,)
 
 
