@@ -38,7 +38,7 @@ def describe(options: Namespace) -> int:
     if options.problem is None:
         return _list_suite(options)
     with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
-        bar.set_description_str("the automaton of the task, ")
+        bar.set_description_str("the automaton of the task")
         problem = problem_of(options)
     semantics = problem.specification.semantics
     lines = [
