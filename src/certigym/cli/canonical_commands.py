@@ -10,7 +10,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from ..synthesis.checker import check_contents, is_certificate, read_file, shown
+from ..synthesis.checker import MOST_BYTES, check_contents, is_certificate, read_file, shown
 from .terminal import on_terminal
 
 
@@ -21,7 +21,7 @@ def check(options: Namespace) -> int:
         from .synthesis_commands import check as check_of_0_3
 
         return check_of_0_3(options)
-    contents = read_file(path)
+    contents = read_file(path, _most_bytes(options))
     if options.problem is not None:
         _compare(options, contents.header["problem"])
     verdict = check_contents(contents)
@@ -35,6 +35,15 @@ def check(options: Namespace) -> int:
     }
     _show(options, f"{contents.header['name']}: {verdict}", outcome)
     return 0 if verdict else 1
+
+
+def _most_bytes(options: Namespace) -> int:
+    """Return the largest size that is read; the package that reads numbers of bytes is loaded if one is given."""
+    if options.max_bytes == "1G":  # the default
+        return MOST_BYTES
+    from .given import limit_of
+
+    return limit_of(options)
 
 
 def _compare(options: Namespace, inside: dict[str, Any]) -> None:
