@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import Agent, AnyAgent, LinearAgent, with_matrices, write_bytes
+from ..envs.agents import Agent, AnyAgent, LinearAgent, write_bytes
 from ..envs.logic import Formula, parse_formula
 from ..envs.problem import Problem
 from .cells import FloatArray
 from .certificates import AgentPath, Certificate, GridProof, PathProof
-from .checker import FORMAT, VERSION, Contents, check_contents
+from .checker import FORMAT, VERSION, CheckedAgent, Contents, Refused, affine_dynamics, check_contents, read_problem
 from .masses import AgentPart
 
 
@@ -309,6 +309,7 @@ def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> d
     if proof.rounding is not None or proof.bound != "nominal":
         raise NotCanonicalError("tensor trains, and relations that may be lost, have no canonical form yet")
     put = _Pool(arrays)
+    known = read_problem({"problem": canonical_problem(problem)}).agents
     vertices, unions, kept = (np.concatenate(rows) for rows in zip(*_tree_rows(proof), strict=True))
     return {
         "kind": "cells",
@@ -323,7 +324,7 @@ def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> d
             "unions": put(unions, np.int32),
             "kept": put(kept, np.int32),
         },
-        "agents": [_cells_of(agent, part, put) for agent, part in zip(problem.agents, proof.agents, strict=True)],
+        "agents": [_cells_of(*each, put) for each in zip(problem.agents, known, proof.agents, strict=True)],
     }
 
 
@@ -339,7 +340,7 @@ def _tree_rows(proof: GridProof) -> Iterator[tuple[np.ndarray, np.ndarray, np.nd
             yield tuple(np.hstack([np.tile([t, q], (len(rows), 1)), rows]) for rows in columns)  # type: ignore[misc]
 
 
-def _cells_of(agent: AnyAgent, part: AgentPart, put: _Pool) -> dict[str, Any]:
+def _cells_of(agent: AnyAgent, known: CheckedAgent, part: AgentPart, put: _Pool) -> dict[str, Any]:
     """Return the entry of the cells of one agent."""
     relation, kind = part.relation, part.relation["kind"]
     if kind not in ("exact", "linear", "boxes") or "network" in relation or "common" in relation:
@@ -350,15 +351,19 @@ def _cells_of(agent: AnyAgent, part: AgentPart, put: _Pool) -> dict[str, Any]:
         raise NotCanonicalError(f"the inputs of agent `{agent.name}` vary in a cell")
     menu = np.array(relation.get("menu", []), dtype=float).reshape(-1, agent.n_inputs)
     targets = np.any(part.policy >= len(menu))
-    if targets and not agent.is_affine:
-        raise NotCanonicalError(f"agent `{agent.name}` has targets, and its dynamics are not affine")
+    inverse = None
+    if targets:
+        try:
+            inverse = put(np.linalg.pinv(affine_dynamics(known)[1]))
+        except Refused as reason:
+            raise NotCanonicalError(str(reason)) from reason
     return {
         "edges": [put(axis) for axis in part.grid.edges],
         "lattice": [put(axis) for axis in part.lattice],
         "values": "corners" if kind == "linear" else "cells",
         "parts": int(relation.get("parts", 1)) if kind == "linear" else PARTS_OF_BOXES,
         "inputs": put(menu),
-        "inverse": put(np.linalg.pinv(with_matrices(agent).B)) if targets else None,
+        "inverse": inverse,
         "sets": put(part.masks, np.bool_),
         "start_sets": put(part.start_masks, np.bool_),
         "policy": put(part.policy, np.int32),

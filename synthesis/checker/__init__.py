@@ -6,12 +6,14 @@ Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; `
 ``controller``. Each file begins with its theorem.
 """
 
-from .fields import Unreadable
+from .fields import Refused, Unreadable
 from .file import FORMAT, MOST_BYTES, VERSION, Contents, is_certificate, parse_file, read_file
+from .motions import affine_dynamics
+from .problem import Agent as CheckedAgent
 from .problem import read_problem
 from .verdict import Verdict, check, check_contents, shown
 
 __all__ = [
-    "FORMAT", "MOST_BYTES", "VERSION", "Contents", "Unreadable", "Verdict", "check", "check_contents",
-    "is_certificate", "parse_file", "read_file", "read_problem", "shown",
+    "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "Contents", "Refused", "Unreadable", "Verdict",
+    "affine_dynamics", "check", "check_contents", "is_certificate", "parse_file", "read_file", "read_problem", "shown",
 ]  # fmt: skip

@@ -99,7 +99,7 @@ def check_targets(
     agent: Agent, edges: Sequence[Array], inverse: Array, cells: NDArray[np.int64], targets: Array
 ) -> Array:
     """Return rho (d,) of targets (n, d) from cells (n,); ``Refused`` where an input would leave its box."""
-    A, B, b = _affine(agent)
+    A, B, b = affine_dynamics(agent)
     low, high = (corner[cells] for corner in cell_boxes(edges))
     middle, half = 0.5 * low + 0.5 * high, 0.5 * (high - low)
     size = np.abs(targets) + np.maximum(np.abs(low), np.abs(high)) @ np.abs(A).T + np.abs(b)
@@ -117,7 +117,7 @@ def check_targets(
     return np.asarray(rest.max(axis=0, initial=0.0) * (1.0 + 2.0**-40))
 
 
-def _affine(agent: Agent) -> tuple[Array, Array, Array]:
+def affine_dynamics(agent: Agent) -> tuple[Array, Array, Array]:
     """Return A, B and b of dynamics ``A x + B u + b``; ``Refused`` unless they are of this form to the last bit."""
     _refuse_time(agent)
     names = (*agent.states, *agent.inputs)
