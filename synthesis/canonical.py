@@ -107,8 +107,6 @@ def _agent(problem: Problem, i: int) -> dict[str, Any]:
     agent, written = problem.agents[i], problem.written_agents[i]
     if any(law.name == "scipy" for law in agent.laws or ()):
         raise NotCanonicalError(f"agent `{agent.name}` has noise of a distribution of scipy")
-    if agent.angles:
-        raise NotCanonicalError(f"agent `{agent.name}` has angles")
     shared = problem.shared_noise[i]
     data: dict[str, Any] = {
         "name": agent.name,
@@ -136,6 +134,7 @@ def _agent(problem: Problem, i: int) -> dict[str, Any]:
         data |= {"parameters": dict(agent.parameters)} if agent.parameters else {}
         ranges = {name: [low, high] for name, (low, high) in agent.disturbances.items()}
         data |= {"disturbances": ranges} if ranges else {}
+    data |= {"angles": list(agent.angles)} if agent.angles else {}
     return data | ({"shared_noise": shared.tolist()} if shared.shape[1] else {})
 
 

@@ -1,9 +1,9 @@
 """The checker: reads a certificate file and proves its claim, with numpy alone and nothing else of the package.
 
 Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``problem`` (with
-``distributions``); ``automaton``, ``formula``; ``letters``, ``crossings``, ``constraints``, ``error_system``,
-``trajectories``; ``labels``, ``tables``, ``motions``, ``cells``, ``tree``, ``cell_proofs``; ``selftest``, ``verdict``,
-``controller``. Each file begins with its theorem.
+``distributions``); ``automaton``, ``formula``; ``letters``, ``angles``, ``crossings``, ``constraints``,
+``error_system``, ``trajectories``; ``labels``, ``tables``, ``motions``, ``cells``, ``tree``, ``cell_proofs``;
+``selftest``, ``verdict``, ``controller``. Each file begins with its theorem.
 """
 
 from .fields import Refused, Unreadable

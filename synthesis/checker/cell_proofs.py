@@ -61,6 +61,8 @@ def failure_of(problem: Problem, proof: CellProof) -> float:
         raise Refused("the task is about pairs of agents, and cells know single agents")
     if any(np.any(agent.shared_noise) for agent in problem.agents):
         raise Refused("agents share noise, and cells take them for independent")
+    if any(agent.angles for agent in problem.agents):
+        raise Refused("a state is an angle, and cells take states for numbers")
     known = [cell_labels(problem, i, own.edges) for i, own in enumerate(proof.cells)]
     check_guards(problem.automaton, proof.guards, [own.sets for own in proof.cells], known)
     initial = np.full(len(proof.start.target), problem.automaton.initial, dtype=np.int64)

@@ -22,10 +22,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from .angles import angle_outputs
 from .automaton import Known, followed, wrong_word
 from .fields import Refused
-from .letters import known_at, known_at_start
-from .problem import Problem, Region
+from .letters import Demand, known_at, known_at_start
+from .problem import Problem
 
 SOMETIME = 2
 """Letter of a proposition that is to hold at some time of a window."""
@@ -62,16 +63,21 @@ def is_last(letters: Letters, faces: Letters, t: int, p: int) -> bool:
     return t == len(letters) - 1 or not _one_window(letters, faces, t, p)
 
 
-def limits(region: Region, letters: Letters, faces: Letters, t: int, p: int) -> list[tuple[int, float, float]]:
-    """Return limits (output, low, high) of a region that is met at some time of a window."""
-    k, from_above = divmod(int(faces[t, p]), 2)
-    if not 0 <= k < region.low.shape[1]:
-        raise Refused(f"`{region.name}` at time {t} is crossed from no side")
-    far, near = is_first(letters, faces, t, p), is_last(letters, faces, t, p)
-    keeps = (far, near) if from_above else (near, far)
-    ends = list(zip(range(region.low.shape[1]), region.low[t].tolist(), region.high[t].tolist(), strict=True))
-    ends[k] = k, ends[k][1] if keeps[0] else -np.inf, ends[k][2] if keeps[1] else np.inf
-    return ends
+def crossed(problem: Problem, letters: Letters, faces: Letters, t: int) -> list[Demand]:
+    """Return what regions that are met at some time of a window ask of outputs at a time in it."""
+    asked = []
+    for p, region in enumerate(problem.regions):
+        if letters[t, p] == SOMETIME:
+            k, from_above = divmod(int(faces[t, p]), 2)
+            outputs = range(region.low.shape[1])
+            if k not in outputs or k in angle_outputs(problem.agents[region.agent]):
+                raise Refused(f"`{region.name}` at time {t} is crossed from no side, or along an angle")
+            far, near = is_first(letters, faces, t, p), is_last(letters, faces, t, p)
+            keeps_low, keeps_high = (far, near) if from_above else (near, far)
+            for j, low, high in zip(outputs, region.low[t].tolist(), region.high[t].tolist(), strict=True):
+                ends = low if j != k or keeps_low else -np.inf, high if j != k or keeps_high else np.inf
+                asked.append(Demand(((region.agent, j, 1.0),), *ends, f"`{region.name}` crossed at time {t}"))
+    return asked
 
 
 def jumps(problem: Problem, letters: Letters, faces: Letters, t: int) -> list[Jump]:

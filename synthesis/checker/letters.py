@@ -32,12 +32,16 @@ INSIDE = 1.0 - 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Demand:
-    """``low <= sum of factors times outputs < high``; ``parts`` are (agent, output, factor)."""
+    """``low <= sum of factors times outputs < high``; ``parts`` are (agent, output, factor).
+
+    ``avoided`` are the ends of a region along this output, where the demand is to keep away from it.
+    """
 
     parts: tuple[tuple[int, int, float], ...]
     low: float
     high: float
     label: str
+    avoided: tuple[float, float] | None = None
 
 
 def known_at(problem: Problem, letters: NDArray[np.int64], t: int) -> dict[int, bool]:
@@ -122,7 +126,8 @@ def demands(
             if not 0 <= k < len(low) or not np.isfinite((high if above else low)[k]):
                 raise Refused(f"{label}: the side {face} that is kept away from has no limit")
             ends = (float(high[k]), np.inf) if above else (-np.inf, float(low[k]))
-            asked.append(Demand(((region.agent, k, 1.0),), *ends, f"not {label}"))
+            avoided = float(low[k]), float(high[k])
+            asked.append(Demand(((region.agent, k, 1.0),), *ends, f"not {label}", avoided))
     first = 0
     for p, pair in enumerate(problem.pairs, start=len(problem.regions)):
         count = len(pair.outputs[0])

@@ -57,6 +57,7 @@ class Agent:
     envelopes: tuple[Envelope, ...]
     scale: tuple[Tree, ...]
     shared_noise: Array
+    angles: tuple[str, ...]
     states_of_others: dict[str, tuple[int, int]]
     inputs_of_others: dict[str, tuple[int, int]]
 
@@ -152,12 +153,15 @@ def read_problem(header: dict[str, Any]) -> Problem:
 
 # Agents.
 
+TURN = 6.283185307179586
+"""The double below a turn."""
+
 REQUIRED = (
     "name", "states", "inputs", "outputs", "state_low", "state_high", "input_low", "input_high", "start_low",
     "start_high", "noise",
 )  # fmt: skip
 OPTIONAL = (
-    "dynamics", "A", "B", "c", "disturbances", "parameters", "shared_noise", "distributions", "noise_scale",
+    "dynamics", "A", "B", "c", "disturbances", "parameters", "shared_noise", "distributions", "noise_scale", "angles",
 )  # fmt: skip
 STANDARD = Envelope(0.0, 0.0, 1.0, NORMAL)
 """Noise is standard normal unless a file says otherwise."""
@@ -218,8 +222,21 @@ def _agent(i: int, own: dict[str, Any], names: tuple[str, ...], variables: list[
         tuple(envelopes),
         scale,
         np.zeros((d, 0)) if shared is None else fields.matrix(shared, f"{name}.shared_noise", d),
+        _angles(own, name, states),
         *others,
     )
+
+
+def _angles(own: dict[str, Any], name: str, states: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the states that wrap, whose workspaces are one turn."""
+    angles = fields.names(own.get("angles", []), f"{name}.angles")
+    for angle in angles:
+        if angle not in states:
+            raise Unreadable(f"{name}.angles: `{angle}` is no state")
+        low, high = (own[key][states.index(angle)] for key in ("state_low", "state_high"))
+        if not TURN - 1e-13 <= high - low <= TURN or abs(low) > 7.0:
+            raise Unreadable(f"{name}: the workspace of the angle `{angle}` is not one turn")
+    return angles
 
 
 def _numbers(value: Any, place: str, read: Any) -> dict[str, Any]:

@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import fields
+from .angles import HALF_TURN, OFF, angle_axes, check_angles, of_copies
 from .constraints import ROUNDED, Constraints, Forms
-from .crossings import SOMETIME, Jump, check_words, jumps, limits
+from .crossings import SOMETIME, Jump, check_words, crossed, jumps
 from .error_system import ErrorSystem
 from .expressions import Tree, names_in
 from .fields import Refused
@@ -104,6 +105,7 @@ def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constra
     Refused
         If words that agree with the letters are not accepted, or nothing is known beyond a step.
     """
+    check_angles(problem)
     check_words(problem, proof.letters, proof.faces)
     joint = _Joint.of(problem, proof)
     errors, constraints = ErrorSystem(joint.spread, len(problem.kinds)), Constraints(problem.kinds)
@@ -113,7 +115,8 @@ def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constra
         tube = joint.tube(known[0], t)
         if t:
             asked = demands(problem, proof.letters, proof.faces, proof.normals, t)
-            asked += _crossed(problem, proof, t)
+            asked += crossed(problem, proof.letters, proof.faces, t)
+            asked = [of_copies(problem, demand, joint.states[t]) for demand in asked]
             _ask_states(joint, errors, constraints, tube, known, asked, t)
             _ask_jumps(joint, errors, constraints, (before, tube), jumps(problem, proof.letters, proof.faces, t), t)
         before = tube
@@ -135,24 +138,29 @@ class _Joint:
     widths: Array
     spread: Array
     noise: Array
+    turning: NDArray[np.bool_]
 
     @classmethod
     def of(cls, problem: Problem, proof: TrajectoryProof) -> _Joint:
         agents, trajectories = problem.agents, proof.trajectories
         box, start = (np.concatenate(ends, axis=1) for ends in zip(*((a.state_box, a.start) for a in agents)))
         states = np.concatenate([own.states for own in trajectories], axis=1)
+        turning = np.concatenate([angle_axes(agent) for agent in agents]) > 0.0
         if np.any(start[0] < box[0]) or np.any(start[1] > box[1]):
             raise Refused("a start lies outside the workspace of its agent")
         point = start[0] == start[1]
         if np.any(point & (start[0] != states[0])):
             raise Refused("a trajectory begins elsewhere than its agent")
+        box = np.where(turning, np.array([[-np.inf], [np.inf]]), box)  # no angle leaves its workspace
         wrong = np.argwhere((states < box[0]) | (states > box[1]))
         if len(wrong):
             raise Refused(f"state {wrong[0, 1]} of the nominal trajectory leaves the workspace at time {wrong[0, 0]}")
         spread = np.where(point, 0.0, np.maximum(up(start[1] - states[0]), up(states[0] - start[0])))
         widths = [own.widths[:, : len(agent.states)] for agent, own in zip(agents, trajectories, strict=True)]
         slices = problem.slices
-        return cls(agents, trajectories, slices, box, states, np.concatenate(widths, axis=1), spread, problem.noise)
+        return cls(
+            agents, trajectories, slices, box, states, np.concatenate(widths, axis=1), spread, problem.noise, turning
+        )
 
     def tube(self, ends: Array, t: int) -> Array:
         """Return ends (2, D) between which errors stay, from those (2, D) of what they are besides g."""
@@ -162,7 +170,10 @@ class _Joint:
         # states are in their workspaces, too; the tube holds 0, where the dynamics are expanded
         low = np.maximum(low, np.minimum(down(self.box[0] - self.states[t]), 0.0))
         high = np.minimum(high, np.maximum(up(self.box[1] - self.states[t]), 0.0))
-        return np.where(still, 0.0, np.stack([low, high]))
+        tube = np.where(still, 0.0, np.stack([low, high]))
+        if not np.all(np.abs(tube[:, self.turning]) <= HALF_TURN):
+            raise Refused(f"an angle may be half a turn from the trajectory at time {t}")
+        return tube
 
     def row(self, i: int, part: Array) -> Array:
         """Return the row (D,) of the joint state that is ``part`` for agent i."""
@@ -205,21 +216,6 @@ def _ask_states(
     value = add(np.concatenate(ends, axis=1), drift)
     width = np.concatenate([joint.widths[t], np.full(len(rows) - D, np.inf)])
     constraints.add(down(value[0] - low), down(high - value[1]), width, forms, labels)
-
-
-def _crossed(problem: Problem, proof: TrajectoryProof, t: int) -> list[Demand]:
-    """Return what regions that are met at some time ask of outputs."""
-    asked = []
-    for p, region in enumerate(problem.regions):
-        if proof.letters[t, p] == SOMETIME:
-            ends = limits(region, proof.letters, proof.faces, t, p)
-            label = f"`{region.name}` crossed at time {t}"
-            asked += [
-                Demand(((region.agent, k, 1.0),), low, high, label)
-                for k, low, high in ends
-                if low > -np.inf or high < np.inf
-            ]
-    return asked
 
 
 def _ask_jumps(
@@ -344,7 +340,7 @@ def _inputs(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: 
     moved = np.any((gain != 0.0) & (reach > 0.0), axis=1)
     # u + K (x - xbar) as floating point computes it: d products and sums, and the difference of states
     size = np.abs(u) + np.abs(gain) @ (reach + U * np.abs(joint.states[t, here]))
-    rounding = np.where(moved, 4.0 * (d + 3.0) * U * size, 0.0)
+    rounding = np.where(moved, 4.0 * (d + 3.0) * U * size + np.abs(gain) @ (OFF * joint.turning[here]), 0.0)
     rows = np.array([joint.row(i, row) for row in gain * moved[:, None]]).reshape(m, -1)
     ends, forms = errors.rows(rows)
     width = own.widths[t, d:] if t else np.where(moved, np.inf, 0.0)
@@ -372,6 +368,7 @@ def _advance(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube:
         scale = _scale(joint, moves[i], tube, i, t)
         matrix[here, columns] = rows
         pushed[:, here] = add(add(ends, neg(interval(joint.states[t + 1, here]))), _noise_mean(agent, scale))
+        pushed[:, here] = add(pushed[:, here], np.array([[-OFF], [OFF]]) * joint.turning[here])
         if agent.scale:  # shared sources come last, and nothing multiplies them
             own = noise.shape[1] - agent.shared_noise.shape[1]
             noise[here, :own] *= np.abs(scale).max(axis=0)[:, None] * (1.0 + 4.0 * U)

@@ -56,16 +56,32 @@ class Simulator:
             result.append(np.array(rows, dtype=float).reshape(-1, n))
         return result
 
-    def noise(self, rng: np.random.Generator, n: int) -> list[np.ndarray]:
-        """Noise of one step."""
+    def noise(self, rng: np.random.Generator, x: list[np.ndarray], u: list[np.ndarray], t: int) -> list[np.ndarray]:
+        """Noise of one step, which may depend on states and inputs."""
+        n = x[0].shape[1]
         common = rng.standard_normal((np.array(self.agents[0].get("shared_noise", [[]])).shape[-1], n))
         result = []
-        for agent in self.agents:
-            own = np.array(agent["noise"]).reshape(len(agent["states"]), -1)
-            result.append(own @ rng.standard_normal((own.shape[1], n)))
+        for i, agent in enumerate(self.agents):
+            factor = np.array(agent["noise"]).reshape(len(agent["states"]), -1)
+            laws = agent.get("distributions", [{"law": "gaussian", "std": 1.0}] * factor.shape[1])
+            own = factor @ np.array([_drawn(law, rng, n) for law in laws]).reshape(-1, n)
+            if agent.get("noise_scale"):
+                local = {**FUNCTIONS, "t": float(t), **agent.get("parameters", {})}
+                local |= dict(zip(agent["states"], x[i], strict=True)) | dict(zip(agent["inputs"], u[i], strict=True))
+                own = own * np.array([eval(_python(text), {}, local) + np.zeros(n) for text in agent["noise_scale"]])
+            result.append(own)
             if "shared_noise" in agent:
                 result[-1] = result[-1] + np.array(agent["shared_noise"]) @ common
         return result
+
+    def wrapped(self, x: list[np.ndarray]) -> list[np.ndarray]:
+        """States with angles reduced into their turn."""
+        for agent, state in zip(self.agents, x, strict=True):
+            for angle in agent.get("angles", []):
+                k = agent["states"].index(angle)
+                low, high = agent["state_low"][k], agent["state_high"][k]
+                state[k] = low + np.mod(state[k] - low, high - low)
+        return x
 
     def letters(self, x: list[np.ndarray], t: int) -> np.ndarray:
         """Which propositions hold, bool (P, n)."""
@@ -119,8 +135,30 @@ class Simulator:
                 choose = _on_cells if proof["kind"] == "cells" else _along_trajectory
                 chosen = choose(agent, entry, arrays, state, q, t)
                 u.append(np.clip(chosen, np.array(agent["input_low"])[:, None], np.array(agent["input_high"])[:, None]))
-            x = [mean + own for mean, own in zip(self.means(x, u, v, t), self.noise(rng, n), strict=True)]
+            means, noise = self.means(x, u, v, t), self.noise(rng, x, u, t)
+            x = self.wrapped([mean + own for mean, own in zip(means, noise, strict=True)])
         return int(n - np.sum(alive & accepting[q]))
+
+
+def _drawn(law: dict[str, Any], rng: np.random.Generator, n: int) -> np.ndarray:
+    """Draw n numbers of a distribution."""
+    if law["law"] == "gaussian":
+        return law["std"] * rng.standard_normal(n)
+    if law["law"] == "uniform":
+        return rng.uniform(law["low"], law["high"], n)
+    if law["law"] == "triangular":
+        return rng.triangular(law["low"], law["mode"], law["high"], n)
+    if law["law"] in ("laplace", "logistic"):
+        return getattr(rng, law["law"])(0.0, law["scale"], n)
+    if law["law"] == "student-t":
+        return law["scale"] * rng.standard_t(law["df"], n)
+    if law["law"] == "truncated-gaussian":
+        drawn = law["spread"] * rng.standard_normal((64, n))
+        inside = (law["low"] <= drawn) & (drawn <= law["high"])
+        return np.asarray(drawn[inside.argmax(axis=0), np.arange(n)])
+    weights = np.array([part["weight"] for part in law["parts"]])
+    each = np.array([part["mean"] + _drawn(part, rng, n) for part in law["parts"]])
+    return np.asarray(each[rng.choice(len(each), n, p=weights / weights.sum()), np.arange(n)])
 
 
 def _along_trajectory(
@@ -130,7 +168,11 @@ def _along_trajectory(
     if t >= len(arrays[entry["inputs"]]):
         return np.zeros((len(agent["inputs"]), state.shape[1]))
     gain, nominal = arrays[entry["gains"]][t], arrays[entry["states"]][t]
-    return np.asarray(arrays[entry["inputs"]][t][:, None] + gain @ (state - nominal[:, None]))
+    error = state - nominal[:, None]
+    for angle in agent.get("angles", []):
+        k = agent["states"].index(angle)
+        error[k] = np.mod(error[k] + np.pi, 2.0 * np.pi) - np.pi
+    return np.asarray(arrays[entry["inputs"]][t][:, None] + gain @ error)
 
 
 def _on_cells(

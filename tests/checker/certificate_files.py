@@ -196,6 +196,64 @@ def two_tanks() -> tuple[dict[str, Any], list[np.ndarray]]:
     return header, arrays
 
 
+def one_crane() -> tuple[dict[str, Any], list[np.ndarray]]:
+    """Header and arrays: a crane that turns past pi while its load rises through a window of heights.
+
+    Its angle wraps, the noise of the height is Laplace's and grows with the height, that of the angle is uniform. The
+    height is to be within the window at some time of the last two, and the crane is not to look ahead then.
+    """
+    steps = 3
+    agent = {
+        "name": "crane",
+        "states": ["a", "y"],
+        "inputs": ["turn", "lift"],
+        "dynamics": ["a + turn", "y + lift + 0.02*cos(a)"],
+        "outputs": ["a", "y"],
+        "angles": ["a"],
+        "state_low": [-np.pi, -10.0],
+        "state_high": [np.pi, 10.0],
+        "input_low": [-2.0, -3.0],
+        "input_high": [2.0, 3.0],
+        "start_low": [2.5, 0.0],
+        "start_high": [2.5, 0.0],
+        "noise": [[1.0, 0.0], [0.0, 1.0]],
+        "distributions": [{"law": "uniform", "low": -0.1, "high": 0.1}, {"law": "laplace", "scale": 0.04}],
+        "noise_scale": ["1", "1 + 0.05*y"],
+    }
+    automaton = {"initial": 0, "accepting": [False, True], "root": [0, -2], "variable": [0], "low": [-1], "high": [-2]}
+    problem = {
+        "horizon": steps,
+        "agents": [agent],
+        "regions": [
+            {"name": "hung", "agent": 0, "low": [None, 2.0], "high": [None, 3.5]},
+            {"name": "ahead", "agent": 0, "low": [-1.0, None], "high": [1.0, None]},
+        ],
+        "pairs": [],
+        "task": {"formula": "F hung", "semantics": "co-safe", "automaton": automaton},
+    }
+    states, inputs = [np.array([2.5, 0.0])], np.array([[0.6, 0.9]] * steps)
+    for turn, lift in inputs:
+        a, y = states[-1]
+        states.append(np.array([a + turn, y + lift + 0.02 * np.cos(a)]))
+    letters = np.zeros((steps + 1, 2), np.int8)
+    letters[2:, 0], letters[1:, 1] = 2, -1
+    faces = np.full((steps + 1, 2), -1, np.int32)
+    faces[2:, 0], faces[1:, 1] = 2, 0
+    gains, widths = np.tile([[-0.8, 0.0], [0.0, -0.5]], (steps, 1, 1)), np.full((steps + 1, 4), np.inf)
+    widths[:, :2] = 0.9
+    arrays = [letters, faces, np.zeros((steps + 1, 0)), inputs, gains, np.array(states), widths]
+    entry = {"inputs": 3, "gains": 4, "states": 5, "widths": 6}
+    header = {
+        "format": "certigym-certificate",
+        "version": 3,
+        "name": "one crane",
+        "problem": problem,
+        "claim": {"failure": 0.1},
+        "proof": {"kind": "trajectory", "letters": 0, "faces": 1, "normals": 2, "agents": [entry]},
+    }
+    return header, arrays
+
+
 def npy(array: np.ndarray) -> bytes:
     """The member of an array."""
     shape = f"({', '.join(map(str, array.shape))}{',' if array.ndim == 1 else ''})"

@@ -1,0 +1,113 @@
+"""Angles along trajectories: states that are the same after a whole turn, which wrap into one turn.
+
+A trajectory has angles that are numbers, and goes on where a turn ends. Its controller applies its feedback to the
+error less whole turns: the number nearest to 0 of all that the error stands for.
+
+**Theorem.** Let dynamics, sizes of noise and outputs be those of points of a circle: ``f(x + 2 pi e) = f(x) + 2 pi j``
+with whole j, and the same outputs. Then a proof of the agent whose angles are numbers is one of the agent with angles,
+if the tube of every angle is within half a turn, where workspaces limit no angle, a region that is to hold is one copy
+of its interval, and one that is not to hold, along an angle, is avoided between one copy and the next.
+
+*Proof.* Let X be the run of numbers under the same noise and inputs. By induction x is X less whole turns: on the tube
+the nearest number is that of X, so inputs agree; f agrees up to whole turns. An interval holds of x if and only if X is
+in a copy of it. QED
+
+That f is so is proved by its form: an expression is c times the angle, c a rational number, plus what repeats.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from .expressions import Tree
+from .fields import Refused
+from .letters import Demand
+from .problem import TURN, Agent, Problem
+from .rigorous import Array
+
+OFF = 1e-13
+"""What angles are off by at most: where they wrap, where copies are, and where the nearest number is taken."""
+
+HALF_TURN = 3.14
+"""Half width of a tube: less than half a turn."""
+
+
+def angle_axes(agent: Agent) -> Array:
+    """Return 1 for states (d,) that are angles, and 0 for others."""
+    return np.array([float(name in agent.angles) for name in agent.states])
+
+
+def check_angles(problem: Problem) -> None:
+    """Raise ``Refused`` unless dynamics, noise and outputs are those of points of a circle."""
+    for i, agent in enumerate(problem.agents):
+        for angle in agent.angles:
+            slopes = {name: _slope(tree, angle) for name, tree in zip(agent.states, agent.dynamics, strict=True)}
+            for name, slope in slopes.items():
+                if slope is None or slope.denominator != 1 or (slope and name not in agent.angles):
+                    raise Refused(f"the dynamics of `{name}` are not the same a turn further on along `{angle}`")
+            repeat = [tree for tree in (*agent.scale, *agent.outputs) if tree != angle]
+            if any(_slope(tree, angle) != 0 for tree in repeat):
+                raise Refused(f"an output, or the noise, is not the same a turn further on along `{angle}`")
+            named = f"{agent.name}.{angle}"
+            if any(_slope(tree, named) != 0 for other in problem.agents for tree in other.dynamics):
+                raise Refused(f"another agent's dynamics are not the same a turn further on along `{named}`")
+        compared = {k for pair in problem.pairs for j, axes in zip(pair.agents, pair.outputs) if i == j for k in axes}
+        if compared & set(angle_outputs(agent)):
+            raise Refused(f"a pair compares an angle of `{agent.name}`")
+
+
+def angle_outputs(agent: Agent) -> list[int]:
+    """Return the outputs of an agent that are angles themselves."""
+    return [k for k, tree in enumerate(agent.outputs) if tree in agent.angles]
+
+
+def of_copies(problem: Problem, demand: Demand, states: Array) -> Demand:
+    """Return what is asked of an output, near nominal ``states`` (D,), with limits of the nearest copy of a region."""
+    i, k, _ = demand.parts[0]
+    agent = problem.agents[i]
+    if len(demand.parts) > 1 or k not in angle_outputs(agent):
+        return demand
+    axis = agent.states.index(str(agent.outputs[k]))
+    value = float(states[problem.slices[i].start + axis])
+    first, last = agent.state_box[:, axis].tolist()
+    low, high = demand.avoided or (demand.low, demand.high)
+    low, high = max(low, first), min(high, last)  # a region without a limit ends where the turn does
+    if demand.avoided:  # between the end of one copy and the beginning of the next
+        low, high = high, low + TURN
+    elif high - low >= TURN - OFF:
+        return Demand(demand.parts, -np.inf, np.inf, demand.label)
+    turns = round((value - 0.5 * (low + high)) / TURN)
+    return Demand(demand.parts, low + TURN * turns + OFF, high + TURN * turns - OFF, demand.label)
+
+
+def _slope(tree: Tree, angle: str) -> Fraction | None:
+    """Return c if an expression is c times an angle plus what repeats with its turns (exact); None if unknown."""
+    if not isinstance(tree, tuple):
+        return Fraction(int(tree == angle))
+    name, *arguments = tree
+    slopes = [_slope(argument, angle) for argument in arguments]
+    known = [slope for slope in slopes if slope is not None]
+    if len(known) < len(slopes):
+        return None
+    if not any(known):
+        return Fraction(0)
+    a, b = known[0], known[-1]
+    if name in ("sin", "cos"):
+        return Fraction(0) if a.denominator == 1 else None
+    if name == "tan":
+        return Fraction(0) if (2 * a).denominator == 1 else None
+    if name == "negative":
+        return -a
+    if name in ("+", "-"):
+        return a + b if name == "+" else a - b
+    if name in ("min", "max"):
+        return a if a == b else None
+    if name == "*" and isinstance(arguments[0], float) and not known[0]:
+        return Fraction(arguments[0]) * b
+    if name == "*" and isinstance(arguments[1], float) and not known[1]:
+        return Fraction(arguments[1]) * a
+    if name == "/" and isinstance(arguments[1], float) and arguments[1]:
+        return a / Fraction(arguments[1])
+    return None
