@@ -9,11 +9,11 @@ sum ``W_q`` is written as one train and cut down to few columns in two passes, f
 back. Each cut replaces a core by a product of two smaller ones; what it discards, D, is formed explicitly and changes
 the function by at most
 
-    (sup of the row of the agents before) (largest Frobenius norm of D(s)) (sup of the column of the agents behind) .
+    (sups of the entries of the row of the agents before) |D(s)| (sups of those of the column of the agents behind) ,
 
-So the bound holds however accurate the factorisation was. Kernels are contractions in the sup norm: an error stays
-what it was until the start. Nothing is shared with the recursion of the search but the kernel's definition, and that is
-built from another special function here (``certificates.checked_kernel``).
+at the cell s where that is largest. So the bound holds however accurate the factorisation was. Kernels are contractions
+in the sup norm: an error stays what it was until the start. Nothing is shared with the recursion of the search but the
+kernel's definition, and that is built from another special function here (``certificates.checked_kernel``).
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from .forward_mass import mass_at_start
 ROUNDOFF = 2.0**-52
 """Bound on the relative error of one operation in float64, twice what it is."""
 
-CAREFUL = 0.25
-"""Share of the certificate's tolerance that this recursion may use, so that its errors stay below the claim's."""
+CAREFUL = 0.04
+"""Share of the certificate's tolerance that cuts may use: claims are lower by a tenth of it, for this recursion, whose
+value may be too small by its error, which is taken off once more; the rest of the tenth is for floating point."""
 
 ROWS_AT_ONCE = 256
 """Rows of a core that are smoothed at once, to bound the memory."""
@@ -135,10 +136,9 @@ def _averaged(train: ErrorBoundedTrain | None, shares: Sequence[FloatArray], cel
         return 0.0
     weights = shares if cells is None else [share[own] for share, own in zip(shares, cells, strict=True)]
     whole, mass = (float(np.prod([own.sum() for own in each])) for each in (shares, weights))
-    row, size = np.ones(1), 1.0
+    row, size = np.ones(1), float(_sups(train.cores)[-1][0])
     for core, weight in zip(train.cores, weights, strict=True):
         row = row @ np.tensordot(core, weight, axes=(1, 0))
-        size *= _frobenius_sup(core)
     operations = sum(sum(core.shape) for core in train.cores) + 2 * len(train.cores)
     error = (train.error + operations * ROUNDOFF * size) * mass * (1 + 1e-12)
     if upper:
@@ -218,32 +218,33 @@ def _cut_backward(
     """Cores of the masked sum, from the last agent to the first, cut on the way; and an upper bound on the change."""
     n_agents = len(summands[0][0].cores)
     share = tolerance / max(1, 2 * (n_agents - 1))
-    # the row of the agents before i has one entry per summand: the joint cell is at one node of each
-    heads = np.sqrt(sum(np.cumprod([1.0, *map(_spectral_sup, train.cores[:-1])]) ** 2 for train, _ in summands))
+    heads = [_sups(train.cores) for train, _ in summands]
     behind = [np.ones((1, 1, 1)) for _ in summands]  # per summand (nodes, columns of the train, kept columns)
-    tail, error, cores = 1.0, 0.0, list[FloatArray]()
+    tail, error, cores = np.ones(1), 0.0, list[FloatArray]()
     for i in reversed(range(n_agents)):
-        blocks, sizes = [], []
-        for (train, following), columns in zip(summands, behind, strict=True):
-            block = np.zeros((len(following[i]), train.cores[i].shape[0], train.cores[i].shape[1], columns.shape[2]))
+        blocks = []
+        for (train, following), columns, head in zip(summands, behind, heads, strict=True):
+            core = train.cores[i]
+            block = np.zeros((len(following[i]), core.shape[0], core.shape[1], columns.shape[2]))
             for node, matrix in enumerate(columns):
-                product = np.tensordot(train.cores[i], matrix, axes=1)
+                product = np.tensordot(core, matrix, axes=1)
                 for n, goes in enumerate(following[i] == node):
                     block[n][:, goes] = product[:, goes]
             blocks.append(block)
-            largest = float(np.linalg.norm(columns, axis=(1, 2)).max(initial=0.0))
-            sizes.append((columns.shape[1] + 2) * _frobenius_sup(train.cores[i]) * largest)
-        error += float(heads[i]) * ROUNDOFF * float(np.linalg.norm(sizes)) * tail
+            # the joint cell is at one node of each summand
+            after = np.abs(columns).max(axis=0, initial=0.0) @ tail
+            error += (core.shape[2] + 2) * ROUNDOFF * _sup(head[i], core, after)
         if i == 0:
             cores.append(np.sum([block[0] for block in blocks], axis=0))
-            error += ROUNDOFF * len(blocks) * sum(_frobenius_sup(block[0]) for block in blocks) * tail
+            error += ROUNDOFF * len(blocks) * sum(_sup(np.ones(1), block[0], tail) for block in blocks)
             break
         whole = np.concatenate([block.reshape(-1, *block.shape[2:]) for block in blocks])
-        core, carry, lost = _cut(whole.transpose(2, 1, 0), share, float(heads[i]) * tail)
-        error += float(heads[i]) * lost * tail
+        head = np.concatenate([np.tile(own[i], len(block)) for own, block in zip(heads, blocks, strict=True)])
+        core, carry, lost = _cut(whole.transpose(2, 1, 0), share, tail, head)
+        error += lost
         core = np.ascontiguousarray(core.transpose(2, 1, 0))
         cores.append(core)
-        tail *= _spectral_sup(core)
+        tail = _sups([core.transpose(2, 1, 0)], tail)[-1]
         pieces = np.split(carry.T, np.cumsum([block.shape[0] * block.shape[1] for block in blocks])[:-1])
         behind = [piece.reshape(*block.shape[:2], -1) for piece, block in zip(pieces, blocks, strict=True)]
     return cores[::-1], error
@@ -252,39 +253,40 @@ def _cut_backward(
 def _cut_forward(cores: Sequence[FloatArray], tolerance: float) -> tuple[list[FloatArray], float]:
     """The same function with fewer columns, from the first agent to the last; and an upper bound on the change."""
     share = tolerance / max(1, 2 * (len(cores) - 1))
-    tails = np.cumprod([1.0, *(_spectral_sup(core) for core in reversed(cores[1:]))])[::-1]
-    head, error, finished, carry = 1.0, 0.0, list[FloatArray](), np.ones((1, 1))
-    for core, tail in zip(cores, tails.tolist(), strict=True):
+    tails = _sups([core.transpose(2, 1, 0) for core in reversed(cores)])[-2::-1]
+    head, error, finished, carry = np.ones(1), 0.0, list[FloatArray](), np.ones((1, 1))
+    for core, tail in zip(cores, tails, strict=True):
         whole = np.tensordot(carry, core, axes=1)
-        error += head * (carry.shape[1] + 2) * ROUNDOFF * float(np.linalg.norm(carry)) * _frobenius_sup(core) * tail
+        error += (carry.shape[1] + 2) * ROUNDOFF * _sup(head @ np.abs(carry), core, tail)
         if len(finished) == len(cores) - 1:
             finished.append(whole)
             break
-        kept, carry, lost = _cut(whole, share, head * tail)
-        error += head * lost * tail
+        kept, carry, lost = _cut(whole, share, head, tail)
+        error += lost
         finished.append(kept)
-        head *= _spectral_sup(kept)
+        head = _sups([kept], head)[-1]
     return finished, error
 
 
-def _cut(whole: FloatArray, share: float, scale: float) -> tuple[FloatArray, FloatArray, float]:
-    """``whole ~ core . carry`` with few columns; and the largest Frobenius norm of a slice of what is left out.
+def _cut(whole: FloatArray, share: float, head: FloatArray, tail: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """``whole ~ core . carry`` with few columns, and an upper bound on what that changes between ``head`` and ``tail``.
 
-    ``whole`` (r, n, c); ``scale`` is what a change of one slice may grow to, ``share`` what it may grow to in all.
+    ``whole`` (r, n, c); ``share`` is about what it may change.
     """
     r, n, columns = whole.shape
     matrix = np.ascontiguousarray(whole).reshape(r * n, columns)
     basis, triangle = np.linalg.qr(matrix)
     turn, weights, right = np.linalg.svd(triangle, full_matrices=False)
     left = basis @ turn
-    squares = (left.reshape(r, n, -1) ** 2).sum(axis=0) * weights**2  # (n, k): what each column weighs in each slice
-    rest = np.sqrt(np.cumsum(squares[:, ::-1], axis=1)[:, ::-1].max(axis=0, initial=0.0))  # left out from k on
-    few = max(1, int(np.sum(rest * scale > 0.9 * share)))
+    # what each column weighs in each slice, and all from k on
+    sizes = np.einsum("r,rnk->kn", head, np.abs(left.reshape(r, n, -1))) * (weights * (np.abs(right) @ tail))[:, None]
+    rest = np.cumsum(sizes[::-1], axis=0)[::-1].max(axis=1, initial=0.0)
+    few = max(1, int(np.sum(rest > 0.9 * share)))
     core, carry = np.ascontiguousarray(left[:, :few]), weights[:few, None] * right[:few]
-    lost = _frobenius_sup((matrix - core @ carry).reshape(whole.shape))
+    lost = _sup(head, (matrix - core @ carry).reshape(whole.shape), tail)
     core = core.reshape(r, n, few)
     # the difference above was itself computed with rounding
-    lost += (few + 4) * ROUNDOFF * (_frobenius_sup(whole) + _frobenius_sup(core) * float(np.linalg.norm(carry)))
+    lost += (few + 4) * ROUNDOFF * (_sup(head, whole, tail) + _sup(head, core, np.abs(carry) @ tail))
     return core, carry, lost
 
 
@@ -310,8 +312,7 @@ def _moved(
         expected[:, choice < 0] = 0.0  # no choice counts as failure
         cores.append(expected.reshape(core.shape[0], core.shape[2], -1).transpose(0, 2, 1))
         operations += sum(table.shape[1] + 4 for table in tables[i]) + core.shape[2]
-    scale = float(np.prod([_frobenius_sup(core) for core in train.cores]))
-    return ErrorBoundedTrain(tuple(cores), train.error + operations * ROUNDOFF * scale)
+    return ErrorBoundedTrain(tuple(cores), train.error + operations * ROUNDOFF * float(_sups(train.cores)[-1][0]))
 
 
 def _failed(
@@ -359,7 +360,7 @@ def _added(one: ErrorBoundedTrain, other: ErrorBoundedTrain) -> ErrorBoundedTrai
     error, last = one.error + other.error, len(one.cores) - 1
     if last == 0:
         total = one.cores[0] + other.cores[0]
-        return ErrorBoundedTrain((total,), error + ROUNDOFF * _frobenius_sup(total))
+        return ErrorBoundedTrain((total,), error + ROUNDOFF * float(_sups([total])[-1][0]))
     cores = []
     for i, (a, b) in enumerate(zip(one.cores, other.cores, strict=True)):
         if i == 0:
@@ -374,14 +375,19 @@ def _added(one: ErrorBoundedTrain, other: ErrorBoundedTrain) -> ErrorBoundedTrai
     return ErrorBoundedTrain(tuple(cores), error)
 
 
-# --- norms ---------------------------------------------------------------------------------------------------
-def _frobenius_sup(core: FloatArray) -> float:
-    """Largest Frobenius norm of a slice ``core[:, s]``."""
-    return float(np.sqrt((core**2).sum(axis=(0, 2)).max(initial=0.0))) * (1 + 1e-12)
+# --- sizes ---------------------------------------------------------------------------------------------------
+def _sup(head: FloatArray, core: FloatArray, tail: FloatArray) -> float:
+    """Upper bound on ``|row core[:, s] column|`` for rows and columns that are nowhere larger than head and tail."""
+    return float(((np.abs(core) @ tail).T @ head).max(initial=0.0)) * (1 + 1e-12)
 
 
-def _spectral_sup(core: FloatArray) -> float:
-    """Upper bound on the largest spectral norm of a slice ``core[:, s]``: of Frobenius and of row times column sums."""
-    sizes = np.abs(core)
-    sums = sizes.sum(axis=0).max(axis=1) * sizes.sum(axis=2).max(axis=0)
-    return float(np.sqrt(np.minimum((core**2).sum(axis=(0, 2)), sums).max(initial=0.0))) * (1 + 1e-12)
+def _sups(cores: Sequence[FloatArray], head: FloatArray | None = None) -> list[FloatArray]:
+    """Upper bounds on the entries of the rows before each core and after the last: products of slices, from ``head``.
+
+    They hold of products of absolute values, too. Norms would charge every column with the largest one, and of teams
+    of alike agents columns that weigh nearly nothing are the largest.
+    """
+    rows = [np.ones(1) if head is None else head]
+    for core in cores:
+        rows.append(np.tensordot(rows[-1], np.abs(core), axes=1).max(axis=0, initial=0.0) * (1 + 1e-12))
+    return rows

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.bounds.certified import SECOND_EVALUATION
 from certigym.synthesis.bounds.dense import dense_value
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking import train_check
@@ -99,6 +101,29 @@ def test_cells_left_out_fail_below_and_survive_above(name: str, seed: int) -> No
         assert np.all(everywhere(high, truth.shape) + high.error >= truth)
         strict.append(np.max(everywhere(high, truth.shape) - everywhere(low, truth.shape)))
     assert max(strict) > 1e-3
+
+
+@pytest.mark.parametrize("together", [1, 2, 3, 4])
+@pytest.mark.parametrize("n_agents", [4, 6])
+def test_some_of_a_team_of_alike_agents_pass_with_an_error_below_what_claims_leave_for_it(
+    n_agents: int, together: int
+) -> None:
+    """Values whose columns weigh as little as 1e-9 of the first one, in regions that hardly any run comes to."""
+    numbers: dict[str, Any] = {"A": [[1.0]], "B": [[1.0]], "noise_covariance": [[0.09]], "initial_state": [-6.0]}
+    boxes: dict[str, Any] = {"state_low": [-10], "state_high": [10], "input_low": [-2], "input_high": [2]}
+    goals = (" & ".join(chosen) for chosen in combinations([f"g{i}" for i in range(n_agents)], together))
+    problem = cg.Problem(
+        name="some of them",
+        agents=[cg.LinearAgent(name=f"a{i}", **numbers, **boxes) for i in range(n_agents)],
+        propositions={f"g{i}": cg.Proposition(f"a{i}", [3.0], [6.0]) for i in range(n_agents)},
+        specification=cg.Specification(f"F ({' | '.join(f'({goal})' for goal in goals)})"),
+        horizon=8,
+    )
+    certificate = cg.synthesize(problem, 60, relation="exact", value="train", max_sweeps=1).certificate
+    assert certificate.lower_bound > 0.998
+    assert cg.check(certificate)
+    errors = [train.error for train in regrown_trains(certificate) if train is not None]
+    assert 2.0 * max(errors) <= SECOND_EVALUATION * certificate.proof.rounding.tolerance
 
 
 @pytest.mark.parametrize("upper", [False, True])
