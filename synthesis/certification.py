@@ -37,7 +37,8 @@ STORED_MARGIN = 1e-6
 """Share of the largest value of a factor by which it is stored lower: far above rounding, far below what matters."""
 
 STORED_LOSS = 1e-10
-"""What is taken off besides: a remainder is a small difference of factors near 1, and has the rounding of these."""
+"""What is taken off for every step besides: a remainder is a small difference of factors near 1, has the rounding of
+these, and is the larger the more a step takes off one of them, of which the check may take off less."""
 
 
 def certified(
@@ -125,8 +126,8 @@ def _stored(problem: Problem, joint: JointModel, terms: Terms) -> Terms:
     """
     factors = []
     for agent, model, rows in zip(problem.agents, joint.models, terms.factors, strict=True):
-        lost = joint.horizon * model.relation.execution_loss(agent, model.grid.edges)
-        loss = STORED_MARGIN * rows.max(axis=1, initial=0.0)[:, None] + STORED_LOSS + lost
+        lost = model.relation.execution_loss(agent, model.grid.edges) + model.kernel.loss + STORED_LOSS
+        loss = STORED_MARGIN * rows.max(axis=1, initial=0.0)[:, None] + joint.horizon * lost
         lower = np.maximum(rows - loss, 0.0)
         factors.append(rows if model.is_additive else lower)
     return Terms(tuple(factors), terms.index)

@@ -126,6 +126,16 @@ def test_linear_cells_certify_more_than_boxes() -> None:
     assert by_maps.certificate.lower_bound > fine
 
 
+def test_remainders_of_what_rounding_takes_are_stored_below_what_the_check_computes() -> None:
+    """With many cells the search takes more off a step than the check, and remainders of 1e-9 are larger for it."""
+    problem = cg.make_problem("reach-avoid-v0")
+    cells = {"agent_0": 40, "agent_1": 1000}
+    certificate = certify_network(problem, proportional(problem), cells, relation="linear").certificate
+    largest = certificate.proof.terms.factors[1].max(axis=1)
+    assert largest.max() > 0.8 and largest[largest > 0.0].min() < 1e-8
+    assert cg.check(certificate)
+
+
 def test_boxes_are_taken_where_they_certify_more() -> None:
     """Cells that are wide against the noise bend too much for maps."""
     problem = reach(turned(), horizon=3)
