@@ -68,7 +68,7 @@ TRUSTED = {
     ),
     "The check": (
         "synthesis.masses.checked_kernel synthesis.masses.checked_laws synthesis.masses.stated "
-        "synthesis.checking.certificate_check "
+        "synthesis.checking.certificate_check synthesis.certificates.check_report "
         "synthesis.step_checking.carrying_out synthesis.step_checking.common_check synthesis.step_checking.execution "
         "synthesis.checking.forward_mass synthesis.step_checking.geometry synthesis.checking.grid_check "
         "synthesis.checking.guard_check synthesis.step_checking.boxes_check synthesis.step_checking.near_slack "

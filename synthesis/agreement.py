@@ -1,17 +1,22 @@
-"""Claims along paths, and of mixed teams, that the check agrees with: the larger probability of failing is claimed.
+"""What the check says of results, and claims along paths and of mixed teams that it agrees with.
 
-Search and check enclose the same expressions by code of their own, and neither is always the narrower one. A claim
-that the check would refuse by a little is of no use to anybody.
+Every verb that makes a certificate asks the check before it returns (``judged``). Search and check enclose the same
+expressions by code of their own, and neither is always the narrower one. A claim that the check would refuse by a
+little is of no use to anybody: of paths and mixed teams the larger probability of failing is claimed.
 """
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 from ..envs.problem import Problem, out_of_reach
 from .cells import NoRunFound
 from .certificates import AlongPath, Certificate, MixedProof, Synthesis, changed, path_under
-from .checking import check, wrong_mixed
+from .checking import check, checked_once, wrong_mixed
 from .nominal_paths import CountedWork, path_certificate
 
 MOST_PAIRS = 15
@@ -19,6 +24,37 @@ MOST_PAIRS = 15
 
 LAST_DIGIT = 2.0**-52
 """What numbers near 1 are rounded by, at most."""
+
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def judged(verb: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Return a verb whose results, one Synthesis or several, carry what the check says of their certificates."""
+
+    @wraps(verb)
+    def asked(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+        found: Any = verb(*arguments, **named)
+        tell = named.get("progress")
+        told = tell if callable(tell) else lambda words, bound: None
+        return [_judged(one, told) for one in found] if isinstance(found, list) else _judged(found, told)  # type: ignore[return-value]
+
+    return asked
+
+
+def _judged(found: Synthesis, tell: Callable[[str, float], None]) -> Synthesis:
+    """Return a synthesis with what the check says of its certificate; Ctrl-C leaves it unchecked, and says so."""
+    began = time.perf_counter()
+    try:
+        tell("way: separate code computes it again", found.certificate.lower_bound)
+        checked = checked_once(found.certificate)
+    except KeyboardInterrupt:
+        return found
+    seconds: Any = found.stats.get("seconds", {})
+    return replace(
+        found, checked=checked, stats={**found.stats, "seconds": {**seconds, "check": time.perf_counter() - began}}
+    )
 
 
 def along_path(problem: Problem, work: CountedWork) -> Synthesis:

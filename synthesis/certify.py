@@ -27,6 +27,7 @@ from ..envs.agents import AnyAgent
 from ..envs.arrays import on_one_thread
 from ..envs.problem import Problem, states_in_time, written_out
 from ..envs.suite import as_problem
+from .agreement import judged
 from .bridges import certifiable
 from .cells import CellCounts, FloatArray, RelationRefused
 from .certificates import Synthesis, joint_certificate, timed_certificate
@@ -54,6 +55,7 @@ WORTHWHILE = 1e-7
 """Relative gain below which ``improve`` stops: far above rounding, and too little for the cost of another sweep."""
 
 
+@judged
 @on_one_thread
 def certify(
     problem: Any,
@@ -91,14 +93,21 @@ def certify(
     Synthesis
         ``certificate`` and ``controller`` belong to the wrapped policy. Simulate the raw one with
         ``rollout(problem, as_controller(problem, policy), ...)``; no bound holds for it but with ``as_is``.
+        ``checked`` is what ``check`` says of the certificate.
 
     Raises
     ------
     ValueError
         If the policy has an unknown form or returns inputs that are not finite, or the relation does not apply.
     """
-    if above:
-        return synthesis_above(certify(problem, policy, cells, relation=relation, as_is=as_is, **settings))
+    found = _found(problem, policy, cells, relation, as_is, settings)
+    return synthesis_above(found) if above else found
+
+
+def _found(
+    problem: Any, policy: Any, cells: CellCounts, relation: Relations, as_is: bool, settings: dict[str, Any]
+) -> Synthesis:
+    """Certify a policy from below, wrapped on cells or as it is."""
     if as_is:
         if not isinstance(relation, str):
             raise ValueError("`relation`: expected one for all agents with `as_is`, got a mapping; leave it out")
@@ -201,6 +210,7 @@ def _by_subtraction(problem: Problem, policy: Decentralised, cells: CellCounts, 
     return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})
 
 
+@judged
 @on_one_thread
 def improve(
     problem: Any,

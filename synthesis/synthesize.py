@@ -12,7 +12,7 @@ import numpy as np
 from ..envs.arrays import on_one_thread
 from ..envs.problem import JOINT_NOISE_REFUSAL, OutOfReach, Problem, out_of_reach, why_never
 from ..envs.suite import as_problem
-from .agreement import along_path
+from .agreement import along_path, judged
 from .cells import CellCounts, RelationRefused, to_who_asked_for_none
 from .certificates import (
     Certificate,
@@ -69,6 +69,7 @@ def synthesize(
 
 # Eighteen parameters, because this is the door of the package: its options are flat, as users and the command line have
 # them, and become records (`Plan`) at once.
+@judged
 @on_one_thread
 def synthesize(
     problem: Any,
@@ -164,7 +165,7 @@ def synthesize(
     Synthesis, or list of Synthesis
         ``certificate.lower_bound`` holds at the problem's start: at its initial state, or on average over its start
         box; with ``starts``, at every point of the set. With delta > 0 all bounds that apply are computed and the
-        largest one is reported.
+        largest one is reported. ``checked`` is what ``check`` says of it.
 
     Raises
     ------

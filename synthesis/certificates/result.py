@@ -8,7 +8,8 @@ from typing import Any
 from ...envs.agents import tree_text
 from ..controllers import Controller
 from .certificate import Certificate
-from .digits import rounded_up
+from .check_report import CheckReport, told_claim
+from .digits import rounded_up, shown_bound
 from .summaries import certificate_facts, certificate_html
 
 BOUNDS_FROM_ABOVE = {
@@ -33,14 +34,22 @@ class Synthesis:
         bound), ``unilateral_gain`` (an estimate of what one agent alone could gain by other choices at one time and
         automaton state: mass that was left out does not count; None for stationary policies), and, if relations were
         compared, what was ``tried``: the lower bound of each, or why there is none.
+    checked : CheckReport or None
+        What ``check`` says of the certificate; None if it was not asked, or stopped.
     """
 
     certificate: Certificate
     controller: Controller
     stats: dict[str, object]
+    checked: CheckReport | None = None
+
+    @property
+    def claim(self) -> str:
+        """The bound in words, called a claim where the check refuses it, or was not asked."""
+        return told_claim(shown_bound(self.certificate.lower_bound, self.certificate.gap), self.checked)
 
     def __repr__(self) -> str:
-        facts = [*certificate_facts(self.certificate), ("seconds", _seconds_text(self.stats))]
+        facts = [*certificate_facts(self.certificate, self.claim), ("seconds", _seconds_text(self.stats))]
         return tree_text(f"Synthesis of {self.certificate.problem.name!r}", facts)
 
     def _repr_html_(self) -> str:
@@ -50,7 +59,7 @@ class Synthesis:
             if value is not None:
                 more.append((words, rounded_up(value)))
         more.append(("seconds", _seconds_text(self.stats)))
-        return certificate_html(f"Synthesis of {self.certificate.problem.name}", self.certificate, more)
+        return certificate_html(f"Synthesis of {self.certificate.problem.name}", self.certificate, more, self.claim)
 
 
 def _seconds_text(stats: dict[str, Any]) -> str:

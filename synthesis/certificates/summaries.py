@@ -20,14 +20,14 @@ MOST_TOLD = 3
 """Agents of which a summary says who tells them of states: a line has room for them."""
 
 
-def certificate_facts(certificate: Any) -> list[tuple[str, str]]:
-    """Return the rows of a summary, name and value; the bound is rounded to the safe side."""
+def certificate_facts(certificate: Any, claim: str | None = None) -> list[tuple[str, str]]:
+    """Return the rows of a summary, name and value; the bound is rounded to the safe side, or told by ``claim``."""
     problem, proof = certificate.problem, certificate.proof
     agents = proof.agents_of(problem) if proof.has_cells else ()
     cells = alike_text(shape_text(part.grid.shape) for part in agents)
     return [
         ("horizon", counted(problem.horizon, "control step")),
-        ("bound", shown_bound(certificate.lower_bound, certificate.gap)),
+        ("bound", claim or shown_bound(certificate.lower_bound, certificate.gap)),
         ("start", _start_text(certificate)),
         ("method", shortened(proof.method)),
         ("theorem", proof.bound),
@@ -75,7 +75,9 @@ def table_html(title: str, facts: Sequence[tuple[str, str]]) -> str:
     return "\n".join(["<table>", f"<caption>{escape(title)}</caption>", *rows, "</table>"])
 
 
-def certificate_html(title: str, certificate: Any, more: Sequence[tuple[str, str]] = ()) -> str:
+def certificate_html(
+    title: str, certificate: Any, more: Sequence[tuple[str, str]] = (), claim: str | None = None
+) -> str:
     """Return a certificate as a table for notebooks, with ``more`` rows below."""
     problem = certificate.problem
-    return table_html(title, [("task", task_text(problem)), *certificate_facts(certificate), *more])
+    return table_html(title, [("task", task_text(problem)), *certificate_facts(certificate, claim), *more])

@@ -1,7 +1,7 @@
 """The proof done again, by code that no search reaches: cells, guards, trees, teams, and the claim."""
 
-from .certificate_check import CheckReport, check, wrong_base
-from .checked_first import standing
+from .certificate_check import check, wrong_base
+from .checked_first import checked_once, claim_text, standing
 from .greedy import Greedy, greedy_disturbance
 from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
 from .later_values import ValueInTime, claimed_values, value_in_time
@@ -13,7 +13,8 @@ from .team_check import wrong_team
 __all__ = [
     "BrokenTreeError",
     "check",
-    "CheckReport",
+    "checked_once",
+    "claim_text",
     "claimed_values",
     "Greedy",
     "greedy_disturbance",

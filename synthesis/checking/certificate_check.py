@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ from ..cells import FloatArray, lattice_axes
 from ..certificates import (
     AlongPath,
     Certificate,
+    CheckReport,
     GridProof,
     HullProof,
     JointProof,
@@ -46,8 +47,6 @@ from ..certificates import (
     alike_members,
     certificate_from,
     delta_of,
-    significant_down,
-    significant_up,
 )
 from ..masses import BrokenTrainError, noted, state
 from ..path_checking import wrong_angles, wrong_hull, wrong_paths
@@ -68,41 +67,6 @@ from .upper_end import MOST, attained, inexact
 
 DROPPED, SPARE = 1e-12, 1e-9
 """Undecided mass that may be dropped per step, and what is added to it for rounding."""
-
-
-@dataclass(frozen=True)
-class CheckReport:
-    """Outcome of ``check``: truthy if the certificate holds.
-
-    Parameters
-    ----------
-    valid : bool
-    claimed : float
-        The certificate's lower bound.
-    recomputed : float
-        Value at the start computed again (NaN if it was not reached); a lower bound up to rounding.
-    failures : tuple of str
-        What is wrong, in words.
-    above : float or None
-        Upper bound on the satisfaction probability of the certificate's controller, computed anew; None if the
-        certificate claims none, or if it was too large a computation (``gap`` is unverified then).
-    """
-
-    valid: bool
-    claimed: float
-    recomputed: float
-    failures: tuple[str, ...]
-    above: float | None = None
-
-    def __bool__(self) -> bool:
-        return self.valid
-
-    def __str__(self) -> str:
-        if self.valid:
-            above = "" if self.above is None else f", at most {significant_up(self.above, 9)}"
-            lower, again = (significant_down(number, 9) for number in (self.claimed, self.recomputed))
-            return f"valid: lower bound {lower}, recomputed {again}{above}"
-        return "NOT valid: " + "; ".join(self.failures)
 
 
 @on_one_thread

@@ -1,8 +1,8 @@
 """Certificates that stand: checked once, before a guaranteed number is computed from what they hold.
 
 A file says what it likes of relations, guards and lattices. A verb that makes another guarantee out of them (a rate, a
-shield, menus, values in the middle of a run) asks here first. Verbs that *test* a claim (``validate``, ``audit``) take
-it as it is: a false one is what they look for.
+shield, menus, values in the middle of a run) asks here first, and so does whoever prints a bound. Verbs that *test* a
+claim (``validate``, ``audit``) take it as it is: a false one is what they look for.
 """
 
 from __future__ import annotations
@@ -10,13 +10,25 @@ from __future__ import annotations
 from typing import TypeVar
 from weakref import WeakKeyDictionary
 
-from ..certificates import Certificate
+from ..certificates import Certificate, CheckReport, shown_bound, told_claim
 from .certificate_check import check
 
 Claimed = TypeVar("Claimed", bound=Certificate)
 
-_failures: WeakKeyDictionary[object, tuple[str, ...]] = WeakKeyDictionary()
-"""What ``check`` found wrong with certificates, which never change: it is asked once for each."""
+_reports: WeakKeyDictionary[object, CheckReport] = WeakKeyDictionary()
+"""What ``check`` said of certificates, which never change: it is asked once for each."""
+
+
+def checked_once(certificate: Certificate) -> CheckReport:
+    """Return what ``check`` says of a certificate, against the problem inside it; it is asked once."""
+    if certificate not in _reports:
+        _reports[certificate] = check(certificate)
+    return _reports[certificate]
+
+
+def claim_text(certificate: Certificate) -> str:
+    """Return the lower bound of a certificate in words, called a claim if ``check``, asked once, refuses it."""
+    return told_claim(shown_bound(certificate.lower_bound, None), checked_once(certificate))
 
 
 def standing(certificate: Claimed) -> Claimed:
@@ -27,10 +39,7 @@ def standing(certificate: Claimed) -> Claimed:
     ValueError
         If ``check`` refuses it; the text says why.
     """
-    if certificate not in _failures:
-        _failures[certificate] = check(certificate).failures
-    wrong = _failures[certificate]
-    if wrong:
+    if wrong := checked_once(certificate).failures:
         raise ValueError(
             f"`certificate`: expected one that `check` verifies, got one that it refuses: {wrong[0]}; make it anew"
         )

@@ -239,8 +239,8 @@ def _cut_backward(
             error += ROUNDOFF * len(blocks) * sum(_sup(np.ones(1), block[0], tail) for block in blocks)
             break
         whole = np.concatenate([block.reshape(-1, *block.shape[2:]) for block in blocks])
-        head = np.concatenate([np.tile(own[i], len(block)) for own, block in zip(heads, blocks, strict=True)])
-        core, carry, lost = _cut(whole.transpose(2, 1, 0), share, tail, head)
+        before = np.concatenate([np.tile(own[i], len(block)) for own, block in zip(heads, blocks, strict=True)])
+        core, carry, lost = _cut(whole.transpose(2, 1, 0), share, tail, before)
         error += lost
         core = np.ascontiguousarray(core.transpose(2, 1, 0))
         cores.append(core)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray
-from ..certificates import OnGrid
-from ..checking import BrokenTreeError, CheckReport, check, tree_start_value, vertices_of
+from ..certificates import CheckReport, OnGrid
+from ..checking import BrokenTreeError, check, tree_start_value, vertices_of
 from ..masses import AgentPart
 from ..step_checking import Reading, execution_of, masks_of, reading_of, verify_relation
 from ..values import Terms

@@ -65,7 +65,7 @@ def test_run_synthesizes_validates_and_reports(task: str, tmp_path: Path, capsys
     printed = capsys.readouterr().out
     report = json.loads(out.read_text())
     assert set(report) >= KEYS
-    assert set(report["seconds"]) == {"abstract", "synthesize", "validate"}
+    assert set(report["seconds"]) == {"abstract", "synthesize", "check", "validate"}
     assert report["problem"] == "hop" and report["horizon"] == 3 and report["episodes"] == 5000
     assert report["verdict"] in ("confirmed", "consistent") and report["verdict"] in printed
     assert report["estimate"] == report["successes"] / 5000

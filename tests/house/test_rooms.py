@@ -71,12 +71,12 @@ MAY_IMPORT = {
     "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",
     "validation.audits": f"{EVIDENCE} synthesis.checking",
     "validation.shields": f"{EVIDENCE} envs.interfaces envs.suite synthesis.bridges synthesis.shielding",
-    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis synthesis.bridges synthesis.shielding "
-    "validation.shields",
-    "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.permissions "
+    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis synthesis.bridges synthesis.checking "
+    "synthesis.shielding validation.shields",
+    "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.checking synthesis.permissions "
     "validation.verdicts validation.audits validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
-    "validation.studio": f"{EVIDENCE} envs.pictures synthesis synthesis.checking validation.reports",
+    "validation.studio": f"{EVIDENCE} envs.pictures synthesis validation.reports",
     "validation.paper": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.models synthesis.nominal_paths "
     "synthesis.search synthesis.bounds synthesis.checking validation.verdicts",
 }

@@ -11,8 +11,7 @@ import pytest
 import certigym as cg
 from certigym.cli.colors import colored
 from certigym.cli.main import main
-from certigym.synthesis.certificates import OnGrid, changed
-from certigym.synthesis.checking import CheckReport
+from certigym.synthesis.certificates import CheckReport, OnGrid, changed
 from certigym.validation.statistics import CONFIRMED, REFUTED, VACUOUS, verdict
 from certigym.validation.verdicts import stress, validate_field
 
@@ -101,12 +100,11 @@ def test_commands_fail_with_the_check(
         asked.append(certificate)
         return CheckReport(False, certificate.lower_bound, 0.0, ("sabotage",))
 
-    monkeypatch.setattr("certigym.cli.work.check", refuse)
+    monkeypatch.setattr("certigym.synthesis.checking.checked_first.check", refuse)
     assert main([*words, "--json", str(tmp_path / "r.json")]) == 1
     assert len(asked) == 1  # once
     assert "nothing is certified: sabotage" in capsys.readouterr().out
     assert json.loads((tmp_path / "r.json").read_text())["check"] == {"valid": False, "failures": ["sabotage"]}
-    monkeypatch.setattr("certigym.validation.verdicts.sweeps.check", refuse)
     rows = ["run", "reach-avoid-v0", "--horizon", "1", "2", "--cells", "30", "--episodes", "300"]
     assert main(rows) == 1
     assert capsys.readouterr().out.count("invalid") == 2

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.checking import CheckReport
+from certigym.synthesis.certificates import CheckReport
 from certigym.validation.reports.explorer import EPISODES, UNIT, UNKNOWN, _down, explored
 from certigym.validation.reports.other_starts import begun_at, bounds_from
 from certigym.validation.simulation import task_tracks

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ...envs.pictures import coordinate_name, have_one_scale
 from ...envs.problem import Problem
-from ...synthesis.certificates import OnGrid, as_certificate, of_one_task, on_cells, shown_bound
+from ...synthesis.certificates import OnGrid, as_certificate, of_one_task, on_cells
+from ...synthesis.checking import claim_text
 from ...synthesis.masses import regrow_trains
 from ...synthesis.values import Trains
 from ..audits import standing_cells
@@ -276,7 +277,7 @@ def relation_figure(certificate: Any, agent: int = 0, coordinate: int = 0, seed:
     plot.set_xlabel("control step")
     plot.set_ylabel(f"{name} (state units)")
     legend_above(plot)
-    title = f"{problem.name}: {kind} relation, {shown_bound(certificate.lower_bound, None)}"
+    title = f"{problem.name}: {kind} relation, {claim_text(certificate)}"
     plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=24)
     return figure
 

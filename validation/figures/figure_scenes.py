@@ -9,7 +9,8 @@ import numpy as np
 from ...envs.logic import Automaton
 from ...envs.pictures import edges, panels, places
 from ...envs.suite import as_problem
-from ...synthesis.certificates import OnGrid, any_certificate, of_one_task, shown_bound, tube_along
+from ...synthesis.certificates import OnGrid, any_certificate, of_one_task, tube_along
+from ...synthesis.checking import claim_text
 from ..simulation import Loop, paths
 from .figure_regions import rollouts_panel
 from .figure_style import FAILURE, INK, PALE, SERIES, SOFT, legend_above, new_figure
@@ -80,7 +81,7 @@ def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figu
         plot.set_visible(False)
     rest = len(all_panels) - len(shown)
     more = f"; {rest} more panels not shown" if rest else ""
-    claim = shown_bound(certificate.lower_bound, None)
+    claim = claim_text(certificate)
     title = f"{problem.name}: certified {claim}; {success.sum()} of {len(success)} rollouts satisfied{more}"
     figure.suptitle(title, fontsize=10, color=SOFT, x=0.02, ha="left")
     return figure
@@ -204,7 +205,7 @@ def tree_figure(certificate: Any) -> Figure:
     plot.set_xticks(range(horizon + 1), [str(horizon - t) for t in range(horizon + 1)])
     plot.set_xlabel("steps left (control steps)")
     legend_above(plot, 3)
-    claim = shown_bound(certificate.lower_bound, None)
+    claim = claim_text(certificate)
     plot.set_title(f"{problem.name}: value tree behind {claim}", loc="left", fontsize=10, color=SOFT, pad=24)
     return figure
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...synthesis.certificates import OnGrid, rounded_down
+from ...synthesis.certificates import OnGrid
+from ...synthesis.checking import claim_text
 from ...synthesis.raw_networks import WeakPlaces
 from .figure_style import MAP, new_figure
 
@@ -55,6 +56,6 @@ def network_figure(places: WeakPlaces, certificate: OnGrid | None = None, agent:
         plot.legend(loc="upper right", fontsize=8)
     plot.set_xlabel(f"{problem.agent_names[chosen]}: x1 (grid units)")
     plot.set_ylabel(label)
-    bound = "" if certificate is None else f", repaired P >= {rounded_down(certificate.lower_bound, 4)}"
+    bound = "" if certificate is None else f", repaired {claim_text(certificate)}"
     plot.set_title(f"{problem.name}: where the network loses{bound}", loc="left", fontsize=10)
     return figure

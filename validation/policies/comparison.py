@@ -24,7 +24,8 @@ from ...envs.agents import counted, shortened, tree_text
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.bridges import is_model
-from ...synthesis.certificates import Certificate, Synthesis, any_certificate, shown_bound
+from ...synthesis.certificates import Certificate, Synthesis, any_certificate, shown_bound, told_claim
+from ...synthesis.checking import checked_once
 from ...synthesis.controllers import LOCAL, Controller
 from ..shields import ShieldedController
 from ..simulation import Batchable, Rollouts, Saved, TrialOptions, TrialPlan, html_table, planned, rollout
@@ -49,6 +50,8 @@ class Contestant:
     controller : object with ``batch(dynamics)``
     lower_bound, gap : float or None
         Certified lower bound, and how far above it the probability can be if that is certified, too.
+    refused : str or None
+        What is claimed, and why it is not certified, of a certificate that ``check`` refuses; it has no bound.
     seconds : float or None
         Time of training or synthesis.
     seed : int or None
@@ -63,6 +66,7 @@ class Contestant:
     gap: float | None = None
     seconds: float | None = None
     seed: int | None = None
+    refused: str | None = None
 
     def __repr__(self) -> str:
         return f"Contestant({self.name!r}, {type(self.controller).__name__})"
@@ -87,6 +91,7 @@ class Entry:
     seconds: float | None
     seed: int | None
     inadmissible: int
+    refused: str | None = None
 
     def __repr__(self) -> str:
         names = ("success", "certified", "seconds", "sees")
@@ -95,7 +100,8 @@ class Entry:
 
     def texts(self) -> tuple[str, str, str, str]:
         """Return success rate with limits, certified bound, seconds and information in words; "-" for none."""
-        bound = "-" if self.lower_bound is None else shown_bound(self.lower_bound, self.gap)
+        nothing = "-" if self.refused is None else "claimed, NOT valid"
+        bound = nothing if self.lower_bound is None else shown_bound(self.lower_bound, self.gap)
         if self.lower_bound is not None and self.lower_bound <= 0.0:
             bound = f"{bound} ({VACUOUS})"
         seconds = "-" if self.seconds is None else f"{self.seconds:.1f}"
@@ -139,6 +145,16 @@ class Comparison(Saved):
     entries: tuple[Entry, ...]
     pairs: tuple[Pair, ...]
 
+    @property
+    def is_invalid(self) -> bool:
+        """Whether ``check`` refuses the certificate of a policy."""
+        return any(entry.refused is not None for entry in self.entries)
+
+    @property
+    def is_refuted(self) -> bool:
+        """Whether the rollouts contradict the bound of a policy."""
+        return any(entry.lower_bound is not None and entry.ci_high < entry.lower_bound for entry in self.entries)
+
     def entry(self, name: str) -> Entry:
         """Return the row of one policy; raise KeyError if there is no policy of this name."""
         return {entry.name: entry for entry in self.entries}[name]
@@ -151,6 +167,7 @@ class Comparison(Saved):
         width = max(len("policy"), *(len(entry.name) for entry in self.entries))
         limits = f"{100 * self.confidence:g} % limits"
         lines = [
+            *(f"{entry.name}: {entry.refused}" for entry in self.entries if entry.refused is not None),
             f"{self._title()}, common random numbers (seed {self.seed})",
             f"{'policy':<{width}}  success   {limits:<20} {'certified':<28} {'seconds':>8}  what agents see",
         ]
@@ -293,6 +310,9 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
         seconds = float(sum(spent.values())) if isinstance(spent, dict) else None
         carrier = certificate.controller
         claim = certificate.lower_bound, certificate.gap
+        if not (checked := checked_once(certificate)):
+            refused = told_claim(shown_bound(*claim), checked)
+            return [Contestant(name, name, _information(carrier), carrier, seconds=seconds, refused=refused)]
         return [Contestant(name, name, _information(carrier), carrier, *claim, seconds)]
     if isinstance(policy, Training):
         actor = policy.actor

@@ -29,6 +29,7 @@ from ...envs.arrays import on_one_thread
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, shown_bound
+from ...synthesis.checking import standing
 from ...synthesis.controllers import LOCAL
 from ..simulation import Plan, Saved, TrialOptions, TrialPlan, planned, rollout
 from ..statistics import clopper_pearson, paired_difference
@@ -212,7 +213,7 @@ def probe(
         checked_count(steps, "steps")
     elif seconds is None or not seconds > 0.0:
         raise ValueError(f"`seconds`: expected a positive number, got {seconds!r}")
-    held = certificate_of(problem, certificate)
+    held = standing(certificate_of(problem, certificate))
     # Three seeds that share nothing: to learn from, to choose by, and to judge by; torch takes 31 bits.
     learning, choosing, judging = (np.random.SeedSequence(settled.seed).generate_state(3) >> 1).tolist()
     began = time.perf_counter()

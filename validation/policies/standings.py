@@ -63,6 +63,8 @@ class Standing:
         World steps of training, summed over the seeds.
     seconds : float or None
         Wall-clock time of training or synthesis, summed over the seeds.
+    refused : str or None
+        What is claimed, and why it is not certified, of a certificate that ``check`` refuses; it has no bound.
     """
 
     problem: str
@@ -79,6 +81,7 @@ class Standing:
     lower_bound: float | None
     steps: int | None
     seconds: float | None
+    refused: str | None = None
 
     @property
     def rate(self) -> float:
@@ -230,6 +233,7 @@ def judged(label: str, policy: str, entrants: Sequence[Entrant], plan: Plan) -> 
         lower_bound=None if first.lower_bound is None else float(first.lower_bound),
         steps=sum(steps) if steps else None,
         seconds=round(sum(seconds), 1) if seconds else None,
+        refused=first.refused,
     )
 
 

@@ -63,6 +63,7 @@ def page_of(board: Leaderboard) -> str:
         gap = "-" if left[problem] is None else f"{left[problem]:.2f}"
         held = board.row(problem, "certified")
         bound = "-" if held is None or held.lower_bound is None else rounded_down(held.lower_bound, 4)
+        bound = bound if held is None or held.refused is None else "claimed, NOT valid"
         rates = {name: row.rate for name in names if (row := board.row(problem, name)) is not None}
         best = max((rate for name, rate in rates.items() if name in ALONE), default=2.0)
         cells = ["-" if name not in rates else _rate(rates[name], name in ALONE, best) for name in names]

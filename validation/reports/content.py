@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
-from ...synthesis.certificates import Certificate, shown_bound
-from ...synthesis.checking import CheckReport
+from ...synthesis.certificates import Certificate, CheckReport, shown_bound
 from ..audits import AuditReport
 from ..statistics import REFUTED
 from ..verdicts import NOT_CERTIFIED, FieldReport, ValidationReport

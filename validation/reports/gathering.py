@@ -15,8 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import write_text
-from ...synthesis.certificates import any_certificate, as_certificate, members_of, on_cells, speaks_of_one_start, split
-from ...synthesis.checking import CheckReport, check, claimed_values
+from ...synthesis.certificates import (
+    CheckReport,
+    any_certificate,
+    as_certificate,
+    members_of,
+    on_cells,
+    speaks_of_one_start,
+    split,
+)
+from ...synthesis.checking import checked_once, claimed_values
 from ..audits import audit, bound_by_steps_left
 from ..simulation import Loop, Plan, TrialOptions, TrialPlan, paths, planned
 from ..verdicts import slice_axes, slice_starts, start_box, validate, validate_field
@@ -80,7 +88,7 @@ def gathered(
     """Run check (unless ``checked``), validation, audit and the tests of a map, and return what a report shows."""
     claim = any_certificate(certificate)
     problem = claim.problem
-    checked = check(claim) if checked is None else checked
+    checked = checked_once(claim) if checked is None else checked
     if speaks_of_one_start(claim):
         # It has neither audit nor map of tests: it says nothing of other states and times.
         states, success = paths(Loop(problem, claim.controller, plan.seed, max(DRAWN, 1)), DRAWN)

@@ -3,7 +3,7 @@
 from .fields import FieldReport, find_weakest, validate_field
 from .starts import corner_starts, random_starts, slice_axes, slice_starts, start_box, workspace_box
 from .stress_test import LADDERS, StressReport, stress
-from .success_rate import MEANINGS, NOT_CERTIFIED, ValidationReport, tried_lines, validate
+from .success_rate import MEANINGS, NOT_CERTIFIED, ValidationReport, told_of, tried_lines, validate
 from .sweeps import each_report, synthesize_best
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "start_box",
     "stress",
     "synthesize_best",
+    "told_of",
     "tried_lines",
     "validate",
     "validate_field",

@@ -16,6 +16,7 @@ from ...envs.problem import Problem
 from ...synthesis.certificates import (
     EXACT_GAP,
     Certificate,
+    CheckReport,
     Synthesis,
     any_certificate,
     certificate_from,
@@ -26,7 +27,7 @@ from ...synthesis.certificates import (
     start_of_claim,
     why_nothing,
 )
-from ...synthesis.checking import CheckReport, greedy_disturbance
+from ...synthesis.checking import greedy_disturbance
 from ..simulation import (
     INTERRUPTED,
     ChunkResult,
@@ -158,8 +159,7 @@ class ValidationReport(Saved):
 
     def with_check(self, outcome: CheckReport) -> ValidationReport:
         """Return the report with what the check of the certificate says; a failed one becomes its headline."""
-        told = {"valid": outcome.valid, "failures": list(outcome.failures)}
-        return replace(self, details={**self.details, "check": told})
+        return replace(self, details={**self.details, "check": told_of(outcome)})
 
     def to_dict(self) -> dict[str, Any]:
         """Return all fields as JSON values, those of ``details`` beside the others."""
@@ -237,6 +237,11 @@ class ValidationReport(Saved):
             shown = gain if gain >= NEGLIGIBLE else 0.0
             rows.append(("alone", f"no single agent can gain more than about {shown:.2g} by changing one step"))
         return rows
+
+
+def told_of(outcome: CheckReport) -> dict[str, Any]:
+    """Return what a check says as JSON values."""
+    return {"valid": outcome.valid, "failures": list(outcome.failures)}
 
 
 def tried_lines(details: dict[str, Any]) -> list[str]:
@@ -401,6 +406,8 @@ def _validated(result: Any, certificate: Certificate, settled: Plan, how: _Trial
     seconds: dict[str, float | None] = {"abstract": None, "synthesize": None}
     if isinstance(result, Synthesis):
         seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
+        if result.checked is not None:
+            details["check"] = told_of(result.checked)
     found = state.verdict if sequential else verdict(lower, gap, ci_low, ci_high)
     if lower <= 0.0 and found == CONSISTENT:
         found = VACUOUS  # its upper end was tested in vain

@@ -15,6 +15,7 @@ from ..synthesis.bridges import save_policy as save_for_others
 from ..synthesis.certificates import save_certificate
 from ..synthesis.certify import certify as certify_policy
 from ..synthesis.certify import improve as improve_policy
+from ..synthesis.checking import standing
 from ..synthesis.shielding import shield_of
 from ..validation.figures import draw_comparison, draw_curves
 from ..validation.policies import (
@@ -35,7 +36,7 @@ from ..validation.policies import probe as probe_certificate
 from ..validation.policies import record as record_episodes
 from ..validation.simulation import planned
 from .given import cells_of, problem_of, relation_of, say, show
-from .network_commands import certify_raw, is_actor, problem_of_actor
+from .network_commands import UNCERTIFIED, certify_raw, is_actor, problem_of_actor
 from .policy_words import policy_of_file, policy_of_word
 from .work import trained, trials
 
@@ -53,7 +54,7 @@ def train(options: Namespace) -> int:
     if options.shield is not None:  # one shield for all seeds
         chosen["shield"] = shield_of(certificate_of(problem, options.shield), options.probability)
     drawn = chosen["warm_start"] or options.bound
-    bound = certificate_of(problem, drawn).lower_bound if drawn and options.plot else None
+    bound = standing(certificate_of(problem, drawn)).lower_bound if drawn and options.plot else None
     trainings, texts = [], []
     for seed in seeds:
         training = trained(problem, options.algo, options.steps, seed, **chosen)
@@ -110,7 +111,8 @@ def leaderboard(options: Namespace) -> int:
         write_json(table, filled.to_dict())
         write_text(page, page_of(filled))
         seconds = "" if row.seconds is None else f", {row.seconds:.0f} s"
-        say(options, f"{row.problem}: {row.policy} {row.rate:.4f} [{row.low:.4f}, {row.high:.4f}]{seconds}")
+        refused = "" if row.refused is None else f", {row.refused}"
+        say(options, f"{row.problem}: {row.policy} {row.rate:.4f} [{row.low:.4f}, {row.high:.4f}]{seconds}{refused}")
 
     with trials(options) as plan:
         if options.add:
@@ -188,11 +190,11 @@ def compare(options: Namespace) -> int:
     if options.plot:
         draw_comparison(result, options.plot)
     show(options, result, result.to_dict())
-    return 0
+    return int(result.is_invalid)
 
 
 def certify(options: Namespace) -> int:
-    """Certify a policy wrapped on a grid, or as it is (``--as-is``); the status is 1 if rollouts refute the bound."""
+    """Certify a policy wrapped on a grid, or as it is (``--as-is``); the status is 1 if check or rollouts refute it."""
     if is_actor(options):
         problem, file = problem_of_actor(options.problem, options.horizon), options.problem
     elif options.policy is None:
@@ -213,5 +215,5 @@ def certify(options: Namespace) -> int:
     with trials(options, options.episodes * len(policies)) as plan:
         result = compare_policies(problem, policies, plan)
     note = "The bounds hold for the policies wrapped on the cells (certified, improved), not for the raw one."
-    show(options, f"{result}\n{note}", result.to_dict())
-    return int(any(e.lower_bound is not None and e.ci_high < e.lower_bound for e in result.entries))
+    show(options, f"{result}\n{UNCERTIFIED if result.is_invalid else note}", result.to_dict())
+    return int(result.is_invalid or result.is_refuted)

@@ -16,8 +16,8 @@ import numpy as np
 from ..envs.agents import write_bytes
 from ..envs.pictures import Picture, verdict_text
 from ..envs.problem import Problem
-from ..synthesis.certificates import Certificate, shown_bound
-from ..synthesis.checking import ValueInTime, value_in_time
+from ..synthesis.certificates import Certificate
+from ..synthesis.checking import ValueInTime, claim_text, value_in_time
 from ..validation.simulation import Batchable, Loop, paths, task_tracks
 
 _HOLD = 1.5  # seconds for which the last picture stays, so that its verdict can be read
@@ -47,7 +47,7 @@ class Player:
         policy = policy[0] if isinstance(policy, (list, tuple)) else policy
         claim = getattr(policy, "certificate", policy)
         if isinstance(claim, Certificate):
-            return cls(claim.controller, f"certified {shown_bound(claim.lower_bound, None)}", _values(claim))
+            return cls(claim.controller, f"certified {claim_text(claim)}", _values(claim))
         return cls(getattr(policy, "controller", policy), Path(name).stem)
 
 

@@ -12,11 +12,15 @@ import numpy as np
 from ..envs.problem import Problem
 from ..synthesis.certificates import rounded_up, save_certificate
 from ..synthesis.certify import certify as certify_policy
-from ..synthesis.raw_networks import WeakPlaces, repair_network
+from ..synthesis.certify import improve as improve_policy
+from ..synthesis.raw_networks import WeakPlaces
 from ..validation.figures import network_figure, save_figure
 from ..validation.policies import compare as compare_policies
 from .given import cells_of, named_problem, show
 from .work import trials
+
+UNCERTIFIED = "Nothing is certified of a policy whose certificate is NOT valid."
+"""What stands in the place of what a bound holds for."""
 
 PLACES_SHOWN = 10
 """Weak places that are printed."""
@@ -38,7 +42,7 @@ def is_actor(options: Namespace) -> bool:
 
 
 def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
-    """Certify networks as they are, and repaired; the status is 1 if rollouts refute a bound."""
+    """Certify networks as they are, and repaired; the status is 1 if check or rollouts refute a bound."""
     if options.relation != ["auto"] or options.delta is not None or options.improve:
         raise ValueError("`--as-is`: expected none of --relation, --delta and --improve beside it; leave them out")
     cells, settings = cells_of(options), {"targets_per_cell": options.targets}
@@ -46,17 +50,21 @@ def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
     last = policies["certified"] = certify_policy(problem, policy, cells, as_is=True, above=options.above, **settings)
     places: WeakPlaces | None = None
     if options.repair is not None:
-        last, places = repair_network(problem, policy, cells, share=options.repair, **settings)
-        policies["repaired"] = last
+        last = policies["repaired"] = improve_policy(
+            problem, policy, cells, as_is=True, share=options.repair, **settings
+        )
+        facts: dict[str, Any] = last.stats
+        places = facts["weak_places"]
         if options.plot:
-            save_figure(network_figure(places, last.certificate), options.plot)
+            save_figure(network_figure(facts["weak_places"], last.certificate), options.plot)
     if options.out:
         save_certificate(last.certificate, options.out)
     with trials(options, options.episodes * len(policies)) as plan:
         result = compare_policies(problem, policies, plan)
-    lines = [str(result), "The bound of `certified` holds for the deployed network: it is the same policy."]
+    holds = "The bound of `certified` holds for the deployed network: it is the same policy."
+    lines = [str(result), UNCERTIFIED if result.is_invalid else holds]
     above: float | None = None
-    if options.above:
+    if options.above and not result.is_invalid:
         above = policies["certified"].certificate.upper_bound
         lines.append(f"The deployed network succeeds with P <= {rounded_up(above, 6)}.")
     weakest = [] if places is None else places.worst(PLACES_SHOWN)
@@ -65,7 +73,7 @@ def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
         lines += [_place_text(place) for place in weakest]
     show(options, "\n".join(lines), {**result.to_dict(), "weak_places": weakest, "above": above})
     too_low = above is not None and any(e.name == "deployed" and e.ci_low > above for e in result.entries)
-    return int(too_low or any(e.lower_bound is not None and e.ci_high < e.lower_bound for e in result.entries))
+    return int(too_low or result.is_invalid or result.is_refuted)
 
 
 def _place_text(place: dict[str, Any]) -> str:

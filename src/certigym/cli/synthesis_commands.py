@@ -13,15 +13,16 @@ from tqdm import tqdm
 from ..envs.agents import AnyAgent, Pair, Proposition, counted, matrix_text, vector_text
 from ..envs.problem import Problem, cut_by_the_end, out_of_reach, why_never
 from ..envs.suite import make_problem, problem_ids, tier_of_id
-from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, shown_bound, start_of_claim
+from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, start_of_claim
 from ..synthesis.checking import safety_rate
 from ..synthesis.in_files import check as check_claim
 from ..synthesis.in_files import load
 from ..synthesis.search import BAR
 from ..synthesis.synthesize import ways_ahead
+from ..validation.verdicts import told_of
 from .given import is_endless, limit_of, named_problem, problem_of, say, several_horizons, show, write_json
 from .validation_commands import print_horizons, validate_result
-from .work import checked_again, synthesized, ticking, within
+from .work import synthesized, ticking, within
 
 VACUOUS_CHECK = "; vacuous: it promises P >= 0, which says nothing"
 """What is said of a certificate that holds because it claims nothing."""
@@ -115,8 +116,8 @@ def run(options: Namespace) -> int:
     more = {"certificate": options.out} if options.out else {}
     told = _lasting(result) if is_endless(options) else {}
     told |= {"note": cut} if (cut := cut_by_the_end(result.certificate.problem)) else {}
-    status = validate_result(options, result, None, checked_again(result.certificate), more | told)
-    return status
+    status = validate_result(options, result, None, result.checked, more | told)
+    return 130 if result.checked is None else status
 
 
 def _lasting(result: Any) -> dict[str, Any]:
@@ -148,9 +149,10 @@ def synthesize(options: Namespace) -> int:
         "rank": certificate.proof.rank,
         "fingerprint": certificate.fingerprint,
         "seconds": result.stats["seconds"],
+        "check": None if result.checked is None else told_of(result.checked),
         "certificate": options.out,
     }
-    claim = shown_bound(certificate.lower_bound, certificate.gap)
+    claim = result.claim
     if why := result.stats.get("nothing"):
         claim = f"nothing was certified ({claim}): {why}"
     if options.starts is not None:
@@ -159,7 +161,7 @@ def synthesize(options: Namespace) -> int:
         summary |= {"share": share, "corners": len(certificate.proof.corners)}
     text = f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {claim}\nsaved to {options.out}"
     show(options, text, summary)
-    return 0
+    return 130 if result.checked is None else int(not result.checked)
 
 
 def check(options: Namespace) -> int:

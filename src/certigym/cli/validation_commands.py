@@ -9,26 +9,27 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from ..synthesis.certificates import Certificate, load_certificate, rounded_down
-from ..synthesis.checking import CheckReport
+from ..synthesis.certificates import Certificate, CheckReport, load_certificate, rounded_down
 from ..validation.audits import audit as audit_certificate
 from ..validation.reports import report as write_report
 from ..validation.simulation import LABEL_WIDTH, Mismatch
 from ..validation.verdicts import (
     LADDERS,
+    NOT_CERTIFIED,
     ValidationReport,
     corner_starts,
     each_report,
     find_weakest,
     random_starts,
     slice_starts,
+    told_of,
     workspace_box,
 )
 from ..validation.verdicts import stress as stress_certificate
 from ..validation.verdicts import validate as validate_certificate
 from ..validation.verdicts import validate_field as field_of
 from .given import budget_of, cells_of, limit_of, problem_of, relation_of, say, search_of, show, state_of, write_json
-from .work import trials
+from .work import checked_again, trials
 
 INVALID = "invalid: it fails its check"
 """What a row says of a certificate that its check refuses."""
@@ -41,7 +42,15 @@ def _certificate(options: Namespace) -> Certificate:
 
 def validate(options: Namespace) -> int:
     """Test a saved certificate by rollouts."""
-    return validate_result(options, _certificate(options), state_of(options))
+    certificate = _certificate(options)
+    return validate_result(options, certificate, state_of(options), checked_again(certificate))
+
+
+def _said_if_refused(options: Namespace, certificate: Any) -> CheckReport:
+    """Check a saved certificate, and say first of all that it is NOT valid where it is not."""
+    if not (checked := checked_again(certificate)):
+        say(options, f"{NOT_CERTIFIED}: {checked}")
+    return checked
 
 
 def validate_result(
@@ -98,31 +107,36 @@ def validate_field(options: Namespace) -> int:
     """Test a saved certificate at many starts, or search for its weakest start."""
     certificate = _certificate(options)
     states, shape = _starts(options, certificate.problem)
+    checked = _said_if_refused(options, certificate)
     # --episodes counts per start, except in a search, where it counts all of them.
     with trials(options, options.episodes if options.search else options.episodes * len(states)) as plan:
         if options.search:
             report = find_weakest(certificate, plan, candidates=states)
         else:
             report = field_of(certificate, states, plan, shape=shape)
-    show(options, report, report.to_dict())
-    return 130 if report.interrupted else int(report.verdict == "refuted")
+    show(options, report, {**report.to_dict(), "check": told_of(checked)})
+    return 130 if report.interrupted else int(report.verdict == "refuted" or not checked)
 
 
 def audit(options: Namespace) -> int:
     """Test a saved certificate step by step."""
+    certificate = _certificate(options)
+    checked = _said_if_refused(options, certificate)
     with trials(options, options.episodes) as plan:
-        report = audit_certificate(_certificate(options), plan)
-    show(options, report, report.to_dict())
-    return 130 if report.interrupted else int(report.refuted)
+        report = audit_certificate(certificate, plan)
+    show(options, report, {**report.to_dict(), "check": told_of(checked)})
+    return 130 if report.interrupted else int(report.refuted or not checked)
 
 
 def stress(options: Namespace) -> int:
     """Test a saved certificate under mismatches; a refuted rung is no failure, for no rung is certified."""
+    certificate = _certificate(options)
+    checked = _said_if_refused(options, certificate)
     rungs = 1 + sum(len(rungs) for rungs in LADDERS.values())
     with trials(options, options.episodes * rungs) as plan:
-        report = stress_certificate(_certificate(options), plan)
-    show(options, report, report.to_dict())
-    return 130 if report.interrupted else 0
+        report = stress_certificate(certificate, plan)
+    show(options, report, {**report.to_dict(), "check": told_of(checked)})
+    return 130 if report.interrupted else int(not checked)
 
 
 def report(options: Namespace) -> int:

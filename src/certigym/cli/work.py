@@ -15,9 +15,8 @@ from tqdm import tqdm
 
 from ..envs.agents import counted
 from ..envs.problem import Problem, crossed_starts
-from ..synthesis.certificates import Synthesis, rounded_down
-from ..synthesis.checking import CheckReport
-from ..synthesis.in_files import check
+from ..synthesis.certificates import CheckReport, Synthesis, rounded_down
+from ..synthesis.checking import checked_once
 from ..synthesis.search import BAR, shown_on
 from ..synthesis.synthesize import synthesize
 from ..validation.policies import Training
@@ -108,10 +107,10 @@ def within(seconds: float, parts: Iterable[Part]) -> tuple[list[Part], bool]:
 
 
 def checked_again(certificate: Any) -> CheckReport:
-    """Return the check of a certificate that was found; meanwhile a bar says what there is, and that it is checked."""
+    """Return the check of a certificate from a file; meanwhile a bar says what there is, and that it is checked."""
     with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
         bar.set_description_str(f"P >= {rounded_down(certificate.lower_bound)}; separate code computes it again")
-        return check(certificate)
+        return checked_once(certificate)
 
 
 @contextmanager
