@@ -21,6 +21,7 @@ from .labeling import MOVING_REFUSAL, Labeling, contains, inside, of_hint
 from .laws import Gaussian, Law, Uniform
 from .majorants import Majorant, Tail
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
+from .noise import is_own_law, laws_by_author
 from .pair import FLAT, REFUSAL, Pair, PairRegion, ball_box, holds
 from .pieces import TURN, Combined, Form, Frame, Limit, Piece
 from .printing import box_text, counted, matrix_text, names_text, shortened, tree_text, vector_text
@@ -71,6 +72,8 @@ __all__ = [
     "heading_of",
     "holds",
     "inside",
+    "is_own_law",
+    "laws_by_author",
     "linear",
     "matrix_text",
     "names_text",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -20,6 +20,20 @@ KINDS: dict[str, type[Law]] = {
     law.name: law for law in (Gaussian, Uniform, Triangular, Laplace, Logistic, StudentT, TruncatedGaussian)
 }
 """Laws by the names that problem files use, apart from mixtures."""
+
+
+def is_own_law(law: Law) -> bool:
+    """Return whether a law is one of this package, of which every number can be computed from its parameters."""
+    return type(law) is Mixture or type(law) in KINDS.values()
+
+
+def laws_by_author(laws: Iterable[Law]) -> list[Law]:
+    """Return those laws, parts of mixtures among them, whose numbers are what their authors state."""
+    found = list[Law]()
+    for law in laws:
+        found += laws_by_author(law.laws) if isinstance(law, Mixture) else [] if is_own_law(law) else [law]
+    return found
+
 
 NAMES = ", ".join([*KINDS, Mixture.name, "scipy"])
 
@@ -42,7 +56,14 @@ def laws_of(noise: Any, d: int) -> tuple[Law, ...]:
             f"`noise`: expected a list of {d} laws, one for each state, such as "
             f'{{ law = "gaussian", std = 0.1 }}, got {shown(noise)}'
         )
-    return tuple(entry if isinstance(entry, Law) else _law(entry) for entry in noise)
+    laws = tuple(entry if isinstance(entry, Law) else _law(entry) for entry in noise)
+    for law in laws_by_author(laws):
+        if law.name in (*KINDS, Mixture.name):
+            raise ValueError(
+                f"`noise`: expected a name of its own for the law {type(law).__name__}, got {law.name!r}, which is one "
+                "of this package, with its formulas; give it another"
+            )
+    return laws
 
 
 def _law(entry: Any) -> Law:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...envs.suite import as_problem
-from ..certificates import Offer, certificate_from, members_of, require
+from ..certificates import Offer, certificate_from, members_of, require, told_assumed
 from ..checking import check
 from ..masses import Statement, noted
 
@@ -41,6 +41,8 @@ class RigorousReport:
         How many numbers were proved in balls.
     failures : tuple of str
         What is wrong, in words.
+    assumed : tuple of str
+        Laws of noise whose numbers are those that their authors state, as in ``CheckReport``.
     """
 
     valid: bool
@@ -48,13 +50,15 @@ class RigorousReport:
     low: float
     numbers: int
     failures: tuple[str, ...]
+    assumed: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
         return self.valid
 
     def __str__(self) -> str:
         if self.valid:
-            return f"proved in balls: claimed {self.claimed:.15g}, at least {self.low:.15g} ({self.numbers:,} numbers)"
+            bounds = f"claimed {self.claimed:.15g}, at least {self.low:.15g}"
+            return f"proved in balls: {bounds} ({self.numbers:,} numbers){told_assumed(self.assumed)}"
         return "NOT proved: " + "; ".join(self.failures)
 
 
@@ -101,7 +105,7 @@ def check_rigorous(certificate: Any, problem: Any = None) -> RigorousReport:
     low = max(0.0, nextafter((plain.recomputed - lost) * (1.0 - rounded), 0.0))
     bounds = [claimed, *getattr(given.proof, "bounds", {}).values()]
     wrong = tuple(f"its bound {bound:.15g} was not proved" for bound in bounds if not bound <= low)
-    return RigorousReport(not wrong, claimed, low, numbers, wrong)
+    return RigorousReport(not wrong, claimed, low, numbers, wrong, plain.assumed)
 
 
 def _proved(statements: list[Statement]) -> tuple[int, list[str], Any]:

@@ -20,7 +20,7 @@ from .certificate import (
     with_claims,
 )
 from .certificate_file import UNREADABLE, certificate_in, load_certificate, save_certificate
-from .check_report import CheckReport, told_claim
+from .check_report import CheckReport, told_assumed, told_claim
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import (
@@ -111,6 +111,7 @@ __all__ = [
     "split",
     "start_of_claim",
     "timed_certificate",
+    "told_assumed",
     "told_claim",
     "tube_along",
     "value_of",

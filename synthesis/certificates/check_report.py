@@ -23,6 +23,8 @@ class CheckReport:
     above : float or None
         Upper bound on the satisfaction probability of the certificate's controller, computed anew; None if the
         certificate claims none, or if it was too large a computation (``gap`` is unverified then).
+    assumed : tuple of str
+        Laws of noise, of scipy or of users, whose probabilities are numbers that their authors state.
     """
 
     valid: bool
@@ -30,6 +32,7 @@ class CheckReport:
     recomputed: float
     failures: tuple[str, ...]
     above: float | None = None
+    assumed: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
         return self.valid
@@ -38,8 +41,13 @@ class CheckReport:
         if self.valid:
             above = "" if self.above is None else f", at most {significant_up(self.above, 9)}"
             lower, again = (significant_down(number, 9) for number in (self.claimed, self.recomputed))
-            return f"valid: lower bound {lower}, recomputed {again}{above}"
+            return f"valid: lower bound {lower}, recomputed {again}{above}{told_assumed(self.assumed)}"
         return "NOT valid: " + "; ".join(self.failures)
+
+
+def told_assumed(laws: tuple[str, ...]) -> str:
+    """Return which laws of noise a verdict takes from their authors, as the end of a sentence."""
+    return f"; with what their authors state of {', '.join(laws)}" if laws else ""
 
 
 def told_claim(shown: str, checked: CheckReport | None) -> str:

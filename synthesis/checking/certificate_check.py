@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from ...envs.agents import laws_by_author
 from ...envs.arrays import on_one_thread
 from ...envs.problem import Problem, opposite_inside, opposite_of
 from ...envs.suite import as_problem
@@ -87,6 +88,12 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     """
     certificate = certificate_from(certificate)
     problem = certificate.problem if problem is None else as_problem(problem)
+    laws = (law for agent in problem.agents for law in laws_by_author(agent.laws or ()))
+    return replace(_checked(certificate, problem), assumed=tuple(dict.fromkeys(map(repr, laws))))
+
+
+def _checked(certificate: Any, problem: Problem) -> CheckReport:
+    """Verify a certificate by its kind."""
     proof = type(certificate.proof)
     if any(part.proof.kind not in proof.inside for part in certificate.proof.parts):
         failures = ("its parts are proved in other ways than parts of it can be",)

@@ -39,7 +39,8 @@ def standing(certificate: Claimed) -> Claimed:
     ValueError
         If ``check`` refuses it; the text says why.
     """
-    if wrong := checked_once(certificate).failures:
+    wrong = checked_once(certificate).failures
+    if wrong:
         raise ValueError(
             f"`certificate`: expected one that `check` verifies, got one that it refuses: {wrong[0]}; make it anew"
         )

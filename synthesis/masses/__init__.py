@@ -1,7 +1,7 @@
 """What a certificate holds of each agent, and the masses of its cells once more, for checks."""
 
 from .checked_kernel import axis_tables, grid_noise, kernel_key, lost_to_rounding, smooth
-from .checked_laws import law_charge, law_error, probability_below, scale_charge
+from .checked_laws import law_charge, law_error, law_height, probability_below, scale_charge
 from .part import AgentPart
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .stated import Statement, noted, state
@@ -15,6 +15,7 @@ __all__ = [
     "kernel_key",
     "law_charge",
     "law_error",
+    "law_height",
     "lost_to_rounding",
     "noted",
     "probability_below",

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import erfc
 
 from ..cells import CellAxis, FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
-from .checked_laws import law_error, lawful_masses
+from .checked_laws import law_error, law_height, lawful_masses
 from .stated import state
 
 TAIL, ONE = 1e-15, 3e-16
@@ -147,7 +147,7 @@ def _near_copies(agent: AnyAgent, part: AgentPart) -> float:
         if MeanAxis(k) not in points:
             continue  # without noise the cell is that of the mean
         off = 1e-15 * (float(np.abs(points[MeanAxis(k)]).max()) + COPIES[-1])
-        height = 0.39895 / deviations[k] if agent.laws is None else agent.laws[k].height
+        height = 0.39895 / deviations[k] if agent.laws is None else law_height(agent.laws[k])
         height = height / min(1.0, float(np.exp(points.get(ScaleAxis(k), np.zeros(1))).min()))
         total += 4.0 * off * (1.0 / float(np.diff(part.grid.edges[k]).min()) + 2.0 * height)
     return total

@@ -26,7 +26,17 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent, with_expressions, with_matrices
 from ..cells import FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
-from ..masses import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth, state
+from ..masses import (
+    AgentPart,
+    axis_tables,
+    grid_noise,
+    law_charge,
+    law_height,
+    lost_to_rounding,
+    scale_charge,
+    smooth,
+    state,
+)
 from ..relations import commands_of
 from .common_check import by_number, known_inputs
 from .geometry import cell_boxes
@@ -225,7 +235,7 @@ def _rounded_steps(agent: AnyAgent, part: AgentPart) -> FloatArray:
             steps.append(_step(points[ScaleAxis(k)]))
         if MeanAxis(k) in points:
             small = float(_smallest(agent, part, k).min())
-            sharp = 1.0 / law.std if law.name == "gaussian" else max(1.0 / law.std, 2.6 * law.height)
+            sharp = 1.0 / law.std if law.name == "gaussian" else max(1.0 / law.std, 2.6 * law_height(law))
             steps.append(_step(points[MeanAxis(k)]) / small * sharp)
     return np.array(steps)
 

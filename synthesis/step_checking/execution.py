@@ -21,7 +21,7 @@ from scipy.special import erf
 
 from ...envs.agents import AnyAgent, with_matrices
 from ..cells import FloatArray
-from ..masses import AgentPart, state
+from ..masses import AgentPart, law_height, state
 from ..relations import (
     BoxRelation,
     CoupledRelation,
@@ -137,7 +137,7 @@ def _setting(agent: AnyAgent, part: AgentPart) -> _Setting:
         # Along their own axes components are independent; shifted by off, a density of this height changes by
         # off times it, and d of them by the sum of all.
         noise_off = np.full((d, d), 0.0 if np.array_equal(C, agent.noise_axes) else np.inf)
-        deviations = np.array([0.39 / (law.height * np.sqrt(d)) for law in agent.laws])
+        deviations = np.array([0.39 / (law_height(law) * np.sqrt(d)) for law in agent.laws])
     return _Setting(
         A=A, B=B, c=c,
         A_off=off @ np.abs(moves[0]) @ np.abs(C), B_off=off @ np.abs(moves[1]), c_off=off @ np.abs(moves[2]),

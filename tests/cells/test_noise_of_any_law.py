@@ -11,11 +11,19 @@ import pytest
 import scipy.stats
 
 import certigym as cg
-from certigym.envs.agents.laws import Law
-from certigym.envs.agents.noise import laws_of
+from certigym.envs.agents.laws import Law, Logistic
+from certigym.envs.agents.noise import KINDS, laws_of
 from certigym.synthesis.cells import grid_laws
 from certigym.synthesis.masses import lost_to_rounding
-from certigym.synthesis.masses.checked_laws import law_charge, law_error, lawful_masses, probability_below
+from certigym.synthesis.masses.checked_laws import (
+    law_charge,
+    law_error,
+    law_height,
+    lawful_masses,
+    probability_below,
+    scale_charge,
+)
+from certigym.synthesis.path_checking.law_moments import _cut_mean
 from certigym.synthesis.readings.box_kernel import BoxKernel
 from certigym.synthesis.readings.kernel import Kernel, law_table
 
@@ -87,6 +95,76 @@ def test_tails_have_the_errors_they_say(entry: dict[str, Any], law: Law) -> None
             assert abs(mpmath.mpf(float(above[k])) - (1 - truth)) <= law.cdf_error
             assert abs(mpmath.mpf(float(checked[k])) - truth) <= law_error(law)
     assert law_error(law) <= law.cdf_error
+
+
+def test_every_law_of_the_package_is_declared_here() -> None:
+    """A new one has to stand all tests of this page."""
+    assert {entry["law"] for entry in DECLARED} == {*KINDS, "mixture"}
+
+
+class Stranger(Logistic):
+    """A law whose density is said to bend less than it does."""
+
+    name = "stranger"
+    bend = 1e-3
+
+
+TWINS = [law_error, law_height, lambda law: law_charge(law, 0.1), lambda law: probability_below(law, np.zeros(1))]
+
+
+@pytest.mark.parametrize("twin", TWINS)
+def test_the_check_takes_nothing_of_a_law_of_the_package_from_the_search(
+    monkeypatch: pytest.MonkeyPatch, twin: Any
+) -> None:
+    """The one sabotage is a law without a formula of the check; the other are numbers that the search alone has."""
+    stranger = Stranger(0.15)
+    twin(stranger)  # whoever writes a law answers for it
+    monkeypatch.setitem(KINDS, "stranger", Stranger)
+    with pytest.raises(ValueError, match="no formula of its own"):
+        twin(stranger)
+    for law in LAWS:
+        parts = law.laws if hasattr(law, "laws") else (law,)
+        honest = twin(law)
+        with monkeypatch.context() as patch:
+            for name in ("jumps", "bend", "height", "tails", "cdf_error", "stretch", "twist"):
+                for part in (law, *parts):
+                    patch.setattr(type(part), name, None)
+            np.testing.assert_array_equal(twin(law), honest)
+            scale_charge(law, 0.1)
+
+
+def test_a_certificate_of_a_law_without_a_formula_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    certificate = cg.synthesize(reach([Stranger(0.15)]), 40, relation="boxes").certificate
+    report = cg.check(certificate)
+    assert report and "what their authors state of Stranger(scale=0.15)" in str(report)
+    monkeypatch.setitem(KINDS, "stranger", Stranger)
+    report = cg.check(certificate)
+    assert not report and "no formula of its own for the law 'stranger'" in str(report)
+
+
+def test_laws_of_others_have_names_of_their_own() -> None:
+    class Gaussian(Stranger):
+        name = "gaussian"
+
+    with pytest.raises(ValueError, match="name of its own"):
+        laws_of([Gaussian(0.15)], 1)
+
+
+def test_verdicts_name_laws_of_scipy_and_no_others() -> None:
+    gamma = {"law": scipy.stats.gamma(2.0, loc=-0.4, scale=0.2), "cdf_error": 1e-12, "variation": 4.0}
+    report = cg.check(cg.synthesize(reach([gamma]), 40, relation="exact"))
+    assert report and "what their authors state of ScipyLaw(gamma" in str(report)
+    report = cg.check(cg.synthesize(reach([DECLARED[4]]), 40, relation="exact"))
+    assert report and "authors" not in str(report)
+
+
+@pytest.mark.parametrize("spread", [1e8, 30.0, 3.0, 0.5])
+@pytest.mark.parametrize(("low", "high"), [(1.0, 2.0), (-1.0, 1.5), (-1e-6, 3e-6), (0.2, 0.2001)])
+def test_means_of_cut_normal_laws_have_their_digits(spread: float, low: float, high: float) -> None:
+    with mpmath.workdps(60):
+        a, b = (mpmath.mpf(end) / mpmath.mpf(spread) for end in (low, high))
+        truth = spread * (mpmath.npdf(a) - mpmath.npdf(b)) / (mpmath.ncdf(b) - mpmath.ncdf(a))
+        assert abs(_cut_mean(spread, low, high) - truth) <= 1e-13 * (abs(low) + abs(high))
 
 
 @pytest.mark.parametrize("law", LAWS, ids=NAMES)

@@ -25,6 +25,7 @@ from ...synthesis.certificates import (
     rounded_up,
     shown_bound,
     start_of_claim,
+    told_assumed,
     why_nothing,
 )
 from ...synthesis.checking import greedy_disturbance
@@ -206,7 +207,8 @@ class ValidationReport(Saved):
         if self.interrupted:
             rows.append(("interrupted", INTERRUPTED))
         if "check" in details:
-            rows.append(("check", "failed, see above" if self.is_invalid else CHECKED))
+            holds = CHECKED + told_assumed(tuple(details["check"].get("assumed", ())))
+            rows.append(("check", "failed, see above" if self.is_invalid else holds))
         word = f"invalid; the rollouts alone: {self.verdict}" if self.is_invalid else self.verdict
         rows.append(("verdict", f"{word}{how}: {MEANINGS[self.verdict]}"))
         return [*rows, *self._advice(), ("times", times)]
@@ -241,7 +243,8 @@ class ValidationReport(Saved):
 
 def told_of(outcome: CheckReport) -> dict[str, Any]:
     """Return what a check says as JSON values."""
-    return {"valid": outcome.valid, "failures": list(outcome.failures)}
+    assumed = {"assumed": list(outcome.assumed)} if outcome.assumed else {}
+    return {"valid": outcome.valid, "failures": list(outcome.failures), **assumed}
 
 
 def tried_lines(details: dict[str, Any]) -> list[str]:

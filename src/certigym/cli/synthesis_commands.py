@@ -184,6 +184,7 @@ def check(options: Namespace) -> int:
         "recomputed": None if np.isnan(report.recomputed) else report.recomputed,
         "above": report.above,
         "failures": list(report.failures),
+        "assumed": list(report.assumed),
         "fingerprint": certificate.fingerprint,
     }
     show(options, text, outcome)
@@ -199,6 +200,7 @@ def _check_in_balls(options: Namespace, claim: Any, certificate: Any, problem: A
         "proved": None if np.isnan(report.low) else report.low,
         "numbers": report.numbers,
         "failures": list(report.failures),
+        "assumed": list(report.assumed),
         "fingerprint": certificate.fingerprint,
     }
     show(options, f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}", outcome)
