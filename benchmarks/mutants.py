@@ -232,6 +232,10 @@ MUTANTS = [
         ("if not reading.proved(", "if False and not reading.proved("),
     ),
     *_in(
+        "synthesis/checking/train_check.py",
+        ("lost = _sup(head, (matrix - core @ carry).reshape(whole.shape), tail)", "lost = 0.0"),
+    ),
+    *_in(
         "synthesis/permissions/permission_check.py",
         ("np.minimum(found, values, out=found, where=has)", "np.maximum(found, values, out=found, where=has)"),
     ),
@@ -277,6 +281,7 @@ MUTANTS = [
         ('np.einsum("ij,sjk->sik", F, self.products)', 'np.einsum("sij,jk->sik", self.products, F)'),
         ("np.sum(np.abs(moved[:, 1:]) * drifts, axis=(1, 2))", "np.sum(np.abs(moved[:, :-1]) * drifts, axis=(1, 2))"),
         ("total = np.abs(moved[:, 0]) @ self.spread", "total = 0.0 * moved[:, 0] @ self.spread"),
+        ("return shift, np.asarray(total * TAIL)", "return shift, 0.0 * total"),
         ("shift = np.sum(moved[:, 1:] * middles", "shift = np.sum(moved[:, :-1] * middles"),
     ),
     *_in(
@@ -355,6 +360,7 @@ MUTANTS = [
         ),
         ("largest = outer.radius * length", "largest = 0.5 * outer.radius * length"),
         ("common[k] = 2.0 * float(a @ b)", "common[k] = -2.0 * float(abs(a @ b))"),
+        ("common[k] = 2.0 * float(a @ b)", "common[k] = 0.0 * float(a @ b)"),
         ("if shared[0].shape[1]:", "if shared[0].shape[1] > 100:"),
         ("LEAST_SIZE = 1e-6", "LEAST_SIZE = 1e-323"),
         ("shift[here] + moved, drift[here] + wide", "shift[here] + moved, wide"),
@@ -462,6 +468,7 @@ MUTANTS = [
             "    charge = exact_charge(law, pitch, FLOATS) * OUTWARD",
             "    charge = exact_charge(law, pitch, FLOATS) * 0.9",
         ),
+        ("    if is_own_law(law):", "    if False:"),
     ),
     *_in("synthesis/masses/stated.py", ("    if notes is not None:", "    if False:")),
     *_in(

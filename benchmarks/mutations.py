@@ -44,6 +44,7 @@ TREES = (
     "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "constraints.txt",
 )  # fmt: skip
 TESTS = (
+    "test_one_row_of_one_step_decides.py", "test_noise_of_any_law.py", "test_the_check_grows_trains_itself.py",
     "test_claims_agree_with_an_independent_evaluation.py", "test_kernel_is_a_lower_bound.py",
     "test_cells_are_found_exactly.py", "test_labeling.py", "test_regions_are_what_they_are.py",
     "test_controllers_carry_out_what_is_certified.py",

@@ -169,7 +169,9 @@ def test_ways_and_levels_are_told_beside_the_bound_so_far() -> None:
     most = found.stats["continuous_upper_bound"]
     ends = [float(text.split("at most ")[1].split(",")[0]) for text, _ in ways if "at most " in text]
     assert isinstance(most, float) and ends and min(ends) >= most
+    *ways, last = ways
     assert all(text.endswith(" of 80") and ", effort " in text for text, _ in ways)
+    assert last == ("way: separate code computes it again", found.certificate.lower_bound)
 
 
 def test_a_path_that_has_no_time_is_a_path() -> None:

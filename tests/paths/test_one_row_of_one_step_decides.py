@@ -1,0 +1,216 @@
+"""Each part of the check of paths decides a problem of its own, in one row and one step, whose failure is known.
+
+Chance problems rarely rest on one row alone: a check that forgets about drifts, about noise that agents share or about
+jumps over regions claims too much where little is left, and no simulation sees it. Here it would claim hardly any
+failure of runs most of which fail.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import certigym as cg
+from certigym.synthesis.certificates import SOMETIME, AgentPath, AlongPath, Certificate, PathProof, changed
+from certigym.synthesis.path_checking import limits_kept, nonlinear_check, pair_limits_check
+from certigym.synthesis.path_checking.linear_deviations import Chain
+
+EPISODES, DEVIATIONS = 4000, 5.3
+"""Rates are farther than so many deviations from the truth with a probability of 1.2e-7, seven times below 1e-6."""
+
+FAINT = 1e-3
+"""Deviation of noise that decides nothing."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A certificate by hand, how often its runs fail, what the check makes of it at most, and a sabotage that errs.
+
+    ``loose`` is the same run with limits that ask for next to nothing: what the sabotage leaves out is all there is.
+    """
+
+    certificate: AlongPath
+    loose: AlongPath
+    truth: float
+    most: float
+    sabotage: tuple[Any, str, Callable[..., Any]]
+
+
+def agent(name: str, dynamics: list[str], std: list[float], reach: float = 2.0) -> cg.Agent:
+    """Return an agent with states x, y, .. and an input u, far from the ends of its workspace."""
+    d = len(dynamics)
+    return cg.Agent(
+        name=name, states=["x", "y", "z"][:d], inputs=["u"], dynamics=dynamics,
+        noise_covariance=np.diag(np.square(std)), state_low=[-9.0] * d, state_high=[999.0] * d,
+        input_low=[-reach], input_high=[reach], initial_state=[0.0] * d,
+    )  # fmt: skip
+
+
+def along(
+    agents: list[cg.Agent],
+    regions: dict[str, Any],
+    formula: str,
+    slabs: list[list[float]],
+    *,
+    letter: int = 1,
+    states: list[list[float]] | None = None,
+    inputs: list[float] | None = None,
+    gain: float = 0.0,
+    **more: Any,
+) -> AlongPath:
+    """Return a certificate along 0, or other states: slabs of the states at each time, a letter at the last one."""
+    steps, semantics = len(slabs) - 1, "finite-trace"
+    problem = cg.Problem(
+        name="one row", horizon=steps, agents=agents, propositions=regions,
+        specification=cg.Specification(formula, semantics), **more,
+    )  # fmt: skip
+    d, letters = agents[0].n_states, np.zeros((steps + 1, 1), dtype=np.int8)
+    faces = np.full((steps + 1, 1), -1)
+    letters[-1] = letter
+    if letter == SOMETIME:
+        letters[1:], faces[1:] = letter, 0
+    path = AgentPath(
+        np.zeros((steps, 1)) if inputs is None else np.array(inputs)[:, None],
+        np.zeros((steps, 1, d)),
+        np.zeros((steps + 1, d)) if states is None else np.array(states),
+        np.concatenate([np.array(slabs), np.full((steps + 1, d + 1), np.inf)], axis=1),
+    )
+    path.gain[1:, :, 0] = gain
+    normals = np.zeros((steps + 1, 1)) if problem.labeling.pairs else None
+    proof = PathProof((path,) * len(agents), letters, faces, 1.0, normals)
+    return Certificate(problem, proof, {"relation": "path"})
+
+
+def of_drift(slab: float) -> AlongPath:
+    """A state that is the square of noise."""
+    low = cg.Proposition("a", [-9.0, -9.0], [999.0, 0.25])
+    slabs = [[0.0, 0.0], [slab, np.inf], [np.inf, np.inf]]
+    return along([agent("a", ["u", "x^2"], [1.0, FAINT])], {"low": low}, "X X low", slabs)
+
+
+def of_product(slab: float) -> AlongPath:
+    """A state that is the product of two noises: it is off by as much on both sides."""
+    near = cg.Proposition("a", [-9.0, -9.0, -0.25], [999.0, 999.0, 0.25])
+    slabs = [[0.0] * 3, [slab, slab, np.inf], [np.inf] * 3]
+    return along([agent("a", ["u", "0*u", "x*y"], [1.0, 1.0, FAINT])], {"near": near}, "X X near", slabs)
+
+
+def of_tube(slab: float) -> AlongPath:
+    """A state that is the square of the square of noise: what the first one is off makes the tube of the second."""
+    low = cg.Proposition("a", [-9.0, -9.0, -9.0], [999.0, 999.0, 0.0625])
+    slabs = [[0.0] * 3, [slab, 0.01, np.inf], [6.0, 0.01, np.inf], [np.inf] * 3]
+    return along([agent("a", ["u", "x^2", "y^2"], [1.0, FAINT, FAINT])], {"low": low}, "X X X low", slabs)
+
+
+def of_middle() -> AlongPath:
+    """Nominal states that the dynamics miss by 1."""
+    low = cg.Proposition("a", [-9.0], [0.5])
+    return along([agent("a", ["u + 1"], [FAINT])], {"low": low}, "X low", [[0.0], [np.inf]])
+
+
+def of_inputs() -> AlongPath:
+    """A feedback that asks for more than there is."""
+    near = cg.Proposition("a", [-9.0, -0.01], [999.0, 0.01])
+    slabs = [[0.0, 0.0], [np.inf, np.inf], [np.inf, np.inf]]
+    agents = [agent("a", ["0*x", "x + u"], [1.0, FAINT], 0.5)]
+    return along(agents, {"near": near}, "X X near", slabs, gain=-1.0)
+
+
+def of_wind() -> AlongPath:
+    """Two agents that the same wind blows apart."""
+    agents = [agent(name, ["x + u"], [FAINT]) for name in ("a", "b")]
+    near = {"near": cg.Pair(["a", "b"], [-0.1], [0.1])}
+    wind = {"wind": {"a": [0.1], "b": [-0.1]}}
+    return along(agents, near, "X near", [[0.0], [np.inf]], joint_noise=wind)
+
+
+def of_jump() -> AlongPath:
+    """A region that is narrower than a step."""
+    goal = cg.Proposition("a", [1.0], [1.2])
+    agents, slabs = [agent("a", ["x + u"], [0.2])], [[0.0], [np.inf], [np.inf]]
+    states, inputs = [[0.0], [0.0], [2.0]], [0.0, 2.0]
+    return along(agents, {"goal": goal}, "F goal", slabs, letter=SOMETIME, states=states, inputs=inputs)
+
+
+def far_product() -> float:
+    """Probability that the product of two standard normal numbers is beyond 1/4."""
+    x = (np.arange(400_000) + 0.5) * 1e-5 * 2.0
+    return float(np.sum(2.0 * norm.pdf(x) * 2.0 * norm.sf(0.25 / x)) * 2e-5)
+
+
+def missed_by_a_jump() -> float:
+    """Probability that a number is in [1, 1.2) neither after a step of noise nor after one of 2 and noise."""
+    x = np.linspace(-3.0, 3.0, 200_001)
+    stays = (x < 1.0) | (x >= 1.2)
+    after = 1.0 - (norm.cdf(1.2 - x - 2.0, scale=0.2) - norm.cdf(1.0 - x - 2.0, scale=0.2))
+    return float(np.trapezoid(np.where(stays, norm.pdf(x, scale=0.2) * after, 0.0), x))
+
+
+def nowhere(self: Chain, rows: Any) -> Any:
+    """Say that true deviations are the linear ones."""
+    return np.zeros(len(rows)), np.zeros(len(rows))
+
+
+def within_shifts(self: Chain, rows: Any) -> Any:
+    """Say that true deviations are the linear ones, shifted."""
+    shift, drift = DRIFT(self, rows)
+    return shift, 0.0 * drift
+
+
+def cancelling(*arguments: Any) -> Any:
+    """Return what shared noise adds to differences as if it were on one side what it is on the other."""
+    common, rounded = COMMON(*arguments)
+    return -np.abs(common), rounded
+
+
+DRIFT, COMMON = Chain.drift, pair_limits_check._common
+HALF = 2.0 * float(norm.sf(0.5))
+CASES = {
+    "drift": Case(of_drift(0.49), of_drift(6.0), HALF, 1.02 * HALF, (Chain, "drift", nowhere)),
+    "product": Case(of_product(0.49), of_product(6.0), far_product(), 0.87, (Chain, "drift", within_shifts)),
+    "tube": Case(of_tube(0.48), of_tube(6.0), HALF, 1.03 * HALF, (Chain, "drift", nowhere)),
+    "middle": Case(of_middle(), of_middle(), 1.0, 1.0, (Chain, "drift", nowhere)),
+    "inputs": Case(
+        of_inputs(), of_inputs(), 2.0 * float(norm.sf(0.51)), 1.01 * HALF,
+        (nonlinear_check, "shortened", lambda below, above, *_: (below + np.inf, above + np.inf)),
+    ),
+    "wind": Case(of_wind(), of_wind(), HALF, 1.001 * HALF, (pair_limits_check, "_common", cancelling)),
+    "jump": Case(of_jump(), of_jump(), missed_by_a_jump(), 1.0, (limits_kept, "add_jumps", lambda *_: None)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_runs_fail_as_often_as_is_said(name: str) -> None:
+    case = CASES[name]
+    found = cg.rollout(case.certificate.problem, case.certificate.controller, EPISODES, seed=0)
+    rate = 1.0 - found.successes / found.episodes
+    assert abs(rate - case.truth) <= DEVIATIONS * sqrt(case.truth * (1.0 - case.truth) / EPISODES) + 2.0 * FAINT
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_check_makes_of_it_no_less_and_hardly_more(name: str) -> None:
+    case = CASES[name]
+    report = cg.check(case.certificate)
+    assert report
+    assert (1.0 - 1e-3) * case.truth <= 1.0 - report.recomputed <= case.most
+    for certificate in (case.certificate, case.loose):
+        for share in (0.5, 0.9, 0.99):
+            assert not cg.check(changed(certificate, failure=share * case.truth))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_check_that_leaves_it_out_accepts_what_most_runs_contradict(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What makes these problems: that sabotage is seen."""
+    case = CASES[name]
+    forged = changed(case.loose, failure=0.5 * case.truth)
+    assert not cg.check(forged)
+    monkeypatch.setattr(*case.sabotage)
+    assert cg.check(forged)
