@@ -8,12 +8,7 @@ from typing import Any, Literal, overload
 from ..envs.problem import load_problem
 from .balls import RigorousReport, check_rigorous
 from .bridges import is_written_policy, save_policy
-<<<<<<< HEAD
-from .certificates import MAX_BYTES, Certificate, Synthesis, load_certificate, save_certificate
-from .checking import CheckReport
-=======
-from .certificates import Certificate, CheckReport, Synthesis, load_certificate, save_certificate
->>>>>>> 8114d562 (Show no bound before the check was asked, and call what it refuses a claim)
+from .certificates import MAX_BYTES, Certificate, CheckReport, Synthesis, load_certificate, save_certificate
 from .checking import check as check_certificate
 from .permissions import Permission, check_permission, is_permission_file, load_permission, save_permission
 

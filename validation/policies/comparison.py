@@ -307,7 +307,7 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
                 "its bound does not hold here, give its controller alone"
             )
         spent = policy.stats["seconds"] if isinstance(policy, Synthesis) else None
-        seconds = float(sum(spent.values())) if isinstance(spent, dict) else None
+        seconds = float(sum(spent.values()) - spent.get("check", 0.0)) if isinstance(spent, dict) else None
         carrier = certificate.controller
         claim = certificate.lower_bound, certificate.gap
         if not (checked := checked_once(certificate)):
