@@ -38,7 +38,7 @@ class Simulator:
 
     def means(self, x: list[np.ndarray], u: list[np.ndarray], v: list[dict[str, Any]], t: int) -> list[np.ndarray]:
         """The next states without noise."""
-        named = {}
+        named: dict[str, np.ndarray] = {}
         for agent, state, inputs in zip(self.agents, x, u, strict=True):
             values = [*zip(agent["states"], state, strict=True), *zip(agent["inputs"], inputs, strict=True)]
             named |= {f"{agent['name']}__of__{key}": value for key, value in values}

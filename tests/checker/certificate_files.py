@@ -96,7 +96,7 @@ def two_carts() -> tuple[dict[str, Any], list[np.ndarray]]:
             {"inputs": 7, "gains": 4, "states": 8, "widths": 6},
         ],
     }
-    header = {
+    header: dict[str, Any] = {
         "format": "certigym-certificate",
         "version": 3,
         "name": "two carts",
@@ -169,7 +169,7 @@ def two_tanks() -> tuple[dict[str, Any], list[np.ndarray]]:
     policy_0[0, 0, reached] = aim
     policy_1[0, 0] = np.abs(0.8 * middles[:, None] + inputs[:, 0] - 2.0).argmin(axis=1)
     policy_1[0, 0, 9] = len(inputs) + aim
-    arrays = [
+    arrays: list[np.ndarray] = [
         source, target, sets, vertices, np.zeros((0, 6), np.int32), kept, edges, lattice, np.zeros((0, 1)),
         np.ones((1, 1)), sets_0, policy_0, inputs, sets_1, policy_1,
     ]  # fmt: skip
@@ -185,7 +185,7 @@ def two_tanks() -> tuple[dict[str, Any], list[np.ndarray]]:
         "tree": {"vertices": 3, "unions": 4, "kept": 5},
         "agents": agents,
     }
-    header = {
+    header: dict[str, Any] = {
         "format": "certigym-certificate",
         "version": 3,
         "name": "two tanks",
@@ -241,9 +241,9 @@ def one_crane() -> tuple[dict[str, Any], list[np.ndarray]]:
     faces[2:, 0], faces[1:, 1] = 2, 0
     gains, widths = np.tile([[-0.8, 0.0], [0.0, -0.5]], (steps, 1, 1)), np.full((steps + 1, 4), np.inf)
     widths[:, :2] = 0.9
-    arrays = [letters, faces, np.zeros((steps + 1, 0)), inputs, gains, np.array(states), widths]
+    arrays: list[np.ndarray] = [letters, faces, np.zeros((steps + 1, 0)), inputs, gains, np.array(states), widths]
     entry = {"inputs": 3, "gains": 4, "states": 5, "widths": 6}
-    header = {
+    header: dict[str, Any] = {
         "format": "certigym-certificate",
         "version": 3,
         "name": "one crane",

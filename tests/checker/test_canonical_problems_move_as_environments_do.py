@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from canonical_simulator import Simulator
-from certigym.envs.agents import LinearAgent
+from certigym.envs.agents import Agent
 from certigym.envs.problem import Problem, load_problem
 from certigym.envs.suite import make_problem, problem_ids
 from certigym.synthesis.canonical import NotCanonicalError, canonical_problem
@@ -89,7 +89,7 @@ def expected_means(
         j = problem.agent_names.index(owner)
         states = list(problem.agents[j].state_names)
         others.append(x[j][states.index(key)] if key in states else u[j][list(problem.agents[j].inputs).index(key)])
-    if isinstance(agent, LinearAgent):
+    if not isinstance(agent, Agent):
         return agent.mean(x[i], u[i])
     n = x[i].shape[1]
     unknown = (np.array([*rows]).reshape(-1, n) for rows in (v.values(), others))

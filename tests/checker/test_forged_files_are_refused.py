@@ -34,7 +34,7 @@ from certigym.synthesis.checker import Unreadable, check_contents, parse_file
 RUNS, FALSE_ALARM, CHANGES = 2000, 1e-6, 1000
 SLACK = math.sqrt(math.log(CHANGES / FALSE_ALARM) / (2.0 * RUNS))
 
-WRONG_VALUES = (
+WRONG_VALUES: tuple[Any, ...] = (
     None,
     True,
     False,
