@@ -75,7 +75,7 @@ def two_carts() -> tuple[dict[str, Any], list[np.ndarray]]:
     normals = np.full((STEPS + 1, 1), -1.0)
     gains, widths = np.full((STEPS, 1, 1), -0.5), np.full((STEPS + 1, 2), np.inf)
     widths[:, 0] = 0.5
-    arrays = [
+    arrays: list[np.ndarray] = [
         letters,
         faces,
         normals,

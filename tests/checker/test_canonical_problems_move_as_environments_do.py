@@ -71,10 +71,14 @@ def test_one_step_and_the_letters_are_the_same(name: str) -> None:
             known = np.array([here.letter([own[:, k] for own in x]) for k in range(POINTS)]).T
         assert np.mean(letters != known) <= 0.002, f"{(letters != known).sum()} letters differ at time {t}"
     for agent, own in zip(data["agents"], problem.agents, strict=True):
-        factor = np.hstack(
-            [np.reshape(agent["noise"], (own.n_states, -1)), agent.get("shared_noise", np.zeros((own.n_states, 0)))]
-        )
-        np.testing.assert_allclose(factor @ factor.T, own.noise_covariance, rtol=1e-9, atol=1e-300)
+        factor = np.reshape(agent["noise"], (own.n_states, -1))
+        if own.laws is None:
+            factor = np.hstack([factor, agent.get("shared_noise", np.zeros((own.n_states, 0)))])
+            np.testing.assert_allclose(factor @ factor.T, own.noise_covariance, rtol=1e-9, atol=1e-300)
+        else:
+            np.testing.assert_array_equal(factor, own.noise_axes)
+            assert agent["distributions"] == [law.to_dict() for law in own.laws]
+            assert agent.get("noise_scale") == (None if own.noise_scale is None else list(own.noise_scale))
         np.testing.assert_array_equal(agent["start_low"], own.initial.low)
         np.testing.assert_array_equal(agent["state_high"], own.state_high)
 
@@ -92,5 +96,5 @@ def expected_means(
     if not isinstance(agent, Agent):
         return agent.mean(x[i], u[i])
     n = x[i].shape[1]
-    unknown = (np.array([*rows]).reshape(-1, n) for rows in (v.values(), others))
-    return agent.mean(x[i], u[i], *unknown, time=t)
+    disturbances, neighbours = (np.array([*rows]).reshape(-1, n) for rows in (v.values(), others))
+    return agent.mean(x[i], u[i], disturbances, neighbours, time=t)
