@@ -1,19 +1,21 @@
 """What the check says of results, and claims along paths and of mixed teams that it agrees with.
 
-Every verb that makes a certificate asks the check before it returns (``judged``). Search and check enclose the same
-expressions by code of their own, and neither is always the narrower one. A claim that the check would refuse by a
-little is of no use to anybody: of paths and mixed teams the larger probability of failing is claimed.
+Every verb that makes a certificate asks the check before it returns (``judged``). Search, check and the small checker
+enclose the same expressions by code of their own, and none is always the narrowest one. A claim that one of them would
+refuse by a little is of no use to anybody: of paths and mixed teams the largest probability of failing is claimed.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
 from ..envs.problem import Problem, out_of_reach
+from .canonical import NotCanonicalError, verdict_of
 from .cells import NoRunFound
 from .certificates import AlongPath, Certificate, MixedProof, Synthesis, changed, path_under
 from .checking import check, checked_once, wrong_mixed
@@ -82,6 +84,10 @@ def agreed_path(certificate: AlongPath) -> AlongPath:
     """Return a certificate along a path that claims no more than the check proves."""
     if len(certificate.problem.labeling.pairs) > MOST_PAIRS:
         return certificate
+    with suppress(NotCanonicalError):
+        proved = verdict_of(certificate).recomputed
+        if proved > certificate.proof.failure:
+            certificate = changed(certificate, failure=min(1.0, proved * (1.0 + 1e-9)))
     if check(certificate):
         return certificate
     report = check(changed(certificate, failure=1.0))

@@ -22,7 +22,17 @@ from ..envs.logic import Formula, parse_formula
 from ..envs.problem import Problem
 from .cells import FloatArray
 from .certificates import AgentPath, Certificate, GridProof, PathProof
-from .checker import FORMAT, VERSION, CheckedAgent, Contents, Refused, affine_dynamics, check_contents, read_problem
+from .checker import (
+    FORMAT,
+    VERSION,
+    CheckedAgent,
+    Contents,
+    Refused,
+    Verdict,
+    affine_dynamics,
+    check_contents,
+    read_problem,
+)
 from .masses import AgentPart
 
 
@@ -60,6 +70,29 @@ def canonical_bytes(certificate: Certificate) -> bytes:
     ValueError
         If the checker refuses it.
     """
+    header, arrays = _contents(certificate)
+    verdict = check_contents(Contents(header, tuple(arrays), set()))
+    if not verdict.proved:
+        raise ValueError(f"`certificate`: the checker refuses it: {verdict.reason}")
+    return archive({**header, "claim": {"failure": min(1.0, verdict.recomputed * CLAIMED)}}, arrays)
+
+
+def verdict_of(certificate: Certificate) -> Verdict:
+    """Return what the checker proves of a certificate, whatever it claims.
+
+    ``recomputed`` is an upper bound on the probability that the task fails; 1 if nothing is proved.
+
+    Raises
+    ------
+    NotCanonicalError
+        If its problem or its proof has no canonical form yet.
+    """
+    header, arrays = _contents(certificate)
+    return check_contents(Contents(header, tuple(arrays), set()))
+
+
+def _contents(certificate: Certificate) -> tuple[dict[str, Any], list[np.ndarray]]:
+    """Return header and arrays of a file that claims nothing."""
     proof, problem = certificate.proof, certificate.problem
     write = _WRITERS.get(type(proof))
     if write is None:
@@ -73,10 +106,7 @@ def canonical_bytes(certificate: Certificate) -> bytes:
         "claim": {"failure": 1.0},
         "proof": write(problem, proof, arrays),
     }
-    verdict = check_contents(Contents(header, tuple(arrays), set()))
-    if not verdict.proved:
-        raise ValueError(f"`certificate`: the checker refuses it: {verdict.reason}")
-    return archive({**header, "claim": {"failure": min(1.0, verdict.recomputed * CLAIMED)}}, arrays)
+    return header, arrays
 
 
 CLAIMED = 1.0 + 1e-9
