@@ -2,7 +2,7 @@
 
 Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``problem`` (with
 ``distributions``); ``automaton``, ``formula``; ``letters``, ``angles``, ``crossings``, ``constraints``,
-``error_system``, ``trajectories``; ``labels``, ``tables``, ``motions``, ``cells``, ``tree``, ``cell_proofs``;
+``error_system``, ``linearization``, ``trajectories``; ``labels``, ``tables``, ``motions``, ``cells``, ``tree``, ``cell_proofs``;
 ``selftest``, ``verdict``, ``controller``. Each file begins with its theorem.
 """
 

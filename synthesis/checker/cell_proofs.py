@@ -63,11 +63,13 @@ def failure_of(problem: Problem, proof: CellProof) -> float:
         raise Refused("agents share noise, and cells take them for independent")
     if any(agent.angles for agent in problem.agents):
         raise Refused("a state is an angle, and cells take states for numbers")
+    # Labels, guards of all steps, and guards of the letter of time 0.
     known = [cell_labels(problem, i, own.edges) for i, own in enumerate(proof.cells)]
     check_guards(problem.automaton, proof.guards, [own.sets for own in proof.cells], known)
     initial = np.full(len(proof.start.target), problem.automaton.initial, dtype=np.int64)
     start = Guards(initial, proof.start.target, proof.start.sets)
     check_guards(problem.automaton, start, [own.start_sets for own in proof.cells], known)
+    # Kernels of agents that are alike are made once.
     kernels: dict[Any, Kernel] = {}
     cells = [own.cells(agent, problem, kernels) for own, agent in zip(proof.cells, problem.agents, strict=True)]
     value = value_at_start(problem.automaton, problem.horizon, cells, proof.guards, start, proof.tree)
@@ -158,6 +160,7 @@ class _AgentCells:
 
     def cells(self, agent: Agent, problem: Problem, kernels: dict[Any, Kernel]) -> Cells:
         """Return the cells of an agent; ``kernels`` are those of agents before it, for agents that are alike."""
+        # Cells tile the workspace: what leaves them has left it.
         low, high = (np.array([axis[k] for axis in self.edges]) for k in (0, -1))
         if not np.array_equal(low, agent.state_box[0]) or not np.array_equal(high, agent.state_box[1]):
             raise Refused(f"the cells of `{agent.name}` do not tile its workspace")
@@ -173,9 +176,11 @@ class _AgentCells:
 
     def _kernel(self, agent: Agent, problem: Problem) -> Kernel:
         deviations = _deviations(agent)
+        # Tables of the noise around lattice points, axis by axis.
         pairs = zip(self.lattice, self.edges, deviations.tolist(), strict=True)
         tables = [normal_table(points, edges, deviation, self.corners) for points, edges, deviation in pairs]
         count, chosen = len(self.inputs), self._choices()
+        # Inputs have maps; targets have to be reached from all of their cells.
         moving = chosen[chosen[:, 1] < count]
         maps = maps_of_inputs(agent, problem.agents, self.edges, self.inputs, moving[:, 0] * count + moving[:, 1])
         aimed, rest = chosen[chosen[:, 1] >= count], np.zeros(len(deviations))

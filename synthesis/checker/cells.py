@@ -83,6 +83,7 @@ class Kernel:
     @cached_property
     def reach(self) -> list[int]:
         """Lattice steps around an image within which differences are looked at: as far as the largest one reaches."""
+        # Half sides of cells times G, in lattice steps: how far images reach.
         half = self._half(self.maps.numbers // max(1, self.inputs))
         extent = np.einsum("nkj,nj->nk", np.abs(self.maps.G), half) + self.maps.rho
         known = np.all(np.isfinite(extent), axis=1)
@@ -114,6 +115,7 @@ class Kernel:
 
     def values(self, factors: Array) -> Array:
         """Return V (n, Z_1, ..) of factors (n, places) at the lattice, from below."""
+        # Noise is independent along the axes: one table after the other.
         tensor = factors.reshape(len(factors), *(table.shape[1] for table in self.tables))
         for k, table in enumerate(self.tables, start=1):
             tensor = np.moveaxis(np.tensordot(tensor, table, axes=(k, 1)), -1, k)
@@ -143,6 +145,7 @@ class Kernel:
         self, values: Array, largest: Array, moving: NDArray[np.int64], choices: NDArray[np.int64], result: Array
     ) -> None:
         """Write the values of cells under inputs, whose means move with the state."""
+        # Values are read at the corners of ``parts`` pieces of every side, corners of the cell among them.
         d, around = len(self.shape), _differences(values, self.reach)
         share = np.array(list(itertools.product(np.linspace(0.0, 1.0, self.parts + 1), repeat=d)))
         corners = np.array(list(itertools.product((0.0, 1.0), repeat=d)))
@@ -167,6 +170,7 @@ class Kernel:
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return I (n, C, K) at images of points ``share`` (K, d), what it may lack (n, C), and which are known."""
         d, shape = len(self.shape), np.array(values.shape[1:])
+        # Every choice in the policy has a map: they were made from it.
         at = np.searchsorted(self.maps.numbers, cells * self.inputs + choices)
         z, G, rho = self.maps.z[at], self.maps.G[at], self.maps.rho[at]
         first = np.array([axis[0] for axis in self.lattice])
@@ -178,14 +182,18 @@ class Kernel:
             inside &= np.all(extent + BESIDE <= np.array(self.reach), axis=1)
         position, rest = (np.where(inside[:, None], x, 1.0) for x in (position, rest))
         moved = np.where(inside[:, None, None], moved, 0.0)
+        # Where all of the image lies on the lattice, I is read; elsewhere the value is 0.
         found = _interpolated(values, position[:, None] + np.einsum("cik,qk->cqi", moved, 2.0 * share - 1.0))
+        # Between the points that are read: second differences by how often lattice planes are crossed,
         steps = 2.0 * np.abs(moved) / self.parts
         bends = np.where(steps < 1.0, steps / 4.0, (steps * steps + 1.0) / 8.0).sum(axis=2)
         weights = [bends[:, k] + 0.125 for k in range(d)]
+        # mixed differences within squares of the lattice, and first ones by how far the mean may be off.
         weights += [(steps[:, i] * steps[:, j]).sum(axis=1) / 4.0 for i, j in itertools.combinations(range(d), 2)]
         weights += [rest[:, k] for k in range(d)]
         blocks = np.array(_blocks(self.reach))
         looked = tuple((np.floor(position + LOOK).astype(np.int64) // blocks).T)
+        # And for V itself, which is not I: an eighth of second differences, in weights, and the constant.
         lacking = np.repeat(self.slack * largest[:, None], len(cells), axis=1)
         for weight, table in zip(weights, around, strict=True):
             lacking += weight * table[(slice(None), *looked)]
@@ -260,6 +268,7 @@ def _multilinear_below(at: Array, lacking: Array, blend: Array, share: Array) ->
     Three forms are such functions: the corners moved down if none becomes negative, the corners scaled down, and a
     constant; the one with the largest mean is taken (docs/theory/linear.md, "The loss").
     """
+    # Corner values, and what they interpolate at the points that are read.
     corners = at[:, :, np.flatnonzero(np.all((share == 0.0) | (share == 1.0), axis=1))]
     between = corners @ blend
     sure = np.maximum(at - lacking[:, :, None], 0.0)
@@ -268,6 +277,7 @@ def _multilinear_below(at: Array, lacking: Array, blend: Array, share: Array) ->
         ratio = np.where(between > 0.0, sure / between, np.where(at >= lacking[:, :, None], 1.0, 0.0))
     scale = np.minimum(1.0, ratio.min(axis=2)) * (1.0 - 8.0 * U)
     moved, scaled, mean = corners - shift[:, :, None], scale[:, :, None] * corners, corners.mean(axis=2)
+    # The first form wins unless another one is better by more than rounding.
     result = np.where((scale * mean >= BETTER * constant)[:, :, None], scaled, constant[:, :, None])
     take = np.all(moved >= 0.0, axis=2) & (mean - shift >= BETTER * np.maximum(scale * mean, constant))
     return np.asarray(np.where(take[:, :, None], moved, result))

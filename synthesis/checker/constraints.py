@@ -83,6 +83,7 @@ class Constraints:
     def failure(self) -> float:
         """Return an upper bound on the probability that one of them fails."""
         rows, sources = np.concatenate(self.rows, axis=1), np.concatenate(self.sources)
+        # A form is of the heaviest kind among its sources; forms that share none are independent.
         component, kinds = _components(sources), np.where(sources, self.kinds, NORMAL).max(axis=1, initial=NORMAL)
         members = [component == k for k in range(int(component.max(initial=-1)) + 1)]
         each = [_failure_of(rows[:, here], kinds[here]) for here in members]
@@ -112,6 +113,7 @@ def _failure_of(rows: Array, kinds: NDArray[np.int64]) -> float:
         ends = (np.minimum(end, width) for end in (low, high))
         total = sum(float(np.sum(_tails_by_kind(end, variance, largest, kinds))) for end in ends)
         return min(1.0, total * _rounded(2 * len(low)))
+    # As a strip: both tails beyond the nearest end. Or the strip of the tube, and tails beyond it.
     both = np.minimum(2.0 * tails(np.minimum(np.minimum(low, high), width), variance), 1.0)
     inner = np.minimum(2.0 * tails(width, variance), 1.0)
     outer = np.where(low < width, tails(low, variance), 0.0) + np.where(high < width, tails(high, variance), 0.0)
@@ -138,6 +140,7 @@ def _rounded(count: int) -> float:
 
 def _tails_by_kind(distance: Array, variance: Array, largest: Array, kinds: NDArray[np.int64]) -> Array:
     """Return upper bounds (J,) on P(g > distance), whatever the noise is made of."""
+    # How many deviations there are to the end, from below.
     z = _in_deviations(distance, variance)
     # normal noise whose size depends on the past is sub-Gaussian, too
     normal, light = tails(distance, variance), _light_tail(z)

@@ -110,6 +110,7 @@ def check_words(problem: Problem, letters: Letters, faces: Letters) -> None:
         raise Refused(f"a pair is crossed, or more than {MOST_OPEN} regions at one time")
     if not automaton.is_co_safe and len(letters) != problem.horizon + 1:
         raise Refused("the trajectory ends before the horizon, where the task is judged")
+    # States by what was met in windows that are still open.
     reached: dict[Met, set[int]] = {frozenset(): followed(automaton, {automaton.initial}, start)}
     for t in range(1, len(letters)):
         ends = {p for p in np.flatnonzero(letters[t] == SOMETIME).tolist() if is_last(letters, faces, t, p)}

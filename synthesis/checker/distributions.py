@@ -62,6 +62,7 @@ def read_distribution(value: Any, place: str) -> Envelope:
     """Return the envelope of a distribution in the header of a file."""
     if not isinstance(value, dict) or value.get("law") not in LAWS:
         raise fields.expected(f"{place}.law", f"one of {', '.join(LAWS)}", value)
+    # Tables have the keys of their distribution and no other.
     keys, make = LAWS[value["law"]]
     own = fields.table(value, place, ("law", *keys))
     if value["law"] == "mixture":
@@ -119,6 +120,7 @@ def _student(scale: float, df: float) -> Envelope:
     if not df > 2.0:
         raise Unreadable(f"Student's distribution with {df} degrees of freedom has no variance")
     special = importlib.import_module("scipy.special")
+    # Noise beyond the cut is given up: its probability is charged as a failure.
     cut = -_positive(scale, "scale") * float(special.stdtrit(df, 0.5 * GIVEN_UP))
     lost = 2.0 * (float(special.stdtr(df, -cut / scale)) * (1.0 + TAILS_OFF) + TAILS_OFF)
     square, most = scale * scale * df / (df - 2.0), 0.0

@@ -35,6 +35,7 @@ class ErrorSystem:
     def step(self, matrix: Array, pushed: Array, reach: Array, noise: Array) -> None:
         """Add a step: ``e' = matrix e + pushed + noise w`` for all |e| <= reach."""
         self.before = self.products
+        # Products F_t-1 .. F_s of all earlier times, made longer by one factor.
         self.products = np.concatenate([np.matmul(matrix, self.products), np.eye(len(matrix))[None]])
         self.matrices.append(matrix)
         self.pushed.append(pushed)
@@ -47,6 +48,7 @@ class ErrorSystem:
         With ``earlier`` (J, D) the rows are ``c e_t + earlier e_(t-1)``.
         """
         t, d = len(self.matrices), c.shape[1]
+        # y_s = c F_(t-1) .. F_s as floating point computes it: what it lacks is charged below.
         y = np.matmul(c[None], self.products)  # (t + 1, J, D)
         if earlier is not None:
             y[:t] += np.matmul(earlier[None], self.before)
@@ -64,6 +66,7 @@ class ErrorSystem:
         missed = np.abs(np.matmul(after, matrices) - before)
         missed += (d + 6.0) * U * (np.matmul(size, np.abs(matrices)) + np.abs(before) + np.abs(y[:-1])) + 1e-290
         spare = spare + np.einsum("sjd,sd->j", missed, np.array(self.reach)) * counted
+        # Boxes b: what their middles add up to is a shift, and their half widths add up.
         middle, half = 0.5 * (pushed[:, 0] + pushed[:, 1]), 0.5 * (pushed[:, 1] - pushed[:, 0])
         shift, shifted = np.einsum("sjd,sd->j", after, middle), np.einsum("sjd,sd->j", size, np.abs(middle))
         spare += np.einsum("sjd,sd->j", size, half + 2 * U * np.abs(middle)) * counted
@@ -71,6 +74,7 @@ class ErrorSystem:
         # every product y L is off by less than this, and its square enters the variance
         moved = np.abs(np.matmul(after, noises))
         moved += (d + 4.0) * U * np.matmul(size, np.abs(noises)) + np.where(moved > 0.0, 1e-160, 0.0)
+        # What each step adds to the variance; the largest one matters for long tails.
         each = np.einsum("sjw,sjw->sj", moved, moved)
         more = counted + 4.0 * U * t * moved.shape[2]
         forms = Forms(each.sum(axis=0) * more, each.max(axis=0) * more, (moved > 0.0).any(axis=0))

@@ -117,6 +117,7 @@ def is_certificate(path: str | Path) -> bool:
 
 def parse_file(raw: bytes) -> Contents:
     """Return header and arrays in the bytes of a file."""
+    # Members in order: the header, then arrays by number.
     members = _members(memoryview(raw))
     if not members or members[0][0] != "header.json":
         raise Unreadable("its first member is not `header.json`: it is no certificate of this format")
@@ -137,6 +138,7 @@ def _members(raw: memoryview) -> list[tuple[str, memoryview]]:
         local.append((name, entry, at, raw[start:end]))
         at = end
     directory = at
+    # The directory has to say of every member what stands before it.
     for name, entry, offset, data in local:
         if len(raw) < at + 46 or bytes(raw[at : at + 4]) != CENTRAL:
             raise Unreadable("its directory is cut off")
@@ -148,6 +150,7 @@ def _members(raw: memoryview) -> list[tuple[str, memoryview]]:
         if zlib.crc32(data) != entry[5]:
             raise Unreadable(f"{name[:40]!r} was changed by accident: its check sum differs")
         at += 46 + len(name)
+    # Nothing may follow: the end of the archive is known to the byte.
     closing = struct.pack("<4sHHHHIIH", END, 0, 0, len(local), len(local), at - directory, directory, 0)
     if bytes(raw[at:]) != closing:
         raise Unreadable("it does not end where its directory ends, or holds more than its members")
@@ -206,6 +209,7 @@ def _array(name: str, data: memoryview) -> NDArray[Any]:
     length = struct.unpack("<H", data[8:10])[0] if len(data) >= 10 and bytes(data[:8]) == NPY else -1
     if length < 0 or len(data) < 10 + length:
         raise Unreadable(f"{name}: it is no array of version 1.0")
+    # The text of an array has one form; a length that does not fit is refused before memory is used.
     match = NPY_HEADER.fullmatch(bytes(data[10 : 10 + length]).decode("latin-1"))
     if match is None or match[1] not in TYPES:
         raise Unreadable(f"{name}: expected an array in C order of type {', '.join(TYPES)}")

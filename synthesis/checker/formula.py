@@ -188,6 +188,7 @@ class _Progression:
                 raise Refused(f"the formula names {f!r}, which is no proposition")
             return d.variable(f)
         operator, a, *rest = f
+        # Promises are variables: what holds from the next letter on.
         if operator == "X":
             return d.variable(f)
         if operator == "N":
@@ -196,10 +197,12 @@ class _Progression:
             return d.ite(self.now(a), 0, 1)
         if operator == "F" and rest:
             return self._window(a, *rest)
+        # f U g holds if g does, or f does and it holds from the next letter on.
         if operator == "U":
             return d.ite(self.now(rest[0]), 1, d.ite(self.now(a), d.variable(("X", f)), 0))
         if operator == "F":
             return self.now(("U", True, a))
+        # The others are short for these.
         if operator == "G":
             return self.now(("!", ("F", ("!", a), *rest)))
         b = rest[0]
@@ -246,6 +249,7 @@ def wrong_automaton(automaton: Automaton, formula: Formula) -> str:
     before = progression.diagrams.variable(("X", formula))
     if automaton.is_co_safe and automaton.accepting[automaton.initial] and progression.now(formula) != 1:
         return f"state {automaton.initial} accepts before any letter, and the formula is not always true"
+    # Every pair of a state and of what the formula still asks, that some word leads to.
     stack = _letters(progression, automaton, automaton.initial, progression.stepped(before))
     seen: set[tuple[int, int]] = set()
     while stack:
@@ -277,6 +281,7 @@ def _letters(progression: _Progression, automaton: Automaton, q: int, f: int) ->
         if not tests:
             pairs.append((-1 - entry, f))
             continue
+        # Both diagrams go on at the smaller proposition.
         p = min(tests)
         here = entry >= 0 and automaton.variable[entry] == p
         entries = (automaton.low[entry], automaton.high[entry]) if here else (entry, entry)

@@ -77,6 +77,7 @@ class Jet:
         value = np.where(known(self.value), value, np.nan)
         if not self.moves:
             return Jet(value, self.slope, self.bend)
+        # Chain rule: f' H + f'' s s'.
         outer = mul(self.slope[:, :, None], self.slope[:, None])
         bend = add(mul(first[:, None, None], self.bend), mul(second[:, None, None], outer))
         return Jet(value, mul(first[:, None], self.slope), bend)
@@ -149,6 +150,7 @@ def _function(name: str, a: Array) -> tuple[Array, Array, Array]:
         r = recip(a)
         return r, neg(square(r)), mul(_number(2.0), power(r, 3.0))
     assert name == "abs"
+    # abs: one slope on each side, and both at a kink.
     right, left = a[0] >= 0, a[1] <= 0
     value = np.stack([np.maximum(np.maximum(a[0], -a[1]), 0.0), np.maximum(-a[0], a[1])])
     # at 0 itself both slopes count
@@ -220,6 +222,7 @@ def off_linear(centre: Jet, around: Jet, box: Array, matrix: Array, follow: Foll
     follow : (T, places, off), optional
         e is ``T @ z`` up to ``off`` (v,), z its own entries at ``places``.
     """
+    # Taylor at the centre, the mean value theorem on the box, and Taylor along what directions follow.
     row = interval(matrix)
     at_centre = total(mul(add(centre.slope, neg(row)), box), 0)
     forms = [
@@ -228,6 +231,7 @@ def off_linear(centre: Jet, around: Jet, box: Array, matrix: Array, follow: Foll
     ]
     if follow is not None:
         transform, places, off = interval(follow[0])[..., None], follow[1], follow[2][:, None]
+        # T' H T, in two steps.
         half = total(mul(around.bend[:, :, :, None], transform[:, None]), 1)  # (v, k)
         bend = total(mul(transform[:, :, :, None], half[:, :, None]), 0)  # (k, k)
         # e' H e differs from z' T'H T z by at most off' |H| (|e| + |T z|) <= off' |H| (2 |e| + off)

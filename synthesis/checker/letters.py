@@ -62,6 +62,7 @@ def known_at(problem: Problem, letters: NDArray[np.int64], t: int) -> dict[int, 
 
 def known_at_start(problem: Problem) -> dict[int, bool]:
     """Return what is known of the letter of time 0, for all starts in the box."""
+    # Outputs on the box of starts; those that are states are exact.
     outputs = [
         np.concatenate([_output(agent, tree) for tree in agent.outputs], axis=1) if agent.outputs else np.zeros((2, 0))
         for agent in problem.agents
@@ -101,6 +102,7 @@ def _held(pair: Pair, first: Array, second: Array) -> bool | None:
             return True
         return False if any(high < a or b <= low or a >= b for (low, high), a, b in limits) else None
     radius = Fraction(float(pair.radius[0]))
+    # The shortest and the longest difference, squared.
     least = sum(0 if low <= 0 <= high else min(low * low, high * high) for low, high in ends)
     most = sum(max(low * low, high * high) for low, high in ends)
     # a simulator rounds squares and their sum: what is this near to the face is not known
@@ -121,6 +123,7 @@ def demands(
         if value == 1:
             limits = zip(range(len(low)), low.tolist(), high.tolist())
             asked += [Demand(((region.agent, k, 1.0),), a, b, label) for k, a, b in limits if a > -np.inf or b < np.inf]
+        # A region that is empty at this time does not hold, and nothing has to be avoided.
         elif value < 0 and not np.any(low >= high):
             k, above = divmod(face, 2)
             if not 0 <= k < len(low) or not np.isfinite((high if above else low)[k]):
@@ -128,6 +131,7 @@ def demands(
             ends = (float(high[k]), np.inf) if above else (-np.inf, float(low[k]))
             avoided = float(low[k]), float(high[k])
             asked.append(Demand(((region.agent, k, 1.0),), *ends, f"not {label}", avoided))
+    # Pairs come after regions, and their normals stand one after the other.
     first = 0
     for p, pair in enumerate(problem.pairs, start=len(problem.regions)):
         count = len(pair.outputs[0])

@@ -51,6 +51,7 @@ def maps_of_inputs(
     low, high = (corner[cell] for corner in cell_boxes(edges))
     unknown = _unknown(agent, others)
     n, d, v = len(numbers), low.shape[1], low.shape[1] + len(unknown)
+    # Variables of a cell: its states, and everything that is unknown, around the middles of their ranges.
     ranges = np.array(list(unknown.values())).reshape(-1, 2)
     middle = np.concatenate([0.5 * low + 0.5 * high, np.repeat(ranges.mean(axis=1)[None], n, axis=0)], axis=1).T
     first = np.concatenate([low, np.repeat(ranges[None, :, 0], n, axis=0)], axis=1).T
@@ -68,6 +69,7 @@ def maps_of_inputs(
         leaves.append(named)
     z, G, rho = np.empty((n, d)), np.empty((n, d, d)), np.empty((n, d))
     memories: tuple[Memory, Memory] = {}, {}
+    # One output after the other: z and G at the middle, rho by what the jet leaves out.
     for k, tree in enumerate(agent.dynamics):
         centre, around_jet = (jet(tree, own, memory) for own, memory in zip(leaves, memories))
         row = np.broadcast_to(0.5 * (centre.slope[0] + centre.slope[1]), (v, n)).copy()
@@ -112,6 +114,7 @@ def check_targets(
     if len(wrong):
         name = agent.inputs[wrong[0, 1]]
         raise Refused(f"input `{name}` of `{agent.name}` leaves its box in cell {cells[wrong[0, 0]]} for a target")
+    # B P is the identity up to rounding: what it lacks acts on all that is cancelled.
     missed = np.abs(B @ inverse - np.eye(d)) + (m + 2.0) * U * np.abs(B) @ np.abs(inverse)
     rest = size @ missed.T + rounding @ np.abs(B).T
     return np.asarray(rest.max(axis=0, initial=0.0) * (1.0 + 2.0**-40))

@@ -191,6 +191,7 @@ def _agent(i: int, own: dict[str, Any], names: tuple[str, ...], variables: list[
     disturbances = _numbers(own.get("disturbances", {}), f"{name}.disturbances", _ends)
     parameters = _numbers(own.get("parameters", {}), f"{name}.parameters", fields.number)
     fields.distinct([states, inputs, tuple(disturbances)], name)
+    # Dotted names: which state or input of which agent they are.
     others = [
         {f"{names[j]}.{key}": (j, k) for j in range(len(names)) if j != i for k, key in enumerate(variables[j][kind])}
         for kind in (0, 1)
@@ -200,6 +201,7 @@ def _agent(i: int, own: dict[str, Any], names: tuple[str, ...], variables: list[
     # `t` is the time unless the agent has something of this name.
     local = (*states, *inputs, *disturbances)
     readable = (*local, *others[0], *others[1], *(() if "t" in (*local, *parameters) else ("t",)))
+    # Noise: factors, distributions of what they multiply, and scales.
     shared, noise = own.get("shared_noise"), fields.matrix(own["noise"], f"{name}.noise", d)
     envelopes = [STANDARD] * noise.shape[1]
     if "distributions" in own:
@@ -312,6 +314,7 @@ def _pair(value: Any, place: str, agents: tuple[Agent, ...], horizon: int) -> Pa
     first, second = fields.each(own["agents"], f"{place}.agents", lambda i, at: fields.whole(i, at, 0, len(agents)), 2)
     if first == second:
         raise Unreadable(f"{place}.agents: one agent stands there twice")
+    # Outputs are compared in order, as many of either agent.
     axes = fields.each(own["outputs"], f"{place}.outputs", lambda numbers, _: numbers, 2)
     outputs = _axes(axes[0], place, agents[first]), _axes(axes[1], place, agents[second])
     count = len(outputs[0])

@@ -29,6 +29,7 @@ def normal_table(points: Array, edges: Array, deviation: float, hats: bool) -> t
     """Return probabilities (Z, S) of cells, or means (Z, 2 S) of their hats, and what a row lacks at most."""
     if not (0.0 < deviation < np.inf and np.all(np.diff(edges) > 0)):
         raise Refused("cells need noise along every axis, and edges that increase")
+    # Faces of cells as seen from the lattice points, in deviations.
     x = (edges - points[:, None]) / deviation
     near = np.abs(x) < FAR
     tail = np.zeros((2, *x.shape))
@@ -36,6 +37,7 @@ def normal_table(points: Array, edges: Array, deviation: float, hats: bool) -> t
     low, high = rigorous.tail(np.abs(x[near]))
     # x is rounded twice, by 2 U of itself, which moves a tail by at most 2 U x phi(x) < U / 2
     tail[0][near], tail[1][near] = np.maximum(low - U, 0.0), high + U
+    # Tails on either side; that of the far side is 1 less the near one.
     complement = np.stack([down(1.0 - tail[1]), up(1.0 - tail[0])])
     right, left = np.where(x >= 0, tail, complement), np.where(x <= 0, tail, complement)
     # the difference of the smaller tails: of those to the right where the cell lies on the right
@@ -58,6 +60,7 @@ def _hats(x: Array, near: NDArray[np.bool_], mass: Array, width: Array) -> Array
     spare, ends = (5.0 * square + 8.0) * U, rigorous.exp(-0.5 * square)
     density[0][near] = np.maximum(ends[0] * (1 - spare) * PHI_0[0], 0.0)
     density[1][near] = ends[1] * (1 + spare) * PHI_0[1]
+    # E (y + w - a)^+ on the cell, in deviations, divided by its width.
     a = x[:, :-1]
     first = np.stack([down(density[0][:, :-1] - density[1][:, 1:]), up(density[1][:, :-1] - density[0][:, 1:])])
     first = add(first, -mul(np.stack([a - 4 * U * np.abs(a), a + 4 * U * np.abs(a)]), mass)[::-1])

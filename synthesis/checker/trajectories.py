@@ -30,12 +30,13 @@ from .angles import HALF_TURN, OFF, angle_axes, check_angles, of_copies
 from .constraints import ROUNDED, Constraints, Forms
 from .crossings import SOMETIME, Jump, check_words, crossed, jumps
 from .error_system import ErrorSystem
-from .expressions import Tree, names_in
+from .expressions import names_in
 from .fields import Refused
 from .file import Contents
 from .intervals import add, down, interval, mul, neg, up
-from .jets import Follow, Jet, Memory, jet, off_linear, value_on
+from .jets import value_on
 from .letters import Demand, demands
+from .linearization import expanded
 from .problem import Agent, Problem
 from .rigorous import Array, U
 
@@ -105,20 +106,24 @@ def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constra
     Refused
         If words that agree with the letters are not accepted, or nothing is known beyond a step.
     """
+    # What is asked of the problem and of words, before anything moves.
     check_angles(problem)
     check_words(problem, proof.letters, proof.faces)
     joint = _Joint.of(problem, proof)
     errors, constraints = ErrorSystem(joint.spread, len(problem.kinds)), Constraints(problem.kinds)
     before = np.zeros((2, len(joint.spread)))
     for t in range(len(proof.letters)):
+        # The tube rests on constraints of earlier times, and on the widths of this one, which are asked below.
         known = errors.rows(np.eye(len(joint.spread)))
         tube = joint.tube(known[0], t)
+        # The start has no noise, and its letter was read from its box: nothing is asked at time 0.
         if t:
             asked = demands(problem, proof.letters, proof.faces, proof.normals, t)
             asked += crossed(problem, proof.letters, proof.faces, t)
             asked = [of_copies(problem, demand, joint.states[t]) for demand in asked]
             _ask_states(joint, errors, constraints, tube, known, asked, t)
             _ask_jumps(joint, errors, constraints, (before, tube), jumps(problem, proof.letters, proof.faces, t), t)
+        # Inputs are asked for, and the step is taken, in the tube of this time.
         before = tube
         if t < len(proof.letters) - 1:
             _advance(joint, errors, constraints, tube, t)
@@ -148,6 +153,7 @@ class _Joint:
         turning = np.concatenate([angle_axes(agent) for agent in agents]) > 0.0
         if np.any(start[0] < box[0]) or np.any(start[1] > box[1]):
             raise Refused("a start lies outside the workspace of its agent")
+        # A point start is the nominal state itself; a box start is an error of time 0.
         point = start[0] == start[1]
         if np.any(point & (start[0] != states[0])):
             raise Refused("a trajectory begins elsewhere than its agent")
@@ -164,6 +170,7 @@ class _Joint:
 
     def tube(self, ends: Array, t: int) -> Array:
         """Return ends (2, D) between which errors stay, from those (2, D) of what they are besides g."""
+        # |g| <= width is asked at times from 1 on; at time 0 there is no noise.
         width = self.widths[t] if t else np.zeros(len(self.spread))
         still = (ends == 0).all(axis=0) & (width == 0)
         low, high = np.minimum(down(ends[0] - width), 0.0), np.maximum(up(ends[1] + width), 0.0)
@@ -195,12 +202,14 @@ def _ask_states(
 
     ``known`` are ends (2, D) and numbers g of the states themselves: the tube is made of these very numbers.
     """
+    # Every state has its workspace and the width of its tube; what letters ask comes after.
     axes, D = np.eye(len(joint.spread)), len(joint.spread)
     values = interval(joint.states[t])
     rows, limits, labels = [*axes], [*joint.box.T.tolist()], [f"state {k} at time {t}" for k in range(D)]
     ends = [values[:, k : k + 1] for k in range(D)]
     place = {(axis.tobytes(), value.tobytes()): k for k, (axis, value) in enumerate(zip(axes, ends, strict=True))}
     for (row, value), demand in zip(_linear_forms(joint, tube, asked, t), asked, strict=True):
+        # One row for all that is asked of the same form: the narrowest limits say it all.
         k = place.setdefault(((row + 0.0).tobytes(), value.tobytes()), len(rows))
         if k == len(rows):
             rows.append(row)
@@ -210,6 +219,7 @@ def _ask_states(
         if demand.low > limits[k][0] or demand.high < limits[k][1]:
             labels[k] = demand.label
         limits[k] = [max(limits[k][0], demand.low), min(limits[k][1], demand.high)]
+    # What rows are besides g moves their values, and shortens the distance to both limits.
     more = errors.rows(np.array(rows[D:]).reshape(-1, D))
     drift, forms = np.concatenate([known[0], more[0]], axis=1), known[1].joined(more[1])
     low, high = np.array(limits).T
@@ -230,6 +240,7 @@ def _ask_jumps(
     if not asked:
         return
     outputs = [Demand(((jump.agent, jump.output, 1.0),), jump.low, jump.high, jump.label) for jump in asked]
+    # The difference of an output at two times is a row of the errors at both.
     old, new = (_linear_forms(joint, tube, outputs, time) for tube, time in zip(tubes, (t - 1, t), strict=True))
     value = np.concatenate([add(now[1], neg(was[1])) for was, now in zip(old, new, strict=True)], axis=1)
     drift, forms = errors.rows(np.array([now[0] for now in new]), -np.array([was[0] for was in old]))
@@ -242,6 +253,7 @@ def _linear_forms(joint: _Joint, tube: Array, asked: Sequence[Demand], t: int) -
     """Return rows (D,) and ends (2, 1) besides them of what is asked, on the tube."""
     known: dict[tuple[int, int], tuple[Array, Array]] = {}
     for i, (agent, here) in enumerate(zip(joint.agents, joint.slices, strict=True)):
+        # Outputs are expanded once for each agent, and only those that are asked for.
         used = sorted({k for demand in asked for j, k, _ in demand.parts if j == i})
         places = {name: k for k, name in enumerate(agent.states)}
         trees = [agent.outputs[k] for k in used]
@@ -262,61 +274,6 @@ def _linear_forms(joint: _Joint, tube: Array, asked: Sequence[Demand], t: int) -
             value = add(value, np.array([[-spare], [spare]]))
         forms.append((row, value))
     return forms
-
-
-def expanded(
-    trees: Sequence[Tree],
-    point: Array,
-    places: dict[str, int],
-    box: Array,
-    t: int,
-    free: int | None = None,
-    follow: Follow | None = None,
-) -> tuple[Array, Array]:
-    """Return a matrix (p, v), and ends (2, p) of what trees are besides it, for deviations in a box (2, v) of a point.
-
-    Parameters
-    ----------
-    trees : sequence of Tree
-    point : (v,) array
-    places : dict
-        Which of the v variables a name is.
-    box : (2, v) array
-        Around 0.
-    t : int
-        The time, unless a variable is called ``t``.
-    free : int, optional
-        The matrix has zeros beyond the first ``free`` variables; default: all of them.
-    follow : Follow, optional
-        How variables follow one another (``off_linear``).
-
-    Raises
-    ------
-    Refused
-        If an expression is not defined on the box.
-    """
-    v = len(point)
-    leaves: list[dict[str, Jet]] = []
-    for around in (np.zeros_like(box), box):
-        named = {
-            name: Jet.variable(add(interval(point[k : k + 1]), around[:, k : k + 1]), np.eye(v)[:, k : k + 1])
-            for name, k in places.items()
-        }
-        named.setdefault("t", Jet.variable(interval(np.full(1, float(t))), np.zeros((v, 1))))
-        leaves.append(named)
-    matrix, ends = np.zeros((len(trees), v)), np.zeros((2, len(trees)))
-    memories: tuple[Memory, Memory] = {}, {}
-    for p, tree in enumerate(trees):
-        centre, around_jet = (jet(tree, own, memory) for own, memory in zip(leaves, memories))
-        row = 0.5 * (centre.slope[0] + centre.slope[1])
-        row[v if free is None else free :] = 0.0
-        if not np.all(np.isfinite(row)):
-            raise Refused(f"an expression has no slope on the nominal trajectory at time {t}: {str(tree)[:60]}")
-        ends[:, p] = add(centre.value, off_linear(centre, around_jet, box[:, :, None], row, follow))[:, 0]
-        matrix[p] = row[:, 0]
-        if not np.all(np.isfinite(ends[:, p])):
-            raise Refused(f"an expression is not known on the tube at time {t}: {str(tree)[:60]}")
-    return matrix, ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,9 +298,11 @@ def _inputs(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: 
     # u + K (x - xbar) as floating point computes it: d products and sums, and the difference of states
     size = np.abs(u) + np.abs(gain) @ (reach + U * np.abs(joint.states[t, here]))
     rounding = np.where(moved, 4.0 * (d + 3.0) * U * size + np.abs(gain) @ (OFF * joint.turning[here]), 0.0)
+    # K e is a row like others: a form g of the noise, and something between ends.
     rows = np.array([joint.row(i, row) for row in gain * moved[:, None]]).reshape(m, -1)
     ends, forms = errors.rows(rows)
     width = own.widths[t, d:] if t else np.where(moved, np.inf, 0.0)
+    # It is no farther from 0 than errors in the tube allow, nor than its own strip and ends.
     spread = np.abs(gain) @ reach * ROUNDED
     low_move, high_move = np.maximum(ends[0] - width, -spread), np.minimum(ends[1] + width, spread)
     low_move, high_move = np.minimum(low_move - rounding, 0.0), np.maximum(high_move + rounding, 0.0)
@@ -362,8 +321,10 @@ def _advance(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube:
     """One step of all agents: inputs stay in their boxes, and the next error is F e and something in a box."""
     D = len(joint.spread)
     matrix, pushed, noise = np.zeros((D, D)), np.zeros((2, D)), joint.noise.copy()
+    # All inputs first: dynamics may name those of other agents.
     moves = [_inputs(joint, errors, constraints, tube, i, t) for i in range(len(joint.agents))]
     for i, (agent, here) in enumerate(zip(joint.agents, joint.slices, strict=True)):
+        # The next error is what the dynamics give less the next nominal state, and the mean of the noise.
         columns, rows, ends = _step(joint, moves, tube, i, t)
         scale = _scale(joint, moves[i], tube, i, t)
         matrix[here, columns] = rows
@@ -382,6 +343,7 @@ def _scale(joint: _Joint, moves: _Moves, tube: Array, i: int, t: int) -> Array:
     agent, here = joint.agents[i], joint.slices[i]
     if not agent.scale:
         return np.ones((2, len(agent.states)))
+    # The largest size on the tube counts, for states, inputs and disturbances in their ranges.
     inputs = add(interval(moves.nominal), moves.deviation)
     states = add(interval(joint.states[t, here]), tube[:, here])
     ranges = np.array(list(agent.disturbances.values())).reshape(-1, 2).T
@@ -418,6 +380,7 @@ def _step(joint: _Joint, moves: Sequence[_Moves], tube: Array, i: int, t: int) -
         columns += range(joint.slices[j].start, joint.slices[j].stop)
     columns = list(dict.fromkeys(columns))
     n, m = len(columns), len(inputs)
+    # Disturbances are deviations from the middle of their ranges.
     ranges = np.array(list(agent.disturbances.values())).reshape(-1, 2)
     middle = 0.5 * ranges[:, 0] + 0.5 * ranges[:, 1]
     away = np.stack([down(ranges[:, 0] - middle), up(ranges[:, 1] - middle)])
@@ -439,6 +402,7 @@ def _step(joint: _Joint, moves: Sequence[_Moves], tube: Array, i: int, t: int) -
     transform = np.delete(transform, range(n, n + m), axis=1)
     offsets = np.concatenate([np.zeros(n), rounding, np.zeros(len(middle))])
     follow = transform, [*range(n), *range(n + m, len(point))], offsets
+    # The matrix leaves out disturbances, so that they count with their whole range.
     slopes, ends = expanded(agent.dynamics, point, places, box, t, n + m, follow)
     A, B, gains = slopes[:, :n], slopes[:, n : n + m], transform[n : n + m, :n]
     # A + B K is rounded, and inputs are off by their rounding

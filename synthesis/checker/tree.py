@@ -87,6 +87,7 @@ def check_guards(
     ``known`` are the propositions of each agent and their labels in its cells.
     """
     done = finished(automaton)
+    # Two guards overlap if their sets have a cell in common for every agent.
     meets = [(own.astype(np.int64) @ own.T.astype(np.int64)) > 0 for own in sets]
     for q in np.unique(guards.source).tolist():
         here = np.flatnonzero(guards.source == q)
@@ -95,6 +96,7 @@ def check_guards(
             overlap &= both[np.ix_(guards.sets[here, i], guards.sets[here, i])]
         if np.any(overlap & ~np.eye(len(here), dtype=bool)) or done[q]:
             raise Refused(f"guards out of automaton state {q} overlap, or leave what is decided")
+    # All labels that cells of a set have: the automaton is followed through each of them.
     letters = [[np.unique(labels[cells], axis=0).tolist() for cells in own] for own, (_, labels) in zip(sets, known)]
     for g, (q, target) in enumerate(zip(guards.source.tolist(), guards.target.tolist(), strict=True)):
         entries = {automaton.root[q]}
@@ -133,6 +135,7 @@ def value_at_start(
 ) -> float:
     """Return a lower bound on the probability that the task is satisfied from the start."""
     check_order(tree)
+    # At the end: 1 where the automaton accepts, and nothing elsewhere.
     ones = [np.ones((1, cells.places)) for cells in agents]
     terms = [np.zeros((int(accepts), len(agents)), dtype=np.int64) for accepts in automaton.accepting]
     later, size = _Values(ones, terms), 0
@@ -162,6 +165,7 @@ def _one_step_earlier(
         if is_done:
             terms.append(np.zeros((1, len(agents)), dtype=np.int64))
             continue
+        # Vertices of this state, united, and cut down to those that are kept.
         vertices, unions, kept = tree.at(t, q)
         below = _children(guards, later, vertices, q)
         _check_unions(unions, kept, len(vertices), len(agents))
@@ -184,6 +188,7 @@ class _Memory:
 
     def backup(self, kernel: Kernel, factors: Array, policy: Whole) -> tuple[Array, Whole]:
         """Return distinct factors one step earlier, and which of them each of the factors (n, places) becomes."""
+        # Equal factors are taken back once.
         keys = [row.tobytes() for row in factors]
         number = {key: k for k, key in enumerate(dict.fromkeys(keys))}
         where = np.array([number[key] for key in keys], dtype=np.int64)
@@ -220,6 +225,7 @@ def _check_unions(unions: Whole, kept: Whole, n: int, n_agents: int) -> None:
         raise Refused("the tree unites or keeps a vertex that does not exist")
     if np.any((rest < -n_agents) | (rest > n_agents) | ((rest != 0) & (np.abs(rest) - 1 == agent))):
         raise Refused("the tree keeps a remainder of no agent, or of the one whose factors are added")
+    # A vertex that was absorbed is gone, unless a remainder took its place.
     gone: set[int] = set()
     for a, b, remains in zip(into.tolist(), absorbed.tolist(), rest.tolist(), strict=True):
         if a == b or a in gone or b in gone:

@@ -79,6 +79,7 @@ def check(path: str | Path, most_bytes: int = MOST_BYTES) -> Verdict:
 
 def check_contents(contents: Contents) -> Verdict:
     """Prove the claim of a file whose bytes were read (see ``check``)."""
+    # First the machine, then what the file says, and only then what it claims.
     if wrong := wrong_arithmetic():
         raise ArithmeticError(f"nothing can be proved on this machine: {wrong}")
     problem = read_problem(contents.header)
