@@ -32,6 +32,7 @@ from .checker import (
     affine_dynamics,
     check_contents,
     read_problem,
+    shown,
 )
 from .masses import AgentPart
 
@@ -89,6 +90,17 @@ def verdict_of(certificate: Certificate) -> Verdict:
     """
     header, arrays = _contents(certificate)
     return check_contents(Contents(header, tuple(arrays), set()))
+
+
+def checker_text(certificate: Certificate) -> str:
+    """Return what the checker proves of a certificate, in words; else that only the extended check reads it."""
+    try:
+        verdict = verdict_of(certificate)
+    except NotCanonicalError as reason:
+        return f"extended check: the small checker does not read it yet ({reason})"
+    if not verdict.proved:
+        return f"extended check: the small checker proves nothing ({verdict.reason})"
+    return f"the small checker proves P >= {shown(verdict.recomputed)} by {', '.join(verdict.modules)}"
 
 
 def _contents(certificate: Certificate) -> tuple[dict[str, Any], list[np.ndarray]]:

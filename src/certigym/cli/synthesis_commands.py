@@ -13,9 +13,8 @@ from tqdm import tqdm
 from ..envs.agents import AnyAgent, Pair, Proposition, counted, matrix_text, vector_text
 from ..envs.problem import Problem, cut_by_the_end, out_of_reach, why_never
 from ..envs.suite import make_problem, problem_ids, tier_of_id
-from ..synthesis.canonical import NotCanonicalError, verdict_of
-from ..synthesis.certificates import Certificate, is_exact, lasting_bound, save_certificate, start_of_claim
-from ..synthesis.checker import shown
+from ..synthesis.canonical import checker_text
+from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, start_of_claim
 from ..synthesis.checking import safety_rate
 from ..synthesis.in_files import check as check_claim
 from ..synthesis.in_files import load
@@ -116,6 +115,7 @@ def run(options: Namespace) -> int:
     if options.out:
         save_certificate(result.certificate, options.out)
     more = {"certificate": options.out} if options.out else {}
+    more |= {"checker": checker_text(result.certificate)} if result.checked else {}
     told = _lasting(result) if is_endless(options) else {}
     told |= {"note": cut} if (cut := cut_by_the_end(result.certificate.problem)) else {}
     status = validate_result(options, result, None, result.checked, more | told)
@@ -179,7 +179,7 @@ def check(options: Namespace) -> int:
     rest = "; the upper end of the claim would take too large a computation" if unverified else ""
     rest += VACUOUS_CHECK if report and report.claimed <= 0.0 else ""
     text = f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}{rest}"
-    small = _by_the_small_checker(certificate)
+    small = checker_text(certificate)
     text += f"\n{small}" if report else ""
     outcome = {
         "checker": small,
@@ -194,17 +194,6 @@ def check(options: Namespace) -> int:
     }
     show(options, text, outcome)
     return 0 if report else 1
-
-
-def _by_the_small_checker(certificate: Certificate) -> str:
-    """Return what the small checker proves of a certificate, in words; else that only the extended check reads it."""
-    try:
-        verdict = verdict_of(certificate)
-    except NotCanonicalError as reason:
-        return f"extended check: the small checker does not read it yet ({reason})"
-    if not verdict.proved:
-        return f"extended check: the small checker proves nothing ({verdict.reason})"
-    return f"small checker: proves P >= {shown(verdict.recomputed)} by {', '.join(verdict.modules)}"
 
 
 def _check_in_balls(options: Namespace, claim: Any, certificate: Any, problem: Any) -> int:

@@ -31,6 +31,9 @@ from ..validation.verdicts import validate_field as field_of
 from .given import budget_of, cells_of, limit_of, problem_of, relation_of, say, search_of, show, state_of, write_json
 from .work import checked_again, trials
 
+NOTES = (("checker", "checker"), ("no deadline", "no_deadline"), ("note", "note"))
+"""Lines below a report, and the keys of what they say."""
+
 INVALID = "invalid: it fails its check"
 """What a row says of a certificate that its check refuses."""
 
@@ -75,7 +78,7 @@ def validate_result(
             disturbance=options.disturbance,
         )
     report = report if checked is None else report.with_check(checked)
-    said = {"no deadline": (more or {}).get("no_deadline"), "note": (more or {}).get("note")}
+    said = {label: (more or {}).get(key) for label, key in NOTES}
     lines = [str(report), *(f"{label:<{LABEL_WIDTH}}{text}" for label, text in said.items() if text)]
     show(options, "\n".join(lines), {**report.to_dict(), **(more or {})})
     return 130 if report.interrupted else int(report.refuted or report.is_invalid)
