@@ -315,34 +315,29 @@ class _Pool:
 def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndarray]) -> dict[str, Any]:
     """Return the entry of a proof along trajectories, and add its arrays to those of the file."""
     put = _Pool(arrays)
-    pairs = zip(problem.agents, proof.paths, strict=True)
+    nominal = proof.controller(problem).nominal
     return {
         "kind": "trajectory",
         "letters": put(proof.letters, np.int8),
         "faces": put(proof.faces, np.int32),
         "normals": put(np.zeros((proof.n_steps + 1, 0)) if proof.normals is None else proof.normals),
-        "agents": [{key: put(array) for key, array in _trajectory(*pair).items()} for pair in pairs],
+        "agents": [
+            {key: put(array) for key, array in _trajectory(*each).items()}
+            for each in zip(problem.agents, proof.paths, nominal, strict=True)
+        ],
     }
 
 
-def _trajectory(agent: AnyAgent, path: AgentPath) -> dict[str, FloatArray]:
+def _trajectory(agent: AnyAgent, path: AgentPath, states: FloatArray) -> dict[str, FloatArray]:
     """Return nominal inputs, gains, states and widths of the tube of one agent."""
     steps, d, m = path.n_steps, agent.n_states, agent.n_inputs
     widths = np.full((steps + 1, d + m), np.inf) if path.slabs is None else path.slabs[:, : d + m]
     return {
         "inputs": path.inputs,
         "gains": np.array(path.gains),
-        "states": nominal_states(agent, path.inputs) if path.states is None else path.states,
+        "states": states,
         "widths": widths,
     }
-
-
-def nominal_states(agent: AnyAgent, inputs: FloatArray) -> FloatArray:
-    """Return the states (S + 1, d) to which inputs (S, m) lead a linear agent without noise, up to rounding."""
-    states = [agent.initial.low]
-    for u in inputs:
-        states.append(agent.mean(states[-1][:, None], u[:, None])[:, 0])
-    return np.array(states)
 
 
 def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> dict[str, Any]:

@@ -33,7 +33,7 @@ def read_proof(contents: Contents, problem: Problem) -> CellProof:
     data = fields.table(contents.header["proof"], "proof", ("kind", "guards", "start", "tree", "agents"))
     Q, agents = len(problem.automaton.accepting), problem.agents
     entries = fields.each(data["agents"], "proof.agents", _entry, len(agents))
-    cells = [_AgentCells.read(contents, entry, agent, problem) for entry, agent in zip(entries, agents, strict=True)]
+    cells = [AgentCells.read(contents, entry, agent, problem) for entry, agent in zip(entries, agents, strict=True)]
     sets = [len(own.sets) for own in cells], [len(own.start_sets) for own in cells]
     guards = _guards(contents, data["guards"], "proof.guards", Q, sets[0])
     start = _guards(contents, data["start"], "proof.start", Q, sets[1])
@@ -51,7 +51,7 @@ def read_proof(contents: Contents, problem: Problem) -> CellProof:
 class CellProof:
     """What a file holds of all agents: cells, guards, guards of the letter of time 0, and the tree."""
 
-    def __init__(self, cells: tuple[_AgentCells, ...], guards: Guards, start: Guards, tree: Tree) -> None:
+    def __init__(self, cells: tuple[AgentCells, ...], guards: Guards, start: Guards, tree: Tree) -> None:
         self.cells, self.guards, self.start, self.tree = cells, guards, start, tree
 
 
@@ -73,7 +73,7 @@ def failure_of(problem: Problem, proof: CellProof) -> float:
     kernels: dict[Any, Kernel] = {}
     cells = [own.cells(agent, problem, kernels) for own, agent in zip(proof.cells, problem.agents, strict=True)]
     value = value_at_start(problem.automaton, problem.horizon, cells, proof.guards, start, proof.tree)
-    return float(np.nextafter(1.0 - value, 2.0))
+    return min(1.0, float(np.nextafter(1.0 - value, 2.0)))
 
 
 # Reading.
@@ -106,7 +106,7 @@ def _guards(contents: Contents, value: Any, place: str, Q: int, sets: list[int])
     return Guards(source, target, table)
 
 
-class _AgentCells:
+class AgentCells:
     """What a file holds of one agent."""
 
     def __init__(self, **values: Any) -> None:
@@ -122,7 +122,7 @@ class _AgentCells:
         self.key: tuple[Any, ...] = values["key"]
 
     @classmethod
-    def read(cls, contents: Contents, entry: dict[str, Any], agent: Agent, problem: Problem) -> _AgentCells:
+    def read(cls, contents: Contents, entry: dict[str, Any], agent: Agent, problem: Problem) -> AgentCells:
         """Return what an entry of the header names; ``Unreadable`` if it does not fit the agent."""
         place, d, m = f"proof.{agent.name}", len(agent.states), len(agent.inputs)
 

@@ -1,26 +1,60 @@
-"""The controller that a certificate along a trajectory is about: ``u_t = clip(ubar_t + K_t (x - xbar_t))``.
+"""The controllers that certificates are about, one agent and one time at a time.
 
-The claim holds for *every* controller whose inputs differ from this law, computed in real numbers and clipped to the
-input box, by at most ``rounding``: in whatever order it adds, on whatever device that computes in double precision.
+* Along a trajectory: ``u_t = clip(ubar_t + K_t (x - xbar_t))``, the error of an angle less whole turns.
+* On cells: the input that the policy has for the cell of x, the time and the automaton state; or, for a target z, the
+  input ``P (z - A x - b)``.
+
+Claims hold for *every* controller whose inputs differ from these, in real numbers and clipped to the input box, by at
+most ``rounding``: in whatever order it adds, on whatever device that computes in double precision.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from .problem import Agent
+from .cell_proofs import AgentCells
+from .fields import Refused
+from .motions import affine_dynamics
+from .problem import TURN, Agent
 from .rigorous import Array, U
 from .trajectories import Trajectory
 
 
-def law(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
+def along_trajectory(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
     """Return inputs (m,) of an agent at a time t < S, from its state (d,)."""
-    u = own.inputs[t] + own.gains[t] @ (x - own.states[t])
+    u = own.inputs[t] + own.gains[t] @ _error(agent, own, t, x)
     return np.clip(u, agent.input_box[0], agent.input_box[1])
 
 
-def rounding(own: Trajectory, t: int, x: Array) -> Array:
-    """Return by how much inputs (m,) may differ from the law in real numbers: what the check charges at least."""
-    d = own.gains.shape[2]
-    size = np.abs(own.inputs[t]) + np.abs(own.gains[t]) @ (np.abs(x - own.states[t]) + U * np.abs(own.states[t]))
-    return np.asarray(2.0 * (d + 3.0) * U * size)
+def rounding(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
+    """Return by how much inputs (m,) may differ from the law in real numbers: the check charges at least this."""
+    size = np.abs(_error(agent, own, t, x)) + U * np.abs(own.states[t])
+    return np.asarray(4.0 * (len(x) + 3.0) * U * (np.abs(own.inputs[t]) + np.abs(own.gains[t]) @ size))
+
+
+def _error(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
+    error = x - own.states[t]
+    for angle in agent.angles:
+        k = agent.states.index(angle)
+        error[k] -= TURN * np.rint(error[k] / TURN)
+    return error
+
+
+def on_cells(agent: Agent, own: AgentCells, t: int, q: int, x: Array) -> Array | None:
+    """Return inputs (m,) of an agent at a time, in an automaton state, from its state (d,); None: anything will do."""
+    shape = [len(axis) - 1 for axis in own.edges]
+    # half-open cells; the last one along an axis holds its upper face
+    places = [
+        min(int(np.searchsorted(axis, value, side="right")) - 1, n - 1)
+        for axis, value, n in zip(own.edges, x.tolist(), shape, strict=True)
+    ]
+    choice = int(own.policy[min(t, len(own.policy) - 1), q, np.ravel_multi_index(places, shape)])
+    if choice < len(own.inputs):
+        return None if choice < 0 else own.inputs[choice]
+    point = np.unravel_index(choice - len(own.inputs), [len(axis) for axis in own.lattice])
+    z = np.array([axis[k] for axis, k in zip(own.lattice, point, strict=True)])
+    A, _, b = affine_dynamics(agent)
+    if own.inverse is None:
+        raise Refused(f"`{agent.name}` chooses a target, and no matrix says by which inputs")
+    u = own.inverse @ (z - A @ x - b)
+    return np.clip(u, agent.input_box[0], agent.input_box[1])
