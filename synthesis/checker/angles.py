@@ -30,6 +30,9 @@ from .rigorous import Array
 OFF = 1e-13
 """What angles are off by at most: where they wrap, where copies are, and where the nearest number is taken."""
 
+FARTHEST = 200.0
+"""Largest nominal angle: so many turns are off by a tenth of ``OFF`` at most."""
+
 HALF_TURN = 3.14
 """Half width of a tube: less than half a turn."""
 
@@ -47,7 +50,7 @@ def check_angles(problem: Problem) -> None:
             for name, slope in slopes.items():
                 if slope is None or slope.denominator != 1 or (slope and name not in agent.angles):
                     raise Refused(f"the dynamics of `{name}` are not the same a turn further on along `{angle}`")
-            repeat = [tree for tree in (*agent.scale, *agent.outputs) if tree != angle]
+            repeat = [*agent.scale, *(tree for tree in agent.outputs if tree != angle)]
             if any(_slope(tree, angle) != 0 for tree in repeat):
                 raise Refused(f"an output, or the noise, is not the same a turn further on along `{angle}`")
             named = f"{agent.name}.{angle}"
@@ -72,6 +75,8 @@ def of_copies(problem: Problem, demand: Demand, states: Array) -> Demand:
     axis = agent.states.index(str(agent.outputs[k]))
     value = float(states[problem.slices[i].start + axis])
     first, last = agent.state_box[:, axis].tolist()
+    if not abs(value) <= FARTHEST:
+        raise Refused(f"the nominal angle of `{agent.name}` is beyond {FARTHEST} for {demand.label}")
     low, high = demand.avoided or (demand.low, demand.high)
     low, high = max(low, first), min(high, last)  # a region without a limit ends where the turn does
     if demand.avoided:  # between the end of one copy and the beginning of the next

@@ -337,8 +337,8 @@ def start_weights(start: Array, edges: Sequence[Array], corners: bool) -> Array:
             # the mean of the rising hat over a part of a cell is its value in the middle of the part
             off = 8.0 * U * (np.abs(middle) + np.abs(left)) / (right - left) + 4.0 * U
             rising = np.clip((middle - left) / (right - left), 0.0, 1.0)
-            exact = (middle == left) | (middle == right)
-            off = np.where(exact, 0.0, off)
+            if a == b:  # a point on a face is all of one corner; middles of boxes are rounded
+                off = np.where((left == a) | (right == a), 0.0, off)
             low, rest = np.maximum(rising - off, 0.0), np.maximum(1.0 - rising - off, 0.0)
             mass = np.stack([mass * rest, mass * low], axis=1).ravel()
         weights = (weights[:, None] * mass).ravel() * (1.0 - 4.0 * U * (len(weights) > 1))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .expressions import names_in
+from .expressions import Tree, names_in
 from .fields import Refused
 from .intervals import down, interval, up
 from .jets import Jet, Memory, jet, off_linear
@@ -78,6 +78,8 @@ def maps_of_inputs(
         ends = np.stack([centre.value[0] + rest[0], centre.value[1] + rest[1]])
         z[:, k], G[:, k] = 0.5 * ends[0] + 0.5 * ends[1], row[:d].T
         rho[:, k] = up(np.maximum(ends[1] - z[:, k], z[:, k] - ends[0])) + 4 * U * np.abs(ends).max(axis=0)
+        # images are read around the middle of a cell, which is rounded here
+        rho[:, k] += 2 * U * np.einsum("nj,nj->n", np.abs(G[:, k]), np.maximum(np.abs(low), np.abs(high)))
     return Maps(numbers, z, G, rho)
 
 
@@ -124,6 +126,8 @@ def affine_dynamics(agent: Agent) -> tuple[Array, Array, Array]:
     """Return A, B and b of dynamics ``A x + B u + b``; ``Refused`` unless they are of this form to the last bit."""
     _refuse_time(agent)
     names = (*agent.states, *agent.inputs)
+    if not all(_is_affine(tree) for tree in agent.dynamics):
+        raise Refused(f"`{agent.name}` has targets, and its dynamics are no sums of multiples")
     if not names_in(agent.dynamics) <= set(names):
         raise Refused(f"`{agent.name}` has targets, and its mean depends on more than its state and its input")
     eye, zero, memory = np.eye(len(names)), interval(np.zeros(1)), Memory()
@@ -132,7 +136,17 @@ def affine_dynamics(agent: Agent) -> tuple[Array, Array, Array]:
     slopes = np.stack([own.slope[:, :, 0] for own in jets], axis=1)  # (2, d, d + m)
     value = np.stack([own.value[:, 0] for own in jets], axis=1)
     exact = np.array_equal(slopes[0], slopes[1]) and np.array_equal(value[0], value[1])
-    if not exact or any(own.bend.any() for own in jets) or not np.all(np.isfinite(value)):
-        raise Refused(f"`{agent.name}` has targets, and its dynamics are not affine")
+    if not exact or not np.all(np.isfinite(value)):
+        raise Refused(f"`{agent.name}` has targets, and factors of its dynamics are rounded")
     d = len(agent.states)
     return slopes[0][:, :d], slopes[0][:, d:], value[0]
+
+
+def _is_affine(tree: Tree) -> bool:
+    """Return whether an expression is a sum of multiples of names, by its form: slopes at one point do not tell."""
+    if not isinstance(tree, tuple):
+        return True
+    name, *arguments = tree
+    numbers = [isinstance(argument, float) for argument in arguments]
+    allowed = name in ("+", "-", "negative") or (name == "*" and any(numbers)) or (name == "/" and numbers[1])
+    return allowed and all(map(_is_affine, arguments))

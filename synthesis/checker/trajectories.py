@@ -299,7 +299,7 @@ def _inputs(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: 
     size = np.abs(u) + np.abs(gain) @ (reach + U * np.abs(joint.states[t, here]))
     rounding = np.where(moved, 4.0 * (d + 3.0) * U * size + np.abs(gain) @ (OFF * joint.turning[here]), 0.0)
     # K e is a row like others: a form g of the noise, and something between ends.
-    rows = np.array([joint.row(i, row) for row in gain * moved[:, None]]).reshape(m, -1)
+    rows = np.array([joint.row(i, row) for row in gain * moved[:, None]]).reshape(m, len(joint.spread))
     ends, forms = errors.rows(rows)
     width = own.widths[t, d:] if t else np.where(moved, np.inf, 0.0)
     # It is no farther from 0 than errors in the tube allow, nor than its own strip and ends.
@@ -343,6 +343,9 @@ def _scale(joint: _Joint, moves: _Moves, tube: Array, i: int, t: int) -> Array:
     agent, here = joint.agents[i], joint.slices[i]
     if not agent.scale:
         return np.ones((2, len(agent.states)))
+    if np.any((agent.noise != 0.0).sum(axis=0) > 1):
+        # what one source adds to two states may cancel in a row only if both sizes are known
+        raise Refused(f"a source of the noise of `{agent.name}` that has a scale moves several states")
     # The largest size on the tube counts, for states, inputs and disturbances in their ranges.
     inputs = add(interval(moves.nominal), moves.deviation)
     states = add(interval(joint.states[t, here]), tube[:, here])
