@@ -24,6 +24,7 @@ from .cells import FloatArray
 from .certificates import AgentPath, Certificate, GridProof, PathProof
 from .checker import (
     FORMAT,
+    MOST_BYTES,
     VERSION,
     CheckedAgent,
     Contents,
@@ -31,6 +32,7 @@ from .checker import (
     Verdict,
     affine_dynamics,
     check_contents,
+    read_file,
     read_problem,
     shown,
 )
@@ -123,6 +125,22 @@ def _contents(certificate: Certificate) -> tuple[dict[str, Any], list[np.ndarray
 
 CLAIMED = 1.0 + 1e-9
 """Factor on the failure that is claimed: other machines add in another order, and prove the same up to rounding."""
+
+
+def check_file(path: str | Path, problem: Problem | None = None, most_bytes: int = MOST_BYTES) -> Verdict:
+    """Return the checker's verdict on a file in canonical form.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or about another problem than the one that is given.
+    """
+    contents = read_file(path, most_bytes)
+    if problem is not None:
+        inside, asked = contents.header["problem"], json.loads(json.dumps(canonical_problem(problem)))
+        if differing := [key for key in asked if asked[key] != inside.get(key)]:
+            raise ValueError(f"`problem`: the certificate is about another one, with other {', '.join(differing)}")
+    return check_contents(contents)
 
 
 def save_canonical(certificate: Certificate, path: str | Path) -> None:

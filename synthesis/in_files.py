@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Any, Literal, overload
 
 from ..envs.problem import load_problem
+from ..envs.suite import as_problem
 from .balls import RigorousReport, check_rigorous
 from .bridges import is_written_policy, save_policy
+from .canonical import check_file
 from .certificates import MAX_BYTES, Certificate, CheckReport, Synthesis, load_certificate, save_certificate
+from .checker import bound_of, is_certificate
 from .checking import check as check_certificate
 from .permissions import Permission, check_permission, is_permission_file, load_permission, save_permission
 
@@ -92,6 +95,7 @@ def check(claim: Any, problem: Any = None, *, rigorous: bool = False) -> CheckRe
     Parameters
     ----------
     claim : Synthesis, Certificate, Permission, or path of one
+        Of files in the canonical form the small checker gives the verdict (docs/reference/certificate_format.md).
     problem : Problem, id or path, optional
         What is claimed must have been made for exactly this problem (fingerprint); by default the one inside it.
     rigorous : bool
@@ -111,6 +115,10 @@ def check(claim: Any, problem: Any = None, *, rigorous: bool = False) -> CheckRe
         If it is none of these; if ``rigorous`` is asked for and python-flint is not installed, or nothing of that kind
         can be proved in balls.
     """
+    if isinstance(claim, str | Path) and Path(claim).is_file() and is_certificate(claim):
+        verdict = check_file(claim, None if problem is None else as_problem(problem))
+        numbers = bound_of(verdict.claimed), bound_of(verdict.recomputed)
+        return CheckReport(verdict.proved, *numbers, () if verdict.proved else (verdict.reason,))
     if isinstance(claim, str | Path) and is_permission_file(claim):
         claim = load_permission(claim)
     if isinstance(claim, Permission):

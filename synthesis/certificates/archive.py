@@ -119,6 +119,8 @@ def unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, ND
     # Look at the sizes before unpacking anything: a small file may announce gigabytes.
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         check_sizes(archive, max_bytes)
+        if "header.json" in archive.namelist():
+            raise ValueError("it is in the canonical form, which `check` reads; other verbs read what `save` writes")
     with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
         header = json.loads(bytes(archive["header"]).decode())
         _check_version(header)
@@ -142,6 +144,8 @@ def check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:
         raise ValueError("it holds two arrays of one name")
     # Read the headers of all arrays before numpy reserves memory for any.
     for entry in archive.infolist():
+        if entry.filename == "header.json":
+            continue
         with archive.open(entry) as file:
             version = np.lib.format.read_magic(file)
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

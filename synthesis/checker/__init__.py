@@ -11,9 +11,9 @@ from .file import FORMAT, MOST_BYTES, VERSION, Contents, is_certificate, parse_f
 from .motions import affine_dynamics
 from .problem import Agent as CheckedAgent
 from .problem import read_problem
-from .verdict import Verdict, check, check_contents, shown
+from .verdict import Verdict, bound_of, check, check_contents, shown
 
 __all__ = [
     "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "Contents", "Refused", "Unreadable", "Verdict",
-    "affine_dynamics", "check", "check_contents", "is_certificate", "parse_file", "read_file", "read_problem", "shown",
+    "affine_dynamics", "bound_of", "check", "check_contents", "is_certificate", "parse_file", "read_file", "read_problem", "shown",
 ]  # fmt: skip

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import certigym as cg
 from certificate_files import changed, file_of, two_carts
 
 FOLDER = Path(__file__).parents[2] / "synthesis" / "checker"
@@ -78,3 +79,18 @@ def test_files_beyond_a_size_are_not_read(alone: Path, tmp_path: Path) -> None:
     path.write_bytes(file_of(*two_carts()))
     done = run(alone, "--most-bytes", "1000", str(path))
     assert done.returncode == 2 and "more than 1000" in done.stdout
+
+
+def test_the_verb_of_the_package_gives_the_same_verdict(tmp_path: Path) -> None:
+    header, arrays = two_carts()
+    path = tmp_path / "carts.npz"
+    path.write_bytes(file_of(header, arrays))
+    report = cg.check(path)
+    assert report and report.claimed == pytest.approx(0.9) and 0.94 < report.recomputed < 0.95
+    path.write_bytes(file_of(changed(header, ("claim", "failure"), 0.01), arrays))
+    report = cg.check(path)
+    assert not report and "most probable" in report.failures[0]
+    with pytest.raises(ValueError, match="another one, with other horizon, agents"):
+        cg.check(path, "integrator-chain-v0")
+    with pytest.raises(ValueError, match="canonical form, which `check` reads"):
+        cg.load(path)
