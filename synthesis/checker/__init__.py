@@ -15,5 +15,6 @@ from .verdict import Verdict, bound_of, check, check_contents, shown
 
 __all__ = [
     "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "Contents", "Refused", "Unreadable", "Verdict",
-    "affine_dynamics", "bound_of", "check", "check_contents", "is_certificate", "parse_file", "read_file", "read_problem", "shown",
+    "affine_dynamics", "bound_of", "check", "check_contents", "is_certificate", "parse_file", "read_file",
+    "read_problem", "shown",
 ]  # fmt: skip
