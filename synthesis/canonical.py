@@ -360,11 +360,19 @@ def _trajectory(agent: AnyAgent, path: AgentPath, states: FloatArray) -> dict[st
 
 def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> dict[str, Any]:
     """Return the entry of a proof on cells, and add its arrays to those of the file."""
-    if proof.rounding is not None or proof.bound != "nominal":
-        raise NotCanonicalError("tensor trains, and relations that may be lost, have no canonical form yet")
+    if proof.bound != "nominal":
+        raise NotCanonicalError("relations that may be lost have no canonical form yet")
     put = _Pool(arrays)
     known = read_problem({"problem": canonical_problem(problem)}).agents
-    vertices, unions, kept = (np.concatenate(rows) for rows in zip(*_tree_rows(proof), strict=True))
+    value: dict[str, Any] = {}
+    if proof.rounding is None:
+        tables = zip(*_tree_rows(proof), strict=True)
+        names = "vertices", "unions", "kept"
+        value["tree"] = {name: put(np.concatenate(rows), np.int32) for name, rows in zip(names, tables, strict=True)}
+    elif sum(part.policy.shape[-1] for part in proof.agents) > CELLS_OF_TRAINS:
+        raise NotCanonicalError("tensor trains on so many cells would take the small checker many minutes")
+    else:
+        value["tolerance"] = TRAINS * float(proof.rounding.tolerance)
     return {
         "kind": "cells",
         "guards": {
@@ -373,11 +381,7 @@ def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> d
             "sets": put(proof.guard_mask, np.int32),
         },
         "start": {"target": put(proof.start_target, np.int32), "sets": put(proof.start_mask, np.int32)},
-        "tree": {
-            "vertices": put(vertices, np.int32),
-            "unions": put(unions, np.int32),
-            "kept": put(kept, np.int32),
-        },
+        **value,
         "agents": [_cells_of(*each, put) for each in zip(problem.agents, known, proof.agents, strict=True)],
     }
 
@@ -423,6 +427,10 @@ def _cells_of(agent: AnyAgent, known: CheckedAgent, part: AgentPart, put: _Pool)
         "policy": put(part.policy, np.int32),
     }
 
+
+TRAINS, CELLS_OF_TRAINS = 0.04, 10_000
+"""Share of the tolerance of tensor trains that the checker's cuts may cost, and cells of all agents for which they take
+seconds: with 16,000 cells and a hundred columns a step takes ten."""
 
 PARTS_OF_BOXES = 8
 """Parts of a side at whose ends values that are constant on cells are read: with two, car-park-v0 loses 5e-4."""

@@ -3,7 +3,7 @@
 Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``problem`` (with
 ``distributions``); ``automaton``, ``formula``; ``letters``, ``angles``, ``crossings``, ``constraints``,
 ``error_system``, ``linearization``, ``trajectories``; ``labels``, ``tables``, ``motions``, ``cells``, ``tree``,
-``cell_proofs``; ``selftest``, ``verdict``, ``controller``. Each file begins with its theorem.
+``trains``, ``cell_proofs``; ``selftest``, ``verdict``, ``controller``. Each file begins with its theorem.
 """
 
 from .fields import Refused, Unreadable

@@ -22,6 +22,7 @@ from .motions import check_targets, maps_of_inputs
 from .problem import STANDARD, Agent, Problem
 from .rigorous import Array
 from .tables import normal_table
+from .trains import value_at_start as by_trains
 from .tree import Guards, Tree, check_guards, value_at_start
 
 MOST_CELLS, MOST_PARTS = 2**26, 16
@@ -30,13 +31,20 @@ MOST_CELLS, MOST_PARTS = 2**26, 16
 
 def read_proof(contents: Contents, problem: Problem) -> CellProof:
     """Return the proof in a file; raise ``Unreadable`` if there is none of this kind."""
-    data = fields.table(contents.header["proof"], "proof", ("kind", "guards", "start", "tree", "agents"))
+    data = fields.table(contents.header["proof"], "proof", ("kind", "guards", "start", "agents"), ("tree", "tolerance"))
+    if ("tree" in data) == ("tolerance" in data):
+        raise fields.Unreadable("proof: expected either `tree`, or `tolerance` for tensor trains")
     Q, agents = len(problem.automaton.accepting), problem.agents
     entries = fields.each(data["agents"], "proof.agents", _entry, len(agents))
     cells = [AgentCells.read(contents, entry, agent, problem) for entry, agent in zip(entries, agents, strict=True)]
     sets = [len(own.sets) for own in cells], [len(own.start_sets) for own in cells]
     guards = _guards(contents, data["guards"], "proof.guards", Q, sets[0])
     start = _guards(contents, data["start"], "proof.start", Q, sets[1])
+    if "tolerance" in data:
+        tolerance = fields.number(data["tolerance"], "proof.tolerance")
+        if not 0.0 < tolerance < 1.0:
+            raise fields.expected("proof.tolerance", "a number between 0 and 1", tolerance)
+        return CellProof(tuple(cells), guards, start, tolerance)
     own = fields.table(data["tree"], "proof.tree", ("vertices", "unions", "kept"))
     T, n, most = problem.horizon, len(agents), 2**31
     limits = {
@@ -44,14 +52,17 @@ def read_proof(contents: Contents, problem: Problem) -> CellProof:
         "unions": (T, Q, most, most, n, n + 1),
         "kept": (T, Q, most),
     }
-    tree = Tree(*(_columns(contents, own[name], f"proof.tree.{name}", ends) for name, ends in limits.items()))
-    return CellProof(tuple(cells), guards, start, tree)
+    tables = [_columns(contents, own[name], f"proof.tree.{name}", ends) for name, ends in limits.items()]
+    return CellProof(tuple(cells), guards, start, Tree(*tables))
 
 
 class CellProof:
-    """What a file holds of all agents: cells, guards, guards of the letter of time 0, and the tree."""
+    """What a file holds of all agents: cells, guards, guards of the letter of time 0, and the tree.
 
-    def __init__(self, cells: tuple[AgentCells, ...], guards: Guards, start: Guards, tree: Tree) -> None:
+    In the place of a tree there may be the tolerance of tensor trains: what their cuts may cost.
+    """
+
+    def __init__(self, cells: tuple[AgentCells, ...], guards: Guards, start: Guards, tree: Tree | float) -> None:
         self.cells, self.guards, self.start, self.tree = cells, guards, start, tree
 
 
@@ -72,7 +83,10 @@ def failure_of(problem: Problem, proof: CellProof) -> float:
     # Kernels of agents that are alike are made once.
     kernels: dict[Any, Kernel] = {}
     cells = [own.cells(agent, problem, kernels) for own, agent in zip(proof.cells, problem.agents, strict=True)]
-    value = value_at_start(problem.automaton, problem.horizon, cells, proof.guards, start, proof.tree)
+    arguments = problem.automaton, problem.horizon, cells, proof.guards, start
+    value = (
+        value_at_start(*arguments, proof.tree) if isinstance(proof.tree, Tree) else by_trains(*arguments, proof.tree)
+    )
     return min(1.0, float(np.nextafter(1.0 - value, 2.0)))
 
 

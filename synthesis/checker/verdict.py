@@ -90,7 +90,7 @@ def check_contents(contents: Contents) -> Verdict:
     kind = contents.header["proof"].get("kind") if isinstance(contents.header["proof"], dict) else None
     if not isinstance(kind, str) or kind not in KINDS:
         raise fields.expected("proof.kind", " or ".join(map(repr, KINDS)), kind)
-    modules = KINDS[kind]
+    modules = KINDS[kind] + (("trains",) if "tolerance" in contents.header["proof"] else ())
     try:
         # What overflows becomes infinite or nan, and neither is ever better than a limit.
         with np.errstate(all="ignore"):

@@ -13,6 +13,7 @@ import pytest
 import certigym as cg
 from certigym.synthesis.bounds.certified import SECOND_EVALUATION
 from certigym.synthesis.bounds.dense import dense_value
+from certigym.synthesis.canonical import TRAINS, verdict_of
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.checking import train_check
 from certigym.synthesis.checking.train_check import ErrorBoundedTrain, regrown_trains, train_start_value
@@ -124,6 +125,20 @@ def test_some_of_a_team_of_alike_agents_pass_with_an_error_below_what_claims_lea
     assert cg.check(certificate)
     errors = [train.error for train in regrown_trains(certificate) if train is not None]
     assert 2.0 * max(errors) <= SECOND_EVALUATION * certificate.proof.rounding.tolerance
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("tolerance", [1e-9, 1e-3, 0.5])
+def test_the_small_checker_proves_no_more_than_is_true_and_hardly_less(name: str, tolerance: float) -> None:
+    cells = 6 if name == "three agents" else 16
+    never_cut = (None,) * (PROBLEMS[name].horizon + 1)
+    nearly, stated = (
+        changed(honest(name, cells).certificate, rounding=Rounding(allowed, never_cut))
+        for allowed in (1e-12, tolerance)
+    )
+    below, above = (train_start_value(nearly, regrown_trains(nearly, upper), upper) for upper in (False, True))
+    proved = 1.0 - verdict_of(stated).recomputed
+    assert below - TRAINS * tolerance - 1e-9 <= proved <= above
 
 
 @pytest.mark.parametrize("upper", [False, True])

@@ -1,0 +1,200 @@
+"""Value iteration on tensor trains: for teams whose value needs too many products, and cells with targets.
+
+A *train* is a function of the joint cell, ``C_1(s_1) C_2(s_2) .. C_I(s_I)``: a matrix for each agent and cell. One step
+earlier, in automaton state q,
+
+    V_q(t) = (P_1 x .. x P_I) W_q,    W_q = sum over guards from q of (sets of the guard) V_target(t + 1).
+
+**Theorem.** Let a train be within ``error`` of the value everywhere. Then so is the train that this recursion makes of
+it, with what is added here; so the value at the start is at least the train's, less the error.
+
+*Proof.* Guards are disjoint, so that W_q is within the largest error of its terms; kernels are contractions. A cut
+replaces a matrix by a product of two smaller ones; what it discards, D, is formed, and changes the function by at most
+``a |D(s)| b``, a and b bounds on entries of rows before and of columns behind it, at the cell s where that is largest.
+So the bound holds however the factors were found. Rounding is bounded in the same way, entry by entry. Tables hold all
+but ``lack`` of each probability, and targets are off by their rests: both act on a function of at most 1 + error. QED
+
+Reference: docs/theory/tree.md, "Tensor trains".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .automaton import Automaton
+from .cells import DENSITY, Cells
+from .fields import Refused
+from .rigorous import Array, U
+from .tree import Guards, finished
+
+SUMS = 8
+"""Sums of rows, for each column, from which the directions of a cut are taken."""
+
+MORE = 1.0 + 1e-12
+"""Factor on bounds that are sums of products of fewer than a thousand numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Train:
+    """Cores (r_i, S_i, r_(i+1)), the first and last with one row and one column; and how far it is from the value."""
+
+    cores: tuple[Array, ...]
+    error: float
+
+
+def value_at_start(
+    automaton: Automaton, horizon: int, agents: Sequence[Cells], guards: Guards, start: Guards, tolerance: float
+) -> float:
+    """Return a lower bound on the probability that the task is satisfied; cuts may cost ``tolerance``."""
+    if any(cells.kernel.moves or cells.kernel.corners for cells in agents):
+        raise Refused("tensor trains are for cells with targets")
+    done, ones = finished(automaton), Train(tuple(np.ones((1, cells.places, 1)) for cells in agents), 0.0)
+    value = [ones if accepts else None for accepts in automaton.accepting]
+    for t in range(horizon - 1, -1, -1):
+        summed = [
+            None if end else _masked_sum(agents, guards, value, q, tolerance / horizon) for q, end in enumerate(done)
+        ]
+        value = [
+            ones if end else None if own is None else _taken_back(own, agents, t, q)
+            for q, (end, own) in enumerate(zip(done, summed, strict=True))
+        ]
+    total = 0.0
+    for g, target in enumerate(start.target.tolist()):
+        train = value[target]
+        if train is not None:
+            total += _mean(train, [cells.start_shares(start.sets[g, i]) for i, cells in enumerate(agents)])
+    return min(1.0, max(0.0, total * (1.0 - 8.0 * U * (len(start.target) + 4.0))))
+
+
+def _masked_sum(
+    agents: Sequence[Cells], guards: Guards, value: Sequence[Train | None], q: int, tolerance: float
+) -> Train | None:
+    """Return W_q with few columns; None if no guard leads to a state with a value."""
+    rows = [g for g in np.flatnonzero(guards.source == q).tolist() if value[guards.target[g]] is not None]
+    terms = [(g, train) for g in rows if (train := value[guards.target[g]]) is not None]
+    if not terms:
+        return None
+    cores, error = _cut_backward(agents, guards, terms, tolerance)
+    cores, more = _cut_forward(cores, tolerance)
+    return Train(tuple(cores), (error + more + max(train.error for _, train in terms)) * MORE)
+
+
+Suffix = tuple[int, ...]
+"""Target of a guard, and its sets from some agent on: guards that agree in them share what is computed from there."""
+
+
+def _cut_backward(
+    agents: Sequence[Cells], guards: Guards, terms: Sequence[tuple[int, Train]], tolerance: float
+) -> tuple[list[Array], float]:
+    """Return the sum of terms, cut to the sets of their guards, from the last agent to the first; and the change."""
+    share, last = tolerance / max(1, 2 * (len(agents) - 1)), len(agents) - 1
+    trains = {int(guards.target[g]): train for g, train in terms}
+    heads = {target: _entries(train.cores) for target, train in trains.items()}
+    behind: dict[Suffix, Array] = {(target,): np.ones((1, 1)) for target in trains}
+    tail, error, cores = np.ones(1), 0.0, list[Array]()
+    for i in range(last, -1, -1):
+        blocks: dict[Suffix, Array] = {}
+        for g, _ in terms:
+            target, (first, *rest) = int(guards.target[g]), guards.sets[g, i:].tolist()
+            if (target, first, *rest) not in blocks:
+                core, columns = trains[target].cores[i], behind[target, *rest]
+                blocks[target, first, *rest] = np.tensordot(
+                    core * agents[i].sets[first][None, :, None], columns, axes=1
+                )
+                error += (core.shape[2] + 2) * 2 * U * _largest(heads[target][i], core, np.abs(columns) @ tail)
+        if i == 0:
+            cores.append(np.sum([*blocks.values()], axis=0))
+            error += 2 * U * len(blocks) * sum(_largest(np.ones(1), block, tail) for block in blocks.values())
+            break
+        whole = np.concatenate([*blocks.values()])  # (sum of r, S, kept)
+        before = np.concatenate([heads[target][i] for target, *_ in blocks])
+        core, carry, lost = _cut(whole.transpose(2, 1, 0), share, tail, before)
+        error += lost
+        cores.append(np.ascontiguousarray(core.transpose(2, 1, 0)))
+        tail = _entries([core], tail)[-1]
+        pieces = np.split(carry.T, np.cumsum([len(block) for block in blocks.values()])[:-1])
+        behind = dict(zip(blocks, pieces, strict=True))
+    return cores[::-1], error
+
+
+def _cut_forward(cores: Sequence[Array], tolerance: float) -> tuple[list[Array], float]:
+    """Return the same function with fewer columns, from the first agent to the last; and the change."""
+    share = tolerance / max(1, 2 * (len(cores) - 1))
+    tails = _entries([core.transpose(2, 1, 0) for core in reversed(cores)])[-2::-1]
+    head, error, kept, carry = np.ones(1), 0.0, list[Array](), np.ones((1, 1))
+    for k, (core, tail) in enumerate(zip(cores, tails, strict=True)):
+        whole = np.tensordot(carry, core, axes=1)
+        error += (carry.shape[1] + 2) * 2 * U * _largest(head @ np.abs(carry), core, tail)
+        if k == len(cores) - 1:
+            kept.append(whole)
+            break
+        core, carry, lost = _cut(whole, share, head, tail)
+        error += lost
+        kept.append(core)
+        head = _entries([core], head)[-1]
+    return kept, error
+
+
+def _cut(whole: Array, share: float, head: Array, tail: Array) -> tuple[Array, Array, float]:
+    """Return ``whole ~ core . carry`` with few columns, and a bound on the change between ``head`` and ``tail``."""
+    r, n, columns = whole.shape
+    matrix = np.ascontiguousarray(whole).reshape(r * n, columns)
+    # directions of few sums of rows with signs: what they miss is seen in the bound, which asks the matrix itself
+    sums = min(r * n, SUMS * columns)
+    padded = np.zeros((-(-r * n // sums) * sums, columns))
+    padded[: r * n] = matrix * np.random.default_rng(0).choice((-1.0, 1.0), (r * n, 1))
+    right = np.linalg.svd(np.linalg.qr(padded.reshape(-1, sums, columns).sum(axis=0), mode="r"))[2]
+    turned = matrix @ right.T
+    # what each direction weighs at each cell, and all from one on: directions that weigh less than the share are cut
+    sizes = np.einsum("r,rnk->kn", head, np.abs(turned.reshape(r, n, -1))) * (np.abs(right) @ tail)[:, None]
+    rest = np.cumsum(sizes[::-1], axis=0)[::-1].max(axis=1, initial=0.0)
+    few = max(1, int(np.sum(rest > 0.9 * share)))
+    core, carry = np.ascontiguousarray(turned[:, :few]), right[:few]
+    # what is discarded is formed: how the factors were found does not matter
+    lost = _largest(head, (matrix - core @ carry).reshape(whole.shape), tail)
+    core = core.reshape(r, n, few)
+    lost += (few + 4) * 2 * U * (_largest(head, whole, tail) + _largest(head, core, np.abs(carry) @ tail))
+    return core, carry, lost
+
+
+def _taken_back(train: Train, agents: Sequence[Cells], t: int, q: int) -> Train:
+    """Return the mean of a train one step earlier, at every cell; 0 where nothing is chosen."""
+    cores, operations, off = [], 4, 0.0
+    for core, cells in zip(train.cores, agents, strict=True):
+        kernel, policy = cells.kernel, cells.policy_at(t, q)
+        rows = core.transpose(0, 2, 1).reshape(core.shape[0] * core.shape[2], *kernel.shape)
+        for k, table in enumerate(kernel.tables, start=1):
+            rows = np.moveaxis(np.tensordot(rows, table, axes=(k, 1)), -1, k)
+            operations += table.shape[1] + 4
+        moved = rows.reshape(len(rows), -1)[:, np.maximum(policy, 0)] * (policy >= 0)
+        cores.append(moved.reshape(core.shape[0], core.shape[2], -1).transpose(0, 2, 1))
+        operations += core.shape[2]
+        off += kernel.lack + float(np.sum(kernel.target_rest * DENSITY / kernel.deviations))
+    rounded = operations * 2 * U * float(_entries(train.cores)[-1][0])
+    return Train(tuple(cores), (train.error + rounded + 2.0 * off * (1.0 + train.error)) * MORE)
+
+
+def _mean(train: Train, shares: Sequence[Array]) -> float:
+    """Return a lower bound on the mean of the value under a product of weights (S_i,) of cells."""
+    row, mass = np.ones(1), 1.0
+    for core, share in zip(train.cores, shares, strict=True):
+        row, mass = row @ np.tensordot(core, share, axes=(1, 0)), mass * float(share.sum())
+    operations = sum(sum(core.shape) for core in train.cores) + 2 * len(train.cores)
+    error = (train.error + operations * 2 * U * float(_entries(train.cores)[-1][0])) * mass * MORE
+    return max(0.0, float(row[0]) - error)
+
+
+def _largest(head: Array, core: Array, tail: Array) -> float:
+    """Return an upper bound on ``|row core(s) column|`` for rows and columns nowhere larger than head and tail."""
+    return float(((np.abs(core) @ tail).T @ head).max(initial=0.0)) * MORE
+
+
+def _entries(cores: Sequence[Array], head: Array | None = None) -> list[Array]:
+    """Return upper bounds on the entries of rows before each core and after the last: products, from ``head``."""
+    rows = [np.ones(1) if head is None else head]
+    for core in cores:
+        rows.append(np.tensordot(rows[-1], np.abs(core), axes=1).max(axis=0, initial=0.0) * MORE)
+    return rows
