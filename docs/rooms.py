@@ -11,7 +11,7 @@ PAGE = ROOT / "docs" / "design.md"
 ORDER = {
     "envs": "arrays expressions agents logic problem dynamics pictures interfaces solo teams suite",
     "synthesis": "checker cells relations values readings models search bounds choosing path_bounds path_words "
-    "nominal_paths pairs controllers masses certificates bridges path_checking step_checking checking balls shielding "
+    "nominal_paths pairs controllers masses certificates bridges path_checking step_checking checking shielding "
     "permissions",
     "validation": "statistics simulation verdicts audits shields policies figures reports studio paper",
 }

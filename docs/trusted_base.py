@@ -16,7 +16,7 @@ FIRST_BEGIN, FIRST_END = (
     "<!-- end of what to read first -->",
 )
 
-CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.balls.rigorous"
+CHECK = "synthesis.checking.certificate_check"
 
 TRUSTED = {
     "What the problem means": (
@@ -175,13 +175,6 @@ BESIDE = (
 )
 """Modules that are loaded with the others and that the check of a lower bound at the start does not use."""
 
-BALLS = (
-    "synthesis.balls.ball_masses synthesis.balls.ball_memory synthesis.balls.ball_numbers synthesis.balls.ball_proofs "
-    "synthesis.balls.ball_relations synthesis.balls.ball_spans synthesis.balls.ball_sums synthesis.balls.rigorous "
-    "synthesis.balls.turned_shares"
-)
-"""Modules that ``check --rigorous`` adds."""
-
 
 def reached(first: str) -> set[str]:
     """Return the modules of the package that a module imports, itself included, however far."""
@@ -259,7 +252,6 @@ def table() -> str:
         **TRUSTED,
         "Loaded, and verified": VERIFIED,
         "Loaded, not used for a lower bound": BESIDE,
-        "`check --rigorous`, on top": BALLS,
     }
     rows = ["| part | modules | lines |", "|---|---:|---:|"]
     for part, modules in parts.items():

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any
 
 from ..envs.problem import load_problem
 from ..envs.suite import as_problem
-from .balls import RigorousReport, check_rigorous
 from .bridges import is_written_policy, save_policy
 from .canonical import check_file
 from .certificates import MAX_BYTES, Certificate, CheckReport, Synthesis, load_certificate, save_certificate
@@ -77,19 +76,7 @@ def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Any:
     return load_certificate(path, max_bytes)
 
 
-@overload
-def check(claim: Any, problem: Any = None, *, rigorous: Literal[False] = False) -> CheckReport: ...
-
-
-@overload
-def check(claim: Any, problem: Any = None, *, rigorous: Literal[True]) -> RigorousReport: ...
-
-
-@overload
-def check(claim: Any, problem: Any = None, *, rigorous: bool) -> CheckReport | RigorousReport: ...
-
-
-def check(claim: Any, problem: Any = None, *, rigorous: bool = False) -> CheckReport | RigorousReport:
+def check(claim: Any, problem: Any = None) -> CheckReport:
     """Verify what a certificate or a permission claims, by separate code that no search reaches.
 
     Parameters
@@ -98,13 +85,10 @@ def check(claim: Any, problem: Any = None, *, rigorous: bool = False) -> CheckRe
         Of files in the canonical form the small checker gives the verdict (docs/reference/certificate_format.md).
     problem : Problem, id or path, optional
         What is claimed must have been made for exactly this problem (fingerprint); by default the one inside it.
-    rigorous : bool
-        Whether every number that the check takes from libraries is proved in ball arithmetic, too (the extra
-        ``rigorous``): a proof down to the last bit, of the lower bound of a certificate.
 
     Returns
     -------
-    CheckReport or RigorousReport
+    CheckReport
         Truthy if the lower bounds were verified: at the start and, factor by factor, elsewhere; and the upper end of
         the claim (``gap``) where it has one, unless ``above`` is None. Of a permission: that every behaviour within
         its menus keeps the bound.
@@ -112,8 +96,7 @@ def check(claim: Any, problem: Any = None, *, rigorous: bool = False) -> CheckRe
     Raises
     ------
     ValueError
-        If it is none of these; if ``rigorous`` is asked for and python-flint is not installed, or nothing of that kind
-        can be proved in balls.
+        If it is none of these.
     """
     if isinstance(claim, str | Path) and Path(claim).is_file() and is_certificate(claim):
         verdict = check_file(claim, None if problem is None else as_problem(problem))
@@ -122,7 +105,5 @@ def check(claim: Any, problem: Any = None, *, rigorous: bool = False) -> CheckRe
     if isinstance(claim, str | Path) and is_permission_file(claim):
         claim = load_permission(claim)
     if isinstance(claim, Permission):
-        if rigorous:
-            raise ValueError("`rigorous`: expected a certificate to prove in balls, got a permission; leave it out")
         return check_permission(claim, problem)
-    return check_rigorous(claim, problem) if rigorous else check_certificate(claim, problem)
+    return check_certificate(claim, problem)

@@ -28,7 +28,6 @@ RENAMED: dict[str, tuple[str, str, str]] = {
     "automaton_from_transitions": ("translate({...}, propositions)", "envs.logic", "automaton_from_transitions"),
     "bound_above": ("synthesize(..., above=True)", "synthesis.upper_ends", "bound_above"),
     "check_permission": ("check", "synthesis.permissions", "check_permission"),
-    "check_rigorous": ("check(..., rigorous=True)", "synthesis.balls", "check_rigorous"),
     "load_certificate": ("load", "synthesis.certificates", "load_certificate"),
     "load_permission": ("load", "synthesis.permissions", "load_permission"),
     "load_problem": ("load", "envs.problem", "load_problem"),

@@ -36,12 +36,6 @@ OTHER_STARTS = (
 )
 """What certificates of mixed teams answer to whoever asks for other starts."""
 
-NO_BALLS = (
-    "one of a mixed team: what is charged for pairs of an agent on a grid and one along a path has no proof in ball "
-    "arithmetic; leave out `--rigorous`"
-)
-"""What certificates of mixed teams answer to whoever asks for balls."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MixedProof(Proof):
@@ -66,7 +60,7 @@ class MixedProof(Proof):
 
     kind = "mixed"
     inside = frozenset({"grid", "path", "subtraction"})
-    lacks = MappingProxyType({Offer.VALUES: SPOILED, Offer.OTHER_STARTS: OTHER_STARTS, Offer.BALLS: NO_BALLS})
+    lacks = MappingProxyType({Offer.VALUES: SPOILED, Offer.OTHER_STARTS: OTHER_STARTS})
     bound = "mixed"
     gap = None
 

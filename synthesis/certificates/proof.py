@@ -28,8 +28,6 @@ class Offer(Enum):
     """Controllers: of a set of starts there are some for each."""
     OWN_STATES = "one whose agents each look at their own state"
     """Cells of every agent by itself: figures of an agent."""
-    BALLS = "one of which every number can be proved in balls"
-    """Proofs of special functions and intervals: ``check(rigorous=True)``."""
     SAME_STEPS = "one of a problem that is the same at every step"
     """Steps beyond the horizon that are like those before: rates at which safety is lost."""
 

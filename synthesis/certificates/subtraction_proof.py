@@ -13,8 +13,9 @@ Reference: docs/theory/pairs.md, "Subtraction".
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -42,13 +43,6 @@ OTHER_STARTS = (
 """What certificates by subtraction answer to whoever asks for other starts."""
 
 
-NO_BALLS = (
-    "one by subtraction under networks: where these may lead to is bounded by hand, and has no proof in ball "
-    "arithmetic; leave out `--rigorous`"
-)
-"""What certificates by subtraction under networks answer to whoever asks for balls."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class SubtractionProof(Proof):
     """A bound for a task with propositions about pairs: that of the task without them, less what pairs may spoil.
@@ -69,16 +63,9 @@ class SubtractionProof(Proof):
 
     kind = "subtraction"
     inside = frozenset({"grid"})
+    lacks = MappingProxyType({Offer.VALUES: SPOILED, Offer.OTHER_STARTS: OTHER_STARTS})
     bound = "subtraction"
     has_cells = True
-
-    @property
-    def lacks(self) -> Mapping[Offer, str]:  # type: ignore[override]
-        """What it does not offer: values, other starts, and balls under networks."""
-        lacks = {Offer.VALUES: SPOILED, Offer.OTHER_STARTS: OTHER_STARTS}
-        if any("network" in part.relation for part in self.base.proof.agents):
-            lacks[Offer.BALLS] = NO_BALLS
-        return lacks
 
     @property
     def parts(self) -> tuple[OnGrid, ...]:

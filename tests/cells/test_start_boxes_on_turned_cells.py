@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.balls.ball_memory import Memory
-from certigym.synthesis.balls.turned_shares import turned
+from balls import check_rigorous
+from balls.ball_memory import Memory
+from balls.turned_shares import turned
 from certigym.synthesis.cells import RelationRefused, start_share
 from certigym.synthesis.cells import turned_starts as search_side
 from certigym.synthesis.certificates import OnGrid
@@ -45,7 +46,7 @@ def test_shares_of_both_sides_are_those_of_rational_polygons(low: list[float], h
     table = again.reshape(part.grid.shape)
     assert turned(Memory(), part, *ends, table)[1] == []
     assert turned(Memory(), part, *ends, table * (1.0 + 1e-9))[1] != []
-    report = cg.check(certificate, rigorous=True)
+    report = check_rigorous(certificate)
     assert report and cg.check(certificate)
     assert not cg.validate(certificate, 20_000, confidence=1.0 - 1e-6).refuted
 

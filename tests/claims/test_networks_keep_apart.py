@@ -169,11 +169,9 @@ def test_teams_of_planar_robots_are_certified(tmp_path: Path) -> None:
 
 
 def test_what_is_not_done_is_refused_in_words() -> None:
-    problem, actor, certificate = robots()
+    problem, actor, _ = robots()
     with pytest.raises(ValueError, match="at most 3 states"):
         repair_network(problem, actor, 16)
-    with pytest.raises(ValueError, match="no proof in ball"):
-        cg.check(certificate, rigorous=True)
 
 
 @pytest.mark.parametrize("what", ["angles", "time"])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import Offer, certificate_from, changed, from_start, on_cells, require
+from certigym.synthesis.certificates import certificate_from, changed, from_start, on_cells
 from certigym.synthesis.certificates.archive import _digest
 
 FOLDER = Path(__file__).parents[1] / "data" / "version_1"
@@ -84,8 +84,6 @@ def test_members_that_a_proof_has_no_answer_to_say_what_to_do() -> None:
         for ask in (certificate.at, lambda states, c=certificate: c.mean(states, states)):
             with pytest.raises(ValueError, match="`certificate`: expected"):
                 ask(np.zeros(certificate.problem.n_states))
-    with pytest.raises(ValueError, match="one of a mixed team"):
-        require(cg.load(FOLDER / "mixed.npz"), Offer.BALLS)
 
 
 def test_values_are_those_of_the_certificate_on_cells() -> None:

@@ -48,11 +48,6 @@ def test_what_is_read_first_runs_when_a_certificate_is_checked() -> None:
     assert len(named) >= 10 and [module for module, file in files.items() if file not in called] == []
 
 
-def test_balls_add_three_modules() -> None:
-    more = trusted_base.reached(trusted_base.RIGOROUS) - trusted_base.reached(trusted_base.CHECK)
-    assert more == {*trusted_base.BALLS.split()}
-
-
 def test_the_trusted_base_holds_nothing_of_the_search() -> None:
     for room in (
         "readings",

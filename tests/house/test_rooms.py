@@ -54,8 +54,6 @@ MAY_IMPORT = {
     "synthesis.path_checking": f"{ENVS} {CERTIFICATES}",
     "synthesis.step_checking": f"{ENVS} {CERTIFICATES} synthesis.path_checking",
     "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES} synthesis.path_checking synthesis.step_checking",
-    "synthesis.balls": f"{ENVS} envs.suite {CERTIFICATES} synthesis.path_checking synthesis.step_checking "
-    "synthesis.checking",
     "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
     "synthesis.permissions": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.readings synthesis.models synthesis.search",
@@ -65,7 +63,7 @@ MAY_IMPORT = {
     "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.checker synthesis.models synthesis.search "
     "synthesis.bounds synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking synthesis.bridges "
-    "synthesis.balls synthesis.permissions",
+    "synthesis.permissions",
     "validation.statistics": "",
     "validation.simulation": f"{ENVS} envs.suite synthesis.bridges",
     "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",

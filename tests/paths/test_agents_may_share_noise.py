@@ -14,15 +14,15 @@ from flint import ctx
 from scipy.stats import multivariate_normal, norm
 
 import certigym as cg
+from balls import check_rigorous
+from balls.ball_memory import Memory
+from balls.ball_numbers import any_of
+from balls.rigorous import BITS
 from certigym import Agent, LinearAgent, Pair, Problem, Proposition, Specification, check
 from certigym.envs.agents import AnyAgent
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.one_world import OneWorld
 from certigym.envs.problem import problem_from_dict
-from certigym.synthesis.balls import check_rigorous
-from certigym.synthesis.balls.ball_memory import Memory
-from certigym.synthesis.balls.ball_numbers import any_of
-from certigym.synthesis.balls.rigorous import BITS
 from certigym.synthesis.certificates import PathProof, changed
 
 SEED = 20261124

@@ -134,11 +134,6 @@ def _add_synthesis(commands: Any) -> None:
     add_certificate(check)
     check.add_argument("--problem", metavar="ID|FILE", help="the certificate must be about this problem")
     check.add_argument("--horizon", type=int, metavar="T", help="horizon of --problem")
-    check.add_argument(
-        "--rigorous",
-        action="store_true",
-        help="prove every number of the check in ball arithmetic (needs certigym[rigorous])",
-    )
 
     canonical = commands.add_parser(
         "canonical", help="print a problem as the checker reads it, or bring a certificate into that form"

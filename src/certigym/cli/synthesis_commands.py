@@ -171,8 +171,6 @@ def check(options: Namespace) -> int:
     claim = load(options.certificate, limit_of(options))
     certificate = getattr(claim, "certificate", claim)  # a permission is about one, too
     problem = None if options.problem is None else named_problem(options.problem, options.horizon)
-    if options.rigorous:
-        return _check_in_balls(options, claim, certificate, problem)
     report = check_claim(claim, problem)
     # A valid certificate may claim an upper end that is too large a computation to verify; say so.
     unverified = report and report.above is None and claim is certificate and certificate.gap is not None
@@ -193,22 +191,6 @@ def check(options: Namespace) -> int:
         "fingerprint": certificate.fingerprint,
     }
     show(options, text, outcome)
-    return 0 if report else 1
-
-
-def _check_in_balls(options: Namespace, claim: Any, certificate: Any, problem: Any) -> int:
-    """Verify a certificate's lower bound in ball arithmetic."""
-    report = check_claim(claim, problem, rigorous=True)
-    outcome = {
-        "valid": report.valid,
-        "lower_bound": report.claimed,
-        "proved": None if np.isnan(report.low) else report.low,
-        "numbers": report.numbers,
-        "failures": list(report.failures),
-        "assumed": list(report.assumed),
-        "fingerprint": certificate.fingerprint,
-    }
-    show(options, f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}", outcome)
     return 0 if report else 1
 
 

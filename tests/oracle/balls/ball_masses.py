@@ -11,9 +11,10 @@ import numpy as np
 from flint import arb, arb_mat
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent
-from ..cells import CellAxis, FloatArray, MeanAxis, ScaleAxis, points_by_axis
-from ..masses import AgentPart, axis_tables, kernel_key
+from certigym.envs.agents import AnyAgent
+from certigym.synthesis.cells import CellAxis, FloatArray, MeanAxis, ScaleAxis, points_by_axis
+from certigym.synthesis.masses import AgentPart, axis_tables, kernel_key
+
 from .ball_memory import Memory, Proof
 from .ball_spans import balls
 

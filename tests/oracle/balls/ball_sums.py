@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from flint import arb
 
-from ..certificates import OnGrid
-from ..masses import AgentPart
-from ..step_checking import places_of
+from certigym.synthesis.certificates import OnGrid
+from certigym.synthesis.masses import AgentPart
+from certigym.synthesis.step_checking import places_of
+
 from .ball_memory import UNIT, Memory, Proof
 
 READ = 1e-9

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from flint import arb, arb_mat
 
-from ...envs.agents import with_matrices
-from ...envs.expressions import Name, Number, Tree, whole_exponent
-from ..path_checking import Moving
-from ..step_checking import Enclosed
+from certigym.envs.agents import with_matrices
+from certigym.envs.expressions import Name, Number, Tree, whole_exponent
+from certigym.synthesis.path_checking import Moving
+from certigym.synthesis.step_checking import Enclosed
 
 Ends = tuple[Any, Any]
 """Least and largest value: balls of radius 0, not numbers where nothing is known."""

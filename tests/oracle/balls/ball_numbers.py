@@ -10,8 +10,9 @@ import numpy as np
 from flint import arb, arb_mat
 from numpy.typing import NDArray
 
-from ..cells import FloatArray
-from ..masses import AgentPart
+from certigym.synthesis.cells import FloatArray
+from certigym.synthesis.masses import AgentPart
+
 from .ball_memory import Memory, Proof
 from .ball_spans import balls, unproved
 

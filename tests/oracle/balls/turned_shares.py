@@ -8,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 from flint import fmpq, fmpq_mat
 
-from ..cells import FloatArray
-from ..masses import AgentPart
+from certigym.synthesis.cells import FloatArray
+from certigym.synthesis.masses import AgentPart
+
 from .ball_memory import Memory, Proof
 
 Point = tuple[Fraction, ...]

@@ -6,8 +6,8 @@ from typing import Any
 
 from flint import arb
 
-from ...envs.agents import AnyAgent
-from ..masses import AgentPart, kernel_key
+from certigym.envs.agents import AnyAgent
+from certigym.synthesis.masses import AgentPart, kernel_key
 
 UNIT = 2.0**-53
 

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.suite import as_problem
-from ..certificates import Offer, certificate_from, members_of, require, told_assumed
-from ..checking import check
-from ..masses import Statement, noted
+from certigym.envs.suite import as_problem
+from certigym.synthesis.certificates import certificate_from, members_of, told_assumed
+from certigym.synthesis.checking import check
+from certigym.synthesis.masses import Statement, noted
 
 BITS = 106
 """Precision of the balls: twice that of doubles."""
@@ -74,20 +74,15 @@ def check_rigorous(certificate: Any, problem: Any = None) -> RigorousReport:
     Raises
     ------
     ValueError
-        If python-flint is not installed, the certificate is one of a mixed team, or the noise has a law that is known
-        by the numbers of its author alone.
+        If states are angles, or the noise has a law that is known by the numbers of its author alone.
     """
-    try:
-        from flint import ctx
-    except ImportError:
-        raise ValueError("`--rigorous`: needs python-flint; pip install 'certigym[rigorous]'") from None
+    from flint import ctx
+
     given = certificate_from(certificate)
-    require(given, Offer.BALLS)
     problem = given.problem if problem is None else as_problem(problem)
     if any(agent.angles for agent in problem.agents):
         raise ValueError(
-            "`--rigorous`: expected states that are numbers, got angles, whose copies of cells and regions are bounded "
-            "by hand; leave it out: `check` counts with that bound"
+            "expected states that are numbers, got angles, whose copies of cells and regions are bounded by hand"
         )
     with noted() as statements:
         plain = check(given, problem)
@@ -123,8 +118,7 @@ def _proved(statements: list[Statement]) -> tuple[int, list[str], Any]:
             count, wrong = PROOFS[statement.name](memory, *statement.numbers)
         except NotImplementedError as error:
             raise ValueError(
-                f"`--rigorous`: expected noise whose law has a formula, got {error}; leave it out: `check` counts with "
-                "the error that its author states"
+                f"expected noise whose law has a formula, got {error}: `check` counts with the error its author states"
             ) from None
         numbers, failures = numbers + count, failures + wrong
     return numbers, failures, memory

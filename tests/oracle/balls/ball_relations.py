@@ -10,11 +10,12 @@ import numpy as np
 from flint import arb, arb_mat
 from scipy.optimize import minimize_scalar
 
-from ...envs.agents import LinearAgent
-from ..cells import FloatArray
-from ..masses import AgentPart
-from ..relations import CoupledRelation, ExactRelation
-from ..step_checking import MOST_TERMS, cell_boxes
+from certigym.envs.agents import LinearAgent
+from certigym.synthesis.cells import FloatArray
+from certigym.synthesis.masses import AgentPart
+from certigym.synthesis.relations import CoupledRelation, ExactRelation
+from certigym.synthesis.step_checking import MOST_TERMS, cell_boxes
+
 from .ball_memory import UNIT, Balls, Memory, Proof
 from .ball_spans import balls
 
