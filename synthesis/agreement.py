@@ -84,7 +84,7 @@ def agreed(found: Synthesis) -> Synthesis:
 
 
 def agreed_path(certificate: AlongPath) -> AlongPath:
-    """Return a certificate along a path that claims no more than the check proves, and than the small checker if near.
+    """Return a certificate along a path that claims no more than the check proves; nor the small checker, if near.
 
     Where the small checker proves visibly less, the claim is that of the extended check, and both numbers are shown.
     """
