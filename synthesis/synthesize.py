@@ -131,8 +131,8 @@ def synthesize(
         Called with a short text and the best value so far after each sweep; True: a bar, in notebooks, too.
     memory, accuracy : float, optional
         A budget instead of ``cells``: the memory in bytes that the search may use, and the gain of the bound that is
-        not worth finer cells. Cells are made finer until the first of the two is reached; ``stats["cells"]`` says how they were
-        chosen (see ``refine``).
+        not worth finer cells. Cells are made finer until the first of the two is reached; ``stats["cells"]`` says how
+        they were chosen (see ``refine``).
     effort : float, optional
         Work that may be spent, in core seconds: what one core of 2024 does in about a second (default: 80, of each
         independent task). It is estimated before anything is computed, and not taken from a clock: the same problem and

@@ -60,7 +60,7 @@ class Envelope:
 
 def read_distribution(value: Any, place: str) -> Envelope:
     """Return the envelope of a distribution in the header of a file."""
-    if not isinstance(value, dict) or value.get("law") not in LAWS:
+    if not isinstance(value, dict) or not isinstance(value.get("law"), str) or value["law"] not in LAWS:
         raise fields.expected(f"{place}.law", f"one of {', '.join(LAWS)}", value)
     # Tables have the keys of their distribution and no other.
     keys, make = LAWS[value["law"]]
