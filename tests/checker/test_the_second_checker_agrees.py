@@ -231,7 +231,7 @@ def agree(files: Iterator[tuple[str, bytes]], program: Second) -> tuple[int, lis
     """How many files both proved, and those that the second checker alone proved."""
     both, wrong = 0, []
     for what, raw in files:
-        status, failure, text = program(raw)
+        status, _, text = program(raw)
         if status == 0:
             word, other = first(raw)
             both += word == "proved"
@@ -244,7 +244,7 @@ def agree(files: Iterator[tuple[str, bytes]], program: Second) -> tuple[int, lis
 def test_no_file_of_a_sample_is_proved_by_the_second_checker_alone(made: Any, second: Second) -> None:
     both, wrong = agree(forged_files(made, 17), second)
     assert wrong == [] and both > 0
-    both, wrong = agree(damaged_files(made, 40), second)
+    _, wrong = agree(damaged_files(made, 40), second)
     assert wrong == []
 
 
@@ -260,5 +260,5 @@ def test_no_forged_file_is_proved_by_the_second_checker_alone(made: Any, second:
 def test_no_forged_file_makes_the_second_checker_stumble(made: Any, watched: Second) -> None:
     both, wrong = agree(forged_files(made, 5), watched)
     assert wrong == [] and both > 10
-    both, wrong = agree(damaged_files(made, 150), watched)
+    _, wrong = agree(damaged_files(made, 150), watched)
     assert wrong == []
