@@ -260,7 +260,8 @@ static I tail_at(double z) {
     if (z < 0) { I t = tail_at(-z); return (I){dn(1 - t.hi), up(1 - t.lo)}; }
     if (z > 37.5) return (I){0, tail_at(37.5).hi};
     I x = point(z), density = divide(exponential(mul(point(-0.5), square(x))), ROOT_TWO_PI);
-    if (z < 2.5) { /* 1/2 - density * sum of z^(2k+1) / (1 3 5 ... (2k+1)), until ratios are below 1/2 and terms small */
+    /* 1/2 - density * sum of z^(2k+1) / (1 3 5 ... (2k+1)), until ratios are below 1/2 and terms small */
+    if (z < 2.5) {
         I term = x, sum = x, q = square(x);
         for (int k = 1; k < 200; k++) {
             term = divide(mul(term, q), point(2 * k + 1)); sum = add(sum, term);
@@ -284,7 +285,8 @@ static void set_constants(void) {
 static const unsigned char *raw;
 static size_t raw_size;
 
-typedef struct { const char *type; int width, dims; long shape[4]; size_t count; const unsigned char *data; int named; } Array;
+typedef struct { const char *type; int width,
+    dims; long shape[4]; size_t count; const unsigned char *data; int named; } Array;
 static Array *arrays;
 static int array_count;
 
@@ -324,7 +326,8 @@ static void read_array(const unsigned char *data, size_t size, Array *array) {
         for (; place < end && isdigit((unsigned char)*place); place++) {
             n = 10 * n + (*place - '0'); bad(n > 1L << 40, "array: its shape is too large");
         }
-        bad(place == first || (*first == '0' && place - first > 1) || array->dims == 4, "array: its shape is not well written");
+        bad(place == first || (*first == '0' && place - first > 1) || array->dims == 4,
+            "array: its shape is not well written");
         array->shape[array->dims++] = n;
         bad(n && array->count > ((size_t)1 << 40) / (size_t)n, "array: its shape is too large");
         array->count *= (size_t)n;
@@ -349,7 +352,8 @@ static void read_archive(const char **header, size_t *header_size) {
     char name[32]; bad(raw_size < 22 || number_at(raw_size - 22, 4) != 0x06054b50, "archive: it has no end");
     size_t last = raw_size - 22, count = number_at(last + 10, 2);
     size_t size = number_at(last + 12, 4), start = number_at(last + 16, 4), place = 0, entry = start;
-    bad(number_at(last + 4, 2) || number_at(last + 6, 2) || number_at(last + 8, 2) != count || number_at(last + 20, 2), "archive: it has parts or a comment");
+    bad(number_at(last + 4, 2) || number_at(last + 6, 2) || number_at(last + 8, 2) != count ||
+        number_at(last + 20, 2), "archive: it has parts or a comment");
     bad(start > last || start + size != last || !count, "archive: its directory is elsewhere");
     arrays = room(count, sizeof *arrays); array_count = (int)count - 1;
     for (size_t k = 0; k < count; k++) {
@@ -506,14 +510,16 @@ static Json *json_value(int depth) {
 
 static void check_utf8(const unsigned char *p, size_t n) {
     for (size_t k = 0; k < n;) {
-        int extra = p[k] < 0x80 ? 0 : p[k] >= 0xC2 && p[k] < 0xE0 ? 1 : (p[k] & 0xF0) == 0xE0 ? 2 : p[k] >= 0xF0 && p[k] < 0xF5 ? 3 : -1;
+        int extra = p[k] < 0x80 ? 0 : p[k] >= 0xC2 && p[k] < 0xE0 ? 1 : (p[k] & 0xF0) == 0xE0 ? 2 : p[k] >= 0xF0 &&
+            p[k] < 0xF5 ? 3 : -1;
         unsigned long code = extra > 0 ? p[k] & (0x3Fu >> extra) : p[k];
         bad(extra < 0 || n - k <= (size_t)extra, "header: it is not UTF-8");
         for (int j = 1; j <= extra; j++) {
             bad((p[k + (size_t)j] & 0xC0) != 0x80, "header: it is not UTF-8");
             code = code << 6 | (p[k + (size_t)j] & 0x3F);
         }
-        bad((extra == 2 && (code < 0x800 || (code >= 0xD800 && code < 0xE000))) || (extra == 3 && (code < 0x10000 || code > 0x10FFFF)) || code == 0, "header: it is not UTF-8");
+        bad((extra == 2 && (code < 0x800 || (code >= 0xD800 && code < 0xE000))) ||
+            (extra == 3 && (code < 0x10000 || code > 0x10FFFF)) || code == 0, "header: it is not UTF-8");
         k += (size_t)extra + 1;
     }
 }
@@ -618,17 +624,21 @@ typedef struct Agent {
     Other *other; /* states and inputs of others that the dynamics name; variables after d + m + nd */
 } Agent;
 typedef struct { char *name; int agent, moves_low, moves_high; double *low, *high; } Region;
-typedef struct { char *name; int agent[2], n, moves_low, moves_high, *output[2], at; double *low, *high, *radius; } Pair;
+typedef struct { char *name; int agent[2], n, moves_low, moves_high, *output[2], at; double *low, *high,
+    *radius; } Pair;
 
 static Agent *agents;
 static Region *regions;
 static Pair *pairs;
-static int agent_count, region_count, pair_count, P, Q, nodes, initial, cosafe, *accepting, *aroot, *avar, *alow, *ahigh;
+static int agent_count, region_count, pair_count, P, Q, nodes, initial, cosafe, *accepting, *aroot, *avar, *alow,
+    *ahigh;
 static long T;
 static const char *formula_text;
 
-static double region_low(const Region *r, long t, int k) { return r->low[(r->moves_low ? t * agents[r->agent].p : 0) + k]; }
-static double region_high(const Region *r, long t, int k) { return r->high[(r->moves_high ? t * agents[r->agent].p : 0) + k]; }
+static double region_low(const Region *r, long t, int k) { return r->low[(r->moves_low ? t * agents[r->agent].p
+    : 0) + k]; }
+static double region_high(const Region *r, long t, int k) { return r->high[(r->moves_high ? t * agents[r->agent].p
+    : 0) + k]; }
 static double pair_low(const Pair *r, long t, int k) { return r->low[(r->moves_low ? t * r->n : 0) + k]; }
 static double pair_high(const Pair *r, long t, int k) { return r->high[(r->moves_high ? t * r->n : 0) + k]; }
 static double pair_radius(const Pair *r, long t) { return r->radius[r->moves_low ? t : 0]; }
@@ -669,7 +679,8 @@ static int ex_name(char *name) {
         while (isalnum((unsigned char)*ex) || *ex == '_') ex++;
         char *member = room((size_t)(ex - first) + 1, 1); memcpy(member, first, (size_t)(ex - first));
         for (n = 0; n < agent_count && strcmp(agents[n].name, name); n++) {}
-        if (ex_output || n == agent_count) stop(UNREADABLE, "an expression names `%s.%s`, which is unknown", name, member);
+        if (ex_output || n == agent_count) stop(UNREADABLE, "an expression names `%s.%s`, which is unknown", name,
+            member);
         Other o = {n, find_name(agents[n].states, agents[n].d, member), 0};
         if (o.index < 0) o.is_input = 1, o.index = find_name(agents[n].inputs, agents[n].m, member);
         if (o.index < 0) stop(UNREADABLE, "an expression names `%s.%s`, which is unknown", name, member);
@@ -720,7 +731,8 @@ static int ex_atom(void) {
     bad(ex == first, "an expression is not well written"); char *name = room((size_t)(ex - first) + 1, 1);
     memcpy(name, first, (size_t)(ex - first)); const char *after = ex; ex_blanks();
     if (*ex != '(') return ex = after, ex_name(name);
-    static const char *functions[] = {"min", "max", "abs", "atan", "cos", "exp", "log", "sin", "sqrt", "tan", "tanh", "clip"};
+    static const char *functions[] = {"min", "max", "abs", "atan", "cos", "exp", "log", "sin", "sqrt", "tan", "tanh",
+        "clip"};
     int kind = 0, given[3] = {-1, -1, -1}, count = 0, result = -1;
     while (kind < 12 && strcmp(functions[kind], name)) kind++;
     if (kind == 12) stop(UNREADABLE, "an expression has the unknown function `%s`", name);
@@ -730,7 +742,8 @@ static int ex_atom(void) {
         result = count && kind < 2 ? ex_op(MIN + kind, result, a, 0) : a; count++; ex_blanks();
     } while (*ex == ',');
     bad(*ex++ != ')', "an expression lacks a bracket");
-    if (kind < 2 ? count < 2 : count != (kind == 11 ? 3 : 1)) stop(UNREADABLE, "`%s` has another number of arguments", name);
+    if (kind < 2 ? count < 2 : count != (kind == 11 ? 3 : 1)) stop(UNREADABLE, "`%s` has another number of arguments",
+        name);
     if (kind < 2) return result;
     if (kind == 11) return ex_op(MIN, ex_op(MAX, given[0], given[1], 0), given[2], 0);
     return ex_op(MIN + kind, given[0], -1, 0);
@@ -820,7 +833,8 @@ static void evaluate(const Tape *tape, const I *variables, int n, int order, dou
             if (order >= 2)
                 for (int i = 0, h = 1 + n; i < n; i++)
                     for (int j = 0; j <= i; j++, h++)
-                        to[h] = add(add(mul(x, b[h]), mul(b[0], a[h])), add(mul(a[1 + i], b[1 + j]), mul(a[1 + j], b[1 + i])));
+                        to[h] = add(add(mul(x, b[h]), mul(b[0], a[h])),
+                            add(mul(a[1 + i], b[1 + j]), mul(a[1 + j], b[1 + i])));
             release(inner); continue;
         }
         case MIN: case MAX: {
@@ -904,13 +918,15 @@ static double *corner_of(const Json *list, int n, double open, int *moves) {
 static void box_of(const Json *table, const char *low, const char *high, int n, double **a, double **b, int strict) {
     *a = numbers_of(table, low, n), *b = numbers_of(table, high, n);
     for (int k = 0; k < n; k++)
-        if (strict ? !((*a)[k] < (*b)[k]) : !((*a)[k] <= (*b)[k])) stop(UNREADABLE, "header: `%s` is above `%s`", low, high);
+        if (strict ? !((*a)[k] < (*b)[k]) : !((*a)[k] <= (*b)[k])) stop(UNREADABLE, "header: `%s` is above `%s`", low,
+            high);
 }
 static int not_covered; /* a problem with what this checker does not know: said after the file was read */
 
 static void read_agent(const Json *table, Agent *a) {
     int columns = -1, k = 0;
-    has_keys(table, "an agent", "name states inputs dynamics? A? B? c? disturbances? parameters? outputs state_low state_high "
+    has_keys(table, "an agent",
+        "name states inputs dynamics? A? B? c? disturbances? parameters? outputs state_low state_high "
              "input_low input_high start_low start_high noise distributions? noise_scale? shared_noise?");
     a->name = name_of(get(table, "name"), "name"); const Json *list = get_list(table, "states", -1), *e;
     a->d = list->count, a->states = names_of(list, "states"); list = get_list(table, "inputs", -1);
@@ -964,7 +980,8 @@ static void read_agent(const Json *table, Agent *a) {
         a->K = columns, a->M = room((size_t)(a->d * a->K), sizeof(I));
         for (k = 0; k < a->d * a->K; k++) a->M[k] = point(noise[k]);
     }
-    bad(get(table, "dynamics") ? get(table, "A") || get(table, "B") || get(table, "c") : !get(table, "A") || !get(table, "B") || !get(table, "c"), "header: an agent has either `dynamics` or `A`, `B`, and `c`");
+    bad(get(table, "dynamics") ? get(table, "A") || get(table, "B") || get(table, "c") : !get(table, "A") ||
+        !get(table, "B") || !get(table, "c"), "header: an agent has either `dynamics` or `A`, `B`, and `c`");
 }
 
 static void read_expressions(const Json *table, Agent *a) {
@@ -1023,7 +1040,9 @@ static void read_problem(const Json *problem) {
         names[n++] = r->name = name_of(get(e, "name"), "name");
         int *both = wholes_in(e, "agents", 2, 0, agent_count - 1);
         bad(both[0] == both[1], "header: a pair is of one agent"); const Json *outputs = get_list(e, "outputs", 2);
-        bad(outputs->first->kind != LIST || outputs->last->kind != LIST || outputs->first->count != outputs->last->count || !(r->n = outputs->first->count), "header: a pair has no outputs, or not as many of either agent");
+        bad(outputs->first->kind != LIST || outputs->last->kind != LIST ||
+            outputs->first->count != outputs->last->count || !(r->n = outputs->first->count),
+            "header: a pair has no outputs, or not as many of either agent");
         for (int s = 0; s < 2; s++) {
             const Json *side = s ? outputs->last : outputs->first;
             r->agent[s] = both[s], r->output[s] = room((size_t)r->n, sizeof(int)); int i = 0;
@@ -1043,7 +1062,8 @@ static void read_problem(const Json *problem) {
     }
     P = region_count + pair_count; no(P > 10000, "there are too many propositions for this checker");
     for (k = 0; k < n; k++) /* n is P */
-        if (find_name(names, k, names[k]) >= 0) stop(UNREADABLE, "header: two propositions have the name `%s`", names[k]);
+        if (find_name(names, k, names[k]) >= 0) stop(UNREADABLE, "header: two propositions have the name `%s`",
+            names[k]);
     const Json *task = get(problem, "task"), *automaton; has_keys(task, "`task`", "semantics automaton formula?");
     const char *semantics = text_of(get(task, "semantics"), "semantics"); cosafe = !strcmp(semantics, "co-safe");
     bad(!cosafe && strcmp(semantics, "finite-trace"), "header: unknown semantics");
@@ -1057,9 +1077,11 @@ static void read_problem(const Json *problem) {
     initial = (int)whole_of(get(automaton, "initial"), "initial", 0, Q - 1);
     nodes = get_list(automaton, "variable", -1)->count; avar = wholes_in(automaton, "variable", nodes, 0, P - 1);
     aroot = wholes_in(automaton, "root", Q, -Q, nodes - 1);
-    alow = wholes_in(automaton, "low", nodes, -Q, nodes - 1), ahigh = wholes_in(automaton, "high", nodes, -Q, nodes - 1);
+    alow = wholes_in(automaton, "low", nodes, -Q, nodes - 1),
+        ahigh = wholes_in(automaton, "high", nodes, -Q, nodes - 1);
     for (k = 0; k < nodes; k++)
-        bad((alow[k] >= 0 && avar[alow[k]] <= avar[k]) || (ahigh[k] >= 0 && avar[ahigh[k]] <= avar[k]), "header: a child in the automaton tests no larger proposition");
+        bad((alow[k] >= 0 && avar[alow[k]] <= avar[k]) || (ahigh[k] >= 0 && avar[ahigh[k]] <= avar[k]),
+            "header: a child in the automaton tests no larger proposition");
 }
 
 /* ---- formula against automaton ---- */
@@ -1079,7 +1101,8 @@ static int *map_at(Map *map, uint64_t key, uint64_t key2, int *new) { /* the val
         no(larger.room > (size_t)1 << 26, "the formula is too large for this checker");
         no(!(larger.entries = calloc(larger.room, sizeof(Entry))), "memory is short");
         for (size_t k = 0; k < map->room; k++)
-            if (map->entries[k].key) *map_at(&larger, map->entries[k].key, map->entries[k].key2, new) = map->entries[k].value;
+            if (map->entries[k].key) *map_at(&larger, map->entries[k].key, map->entries[k].key2,
+                new) = map->entries[k].value;
         free(map->entries);
         *map = larger;
     }
@@ -1123,7 +1146,8 @@ static int ite(int f, int g, int h) {
     return result;
 }
 
-typedef struct { int op, a, b, low, high, meaning; } Formula; /* op: 1 true, p a proposition, or a character; high -1: no end */
+/* op: 1 true, p a proposition, or a character; high -1: no end */
+typedef struct { int op, a, b, low, high, meaning; } Formula;
 typedef struct { int formula, weak; } Atom;
 #define FORMULAS ((Formula *)fm_list.data)
 
@@ -1205,7 +1229,8 @@ static int fm_binary(int level) { /* 0 <->, 1 ->, 2 |, 3 &, 4 U R W M, 5 unary *
         a = fm_binary(level + 1);
         for (;;) {
             if (level == 0 && fm_blanks("<->")) b = fm_binary(1), a = formula_of('=', a, b, 0, 0);
-            else if (level == 1 && fm_blanks("->")) b = fm_binary(1), a = formula_of('|', formula_of('!', a, -1, 0, 0), b, 0, 0);
+            else if (level == 1 && fm_blanks("->")) b = fm_binary(1),
+                a = formula_of('|', formula_of('!', a, -1, 0, 0), b, 0, 0);
             else if (level == 2 && fm_blanks("|")) b = fm_binary(3), a = formula_of('|', a, b, 0, 0);
             else if (level == 3 && fm_blanks("&")) b = fm_binary(4), a = formula_of('&', a, b, 0, 0);
             else if (level == 4 && (fm_blanks("U") || fm_blanks("R") || fm_blanks("W") || fm_blanks("M"))) {
@@ -1292,7 +1317,8 @@ static Map way_seen, walk_seen;
 static void reached(int q, int obligation) {
     int new;
     if (!live[q]) return;
-    no(accepting[q] && (cosafe ? !valid(obligation, 0) : !at_end(obligation)), "the automaton accepts a word for which the formula is not proved");
+    no(accepting[q] && (cosafe ? !valid(obligation, 0) : !at_end(obligation)),
+        "the automaton accepts a word for which the formula is not proved");
     if (cosafe && accepting[q]) return;
     map_at(&way_seen, two(q, obligation), 2, &new);
     if (new) *(Way *)more(&ways, sizeof(Way)) = (Way){q, obligation};
@@ -1330,7 +1356,8 @@ static void read_letter(int e, const char *known, char *next, char *seen) {
     if (known[avar[e]] != 1) read_letter(alow[e], known, next, seen);
     if (known[avar[e]] != 0) read_letter(ahigh[e], known, next, seen);
 }
-static char box_holds(I y, double low, double high) { return y.lo >= low && y.hi < high ? 1 : y.hi < low || y.lo >= high ? 0 : 2; }
+static char box_holds(I y, double low, double high) { return y.lo >= low && y.hi < high ? 1 : y.hi < low ||
+    y.lo >= high ? 0 : 2; }
 
 static char pair_holds(const Pair *r, long t, I *const *y) {
     char all = 1; I sum = ZERO, radius = r->radius ? point(pair_radius(r, t)) : ZERO;
@@ -1389,7 +1416,8 @@ static void follow(const double *c, long t, Row *row) {
     size_t mark = block_count; I *y = room((size_t)D, sizeof *y), *next = room((size_t)D, sizeof *y), variance = ZERO;
     row->source = -1, row->rest = ZERO;
     for (int k = 0; k < D; k++) y[k] = point(c[k]);
-#define FROM(column) (row->source < 0 ? (row->source = group_of(column)) : (group[group_of(column)] = group_of(row->source)))
+#define FROM(column) \
+    (row->source < 0 ? (row->source = group_of(column)) : (group[group_of(column)] = group_of(row->source)))
     for (long s = t - 1; s >= 0; s--) {
         for (int k = 0; k < D; k++)
             if (!is_zero(y[k])) row->rest = add(row->rest, mul(y[k], (I){dn(shift[s * D + k] - radius_of[s * D + k]),
@@ -1446,16 +1474,18 @@ static void add_product(I *sum, I a, I b) { *sum = add(*sum, mul(a, b)); }
 /* What f(z + L e + rho) - value(z) - F e may be, all of F exact: z the nominal point of n variables, `box` around them
  * all that they may be, L (n, E) from errors e in `errors`, rho what inputs are rounded by. The mean value form and two
  * of Taylor's, met. */
-static I remainder_of(const Tape *f, int n, const I *z, const I *box, int E, const double *L, const I *errors, const double *rho,
-                      const double *F, double time, I *value) {
+static I remainder_of(const Tape *f, int n, const I *z, const I *box, int E, const double *L, const I *errors,
+    const double *rho, const double *F, double time, I *value) {
     size_t mark = block_count;
-    I *near = room(1 + (size_t)(n + n * (n + 1) / 2), sizeof(I)), *wide = room(1 + (size_t)(n + n * (n + 1) / 2), sizeof(I));
+    I *near = room(1 + (size_t)(n + n * (n + 1) / 2), sizeof(I)),
+        *wide = room(1 + (size_t)(n + n * (n + 1) / 2), sizeof(I));
     undefined = 0; evaluate(f, z, n, 1, time, near);
     if (undefined) stop(REFUSED, "an expression has no value on the trajectory at time %g", time);
     *value = near[0];
     undefined = 0; evaluate(f, box, n, 2, time, wide);
     if (undefined) { release(mark); return ALL; }
-    I *move = room((size_t)n, sizeof(I)), *middle = room((size_t)(n * n), sizeof(I)), *HL = room((size_t)(n * E), sizeof(I));
+    I *move = room((size_t)n, sizeof(I)), *middle = room((size_t)(n * n), sizeof(I)),
+        *HL = room((size_t)(n * E), sizeof(I));
     I mean = ZERO, taylor = ZERO;
     for (int v = 0; v < n; v++) {
         move[v] = box[v].lo == z[v].lo && box[v].hi == z[v].hi ? ZERO : sub(box[v], z[v]);
@@ -1465,7 +1495,8 @@ static I remainder_of(const Tape *f, int n, const I *z, const I *box, int E, con
     for (int e = 0; e < E; e++) {
         I g = point(-F[e]), j = point(-F[e]);
         for (int v = 0; v < n; v++)
-            if (L[v * E + e] != 0) add_product(&g, wide[1 + v], point(L[v * E + e])), add_product(&j, near[1 + v], point(L[v * E + e]));
+            if (L[v * E + e] != 0) add_product(&g, wide[1 + v], point(L[v * E + e])),
+                add_product(&j, near[1 + v], point(L[v * E + e]));
         add_product(&mean, g, errors[e]); add_product(&taylor, j, errors[e]);
     }
     I bent = taylor; /* second derivatives by all variables, with the boxes of these */
@@ -1476,7 +1507,8 @@ static I remainder_of(const Tape *f, int n, const I *z, const I *box, int E, con
             add_product(&bent, wide[h], i == j ? mul(point(0.5), square(move[i])) : mul(move[i], move[j]));
             double m = 0.5 * wide[h].lo + 0.5 * wide[h].hi;
             if (!isfinite(m)) m = 0;
-            double r = most(up(wide[h].hi - m), up(m - wide[h].lo)), a = mag(move[i]), b = mag(move[j]), H = mag(wide[h]);
+            double r = most(up(wide[h].hi - m), up(m - wide[h].lo)), a = mag(move[i]), b = mag(move[j]),
+                H = mag(wide[h]);
             if (wide[h].lo == wide[h].hi) r = 0;
             middle[i * n + j] = middle[j * n + i] = point(m);
             curved = up(curved + up(times(times(i == j ? 0.5 * r : r, a), b) * (1 + 1e-15)));
@@ -1509,7 +1541,8 @@ static void check_trajectory(const Json *proof) {
     long *letters = wholes_of(a, "letters", -1, 2);
     long *faces = wholes_of(array_of(get(proof, "faces"), "faces", 'i', 2, S + 1, P, 0), "faces", -1, LONG_MAX);
     for (k = 0; k < pair_count; k++) normals_width += pairs[k].n;
-    double *normals = reals_of(array_of(get(proof, "normals"), "normals", 'f', 2, S + 1, normals_width, 0), "normals", 0);
+    double *normals = reals_of(array_of(get(proof, "normals"), "normals", 'f', 2, S + 1, normals_width, 0), "normals",
+        0);
     paths = room((size_t)agent_count, sizeof *paths);
     for (e = list->first, i = 0; e; e = e->next, i++) {
         Agent *agent = &agents[i]; Path *p = &paths[i]; int d = agent->d, m = agent->m;
@@ -1548,7 +1581,8 @@ static void check_trajectory(const Json *proof) {
         named[i * agent_count + i] = 1;
         for (k = 0; k < agents[i].others; k++) named[i * agent_count + agents[i].other[k].agent] = 1;
     }
-    char *known = room((size_t)P, 1), *now = room((size_t)Q, 1), *next = room((size_t)Q, 1), *seen = room((size_t)nodes, 1);
+    char *known = room((size_t)P, 1), *now = room((size_t)Q, 1), *next = room((size_t)Q, 1),
+        *seen = room((size_t)nodes, 1);
     I **y = room((size_t)agent_count, sizeof *y);
     for (i = 0; i < agent_count; i++) y[i] = room((size_t)agents[i].p, sizeof(I));
     now[initial] = 1; double *c = doubles((size_t)D), *C = doubles((size_t)D);
@@ -1637,7 +1671,8 @@ static void check_trajectory(const Json *proof) {
                     for (j = 0; j < n; j++) {
                         double v = direction[j] = normals[t * normals_width + pair->at + j];
                         largest = most(largest, fabs(v)), norm = add(norm, square(point(v)));
-                        if (!pair->radius && v != 0) add_product(&b, point(v), point(v > 0 ? pair_high(pair, t, j) : pair_low(pair, t, j)));
+                        if (!pair->radius && v != 0) add_product(&b, point(v),
+                            point(v > 0 ? pair_high(pair, t, j) : pair_low(pair, t, j)));
                     }
                     no(!(largest >= 1e-6 && largest <= 1e6), "a direction is 0, or too small or too large");
                     if (pair->radius) b = mul(root(norm), point(pair_radius(pair, t)));
@@ -1663,10 +1698,12 @@ static void check_trajectory(const Json *proof) {
                     Agent *agent = &agents[pair ? pair->agent[side] : r->agent];
                     const Path *p = &paths[agent - agents]; int d = agent->d;
                     double *L = doubles((size_t)(d * d)), *zero = doubles((size_t)d);
-                    I *z = room((size_t)d, sizeof(I)), *box = room((size_t)d, sizeof(I)), *near = room((size_t)d + 1, sizeof(I)), out;
+                    I *z = room((size_t)d, sizeof(I)), *box = room((size_t)d, sizeof(I)),
+                        *near = room((size_t)d + 1, sizeof(I)), out;
                     for (j = 0; j < d; j++) {
                         z[j] = point(p->x[t * d + j]), L[j * d + j] = 1;
-                        box[j] = meet(add(z[j], hull(ZERO, error[p->at + j])), hull(z[j], (I){agent->state_low[j], agent->state_high[j]}));
+                        box[j] = meet(add(z[j], hull(ZERO, error[p->at + j])),
+                            hull(z[j], (I){agent->state_low[j], agent->state_high[j]}));
                     }
                     for (int o = 0; o < n; o++) {
                         if (direction[o] == 0) continue;
@@ -1676,7 +1713,8 @@ static void check_trajectory(const Json *proof) {
                             C[j] = 0.5 * near[1 + j].lo + 0.5 * near[1 + j].hi;
                             if (!isfinite(C[j])) C[j] = 0;
                         }
-                        I rest = remainder_of(f, d, z, box, d, L, error + p->at, zero, C, (double)t, &out), factor = point(side ? -direction[o] : direction[o]);
+                        I rest = remainder_of(f, d, z, box, d, L, error + p->at, zero, C, (double)t, &out),
+                            factor = point(side ? -direction[o] : direction[o]);
                         add_product(&value, factor, add(out, rest));
                         for (j = 0; j < d; j++) { /* the row is a double: what it is off by joins the value */
                             double exact = times(factor.lo, C[j]), old = c[p->at + j], new = old + exact;
@@ -1708,7 +1746,8 @@ static void check_trajectory(const Json *proof) {
             I *z = room((size_t)n, sizeof(I)), *box = room((size_t)n, sizeof(I)), *errors = room((size_t)E, sizeof(I));
             I *near = room((size_t)n + 1, sizeof(I)), value;
             for (j = 0; j < agent_count; j++)
-                for (k = 0; k < agents[j].d && named[i * agent_count + j]; k++) errors[column[j] + k] = error[paths[j].at + k];
+                for (k = 0; k < agents[j].d &&
+                    named[i * agent_count + j]; k++) errors[column[j] + k] = error[paths[j].at + k];
             for (int v = 0; v < n; v++) {
                 int who = i, index = v, is_input = 0;
                 if (v >= d + m && v < d + m + agent->nd) { /* a disturbance is an error of its own, around its middle */
@@ -1739,11 +1778,13 @@ static void check_trajectory(const Json *proof) {
                 evaluate(&agent->f[k], z, n, 1, (double)t, near); memset(F, 0, (size_t)E * sizeof *F);
                 for (int v = 0; v < n; v++)
                     for (l = 0; l < E; l++)
-                        if (L[v * E + l] != 0 && l >= agent->nd) F[l] += L[v * E + l] * (0.5 * near[1 + v].lo + 0.5 * near[1 + v].hi);
+                        if (L[v * E + l] != 0 &&
+                            l >= agent->nd) F[l] += L[v * E + l] * (0.5 * near[1 + v].lo + 0.5 * near[1 + v].hi);
                 for (l = 0; l < E; l++) if (!isfinite(F[l])) F[l] = 0;
                 I rest = remainder_of(&agent->f[k], n, z, box, E, L, errors, slack, F, (double)t, &value);
                 rest = add(rest, sub(value, point(p->x[(t + 1) * d + k])));
-                if (!(rest.hi - rest.lo < 1e150)) stop(REFUSED, "nothing bounds the remainder of `%s` at time %ld", agent->name, t);
+                if (!(rest.hi - rest.lo < 1e150)) stop(REFUSED, "nothing bounds the remainder of `%s` at time %ld",
+                    agent->name, t);
                 long at = t * D + p->at + k; shift[at] = 0.5 * rest.lo + 0.5 * rest.hi;
                 radius_of[at] = most(up(rest.hi - shift[at]), up(shift[at] - rest.lo));
                 for (j = 0; j < agent_count; j++)
@@ -1760,14 +1801,16 @@ static void check_trajectory(const Json *proof) {
 static double either(double f, double p) { return p >= 1 || f >= 1 ? 1 : least(1, up(f + up(p * up(1 - f)))); }
 
 static double failure_of_rows(void) {
-    double *all = doubles((size_t)sources + 1), *strips = doubles((size_t)sources + 1), *left = doubles((size_t)sources + 1), f = 0;
+    double *all = doubles((size_t)sources + 1), *strips = doubles((size_t)sources + 1),
+        *left = doubles((size_t)sources + 1), f = 0;
     for (size_t k = 0; k < rows.count; k++) {
         const Row *row = (Row *)rows.data + k;
         if (row->below == INFINITY && row->above == INFINITY) continue;
         if (row->source < 0 || row->deviation == 0) {
             no(!(row->below > 0 && row->above > 0), "a constraint without noise does not hold"); continue;
         }
-        double near = dn(least(row->below, row->above) / row->deviation), far = dn(most(row->below, row->above) / row->deviation);
+        double near = dn(least(row->below, row->above) / row->deviation),
+            far = dn(most(row->below, row->above) / row->deviation);
         I p = tail_at(near), q = far == INFINITY ? ZERO : tail_at(far); int g = group_of(row->source);
         /* the strip up to the near side; or that up to the far side, and what is left between them */
         all[g] = either(all[g], near > 0 ? 2 * p.hi : 1); strips[g] = either(strips[g], far > 0 ? 2 * q.hi : 1);
@@ -1833,7 +1876,8 @@ static void walk_cells(int e, int target, const Labels *labels, char **alive) {
         alive[who] = old; release(mark);
     }
 }
-static void check_guards(int count, const long *source, const long *target, const long *sets, int start, const Labels *labels, char **used) {
+static void check_guards(int count, const long *source, const long *target, const long *sets, int start,
+    const Labels *labels, char **used) {
     char **alive = room((size_t)agent_count, sizeof *alive);
     for (int g = 0; g < count; g++) {
         int some = 1;
@@ -1841,7 +1885,8 @@ static void check_guards(int count, const long *source, const long *target, cons
             int apart = source && source[g] != source[h];
             for (int i = 0; i < agent_count && !apart; i++) {
                 const Array *a = start ? grids[i].start_sets : grids[i].sets;
-                const unsigned char *x = a->data + sets[g * agent_count + i] * grids[i].cells, *y = a->data + sets[h * agent_count + i] * grids[i].cells;
+                const unsigned char *x = a->data + sets[g * agent_count + i] * grids[i].cells,
+                    *y = a->data + sets[h * agent_count + i] * grids[i].cells;
                 long s = 0;
                 while (s < grids[i].cells && !(x[s] && y[s])) s++;
                 apart = s == grids[i].cells;
@@ -1861,7 +1906,8 @@ static void check_guards(int count, const long *source, const long *target, cons
 }
 
 /* Sums of n products of numbers from 0 on, from below. */
-static double from_below(double sum, long n) { return sum <= 0 ? 0 : most(0, sum * (1 - (double)(n + 4) * 0x1p-52) - (double)n * 1e-320); }
+static double from_below(double sum, long n) { return sum <= 0 ? 0
+    : most(0, sum * (1 - (double)(n + 4) * 0x1p-52) - (double)n * 1e-320); }
 
 /* A factor one step back: the least expectations in cells that a policy aims from. */
 static void step_back(const Agent *a, const Grid *g, const double *factor, const long *policy, double *out) {
@@ -1913,7 +1959,8 @@ static void read_grid(const Json *e, int who, Labels *labels) {
             double *x = reals_of(axis, "edges or lattice", 0); long n = axis->shape[0];
             no(n < (side ? 1 : 2), "an axis has no cells or points");
             for (long s = 1; s < n; s++) no(!(x[s - 1] < x[s]), "an axis does not increase");
-            no(!side && (x[0] != a->state_low[k] || x[n - 1] != a->state_high[k]), "cells do not end with the workspace");
+            no(!side && (x[0] != a->state_low[k] || x[n - 1] != a->state_high[k]),
+                "cells do not end with the workspace");
             if (side) g->lattice[k] = x, g->lattice_sizes[k] = n, g->points *= n;
             else g->edges[k] = x, g->sizes[k] = n - 1, g->cells *= n - 1;
             no(g->points > 1 << 28 || g->cells > 1 << 28, "there are too many cells or points for this checker");
@@ -1922,13 +1969,15 @@ static void read_grid(const Json *e, int who, Labels *labels) {
     const char *values = text_of(get(e, "values"), "values");
     bad(strcmp(values, "cells") && strcmp(values, "corners"), "header: unknown `values`");
     whole_of(get(e, "parts"), "parts", 1, 1000000);
-    if (array_of(get(e, "inputs"), "inputs", 'f', 2, -1, m, 0)->shape[0]) stop(NOT_COVERED, "cells with inputs that are chosen");
+    if (array_of(get(e, "inputs"), "inputs", 'f', 2, -1, m, 0)->shape[0]) stop(NOT_COVERED,
+        "cells with inputs that are chosen");
     g->sets = array_of(get(e, "sets"), "sets", 'b', 2, -1, g->cells, 0);
     g->start_sets = array_of(get(e, "start_sets"), "start_sets", 'b', 2, -1, g->cells, 0);
     const Array *policy = array_of(get(e, "policy"), "policy", 'i', 3, -1, Q, g->cells);
     g->policies = policy->shape[0]; bad(g->policies != 1 && g->policies != T, "array: `policy` has another shape");
     g->policy = wholes_of(policy, "policy", -1, g->points - 1);
-    if (get(e, "inverse")->kind != NOTHING) g->inverse = reals_of(array_of(get(e, "inverse"), "inverse", 'f', 2, m, d, 0), "inverse", 0);
+    if (get(e, "inverse")->kind != NOTHING) g->inverse = reals_of(array_of(get(e, "inverse"), "inverse", 'f', 2, m, d,
+        0), "inverse", 0);
 
     I *box = room((size_t)d, sizeof(I)), *v = room((size_t)d, sizeof(I)), *PA = room((size_t)(m * d), sizeof(I));
     I *off = room((size_t)(d * d), sizeof(I)); double *deviation = doubles((size_t)d), *missed = doubles((size_t)d);
@@ -1959,11 +2008,13 @@ static void read_grid(const Json *e, int who, Labels *labels) {
     no(!g->inverse, "targets have no inverse");
     for (j = 0; j < m; j++)
         for (k = 0; k < d; k++)
-            for (int i = 0; i < d; i++) add_product(&PA[j * d + k], point(g->inverse[j * d + i]), point(a->A[i * d + k]));
+            for (int i = 0; i < d; i++) add_product(&PA[j * d + k], point(g->inverse[j * d + i]),
+                point(a->A[i * d + k]));
     for (k = 0; k < d; k++)
         for (j = 0; j < d; j++) {
             if (k == j) off[k * d + j] = point(-1);
-            for (int i = 0; i < m; i++) add_product(&off[k * d + j], point(a->B[k * m + i]), point(g->inverse[i * d + j]));
+            for (int i = 0; i < m; i++) add_product(&off[k * d + j], point(a->B[k * m + i]),
+                point(g->inverse[i * d + j]));
         }
     /* targets: inputs in their boxes for all of the cell, and what means are off by */
     for (long n = 0; n < g->policies * Q * g->cells; n++) {
@@ -2008,9 +2059,11 @@ static void read_grid(const Json *e, int who, Labels *labels) {
         for (int i = 0; i < who && !like; i++)
             for (axis = 0; axis < agents[i].d; axis++) {
                 const Grid *o = &grids[i];
-                if (o->mass[axis] && o->sizes[axis] == n && o->lattice_sizes[axis] == Z && o->spread[axis] == sigma.hi &&
+                if (o->mass[axis] && o->sizes[axis] == n && o->lattice_sizes[axis] == Z &&
+                    o->spread[axis] == sigma.hi &&
                     o->missed[axis] == off_by && !memcmp(o->aimed[axis], g->aimed[k], (size_t)Z) &&
-                    !memcmp(o->edges[axis], g->edges[k], (size_t)(n + 1) * 8) && !memcmp(o->lattice[axis], g->lattice[k], (size_t)Z * 8)) {
+                    !memcmp(o->edges[axis], g->edges[k], (size_t)(n + 1) * 8) &&
+                        !memcmp(o->lattice[axis], g->lattice[k], (size_t)Z * 8)) {
                     like = o; break;
                 }
             }
@@ -2025,10 +2078,12 @@ static void read_grid(const Json *e, int who, Labels *labels) {
                 for (long c = 0; c <= n; c++) {
                     I x = divide(sub(point(g->edges[k][c]), point(mean)), sigma); int left = x.hi <= 0;
                     if (fabs(x.lo) > 9 && fabs(x.hi) > 9) high = (I){0, nine};
-                    else high = left ? (I){tail_at(-x.lo).lo, tail_at(-x.hi).hi} : (I){tail_at(x.hi).lo, tail_at(x.lo).hi};
+                    else high = left ? (I){tail_at(-x.lo).lo, tail_at(-x.hi).hi}
+                        : (I){tail_at(x.hi).lo, tail_at(x.lo).hi};
                     x1 = left ? -1 : 1;
                     if (c) {
-                        double mass = x0 < 0 && x1 < 0 ? dn(high.lo - low.hi) : x0 > 0 ? dn(low.lo - high.hi) : dn(dn(1 - low.hi) - high.hi);
+                        double mass = x0 < 0 && x1 < 0 ? dn(high.lo - low.hi) : x0 > 0 ? dn(low.lo - high.hi)
+                            : dn(dn(1 - low.hi) - high.hi);
                         double *to = &g->mass[k][z * n + c - 1];
                         *to = side ? least(*to, most(0, mass)) : most(0, mass);
                     }
@@ -2047,7 +2102,8 @@ static double check_cells(const Json *proof) {
     for (i = 0; i < region_count; i++)
         no(regions[i].moves_low || regions[i].moves_high, "cells are for regions that stay");
     for (i = 0; i < agent_count; i++)
-        no(agents[i].M || agents[i].others || agents[i].timed, "cells are for agents without neighbours, shared noise, and time");
+        no(agents[i].M || agents[i].others || agents[i].timed,
+            "cells are for agents without neighbours, shared noise, and time");
     grids = room((size_t)agent_count, sizeof *grids);
     Labels *labels = room((size_t)agent_count, sizeof *labels), *at_start = room((size_t)agent_count, sizeof *at_start);
     const Json *list = get_list(proof, "agents", agent_count);
@@ -2069,8 +2125,10 @@ static double check_cells(const Json *proof) {
         table[k] = wholes_of(tables[k], names[k], k == 1 ? -1000000000 : 0, 1000000000); at[k] = tables[k]->shape[0];
         for (long r = 0; r < at[k]; r++) {
             const long *x = table[k] + r * widths[k], *before = x - widths[k];
-            if (x[0] < 0 || x[0] >= T || x[1] < 0 || x[1] >= Q) stop(REFUSED, "a row of `%s` has another time or state", names[k]);
-            if (r && (before[0] > x[0] || (before[0] == x[0] && before[1] > x[1]))) stop(REFUSED, "`%s` is not in order", names[k]);
+            if (x[0] < 0 || x[0] >= T || x[1] < 0 || x[1] >= Q) stop(REFUSED,
+                "a row of `%s` has another time or state", names[k]);
+            if (r && (before[0] > x[0] || (before[0] == x[0] && before[1] > x[1]))) stop(REFUSED,
+                "`%s` is not in order", names[k]);
             if (cosafe && accepting[x[1]]) stop(REFUSED, "`%s` has rows of a state that accepts", names[k]);
         }
     }
@@ -2093,11 +2151,13 @@ static double check_cells(const Json *proof) {
             I part_of = ONE;
             for (long k = agent->d - 1, rest = s; k >= 0; rest /= g->sizes[k], k--) {
                 long n = rest % g->sizes[k];
-                double x0 = g->edges[k][n], x1 = g->edges[k][n + 1], s0 = agent->start_low[k], s1 = agent->start_high[k];
+                double x0 = g->edges[k][n], x1 = g->edges[k][n + 1], s0 = agent->start_low[k],
+                    s1 = agent->start_high[k];
                 box[k] = (I){most(x0, s0), least(x1, s1)}; closed[k] = s1 < x1 || n == g->sizes[k] - 1;
                 int meets = s0 == s1 ? x0 <= s0 && (s0 < x1 || n == g->sizes[k] - 1) : box[k].lo < box[k].hi;
                 if (!meets) part_of = ZERO;
-                else if (s0 < s1) part_of = mul(part_of, divide(sub(point(box[k].hi), point(box[k].lo)), sub(point(s1), point(s0))));
+                else if (s0 < s1) part_of = mul(part_of, divide(sub(point(box[k].hi), point(box[k].lo)),
+                    sub(point(s1), point(s0))));
                 if (s0 == s1) closed[k] = 1;
             }
             if (is_zero(part_of)) continue;
@@ -2141,10 +2201,12 @@ static double check_cells(const Json *proof) {
             char *gone = room((size_t)count[0], 1); Map seen = {0};
             for (long r = 0; r < count[0]; r++) {
                 const long *x = table[0] + (end[0] + r) * 4; int new;
-                no(x[2] >= G || source[x[2]] != q || x[3] >= later[target[x[2]]].count, "a vertex has a wrong guard or child");
+                no(x[2] >= G || source[x[2]] != q || x[3] >= later[target[x[2]]].count,
+                    "a vertex has a wrong guard or child");
                 map_at(&seen, two((int)x[2], (int)x[3]), 1, &new); no(!new, "two vertices have one guard and child");
                 for (i = 0; i < agent_count; i++) {
-                    double *f = factor[r * agent_count + i] = doubles((size_t)grids[i].cells), *child = later[target[x[2]]].factor[x[3] * agent_count + i];
+                    double *f = factor[r * agent_count + i] = doubles((size_t)grids[i].cells),
+                        *child = later[target[x[2]]].factor[x[3] * agent_count + i];
                     const unsigned char *in = grids[i].sets->data + sets[x[2] * agent_count + i] * grids[i].cells;
                     for (long s = 0; s < grids[i].cells; s++) f[s] = in[s] ? child[s] : 0;
                 }
@@ -2153,11 +2215,14 @@ static double check_cells(const Json *proof) {
             for (long r = 0; r < count[1]; r++) {
                 const long *x = table[1] + (end[1] + r) * 6;
                 long into = x[2], absorbed = x[3], who = x[4], rest = x[5] < 0 ? -x[5] - 1 : x[5] - 1;
-                no(into < 0 || absorbed < 0 || into >= count[0] || absorbed >= count[0] || into == absorbed || gone[into] || gone[absorbed], "a union has a wrong vertex");
-                no(who < 0 || who >= agent_count || (x[5] && (rest >= agent_count || rest == who)), "a union has a wrong agent");
+                no(into < 0 || absorbed < 0 || into >= count[0] || absorbed >= count[0] || into == absorbed ||
+                    gone[into] || gone[absorbed], "a union has a wrong vertex");
+                no(who < 0 || who >= agent_count || (x[5] && (rest >= agent_count || rest == who)),
+                    "a union has a wrong agent");
                 for (i = 0; i < agent_count; i++)
                     for (long s = 0; s < grids[i].cells; s++) {
-                        double *b0 = &factor[into * agent_count + i][s], *b1 = &factor[absorbed * agent_count + i][s], b = *b0, c = *b1, m = least(b, c);
+                        double *b0 = &factor[into * agent_count + i][s], *b1 = &factor[absorbed * agent_count + i][s],
+                            b = *b0, c = *b1, m = least(b, c);
                         *b0 = i == who ? (b == 0 ? c : c == 0 ? b : dn(b + c)) : m;
                         if (!x[5]) continue;
                         double of = x[5] > 0 ? b : c;
@@ -2173,7 +2238,8 @@ static double check_cells(const Json *proof) {
                 for (i = 0; i < agent_count; i++) {
                     double *out = v->factor[r * agent_count + i] = calloc((size_t)grids[i].cells, sizeof(double));
                     no(!out, "memory is short"); long when = grids[i].policies == 1 ? 0 : t;
-                    step_back(&agents[i], &grids[i], factor[k * agent_count + i], grids[i].policy + (when * Q + q) * grids[i].cells, out);
+                    step_back(&agents[i], &grids[i], factor[k * agent_count + i],
+                        grids[i].policy + (when * Q + q) * grids[i].cells, out);
                 }
             }
             release(mark);
@@ -2232,5 +2298,6 @@ int main(int count, char **words) {
     else stop(UNREADABLE, "header: a kind of proof that is unknown");
     if (formula_text) check_formula();
     if (!(failure <= claim)) stop(REFUSED, "failure <= %.17g is above the claim of %.17g", failure, claim);
-    stop(PROVED, "failure <= %.17g (claimed %.17g)%s", failure, claim, formula_text ? "" : "; the automaton is the task");
+    stop(PROVED, "failure <= %.17g (claimed %.17g)%s", failure, claim, formula_text ? ""
+        : "; the automaton is the task");
 }
