@@ -679,12 +679,11 @@ static int ex_name(char *name) {
         while (isalnum((unsigned char)*ex) || *ex == '_') ex++;
         char *member = room((size_t)(ex - first) + 1, 1); memcpy(member, first, (size_t)(ex - first));
         for (n = 0; n < agent_count && strcmp(agents[n].name, name); n++) {}
-        if (ex_output || n == agent_count) stop(UNREADABLE, "an expression names `%s.%s`, which is unknown", name,
+        if (ex_output || n == agent_count || &agents[n] == a) stop(UNREADABLE, "an expression names `%s.%s`, which is unknown", name,
             member);
         Other o = {n, find_name(agents[n].states, agents[n].d, member), 0};
         if (o.index < 0) o.is_input = 1, o.index = find_name(agents[n].inputs, agents[n].m, member);
         if (o.index < 0) stop(UNREADABLE, "an expression names `%s.%s`, which is unknown", name, member);
-        if (&agents[n] == a) return ex_op(VAR, o.index + (o.is_input ? a->d : 0), -1, 0);
         for (k = 0; k < a->others; k++)
             if (a->other[k].agent == n && a->other[k].index == o.index && a->other[k].is_input == o.is_input) break;
         if (k == a->others) {
@@ -1012,7 +1011,7 @@ static int *wholes_in(const Json *table, const char *key, int count, long low, l
 
 static void read_problem(const Json *problem) {
     has_keys(problem, "`problem`", "horizon agents regions pairs task");
-    T = whole_of(get(problem, "horizon"), "horizon", 1, 100000);
+    T = whole_of(get(problem, "horizon"), "horizon", 1, 10000);
     const Json *list = get_list(problem, "agents", -1), *e; int k, j, K = -1, n = 0;
     bad(!(agent_count = list->count), "header: there is no agent");
     agents = room((size_t)agent_count, sizeof *agents);
