@@ -1876,7 +1876,7 @@ static void walk_cells(int e, int target, const Labels *labels, char **alive) {
     }
 }
 static void check_guards(int count, const long *source, const long *target, const long *sets, int start,
-    const Labels *labels, char **used) {
+    const Labels *labels) {
     char **alive = room((size_t)agent_count, sizeof *alive);
     for (int g = 0; g < count; g++) {
         int some = 1;
@@ -1897,7 +1897,7 @@ static void check_guards(int count, const long *source, const long *target, cons
             const unsigned char *x = a->data + sets[g * agent_count + i] * grids[i].cells; int any = 0;
             alive[i] = room((size_t)labels[i].count, 1);
             for (long s = 0; s < grids[i].cells; s++)
-                if (x[s] && (!used || used[i][s])) alive[i][labels[i].class[s]] = 1, any = 1;
+                if (x[s]) alive[i][labels[i].class[s]] = 1, any = 1;
             some &= any;
         }
         if (some) walk_cells(aroot[source ? source[g] : initial], (int)target[g], labels, alive);
@@ -1988,7 +1988,7 @@ static void read_grid(const Json *e, int who, Labels *labels) {
         g->aimed[k] = room((size_t)g->lattice_sizes[k], 1); int found = 0;
         for (j = 0; j < a->k; j++) {
             if (is_zero(a->N[k * a->k + j])) continue;
-            found++, deviation[k] = 1;
+            found++;
             for (int i = 0; i < d; i++) if (i != k && !is_zero(a->N[i * a->k + j])) found = 2;
         }
         if (found != 1) stop(REFUSED, "the noise of `%s` is not one number for each state", a->name);
@@ -2015,6 +2015,7 @@ static void read_grid(const Json *e, int who, Labels *labels) {
             for (int i = 0; i < m; i++) add_product(&off[k * d + j], point(a->B[k * m + i]),
                 point(g->inverse[i * d + j]));
         }
+    for (k = 0; k < d * d; k++) no(!(mag(off[k]) <= 1e-6), "the inverse of the inputs is not next to one");
     /* targets: inputs in their boxes for all of the cell, and what means are off by */
     for (long n = 0; n < g->policies * Q * g->cells; n++) {
         long z = g->policy[n], s = n % g->cells, q = n / g->cells, earlier = 0;
@@ -2044,14 +2045,14 @@ static void read_grid(const Json *e, int who, Labels *labels) {
         for (k = 0; k < d; k++) {
             I miss = ZERO;
             for (j = 0; j < d; j++) add_product(&miss, off[k * d + j], size[j]);
-            deviation[k] = most(deviation[k] < 0 ? 0 : deviation[k], 1 + mag(miss));
+            deviation[k] = most(deviation[k], mag(miss));
         }
     }
     double nine = tail_at(9).hi; /* masses farther away count as nothing */
     for (k = 0; k < d; k++) {
         I sigma = ZERO;
         for (j = 0; j < a->k; j++) if (!is_zero(a->N[k * a->k + j])) sigma = absolute(a->N[k * a->k + j]);
-        double off_by = up(up(deviation[k] - 1) + missed[k]); long n = g->sizes[k], Z = g->lattice_sizes[k];
+        double off_by = up(deviation[k] + missed[k]); long n = g->sizes[k], Z = g->lattice_sizes[k];
         g->spread[k] = sigma.hi, g->missed[k] = off_by;
         const Grid *like = NULL; /* an agent whose masses are the same */
         int axis = 0;
@@ -2138,13 +2139,13 @@ static double check_cells(const Json *proof) {
         for (int g = 0; g < G0; g++)
             no(start_sets[g * agent_count + i] >= grids[i].start_sets->shape[0], "a guard has a set that is not there");
     }
-    check_guards(G, source, target, sets, 0, labels, NULL);
+    check_guards(G, source, target, sets, 0, labels);
     /* the start: shares of cells, from below, and labels of what the start has in them */
-    double **share = room((size_t)agent_count, sizeof *share); char **used = room((size_t)agent_count, sizeof *used);
+    double **share = room((size_t)agent_count, sizeof *share);
     for (i = 0; i < agent_count; i++) {
         const Agent *agent = &agents[i]; Grid *g = &grids[i]; I *box = room((size_t)agent->d, sizeof(I));
         char *closed = room((size_t)agent->d, 1), *label = room((size_t)region_count, 1);
-        share[i] = doubles((size_t)g->cells), used[i] = room((size_t)g->cells, 1);
+        share[i] = doubles((size_t)g->cells);
         at_start[i].class = room((size_t)g->cells, sizeof(int)), at_start[i].labels = room(2000, (size_t)region_count);
         for (long s = 0; s < g->cells; s++) {
             I part_of = ONE;
@@ -2159,12 +2160,15 @@ static double check_cells(const Json *proof) {
                     sub(point(s1), point(s0))));
                 if (s0 == s1) closed[k] = 1;
             }
-            if (is_zero(part_of)) continue;
-            used[i][s] = 1, share[i][s] = least(1, most(0, part_of.lo)); label_of(i, box, closed, label);
+            for (long k = agent->d - 1, rest = s; k >= 0 && is_zero(part_of); rest /= g->sizes[k], k--) {
+                long n = rest % g->sizes[k]; /* no start is in this cell: its guard is asked for all of it */
+                box[k] = (I){g->edges[k][n], g->edges[k][n + 1]}; closed[k] = n == g->sizes[k] - 1;
+            }
+            share[i][s] = least(1, most(0, part_of.lo)); label_of(i, box, closed, label);
             classify(&at_start[i], s, label);
         }
     }
-    check_guards(G0, NULL, start_target, start_sets, 1, at_start, used);
+    check_guards(G0, NULL, start_target, start_sets, 1, at_start);
 
     Values *later = room((size_t)Q, sizeof *later), *now = room((size_t)Q, sizeof *now); size_t base = block_count;
     for (long t = T; t >= 0; t--) {
