@@ -201,7 +201,10 @@ def _header(raw: bytes) -> dict[str, Any]:
         raise Unreadable(f"its header does not say that it is a {FORMAT}")
     if header.get("version") != VERSION:
         raise Unreadable(f"its version is {str(header.get('version'))[:20]}, and version {VERSION} is read here")
-    return fields.table(header, "header", ("format", "version", "name", "problem", "claim", "proof"), ("notes",))
+    data = fields.table(header, "header", ("format", "version", "name", "problem", "claim", "proof"), ("notes",))
+    if not isinstance(data["name"], str):
+        raise fields.expected("name", "a text", data["name"])
+    return data
 
 
 def _array(name: str, data: memoryview) -> NDArray[Any]:
