@@ -35,6 +35,7 @@ class Random:
     def __init__(self, rng: np.random.Generator, D: int, W: int, T: int) -> None:
         self.D, self.W, self.T = D, W, T
         scale = 10.0 ** rng.choice([0, 0, -8, 5, -60], D) if rng.random() < 0.3 else np.ones(D)
+        self.scale = scale.tolist()
         self.spread = rng.choice([0.0, 1.0], D) * rng.uniform(0.0, 1.0, D)
         self.system = ErrorSystem(self.spread, W)
         self.F: list[np.ndarray] = []
@@ -56,14 +57,15 @@ class Random:
     ) -> tuple[Fraction, Fraction, Fraction, Fraction, set[int]]:
         """Ends, variance, the largest share of a step, and sources of ``c e_T + earlier e_(T-1)``."""
         low = high = variance = largest = Fraction(0)
-        sources = set()
+        sources, scale = set(), max(abs(x) for x in (*c, *earlier)) * Fraction(min(self.scale))
         y = [c]
         for s in reversed(range(self.T)):
             # what e_(s+1) is multiplied by acts on the step s
             coefficients = times(y, rational(self.L[s]))[0]
             own = sum((x * x for x in coefficients), Fraction(0))
             variance, largest = variance + own, max(largest, own)
-            sources |= {k for k, x in enumerate(coefficients) if x}
+            # what y is rounded by is charged as an error, and is no form of the noise
+            sources |= {k for k, x in enumerate(coefficients) if abs(x) > Fraction(1, 10**12) * scale}
             for x, a, b in zip(y[0], *self.pushed[s].tolist(), strict=True):
                 low, high = low + min(x * Fraction(a), x * Fraction(b)), high + max(x * Fraction(a), x * Fraction(b))
             y = times(y, rational(self.F[s]))
