@@ -34,7 +34,7 @@ class Random:
 
     def __init__(self, rng: np.random.Generator, D: int, W: int, T: int) -> None:
         self.D, self.W, self.T = D, W, T
-        scale = 10.0 ** rng.choice([0, 0, -8, 5, -60], D) if rng.random() < 0.3 else np.ones(D)
+        scale = 10.0 ** rng.choice([0, 0, -3, 2], D) if rng.random() < 0.3 else np.ones(D)
         self.scale = scale.tolist()
         self.spread = rng.choice([0.0, 1.0], D) * rng.uniform(0.0, 1.0, D)
         self.system = ErrorSystem(self.spread, W)
