@@ -56,8 +56,10 @@ class Simulator:
             result.append(np.array(rows, dtype=float).reshape(-1, n))
         return result
 
-    def noise(self, rng: np.random.Generator, x: list[np.ndarray], u: list[np.ndarray], t: int) -> list[np.ndarray]:
-        """Noise of one step, which may depend on states and inputs."""
+    def noise(
+        self, rng: np.random.Generator, x: list[np.ndarray], u: list[np.ndarray], t: int, v: list[dict[str, Any]]
+    ) -> list[np.ndarray]:
+        """Noise of one step, which may depend on states, inputs and disturbances."""
         n = x[0].shape[1]
         common = rng.standard_normal((np.array(self.agents[0].get("shared_noise", [[]])).shape[-1], n))
         result = []
@@ -66,7 +68,7 @@ class Simulator:
             laws = agent.get("distributions", [{"law": "gaussian", "std": 1.0}] * factor.shape[1])
             own = factor @ np.array([_drawn(law, rng, n) for law in laws]).reshape(-1, n)
             if agent.get("noise_scale"):
-                local = {**FUNCTIONS, "t": float(t), **agent.get("parameters", {})}
+                local = {**FUNCTIONS, "t": float(t), **agent.get("parameters", {}), **v[i]}
                 local |= dict(zip(agent["states"], x[i], strict=True)) | dict(zip(agent["inputs"], u[i], strict=True))
                 own = own * np.array([eval(_python(text), {}, local) + np.zeros(n) for text in agent["noise_scale"]])
             result.append(own)
@@ -135,7 +137,7 @@ class Simulator:
                 choose = _on_cells if proof["kind"] == "cells" else _along_trajectory
                 chosen = choose(agent, entry, arrays, state, q, t)
                 u.append(np.clip(chosen, np.array(agent["input_low"])[:, None], np.array(agent["input_high"])[:, None]))
-            means, noise = self.means(x, u, v, t), self.noise(rng, x, u, t)
+            means, noise = self.means(x, u, v, t), self.noise(rng, x, u, t, v)
             x = self.wrapped([mean + own for mean, own in zip(means, noise, strict=True)])
         return int(n - np.sum(alive & accepting[q]))
 
