@@ -117,7 +117,8 @@ class Simulator:
         self, proof: dict[str, Any], arrays: list[np.ndarray], rng: np.random.Generator, n: int, extreme: float = 1.0
     ) -> int:
         """How many of n runs of the controllers in a file fail; disturbances are at one end of their ranges."""
-        x = [rng.uniform(a["start_low"], a["start_high"], (n, len(a["states"]))).T for a in self.agents]
+        # a start of -0.0 is one of 0.0
+        x = [rng.uniform(a["start_low"], np.add(a["start_high"], 0.0), (n, len(a["states"]))).T for a in self.agents]
         v = [
             {k: low + (high - low) * extreme for k, (low, high) in a.get("disturbances", {}).items()}
             for a in self.agents

@@ -217,7 +217,7 @@ def one_crane() -> tuple[dict[str, Any], list[np.ndarray]]:
         "start_low": [2.5, 0.0],
         "start_high": [2.5, 0.0],
         "noise": [[1.0, 0.0], [0.0, 1.0]],
-        "distributions": [{"law": "uniform", "low": -0.1, "high": 0.1}, {"law": "laplace", "scale": 0.04}],
+        "distributions": [{"law": "uniform", "low": -0.1, "high": 0.1}, {"law": "laplace", "scale": 0.085}],
         "noise_scale": ["1", "1 + 0.05*y"],
     }
     automaton = {"initial": 0, "accepting": [False, True], "root": [0, -2], "variable": [0], "low": [-1], "high": [-2]}
