@@ -1,0 +1,809 @@
+"""Who notices one wrong line of the checker? Its tests are run against copies of it with a line each that is sabotaged.
+
+``python benchmarks/checker_mutants.py [--only WORD] [--missing] [--survivors]`` writes ``docs/checker_mutations.json``
+and the table in ``docs/checker_mutations.md``. In a copy the tests of ``tests/checker`` that are about it are run, those
+of the sabotaged file first, up to the first failure; what these do not notice goes through the slow ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+TESTS, PACKAGE = ROOT / "tests" / "checker", ROOT / "src" / "certigym"
+RECORD, PAGE = ROOT / "docs" / "checker_mutations.json", ROOT / "docs" / "checker_mutations.md"
+
+
+class Mutant(NamedTuple):
+    """A sabotage: in a file of the checker the first ``old`` becomes ``new``."""
+
+    file: str
+    old: str
+    new: str
+
+
+def _in(file: str, *pairs: tuple[str, str]) -> list[Mutant]:
+    return [Mutant(file, old, new) for old, new in pairs]
+
+
+MUTANTS = [
+    *_in(
+        "rigorous",
+        ("EXP_ERROR, SIN_ERROR = 32 * U, 24 * U", "EXP_ERROR, SIN_ERROR = U / 8, 24 * U"),
+        ("EXP_ERROR, SIN_ERROR = 32 * U, 24 * U", "EXP_ERROR, SIN_ERROR = 32 * U, U / 64"),
+        ("(1.0 + 2.0**-9 * np.abs(k))", "0.001"),
+        ("for n in range(16, 0, -1):", "for n in range(9, 0, -1):"),
+        ("r = r - k * HALF_PI[2]", "r = r + k * HALF_PI[2]"),
+        ("for n in range(11, 0, -1):", "for n in range(6, 0, -1):"),
+        ("(k + turned) % 4", "k % 4"),
+        ("np.where(rising(low)[1] <= x, low, np.nan)", "low"),
+        ("guess - radius, guess + radius", "guess, guess + radius"),
+        ("beyond = np.where(np.isnan(x), np.nan, 1.0)", "beyond = 0.5"),
+        ("np.where(x > 0, 1.5708, np.where(x < 0, -1.5707, np.nan))", "np.where(x > 0, 1.5707, -1.5707)"),
+        (
+            "far_low = np.where(x > 0, 1.5707, np.where(x < 0, -1.5708, np.nan))",
+            "far_low = np.where(x > 0, 1.5707, -1.5708)",
+        ),
+        ("np.minimum((high - 1) / (high + 1) + 4 * U, 1.0)", "np.minimum((high - 1) / (high + 1) - 4 * U, 1.0)"),
+        ("PHI_0 = (0.39894228040143267, 0.39894228040143271)", "PHI_0 = (0.39894228040143271, 0.39894228040143267)"),
+        ("spare = (square + 8.0) * U", "spare = 0.0 * U"),
+        ("for terms in (count, count + 1):", "for terms in (count, count):"),
+        (
+            "((SERIES_END, 3.0, 100), (3.0, 6.0, 40), (6.0, np.inf, 16))",
+            "((SERIES_END, 3.0, 100), (3.0, 6.0, 40), (6.1, np.inf, 16))",
+        ),
+        ("for n in range(1, 32):", "for n in range(1, 12):"),
+        ("ends = np.full((2, *z.shape), np.nan)", "ends = np.zeros((2, *z.shape))"),
+    ),
+    *_in(
+        "intervals",
+        ("return np.nextafter(x, -np.inf)", "return np.asarray(x)"),
+        ("return np.nextafter(x, np.inf)", "return np.asarray(x)"),
+        ("return -a[::-1]", "return -a"),
+        ("a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1]", "a[0] * b[0], a[0] * b[1], a[1] * b[1]"),
+        ("low = np.where((a[0] >= 0) & (b[0] >= 0), np.maximum(low, 0.0), low)", "low = np.maximum(low, 0.0)"),
+        ("error, empty = (n + 2) * U * size, size == 0", "error, empty = 0.0 * size, size == 0"),
+        ("apart = (a[0] > 0) | (a[1] < 0)", "apart = (a[0] >= 0) | (a[1] <= 0)"),
+        ("low = np.where((a[0] <= 0) & (a[1] >= 0), 0.0,", "low = np.where((a[0] < -1) & (a[1] >= 0), 0.0,"),
+        ("up(size.max(axis=0) ** 2)", "up(a[1] ** 2)"),
+        ("r = np.sqrt(np.where(a[0] >= 0, a, np.nan))", "r = np.sqrt(np.maximum(a, 0.0))"),
+        ("(np.where(a[0] > 0, a, np.nan))\n\n\nLARGEST", "(np.maximum(a, 1e-300))\n\n\nLARGEST"),
+        ("for _ in range(int(p) // 2):", "for _ in range((int(p) - 1) // 2):"),
+        ("low = np.where(bottom | far, -1.0, np.maximum(low, -1.0))", "low = np.maximum(low, -1.0)"),
+        ("for place in (0.25, 0.75)", "for place in (0.75, 0.25)"),
+        ("turns = a / (2 * np.pi) + 0.25 * quarters", "turns = a / (2 * np.pi)"),
+        ("np.where(top | far, 1.0,", "np.where(top, 1.0,"),
+        ("np.where(between & known(a), np.stack([low[0], high[1]]), np.nan)", "np.stack([low[0], high[1]])"),
+    ),
+    *_in(
+        "jets",
+        ("value = np.where(known(self.value), value, np.nan)", "value = value + 0.0"),
+        ("value = np.where(known(a) & known(b), mul(a, b), np.nan)", "value = mul(a, b)"),
+        (
+            "add(mul(first[:, None, None], self.bend), mul(second[:, None, None], outer))",
+            "mul(first[:, None, None], self.bend)",
+        ),
+        ("bend = add(bend, add(outer, outer.swapaxes(1, 2)))", "bend = add(bend, outer)"),
+        (
+            "slope = add(mul(a[:, None], other.slope), mul(b[:, None], self.slope))",
+            "slope = mul(a[:, None], other.slope)",
+        ),
+        ("return s, sine(a, 1), neg(s)", "return s, sine(a, 1), s"),
+        ("return c, neg(sine(a)), neg(c)", "return c, sine(a), neg(c)"),
+        ("mul(mul(_number(2.0), t), first)", "mul(t, first)"),
+        ("first = add(_number(1.0), neg(square(t)))", "first = add(_number(1.0), square(t))"),
+        ("return log(a), r, neg(square(r))", "return log(a), r, square(r)"),
+        ("return r, first, neg(mul(first, recip(add(a, a))))", "return r, first, neg(mul(first, recip(a)))"),
+        ("return r, neg(square(r)), mul(_number(2.0), power(r, 3.0))", "return r, neg(square(r)), power(r, 3.0)"),
+        (
+            "return atan(a), r, mul(mul(_number(-2.0), a), square(r))",
+            "return atan(a), r, mul(mul(_number(-2.0), a), r)",
+        ),
+        ("np.where(right & ~left, 1.0, -1.0)", "np.where(right, 1.0, -1.0)"),
+        ("np.where(right ^ left, 0.0, np.nan)", "np.where(right ^ left, 0.0, 0.0)"),
+        ("first, second = first & ~second, second & ~first", "first, second = first, second"),
+        ("np.where(first, a.bend, np.where(second, b.bend, np.nan))", "np.where(first, a.bend, b.bend)"),
+        ("np.where(first, a.slope, np.where(second, b.slope, hull))", "np.where(first, a.slope, b.slope)"),
+        ("first if (p - 1.0) + 1.0 == p else unknown", "first"),
+        ("mul(mul(_number(p), _number(p - 1.0)), raised(p - 2.0))", "mul(_number(p), raised(p - 2.0))"),
+        (
+            "add(at_centre, mul(_number(0.5), _quadratic(around.bend, box)))",
+            "add(at_centre, mul(_number(0.25), _quadratic(around.bend, box)))",
+        ),
+        ("total(mul(add(around.slope, neg(row)), box), 0)", "total(mul(add(centre.slope, neg(row)), box), 0)"),
+        (
+            "at_centre = total(mul(add(centre.slope, neg(row)), box), 0)",
+            "at_centre = 0.0 * total(mul(add(centre.slope, neg(row)), box), 0)",
+        ),
+        ("forms.append(add(taylor, np.stack([-spare, spare])))", "forms.append(taylor)"),
+        ("far + 0.5 * off) * (1.0 + 2.0**-30)", "0.1 * far) * (1.0 + 2.0**-30)"),
+        ("np.where(known(around.value), form, np.nan)", "form"),
+        ('return -a if name == "negative" else', 'return a if name == "negative" else'),
+        ("return a + (-b)", "return a + b"),
+        ("else -_maximum(-a, -b)", "else _maximum(a, b)"),
+    ),
+    *_in(
+        "automaton",
+        ("if known.get(p, True):", "if known.get(p, False):"),
+        ("if not known.get(p, False):", "if not known.get(p, True):"),
+        ("done = automaton.is_co_safe and automaton.accepting[q]", "done = False"),
+        ("if len(letters) > horizon + 1:", "if len(letters) > horizon + 2:"),
+        ("if not automaton.is_co_safe and len(letters) != horizon + 1:", "if False:"),
+        ("if all(automaton.accepting[q] for q in states):", "if any(automaton.accepting[q] for q in states):"),
+        ("self.variable[child] <= self.variable[node]", "self.variable[child] < self.variable[node]"),
+        ("if any(not -states <= entry < nodes", "if any(not -states - 1 <= entry < nodes"),
+        ("alive |= new", "alive |= set(list(new)[:1])"),
+    ),
+    *_in(
+        "formula",
+        (
+            "if automaton.is_co_safe and automaton.accepting[automaton.initial] and progression.now(formula) != 1:",
+            "if False:",
+        ),
+        ("f == 1 if automaton.is_co_safe else progression.holds_at_end(f)", "progression.holds_at_end(f)"),
+        ("if pair in seen or dead[q]:", "if pair in seen or dead[q] or len(seen) > 3:"),
+        ('d.ite(self.now(a), d.variable(("X", f)), 0)', 'd.variable(("X", f))'),
+        ("f = self.diagrams.nodes[f][1]", "f = self.diagrams.nodes[f][2]"),
+        ('return d.ite(d.variable(("X", ("!", a))), 0, 1)', 'return d.variable(("X", a))'),
+        ('return self.now(("U", b, ("&", a, b)))', 'return self.now(("U", b, a))'),
+        ('("!", ("U", ("!", b), ("&", ("!", a), ("!", b))))', '("!", ("U", ("!", b), ("!", a)))'),
+        ('("X", ("F", a, low - 1, high - 1))', '("X", ("F", a, low - 1, high))'),
+        ('("X", ("F", a, 0, high - 1))', '("X", ("F", a, 0, high))'),
+        ('"->": (y, 1)', '"->": (y, 0)'),
+        ("right = self.binary(own if own in (2, 5) else own + 1)", "right = self.binary(own)"),
+        ("sorted(bounds) != bounds", "False"),
+        ("if f not in d.variables:", "if False:"),
+        ("f != 1 and not (automaton.is_co_safe and automaton.accepting[q])", "f != 1 and not automaton.accepting[q]"),
+        ("here = entry >= 0 and automaton.variable[entry] == p", "here = entry >= 0"),
+    ),
+    *_in(
+        "letters",
+        (
+            "np.any(region.high[t] <= other.low[t]) or np.any(other.high[t] <= region.low[t])",
+            "np.any(region.low[t] <= other.low[t])",
+        ),
+        ("if value > 0 and other.agent == region.agent", "if value > 0"),
+        (
+            "np.all((region.low[0] <= low) & (high < region.high[0]))",
+            "np.all((region.low[0] <= high) & (low < region.high[0]))",
+        ),
+        (
+            "np.any((high < region.low[0]) | (region.high[0] <= low))",
+            "np.any((low < region.low[0]) | (region.high[0] <= low))",
+        ),
+        (
+            "Fraction(a_low) - Fraction(b_high), Fraction(a_high) - Fraction(b_low)",
+            "Fraction(a_low) - Fraction(b_low), Fraction(a_high) - Fraction(b_high)",
+        ),
+        ("most * spare < radius * radius", "least * spare < radius * radius"),
+        ("k, above = divmod(face, 2)", "k, above = divmod(face ^ 1, 2)"),
+        ("(high if above else low)[k]", "(low if above else high)[k]"),
+        (
+            "zip(pair.agents, pair.outputs, (1.0, -1.0), strict=True)",
+            "zip(pair.agents[::-1], pair.outputs, (1.0, -1.0), strict=True)",
+        ),
+        ("0.9238795325112867 * radius * INSIDE", "radius * INSIDE"),
+        ("radius / float(np.sqrt(count)) * INSIDE", "radius * INSIDE"),
+        ("0.25 * np.pi * np.arange(4)", "0.25 * np.pi * np.arange(3)"),
+        ("np.maximum(normal * low, normal * high)", "normal * low"),
+        (
+            "largest = radius * float(np.sqrt(np.sum(normal * normal)))",
+            "largest = radius * float(np.max(np.abs(normal)))",
+        ),
+        ("if not np.any(normal) or not np.isfinite(largest):", "if False:"),
+        ("first += count", "first += 0"),
+        ("value < 0 and not np.any(low >= high)", "value < 0 and False"),
+    ),
+    *_in(
+        "angles",
+        ("repeat = [*agent.scale, *(tree for tree in agent.outputs if tree != angle)]", "repeat = []"),
+        ("[*agent.scale, *(tree", "[*(tree"),
+        ("or (slope and name not in agent.angles)", ""),
+        ("slope.denominator != 1", "False"),
+        ("any(_slope(tree, named) != 0 for other in problem.agents for tree in other.dynamics)", "False"),
+        ("if compared & set(angle_outputs(agent)):", "if False:"),
+        ("low, high = high, low + TURN", "low, high = high, low + 2 * TURN"),
+        ("low, high = max(low, first), min(high, last)", "pass"),
+        ("turns = round(", "turns = int("),
+        ("return Fraction(0) if a.denominator == 1 else None", "return Fraction(0)"),
+        ('return a + b if name == "+" else a - b', "return a + b"),
+        ("return a if a == b else None", "return a"),
+        ("if not abs(value) <= FARTHEST:", "if False:"),
+        ("elif high - low >= TURN - OFF:", "elif high - low >= 1.0:"),
+    ),
+    *_in(
+        "crossings",
+        ("return t == 1 or not _one_window(letters, faces, t - 1, p)", "return t == 1"),
+        ("and faces[t, p] == faces[t + 1, p]", ""),
+        ("keeps_low, keeps_high = (far, near) if from_above else (near, far)", "keeps_low, keeps_high = near, far"),
+        (
+            "low if j != k or keeps_low else -np.inf, high if j != k or keeps_high else np.inf",
+            "low if j != k or keeps_low else -np.inf, np.inf",
+        ),
+        ("low if j != k or keeps_low else -np.inf,", "low if keeps_low else -np.inf,"),
+        ("region.high[t, k] - region.low[t - 1, k]", "region.high[t, k] - region.low[t, k]"),
+        ("region.low[t, k] - region.high[t - 1, k]", "region.low[t - 1, k] - region.high[t - 1, k]"),
+        ("(least, np.inf) if from_above else (-np.inf, most)", "(-np.inf, np.inf) if from_above else (-np.inf, most)"),
+        ("if ends <= now:", "if True:"),
+        (
+            "set()).update(followed(automaton, states, known))",
+            "set()).update({min(followed(automaton, states, known))})",
+        ),
+        ("if not automaton.is_co_safe and len(letters) != problem.horizon + 1:", "if False:"),
+        ("after.setdefault(now - ends, set())", "after.setdefault(now, set())"),
+        ("if not np.any(windows):", "if True:"),
+        ("or k in angle_outputs(problem.agents[region.agent])", ""),
+    ),
+    *_in(
+        "constraints",
+        ("both = np.minimum(2.0 * tails(", "both = np.minimum(1.0 * tails("),
+        ("inner = np.minimum(2.0 * tails(width, variance), 1.0)", "inner = np.minimum(tails(width, variance), 1.0)"),
+        (
+            "np.minimum(np.minimum(low, high), width), variance), 1.0)",
+            "np.maximum(np.minimum(low, high), width), variance), 1.0)",
+        ),
+        ("outer = np.where(low < width, tails(low, variance), 0.0) + np.where", "outer = np.where"),
+        ("float(np.sum(np.where(strip, 0.0, outer)))", "float(np.max(np.where(strip, 0.0, outer), initial=0.0))"),
+        ("ends = (np.minimum(end, width) for end in (low, high))", "ends = (np.minimum(end, width) for end in (low,))"),
+        ("(_union(np.array(each)) + self.lost)", "_union(np.array(each))"),
+        ("_union(np.array(each))", "float(np.max(each))"),
+        ("component[members] = component[members].min()", "pass"),
+        (
+            "np.where(sources, self.kinds, NORMAL).max(axis=1, initial=NORMAL)",
+            "np.where(sources, self.kinds, NORMAL).min(axis=1, initial=LIGHT)",
+        ),
+        ("np.where(np.isnan(end), -np.inf, end)", "np.where(np.isnan(end), np.inf, end)"),
+        ("np.minimum(2.0 * normal, light)", "np.minimum(normal, light)"),
+        ("z = distance / np.sqrt(variance)", "z = distance / variance"),
+        ("distance = np.where(np.isnan(variance), -np.inf, distance)", "variance = np.nan_to_num(variance)"),
+        ("np.where(distance > 0, np.inf, -np.inf)", "np.inf"),
+        ("np.where(z >= 0, high, up(1.0 - low))", "high"),
+        ("np.where(z >= 0, high,", "np.where(z >= 0, 0.999999999 * high,"),
+        ("np.where(z == -np.inf, 1.0,", "np.where(z == -np.inf, 0.0,"),
+        ("rigorous.exp(-0.5 * size * size", "rigorous.exp(-1.0 * size * size"),
+        ("r = down(np.sqrt(1.0 + 2.0 * (size * size / n)", "r = down(np.sqrt(1.0 + 4.0 * (size * size / n)"),
+        (
+            "np.clip(np.nan_to_num(variance / largest, nan=1.0)",
+            "np.clip(4.0 * np.nan_to_num(variance / largest, nan=1.0)",
+        ),
+        ("[normal, stopped, light], long)", "[normal, stopped, light], light)"),
+    ),
+    *_in(
+        "error_system",
+        (
+            "self.products = np.concatenate([np.matmul(matrix, self.products)",
+            "self.products = np.concatenate([np.matmul(matrix.T, self.products)",
+        ),
+        ("spare = np.abs(y[0]) @ self.spread * counted", "spare = 0.0 * np.abs(y[0]) @ self.spread"),
+        ('spare = spare + np.einsum("sjd,sd->j", missed, np.array(self.reach)) * counted', "spare = spare + 0.0"),
+        (
+            "missed = np.abs(np.matmul(after, matrices) - before)",
+            "missed = 0.0 * np.abs(np.matmul(after, matrices) - before)",
+        ),
+        ("before[-1] -= earlier", "before[-1] += earlier"),
+        ("y[:t] += np.matmul(earlier[None], self.before)", "y[:t] -= np.matmul(earlier[None], self.before)"),
+        ("0.5 * (pushed[:, 1] - pushed[:, 0])", "0.25 * (pushed[:, 1] - pushed[:, 0])"),
+        ("0.5 * (pushed[:, 0] + pushed[:, 1])", "pushed[:, 0]"),
+        ('np.einsum("sjw,sjw->sj", moved, moved)', 'np.einsum("sjw->sj", moved)'),
+        ("each.sum(axis=0) * more", "each.max(axis=0) * more"),
+        ("each.max(axis=0) * more", "each.mean(axis=0) * more"),
+        ("(moved > 0.0).any(axis=0)", "(moved > 0.0).all(axis=0)"),
+        ("np.where(moved > 0.0, 1e-160, 0.0)", "0.0"),
+        ("moved = np.abs(np.matmul(after, noises))", "moved = np.abs(np.matmul(y[:-1], noises))"),
+    ),
+    *_in(
+        "trajectories",
+        ("if np.any(start[0] < box[0]) or np.any(start[1] > box[1]):", "if False:"),
+        ("if np.any(point & (start[0] != states[0])):", "if False:"),
+        (
+            "np.where(point, 0.0, np.maximum(up(start[1] - states[0]), up(states[0] - start[0])))",
+            "np.where(point, 0.0, 0.5 * up(start[1] - start[0]) * 0.9)",
+        ),
+        (
+            "low, high = np.minimum(down(ends[0] - width), 0.0), np.maximum(up(ends[1] + width), 0.0)",
+            "low, high = -0.5 * width, 0.5 * width",
+        ),
+        ("np.maximum(up(ends[1] + width), 0.0)", "np.maximum(up(width + 0 * ends[1]), 0.0)"),
+        (
+            "low = np.maximum(low, np.minimum(down(self.box[0] - self.states[t]), 0.0))",
+            "low = np.maximum(low, np.minimum(0.5 * (self.box[0] - self.states[t]), 0.0))",
+        ),
+        ("if not np.all(np.abs(tube[:, self.turning]) <= HALF_TURN):", "if False:"),
+        ("row[self.slices[i]] = part", "row[self.slices[-1 - i]] = part"),
+        (
+            "width = np.concatenate([joint.widths[t], np.full(len(rows) - D, np.inf)])",
+            "width = np.full(len(rows), np.inf)",
+        ),
+        ("[max(limits[k][0], demand.low), min(limits[k][1], demand.high)]", "[demand.low, demand.high]"),
+        ("limits[k] = [max(limits[k][0], demand.low), min(", "limits[k] = [limits[k][0], min("),
+        (
+            "constraints.add(down(value[0] - low), down(high - value[1]), width, forms, labels)",
+            "constraints.add(down(value[1] - low), down(high - value[0]), width, forms, labels)",
+        ),
+        ("value = add(np.concatenate(ends, axis=1), drift)", "value = add(np.concatenate(ends, axis=1), 0.0 * drift)"),
+        ("-np.array([was[0] for was in old])", "np.array([was[0] for was in old])"),
+        ("add(now[1], neg(was[1]))", "now[1]"),
+        ("value = add(value, mul(interval(np.full(1, factor)), ends))", "value = add(value, ends)"),
+        ("row += joint.row(i, factor * matrix)", "row += joint.row(i, matrix)"),
+        ("if np.any((u < low) | (u > high)):", "if False:"),
+        ("constraints.add(below, above, width[moved], forms.at(moved), labels)", "pass"),
+        ("below, above = down(value[0] - low[moved])", "below, above = np.inf + down(value[0] - low[moved])"),
+        ("width = own.widths[t, d:] if t else", "width = 0.3 * own.widths[t, :1] if t else"),
+        ("add(interval(u), np.stack([-rounding, rounding]))", "interval(u)"),
+        (
+            "deviation = np.stack([np.maximum(low_move, down(low - u)), np.minimum(high_move, up(high - u))])",
+            "deviation = 0.3 * np.stack([low_move, high_move])",
+        ),
+        (
+            "add(add(ends, neg(interval(joint.states[t + 1, here]))), _noise_mean(agent, scale))",
+            "add(ends, neg(interval(joint.states[t + 1, here])))",
+        ),
+        ("neg(interval(joint.states[t + 1, here]))", "neg(interval(joint.states[t, here]))"),
+        ("np.abs(scale).max(axis=0)[:, None]", "np.abs(scale).min(axis=0)[:, None]"),
+        ("if agent.scale:  # shared", "if False:  # shared"),
+        ("states = add(interval(joint.states[t, here]), tube[:, here])", "states = interval(joint.states[t, here])"),
+        ("if np.any((agent.noise != 0.0).sum(axis=0) > 1):", "if False:"),
+        ("add(ends, np.array([[-own.off], [own.off]]))", "ends"),
+        ("return mul(scale, mean)", "return mean"),
+        (
+            "errors.step(matrix, pushed, np.abs(tube).max(axis=0), noise)",
+            "errors.step(matrix, pushed, 0.0 * np.abs(tube).max(axis=0), noise)",
+        ),
+        (
+            "columns.index(joint.slices[j].start + k) for name, (j, k) in states.items()",
+            "columns.index(joint.slices[j].start) for name, (j, k) in states.items()",
+        ),
+        ("joint.trajectories[j].gains[t, k]", "joint.trajectories[j].gains[0, k]"),
+        (
+            "chosen = [(moves[j], k) for j, k in inputs.values()]",
+            "chosen = [(moves[i], k) for j, k in inputs.values()]",
+        ),
+        ("middle = 0.5 * ranges[:, 0] + 0.5 * ranges[:, 1]", "middle = ranges[:, 0]"),
+        (
+            "np.stack([down(ranges[:, 0] - middle), up(ranges[:, 1] - middle)])",
+            "0.5 * np.stack([down(ranges[:, 0] - middle), up(ranges[:, 1] - middle)])",
+        ),
+        ("offsets = np.concatenate([np.zeros(n), rounding, np.zeros(len(middle))])", "offsets = np.zeros(len(point))"),
+        ("spare = (spare + np.abs(B) @ rounding) * ROUNDED + 1e-290", "spare = 0.0 * spare"),
+        ("return columns, A + B @ gains,", "return columns, A,"),
+        ("constraints.lost += sum(", "constraints.lost += 0.0 * sum("),
+        ("if t:\n            asked = demands", "if t > 1:\n            asked = demands"),
+        ("asked += crossed(problem, proof.letters, proof.faces, t)", "asked += []"),
+        (
+            "_ask_jumps(joint, errors, constraints, (before, tube)",
+            "_ask_jumps(joint, errors, constraints, (tube, tube)",
+        ),
+        ("check_words(problem, proof.letters, proof.faces)", "pass"),
+        ("check_angles(problem)\n    check_words", "check_words"),
+    ),
+    *_in(
+        "linearization",
+        (
+            "add(interval(point[k : k + 1]), around[:, k : k + 1])",
+            "add(interval(point[k : k + 1]), 0.5 * around[:, k : k + 1])",
+        ),
+        ("interval(np.full(1, float(t)))", "interval(np.full(1, float(t) - 1.0))"),
+        ("row[v if free is None else free :] = 0.0", "pass"),
+        ("if not np.all(np.isfinite(ends[:, p])):", "if False:"),
+        ("add(centre.value, off_linear(", "add(0.0 * centre.value, off_linear("),
+    ),
+    *_in(
+        "problem",
+        (
+            "agent.noise * np.array([own.deviation for own in agent.envelopes])",
+            "agent.noise * np.array([own.deviation**2 for own in agent.envelopes])",
+        ),
+        ("factor[here, own:] = agent.shared_noise", "pass"),
+        ("column = last\n", "column = 0\n"),
+        ("return STOPPED if depends and envelope.tail == NORMAL else envelope.tail", "return envelope.tail"),
+        ("if not TURN - 1e-13 <= high - low <= TURN or abs(low) > 7.0:", "if False:"),
+        ("if first == second:", "if False:"),
+        (
+            '{f"{names[j]}.{key}": (j, k) for j in range(len(names))',
+            '{f"{names[j]}.{key}": (i, k) for j in range(len(names))',
+        ),
+        ("if np.any(ends[0] >= ends[1]):", "if False:"),
+    ),
+    *_in(
+        "distributions",
+        ("0.5 * (high - low) / math.sqrt(3.0))", "0.5 * (high - low) / 3.0)"),
+        ("half / math.sqrt(6.0) if even else half", "half / math.sqrt(6.0)"),
+        ('math.sqrt(2.0) * _positive(scale, "scale") * OUTWARD, LONG)', '_positive(scale, "scale") * OUTWARD, LONG)'),
+        (
+            'math.pi / math.sqrt(3.0) * _positive(scale, "scale") * OUTWARD, LONG)',
+            '_positive(scale, "scale") * OUTWARD, LONG)',
+        ),
+        (
+            'math.sqrt(2.0) * _positive(scale, "scale") * OUTWARD, LONG)',
+            'math.sqrt(2.0) * _positive(scale, "scale") * OUTWARD, NORMAL)',
+        ),
+        ("half = 0.5 * (max(means) - min(means)) + off", "half = off"),
+        ("max(own.deviation for _, _, own in parts)", "min(own.deviation for _, _, own in parts)"),
+        ("(low + mode + high) / 3.0", "(low + high) / 2.0"),
+        ("mean = sum(weight / total * own", "mean = sum(own / len(means)"),
+        ("return Envelope(0.0, 0.0, std, NORMAL)", "return Envelope(0.0, 0.0, std * std, NORMAL)"),
+        ("2.0 * half * OUTWARD, LIGHT)", "0.2 * half * OUTWARD, LIGHT)"),
+        (
+            'min(_positive(spread, "spread"), _positive(high, "high"))',
+            '0.5 * min(_positive(spread, "spread"), _positive(high, "high"))',
+        ),
+        ("cut * math.sqrt(2.0 * most) * OUTWARD, LONG, lost)", "cut * math.sqrt(2.0 * most) * OUTWARD, LONG, 0.0)"),
+        (
+            "most = max(most, (share / math.factorial(2 * j)) ** (1.0 / j))",
+            "most = (share / math.factorial(2 * j)) ** (1.0 / j)",
+        ),
+    ),
+    *_in(
+        "tables",
+        ("FAR, FAR_TAIL, FAR_DENSITY = 10.0,", "FAR, FAR_TAIL, FAR_DENSITY = 5.0,"),
+        ("x = (edges - points[:, None]) / deviation", "x = (edges - points[:, None]) / deviation**2"),
+        ("np.maximum(low - U, 0.0), high + U", "low + 4 * U, high + 4 * U"),
+        (
+            "mass = np.maximum(np.stack([down(mass[0]), up(mass[1])]), 0.0)",
+            "mass = np.maximum(np.stack([mass[1], mass[1]]), 0.0)",
+        ),
+        ("on_right = x[:, :-1] + x[:, 1:] > 0", "on_right = x[:, :-1] + x[:, 1:] > -9e9"),
+        ("float(np.max(np.sum(mass[1] - mass[0], axis=1))) * 1.001", "0.0"),
+        ("np.stack([falling, rising], axis=-1)", "np.stack([rising, falling], axis=-1)"),
+        ("falling = np.clip(add(mass, -rising[::-1]), 0.0, None)", "falling = mass"),
+        ("spare, ends = (5.0 * square + 8.0) * U,", "spare, ends = -(9e5 * square + 8.0) * U,"),
+        ("if not (0.0 < deviation < np.inf and np.all(np.diff(edges) > 0)):", "if False:"),
+    ),
+    *_in(
+        "motions",
+        ("if np.any(inputs < agent.input_box[0]) or np.any(inputs > agent.input_box[1]):", "if False:"),
+        ("row[d:] = 0.0", "pass"),
+        (
+            "rho[:, k] = up(np.maximum(ends[1] - z[:, k], z[:, k] - ends[0]))",
+            "rho[:, k] = 0.5 * up(np.maximum(ends[1] - z[:, k], z[:, k] - ends[0]))",
+        ),
+        ("rho[:, k] += 2 * U *", "rho[:, k] += 0 * U *"),
+        (
+            "box = np.stack([down(first - middle), up(last - middle)])",
+            "box = 0.5 * np.stack([down(first - middle), up(last - middle)])",
+        ),
+        (
+            "low, high = getattr(others[j], boxes)[:, k].tolist()",
+            "low, high = [getattr(others[j], boxes)[:, k].mean()] * 2",
+        ),
+        (
+            "named, unknown = names_in(agent.dynamics), dict(agent.disturbances)",
+            "named, unknown = names_in(agent.dynamics), {k: (v[0], v[0]) for k, v in agent.disturbances.items()}",
+        ),
+        ("_refuse_time(agent)\n    if np.any", "if np.any"),
+        (
+            "wrong = np.argwhere((u - spread < agent.input_box[0]) | (u + spread > agent.input_box[1]))",
+            "wrong = np.argwhere((u < agent.input_box[0]) | (u > agent.input_box[1]))",
+        ),
+        ("missed = np.abs(B @ inverse - np.eye(d)) + (m + 2.0)", "missed = (m + 2.0)"),
+        ("np.maximum(np.abs(low), np.abs(high)) @ np.abs(A).T + np.abs(b)", "np.abs(b)"),
+        ("if not all(_is_affine(tree) for tree in agent.dynamics):", "if False:"),
+        ("rest = size @ missed.T + rounding @ np.abs(B).T", "rest = 0.0 * size @ missed.T"),
+    ),
+    *_in(
+        "labels",
+        ("last = high == np.array([axis[-1] for axis in edges])", "last = high != high"),
+        ("np.where(is_reached, most < b, most <= b)", "(most <= b)"),
+        ("np.where(is_reached, most < a, most <= a)", "(most <= a)"),
+        ("holds &= (a <= least)", "holds &= (a <= most)"),
+        ("| (b <= least)", "| (b <= most)"),
+        ("np.where(never, -1, np.where(holds, 1, 0))", "np.where(never, -1, 1)"),
+        ("if np.any(region.low != region.low[0]) or np.any(region.high != region.high[0]):", "if False:"),
+        ("if region.agent == i]", "if True]"),
+        (
+            "return ends[0], ends[1], np.ones(len(low), dtype=bool)",
+            "return ends[0], ends[0], np.ones(len(low), dtype=bool)",
+        ),
+    ),
+    *_in(
+        "cells",
+        (
+            "FOURTH, CROSSED, DENSITY = 1.40031, 0.46840, 0.39895",
+            "FOURTH, CROSSED, DENSITY = 0.40031, 0.46840, 0.39895",
+        ),
+        (
+            "FOURTH, CROSSED, DENSITY = 1.40031, 0.46840, 0.39895",
+            "FOURTH, CROSSED, DENSITY = 1.40031, 0.46840, 0.19895",
+        ),
+        ("FOURTH * r**4 / 96.0 + sum(", "0.0 * sum("),
+        ("(1.0 + 0.5 * d) * (uneven + rounded) + rounded", "0.0"),
+        ("self.lack * (1.0 + 0.25 * d)", "0.0"),
+        ("np.where(tensor < NOTHING, 0.0, tensor *", "np.where(tensor < NOTHING, 0.0, 1.0001 * tensor *"),
+        ("LOOK, BESIDE = 0.37, 1.63", "LOOK, BESIDE = -3.0, 0.0"),
+        (
+            "off = float(np.sum(self.target_rest * DENSITY / self.deviations))",
+            "off = 0.0 * float(np.sum(self.target_rest * DENSITY / self.deviations))",
+        ),
+        (
+            "moving = np.flatnonzero((policy >= 0) & (policy < self.inputs))",
+            "moving = np.flatnonzero(policy < self.inputs)",
+        ),
+        (
+            "below = np.maximum(at.min(axis=2) - lacking, 0.0)[:, :, None]",
+            "below = np.maximum(at.mean(axis=2) - lacking, 0.0)[:, :, None]",
+        ),
+        ("below = np.maximum(at.min(axis=2) - lacking, 0.0)", "below = np.maximum(at.min(axis=2), 0.0)"),
+        ("result[:, moving[some]] = below * inside[:, None]", "result[:, moving[some]] = below"),
+        ("cells * self.inputs + choices", "cells * self.inputs"),
+        ("moved = G * self._half(cells)[:, None, :]", "moved = 0.5 * G * self._half(cells)[:, None, :]"),
+        (
+            "position, rest = (z - first) / self.spacing, rho / self.spacing * (1.0 + 4.0 * U)",
+            "position, rest = (z - first) / self.spacing, 0.0 * rho",
+        ),
+        ("np.where(steps < 1.0, steps / 4.0, (steps * steps + 1.0) / 8.0)", "0.0 * steps"),
+        ("weights = [bends[:, k] + 0.125 for k in range(d)]", "weights = [bends[:, k] for k in range(d)]"),
+        ("(steps[:, i] * steps[:, j]).sum(axis=1) / 4.0", "0.0 * steps[:, i].sum(axis=1)"),
+        ("weights += [rest[:, k] for k in range(d)]", "weights += [0.0 * rest[:, k] for k in range(d)]"),
+        ("np.repeat(self.slack * largest[:, None], len(cells), axis=1)", "np.zeros((len(largest), len(cells)))"),
+        ("lacking += weight * table[(slice(None), *looked)]", "lacking = lacking"),
+        ("np.maximum(np.diff(values, 2, axis=k), 0.0)", "np.maximum(-np.diff(values, 2, axis=k), 0.0)"),
+        ("np.maximum(best[:-k], wide[k:], out=best[:-k])", "pass"),
+        ("[0, *(axis for k in range(d) for axis in (1 + k, 1 + d + k))]", "[0, *range(1, 2 * d + 1)]"),
+        ("share, flat = position - base,", "share, flat = 0.0 * position,"),
+        ("sure.min(axis=2), np.maximum(between - at, 0.0).max(axis=2) + lacking", "sure.min(axis=2), lacking"),
+        ("np.maximum(between - at, 0.0).max(axis=2) + lacking", "np.maximum(between - at, 0.0).max(axis=2)"),
+        ("scale = np.minimum(1.0, ratio.min(axis=2))", "scale = np.minimum(1.0, ratio.max(axis=2))"),
+        ("sure.min(axis=2)", "sure.mean(axis=2)"),
+        ("take = np.all(moved >= 0.0, axis=2) &", "take ="),
+        ("mass[-1] = float(left[-1] <= a <= right[-1])", "mass[-1] = 1.0"),
+        ("mass = ((left <= a) & (a < right)).astype(float)", "mass = ((left <= a) & (a <= right)).astype(float)"),
+        ("np.maximum(last - first, 0.0) / (b - a)", "np.maximum(last - first, 0.0) / (b - a) * (1.0 + 1e-6)"),
+        ("middle = 0.5 * first + 0.5 * last", "middle = 1.0 * last"),
+        ("off = 8.0 * U * (np.abs(middle) + np.abs(left)) / (right - left) + 4.0 * U", "off = 0.0 * middle"),
+        ("if a == b:  # a point on", "if True:  # a point on"),
+        ("min(t, len(self.policy) - 1)", "min(t + 1, len(self.policy) - 1)"),
+    ),
+    *_in(
+        "tree",
+        ("if np.any(overlap & ~np.eye(len(here), dtype=bool)) or done[q]:", "if done[q]:"),
+        (
+            "if np.any(overlap & ~np.eye(len(here), dtype=bool)) or done[q]:",
+            "if np.any(overlap & ~np.eye(len(here), dtype=bool)):",
+        ),
+        ("overlap &= both[", "overlap |= both["),
+        ("(-1 - entry == target or done[-1 - entry])", "(True or done[-1 - entry])"),
+        ("if label >= 0 else set()", "if label > 0 else set()"),
+        ("if label <= 0 else set()", "if label < 0 else set()"),
+        ("if np.any(np.diff(rows[:, 0] * 2**31 + rows[:, 1]) < 0):", "if False:"),
+        (
+            "return [automaton.is_co_safe and accepts for accepts in automaton.accepting]",
+            "return [accepts for accepts in automaton.accepting]",
+        ),
+        ("if np.any(guards.source[guard] != q):", "if False:"),
+        ("if len(np.unique(vertices, axis=0)) != len(vertices):", "if False:"),
+        ("if child[k] >= len(later.terms[target]):", "if False:"),
+        (
+            "if np.any(unions[:, :2] >= n) or np.any(kept >= n) or np.any(agent >= n_agents):",
+            "if np.any(unions[:, :2] >= n) or np.any(kept >= n):",
+        ),
+        ("((rest != 0) & (np.abs(rest) - 1 == agent))", "False"),
+        ("if a == b or a in gone or b in gone:", "if a in gone or b in gone:"),
+        ("if a == b or a in gone or b in gone:", "if a == b:"),
+        ("if not remains:", "if False:"),
+        ("if len(np.unique(kept)) != len(kept) or gone & set(kept.tolist()):", "if len(np.unique(kept)) != len(kept):"),
+        ("if len(np.unique(kept)) != len(kept) or gone & set(kept.tolist()):", "if gone & set(kept.tolist()):"),
+        ("first + second if agent == i else least", "first + second"),
+        ("first + second if agent == i else least", "first + second if agent == i else first"),
+        ("remaining = first if rest > 0 else second", "remaining = first"),
+        (
+            "np.maximum(remaining * share - least, 0.0) if abs(rest) - 1 == i else least",
+            "remaining if abs(rest) - 1 == i else least",
+        ),
+        ("if abs(rest) - 1 == i else least", "if abs(rest) == i else least"),
+        (
+            "vertex = cells.spread(guards.sets[vertices[:, 0], i]) * later.factors[i][below[:, i]]",
+            "vertex = 1.0 * later.factors[i][below[:, i]]",
+        ),
+        ("_unite(vertex, unions, i, KEPT if cells.kernel.moves else 1.0)", "pass"),
+        ("_unite(vertex, unions, i, KEPT if", "_unite(vertex, unions, i, 1.0 if"),
+        ("float(np.prod(read, axis=0).sum())", "float(np.min(read, axis=0).sum())"),
+        ('whole = id(kernel), b"".join(number), policy.tobytes()', 'whole = 0, b"".join(number), policy.tobytes()'),
+        ('whole = id(kernel), b"".join(number), policy.tobytes()', 'whole = id(kernel), b"".join(number), b""'),
+        ("float(factors[k].max())", "float(factors[k].min())"),
+        ("rows = later.terms[start.target[g]]", "rows = later.terms[start.source[g]]"),
+        ("total * (1.0 - 4.0 * U * count)", "total * (1.0 + 4.0 * U * count)"),
+        ("for t in range(horizon - 1, -1, -1):", "for t in range(horizon - 1, 0, -1):"),
+    ),
+    *_in(
+        "cell_proofs",
+        ("if problem.pairs:", "if False:"),
+        ("if any(np.any(agent.shared_noise) for agent in problem.agents):", "if False:"),
+        ("if any(agent.angles for agent in problem.agents):", "if False:"),
+        ("check_guards(problem.automaton, proof.guards, [own.sets for own in proof.cells], known)", "pass"),
+        ("check_guards(problem.automaton, start, [own.start_sets for own in proof.cells], known)", "pass"),
+        (
+            "if not np.array_equal(low, agent.state_box[0]) or not np.array_equal(high, agent.state_box[1]):",
+            "if False:",
+        ),
+        ("if np.any(used.sum(axis=1) != 1) or np.any(used.sum(axis=0) > 1):", "if False:"),
+        ("if agent.scale or any(envelope != STANDARD for envelope in agent.envelopes):", "if False:"),
+        ("least = -(below[-1] - 1) if len(below) == 6 else 0", "least = -(2**31)"),
+        ("(least if k == 5 else 0)", "least"),
+        ("column.max() >= end", "False"),
+        ("if np.any(table >= np.array(sets)):", "if False:"),
+        ("if len(policy) not in (1, problem.horizon):", "if False:"),
+        ("np.any(np.diff(axis) <= 0.0)", "False"),
+        ("numbers = agent.noise.tobytes(), agent.input_box.tobytes(), self.policy.tobytes()", "numbers = ()"),
+        ("rest = check_targets(agent, self.edges, self.inverse, aimed[:, 0], targets)", "pass"),
+        ("return np.asarray(np.abs(agent.noise).sum(axis=1))", "return np.asarray((agent.noise**2).sum(axis=1))"),
+        ("float(np.nextafter(1.0 - value, 2.0))", "float(1.0 - value - 1e-9)"),
+    ),
+    *_in(
+        "verdict",
+        ("if not failure <= claimed:", "if failure > claimed + 1e-6:"),
+        ("if not 0.0 <= claimed <= 1.0:", "if False:"),
+        ("contents.everything_was_used()", "pass"),
+        ("(wrong := wrong_automaton(problem.automaton, problem.formula))", '(wrong := "")'),
+        ("if wrong := wrong_arithmetic():", 'if wrong := "":'),
+    ),
+    *_in(
+        "selftest",
+        ("(one + 2.0**-53)[0] != 1.0 or", ""),
+        ("if (np.array([2.0**-1022]) * 0.5)[0] != 2.0**-1023 or np.nextafter(0.0, 1.0) != 5e-324:", "if False:"),
+        ("return all(abs(exact - Fraction(got)) <= abs(exact - neighbour) for neighbour in neighbours)", "return True"),
+        ("if not low * low <= Fraction(a) <= high * high:", "if False:"),
+        ("> n * Fraction(U) * sum(map(abs, terms)):", "> 2**30 * n * Fraction(U) * sum(map(abs, terms)):"),
+    ),
+    *_in(
+        "fields",
+        ("if key not in keys and key not in optional:", "if False:"),
+        ("if type(value) is not int or not least <= value < below:", "if not least <= value < below:"),
+        ("if type(value) not in (int, float) or not abs(value) <= LARGEST:", "if not isinstance(value, int | float):"),
+        ("if np.any(ends[0] > ends[1]):", "if False:"),
+        ("if len(set(everything)) != len(everything):", "if False:"),
+        ("(count is not None and len(value) != count)", "False"),
+    ),
+    *_in(
+        "file",
+        ("if array.size and not (least <= int(array.min()) and int(array.max()) < below):", "if False:"),
+        ("if np.isnan(array).any() or (not infinite and", "if (not infinite and"),
+        ("if zlib.crc32(data) != entry[5]:", "if False:"),
+        ("if bytes(raw[at:]) != closing:", "if False:"),
+        ("if len(found) != len(pairs):", "if False:"),
+        ("if flags or method or extra or packed != size or name_length > 40:", "if False:"),
+        ("any(b is not None and a != b for a, b in zip(array.shape, shape))", "False"),
+        ('raise Unreadable(f"the header holds {word}, which is no number")', "return float(word)"),
+    ),
+]
+
+FIRST = {
+    "rigorous": ("functions",), "tables": ("functions", "cells"), "intervals": ("intervals",), "jets": ("jets",),
+    "automaton": ("automata",), "formula": ("automata",), "letters": ("outputs", "automata"), "angles": ("outputs",),
+    "crossings": ("outputs", "automata"), "constraints": ("functions", "rows"), "error_system": ("rows",),
+    "trajectories": ("runs", "outputs"),
+    "linearization": ("runs",), "problem": ("runs", "outputs"), "distributions": ("distributions", "runs"),
+    "motions": ("cells", "outputs"), "labels": ("cells",), "cells": ("cells",), "tree": ("the_tree",),
+    "cell_proofs": ("files", "forged"), "verdict": ("forged", "wrong"), "selftest": ("wrong",), "fields": ("forged",),
+    "file": ("forged",),
+}  # fmt: skip
+"""Words in the names of test files that are about a file of the checker."""
+
+NOT_OF_A_COPY = ("stands_alone", "canonical_problems", "controllers")
+"""Test files that read the folder of the checker itself, or what the package writes."""
+
+
+def copy_with(mutant: Mutant, folder: Path) -> None:
+    """Make a package in ``folder`` that is this one, but for one line of the checker."""
+    package = folder / "certigym"
+    package.mkdir()
+    for path in PACKAGE.iterdir():
+        if path.name not in ("synthesis", "__pycache__"):
+            (package / path.name).symlink_to(path.resolve())
+    (package / "synthesis").mkdir()
+    for path in (PACKAGE / "synthesis").iterdir():
+        if path.name not in ("checker", "__pycache__"):
+            (package / "synthesis" / path.name).symlink_to(path.resolve())
+    checker = package / "synthesis" / "checker"
+    checker.mkdir()
+    for path in (PACKAGE / "synthesis" / "checker").glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        (checker / path.name).write_text(
+            text.replace(mutant.old, mutant.new, 1) if path.stem == mutant.file else text, encoding="utf-8"
+        )
+
+
+def stages(mutant: Mutant) -> Iterator[tuple[str, list[str]]]:
+    """Marks and test files, in the order in which they are run: those that are about the sabotaged file first."""
+    files = [p for p in sorted(TESTS.glob("test_*.py")) if not any(word in p.stem for word in NOT_OF_A_COPY)]
+    about = [str(p) for p in files if p.stem.removeprefix("test_").startswith(FIRST[mutant.file])]
+    others = [str(p) for p in files if str(p) not in about]
+    yield "not slow", about
+    yield "not slow", others
+    yield "slow", about
+    yield "slow", others
+
+
+def noticed_by(mutant: Mutant, most: int) -> str:
+    """The first test that fails in so many stages; an empty text if none does."""
+    for marked, files in itertools.islice(stages(mutant), most):
+        if not files:
+            continue
+        with tempfile.TemporaryDirectory() as name:
+            copy_with(mutant, Path(name))
+            command = [
+                sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--noconftest", "-o",
+                f"pythonpath={TESTS}", "--tb=no", "-m", marked, *files,
+            ]  # fmt: skip
+            where = {**os.environ, "PYTHONPATH": name, "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
+            where["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
+            try:
+                run = subprocess.run(command, cwd=ROOT, env=where, capture_output=True, text=True, timeout=100)
+            except subprocess.TimeoutExpired:
+                return "(it does not end)"
+        lines = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+        if lines:
+            test = lines[0].split(" - ")[0].split("tests/checker/")[-1]
+            return test.removeprefix("test_").replace(".py::test_", ": ").replace(".py", "")
+        if run.returncode not in (0, 5):
+            raise RuntimeError(run.stdout[-2000:] + run.stderr[-2000:])
+    return ""
+
+
+def main() -> None:
+    """Run all mutants, or some of them, and write what came out."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", default="", help="files of the checker whose name holds this word")
+    parser.add_argument("--survivors", action="store_true", help="only those that nothing noticed the last time")
+    parser.add_argument("--missing", action="store_true", help="only those that were not run")
+    parser.add_argument(
+        "--stages", type=int, default=4, help="1: tests about the file, 2: all that are not slow, 4: all"
+    )
+    options = parser.parse_args()
+    known = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else []
+    record = {(row["file"], row["old"], row["new"]): row for row in known}
+    for mutant in MUTANTS:
+        text = (PACKAGE / "synthesis" / "checker" / f"{mutant.file}.py").read_text(encoding="utf-8")
+        if mutant.old not in text:
+            raise ValueError(f"{mutant.file}: {mutant.old!r} is not there: write the mutant anew")
+        compile(text.replace(mutant.old, mutant.new, 1), mutant.file, "exec")
+    # a run that is cut short has seen something of every file
+    order = sorted(range(len(MUTANTS)), key=lambda n: (n % 5, n))
+    for number in order:
+        mutant = MUTANTS[number]
+        row = record.get(tuple(mutant))
+        if (
+            options.only not in mutant.file
+            or (options.survivors and (row is None or row["test"]))
+            or (options.missing and row)
+        ):
+            continue
+        start = time.perf_counter()
+        test = noticed_by(mutant, options.stages)
+        record[tuple(mutant)] = {**mutant._asdict(), "test": test, "seconds": round(time.perf_counter() - start, 1)}
+        print(f"{number + 1}/{len(MUTANTS)} {mutant.file}: {mutant.new[:50]!r}: {test or 'NOT NOTICED'}", flush=True)
+        rows = [record[tuple(own)] for own in MUTANTS if tuple(own) in record]
+        RECORD.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    write_page([record[tuple(own)] for own in MUTANTS if tuple(own) in record])
+
+
+MARK = "<!-- what came out -->"
+
+
+def write_page(rows: list[dict[str, str]]) -> None:
+    """Write the table below its mark in the page."""
+    noticed = sum(bool(row["test"]) for row in rows)
+    lines = [
+        f"{len(rows)} mutants, of which tests notice {noticed}.",
+        "",
+        "| file | line | noticed by |",
+        "|---|---|---|",
+    ]
+    for row in rows:
+        line = " ".join(row["new"].split())[:70].replace("|", "\\|") or "(left out)"
+        lines.append(f"| {row['file']} | `{line}` | {row['test'] or '**nothing**'} |")
+    head = PAGE.read_text(encoding="utf-8").split(MARK)[0]
+    PAGE.write_text(f"{head}{MARK}\n\n" + "\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
