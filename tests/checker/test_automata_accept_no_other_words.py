@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -168,7 +169,7 @@ def test_on_finite_traces_right_automata_pass_and_one_word_more_does_not() -> No
     rng, refused = np.random.default_rng(0), 0
     for _ in range(120):
         f = parse(random_formula(rng, int(rng.integers(1, 4))))
-        right, states = of_words(FINITE_TRACE, 3, lambda word, f=f: satisfies(f, word))
+        right, states = of_words(FINITE_TRACE, 3, partial(satisfies, f))
         assert wrong_automaton(right, f) == "", f
         others = [k for word, k in states.items() if word and not right.accepting[k]]
         for k in rng.choice(others, min(3, len(others)), replace=False) if others else ():
@@ -188,7 +189,7 @@ def test_prefixes_that_decide_nothing_are_no_reason_to_accept() -> None:
     rng, proved, refused = np.random.default_rng(1), 0, 0
     for _ in range(90):
         f = parse(random_formula(rng, int(rng.integers(1, 3))))
-        right, states = of_words(CO_SAFE, 2, lambda word, f=f: is_sure(f, word))
+        right, states = of_words(CO_SAFE, 2, partial(is_sure, f))
         proved += wrong_automaton(right, f) == ""
         others = [(word, k) for word, k in states.items() if word and not right.accepting[k]]
         # words that go on from one that was accepted are never read
@@ -418,7 +419,7 @@ def test_operators_bind_as_the_format_says() -> None:
 # Windows.
 
 
-def with_regions(automaton: dict[str, Any], semantics: str, T: int, limits: list[list[float | None]]) -> Any:
+def with_regions(automaton: dict[str, Any], semantics: str, T: int, limits: Any) -> Any:
     agent = {
         "name": "one", "states": ["x"], "inputs": ["u"], "dynamics": ["x + u"], "outputs": ["x"], "state_low": [-9.0],
         "state_high": [9.0], "input_low": [-1.0], "input_high": [1.0], "start_low": [0.0], "start_high": [0.0],

@@ -395,7 +395,8 @@ def test_targets_are_reached_up_to_their_rest_by_inputs_in_their_box() -> None:
         own |= {"inputs": [f"u{k}" for k in range(d)], "input_low": [-room] * d, "input_high": [room] * d}
         del own["dynamics"]
         reader = problem_of([own]).agents[0]
-        cells_of, targets = rng.integers(0, 3**d, 4), shift + rng.normal(size=(4, d))
+        cells_of = rng.integers(0, 3**d, 4)
+        targets: Any = shift + rng.normal(size=(4, d))
         try:
             rest = check_targets(reader, edges, inverse, cells_of, targets)
         except Refused:
@@ -407,13 +408,15 @@ def test_targets_are_reached_up_to_their_rest_by_inputs_in_their_box() -> None:
             place = np.unravel_index(cell, (3,) * d)
             for side in itertools.product((0, 1), repeat=d):
                 x = [Fraction(float(e[p + k])) for e, p, k in zip(edges, place, side, strict=True)]
-                drift = [sum(f * y for f, y in zip(row, x, strict=True)) + Fraction(c) for row, c in zip(F, b.tolist())]
-                u = [
+                drift: list[Any] = [
+                    sum(f * y for f, y in zip(row, x, strict=True)) + Fraction(c) for row, c in zip(F, b.tolist())
+                ]
+                u: list[Any] = [
                     sum(Fraction(p) * (Fraction(t) - m) for p, t, m in zip(row, z, drift, strict=True))
                     for row in inverse.tolist()
                 ]
-                assert all(abs(own_u) <= Fraction(room) for own_u in u)
-                mean = [
+                assert all(Fraction(room) >= abs(own_u) for own_u in u)
+                mean: list[Any] = [
                     m + sum(Fraction(q) * own_u for q, own_u in zip(row, u, strict=True))
                     for m, row in zip(drift, B.tolist(), strict=True)
                 ]
@@ -442,7 +445,8 @@ def test_shares_of_starts_are_below_rational_ones() -> None:
         for corners in (False, True):
             got = start_weights(np.array(ends).T, edges, corners)
             exact = [
-                math.prod(row) for row in itertools.product(*(shares(e, *ab, corners) for e, ab in zip(edges, ends)))
+                math.prod(row)
+                for row in itertools.product(*(shares(e, a, b, corners) for e, (a, b) in zip(edges, ends)))
             ]
             assert len(got) == len(exact)
             assert all(Fraction(w) <= x for w, x in zip(got.tolist(), exact, strict=True)), (edges, ends, corners)
@@ -473,7 +477,7 @@ def test_labels_are_those_of_all_points_of_a_cell() -> None:
         outputs = ["x0", "x1", str(rng.choice(("x0 + x1", "x0*x1", "abs(x0)")))]
         edges = [np.unique(np.concatenate([[-1.0, 1.0], rng.choice([-0.5, 0.0, 0.25, 0.5], 2)])) for _ in range(2)]
         special = (-1.0, -0.5, 0.0, 0.25, 0.5, 1.0)
-        regions = []
+        regions: list[dict[str, Any]] = []
         for p in range(2):
             low, high = (
                 [None if rng.random() < 0.4 else float(rng.choice(special)) for _ in range(3)] for _ in range(2)
@@ -522,9 +526,10 @@ def test_largest_differences_around_a_block_are_found() -> None:
         found, blocks = cells._largest(table, reach), cells._blocks(reach)
         for _point in range(20):
             at = [int(rng.integers(n)) for n in shape]
-            around = tuple(slice(max(0, p - r), p + r + 1) for p, r in zip(at, reach, strict=True))
+            around: tuple[Any, ...] = tuple(slice(max(0, p - r), p + r + 1) for p, r in zip(at, reach, strict=True))
             most = table[(slice(None), *around)].max(axis=tuple(range(1, d + 1)))
-            assert np.all(found[(slice(None), *(p // b for p, b in zip(at, blocks, strict=True)))] >= most)
+            block: tuple[Any, ...] = tuple(p // b for p, b in zip(at, blocks, strict=True))
+            assert np.all(found[(slice(None), *block)] >= most)
 
 
 def test_differences_are_those_of_the_values() -> None:

@@ -65,6 +65,11 @@ def bent(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
     agent(header, 1)["dynamics"] = ["max(0.8*y, -1) + u"]
 
 
+def sharing(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
+    for own in header["problem"]["agents"]:
+        own["shared_noise"] = [[0.1]]
+
+
 def moving_region(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
     header["problem"]["regions"][0]["low"] = [[1.0], [1.0], [1.1]]
 
@@ -86,9 +91,7 @@ def without_inverse(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
 CELLS: dict[str, Change] = {
     "pairs": paired,
     "angles": turning,
-    "shared noise": lambda header, arrays: (
-        [own.update(shared_noise=[[0.1]]) for own in header["problem"]["agents"]] and None
-    ),
+    "shared noise": sharing,
     "noise of two sources": with_agent(noise=[[0.3, 0.2]]),
     "no noise": with_agent(noise=[[0.0]]),
     "another distribution": with_agent(distributions=[{"law": "laplace", "scale": 0.1}]),
@@ -259,14 +262,14 @@ def test_agents_without_inputs_have_proofs() -> None:
     }  # fmt: skip
     accepts = {"initial": 0, "accepting": [True], "root": [-1], "variable": [], "low": [], "high": []}
     task = {"semantics": "finite-trace", "automaton": accepts}
-    header = {
+    header: dict[str, Any] = {
         "format": "certigym-certificate", "version": 3, "name": "still", "claim": {"failure": 0.1},
         "problem": {"horizon": steps, "agents": [own], "regions": [], "pairs": [], "task": task},
         "proof": {"kind": "trajectory", "letters": 0, "faces": 0, "normals": 1,
                   "agents": [{"inputs": 2, "gains": 3, "states": 4, "widths": 5}]},
     }  # fmt: skip
     states = 0.5 ** np.arange(1, steps + 2)[:, None]
-    arrays = [np.zeros((steps + 1, 0), np.int8), np.zeros((steps + 1, 0)), np.zeros((steps, 0)),
+    arrays: list[np.ndarray] = [np.zeros((steps + 1, 0), np.int8), np.zeros((steps + 1, 0)), np.zeros((steps, 0)),
               np.zeros((steps, 0, 1)), states, np.full((steps + 1, 1), np.inf)]  # fmt: skip
     verdict = check_contents(parse_file(file_of(header, arrays)))
     failed = Simulator(header["problem"]).failures(header["proof"], arrays, np.random.default_rng(0), 20_000) / 20_000

@@ -138,7 +138,7 @@ def test_sums_of_many_hold_rational_ones() -> None:
             assert np.all(found[:, ::7] == 0.0)
     # many numbers of one size, whose roundings add up
     a = interval(rng.uniform(-1.0, 1.0, (2000, 4)))
-    exact = [sum(map(Fraction, column)) for column in a[0].T.tolist()]
+    exact = [sum(map(Fraction, column), Fraction(0)) for column in a[0].T.tolist()]
     holds(intervals.total(a, 0), list(exact))
     low, high = intervals.total(a, 0)
     assert np.all(high - low < 1e-9)

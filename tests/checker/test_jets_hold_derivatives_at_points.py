@@ -243,7 +243,12 @@ def test_difference_quotients_lie_between_slopes_at_kinks_and_ties() -> None:
         ("abs", ("max", "x", -1.0)),
         ("*", ("abs", "x"), "x"),
     ]
-    functions = [np.abs, lambda x: np.maximum(x, 0), lambda x: np.minimum(x, 0), lambda x: np.maximum(2 * x, -x)]
+    functions: list[Any] = [
+        np.abs,
+        lambda x: np.maximum(x, 0),
+        lambda x: np.minimum(x, 0),
+        lambda x: np.maximum(2 * x, -x),
+    ]
     functions += [lambda x: np.clip(x, -0.5, 0.5), lambda x: np.maximum(abs(x), 0.5), lambda x: abs(np.maximum(x, -1))]
     functions += [lambda x: np.abs(x) * x]
     for tree, function in zip(kinked, functions, strict=True):
@@ -285,7 +290,7 @@ def test_ties_of_two_points_have_the_value_of_both() -> None:
 
 def test_what_is_not_defined_stays_so() -> None:
     """Also times 0, in a power 0, in the larger of two, and below another function."""
-    for tree in (
+    partly: list[Tree] = [
         ("*", 0.0, ("sqrt", "x")),
         ("*", "y", ("/", 1.0, "x")),
         ("*", "x", ("/", "x", "x")),
@@ -296,13 +301,15 @@ def test_what_is_not_defined_stays_so() -> None:
         ("-", ("tan", ("*", 2.0, "x")), 1.0),
         ("abs", ("**", "x", -1.0)),
         ("atan", ("**", "x", 0.5)),
-    ):
+    ]
+    for tree in partly:
         assert np.isnan(jet_on(tree, (-1.0, 1.0)).value).any(), tree
     # the middle of the box is defined and the box is not
     box = np.array([[[-1.0]], [[1.0]]])
     around = Jet.variable(interval(np.array([0.5]) - 1.0, np.array([0.5]) + 1.0), np.ones((1, 1)))
     centre = Jet.variable(interval(np.array([0.5])), np.ones((1, 1)))
-    for tree in (("*", 0.0, ("sqrt", "x")), ("sqrt", "x"), ("log", "x")):
+    undefined_left: list[Tree] = [("*", 0.0, ("sqrt", "x")), ("sqrt", "x"), ("log", "x")]
+    for tree in undefined_left:
         both = [jets.jet(tree, {"x": own}, {}) for own in (centre, around)]
         assert np.isnan(off_linear(both[0], both[1], box, np.zeros((1, 1)))).any(), tree
 

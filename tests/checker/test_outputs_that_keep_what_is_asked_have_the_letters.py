@@ -221,7 +221,7 @@ def test_letters_of_the_start_hold_on_all_of_its_box() -> None:
                 [Fraction(a) + Fraction(float(s)) * (Fraction(b) - Fraction(a)) for a, b, s in zip(*box, part)]
                 for box, part in zip(boxes, (row[:2], row[2:]), strict=True)
             ]
-            own = x[region["agent"]]
+            own = x[int(str(region["agent"]))]
             letter = {0: limits[0] <= own[0] < limits[1] and own[0] + own[1] < 2}
             z = [a - b for a, b in zip(*x, strict=True)]
             letter[1] = z[0] ** 2 + z[1] ** 2 < Fraction(radius) ** 2

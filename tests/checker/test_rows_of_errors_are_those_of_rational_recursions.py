@@ -215,7 +215,7 @@ def test_many_constraints_fail_no_more_often_than_is_said() -> None:
         low, high, width = (end[:, None] for end in ends)
         fails = np.any((g < -low) | (g > high) | (np.abs(g) > width), axis=0).mean()
         forms = forms_of((rows != 0.0).tolist(), (deviation**2 * (1 + 1e-12)).tolist())
-        got = failure([NORMAL] * W, *(end.tolist() for end in ends), forms)
+        got = failure([NORMAL] * W, ends[0].tolist(), ends[1].tolist(), ends[2].tolist(), forms)
         assert got >= fails - margin
         seen.append((got - fails) / max(got, 1e-3))
     assert np.median(seen) < 0.5
@@ -259,7 +259,8 @@ def test_forms_with_a_source_of_another_kind_are_of_that_kind() -> None:
 
 def test_noise_that_is_given_up_is_added() -> None:
     constraints = Constraints(np.array([NORMAL]))
-    constraints.add(*(np.array([9.0]) for _ in range(3)), forms_of([[True]], [1.0]), ["only"])
+    far = np.array([9.0])
+    constraints.add(far, far, far, forms_of([[True]], [1.0]), ["only"])
     constraints.lost = 0.25
     assert 0.25 <= constraints.failure() < 0.2501
     assert constraints.likeliest() == "only"

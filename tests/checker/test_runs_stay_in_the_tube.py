@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -27,7 +27,8 @@ RUNS, COMPARISONS = 8000, 1000
 ALARM = math.log(COMPARISONS / 1e-6)
 TURN = 6.283185307179586
 
-Header, Arrays = dict[str, Any], list[np.ndarray]
+Header: TypeAlias = dict[str, Any]
+Arrays: TypeAlias = list[np.ndarray]
 
 LAWS: list[dict[str, Any]] = [
     {"law": "gaussian", "std": 0.7},

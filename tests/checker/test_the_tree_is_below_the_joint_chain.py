@@ -143,7 +143,9 @@ class World:
         return self.automaton.is_co_safe and self.automaton.accepting[q]
 
     def _guards(self, complete: bool) -> Guards:
-        source, target, sets = [], [], []
+        source: list[int] = []
+        target: list[int] = []
+        sets: list[Any] = []
         for q in range(len(self.automaton.accepting)):
             if self.is_done(q):
                 continue
@@ -193,7 +195,7 @@ class World:
         self.truth = truth
         return found
 
-    def cells(self, starts: list[np.ndarray]) -> list[Cells]:
+    def cells(self, starts: list[np.ndarray]) -> Any:
         return [
             Cells(Chain(P), sets, policy, start)
             for P, sets, policy, start in zip(self.chains, self.sets, self.policies, starts, strict=True)
@@ -235,7 +237,9 @@ def random_tree(world: World, complete: bool) -> Tree:
     """Vertices of all guards and children, some of them united or dropped; all of them if it is to be complete."""
     rng, guards, n_agents = world.rng, world.guards, len(world.sizes)
     size = [int(own) for own in world.automaton.accepting]
-    vertices, unions, kept = [], [], []
+    vertices: list[tuple[int, ...]] = []
+    unions: list[tuple[int, ...]] = []
+    kept: list[tuple[int, ...]] = []
     for t in reversed(range(world.T)):
         new, rows = [], ([], [], [])  # type: ignore[var-annotated]
         for q in range(len(size)):
@@ -425,7 +429,11 @@ def test_trees_that_count_a_vertex_twice_are_refused(small: Any) -> None:
             pytest.fail(f"{what}: {value(with_rows(own, **rows))}")
     # absorbed, and united once more
     gone = own.kept[~((own.kept[:, 0] == t) & (own.kept[:, 1] == q) & (own.kept[:, 2] == 1))]
-    for unions in ([(t, q, 0, 1, 0, 0), (t, q, 0, 1, 0, 0)], [(t, q, 0, 1, 0, 0), (t, q, 1, 2, 0, 2)]):
+    twice: list[list[tuple[int, ...]]] = [
+        [(t, q, 0, 1, 0, 0), (t, q, 0, 1, 0, 0)],
+        [(t, q, 0, 1, 0, 0), (t, q, 1, 2, 0, 2)],
+    ]
+    for unions in twice:
         with pytest.raises(Refused):
             value(with_rows(Tree(own.vertices, own.unions, gone), unions=unions))
     value(with_rows(Tree(own.vertices, own.unions, gone), unions=[(t, q, 0, 1, 0, 0)]))
@@ -446,7 +454,7 @@ def test_equal_factors_of_other_agents_are_not_taken_for_one_another() -> None:
     first, second = Chain(np.array([[[0.5, 0.25], [0.0, 1.0]]])), Chain(np.array([[[0.25, 0.25], [0.5, 0.0]]]))
     automaton = Automaton(("a",), FINITE_TRACE, 0, (True,), (-1,), (), (), ())
     sets, policy = np.ones((1, 2), dtype=bool), np.zeros((1, 1, 2), dtype=np.int64)
-    cells = [Cells(own, sets, policy, np.eye(2)[[0]]) for own in (first, second, first)]
+    cells: Any = [Cells(own, sets, policy, np.eye(2)[[0]]) for own in (first, second, first)]
     guards, start = as_guards([0], [0], [[0, 0, 0]]), as_guards([0], [0], [[0, 0, 0]])
     own = Tree(np.array([[0, 0, 0, 0]]), np.zeros((0, 6), np.int64), np.array([[0, 0, 0]]))
     got = value_at_start(automaton, 1, cells, guards, start, own)
