@@ -15,7 +15,7 @@ import pytest
 from canonical_simulator import Simulator
 from certificate_files import file_of, one_crane, two_carts, two_tanks
 from certigym.synthesis.checker import Unreadable, check_contents, parse_file, read_problem
-from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED
+from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED, read_distribution
 from certigym.synthesis.checker.verdict import Verdict
 
 Change = Callable[[dict[str, Any], list[np.ndarray]], None]
@@ -274,3 +274,20 @@ def test_agents_without_inputs_have_proofs() -> None:
     verdict = check_contents(parse_file(file_of(header, arrays)))
     failed = Simulator(header["problem"]).failures(header["proof"], arrays, np.random.default_rng(0), 20_000) / 20_000
     assert verdict and 1e-3 < failed < verdict.recomputed + 0.01 and "no formula" in str(verdict)
+
+
+def test_noise_of_students_law_that_is_given_up_is_claimed_by_nobody() -> None:
+    """Each step of each source counts what its envelope gives up, also where nothing else can fail."""
+    law = {"law": "student-t", "scale": 1e-6, "df": 4.0}
+    lost = read_distribution(law, "it").lost
+
+    def change(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
+        agent(header).update(distributions=[{"law": "uniform", "low": -1e-6, "high": 1e-6}, law])
+
+    assert 3 * lost <= verdict_of(one_crane, change).recomputed < 3.1 * lost
+
+
+def test_what_a_direction_multiplies_is_multiplied_with_it() -> None:
+    """A pair that is kept apart along 2 n, or n / 2, is the same claim."""
+    found = [verdict_of(two_carts, at(2, slice(None), -size)).recomputed for size in (0.5, 1.0, 2.0)]
+    assert max(found) - min(found) < 1e-9

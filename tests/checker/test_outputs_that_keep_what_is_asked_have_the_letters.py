@@ -19,7 +19,7 @@ from certigym.synthesis.checker import affine_dynamics, check_contents, parse_fi
 from certigym.synthesis.checker.angles import check_angles, of_copies
 from certigym.synthesis.checker.crossings import SOMETIME, crossed, jumps
 from certigym.synthesis.checker.fields import Refused, Unreadable
-from certigym.synthesis.checker.letters import Demand, demands, known_at_start
+from certigym.synthesis.checker.letters import Demand, demands, known_at, known_at_start
 from certigym.synthesis.checker.problem import TURN, Problem
 
 T = 5
@@ -128,6 +128,29 @@ def test_pairs_hold_and_do_not_hold_as_their_letters_say() -> None:
             assert np.all(holds[kept] == (value > 0)), (pair, normal, value)
             seen[value] += int(kept.sum())
     assert min(seen.values()) > 2000
+
+
+def test_every_pair_has_its_own_directions() -> None:
+    """Directions stand pair by pair, in as many columns as outputs are compared."""
+    agents = [agent("a", ["x", "y"]), agent("b", ["x", "y"])]
+    pairs = [
+        {"name": "p", "agents": [0, 1], "outputs": [[0, 1], [0, 1]], "radius": 1.0},
+        {"name": "q", "agents": [0, 1], "outputs": [[1], [1]], "radius": 2.0},
+    ]
+    normals = np.tile([3.0, 4.0, -2.0], (T + 1, 1))
+    letters = np.full((T + 1, 2), -1)
+    first, second = demands(problem_of(agents, [], pairs), letters, np.full((T + 1, 2), -1), normals, 1)
+    assert [f for _, _, f in first.parts] == [3.0, 4.0, -3.0, -4.0] and 5.0 <= first.low <= 5.0 + 1e-12
+    assert second.parts == ((0, 1, -2.0), (1, 1, 2.0)) and 4.0 <= second.low <= 4.0 + 1e-12
+
+
+def test_regions_of_other_agents_say_nothing_of_one() -> None:
+    """That a region of one agent holds excludes those of this agent alone."""
+    regions = [{"name": f"r{i}", "agent": i % 2, "low": [float(i)], "high": [i + 1.0]} for i in range(3)]
+    problem = problem_of([agent("a", ["x"]), agent("b", ["x"])], regions)
+    letters = np.zeros((T + 1, 3), np.int64)
+    letters[1, 0] = 1
+    assert known_at(problem, letters, 1) == {0: True, 2: False}
 
 
 def test_a_window_that_is_crossed_is_met_at_some_time() -> None:

@@ -130,7 +130,7 @@ def _agent(
         agent["disturbances"] = {"v": [-1.0, 0.5]}
     if shared:
         agent["shared_noise"] = (scale * rng.normal(size=(d, shared)) * 0.6).tolist()
-    if trait == "laws":
+    if trait == "laws" or (trait == "sizes" and rng.random() < 0.5):
         agent["distributions"] = [LAWS[int(rng.integers(len(LAWS)))] for _ in range(noise.shape[1])]
     if trait == "sizes":
         # one of them changes its sign
