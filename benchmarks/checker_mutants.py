@@ -677,15 +677,31 @@ MUTANTS = [
 ]
 
 FIRST = {
-    "rigorous": ("functions",), "tables": ("functions", "cells"), "intervals": ("intervals",), "jets": ("jets",),
-    "automaton": ("automata",), "formula": ("automata",), "letters": ("outputs", "automata"), "angles": ("outputs",),
-    "crossings": ("outputs", "automata"), "constraints": ("functions", "rows"), "error_system": ("rows",),
-    "trajectories": ("runs", "outputs"),
-    "linearization": ("runs",), "problem": ("runs", "outputs"), "distributions": ("distributions", "runs"),
-    "motions": ("cells", "outputs"), "labels": ("cells",), "cells": ("cells",), "tree": ("the_tree",),
-    "cell_proofs": ("files", "forged"), "verdict": ("forged", "wrong"), "selftest": ("wrong",), "fields": ("forged",),
-    "file": ("forged",),
-}  # fmt: skip
+    "rigorous": ("functions",),
+    "tables": ("functions", "cells"),
+    "intervals": ("intervals",),
+    "jets": ("jets",),
+    "automaton": ("automata",),
+    "formula": ("automata",),
+    "letters": ("outputs", "automata"),
+    "angles": ("outputs",),
+    "crossings": ("outputs", "automata"),
+    "constraints": ("functions", "rows"),
+    "error_system": ("rows",),
+    "trajectories": ("files", "runs"),
+    "linearization": ("files", "runs"),
+    "problem": ("files", "runs"),
+    "distributions": ("distributions",),
+    "motions": ("cells", "outputs"),
+    "labels": ("cells",),
+    "cells": ("cells",),
+    "tree": ("the_tree",),
+    "cell_proofs": ("files",),
+    "verdict": ("files", "wrong", "forged"),
+    "selftest": ("wrong",),
+    "fields": ("files", "forged"),
+    "file": ("files", "forged"),
+}
 """Words in the names of test files that are about a file of the checker."""
 
 NOT_OF_A_COPY = ("stands_alone", "canonical_problems", "controllers")

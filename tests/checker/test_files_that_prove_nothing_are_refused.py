@@ -16,6 +16,7 @@ from canonical_simulator import Simulator
 from certificate_files import file_of, one_crane, two_carts, two_tanks
 from certigym.synthesis.checker import Unreadable, check_contents, parse_file, read_problem
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED, read_distribution
+from certigym.synthesis.checker.trajectories import _noise_mean
 from certigym.synthesis.checker.verdict import Verdict
 
 Change = Callable[[dict[str, Any], list[np.ndarray]], None]
@@ -138,6 +139,7 @@ NONSENSE: dict[str, Change] = {
     "a lattice that does not increase": at(7, 3, -8.0),
     "a policy for other times": lambda header, arrays: arrays.__setitem__(11, np.repeat(arrays[11], 3, axis=0)),
     "other values": lambda header, arrays: header["proof"]["agents"][0].update(values="points"),
+    "a truth value for a number": lambda header, arrays: header["proof"]["agents"][0].update(parts=True),
     "no parts": lambda header, arrays: header["proof"]["agents"][0].update(parts=0),
     "an array that nothing names": lambda header, arrays: arrays.append(np.zeros(2)),
     "a claim beyond 1": lambda header, arrays: header["claim"].update(failure=1.5),
@@ -186,6 +188,7 @@ def test_agents_that_differ_in_one_number_share_no_kernel() -> None:
 
 CARTS: dict[str, Change] = {
     "a start outside": with_agent(0, start_high=[11.0]),
+    "a start partly outside": with_agent(0, state_low=[-4.02], start_low=[-4.05], start_high=[-3.95]),
     "another start": with_agent(0, start_low=[-4.1], start_high=[-4.1]),
     "nominal inputs outside": with_agent(0, input_high=[0.7]),
     "nominal states outside": with_agent(0, state_low=[-3.5], start_low=[-3.4], start_high=[-3.4]),
@@ -291,3 +294,30 @@ def test_what_a_direction_multiplies_is_multiplied_with_it() -> None:
     """A pair that is kept apart along 2 n, or n / 2, is the same claim."""
     found = [verdict_of(two_carts, at(2, slice(None), -size)).recomputed for size in (0.5, 1.0, 2.0)]
     assert max(found) - min(found) < 1e-9
+
+
+def test_guards_of_the_start_and_of_steps_are_both_asked() -> None:
+    """The letter of time 0 has guards of its own: either table may lead elsewhere."""
+
+    def apart(forged: int) -> Change:
+        def change(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
+            header["proof"]["start"].update(target=len(arrays))
+            arrays.append(arrays[1].copy())
+            if forged:
+                arrays[forged][0] = 1
+
+        return change
+
+    assert verdict_of(two_tanks, apart(0))
+    for number in (1, 15):
+        assert "does not always lead" in verdict_of(two_tanks, apart(number)).reason
+
+
+def test_means_of_noise_are_multiplied_by_its_size_and_may_be_off() -> None:
+    """All means that a law may have, for all sizes, lie between the ends of what is pushed."""
+    header, _ = two_carts()
+    law = {"law": "truncated-gaussian", "spread": 0.3, "low": -0.25, "high": 1.0}
+    agent(header).update(noise=[[2.0]], distributions=[law])
+    own = read_problem(header).agents[0]
+    low, high = _noise_mean(own, np.array([[0.5], [3.0]]))[:, 0].tolist()
+    assert low <= 3.0 * 2.0 * -0.25 and high >= 3.0 * 2.0 * 1.0
