@@ -144,18 +144,7 @@ def changes_at(header: dict[str, Any], path: Path) -> Iterator[tuple[str, dict[s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "made",
-    [
-        two_carts,
-        two_tanks,
-        pytest.param(
-            one_crane,
-            marks=pytest.mark.xfail(raises=TypeError, strict=True, reason="a law that is a list is asked for its hash"),
-        ),
-    ],
-    ids=["trajectory", "cells", "crane"],
-)
+@KINDS
 def test_every_change_of_the_header_is_refused_or_harmless(made: Any) -> None:
     header, arrays = made()
     false, proved, count = [], 0, 0
