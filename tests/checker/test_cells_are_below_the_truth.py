@@ -398,7 +398,7 @@ def test_targets_are_reached_up_to_their_rest_by_inputs_in_their_box() -> None:
         cells_of = rng.integers(0, 3**d, 4)
         targets: Any = shift + rng.normal(size=(4, d))
         try:
-            rest = check_targets(reader, edges, inverse, cells_of, targets)
+            rest = check_targets(reader, edges, np.asarray(inverse, dtype=np.float64), cells_of, targets)
         except Refused:
             refused += 1
             continue
