@@ -49,6 +49,18 @@ def value_at_start(
     automaton: Automaton, horizon: int, agents: Sequence[Cells], guards: Guards, start: Guards, tolerance: float
 ) -> float:
     """Return a lower bound on the probability that the task is satisfied; cuts may cost ``tolerance``."""
+    value, total = trains_at_start(automaton, horizon, agents, guards, tolerance), 0.0
+    for g, target in enumerate(start.target.tolist()):
+        train = value[target]
+        if train is not None:
+            total += _mean(train, [cells.start_shares(start.sets[g, i]) for i, cells in enumerate(agents)])
+    return min(1.0, max(0.0, total * (1.0 - 8.0 * U * (len(start.target) + 4.0))))
+
+
+def trains_at_start(
+    automaton: Automaton, horizon: int, agents: Sequence[Cells], guards: Guards, tolerance: float
+) -> list[Train | None]:
+    """Return the value at time 0 by automaton state, at every joint cell; None where it is 0."""
     if any(cells.kernel.moves or cells.kernel.corners for cells in agents):
         raise Refused("tensor trains are for cells with targets")
     done, ones = finished(automaton), Train(tuple(np.ones((1, cells.places, 1)) for cells in agents), 0.0)
@@ -61,12 +73,7 @@ def value_at_start(
             ones if end else None if own is None else _taken_back(own, agents, t, q)
             for q, (end, own) in enumerate(zip(done, summed, strict=True))
         ]
-    total = 0.0
-    for g, target in enumerate(start.target.tolist()):
-        train = value[target]
-        if train is not None:
-            total += _mean(train, [cells.start_shares(start.sets[g, i]) for i, cells in enumerate(agents)])
-    return min(1.0, max(0.0, total * (1.0 - 8.0 * U * (len(start.target) + 4.0))))
+    return value
 
 
 def _masked_sum(

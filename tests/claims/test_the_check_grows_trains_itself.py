@@ -15,6 +15,8 @@ from certigym.synthesis.bounds.certified import SECOND_EVALUATION
 from certigym.synthesis.bounds.dense import dense_value
 from certigym.synthesis.canonical import TRAINS, verdict_of
 from certigym.synthesis.certificates import changed
+from certigym.synthesis.checker import cell_proofs, trains
+from certigym.synthesis.checker.trains import Train
 from certigym.synthesis.checking import train_check
 from certigym.synthesis.checking.train_check import ErrorBoundedTrain, regrown_trains, train_start_value
 from certigym.synthesis.models.abstraction import abstract
@@ -52,7 +54,7 @@ def trained(name: str, cells: int, tolerance: float = 1e-6) -> cg.Certificate:
     return changed(certificate, agents=tuple(agents), rounding=rounding)
 
 
-def everywhere(train: ErrorBoundedTrain | None, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
+def everywhere(train: ErrorBoundedTrain | Train | None, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
     """The function of a train at every joint cell."""
     if train is None:
         return np.zeros(shape)
@@ -139,6 +141,28 @@ def test_the_small_checker_proves_no_more_than_is_true_and_hardly_less(name: str
     below, above = (train_start_value(nearly, regrown_trains(nearly, upper), upper) for upper in (False, True))
     proved = 1.0 - verdict_of(stated).recomputed
     assert below - TRAINS * tolerance - 1e-9 <= proved <= above
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("tolerance", [1e-9, 1e-3, 0.5])
+def test_trains_of_the_small_checker_lie_within_their_error(
+    name: str, tolerance: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[list[Train | None]] = []
+
+    def noted(automaton: Any, horizon: int, agents: Any, guards: Any, start: Any, tolerance: float) -> float:
+        seen.append(trains.trains_at_start(automaton, horizon, agents, guards, tolerance))
+        return 0.0
+
+    monkeypatch.setattr(cell_proofs, "by_trains", noted)
+    cells = 6 if name == "three agents" else 16
+    certificate = honest(name, cells).certificate
+    verdict_of(changed(certificate, rounding=Rounding(tolerance, (None,) * (certificate.problem.horizon + 1))))
+    dense = exactly(certificate, cells)
+    for q, train in enumerate(seen[0]):
+        if not certificate.problem.automaton.dead[q]:
+            off = np.max(np.abs(everywhere(train, dense.shape[1:]) - dense[q]))
+            assert off <= (0.0 if train is None else train.error) <= 1.1 * TRAINS * tolerance + 1e-9
 
 
 @pytest.mark.parametrize("upper", [False, True])
