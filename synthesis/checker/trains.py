@@ -14,7 +14,7 @@ replaces a matrix by a product of two smaller ones; what it discards, D, is form
 So the bound holds however the factors were found. Rounding is bounded in the same way, entry by entry. Tables hold all
 but ``lack`` of each probability, and targets are off by their rests: both act on a function of at most 1 + error. QED
 
-Reference: docs/theory/tree.md, "Tensor trains".
+Reference: docs/theory/tree.md, "Uniting terms".
 """
 
 from __future__ import annotations
