@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import Agent, AnyAgent, LinearAgent, write_bytes
+from ..envs.agents import Agent, AnyAgent, Law, LinearAgent, write_bytes
 from ..envs.logic import Formula, parse_formula
 from ..envs.problem import Problem
 from .cells import FloatArray
@@ -29,6 +29,7 @@ from .checker import (
     CheckedAgent,
     Contents,
     Refused,
+    Unreadable,
     Verdict,
     affine_dynamics,
     check_contents,
@@ -49,7 +50,7 @@ def canonical_problem(problem: Problem) -> dict[str, Any]:
     Raises
     ------
     NotCanonicalError
-        If it has angles, noise that is not normal or has a scale, or independent tasks.
+        If it has independent tasks, noise of a distribution of scipy, or is the opposite of a task.
     """
     if problem.groups:
         raise NotCanonicalError("independent tasks that are not joined have no canonical form yet")
@@ -73,8 +74,7 @@ def canonical_bytes(certificate: Certificate) -> bytes:
     ValueError
         If the checker refuses it.
     """
-    header, arrays = _contents(certificate)
-    verdict = check_contents(Contents(header, tuple(arrays), set()))
+    header, arrays, verdict = _judged(certificate)
     if not verdict.proved:
         raise ValueError(f"`certificate`: the checker refuses it: {verdict.reason}")
     return archive({**header, "claim": {"failure": min(1.0, verdict.recomputed * CLAIMED)}}, arrays)
@@ -90,8 +90,7 @@ def verdict_of(certificate: Certificate) -> Verdict:
     NotCanonicalError
         If its problem or its proof has no canonical form yet.
     """
-    header, arrays = _contents(certificate)
-    return check_contents(Contents(header, tuple(arrays), set()))
+    return _judged(certificate)[2]
 
 
 def checker_text(certificate: Certificate) -> str:
@@ -103,6 +102,15 @@ def checker_text(certificate: Certificate) -> str:
     if not verdict.proved:
         return f"extended check: the small checker proves nothing ({verdict.reason})"
     return f"the small checker proves P >= {shown(verdict.recomputed)} by {', '.join(verdict.modules)}"
+
+
+def _judged(certificate: Certificate) -> tuple[dict[str, Any], list[np.ndarray], Verdict]:
+    """Return header and arrays of a file that claims nothing, and the verdict on them."""
+    try:
+        header, arrays = _contents(certificate)
+        return header, arrays, check_contents(Contents(header, tuple(arrays), set()))
+    except Unreadable as reason:  # more than the format has words for: laws of users, say
+        raise NotCanonicalError(str(reason)) from reason
 
 
 def _contents(certificate: Certificate) -> tuple[dict[str, Any], list[np.ndarray]]:
@@ -165,7 +173,7 @@ def archive(header: Mapping[str, Any], arrays: Sequence[np.ndarray]) -> bytes:
 
 def _agent(problem: Problem, i: int) -> dict[str, Any]:
     agent, written = problem.agents[i], problem.written_agents[i]
-    if any(law.name == "scipy" for law in agent.laws or ()):
+    if any(map(_is_of_scipy, agent.laws or ())):
         raise NotCanonicalError(f"agent `{agent.name}` has noise of a distribution of scipy")
     shared = problem.shared_noise[i]
     data: dict[str, Any] = {
@@ -196,6 +204,11 @@ def _agent(problem: Problem, i: int) -> dict[str, Any]:
         data |= {"disturbances": ranges} if ranges else {}
     data |= {"angles": list(agent.angles)} if agent.angles else {}
     return data | ({"shared_noise": shared.tolist()} if shared.shape[1] else {})
+
+
+def _is_of_scipy(law: Law) -> bool:
+    """Return whether a law, or a part of it, is one of ``scipy.stats``."""
+    return law.name == "scipy" or any(map(_is_of_scipy, getattr(law, "laws", ())))
 
 
 def _numbered(letter: str, count: int) -> list[str]:

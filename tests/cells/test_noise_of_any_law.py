@@ -11,8 +11,10 @@ import pytest
 import scipy.stats
 
 import certigym as cg
-from certigym.envs.agents.laws import Law, Logistic
+from certigym.envs.agents.composed_laws import Mixture, ScipyLaw
+from certigym.envs.agents.laws import Gaussian, Law, Logistic
 from certigym.envs.agents.noise import KINDS, laws_of
+from certigym.synthesis.canonical import checker_text
 from certigym.synthesis.cells import grid_laws
 from certigym.synthesis.masses import lost_to_rounding
 from certigym.synthesis.masses.checked_laws import (
@@ -319,6 +321,13 @@ def test_laws_of_scipy_are_taken_with_the_error_that_is_stated(tmp_path: Path) -
     assert verdict.verdict != "refuted"
     cg.save(certificate, tmp_path / "certificate.npz")
     assert cg.check(cg.load(tmp_path / "certificate.npz"), problem).valid
+
+
+def test_laws_that_the_small_checker_has_no_words_for_are_for_the_extended_check() -> None:
+    normal = ScipyLaw(scipy.stats.norm(0.0, 0.15), 1e-12, 10.0)
+    for law in (Stranger(0.15), normal, Mixture((0.5, 0.5), (0.0, 0.0), (Gaussian(0.15), normal))):
+        certificate = cg.synthesize(reach([law]), 40, relation="boxes").certificate
+        assert cg.check(certificate) and checker_text(certificate).startswith("extended check"), law
 
 
 @pytest.mark.parametrize(

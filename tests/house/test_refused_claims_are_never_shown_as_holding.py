@@ -140,5 +140,7 @@ def test_leaderboards_have_no_bound_of_a_forged_file(files: dict[str, str], tmp_
     )
     assert known_of(board.rows) == row.low
     assert "| claimed, NOT valid |" in page_of(board) and ".9999" not in page_of(board)
+    words = ["leaderboard", "reach-avoid-v0", "--policies", "certified", "--episodes", "200"]
+    assert main([*words, "--certificates", str(tmp_path), "--out", str(tmp_path / "board.html")]) == 1
     with pytest.raises(ValueError, match="refuses"):
         cg.probe("reach-avoid-v0", files["forged"], steps=100)

@@ -102,7 +102,10 @@ def probe(options: Namespace) -> int:
 
 
 def leaderboard(options: Namespace) -> int:
-    """Fill what the leaderboard does not hold yet; page and JSON are written after each row."""
+    """Fill what the leaderboard does not hold yet; page and JSON are written after each row.
+
+    The status is 1 if it shows a certificate that the check refuses.
+    """
     page = Path(options.out)
     table = page.with_suffix(".json")
     board = Leaderboard.load(table) if table.is_file() else Leaderboard()
@@ -126,7 +129,7 @@ def leaderboard(options: Namespace) -> int:
                 options.ids or None, policies, plan, sources=sources, board=board, finished=finished
             )
     show(options, f"{counted(len(board.rows), 'row')} in {page} and {table}", board.to_dict())
-    return 0
+    return int(any(row.refused is not None for row in board.rows))
 
 
 def _with_own_row(board: Leaderboard, options: Namespace, plan: Any, finished: Any) -> Leaderboard:
