@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis import canonical
 from certigym.synthesis.bounds.certified import SECOND_EVALUATION
 from certigym.synthesis.bounds.dense import dense_value
 from certigym.synthesis.canonical import TRAINS, verdict_of
@@ -159,6 +160,7 @@ def test_trains_of_the_small_checker_lie_within_their_error(
         return 0.0
 
     monkeypatch.setattr(cell_proofs, "by_trains", noted)
+    monkeypatch.setattr(canonical, "_verdicts", {})
     cells = 6 if name == "three agents" else 16
     certificate = honest(name, cells).certificate
     verdict_of(changed(certificate, rounding=Rounding(tolerance, (None,) * (certificate.problem.horizon + 1))))
