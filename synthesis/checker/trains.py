@@ -33,8 +33,8 @@ from .tree import Guards, finished
 SUMS = 8
 """Sums of rows, for each column, from which the directions of a cut are taken."""
 
-MORE = 1.0 + 1e-12
-"""Factor on bounds that are sums of products of fewer than a thousand numbers."""
+MORE = 1.0 + 1e-9
+"""Factor on bounds that are sums of products of fewer than a million numbers."""
 
 
 @dataclass(frozen=True, eq=False)
