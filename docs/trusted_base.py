@@ -43,7 +43,7 @@ TRUSTED = {
     "What the certificate holds": (
         "synthesis.cells.axes_of_lattices synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
         "synthesis.cells.turned_starts "
-        "synthesis.certificates.certificate synthesis.certificates.certificate_file synthesis.certificates.version_one "
+        "synthesis.certificates.certificate synthesis.certificates.certificate_file "
         "synthesis.certificates.grid_reader synthesis.certificates.claim synthesis.masses.part "
         "synthesis.certificates.proof synthesis.certificates.grid_proof synthesis.certificates.path_proof "
         "synthesis.certificates.hull_proof synthesis.certificates.subtraction_proof "
@@ -63,7 +63,7 @@ TRUSTED = {
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
         "synthesis.relations.common_means synthesis.relations.sectors "
         "synthesis.relations.input_forms synthesis.relations.solved_means "
-        "synthesis.relations.exact synthesis.relations.linear synthesis.relations.networks synthesis.relations.rows "
+        "synthesis.relations.exact synthesis.relations.networks synthesis.relations.rows "
         "synthesis.relations.written_means"
     ),
     "The check": (

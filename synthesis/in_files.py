@@ -54,7 +54,7 @@ def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Any:
     """Return what a file holds: a Problem (``.toml``), a Certificate or a Permission (``.npz``).
 
     What is read is well-formed, and nothing it claims is trusted: its numbers are what the file says until ``check``
-    has verified them. Certificates of 0.1 and 0.2 are read as well.
+    has verified them.
 
     Parameters
     ----------

@@ -5,7 +5,6 @@ cheap. Importing it also registers the environments of the suite with Gymnasium.
 """
 
 from pathlib import Path
-from typing import Any as _Any
 
 import lazy_loader
 
@@ -15,20 +14,7 @@ _HERE = Path(__file__).parent
 if not (_HERE / "envs" / "__init__.py").is_file() and (_HERE.parents[1] / "pyproject.toml").is_file():
     __path__.append(str(_HERE.parents[1]))  # a checkout without its symbolic links (zip archive, Windows)
 
-_attached, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
-
-
-def __getattr__(name: str) -> _Any:
-    """Return a public name, which is loaded when it is first used; an old one, with a warning."""
-    if name in __all__ or name.startswith("_"):
-        return _attached(name)
-    try:
-        return _attached(name)  # rooms and modules
-    except AttributeError:
-        from .old_names import old_name
-
-        return old_name(name)
-
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 from .envs.suite.registration import register_suite as _register_suite  # noqa: E402  (after the search path is set)
 

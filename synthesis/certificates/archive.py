@@ -23,7 +23,7 @@ FORMAT = "certigym-certificate"
 """What the header of every file says."""
 
 VERSION = 2
-"""Version of the format that is written; version 1 is read as well (``version_one``)."""
+"""Version of the format that is written and read."""
 
 MAX_BYTES = 2**30
 """Largest unpacked size that is read, unless the caller allows more."""
@@ -160,8 +160,8 @@ def _check_version(header: Any) -> None:
     """Raise ValueError unless a header is that of a certificate of this version."""
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ValueError("its header does not say it is one")
-    if header.get("version") not in (1, VERSION):
-        raise ValueError(f"its version is {header.get('version')!r}; use the certigym release that wrote it")
+    if header.get("version") != VERSION:
+        raise ValueError(f"its version is {header.get('version')!r}; synthesize anew, or use the release that wrote it")
 
 
 def _digest(header: dict[str, Any], arrays: list[NDArray]) -> str:

@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
@@ -143,27 +142,6 @@ class Certificate(Generic[P_co]):
             alone.
         """
         return float(self.claim.min(low, high))
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """Return what certificates of 0.2 had under a name, with a warning that says where it is now."""
-            if name[0] == "_" or name in self.__dataclass_fields__:
-                raise AttributeError(name)
-            if name not in MOVED and not hasattr(self.proof, name):
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            text, read = MOVED.get(name, (f"`.proof.{name}`", lambda held: getattr(held.proof, name)))
-            warnings.warn(f"`Certificate.{name}` will go; it is {text} now", DeprecationWarning, stacklevel=2)
-            return read(self)
-
-
-MOVED: dict[str, tuple[str, Callable[[Any], Any]]] = {
-    "value": ("`.claim.value`", lambda held: held.claim.value),
-    "unbounded": ("`.lower_bound`, if the task is co-safe", lambda held: lasting_bound(held)),
-    "start": ("whether the problem starts at a point", lambda held: start_of_claim(held)),
-    "exact": ("whether `.gap` is small", lambda held: is_exact(held)),
-}
-"""Names of 0.2 that are not those of entries of a proof: where they are now, and what they were."""
 
 
 def members_of(certificate: Certificate) -> tuple[Certificate, ...]:

@@ -24,7 +24,6 @@ from .product_proof import ProductProof
 from .proof import Proof
 from .result import Synthesis
 from .subtraction_proof import SubtractionProof
-from .version_one import upgraded
 
 PROOFS: dict[str, type[Proof]] = {
     proof.kind: proof
@@ -64,8 +63,7 @@ def save_certificate(certificate: Synthesis | Certificate, path: str | Path) -> 
 def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificate:
     """Return the certificate in a file; it is well-formed then, but not yet checked (see ``check``).
 
-    Until then its numbers (``lower_bound``, ``upper_bound``, ``at``, ``mean``, ``min``) are what the file says. Files
-    of 0.1 and 0.2 (version 1) are read as well.
+    Until then its numbers (``lower_bound``, ``upper_bound``, ``at``, ``mean``, ``min``) are what the file says.
 
     Parameters
     ----------
@@ -91,7 +89,7 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
     except UNREADABLE as error:
         message = str(error) or type(error).__name__
         raise ValueError(
-            f"`{path}`: expected a certigym certificate, version 1 or {VERSION}, got a file that is none: {message}"
+            f"`{path}`: expected a certigym certificate, version {VERSION}, got a file that is none: {message}"
         ) from error
 
 
@@ -111,7 +109,6 @@ def _read(raw: bytes, budget: _Budget, allowed: frozenset[str]) -> Certificate:
     """Return the certificate in the bytes of a file, whose proof is of one of the kinds that are allowed there."""
     header, arrays = unarchived(raw, budget.left)
     budget.left -= sum(array.nbytes for array in arrays.values())
-    header = upgraded(header) if header["version"] == 1 else header
     entry, settings = header["proof"], header["settings"]
     kind = PROOFS[entry["kind"]]
     if kind.kind not in allowed:
@@ -120,8 +117,6 @@ def _read(raw: bytes, budget: _Budget, allowed: frozenset[str]) -> Certificate:
     if header["fingerprint"] != problem.fingerprint:
         raise ValueError("the fingerprint does not belong to the problem in it")
     proof = kind.read(problem, Stored(entry, arrays, lambda inner: _read(inner, budget, kind.inside)))
-    if settings is None:
-        settings = proof.settings_of_parts()
     if not isinstance(settings, dict):
         raise ValueError("its settings are none")
     return Certificate(problem, proof, settings)

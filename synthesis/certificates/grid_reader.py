@@ -121,9 +121,7 @@ class GridReader:
             raise ValueError("a relation and its choices do not belong together")
         choices = points if menu is None else menu.shape[1]
         if kind == "linear":
-            # Inputs, and lattice points; in files of 0.1 and 0.2 inputs, or lattice points with one of two gains.
-            aims = points if "aims" in entry["relation"] else 0
-            choices = len(entry["relation"]["menu"]) + aims or 2 * points
+            choices = len(entry["relation"]["menu"]) + (points if "aims" in entry["relation"] else 0)
         elif kind == "boxes":
             choices = len(entry["relation"]["menu"])
         if kind in ("boxes", "linear") and any(len(axis) < 2 for axis in lattice):

@@ -78,10 +78,6 @@ class _OfBase(Proof):
         rank: int = self.base.proof.rank
         return rank
 
-    def settings_of_parts(self) -> dict[str, Any]:
-        """Return the settings of the base."""
-        return self.base.settings
-
     def agents_of(self, problem: Problem) -> Any:
         """Return what is stored of each agent of the base."""
         return self.base.proof.agents_of(self.base.problem)

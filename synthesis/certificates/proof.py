@@ -99,10 +99,6 @@ class Proof:
         """Return what is stored of each agent, in order, if it ``has_cells``."""
         raise NotImplementedError
 
-    def settings_of_parts(self) -> dict[str, Any]:
-        """Return what its parts say of how they were found."""
-        return {}
-
     def on_cells(self, certificate: Any) -> Any:
         """Return the certificate on cells whose values are those of this one; None if there is none."""
         return None

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
 from ..cells import FloatArray, Grid, cell_finder, shape_text
-from ..relations import BoxRelation, LinearRelation, MapRelation, Relation
+from ..relations import BoxRelation, MapRelation, Relation
 from .abstract_state import Memory, Tracker, moved_into
-from .steering import AffineSteering, BoxSteering, GivenChoices, MapSteering, MenuSteering, PolicyTable, TargetSteering
+from .steering import BoxSteering, GivenChoices, MapSteering, MenuSteering, PolicyTable, TargetSteering
 
-STEERINGS = {MapRelation: MapSteering, LinearRelation: AffineSteering, BoxRelation: BoxSteering}
+STEERINGS = {MapRelation: MapSteering, BoxRelation: BoxSteering}
 """What carries choices out, by relation; those of all others are targets."""
 
 
@@ -140,7 +140,7 @@ class AgentController:
         return PolicyTable(self.policy if self.policy.ndim == 4 else self.policy[None])
 
     @cached_property
-    def _target_steering(self) -> TargetSteering | AffineSteering | BoxSteering | MapSteering:
+    def _target_steering(self) -> TargetSteering | BoxSteering | MapSteering:
         steering: Any = STEERINGS.get(type(self.relation), TargetSteering)
         return steering(self._table, self.grid, self.lattice, self.relation)
 

@@ -2,7 +2,6 @@
 
 ``TargetSteering``  the choice is a target mean (``exact`` relation): the input puts the mean of the next state on it.
 ``MapSteering``     the choice is an input, or a target mean (``linear``).
-``AffineSteering``  the choice is an affine map of the state to its mean (``linear`` of 0.1 and 0.2).
 ``BoxSteering``     the choice is an input, and what is fed back of the state inside its cell (``boxes``).
 ``MenuSteering``    the choice is an abstract input uhat (coupled agents): the interface adds ``K e``.
 
@@ -24,7 +23,6 @@ from ..relations import (
     BoxRelation,
     CoupledRelation,
     ExactRelation,
-    LinearRelation,
     MapRelation,
     Row,
     WrittenTargets,
@@ -206,35 +204,6 @@ class MapSteering(_OnCells):
         targets[0, ~aimed] = np.nan
         wanted = aims.inputs(list(targets), points, beside)
         return np.where(aimed, wanted, inputs)
-
-
-@dataclass(frozen=True, eq=False)
-class AffineSteering(_OnCells):
-    """Inputs under which the mean of the next state is the affine map that policies say (``linear`` of 0.1 and 0.2)."""
-
-    relation: LinearRelation
-
-    def inputs(
-        self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int, beside: FloatArray | None = None
-    ) -> FloatArray:
-        """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M); nobody is beside."""
-        choices = self.table.choices(self.table.places(cells, q, time))
-        if not self.relation.steers:
-            # The last column of the table is for cells without a choice: the mean of all inputs.
-            return looked_up(self._menu, np.where(choices < 0, len(self.relation.menu), choices).astype(np.intp))
-        gains, targets = np.divmod(np.maximum(choices, 0), self._n_points)
-        steer = self.relation.steers[0]
-        aims = steer.aims(lattice_means(self.lattice, targets))
-        # With gain 1 the target moves with the state inside its cell.
-        aims += gains * (points - looked_up(self._centres, cells))
-        inputs = steer.inputs(aims, points)
-        if self.table.has_idle_cells(time):
-            inputs[:, choices < 0] = steer.input_centre[:, None]
-        return inputs
-
-    @cached_property
-    def _n_points(self) -> int:
-        return math.prod(len(axis) for axis in self.lattice)
 
 
 @dataclass(frozen=True, eq=False)

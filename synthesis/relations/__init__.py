@@ -10,7 +10,6 @@ from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
 from .exact import ExactOnCells, ExactRelation, aimed_relation, exact_relation
 from .input_forms import Turn
-from .linear import LinearRelation, linear_relation
 from .network_maps import NetworkMaps, network_linear_relation
 from .networks import (
     ACTIVATIONS,
@@ -42,7 +41,6 @@ __all__ = [
     "ExactOnCells",
     "ExactRelation",
     "LinearMeans",
-    "LinearRelation",
     "MapRelation",
     "MatrixMaps",
     "MeanBoxes",
@@ -75,7 +73,6 @@ __all__ = [
     "exact_relation",
     "inputs_of",
     "joint_delta",
-    "linear_relation",
     "map_relation",
     "mean_loss",
     "mean_off",

@@ -3,8 +3,7 @@
 ``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
 expressions, and ``"common"`` where inputs are chosen in common; with ``"parts"`` and ``"network"`` where networks move
 agents), ``{"kind": "linear", "menu", "parts", "cuts", "reach", "blocks"}``
-(with ``"aims"`` where targets are offered beside the menu, and ``"network"`` where networks move agents; files of 0.1
-and 0.2 have neither cuts nor reach for matrices, and no blocks),
+(with ``"aims"`` where targets are offered beside the menu, and ``"network"`` where networks move agents),
 ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
 "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
 "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them
@@ -24,14 +23,13 @@ from .boxes import BoxRelation, box_relation
 from .coupled import COUPLED_ARRAYS, COUPLED_NUMBERS, CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .exact import ExactRelation, aimed_relation
-from .linear import LinearRelation, linear_relation
 from .network_maps import network_linear_relation
 from .networks import check_network, network_policy
 from .scalar import paper_relation
 from .solved_means import WrittenTargets
 from .tube import tube_relation
 
-Relation = BoxRelation | ExactRelation | MapRelation | LinearRelation | CoupledRelation | WrittenTargets
+Relation = BoxRelation | ExactRelation | MapRelation | CoupledRelation | WrittenTargets
 """What ties one agent to its cells."""
 
 NUMBER_ENTRIES = {"boxes": (), "exact": (), "linear": ("parts",), **COUPLED_NUMBERS}
@@ -74,19 +72,16 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
             name: description[name] for name in ("parts", "steer", "network", "common") if name in description
         }
         return box_relation(agent, coordinates, menu, gains, written)
-    if kind == "linear" and "reach" in description and "network" not in description:
+    if kind == "linear" and "network" not in description:
         menu = np.array(description["menu"], dtype=float)
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
         return map_relation(agent, coordinates, menu, numbers, "aims" in description)
     if kind == "exact":
         return aimed_relation(agent, coordinates)
-    if kind == "linear" and "network" in description:
+    if kind == "linear":
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
         return network_linear_relation(agent, coordinates, network_policy(description["network"], agent), numbers)
     agent = linear_agent(agent, kind)
-    if kind == "linear":
-        menu = np.array(description["menu"], dtype=float)
-        return linear_relation(agent, coordinates, menu if len(menu) else None, int(description["parts"]))
     if kind == "paper":
         if not np.array_equal(coordinates, np.eye(len(coordinates))):
             raise ValueError("the `paper` relation is for grids in state coordinates")
@@ -114,18 +109,17 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
     is_written = not agent.is_affine
+    is_linear = description["kind"] == "linear"
     has_network = description["kind"] in ("boxes", "linear") and "network" in description
     known = {"boxes": ("parts", "steer"), "linear": ("parts", "cuts", "reach"), "exact": () if is_written else None}
     named = known.get(description["kind"])
-    # Maps are for matrices, too; files of 0.1 and 0.2 have none for them.
-    has_maps = description["kind"] == "linear" and "reach" in description
-    if (has_network or has_maps) and not is_written:
+    if has_network and not (is_written or is_linear):
         named = None
-    if is_written != (named is not None and all(name in description for name in named)):
+    if (is_written or is_linear) != (named is not None and all(name in description for name in named)):
         raise ValueError("it has a relation that is not for the dynamics of its agent")
     if is_written and description["kind"] == "exact" and len(description) > 1:
         raise ValueError("it has settings for a relation of exact targets, which has none")
-    in_parts = description["kind"] == "linear" or (is_written and description["kind"] == "boxes") or has_network
+    in_parts = is_linear or (is_written and description["kind"] == "boxes") or has_network
     if in_parts and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
     if has_network:
@@ -136,7 +130,7 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL
     ):
         raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
-    if description["kind"] == "linear" and (is_written or has_network or has_maps):
+    if is_linear:
         _check_maps(description, agent)
         _check_modes(description)
     elif is_written and description["kind"] == "boxes":

@@ -52,9 +52,6 @@ class ExactRelation(ReadsByRows):
         Grid coordinates to state.
     rounding : (m,) array
         Upper bounds on the rounding of an input.
-    gain : float
-        The mean follows the state by so much inside its cell: it is ``z + gain (x - centre)``. With 0 every state of
-        the cell has the same mean; with 1 nothing is cancelled where ``A = I`` (relation ``linear``).
     """
 
     A: FloatArray
@@ -65,7 +62,6 @@ class ExactRelation(ReadsByRows):
     input_half_width: FloatArray
     coordinates: FloatArray
     rounding: FloatArray
-    gain: float = 0.0
 
     kind = "exact"
     delta = 0.0
@@ -82,9 +78,9 @@ class ExactRelation(ReadsByRows):
     def reserve(self, half_widths: FloatArray) -> FloatArray:
         """Return lower bounds (S, m) on the input half widths left for the target; negative if nothing is left.
 
-        What is taken off lets the input cancel ``(A - gain) x`` for every x of a cell with ``half_widths`` (S, d).
+        What is taken off lets the input cancel ``A x`` for every x of a cell with ``half_widths`` (S, d).
         """
-        need = half_widths @ np.abs(self.right_inverse @ (self.A - self.gain * np.eye(len(self.A)))).T
+        need = half_widths @ np.abs(self.right_inverse @ self.A).T
         scale = np.abs(self.input_centre) + self.input_half_width
         return self.input_half_width - need * (1 + INPUT_MARGIN) - INPUT_MARGIN * (scale + need) - self.rounding
 

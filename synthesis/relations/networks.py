@@ -223,7 +223,6 @@ class NetworkPolicy:
             "activation": network.activation,
             "squashed": network.squashed,
             **{name: getattr(self.view, name) for name in VIEW_FIELDS},
-            # Files of 0.2 know one form alone, and do not name it.
             **{name: form for name, form in forms.items() if form != "unit"},
             **({"told": [*self.view.told]} if self.view.told else {}),
         }

@@ -13,15 +13,14 @@ from typing import Protocol
 
 import numpy as np
 
-from ...envs.agents import AnyAgent, LinearAgent
-from ..cells import FloatArray, linear_agent
+from ...envs.agents import AnyAgent
+from ..cells import FloatArray
 from ..certificates import OnGrid
 from ..masses import AgentPart, axis_tables, smooth
 from .boxes_check import BoxTables, box_tables, box_values
 from .execution import execution_of
 from .linear_check import linear_values
-from .linear_tables import LinearTables, linear_tables
-from .written_linear import MatrixMaps, WrittenTables, state_maps, written_tables
+from .written_linear import WrittenTables, written_tables
 
 
 class Reading(Protocol):
@@ -98,19 +97,18 @@ class Boxes:
 class Corners:
     """Means are affine in the state of a cell; factors are multilinear in each cell, and held by its corners."""
 
-    agent: AnyAgent
-    tables: LinearTables | WrittenTables
+    tables: WrittenTables
     proves_given = True
 
     def values(
         self, part: AgentPart, factors: FloatArray, rows: Iterable[tuple[int, int]], known: dict[object, FloatArray]
     ) -> list[FloatArray]:
         """Return multilinear functions below the smoothed factors."""
-        return [linear_values(self.agent, part, self.tables, factors, t, q)[0] for t, q in rows]
+        return [linear_values(part, self.tables, factors, t, q)[0] for t, q in rows]
 
     def proved(self, part: AgentPart, factors: FloatArray, row: tuple[int, int], given: FloatArray) -> bool:
         """Return whether given factors, any multilinear functions, are below the truth."""
-        return bool(np.all(linear_values(self.agent, part, self.tables, factors, *row, given)[1]))
+        return bool(np.all(linear_values(part, self.tables, factors, *row, given)[1]))
 
 
 def readings_of(certificate: OnGrid) -> list[Reading]:
@@ -132,18 +130,7 @@ def reading_of(
     """Return the reading of one agent, whose policy says which motions are enclosed."""
     relation = part.relation_of(agent)
     if part.is_linear:
-        if "reach" in part.relation:
-            return Corners(agent, written_tables(agent, part, execution_of(agent, part, relation).mean))
-        return Corners(agent, _tables_of_0_2(linear_agent(agent, "linear"), part))
+        return Corners(written_tables(agent, part, execution_of(agent, part, relation).mean))
     if part.relation["kind"] == "boxes":
         return Boxes(agent, box_tables(agent, part, execution_of(agent, part, relation).mean, tables))
     return Points(axis_tables(agent, part, tables), relation.delta if is_robust else 0.0)
-
-
-def _tables_of_0_2(agent: LinearAgent, part: AgentPart) -> LinearTables:
-    """Return the tables of certificates of versions 0.1 and 0.2, whose maps are stated for proofs."""
-    if len(part.relation["menu"]):
-        # What maps are off by moves positions on the lattice by less than its points may be off.
-        pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
-        state_maps(agent, part, MatrixMaps(agent, part, np.zeros(len(pitch))).at, 1e-9 * pitch)
-    return linear_tables(agent, part)

@@ -26,7 +26,6 @@ from ..relations import (
     BoxRelation,
     CoupledRelation,
     ExactRelation,
-    LinearRelation,
     MapRelation,
     Relation,
     WrittenTargets,
@@ -177,23 +176,6 @@ def _aimed(s: _Setting, part: AgentPart, relation: WrittenTargets) -> Execution:
     return Execution(off, np.zeros(len(off)), np.zeros(len(s.u)), shift + _misread(s, s.read) + s.law)
 
 
-def _affine(s: _Setting, agent: AnyAgent, part: AgentPart, relation: LinearRelation) -> Execution:
-    """Targets that may move with the state are commanded like those of ``exact``; inputs of a menu are what they are.
-
-    The centre of the cell and the gain add as many operations again.
-    """
-    if relation.steers:
-        one = _exact(s, agent, part, relation.steers[0])
-        moving = s.unit * (np.abs(s.B @ relation.steers[0].right_inverse) + np.eye(len(s.x))) @ s.x
-        off = one.mean + moving
-        added = float(np.sqrt(np.sum((moving / s.deviations) ** 2)))
-        return Execution(off, one.disturbance, 2.0 * one.inputs, 1.5 * one.loss + DENSITY * added)
-    size = np.abs(s.A) @ s.x + np.abs(s.B) @ s.u + np.abs(s.c)
-    off = s.A_off @ s.x + s.B_off @ s.u + s.c_off + s.unit * size
-    added = DENSITY * float(np.sqrt(np.sum((off / s.deviations) ** 2)))
-    return Execution(off, np.zeros(len(s.x)), np.zeros(len(s.u)), added + _misread(s, s.read) + s.law)
-
-
 def targets_alone(part: AgentPart) -> AgentPart:
     """The targets of policies that have inputs as well, as lattice points; -1 where they choose something else."""
     first = len(part.relation["menu"])
@@ -254,7 +236,6 @@ def _not_independent(noise_off: FloatArray, deviations: FloatArray) -> float:
 CARRIED_OUT: dict[type, Callable[[_Setting, AnyAgent, AgentPart, Any], Execution]] = {
     ExactRelation: _exact,
     MapRelation: _mapped,
-    LinearRelation: _affine,
     BoxRelation: lambda setting, agent, part, relation: _boxed(setting, relation.gains),
     WrittenTargets: lambda setting, agent, part, relation: _aimed(setting, part, relation),
     CoupledRelation: lambda setting, agent, part, relation: _coupled(setting, part, relation),

@@ -1,8 +1,7 @@
 """The relation ``linear``, once more: losses, choices and stored factors by code of the check's own.
 
 With f(x) = E l(m(x) + w) for a choice ``m(x) = z + G (x - c)`` of a cell, and the values of f at the points of a
-lattice inside the cell's image, the certificate's factor is a multilinear function below f. What f may lack between
-points is at most ``sum_k |u_k|^2/8 sup (d^2 f)^+`` over the steps u_k between them (see ``linear_tables``).
+lattice inside the cell's image, the certificate's factor is a multilinear function below f (see ``written_linear``).
 """
 
 from __future__ import annotations
@@ -13,10 +12,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent, LinearAgent, with_matrices
+from ...envs.agents import AnyAgent
 from ..cells import FloatArray
 from ..masses import AgentPart
-from .linear_tables import ON_LATTICE, UNIT, LinearTables, grid_matrix, values_and_bends
+from .linear_tables import UNIT
 from .written_linear import WrittenTables, image_values, written_values
 
 RELATIVE = 1e-11
@@ -27,9 +26,8 @@ CHUNK = 3_000_000
 
 
 def linear_values(
-    agent: AnyAgent,
     part: AgentPart,
-    tables: LinearTables | WrittenTables,
+    tables: WrittenTables,
     factors: FloatArray,
     t: int,
     q: int,
@@ -41,7 +39,7 @@ def linear_values(
     """
     if not len(factors):
         return np.zeros((0, places_of(part))), np.ones(0, dtype=bool)
-    smoothed = _smoothed(part, tables, factors)
+    smoothed, largest = written_values(part, tables, factors), factors.max(axis=1, initial=0.0)
     d, parts = len(part.lattice), int(part.relation["parts"])
     policy = part.policy[min(t, len(part.policy) - 1), q]
     result = np.zeros((len(factors), part.grid.n_cells, 2**d))
@@ -54,7 +52,7 @@ def linear_values(
     pieces = len(chosen_cells) * len(factors) * (parts + 1) ** d // CHUNK + 1
     for cells in np.array_split(chosen_cells, pieces):
         if len(cells):
-            lower, at, lacking, blend = _corner_values(agent, part, tables, smoothed, cells, policy[cells])
+            lower, at, lacking, blend = _corner_values(part, tables, smoothed, largest, cells, policy[cells])
             result[:, cells] = lower
             if stored is not None:
                 # Any multilinear function will do that is below f at the points that are read by what f may lack.
@@ -67,14 +65,6 @@ def linear_values(
     return result.transpose(order).reshape(len(factors), -1), proved
 
 
-def _smoothed(part: AgentPart, tables: LinearTables | WrittenTables, factors: FloatArray) -> list[FloatArray]:
-    """Values of factors on the lattice and what is known of them between its points; last the largest of each (n,)."""
-    largest = factors.max(axis=1, initial=0.0)
-    if isinstance(tables, WrittenTables):
-        return [*written_values(part, tables, factors), largest]
-    return [*values_and_bends(tables, factors), largest]
-
-
 def by_cell(rows: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """Factors (n, places) by cell and corner: (n, S, 2^d)."""
     d = len(shape)
@@ -84,10 +74,10 @@ def by_cell(rows: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _corner_values(
-    agent: AnyAgent,
     part: AgentPart,
-    tables: LinearTables | WrittenTables,
+    tables: WrittenTables,
     smoothed: list[FloatArray],
+    largest: FloatArray,
     cells: NDArray[np.int64],
     choices: NDArray[np.integer],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -98,77 +88,13 @@ def _corner_values(
     """
     d = len(part.lattice)
     share = np.array(list(itertools.product(np.linspace(0.0, 1.0, int(part.relation["parts"]) + 1), repeat=d)))
-    if isinstance(tables, WrittenTables):
-        at, lacking, inside = image_values(part, tables, smoothed[:-1], smoothed[-1], cells, choices, share)
-    else:
-        agent = with_matrices(agent)
-        at, lacking, inside = _images(agent, part, tables, smoothed, cells, choices, share)
+    at, lacking, inside = image_values(part, tables, smoothed, largest, cells, choices, share)
     sides = np.array(list(itertools.product((0.0, 1.0), repeat=d)))
     corners = at[:, :, np.flatnonzero(np.all((share == 0.0) | (share == 1.0), axis=1))]
     blend = np.prod(np.where(sides[:, None] == 1.0, share, 1.0 - share), axis=2)
     # An image that leaves the lattice is not known there.
     at, lower = at * inside[:, None], _below(at, corners, corners @ blend, lacking) * inside[:, None]
     return lower, at, lacking, blend
-
-
-def _images(
-    agent: LinearAgent,
-    part: AgentPart,
-    tables: LinearTables,
-    smoothed: list[FloatArray],
-    cells: NDArray[np.int64],
-    choices: NDArray[np.integer],
-    share: FloatArray,
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Values (n, C, K) at the images of points ``share`` (K, d), what they may lack (n, C), and images inside (C,)."""
-    d, shape = len(part.lattice), tuple(len(axis) for axis in part.lattice)
-    n_points = math.prod(shape)
-    places = np.unravel_index(cells, part.grid.shape)
-    low = np.stack([edges[k] for edges, k in zip(part.grid.edges, places, strict=True)], axis=1)
-    high = np.stack([edges[k + 1] for edges, k in zip(part.grid.edges, places, strict=True)], axis=1)
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    if len(part.relation["menu"]):
-        A = grid_matrix(agent, part)
-        inputs = np.array(part.relation["menu"], dtype=float)[choices]
-        offset = np.linalg.solve(part.coordinates, (agent.offset + inputs @ agent.B.T).T).T
-        z, gains = middle @ A.T + offset, np.broadcast_to(A, (len(cells), d, d))
-    else:
-        gain, point = np.divmod(choices, n_points)
-        z = np.stack([axis[k] for axis, k in zip(part.lattice, np.unravel_index(point, shape), strict=True)], axis=1)
-        gains = gain[:, None, None] * np.eye(d)
-    position = z[:, None] + np.einsum("sij,sj,kj->ski", gains, half, 2.0 * share - 1.0)
-    first = np.array([axis[0] for axis in part.lattice])
-    pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
-    at, lacking, inside = _read(smoothed[0], smoothed[1], (position - first) / pitch, shape, tables.between)
-    # A choice that commands one mean has one value, and loses nothing.
-    lacking[:, ~gains.any(axis=(1, 2))] = 0.0
-    return at, lacking, inside
-
-
-def _read(
-    values: FloatArray, bends: FloatArray, position: FloatArray, shape: tuple[int, ...], between: bool
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Values (n, C, K) at positions (C, K, d) in lattice steps, what they may lack (n, C), and images inside (C,).
-
-    Images that are said to lie on the lattice and do not are not read.
-    """
-    whole = np.rint(position)
-    exact = np.abs(position - whole) <= ON_LATTICE
-    base = np.where(exact, whole, np.floor(position)).astype(np.int64)
-    rest = np.where(exact, 0.0, position - base)
-    last = np.array(shape) - 1
-    inside = np.all((base >= 0) & (base + (rest > 0) <= last), axis=(1, 2))
-    inside &= between | np.all(exact, axis=(1, 2))
-    base[~inside] = 0
-    read, lacking = np.zeros((len(values), *position.shape[:2])), np.zeros((len(values), len(position)))
-    for corner in itertools.product((0, 1), repeat=len(shape)):
-        weight = np.prod(np.where(np.array(corner) == 1, rest, 1.0 - rest), axis=2)
-        if not weight.any():
-            continue
-        flat = np.ravel_multi_index(tuple(np.moveaxis(np.minimum(base + np.array(corner), last), 2, 0)), shape)
-        read += weight * values[:, flat]
-        lacking = np.maximum(lacking, np.where(weight > 0.0, bends[:, flat], 0.0).max(axis=2))
-    return read, lacking, inside
 
 
 def _below(at: FloatArray, corners: FloatArray, between: FloatArray, lacking: FloatArray) -> FloatArray:

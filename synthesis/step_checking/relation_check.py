@@ -23,7 +23,6 @@ from ..relations import (
     BoxRelation,
     CoupledRelation,
     ExactRelation,
-    LinearRelation,
     MapRelation,
     Relation,
     WrittenTargets,
@@ -118,22 +117,6 @@ def _verify_exact(agent: AnyAgent, part: AgentPart, relation: ExactRelation, exe
     return _verify_targets(linear_agent(agent, "exact"), part, relation, part.policy, execution)
 
 
-def _verify_affine(agent: AnyAgent, part: AgentPart, relation: LinearRelation, execution: Execution) -> list[str]:
-    """Every choice is an input of the box, or a target with gain 0 or 1 that admissible inputs reach."""
-    if not relation.steers:
-        outside = (relation.menu < agent.input_box.low) | (relation.menu > agent.input_box.high)
-        return ["its menu holds inputs beyond its input box"] if np.any(outside) else []
-    n_points = int(np.prod([len(axis) for axis in part.lattice]))
-    failures = []
-    for number, steer in enumerate(relation.steers):
-        if steer.gain != number:
-            return ["its gains are not 0 and 1"]
-        chosen = part.policy // n_points == number
-        policy = np.where((part.policy >= 0) & chosen, part.policy % n_points, -1)
-        failures += _verify_targets(linear_agent(agent, "linear"), part, steer, policy, execution)
-    return failures
-
-
 def _verify_boxes(agent: AnyAgent, part: AgentPart, relation: BoxRelation, execution: Execution) -> list[str]:
     """Every input that is chosen is admissible at every point of its cells, with what is fed back there."""
     menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
@@ -154,7 +137,7 @@ def _verify_targets(
 ) -> list[str]:
     """Every target is reached by an admissible input from every point of its cell."""
     state("targets", agent, part, relation, choices, execution.inputs)
-    R, A = relation.right_inverse, relation.A - relation.gain * np.eye(len(relation.A))
+    R, A = relation.right_inverse, relation.A
     low, high = cell_boxes(part)
     centres = 0.5 * (low + high)
     spread = (0.5 * (high - low) * OUTWARD) @ np.abs(R @ A).T + execution.inputs
@@ -280,7 +263,6 @@ VERIFIED: dict[type, Callable[[AnyAgent, AgentPart, Any, Execution], list[str]]]
     MapRelation: _verify_maps,
     WrittenTargets: _verify_aims,
     ExactRelation: _verify_exact,
-    LinearRelation: _verify_affine,
     CoupledRelation: _verify_coupled,
 }
 """What verifies a relation, by what it is."""

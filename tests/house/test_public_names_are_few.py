@@ -1,4 +1,4 @@
-"""The surface: some 45 names, each verb for everything that it makes sense for, and old names for one release."""
+"""The surface: some 45 names, and each verb for everything that it makes sense for."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.cli.parser import build_parser
-from certigym.old_names import MOVED, RENAMED, REWRITTEN
 from certigym.synthesis.certificates import changed
 
 
@@ -27,28 +26,11 @@ def result(problem: cg.Problem) -> cg.Synthesis:
 
 def test_there_are_few_names() -> None:
     assert len(cg.__all__) <= 46
-    assert not {*MOVED, *RENAMED, *REWRITTEN} & {*cg.__all__}
-
-
-@pytest.mark.parametrize("name", [*MOVED, *RENAMED, *REWRITTEN])
-def test_old_names_work_and_say_what_to_write(name: str) -> None:
-    with pytest.warns(DeprecationWarning, match=f"certigym.{name} goes with the next release: write"):
-        assert callable(getattr(cg, name))
 
 
 def test_other_names_are_unknown() -> None:
-    with pytest.raises(AttributeError, match="has no attribute 'synthesise'"):
+    with pytest.raises(AttributeError, match="synthesise"):
         _ = cg.synthesise  # type: ignore[attr-defined]
-
-
-def test_old_verbs_are_new_ones(problem: cg.Problem, result: cg.Synthesis) -> None:
-    with pytest.warns(DeprecationWarning):
-        old = [getattr(cg, f"{verb}_horizons") for verb in ("synthesize", "validate")]
-    several = old[0](problem, [3, 2], 24, relation="exact")
-    assert [one.certificate.problem.horizon for one in several] == [3, 2]
-    assert several[0].certificate.lower_bound >= several[1].certificate.lower_bound > 0.0
-    (report,) = old[1](problem, [3], 200, cells=24, relation="exact")
-    assert report.episodes == 200 and report.lower_bound == result.certificate.lower_bound
 
 
 def test_what_has_a_file_is_saved_loaded_and_checked(result: cg.Synthesis, tmp_path: Path) -> None:
@@ -94,11 +76,10 @@ def test_other_horizons_are_refused(problem: cg.Problem, horizon: Any) -> None:
     ("words", "says"),
     [
         (["--memory", "4G"], "`certigym synthesize` and `certigym validate` have all options"),
-        (["--no-deadline"], "write `--horizon none`"),
         (["--nothing"], "unrecognized arguments: --nothing\n"),
     ],
 )
-def test_run_says_where_its_old_options_are(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_says_where_its_other_options_are(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["run", "reach-avoid-v0", *words])
     assert says in capsys.readouterr().err

@@ -95,8 +95,6 @@ def elsewhere(command: str, unknown: Sequence[str]) -> str:
     names = [word.partition("=")[0] for word in unknown if word.startswith("--")]
     if command != "run" or not names:
         return ""
-    if names[0] in ("--no-deadline", "--horizons"):
-        return "; write `--horizon none`, or several numbers after `--horizon`"
     if names[0].lstrip("-").replace("-", "_") in USUAL:
         return "; `certigym synthesize` and `certigym validate` have all options, `run` has the ten that matter most"
     return ""

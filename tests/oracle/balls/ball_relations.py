@@ -42,14 +42,13 @@ def targets(
     memory: Memory, agent: LinearAgent, part: AgentPart, relation: ExactRelation, choices: Any, rounding: FloatArray
 ) -> Proof:
     """Every target of every cell takes inputs of the box only, from all points of the cell."""
-    A = balls(relation.A) - balls(relation.gain * np.eye(agent.n_states))
     A_r, R = balls(relation.A), balls(relation.right_inverse)
     points, rows = int(np.prod(part.lattice_shape)), choices.reshape(-1, choices.shape[-1]).astype(np.int64)
     cell, target = np.divmod(np.unique((rows + np.arange(rows.shape[1]) * points)[rows >= 0]), points)
     low, high = map(balls, cell_boxes(part))
     centre, half = (low + high) / 2, (high - low) / 2
     base = balls(relation.input_centre) - (centre @ A_r.T + balls(relation.drift)) @ R.T
-    spread = half @ abs(R @ A).T + balls(rounding)
+    spread = half @ abs(R @ A_r).T + balls(rounding)
     places = zip(part.lattice, np.unravel_index(target, part.lattice_shape), strict=True)
     # Targets are few along each axis: what they add to inputs is the sum of what their coordinates add.
     moved: Balls = 0
