@@ -1,7 +1,7 @@
 """Forgeries of one cell: one entry of an honest claim changed, the claim adapted to what the check would then prove.
 
 ``forgeries`` changes fields of files in the large; here a single policy entry, factor, guard bit, lattice point, union,
-input, letter, corner, weight or choice of a menu is another one, so that nothing but the one check that is about it can
+input, letter, corner or weight is another one, so that nothing but the one check that is about it can
 see it. The forger knows the check: it claims what is recomputed from the changed certificate, or a little more than the
 honest claim if that is all that the check says.
 """
@@ -16,7 +16,6 @@ import numpy as np
 
 import certigym as cg
 from certigym.synthesis.certificates import HullProof, PathProof, changed
-from certigym.synthesis.permissions import Permission
 from certigym.synthesis.values import Terms
 
 Forged = tuple[str, Any]
@@ -25,12 +24,7 @@ Forged = tuple[str, Any]
 
 def forgeries_of(claim: Any, rng: np.random.Generator, each: int) -> Iterator[Forged]:
     """Forgeries of a claim, ``each`` of every sort."""
-    if isinstance(claim, Permission):
-        for name, menus in _repeated(_menus, claim, rng, each):
-            yield name, replace(claim, menus=menus)
-        for name, inside in _of_parts(claim.certificate, rng, 1):
-            yield f"certificate of menus: {name}", replace(claim, certificate=inside)
-    elif isinstance(claim.proof, PathProof):
+    if isinstance(claim.proof, PathProof):
         for along in (_nominal_input, _gain, _letter, _face):
             yield from _repeated(along, claim, rng, each)
     elif isinstance(claim.proof, HullProof):
@@ -233,28 +227,6 @@ def _kept(certificate: cg.Certificate, rng: np.random.Generator) -> Forged | Non
     other = replace(step, kept=(*step.kept[:q], again.astype(kept.dtype), *step.kept[q + 1 :]))
     skeleton = (*certificate.proof.skeleton[:t], other, *certificate.proof.skeleton[t + 1 :])
     return "kept vertex", changed(certificate, skeleton=skeleton)
-
-
-def _menus(permission: Any, rng: np.random.Generator) -> Forged | None:
-    """One choice more on one menu, or another one in the place of one."""
-    i = int(rng.integers(len(permission.menus)))
-    menus, part = permission.menus[i], permission.certificate.proof.agents[i]
-    flat = menus.counts.reshape(-1)
-    filled = np.flatnonzero(flat)
-    if not len(filled):
-        return None
-    place = int(rng.choice(filled))
-    begin, end = int(menus.ends[place]) - int(flat[place]), int(menus.ends[place])
-    other = int(rng.integers(int(np.prod(part.lattice_shape))))
-    if rng.random() < 0.5:
-        choices, counts = _put(menus.choices, int(rng.integers(begin, end)), other), menus.counts
-        name = "another choice on a menu"
-    else:
-        choices = np.insert(menus.choices, end, other).astype(menus.choices.dtype)
-        counts = _put(flat, place, flat[place] + 1).reshape(menus.counts.shape)
-        name = "one choice more on a menu"
-    other = type(menus)(counts, choices)
-    return name, (*permission.menus[:i], other, *permission.menus[i + 1 :])
 
 
 def _of_path(certificate: Any, rng: np.random.Generator, name: str, share: float) -> Forged | None:

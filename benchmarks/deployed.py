@@ -103,43 +103,6 @@ class Followed:
         return inputs
 
 
-class Permitted:
-    """Choices from menus, by one of several rules; any admissible input where a menu is empty."""
-
-    def __init__(self, permission: Any, way: str, episodes: int, seed: int) -> None:
-        self.permission, self.way, self.rng = permission, way, np.random.default_rng([seed, 3])
-        self.problem = permission.problem
-        self.q = np.full(episodes, self.problem.automaton.initial)
-
-    def __call__(self, states: list[np.ndarray], held: list[dict[str, np.ndarray]], t: int) -> list[np.ndarray]:
-        own = {name: value for each in held for name, value in each.items()}
-        letters = np.stack([own[name] for name in self.problem.propositions])
-        self.q = self.problem.automaton.next_state(self.q, letters)
-        inputs = []
-        for i, (agent, x) in enumerate(zip(self.problem.agents, states)):
-            menus, part = self.permission.menus[i], self.permission.certificate.proof.agents[i]
-            points = self.permission.certificate.controller.agents[i].project(x)
-            cells = part.grid.cell_of(points)
-            places = (t * menus.counts.shape[1] + self.q) * part.grid.n_cells + cells
-            counts, ends = menus.counts.reshape(-1)[places], menus.ends[places]
-            shares = self._shares(len(cells), x, points, part)
-            index = ends - counts + np.minimum((shares * counts).astype(np.int64), np.maximum(counts - 1, 0))
-            choices = menus.choices[np.where(counts > 0, index, 0)] if len(menus.choices) else np.zeros_like(index)
-            asked = self.permission.inputs(agent.name, x.T, choices).T
-            low, high = agent.input_box.low[:, None], agent.input_box.high[:, None]
-            anything = low + (high - low) * self.rng.random(asked.shape)
-            inputs.append(np.where(counts > 0, asked, anything))
-        return inputs
-
-    def _shares(self, n: int, x: np.ndarray, points: np.ndarray, part: Any) -> np.ndarray:
-        """Where on its menu each choice is, from 0 to 1: menus are in order of lattice points."""
-        if self.way == "random":
-            return self.rng.random(n)
-        if self.way == "outermost":  # away from the middle of the workspace
-            return (points[0] > 0.5 * (part.grid.edges[0][0] + part.grid.edges[0][-1])).astype(float)
-        return np.full(n, float(self.way == "highest"))
-
-
 class Networked:
     """A network for all agents, its actions computed here in single precision."""
 

@@ -8,7 +8,6 @@ if the same test, at the same level, refutes the claim made larger by so much.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,11 @@ import certigym as cg
 from cell_forgeries import forgeries_of
 from certigym.synthesis.certificates import AgentPath, GridProof, HullProof, PathProof, ProductProof, changed
 from certigym.synthesis.nominal_paths import certified_starts
-from certigym.synthesis.permissions import Permission
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import Network
 from certigym.synthesis.upper_ends import bound_above
 from certigym.validation.policies.actors import SharedActor
-from deployed import Deployed, Followed, Networked, Permitted, problem_of
+from deployed import Deployed, Followed, Networked, problem_of
 from independent import successes
 from random_problems import Spec
 from small_problems import small_spec
@@ -149,22 +147,6 @@ def _of_hull(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     return claims, _refused(hull)
 
 
-def _of_menus(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
-    """Menus, and four ways to choose from them."""
-    certificate = cg.synthesize(problem, **spec["options"]).certificate
-    if isinstance(certificate.proof, ProductProof):
-        raise ValueError("of independent tasks")
-    permission = cg.permit(certificate, probability=spec["share"] * certificate.lower_bound)
-    report = cg.check(permission)
-    ways = ("random", "lowest", "highest", "outermost")
-
-    def behaving(way: str) -> Callable[[int, int], Act]:
-        return lambda n, seed: Permitted(permission, way, n, seed)
-
-    claims = [(spec, behaving(way), permission.lower_bound) for way in ways]
-    return claims, "" if report else "; ".join(report.failures)
-
-
 def _of_networks(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """A random network as it is, whose actions are computed by other code."""
     actor = SharedActor(problem, random_network(problem, spec))
@@ -206,7 +188,6 @@ CLAIMS: dict[str, Callable[[cg.Problem, Spec], tuple[Claims, str]]] = {
     "nonlinear": _of_nonlinear,
     "fleets": _of_nonlinear,
     "hulls": _of_hull,
-    "menus": _of_menus,
     "networks": _of_networks,
     "upper": _of_upper_end,
 }
@@ -243,8 +224,6 @@ def _honest(problem: cg.Problem, spec: Spec) -> tuple[Any, Callable[[Any], Any]]
     certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
     if isinstance(certificate.proof, ProductProof):
         return None, cg.check
-    if "share" in spec:
-        return cg.permit(certificate, probability=spec["share"] * certificate.lower_bound), cg.check
     if "probability" in spec:
         return certified_starts(certificate, spec["probability"], rays=10), cg.check
     return certificate, cg.check
@@ -252,8 +231,6 @@ def _honest(problem: cg.Problem, spec: Spec) -> tuple[Any, Callable[[Any], Any]]
 
 def _claiming(claim: Any, lower: float) -> Any:
     """The same claim with another bound."""
-    if isinstance(claim, Permission):
-        return replace(claim, lower_bound=lower)
     if isinstance(claim.proof, PathProof | HullProof):
         return changed(claim, failure=1.0 - lower)
     return changed(claim, lower_bound=lower, bounds={claim.proof.bound: lower}, gap=None)
@@ -300,10 +277,7 @@ def _judged(spec: Spec, honest: Any, forged: Any, verify: Callable[[Any], Any], 
 
 def _behaviours(spec: Spec, claim: Any) -> Iterator[tuple[Spec, Act]]:
     """Problems and controllers that a claim is about."""
-    if isinstance(claim, Permission):
-        for way in ("random", "lowest", "highest", "outermost"):
-            yield spec, Permitted(claim, way, FIRST, 1)
-    elif isinstance(claim.proof, HullProof):
+    if isinstance(claim.proof, HullProof):
         for i in range(0, len(claim.proof.corners), 3):
             agent = {**spec["agents"][0], "initial_state": claim.proof.corners[i].tolist()}
             own = {**spec, "agents": [agent]}

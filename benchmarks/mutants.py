@@ -236,10 +236,6 @@ MUTANTS = [
         ("lost = _sup(head, (matrix - core @ carry).reshape(whole.shape), tail)", "lost = 0.0"),
     ),
     *_in(
-        "synthesis/permissions/permission_check.py",
-        ("np.minimum(found, values, out=found, where=has)", "np.maximum(found, values, out=found, where=has)"),
-    ),
-    *_in(
         "synthesis/shielding/noise_masses.py",
         ("return int(min(MOST_CELLS, np.nan_to_num(sides).max(initial=0.0)))", "return 0"),
         ("sides = sides / scales", "sides = sides * 1.0"),

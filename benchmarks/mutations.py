@@ -68,7 +68,7 @@ FOUND = ROOT / "docs" / "mutations.json"
 
 TRIALS = (
     ("paths", 3), ("paths", 5), ("nonlinear", 5), ("nonlinear", 8), ("fleets", 4), ("mixed", 2), ("states", 1),
-    ("laws", 1), ("neighbours", 1), ("common", 1), ("menus", 1), ("networks", 1), ("upper", 1),
+    ("laws", 1), ("neighbours", 1), ("common", 1), ("networks", 1), ("upper", 1),
 )  # fmt: skip
 """Random problems of other kinds (``small_problems``) that are certified, checked and simulated, too."""
 

@@ -441,24 +441,6 @@ def _hull(rng: np.random.Generator) -> Spec:
     return spec
 
 
-def _menus(rng: np.random.Generator) -> Spec:
-    """The relation `exact`, whose choices may be widened to menus; linear agents and expressions."""
-    agents = [_linear(rng, f"agent_{i}", 1, (0.1, 0.25)) for i in range(int(rng.choice([1, 2], p=[0.7, 0.3])))]
-    if rng.random() < 0.25:
-        agents = [_linear(rng, "agent_0", 2, (0.1, 0.25))]
-    written = rng.random() < 0.04
-    for agent in agents:
-        agent["input_low"] = (2.0 * np.array(agent["input_low"])).tolist()
-        agent["input_high"] = (2.0 * np.array(agent["input_high"])).tolist()
-        if written:
-            _in_words(rng, agent, _write_aimed)
-    sizes = (5, 8) if len(agents[0]["A"]) == 2 else (16, 36) if len(agents) == 1 and not written else (7, 12)
-    cells = {agent["name"]: [int(rng.integers(*sizes)) for _ in agent["A"]] for agent in agents}
-    spec = _told_starts(_problem(rng, agents, {"cells": cells, "relation": "exact", "value": "tree"}, (1, 2, 3, 4)))
-    spec["share"] = float(rng.choice([0.5, 0.8, 0.95, 0.999]))
-    return spec
-
-
 def _networks(rng: np.random.Generator) -> Spec:
     """Linear agents moved by one random network that leads them about to their middle."""
     d = int(rng.choice([1, 2], p=[0.8, 0.2]))
@@ -503,7 +485,6 @@ MAKERS: dict[str, Callable[[np.random.Generator], Spec]] = {
     "fleets": _fleet,
     "mixed": _mixed,
     "hulls": _hull,
-    "menus": _menus,
     "networks": _networks,
     "upper": _above,
 }

@@ -11,8 +11,7 @@ PAGE = ROOT / "docs" / "design.md"
 ORDER = {
     "envs": "arrays expressions agents logic problem dynamics pictures interfaces solo teams suite",
     "synthesis": "checker cells relations values readings models search bounds choosing path_bounds path_words "
-    "nominal_paths pairs controllers masses certificates bridges path_checking step_checking checking shielding "
-    "permissions",
+    "nominal_paths pairs controllers masses certificates bridges path_checking step_checking checking shielding",
     "validation": "statistics simulation verdicts audits shields policies figures reports studio paper",
 }
 """The rooms of each wing, in the order in which a problem passes through them."""

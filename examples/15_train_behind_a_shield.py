@@ -1,10 +1,9 @@
-"""Explore behind a shield, and hand out menus: a success probability that holds whatever is proposed."""
+"""Explore behind a shield: a success probability that holds whatever is proposed."""
 
 from __future__ import annotations
 
 import certigym as cg
 from certigym.baselines import RandomController
-from certigym.synthesis.permissions import Permission
 from certigym.synthesis.shielding import shield_of
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
@@ -23,11 +22,3 @@ shield = shield_of(certificate, 0.7)
 assert isinstance(shield, cg.Shield)
 policies = {"random": RandomController(), "random, shielded": cg.shield(RandomController(), shield)}
 print(cg.compare(problem, policies, episodes=4_000))
-
-# Menus: what is allowed is said beforehand, cell by cell, and serves as an action mask.
-permission: Permission = cg.permit(certificate, probability=0.7)
-cg.save(permission, "menus.npz")
-permission = cg.load("menus.npz")
-assert cg.check(permission)
-allowed = permission.mask("agent_0", [[-10.0]], q=0, time=0)
-print(permission, int(allowed.sum()), "choices at -10")

@@ -12,7 +12,6 @@ from .canonical import check_file
 from .certificates import MAX_BYTES, Certificate, CheckReport, Synthesis, load_certificate, save_certificate
 from .checker import bound_of, is_certificate
 from .checking import check as check_certificate
-from .permissions import Permission, check_permission, is_permission_file, load_permission, save_permission
 
 
 def save(kept: Any, path: str | Path, *, agent: str | None = None) -> Path:
@@ -20,8 +19,8 @@ def save(kept: Any, path: str | Path, *, agent: str | None = None) -> Path:
 
     Parameters
     ----------
-    kept : Certificate, Synthesis or Permission; or a policy, if the path ends in ``.onnx`` or ``.h``
-        Certificates and permissions become ``.npz`` files, which ``load`` and ``check`` read. A policy becomes a file
+    kept : Certificate or Synthesis; or a policy, if the path ends in ``.onnx`` or ``.h``
+        Certificates become ``.npz`` files, which ``load`` and ``check`` read. A policy becomes a file
         that runs elsewhere: ``.onnx`` for networks, as a graph from rows (N, n) to actions (N, m), float32 (the extra
         ``onnx``), which ``as_policy`` reads; ``.h`` for the tables of certified controllers of the relations ``exact``
         and ``linear`` as C, with the same inputs to the last bit.
@@ -38,20 +37,18 @@ def save(kept: Any, path: str | Path, *, agent: str | None = None) -> Path:
         save_policy(kept, path, agent)
     elif agent is not None:
         raise ValueError(f"`agent`: expected none for `{path}`, which holds no policy; leave it out")
-    elif isinstance(kept, Permission):
-        save_permission(kept, path)
     elif isinstance(kept, Certificate | Synthesis):
         save_certificate(kept, path)
     else:
         raise ValueError(
-            f"`kept`: expected a certificate or a permission for `{path}`, got {type(kept).__name__}; make one with "
-            "`synthesize`, `certify` or `permit`; policies are saved as .onnx or .h"
+            f"`kept`: expected a certificate for `{path}`, got {type(kept).__name__}; make one with "
+            "`synthesize` or `certify`; policies are saved as .onnx or .h"
         )
     return Path(path)
 
 
 def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Any:
-    """Return what a file holds: a Problem (``.toml``), a Certificate or a Permission (``.npz``).
+    """Return what a file holds: a Problem (``.toml``) or a Certificate (``.npz``).
 
     What is read is well-formed, and nothing it claims is trusted: its numbers are what the file says until ``check``
     has verified them.
@@ -71,17 +68,15 @@ def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Any:
     """
     if Path(path).suffix == ".toml":
         return load_problem(path)
-    if is_permission_file(path):
-        return load_permission(path, max_bytes)
     return load_certificate(path, max_bytes)
 
 
 def check(claim: Any, problem: Any = None) -> CheckReport:
-    """Verify what a certificate or a permission claims, by separate code that no search reaches.
+    """Verify what a certificate claims, by separate code that no search reaches.
 
     Parameters
     ----------
-    claim : Synthesis, Certificate, Permission, or path of one
+    claim : Synthesis, Certificate, or path of one
         Of files in the canonical form the small checker gives the verdict (docs/reference/certificate_format.md).
     problem : Problem, id or path, optional
         What is claimed must have been made for exactly this problem (fingerprint); by default the one inside it.
@@ -90,8 +85,7 @@ def check(claim: Any, problem: Any = None) -> CheckReport:
     -------
     CheckReport
         Truthy if the lower bounds were verified: at the start and, factor by factor, elsewhere; and the upper end of
-        the claim (``gap``) where it has one, unless ``above`` is None. Of a permission: that every behaviour within
-        its menus keeps the bound.
+        the claim (``gap``) where it has one, unless ``above`` is None.
 
     Raises
     ------
@@ -102,8 +96,4 @@ def check(claim: Any, problem: Any = None) -> CheckReport:
         verdict = check_file(claim, None if problem is None else as_problem(problem))
         numbers = bound_of(verdict.claimed), bound_of(verdict.recomputed)
         return CheckReport(verdict.proved, *numbers, () if verdict.proved else (verdict.reason,))
-    if isinstance(claim, str | Path) and is_permission_file(claim):
-        claim = load_permission(claim)
-    if isinstance(claim, Permission):
-        return check_permission(claim, problem)
     return check_certificate(claim, problem)

@@ -432,14 +432,6 @@ def shield(row: str, folder: Path) -> Claims:
     return Claims((promised,))
 
 
-def permission(row: str, folder: Path) -> Claims:
-    certificate = certificate_of(row)
-    permission = cg.permit(certificate, probability=0.8 * certificate.lower_bound)
-    report = cg.check(permission)
-    assert report, report
-    return Claims((0.8 * certificate.lower_bound,))
-
-
 def certified_policy(row: str, folder: Path) -> Claims:
     """A policy of the user's own, on the cells of the relation: inputs towards the goal."""
     problem, options = problem_of(row), {k: v for k, v in ROWS[row].settings.items() if k != "value"}
@@ -583,7 +575,7 @@ def kept(row: str, folder: Path) -> Claims:
 
 COLUMNS: dict[str, Callable[[str, Path], Claims]] = {
     "tree": tree, "train": train, "own upper end": own_upper_end, "opposite end": opposite_end, "check": checked,
-    "rigorous": rigorous, "shield": shield, "permission": permission, "certify": certified_policy, "network": network,
+    "rigorous": rigorous, "shield": shield, "certify": certified_policy, "network": network,
     "at": elsewhere, "values in time": values_in_time, "audit": audit, "field": fields, "stress": stressed,
     "compare": compared, "start box": start_box, "no deadline": no_deadline, "safety rate": safety,
     "budget": budgeted, "start=": begun, "device": on_device, "report": reported, "file": kept,

@@ -21,7 +21,6 @@ from certigym.synthesis.cells import in_grid_coordinates
 from certigym.synthesis.choosing import cell_budget, effort
 from certigym.synthesis.models import box_model, common_choices, ellipsoid_program, ellipsoid_search
 from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team
-from certigym.synthesis.permissions import permitting
 from certigym.validation.policies import imitation, probing
 from certigym.validation.reports import explorer
 from network_problems import RNG
@@ -48,8 +47,6 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     (nonlinear_team, "MOST_MOVES", 2),
     (nonlinear_team, "REFINED", 1),
     (nonlinear_team, "POLISHED", ((1, 6),)),
-    # Menus: the tolerance is found to a hundredth, not to 1e-4.
-    (permitting, "HALVINGS", 6),
     # Clones of controllers: a sixth of the regression, and of the episodes that choose among attempts.
     (imitation, "ROUNDS", 600),
     (probing, "CHOOSING", 1000),

@@ -28,7 +28,6 @@ from .synthesis.in_files import check as check
 from .synthesis.in_files import load as load
 from .synthesis.in_files import save as save
 from .synthesis.models import abstract as abstract
-from .synthesis.permissions import permit as permit
 from .synthesis.shielding import Shield as Shield
 from .synthesis.synthesize import synthesize as synthesize
 from .validation.audits import audit as audit
@@ -76,7 +75,6 @@ __all__ = [
     "load",
     "make_problem",
     "parallel_env",
-    "permit",
     "probe",
     "problem_ids",
     "record",

@@ -19,7 +19,7 @@ from .certificate import (
     why_nothing,
     with_claims,
 )
-from .certificate_file import UNREADABLE, certificate_in, load_certificate, save_certificate
+from .certificate_file import UNREADABLE, load_certificate, save_certificate
 from .check_report import CheckReport, told_assumed, told_claim
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
@@ -74,7 +74,6 @@ __all__ = [
     "path_under",
     "any_certificate",
     "as_certificate",
-    "certificate_in",
     "certificate_on_grids",
     "changed",
     "check_sizes",

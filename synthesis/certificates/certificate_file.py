@@ -15,7 +15,7 @@ from ...envs.agents import write_bytes
 from ...envs.problem import problem_from_dict
 from .archive import ALLOW, MAX_BYTES, VERSION, Stored, packed, unarchived
 from .certificate import Certificate
-from .grid_proof import GridProof, OnGrid
+from .grid_proof import GridProof
 from .hull_proof import HullProof
 from .joint_proof import JointProof, TimedProof
 from .mixed_proof import MixedProof
@@ -91,11 +91,6 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
         raise ValueError(
             f"`{path}`: expected a certigym certificate, version {VERSION}, got a file that is none: {message}"
         ) from error
-
-
-def certificate_in(raw: bytes, max_bytes: int = MAX_BYTES) -> OnGrid:
-    """Return the certificate on grids in the bytes of a file; raise one of ``UNREADABLE`` if there is none."""
-    return _read(raw, _Budget(max_bytes), frozenset({GridProof.kind}))
 
 
 @dataclass

@@ -15,7 +15,7 @@ the nearest cell, and always admissible.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -26,7 +26,7 @@ from ...envs.agents import tree_text
 from ..cells import FloatArray, Grid, cell_finder, shape_text
 from ..relations import BoxRelation, MapRelation, Relation
 from .abstract_state import Memory, Tracker, moved_into
-from .steering import BoxSteering, GivenChoices, MapSteering, MenuSteering, PolicyTable, TargetSteering
+from .steering import BoxSteering, MapSteering, MenuSteering, PolicyTable, TargetSteering
 
 STEERINGS = {MapRelation: MapSteering, BoxRelation: BoxSteering}
 """What carries choices out, by relation; those of all others are targets."""
@@ -114,22 +114,6 @@ class AgentController:
         points = self.project(states)
         steering, cells = self._target_steering, self._cell_of(points)
         return steering.inputs(cells, points, q, time, beside), None
-
-    def carried_out(
-        self,
-        choices: NDArray[Any],
-        states: FloatArray,
-        q: NDArray[Any],
-        time: int,
-        beside: FloatArray | None = None,
-    ) -> FloatArray:
-        """Return the inputs (m, n, M) of choices (n, M) that somebody made at states (d, n, M); see ``act``.
-
-        For relations without memory.
-        """
-        points = self.project(states)
-        steering = replace(self._target_steering, table=GivenChoices(np.asarray(choices, dtype=np.int32)))
-        return steering.inputs(self._cell_of(points), points, q, time, beside)
 
     def project(self, states: FloatArray) -> FloatArray:
         """Return the grid coordinates of states, moved into the grid if they are outside; NaN goes to the low edge."""

@@ -84,26 +84,6 @@ class PolicyTable:
 
 
 @dataclass(frozen=True, eq=False)
-class GivenChoices:
-    """Choices (n, M) that somebody made, one for every world, in the place of policies."""
-
-    given: NDArray[np.int32]
-    flat = None
-
-    def places(self, cells: NDArray[Any], q: NDArray[Any], time: int) -> NDArray[np.int64]:
-        """Return a place (n, M) for every world."""
-        return np.arange(self.given.size).reshape(self.given.shape)
-
-    def choices(self, places: NDArray[Any]) -> NDArray[np.int32]:
-        """Return the choices (n, M)."""
-        return self.given
-
-    def has_idle_cells(self, time: int) -> bool:
-        """Return whether there is no choice for some world."""
-        return bool(np.any(self.given < 0))
-
-
-@dataclass(frozen=True, eq=False)
 class TargetSteering:
     """Inputs that put the mean of the next state where policies say.
 
@@ -116,7 +96,7 @@ class TargetSteering:
     relation : ExactRelation or WrittenTargets
     """
 
-    table: PolicyTable | GivenChoices
+    table: PolicyTable
     grid: Grid
     lattice: tuple[FloatArray, ...]
     relation: ExactRelation | WrittenTargets
@@ -160,7 +140,7 @@ class _OnCells:
         Means per axis, in grid coordinates; for boxes axes on which they are read, on which no input depends.
     """
 
-    table: PolicyTable | GivenChoices
+    table: PolicyTable
     grid: Grid
     lattice: tuple[FloatArray, ...]
     relation: Any

@@ -205,18 +205,3 @@ def test_files_hold_exact_targets(tmp_path: Any) -> None:
     cg.save(certificate, tmp_path / "ring.npz")
     read = cg.load(tmp_path / "ring.npz")
     assert cg.check(read) and read.lower_bound == certificate.lower_bound
-
-
-def test_menus_of_targets_are_permitted() -> None:
-    """A permission offers targets in a disk; its check verifies each, and inputs put means there."""
-    certificate = certificate_of("turn")
-    permission = cg.permit(certificate, probability=0.9 * certificate.lower_bound)
-    assert permission.lower_bound >= 0.9 * certificate.lower_bound and cg.check(permission)
-    agent = certificate.problem.agents[0]
-    start = agent.initial.low
-    choices = np.flatnonzero(permission.mask("robot", start, certificate.problem.initial_q, 0)[0])
-    assert len(choices) > 10
-    inputs = permission.inputs("robot", np.tile(start, (len(choices), 1)), choices)
-    part = certificate.proof.agents[0]
-    targets = [axis[k] for axis, k in zip(part.lattice, np.unravel_index(choices, part.lattice_shape), strict=True)]
-    assert np.allclose(agent.mean(np.tile(start, (len(choices), 1)).T, inputs.T), targets, rtol=0.0, atol=1e-12)

@@ -56,7 +56,6 @@ BOTH_SIGNS = Reason(
 )
 ABSTRACT_STATE = Reason("without memory", "a tube has an abstract state that nobody sees but its controller")
 MAY_BE_LOST = Reason("delta = 0", "what may be lost at every step cannot be promised to others, nor for all times")
-ABSTRACT_MENU = Reason("expected the relation", "menus are inputs at states; choices at an abstract state are none")
 RELIED_ON = Reason(
     "chosen in common", "inputs that other agents rely on cannot be left open, cell by cell or to a learner"
 )
@@ -81,13 +80,6 @@ CANNOT: dict[str, dict[str, Reason]] = {
         **dict.fromkeys(PATHS, ON_PATHS),
         "subtraction": BY_SUBTRACTION,
     },
-    "permission": {
-        "train": BOTH_SIGNS,
-        **dict.fromkeys(["tube", "ellipsoid", "ellipsoid with delta", "paper"], ABSTRACT_MENU),
-        "boxes common input": RELIED_ON,
-        **dict.fromkeys(PATHS, ON_PATHS),
-        "subtraction": BY_SUBTRACTION,
-    },
     "certify": {"boxes common input": KNOWN_TO_ALL, **dict.fromkeys(PATHS, OWN_FEEDBACK)},
     "at": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": AT_PAIRS},
     "values in time": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": BY_SUBTRACTION},
@@ -107,9 +99,7 @@ CANNOT: dict[str, dict[str, Reason]] = {
 }
 """Refusals by mathematics: column, row, and why. The page of limits lists them (``docs/limits_table.py``)."""
 
-MENUS = "test_menus_of_inputs_keep_what_they_promise asks the same and more of these rows"
 SAME_END = "where something is lost, the opposite task is asked by the column `own upper end`"
-MENUS_IN_TIME = "menus in time are asked for in the row `exact in time`, those of linear cells in other rows"
 OTHER_ROWS = "cells are chosen by the relation, the noise and the neighbours, of which other rows have each"
 
 NOTHING_LOST = ["exact matrices", "exact Laplace", "exact expressions", "exact in time", "subtraction", "train"]
@@ -117,20 +107,6 @@ NOTHING_LOST = ["exact matrices", "exact Laplace", "exact expressions", "exact i
 
 ELSEWHERE: dict[str, dict[str, str]] = {
     "opposite end": {row: SAME_END for row in ROWS if row not in [*NOTHING_LOST, *PATHS]},
-    "permission": {
-        **dict.fromkeys(
-            [
-                "linear matrices",
-                "linear expressions",
-                "boxes matrices",
-                "boxes Laplace",
-                "boxes noise scale",
-                "boxes no noise",
-            ],
-            MENUS,
-        ),
-        "linear in time": MENUS_IN_TIME,
-    },
     "budget": dict.fromkeys(
         [
             "ellipsoid",

@@ -74,7 +74,6 @@ def test_rates_of_forged_certificates_are_refused(
 
 VERBS: dict[str, Callable[[Any], Any]] = {
     "a shield": lambda certificate: shield_of(certificate, 0.2),
-    "menus": lambda certificate: cg.permit(certificate, probability=0.2),
     "values in time": cg.value_in_time,
 }
 

@@ -12,7 +12,7 @@ import pytest
 
 import certigym as cg
 from certigym.baselines import IdleController
-from certigym.synthesis import controllers, permissions
+from certigym.synthesis import controllers
 from certigym.synthesis.cells import Grid
 from certigym.synthesis.shielding import shield_of
 from certigym.validation import audits, policies, simulation, verdicts
@@ -27,7 +27,6 @@ BEHIND_DOORS = {
     "Controller": controllers.Controller,
     "FieldReport": verdicts.FieldReport,
     "InputTable": controllers.InputTable,
-    "Permission": permissions.Permission,
     "Probe": policies.Probe,
     "Rollouts": simulation.Rollouts,
     "StressReport": verdicts.StressReport,
@@ -75,7 +74,6 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
         "LinearAgent": lambda: problem.agents[0],
         "Mismatch": lambda: cg.Mismatch(noise_scale=1.5, noise_family="student-t", dropout=0.1),
         "Pair": lambda: cg.Pair("agent_*", np.zeros(200), np.ones(200)),
-        "Permission": lambda: cg.permit(exact_one(), probability=1e-3),
         "Probe": lambda: probe_of(certificate),
         "Problem": lambda: problem,
         "Proposition": lambda: cg.Proposition("agent", np.zeros(200), np.ones(200)),

@@ -55,15 +55,13 @@ MAY_IMPORT = {
     "synthesis.step_checking": f"{ENVS} {CERTIFICATES} synthesis.path_checking",
     "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES} synthesis.path_checking synthesis.step_checking",
     "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
-    "synthesis.permissions": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.readings synthesis.models synthesis.search",
     "synthesis.path_bounds": f"{ENVS} {CERTIFICATES}",
     "synthesis.path_words": f"{ENVS} {CERTIFICATES} synthesis.path_bounds",
     "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES} synthesis.path_bounds synthesis.path_words",
     "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.checker synthesis.models synthesis.search "
-    "synthesis.bounds synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking synthesis.bridges "
-    "synthesis.permissions",
+    "synthesis.bounds synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking synthesis.bridges",
     "validation.statistics": "",
     "validation.simulation": f"{ENVS} envs.suite synthesis.bridges",
     "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",
@@ -71,7 +69,7 @@ MAY_IMPORT = {
     "validation.shields": f"{EVIDENCE} envs.interfaces envs.suite synthesis.bridges synthesis.shielding",
     "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis synthesis.bridges synthesis.checking "
     "synthesis.shielding validation.shields",
-    "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.checking synthesis.permissions "
+    "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.checking "
     "validation.verdicts validation.audits validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
     "validation.studio": f"{EVIDENCE} envs.pictures synthesis validation.reports",

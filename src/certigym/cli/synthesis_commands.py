@@ -169,7 +169,7 @@ def synthesize(options: Namespace) -> int:
 def check(options: Namespace) -> int:
     """Verify a saved certificate without simulation."""
     claim = load(options.certificate, limit_of(options))
-    certificate = getattr(claim, "certificate", claim)  # a permission is about one, too
+    certificate = claim
     problem = None if options.problem is None else named_problem(options.problem, options.horizon)
     report = check_claim(claim, problem)
     # A valid certificate may claim an upper end that is too large a computation to verify; say so.
