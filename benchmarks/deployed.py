@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.certificates import MixedProof, ProductProof
+from certigym.synthesis.certificates import ProductProof
 from random_problems import Spec
 
 
@@ -37,8 +37,6 @@ class Deployed:
     def __init__(self, certificate: Any, episodes: int, seed: int) -> None:
         self.problem = certificate.problem
         parts: Any = certificate.proof.parts if isinstance(certificate.proof, ProductProof) else (certificate,)
-        if isinstance(certificate.proof, MixedProof):  # each kind of agents by what its own automaton reads
-            parts = (certificate.proof.grids, certificate.proof.paths)
         names = self.problem.agent_names
         self.parts = [(part, [names.index(name) for name in part.problem.agent_names]) for part in parts]
         self.q = [np.full(episodes, part.problem.automaton.initial) for part, _ in self.parts]

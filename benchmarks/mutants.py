@@ -438,10 +438,6 @@ MUTANTS = [
         ("other.to_dict() != region.to_dict()", "other.agent != region.agent"),
     ),
     *_in(
-        "synthesis/checking/team_check.py",
-        ("base.initial_q == problem.initial_q:", "True:"),
-    ),
-    *_in(
         "synthesis/checking/certificate_check.py",
         ("if not certificate.lower_bound <= recomputed * (1.0 - rounding):", "if False:"),
     ),

@@ -67,12 +67,12 @@ FOUND = ROOT / "docs" / "mutations.json"
 """What came out last time, from which the page is written."""
 
 TRIALS = (
-    ("paths", 3), ("paths", 5), ("nonlinear", 5), ("nonlinear", 8), ("fleets", 4), ("mixed", 2), ("states", 1),
+    ("paths", 3), ("paths", 5), ("nonlinear", 5), ("nonlinear", 8), ("fleets", 4), ("states", 1),
     ("laws", 1), ("neighbours", 1), ("common", 1), ("networks", 1), ("upper", 1),
 )  # fmt: skip
 """Random problems of other kinds (``small_problems``) that are certified, checked and simulated, too."""
 
-OF_PATHS = ("paths", "nonlinear", "fleets", "mixed")
+OF_PATHS = ("paths", "nonlinear", "fleets")
 """Kinds of which alone something is claimed through the room ``path_checking``."""
 
 

@@ -371,27 +371,6 @@ def _fleet(rng: np.random.Generator) -> Spec:
     return _told_starts(spec)
 
 
-def _mixed(rng: np.random.Generator) -> Spec:
-    """An agent of one state, for a grid, and one written as expressions, for a path, which keep apart."""
-    first = _in_units(_linear(rng, "agent_0", 1, (0.03, 0.15)), 1.0)
-    second = _in_units(_linear(rng, "agent_1", int(rng.choice([2, 3])), (0.03, 0.1), wide=False), 1.0)
-    _in_words(rng, second, _write)
-    axis, half, middle = int(rng.integers(2)), rng.uniform(0.1, 0.4), rng.uniform(-0.1, 0.1)
-    pair = {"agents": ["agent_0", "agent_1"], "low": [middle - half], "high": [middle + half], "outputs": [[0], [axis]]}
-    singles: dict[str, Spec] = {}
-    for agent in (first, second):
-        agent["correlated"] = True  # no start boxes: pairs of a mixed team need known starts
-        if rng.random() < 0.7 or not singles:
-            singles[f"goal_{agent['name']}"] = _region(rng, agent, "goal")
-        _start(rng, agent, singles)
-    semantics = str(rng.choice(["co-safe", "finite-trace"]))
-    formula = _pair_task(rng, ["near"], [*singles], True, semantics)
-    spec = {"agents": [first, second], "propositions": singles | {"near": pair}, "formula": formula,
-            "text": text_of(formula), "semantics": semantics, "horizon": int(rng.choice([1, 2, 3, 5, 6])),
-            "options": {"relation": "mixed", "cells": {"agent_0": 20}}}  # fmt: skip
-    return _told_starts(spec)
-
-
 def _in_units(agent: Spec, unit: float) -> Spec:
     """The same agent with all of its states in one unit."""
     own = np.array(agent["state_high"]) / unit
@@ -483,7 +462,6 @@ MAKERS: dict[str, Callable[[np.random.Generator], Spec]] = {
     "paths": _path,
     "nonlinear": _nonlinear,
     "fleets": _fleet,
-    "mixed": _mixed,
     "hulls": _hull,
     "networks": _networks,
     "upper": _above,

@@ -47,16 +47,16 @@ TRUSTED = {
         "synthesis.certificates.grid_reader synthesis.certificates.claim synthesis.masses.part "
         "synthesis.certificates.proof synthesis.certificates.grid_proof synthesis.certificates.path_proof "
         "synthesis.certificates.hull_proof synthesis.certificates.subtraction_proof "
-        "synthesis.certificates.mixed_proof synthesis.certificates.joint_proof "
+        "synthesis.certificates.timed_proof "
         "synthesis.certificates.product_proof synthesis.certificates.seen "
         "synthesis.certificates.archive synthesis.certificates.written_values "
         "synthesis.values.terms"
     ),
     "What the controllers do": (
         "synthesis.cells.lookup synthesis.controllers.abstract_state synthesis.controllers.agent_controller "
-        "synthesis.controllers.controller synthesis.controllers.mixed_controller "
+        "synthesis.controllers.controller "
         "synthesis.controllers.path_controller synthesis.controllers.product_controller "
-        "synthesis.controllers.team_controller "
+        ""
         "synthesis.controllers.timed_controller synthesis.controllers.told "
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.affine_means synthesis.relations.coordinates "
@@ -76,7 +76,7 @@ TRUSTED = {
         "synthesis.step_checking.linear_tables synthesis.step_checking.mean_spans synthesis.step_checking.aim_spans "
         "synthesis.step_checking.map_spans synthesis.checking.network_check synthesis.step_checking.network_enclosures "
         "synthesis.checking.pair_moves "
-        "synthesis.path_checking.own_intervals synthesis.checking.mixed_check synthesis.path_checking.whereabouts "
+        "synthesis.path_checking.own_intervals "
         "synthesis.checking.pairs_check synthesis.checking.opposite_task synthesis.path_checking.path_check "
         "synthesis.path_checking.hull_check synthesis.path_checking.own_bends "
         "synthesis.path_checking.law_moments synthesis.path_checking.linear_deviations "
@@ -87,7 +87,7 @@ TRUSTED = {
         "synthesis.step_checking.checked_readings synthesis.checking.regrown_tree "
         "synthesis.step_checking.relation_check "
         "synthesis.path_checking.own_angles synthesis.path_checking.own_regions synthesis.path_checking.start_check "
-        "synthesis.checking.team_check synthesis.checking.timed_check "
+        "synthesis.checking.timed_check "
         "synthesis.checking.train_check "
         "synthesis.step_checking.turned_boxes "
         "synthesis.step_checking.uniform_noise synthesis.checking.upper_end synthesis.step_checking.written_linear"
@@ -142,8 +142,8 @@ THEN = {
     "synthesis.path_checking.own_bends synthesis.path_checking.gaussian_inequalities "
     "synthesis.path_checking.law_moments synthesis.certificates.path_proof "
     "synthesis.controllers.path_controller",
-    "pairs of agents, teams": "synthesis.checking.pairs_check synthesis.checking.team_check "
-    "synthesis.checking.mixed_check synthesis.path_checking.whereabouts synthesis.path_checking.pair_limits_check "
+    "pairs of agents, teams": "synthesis.checking.pairs_check "
+    "synthesis.path_checking.pair_limits_check "
     "envs.agents.pair",
     "angles": "synthesis.path_checking.own_angles envs.agents.angles envs.expressions.repeating",
     "regions and dynamics in time": "synthesis.checking.timed_check envs.problem.writing_out",
@@ -157,7 +157,7 @@ VERIFIED = (
     "envs.expressions.enclosure envs.expressions.intervals synthesis.relations.ellipsoid "
     "synthesis.relations.driven_means synthesis.relations.network_bounds synthesis.relations.network_maps "
     "synthesis.relations.rounding synthesis.relations.scalar synthesis.relations.tube "
-    "synthesis.certificates.mixed_states synthesis.cells.noise_reach"
+    "synthesis.cells.noise_reach"
 )
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 

@@ -1,8 +1,8 @@
-"""What the check says of results, and claims along paths and of mixed teams that it agrees with.
+"""What the check says of results, and claims along paths that it agrees with.
 
 Every verb that makes a certificate asks the check before it returns (``judged``). Search, check and the small checker
 enclose the same expressions by code of their own, and none is always the narrowest one. A claim that one of them would
-refuse by a little is of no use to anybody: of paths and mixed teams the largest probability of failing is claimed.
+refuse by a little is of no use to anybody: of paths the largest probability of failing is claimed.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any, ParamSpec, TypeVar
 from ..envs.problem import Problem, out_of_reach
 from .canonical import NotCanonicalError, verdict_of
 from .cells import NoRunFound
-from .certificates import AlongPath, Certificate, MixedProof, Synthesis, changed, path_under
-from .checking import check, checked_once, wrong_mixed
+from .certificates import AlongPath, Synthesis, changed, path_under
+from .checking import check, checked_once
 from .nominal_paths import CountedWork, path_certificate
 
 MOST_PAIRS = 15
@@ -100,12 +100,3 @@ def agreed_path(certificate: AlongPath) -> AlongPath:
     # The check says a bound near 1, and what is left of it is known up to its last digit alone.
     proved = 1.0 - report.recomputed + LAST_DIGIT if report else 1.0
     return changed(certificate, failure=min(1.0, proved * (1.0 + 1e-9)))
-
-
-def agreed_mixed(certificate: Certificate[MixedProof]) -> Certificate[MixedProof]:
-    """Return a mixed team's certificate that takes off no less for its pairs than the check does."""
-    failures, near = wrong_mixed(certificate, certificate.problem)
-    if failures or near <= certificate.proof.near:
-        return certificate
-    # Elsewhere sums may be rounded in another order.
-    return changed(certificate, near=min(1.0, near * (1.0 + 1e-9)))

@@ -29,8 +29,8 @@ from ..envs.problem import Problem, states_in_time, written_out
 from ..envs.suite import as_problem
 from .agreement import judged
 from .bridges import certifiable
-from .cells import CellCounts, FloatArray, RelationRefused
-from .certificates import Synthesis, joint_certificate, timed_certificate
+from .cells import CellCounts, FloatArray
+from .certificates import Synthesis, timed_certificate
 from .certification import certificate_of
 from .controllers import Decentralised, Policy, decentralised
 from .keeping_apart import less_nearness, nearness
@@ -45,10 +45,9 @@ from .models import (
     shifted,
     start_of,
 )
-from .pairs import NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
+from .pairs import NearMass, relevant_pairs, usual_values, without_pairs
 from .raw_networks import COVERED, certify_network, repair_network
 from .search import FINAL, Limits, Search, Sweep, sweep
-from .together import joint_cells
 from .upper_ends import synthesis_above
 
 WORTHWHILE = 1e-7
@@ -134,19 +133,6 @@ def _of_task(
 
 
 @dataclass(frozen=True, eq=False)
-class _OfJointAgent:
-    """Policies of a team as one of its joint agent, whose states and inputs are those of all."""
-
-    problem: Problem
-    policy: Decentralised
-
-    def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
-        """Return inputs (m, N) for joint states (d, N) and automaton states (N,)."""
-        own = [self.policy.inputs(i, states[columns], q, time) for i, columns in enumerate(self.problem.columns)]
-        return np.concatenate(own)
-
-
-@dataclass(frozen=True, eq=False)
 class _WrittenOut:
     """Policies of a problem that names the time as those of the problem written out, whose automaton counts steps.
 
@@ -183,20 +169,10 @@ def _in_time(
 def _about_pairs(
     problem: Problem, policy: Policy, cells: CellCounts, relation: Relations, settings: dict[str, Any]
 ) -> Synthesis:
-    """Certify a policy for a task about pairs: by subtraction where all agents are ``exact``, or as a joint agent."""
-    if relation not in ("auto", "exact", "joint"):
-        raise ValueError(f"`relation`: expected auto, exact or joint for a task about pairs, got {relation!r}")
-    raw = decentralised(problem, policy)
-    if relation != "joint":
-        try:
-            return _by_subtraction(problem, raw, cells, settings)
-        except RelationRefused:
-            if relation == "exact":
-                raise
-    joint = joint_problem(problem)
-    found, _ = _of_task(joint, _OfJointAgent(problem, raw), joint_cells(problem, cells), "auto", settings)
-    certificate = joint_certificate(problem, found.certificate)
-    return Synthesis(certificate, certificate.controller, found.stats)
+    """Certify a policy for a task about pairs, by subtraction."""
+    if relation not in ("auto", "exact"):
+        raise ValueError(f"`relation`: expected auto or exact for a task about pairs, got {relation!r}")
+    return _by_subtraction(problem, decentralised(problem, policy), cells, settings)
 
 
 def _by_subtraction(problem: Problem, policy: Decentralised, cells: CellCounts, settings: dict[str, Any]) -> Synthesis:

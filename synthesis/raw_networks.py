@@ -19,7 +19,7 @@ from ..envs.problem import Problem, written_out
 from ..envs.suite import as_problem
 from .bridges import certifiable
 from .cells import CellCounts, FloatArray, RelationRefused
-from .certificates import Certificate, OnGrid, Synthesis, joint_certificate, timed_certificate
+from .certificates import Certificate, OnGrid, Synthesis, timed_certificate
 from .certification import certificate_of
 from .keeping_apart import less_nearness, nearness
 from .models import (
@@ -31,12 +31,11 @@ from .models import (
     network_tables,
     start_of,
 )
-from .pairs import NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
+from .pairs import NearMass, relevant_pairs, usual_values, without_pairs
 from .relations import NetworkPolicy, network_policy
 from .search import FINAL, Limits, Stage, sweep
-from .together import MOST_GRID_STATES, joint_cells
 from .values import to_host
-from .written_networks import side_by_side, told_in_time
+from .written_networks import told_in_time
 
 RELATIONS = ("linear", "boxes")
 """How the means under networks are enclosed, in the order in which they are tried."""
@@ -138,22 +137,16 @@ def certify_network(
     given = as_problem(problem)
     if relation not in (*RELATIONS, "auto"):
         raise ValueError(f"`relation`: expected `linear` or `boxes` for networks as they are, got {relation!r}")
-    networks, found = _policies(given, actor), list[Synthesis]()
+    networks = _policies(given, actor)
     if given.labeling.pairs and given.names_time:
         raise ValueError(
             "`problem`: expected a task that is about pairs of agents or names the time `t`, got one that does both, "
             "of which only paths know; judge the network by rollouts, and `synthesize` with the relation `path`"
         )
     if given.labeling.pairs:
-        try:
-            found.append(_less_nearness(given, networks, cells, relation, targets_per_cell))
-        except RelationRefused:
-            if given.n_states > MOST_GRID_STATES:
-                raise
-    if not found or given.n_states <= MOST_GRID_STATES:
-        base, policies, base_cells = _written(given, networks, cells)
-        found.append(_of_given(given, _on_grids(base, policies, base_cells, relation, targets_per_cell)[0]))
-    return max(found, key=lambda synthesis: synthesis.certificate.lower_bound)
+        return _less_nearness(given, networks, cells, relation, targets_per_cell)
+    base, policies = _written(given, networks)
+    return _of_given(given, _on_grids(base, policies, cells, relation, targets_per_cell)[0])
 
 
 def _on_grids(
@@ -199,34 +192,19 @@ def _less_nearness(
 
 
 def _of_given(problem: Problem, found: Synthesis) -> Synthesis:
-    """Return what was found for a problem that may be written in another way, said of the problem itself."""
+    """Return what was found for a problem that may be written out in time, said of the problem itself."""
     if found.certificate.problem is problem:
         return found
-    certificate = (joint_certificate if problem.labeling.pairs else timed_certificate)(problem, found.certificate)
+    certificate = timed_certificate(problem, found.certificate)
     return Synthesis(certificate, certificate.controller, found.stats)
 
 
-def _written(
-    problem: Problem, policies: Sequence[NetworkPolicy], cells: CellCounts
-) -> tuple[Problem, Sequence[NetworkPolicy], CellCounts]:
-    """Return the problem as grids know it, what its networks are there, and the cells: without the time or pairs."""
-    if not problem.labeling.pairs:
-        base = written_out(problem)
-        return base, _rewritten(problem, base, policies), cells
-    if problem.n_states > MOST_GRID_STATES:
-        raise ValueError(
-            f"`problem`: expected a team of at most {MOST_GRID_STATES} states where propositions are about pairs, got "
-            f"{problem.n_states}: networks are repaired as that of one joint agent then; certify them as they are"
-        )
-    base = joint_problem(problem)
-    return base, _rewritten(problem, base, policies), joint_cells(problem, cells)
-
-
-def _rewritten(problem: Problem, base: Problem, policies: Sequence[NetworkPolicy]) -> Sequence[NetworkPolicy]:
-    """Return what the networks of a problem are where it is written in another way."""
-    if problem.names_time:
-        return told_in_time(problem, base, policies)
-    return policies if base.n_agents == problem.n_agents else [side_by_side(problem, base.agents[0], policies)]
+def _written(problem: Problem, policies: Sequence[NetworkPolicy]) -> tuple[Problem, Sequence[NetworkPolicy]]:
+    """Return the problem as grids know it, without the time, and what its networks are there."""
+    if not problem.names_time:
+        return problem, policies
+    base = written_out(problem)
+    return base, told_in_time(problem, base, policies)
 
 
 def repair_network(
@@ -254,7 +232,12 @@ def repair_network(
     given, began = as_problem(problem), time.perf_counter()
     if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 <= share <= 1.0:
         raise ValueError(f"`share`: expected a number from 0 to 1, got {share!r}")
-    problem, policies, cells = _written(given, _policies(given, actor), cells)
+    if given.labeling.pairs:
+        raise ValueError(
+            "`problem`: expected a task that is not about pairs, whose networks are repaired agent by agent, got one "
+            "about pairs; certify its networks as they are"
+        )
+    problem, policies = _written(given, _policies(given, actor))
     abstraction = network_abstraction(problem, policies, cells, targets_per_cell, "boxes", with_menu=True)
     middle = time.perf_counter()
     joint, tables = join(problem, abstraction), network_tables(problem, abstraction)
@@ -360,7 +343,9 @@ def differences(certificate: Certificate, actor: Any) -> list[str]:
     """
     problem, found = certificate.problem, list[str]()
     base = getattr(certificate.proof, "base", certificate)  # of proofs about a problem written in another way
-    policies = _rewritten(problem, base.problem, _policies(problem, actor))
+    policies: Sequence[NetworkPolicy] = _policies(problem, actor)
+    if problem.names_time:
+        policies = told_in_time(problem, base.problem, policies)
     for name, part, policy in zip(base.problem.agent_names, base.proof.agents, policies, strict=True):
         stored, given = part.relation.get("network"), policy.description
         if stored is None:

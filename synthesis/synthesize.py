@@ -16,7 +16,6 @@ from .agreement import along_path, judged
 from .cells import CellCounts, RelationRefused, to_who_asked_for_none
 from .certificates import (
     Certificate,
-    Offer,
     OnGrid,
     SubtractionProof,
     Synthesis,
@@ -251,20 +250,16 @@ def _of_task(
     if problem.labeling.pairs:
         if plan.budget is not None and cells is not None:
             raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
-        apart = start is not None and type(start.proof) is SubtractionProof
-        base: OnGrid | None = None
-        if start is not None:
-            base = start.proof.base if apart else _of_joint_agent(start)
-
-        def without_pairs(task: Problem, sizes: CellCounts, kinds: Relations) -> Synthesis:
-            if base is None or apart:
-                return _of_task(task, sizes, kinds, plan.anew())
-            again = replace(plan.anew(), settings=Settings(**_settings_of_start(task, kinds, base)))
-            return _of_task(task, sizes, kinds, again, base)
-
-        if apart and base is not None:
-            plan = replace(plan, settings=Settings(**settings_of(base, ["exact"] * problem.n_agents)))
-        return best_of(ways_together(problem, cells, relation, plan, without_pairs, base, apart), plan.effort)
+        if start is None:
+            return best_of(ways_together(problem, cells, relation, plan), plan.effort)
+        if type(start.proof) is not SubtractionProof:
+            raise ValueError(
+                "`start`: expected a certificate by subtraction for a task about pairs, got one of the kind "
+                f"{start.proof.kind!r}; other ways begin anew; leave it out"
+            )
+        base: OnGrid = start.proof.base
+        plan = replace(plan, settings=Settings(**settings_of(base, ["exact"] * problem.n_agents)))
+        return best_of(ways_together(problem, cells, relation, plan, base), plan.effort)
     if relation == "path":
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
@@ -302,7 +297,7 @@ def ways_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Way]]]:
     if problem.joint_noise:
         ways = _under_joint_noise(problem, None, "auto", plan, None)
     elif problem.labeling.pairs:
-        ways = ways_together(problem, None, "auto", plan, nothing)
+        ways = ways_together(problem, None, "auto", plan)
     elif problem.names_time:
         ways = ways_in_time(problem, plan, nothing)
     elif names_inputs(problem):
@@ -354,16 +349,6 @@ def _refuse_outside(problem: Problem) -> None:
                 f"`initial_state`: expected a start in the workspace of agent `{name}`, got one outside; no task is "
                 "satisfied from there; correct the start, or `state_low` and `state_high`"
             )
-
-
-def _of_joint_agent(start: Certificate) -> OnGrid:
-    """Return the certificate of the joint agent that a team begins with; raise ValueError if it is of another kind."""
-    if Offer.OWN_STATES not in start.proof.lacks:
-        raise ValueError(
-            "`start`: expected the certificate of a joint agent for a task about pairs, got one of the kind "
-            f"{start.proof.kind!r}; other ways begin anew; leave it out"
-        )
-    return checked_certificate(start, "start")
 
 
 def _settings_of_start(problem: Problem, relation: Relations, start: OnGrid) -> dict[str, Any]:

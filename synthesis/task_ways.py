@@ -38,7 +38,6 @@ from .choosing import (
     with_settings,
     work_of,
 )
-from .mixed_teams import mixed_way
 from .models import (
     Abstraction,
     Policies,
@@ -114,9 +113,6 @@ def ways_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Pla
         ends = GOOD if any(np.any(agent.still_axes) for agent in problem.agents) else 0.0
         path = replace(path_way(problem, plan), work=0.0, ends=ends)
         on_grids = Way("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
-        mixed = mixed_way(problem, None, plan)
-        if plan.paths and not mixed.refusal:  # a path may be weak where some agents would do better on grids
-            return [replace(path, ends=GOOD), mixed, *([on_grids] if ends else [])]
         return [path, on_grids] if plan.paths else [on_grids]
     return [*_on_grids(problem, kinds, plan), *([path_way(problem, plan)] if plan.paths else [])]
 

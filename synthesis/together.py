@@ -2,14 +2,12 @@
 
 By *subtraction* the task without its pairs is certified, and what pairs may spoil is subtracted: any number of agents,
 each of which looks at its own state alone. Along *paths* agents of any dynamics are planned together, and each looks at
-its own state alone, too. As a *joint* agent a small team is one agent on the product of its grids:
-each agent then looks at the states of all. See docs/theory/pairs.md.
+its own state alone, too. See docs/theory/pairs.md.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -18,18 +16,17 @@ import numpy as np
 from ..envs.problem import Problem
 from .agreement import along_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
-from .certificates import OnGrid, Synthesis, joint_certificate
+from .certificates import OnGrid, Synthesis
 from .certification import certificate_of
 from .choosing import SOLVED, Results, Way, policies_from, refine, refused
 from .keeping_apart import evaluated_by, kept_apart, less_nearness
-from .mixed_teams import mixed_way
 from .models import Relations, Settings, abstraction_of, check_names, join
 from .nominal_paths import refuse_without_path
 from .on_cells import Plan
-from .pairs import TEAM, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
+from .pairs import NearMass, relevant_pairs, usual_values, without_pairs
 from .search import FINAL, Search, find_policies
 
-WAYS = ("auto", "exact", "joint", "path", "mixed")
+WAYS = ("auto", "exact", "path")
 """Relations that a problem with pairs can be asked for; ``exact`` is the bound by subtraction."""
 
 PATH = 0.012
@@ -41,31 +38,14 @@ SUBTRACTION = 1e-5
 ENOUGH = 0.99
 """Bound from which no further way is tried."""
 
-MOST_GRID_STATES = 3
-"""States of a joint agent up to which it has a grid: four states of 64 cells each have 17 million."""
-
-MOST_PATH_STATES = 40
-"""States of a joint agent up to which a path is looked for."""
-
-SynthesizeTask = Callable[[Problem, CellCounts, Relations], Synthesis]
-"""Synthesis of a task without pairs, given its cells and relations."""
-
 
 def ways_together(
-    problem: Problem,
-    cells: CellCounts,
-    relation: Relations,
-    plan: Plan,
-    task: SynthesizeTask,
-    start: OnGrid | None = None,
-    begins_apart: bool = False,
+    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: OnGrid | None = None
 ) -> list[Way]:
     """Return the ways to certify a problem with pairs.
 
-    ``start`` is a certificate that the search begins with: of a joint agent (``task`` then begins with it), or, if it
-    ``begins_apart``, of the task without pairs.
+    ``start`` is a certificate of the task without pairs that the search on grids begins with.
     """
-    has_start = start is not None
     if problem.groups:
         raise ValueError(
             "`problem`: expected one task where propositions are about pairs, got independent tasks whose joint "
@@ -76,23 +56,19 @@ def ways_together(
     check_names("cells", cells, problem)
 
     def subtraction(results: Results) -> Synthesis:
-        _refuse_for_subtraction(plan, has_start and not begins_apart)
+        if plan.search.stationary:
+            raise RelationRefused(
+                "what pairs may spoil grows with every step, and nothing is left of a bound by subtraction without a "
+                "deadline"
+            )
         if plan.budget is None:
             return by_subtraction(problem, cells, plan.search, plan.settings, start)
         base, kinds = without_pairs(problem, usual_values(problem)), ["exact"] * problem.n_agents
         run = partial(by_subtraction, problem, search=plan.search, settings=plan.settings)
         return refine(base, run, kinds, plan.budget)
 
-    def joint(results: Results) -> Synthesis:
-        if begins_apart:
-            raise RelationRefused("a joint agent has no policies of agents that see themselves alone to begin with")
-        if problem.n_states > MOST_GRID_STATES and _asks_for_grid(plan, has_start):
-            raise RelationRefused(f"a joint agent of {problem.n_states} states has no room for a grid")
-        found = as_one_agent(problem, cells, task)
-        return replace(found, stats={name: value for name, value in found.stats.items() if name != "tried"})
-
     def path(results: Results) -> Synthesis:
-        if cells is not None or _asks_for_grid(plan, has_start):
+        if cells is not None or _asks_for_grid(plan, start is not None):
             raise RelationRefused("paths have no grid, and need no `cells`, budget or start")
         return along_path(problem, plan.along_paths)
 
@@ -105,13 +81,10 @@ def ways_together(
     if subtracted.work > along.work:
         # A path in seconds comes before grids in minutes, which are left out only where nothing is left to gain.
         subtracted, along = replace(subtracted, enough=SOLVED), replace(along, ends=SOLVED)
-    # Without a grid of its own a joint agent is one more path.
-    after = along if problem.n_states > MOST_GRID_STATES else subtracted
-    ways = [subtracted, Way("joint", joint, 1.0 + after.work, ENOUGH, ENOUGH), along, mixed_way(problem, cells, plan)]
     if any(pair.moves for pair in problem.labeling.pairs):
         why = RelationRefused("grids know pairs that stand still, got some whose box or distance names the time `t`")
-        ways = [way if way.name == "path" else refused(way.name, why) for way in ways]
-    return [way for way in ways if relation in ("auto", way.name)]
+        subtracted = refused("exact", why)
+    return [way for way in (subtracted, along) if relation in ("auto", way.name)]
 
 
 def _subtraction_work(problem: Problem) -> float:
@@ -128,17 +101,6 @@ def _subtraction_work(problem: Problem) -> float:
 def _asks_for_grid(plan: Plan, has_start: bool) -> bool:
     """Return whether something is asked for that only grids have."""
     return has_start or plan.budget is not None or plan.search.stationary or plan.search.value == "train"
-
-
-def _refuse_for_subtraction(plan: Plan, has_start: bool) -> None:
-    """Refuse what the bound by subtraction has no answer to."""
-    if plan.search.stationary:
-        raise RelationRefused(
-            "what pairs may spoil grows with every step, and nothing is left of a bound by subtraction without a "
-            "deadline; ask for `joint`"
-        )
-    if has_start:
-        raise RelationRefused("what is known of a joint agent is no start for agents that see themselves alone")
 
 
 def by_subtraction(
@@ -181,42 +143,3 @@ def by_subtraction(
         "near": certificate.proof.near,
     }
     return Synthesis(certificate, certificate.controller, stats)
-
-
-def as_one_agent(problem: Problem, cells: CellCounts, task: SynthesizeTask) -> Synthesis:
-    """Certify a small team as one agent that sees the states of all, on a grid or along a path.
-
-    Raises
-    ------
-    RelationRefused
-        If the team has too many states, or an agent is not linear with Gaussian noise.
-    """
-    joint = joint_problem(problem)
-    if problem.n_states > MOST_PATH_STATES:
-        raise RelationRefused(
-            f"a joint agent has at most {MOST_PATH_STATES} states, got {problem.n_states}; larger teams are certified "
-            "by subtraction (`exact`)"
-        )
-    if problem.n_states > MOST_GRID_STATES:
-        if cells is not None:
-            raise RelationRefused(
-                f"a joint agent of {problem.n_states} states has no room for a grid, and a path needs no `cells`"
-            )
-        found = task(joint, None, "path")
-    else:
-        found = task(joint, joint_cells(problem, cells), "auto")
-    certificate = joint_certificate(problem, found.certificate)
-    return Synthesis(certificate, certificate.controller, found.stats)
-
-
-def joint_cells(problem: Problem, cells: CellCounts) -> CellCounts:
-    """Return the cells of the joint agent: those of all agents, axis by axis."""
-    if not isinstance(cells, Mapping):
-        return cells
-    counts: list[int] = []
-    for agent in problem.agents:
-        if agent.name not in cells:
-            raise ValueError(f"`cells`: expected counts for all agents of a joint agent, {agent.name!r} is missing")
-        own = np.atleast_1d(np.asarray(cells[agent.name], dtype=int)).tolist()
-        counts += own * agent.n_states if len(own) == 1 else own
-    return {TEAM: tuple(counts)}

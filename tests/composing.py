@@ -204,7 +204,6 @@ ROWS: dict[str, Row] = {
     ),
     "path": Row(lambda: task(matrices(noise_covariance=[[0.01]])), None, {"relation": "path"}),
     "subtraction": Row(lambda: apart(), 24, {"relation": "exact"}),
-    "joint": Row(lambda: apart(), 16, {"relation": "joint"}, 1.05e6),
     "train": Row(lambda: task(matrices(), matrices("two")), 24, {"relation": "exact", "value": "train"}),
 }
 

@@ -34,9 +34,6 @@ from .given_certificate import (
 )
 from .grid_proof import GridProof, OnGrid, delta_of, value_of
 from .hull_proof import HullProof, corner, from_start
-from .joint_proof import JointProof, TimedProof, joint_certificate, timed_certificate
-from .mixed_proof import MixedProof
-from .mixed_states import known_letters, pairs_between, reached_states
 from .path_proof import SOMETIME, AgentPath, AlongPath, PathProof
 from .path_tube import KEPT, Tube, tube_along
 from .product_proof import ProductProof, product_certificate, split
@@ -44,6 +41,7 @@ from .proof import Offer, Proof
 from .result import Synthesis
 from .seen import Seen
 from .subtraction_proof import SubtractionProof
+from .timed_proof import TimedProof, timed_certificate
 
 __all__ = [
     "AgentPath",
@@ -54,10 +52,8 @@ __all__ = [
     "EXACT_GAP",
     "GridProof",
     "HullProof",
-    "JointProof",
     "KEPT",
     "MAX_BYTES",
-    "MixedProof",
     "Offer",
     "OnGrid",
     "PathProof",
@@ -83,9 +79,7 @@ __all__ = [
     "from_start",
     "certificate_from",
     "is_exact",
-    "joint_certificate",
     "joint_states",
-    "known_letters",
     "lasting_bound",
     "load_certificate",
     "member_agents",
@@ -94,9 +88,7 @@ __all__ = [
     "of_one_task",
     "on_cells",
     "packed",
-    "pairs_between",
     "product_certificate",
-    "reached_states",
     "relations_tried",
     "require",
     "rounded_down",

@@ -2,8 +2,8 @@
 
 A certificate speaks of one problem (dynamics, regions, automaton, horizon, start: its fingerprint) and one set of
 policies. Its *proof* holds these policies and the numbers from which ``check``, a short separate program, computes the
-bound again. Proofs are of several kinds: on grids, along paths, for sets of starts, by subtraction, of mixed teams, of
-joint agents, written out in time, and products of independent tasks. Whoever needs something that not every proof has
+bound again. Proofs are of several kinds: on grids, along paths, for sets of starts, by subtraction,
+written out in time, and products of independent tasks. Whoever needs something that not every proof has
 asks for it (``require``).
 """
 
@@ -37,8 +37,8 @@ class Certificate(Generic[P_co]):
     problem : Problem
         What it is about: the continuous closed loop, with its start.
     proof : Proof
-        How the bound is proved: ``GridProof``, ``PathProof``, ``HullProof``, ``SubtractionProof``, ``MixedProof``,
-        ``JointProof``, ``TimedProof`` or ``ProductProof``. Certificates that it is put together of are its ``parts``.
+        How the bound is proved: ``GridProof``, ``PathProof``, ``HullProof``, ``SubtractionProof``,
+        ``TimedProof`` or ``ProductProof``. Certificates that it is put together of are its ``parts``.
     settings : dict
         Every setting of abstraction and search with which it was found; nothing depends on them.
     """

@@ -17,18 +17,17 @@ from .archive import ALLOW, MAX_BYTES, VERSION, Stored, packed, unarchived
 from .certificate import Certificate
 from .grid_proof import GridProof
 from .hull_proof import HullProof
-from .joint_proof import JointProof, TimedProof
-from .mixed_proof import MixedProof
 from .path_proof import PathProof
 from .product_proof import ProductProof
 from .proof import Proof
 from .result import Synthesis
 from .subtraction_proof import SubtractionProof
+from .timed_proof import TimedProof
 
 PROOFS: dict[str, type[Proof]] = {
     proof.kind: proof
     for proof in (
-        GridProof, PathProof, HullProof, SubtractionProof, MixedProof, JointProof, TimedProof, ProductProof
+        GridProof, PathProof, HullProof, SubtractionProof, TimedProof, ProductProof
     )
 }  # fmt: skip
 """Kinds of proofs, by their names in files."""

@@ -52,28 +52,6 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenJointly(Seen):
-    """Runs of a team, as those of its joint agent."""
-
-    def states(self, states: Arrays) -> Arrays:
-        """Return the states of all agents as one."""
-        return (np.concatenate(states),)
-
-    def inputs(self, inputs: Arrays, time: NDArray[np.int64]) -> Arrays:
-        """Return the inputs of all agents as one."""
-        return (np.concatenate(inputs),)
-
-    def given_back(self, inputs: Arrays) -> Arrays:
-        """Return the inputs of the joint agent as those of the team's."""
-        (joined,) = inputs
-        return tuple(joined[columns] for columns in self.problem.input_columns)
-
-    def overridden(self, which: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the same for all: inputs of a team are judged together."""
-        return np.repeat(which, self.problem.n_agents, axis=0)
-
-
-@dataclass(frozen=True, eq=False)
 class SeenInTime(Seen):
     """Runs of a problem that names the time, as those of the problem written out.
 

@@ -1,14 +1,13 @@
 """The proof done again, by code that no search reaches: cells, guards, trees, teams, and the claim."""
 
-from .certificate_check import check, wrong_base
+from .certificate_check import check
 from .checked_first import checked_once, claim_text, standing
 from .greedy import Greedy, greedy_disturbance
 from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
 from .later_values import ValueInTime, claimed_values, value_in_time
-from .mixed_check import wrong_mixed
 from .opposite_task import other_controllers, wrong_opposite
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
-from .team_check import wrong_team
+from .timed_check import wrong_in_time
 
 __all__ = [
     "BrokenTreeError",
@@ -29,8 +28,6 @@ __all__ = [
     "value_in_time",
     "ValueInTime",
     "vertices_of",
-    "wrong_base",
-    "wrong_mixed",
+    "wrong_in_time",
     "wrong_opposite",
-    "wrong_team",
 ]

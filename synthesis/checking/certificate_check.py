@@ -38,8 +38,6 @@ from ..certificates import (
     CheckReport,
     GridProof,
     HullProof,
-    JointProof,
-    MixedProof,
     OnGrid,
     PathProof,
     ProductProof,
@@ -56,12 +54,10 @@ from ..values import UNIT, Terms
 from .forward_mass import TooManyProducts, masses
 from .grid_check import uneven_lattices, wrong_grids
 from .guard_check import wrong_guards
-from .mixed_check import wrong_mixed
 from .network_check import wrong_networks
 from .opposite_task import other_controllers, wrong_opposite
 from .pairs_check import wrong_pairs
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
-from .team_check import wrong_team
 from .timed_check import wrong_in_time
 from .train_check import Value, regrown_trains, train_start_value
 from .upper_end import MOST, attained, inexact
@@ -103,7 +99,7 @@ def _checked(certificate: Any, problem: Problem) -> CheckReport:
     if problem.joint_noise and proof is not PathProof:
         failures = ("its problem has agents that share noise, which it takes for independent",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
-    if problem.names_time and proof in (GridProof, SubtractionProof, JointProof):
+    if problem.names_time and proof in (GridProof, SubtractionProof):
         failures = ("its problem names the time, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     if problem.labeling.pairs and proof in (GridProof, HullProof):
@@ -146,40 +142,12 @@ def _check_pairs(certificate: Certificate[SubtractionProof], problem: Problem) -
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), above)
 
 
-def _check_mixed(certificate: Certificate[MixedProof], problem: Problem) -> CheckReport:
-    """Verify a mixed team: both parts like any others, that they are about the team, and what pairs may spoil."""
+def _check_timed(certificate: Certificate, problem: Problem) -> CheckReport:
+    """Verify the certificate of a problem that names the time: that its base is that problem, and like any other."""
     failures: list[str] = []
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
-    grids = paths = CheckReport(False, 0.0, float("nan"), ())
-    near = 1.0
-    if not failures:
-        grids, paths = check(certificate.proof.grids), check(certificate.proof.paths)
-        failures += [f"on grids: {failure}" for failure in grids.failures]
-        failures += [f"along paths: {failure}" for failure in paths.failures]
-    if not failures:
-        failures, near = wrong_mixed(certificate, problem)
-    if not failures and not near <= certificate.proof.near:
-        failures.append(
-            f"it says that pairs spoil {certificate.proof.near:.6g} at most, but what was recomputed is {near:.6g}"
-        )
-    recomputed = float("nan") if failures else max(0.0, grids.recomputed * paths.recomputed - near)
-    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
-
-
-def wrong_base(certificate: Certificate) -> list[str]:
-    """Return in what the problem that a certificate rests on is not its own, written in another way."""
-    if type(certificate.proof) is TimedProof:
-        return wrong_in_time(certificate)
-    return wrong_team(certificate.problem, certificate.proof.base.problem)
-
-
-def _check_written_otherwise(certificate: Certificate, problem: Problem) -> CheckReport:
-    """Verify the certificate of a problem that is written in another way: that it is, and its base like any other."""
-    failures: list[str] = []
-    if certificate.fingerprint != problem.fingerprint:
-        failures.append("it was made for another problem (the fingerprints differ)")
-    failures = failures or wrong_base(certificate)
+    failures = failures or wrong_in_time(certificate)
     if failures:
         return CheckReport(False, certificate.lower_bound, float("nan"), tuple(failures))
     return check(certificate.proof.base)
@@ -416,8 +384,6 @@ CHECKS: dict[type, Callable[[Any, Problem], CheckReport]] = {
     PathProof: _check_path,
     HullProof: _check_hull,
     SubtractionProof: _check_pairs,
-    MixedProof: _check_mixed,
-    JointProof: _check_written_otherwise,
-    TimedProof: _check_written_otherwise,
+    TimedProof: _check_timed,
 }
 """How each kind of proof is checked."""

@@ -3,11 +3,9 @@
 from .agent_controller import AgentController
 from .controller import Controller
 from .given_policies import LOCAL, Decentralised, InputTable, Policy, Vectorized, decentralised, vectorized
-from .mixed_controller import MixedController
 from .path_controller import PathController, covariances_of, nominal_states
 from .path_covariances import covariances_along
 from .product_controller import ProductController
-from .team_controller import TeamController
 from .timed_controller import TimedController
 
 __all__ = [
@@ -16,12 +14,10 @@ __all__ = [
     "Decentralised",
     "InputTable",
     "LOCAL",
-    "MixedController",
     "PathController",
     "Policy",
     "Vectorized",
     "ProductController",
-    "TeamController",
     "TimedController",
     "covariances_along",
     "covariances_of",

@@ -1,7 +1,7 @@
 """Certificates along a nominal path: the search for the path and its feedback, for one agent and for teams."""
 
 from .counted_work import CountedWork
-from .path_search import certified_paths, path_certificate, refuse_without_path
+from .path_search import path_certificate, refuse_without_path
 from .start_rays import certified_starts
 
-__all__ = ["CountedWork", "certified_paths", "certified_starts", "path_certificate", "refuse_without_path"]
+__all__ = ["CountedWork", "certified_starts", "path_certificate", "refuse_without_path"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 from itertools import chain, islice, zip_longest
@@ -17,7 +17,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 from ...envs.agents import LinearAgent, with_matrices
 from ...envs.problem import Problem, crossed_starts
 from ..cells import FloatArray, NoRunFound, RelationRefused
-from ..certificates import AgentPath, AlongPath, Certificate, PathProof, Synthesis
+from ..certificates import AgentPath, Certificate, PathProof, Synthesis
 from ..controllers import covariances_of, nominal_states
 from ..path_bounds import (
     Drifts,
@@ -46,7 +46,6 @@ from .angle_paths import along_angles
 from .counted_work import CountedWork
 from .nominal import ENOUGH, Response, nominal_inputs
 from .nonlinear_team import any_failure, nonlinear_certificate, refuse_other_noise
-from .some_paths import Whereabouts, paths_of_some
 from .turns import plans_of_runs
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
@@ -147,14 +146,6 @@ def linear_certificate(problem: Problem, work: CountedWork) -> tuple[Synthesis, 
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
     stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
     return Synthesis(certificate, certificate.controller, stats), plan
-
-
-def certified_paths(
-    problem: Problem, agents: Sequence[int], part_of: Callable[[int], Problem], work: CountedWork
-) -> tuple[AlongPath, list[Whereabouts]]:
-    """Return a certificate that some agents of a team keep the letters of their paths; see ``paths_of_some``."""
-    refuse_without_path(problem)
-    return paths_of_some(problem, agents, part_of, SOURCES, work)
 
 
 def refuse_without_path(problem: Problem) -> None:

@@ -116,8 +116,7 @@ class Avoidance:
             for t, presence in enumerate(presences[other]):
                 near = self.near(pair, (i, other), presence, usual)
                 result[t] *= near if usual else np.maximum(0.0, 1.0 - near)
-        beside = self.masses.beside
-        return result if beside is None else beside.thinned(i, self.joint, result)
+        return result
 
     def near(self, pair: PairRegion, agents: tuple[int, int], presence: FloatArray, surely: bool) -> FloatArray:
         """Return the mass (S_i,) of the second agent that may be, or surely is, near each cell of the first one."""

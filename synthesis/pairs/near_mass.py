@@ -26,7 +26,6 @@ from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..models import JointModel, Policies
 from ..values import Guards
-from .beside_paths import BesidePaths
 from .compared_states import compared_axes, marginal
 from .lattice_moves import moves_of
 
@@ -85,8 +84,6 @@ class NearMass:
         Which pairs the automaton asks about in each state.
     usual : (number of pairs,) bool array
         What each proposition is taken to be in ``base``: the mass is that of all runs in which one is otherwise.
-    beside : BesidePaths, optional
-        Of a mixed team: what pairs with agents along paths may spoil besides.
     """
 
     def __init__(
@@ -96,10 +93,8 @@ class NearMass:
         joint: JointModel,
         relevant: NDArray[np.bool_],
         usual: NDArray[np.bool_],
-        beside: BesidePaths | None = None,
     ) -> None:
         self.problem, self.base, self.joint, self.relevant, self.usual = problem, base, joint, relevant, usual
-        self.beside = beside
         self.pairs = problem.labeling.pairs
         for pair in self.pairs:
             compared_axes(problem, pair)  # refuses what the tables could not say
@@ -185,26 +180,17 @@ class NearMass:
 
         Open is a task that was undecided at the step before. The sum over steps and pairs may exceed 1.
         """
-        return sum(self.bounds(policies))
-
-    def bounds(self, policies: Policies) -> tuple[float, float]:
-        """Return that bound for pairs among agents on grids, and for pairs of these and agents along paths."""
         if self.unusual_at_start >= 1.0:
-            return 1.0, 0.0
+            return 1.0
         modes = self.modes(policies)
         asked = [self.relevant[states].any(axis=0) for states in modes]
-        among, between = self.unusual_at_start, 0.0
-        for t, (terms, points) in enumerate(zip(*self.course(policies), strict=True)):
+        near = self.unusual_at_start
+        for terms, points in zip(*self.course(policies), strict=True):
             for term, (lattice_masses, reach) in zip(terms, points, strict=True):
-                among += self._near(np.flatnonzero(asked[term.mode]), lattice_masses, reach)
-                if self.beside is not None:
-                    between += self.beside.charge(t + 1, modes[term.mode], lattice_masses, self.joint)
+                near += self._near(np.flatnonzero(asked[term.mode]), lattice_masses, reach)
         # What kernels lost on the way may be near, once for each agent.
         lost = self.joint.horizon * sum(moves.loss for moves in self.moves)
-        count = 0 if self.beside is None else len(self.beside.pairs)
-        first, second = (float(part) * INFLATION + SPARE * n + (lost * INFLATION if n else 0.0)
-                         for part, n in ((among, len(self.pairs)), (between, count)))  # fmt: skip
-        return first, second
+        return float(near) * INFLATION + SPARE * len(self.pairs) + lost * INFLATION
 
     @cached_property
     def unusual_at_start(self) -> float:

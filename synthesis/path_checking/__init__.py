@@ -6,19 +6,16 @@ from .own_angles import wrong_angles
 from .own_intervals import Span, bounds, computed_off, products, span
 from .own_regions import RegionSpan
 from .path_check import wrong_paths
-from .whereabouts import Whereabouts, whereabouts_along
 
 __all__ = [
     "Moving",
     "RegionSpan",
     "Span",
-    "Whereabouts",
     "bounds",
     "computed_off",
     "products",
     "span",
     "wrong_angles",
-    "whereabouts_along",
     "wrong_hull",
     "wrong_paths",
 ]

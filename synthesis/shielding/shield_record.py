@@ -19,7 +19,6 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import (
     Certificate,
-    Offer,
     OnGrid,
     ProductProof,
     Seen,
@@ -292,11 +291,6 @@ def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shie
     for member in members_of(certificate):
         _check_certificate(on_cells(member))
     certificate = standing(certificate)
-    if form != "joint" and Offer.OWN_STATES in certificate.proof.lacks:
-        raise ValueError(
-            f"`form`: expected 'joint' for a joint agent, got {form!r}; the certificate is about the inputs of all "
-            "agents together, and says nothing of one agent's input alone"
-        )
     if on_cells(certificate) is not None:
         source = _Source.of(certificate)
         if p > source.most:

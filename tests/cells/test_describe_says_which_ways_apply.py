@@ -89,7 +89,7 @@ def test_what_is_said_is_what_is_tried() -> None:
 
 
 def test_independent_tasks_and_pairs_have_ways_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
-    assert any("one joint agent" in line for line in said(capsys, str(OWN / "crane_cart_drone.toml")))
+    assert any("along a path" in line for line in said(capsys, str(OWN / "crane_cart_drone.toml")))
     assert said(capsys, "invariance-v0")
 
 

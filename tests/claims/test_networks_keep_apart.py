@@ -143,7 +143,7 @@ def robot(name: str, start: list[float]) -> LinearAgent:
 
 @cache
 def robots() -> tuple[cg.Problem, TeamActor, Any]:
-    """Two planar robots: four states, which no joint agent has a grid for."""
+    """Two planar robots: four states together."""
     agents = robot("one", [-1.0, -0.5]), robot("two", [1.0, 0.5])
     regions: dict[str, Any] = {
         "home_one": cg.Proposition("one", [-1.8, -1.8], [0.0, 0.0]),
@@ -198,13 +198,6 @@ def test_what_is_not_known_of_pairs_is_refused(what: str, monkeypatch: pytest.Mo
         monkeypatch.setattr(NearPoints, "__post_init__", lambda self: None)
         forged = cg.certify(problem, actor, 12, as_is=True)
         assert "has an angle" in cg.check(forged).failures[0]
-
-
-def test_small_teams_take_what_certifies_more() -> None:
-    """A joint agent knows where both are; subtraction charges a pair once per step, on cells of single agents."""
-    problem, actor, certificate = certified("matrices, linear cells")
-    found = cg.certify(problem, actor, 60, as_is=True).certificate
-    assert found.lower_bound >= certificate.lower_bound
 
 
 def test_starts_may_be_drawn_from_boxes() -> None:

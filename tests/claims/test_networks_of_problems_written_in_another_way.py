@@ -1,4 +1,4 @@
-"""Networks are certified as they are where the task names the time or pairs of agents, and changed ones are refused."""
+"""Networks are certified as they are where the task names the time, and changed ones are refused."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from certigym.synthesis.certificates import Certificate, TimedProof, any_certifi
 from certigym.synthesis.raw_networks import _policies, _written, certify_network, differences, repair_network
 from certigym.synthesis.relations import Network
 from certigym.synthesis.relations.driven_means import DrivenMeans
-from certigym.validation.policies.actors import SharedActor, TeamActor
+from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
-from composing import apart, expressions, matrices, timed
+from composing import expressions, matrices, timed
 from network_problems import with_network
 
 FALSE_ALARM = 1e-6
@@ -45,7 +45,6 @@ PROBLEMS: dict[str, Any] = {
     "regions move": (lambda: timed(matrices()), 60, "auto"),
     "all names the time": (drifting, 60, "boxes"),
     "dynamics in linear cells": (lambda: timed(expressions(dynamics=["0.9*x + 0.8*u + 0.6*sin(2*t)"])), 60, "linear"),
-    "a team with pairs": (apart, 40, "auto"),
 }
 
 
@@ -53,7 +52,7 @@ PROBLEMS: dict[str, Any] = {
 def certified(kind: str) -> tuple[cg.Problem, SharedActor, Any]:
     make, cells, relation = PROBLEMS[kind]
     problem = make()
-    actor = looking(problem, 8 if problem.labeling.pairs else 5)
+    actor = looking(problem, 5)
     return problem, actor, cg.certify(problem, actor, cells, as_is=True, above=True, relation=relation).certificate
 
 
@@ -75,7 +74,7 @@ def test_rollouts_of_the_network_lie_between_both_ends(kind: str) -> None:
 def test_a_network_answers_alike_however_the_problem_is_written(kind: str) -> None:
     """At all times, in all automaton states that go with one another, at 200 states."""
     problem, actor, certificate = certified(kind)
-    base, policies, _ = _written(problem, _policies(problem, actor), None)
+    base, policies = _written(problem, _policies(problem, actor))
     rng, n_q = np.random.default_rng(1), problem.automaton.n_states
     states = [rng.uniform(a.state_low, a.state_high, size=(200, a.n_states)).T for a in problem.agents]
     table = np.tile(np.arange(n_q), (problem.horizon + 1, 1))
@@ -85,10 +84,7 @@ def test_a_network_answers_alike_however_the_problem_is_written(kind: str) -> No
         for q in np.flatnonzero((table[t] >= 0) & ~base.automaton.absorbing[table[t]]).tolist():
             wanted = np.concatenate([actor.inputs(i, x, np.full(200, q), t) for i, x in enumerate(states)])
             asked = np.full(200, table[t, q])
-            if len(policies) == 1:
-                found = policies[0].inputs(np.concatenate(states), asked, t)
-            else:
-                found = np.concatenate([own.inputs(x, asked, t) for own, x in zip(policies, states, strict=True)])
+            found = np.concatenate([own.inputs(x, asked, t) for own, x in zip(policies, states, strict=True)])
             assert np.allclose(found[: len(wanted)], wanted, rtol=0.0, atol=1e-6)
             assert np.all(found[len(wanted) :] == t)  # a clock
 
@@ -143,12 +139,11 @@ def test_a_clock_that_is_not_the_time_is_refused() -> None:
     assert "its clock is not the time" in report.failures[0]
 
 
-@pytest.mark.parametrize("kind", ["regions move", "all names the time", "a team with pairs"])
+@pytest.mark.parametrize("kind", ["regions move", "all names the time"])
 def test_repairs_are_made_and_checked(kind: str) -> None:
     problem, actor, _ = certified(kind)
-    cells = 24 if kind == "a team with pairs" else 30
-    plain = certify_network(problem, actor, cells, relation="boxes").certificate
-    repaired, places = repair_network(problem, actor, cells)
+    plain = certify_network(problem, actor, 30, relation="boxes").certificate
+    repaired, places = repair_network(problem, actor, 30)
     assert cg.check(repaired.certificate) and "replaced" in differences(repaired.certificate, actor)[0]
     assert repaired.certificate.lower_bound > plain.lower_bound + 0.05
     assert places.worst(1)[0]["loss"] > 0.0
@@ -160,14 +155,3 @@ def test_certificates_travel(tmp_path: Path) -> None:
         cg.save(certificate, tmp_path / "network.npz")
         loaded = any_certificate(tmp_path / "network.npz")
         assert cg.check(loaded, problem) and loaded.lower_bound == certificate.lower_bound
-
-
-def test_agents_of_a_team_may_have_networks_of_their_own() -> None:
-    problem = apart()
-    networks = looking(problem, 1).network, looking(problem, 2).network
-    certificate = certify_network(problem, TeamActor(problem, networks), 24).certificate
-    assert cg.check(certificate) and differences(certificate, TeamActor(problem, networks)) == []
-    assert differences(certificate, TeamActor(problem, networks[::-1])) != []
-    deep = replace(networks[1], activation="relu")
-    with pytest.raises(ValueError, match="of one form"):
-        certify_network(problem, TeamActor(problem, (networks[0], deep)), 24)

@@ -19,7 +19,7 @@ FOLDER = Path(__file__).parents[1] / "data" / "kinds"
 """One small certificate of each kind."""
 
 KINDS = {
-    "hull": "hull", "joint": "joint", "mixed": "mixed", "opposite": "grid", "path": "path", "product": "product",
+    "hull": "hull", "opposite": "grid", "path": "path", "product": "product",
     "subtraction": "subtraction", "timed": "timed", "train": "grid",
 }  # fmt: skip
 """Names of files, and how what they hold was proved."""
@@ -79,7 +79,7 @@ def test_members_that_a_proof_has_no_answer_to_say_what_to_do() -> None:
     with pytest.raises(ValueError, match="initial_state=x"):
         cg.validate(hull, 10)
     assert cg.check(from_start(hull, hull.proof.corners.mean(axis=0)))
-    for name in ("hull", "mixed", "path", "subtraction"):
+    for name in ("hull", "path", "subtraction"):
         certificate = cg.load(FOLDER / f"{name}.npz")
         for ask in (certificate.at, lambda states, c=certificate: c.mean(states, states)):
             with pytest.raises(ValueError, match="`certificate`: expected"):
@@ -87,11 +87,10 @@ def test_members_that_a_proof_has_no_answer_to_say_what_to_do() -> None:
 
 
 def test_values_are_those_of_the_certificate_on_cells() -> None:
-    for name in ("joint", "timed"):
-        certificate = cg.load(FOLDER / f"{name}.npz")
-        start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
-        assert certificate.at(start) == on_cells(certificate).at(start) >= certificate.lower_bound - 1e-5
-        assert certificate.min(start, start) == on_cells(certificate).min(start, start)
+    certificate = cg.load(FOLDER / "timed.npz")
+    start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
+    assert certificate.at(start) == on_cells(certificate).at(start) >= certificate.lower_bound - 1e-5
+    assert certificate.min(start, start) == on_cells(certificate).min(start, start)
     product = cg.load(FOLDER / "product.npz")
     start = np.concatenate([agent.initial.low for agent in product.problem.agents])
     assert product.mean(start, start) == pytest.approx(product.lower_bound, rel=1e-3)
@@ -126,13 +125,17 @@ def test_hostile_headers_are_refused(name: str, entries: dict[str, Any], tmp_pat
 
 
 def test_parts_are_of_the_kinds_that_belong_there(tmp_path: Path) -> None:
-    """A file of a product in the place of the base of a joint agent, and so on: refused when it is read."""
-    for name, outer in (("product", "joint"), ("hull", "product"), ("joint", "mixed"), ("subtraction", "timed")):
+    """A file of a product in the place of the problem written out, and so on: refused when it is read."""
+    for name, outer in (
+        ("product", "subtraction"),
+        ("hull", "product"),
+        ("timed", "subtraction"),
+        ("subtraction", "timed"),
+    ):
         whole = cg.load(FOLDER / f"{outer}.npz")
         inner = cg.load(FOLDER / f"{name}.npz")
-        fields = {"joint": "base", "timed": "base", "mixed": "grids"}
         wrong: Any = (inner,) * len(whole.proof.parts) if outer == "product" else inner
-        object.__setattr__(whole.proof, fields.get(outer, "parts"), wrong)
+        object.__setattr__(whole.proof, "parts" if outer == "product" else "base", wrong)
         cg.save(whole, tmp_path / "wrong.npz")
         with pytest.raises(ValueError, match="expected a certigym certificate"):
             cg.load(tmp_path / "wrong.npz")
@@ -141,10 +144,10 @@ def test_parts_are_of_the_kinds_that_belong_there(tmp_path: Path) -> None:
 def test_parts_are_of_the_kinds_that_belong_there_in_memory_too() -> None:
     """The bound of a set of starts is none for the start of a problem: nothing else may rest on it."""
     hull = cg.load(FOLDER / "hull.npz")
-    for outer in ("joint", "timed", "mixed", "subtraction", "product"):
+    for outer in ("timed", "subtraction", "product"):
         whole: Any = cg.load(FOLDER / f"{outer}.npz")
-        fields: dict[str, Any] = {"mixed": {"grids": hull}, "product": {"parts": (hull,) * len(whole.proof.parts)}}
-        forged = changed(whole, **fields.get(outer, {"base": hull}))
+        fields = {"parts": (hull,) * len(whole.proof.parts)} if outer == "product" else {"base": hull}
+        forged = changed(whole, **fields)
         assert "proved in other ways" in str(cg.check(forged))
 
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import AgentPath, AlongPath, JointProof, PathProof
-from certigym.synthesis.checking.team_check import _wrong_first_letter as wrong_first_letter
+from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof
 from certigym.synthesis.nominal_paths import path_search
-from certigym.synthesis.pairs import joint_problem
 from certigym.synthesis.path_checking.start_check import wrong_start
 
 
@@ -74,18 +71,17 @@ def test_paths_from_outside_are_refused_by_the_search() -> None:
     assert cg.synthesize(returns(robot("robot", INSIDE))).certificate.lower_bound > 0.999
 
 
-def test_joint_agents_and_products_from_outside_are_refused_by_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_teams_and_products_from_outside_are_refused_by_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search is made to forget the start, and claims nearly 1; the check of what it made is not fooled."""
     monkeypatch.setattr("certigym.synthesis.synthesize._refuse_outside", lambda problem: None)
     monkeypatch.setattr(path_search, "refuse_without_path", lambda problem: None)
     monkeypatch.setattr("certigym.envs.problem.Problem.starts_outside", ())
     agents = robot("left", OUTSIDE), robot("right", [-1.0, 1.0, 0.0, 0.0])
     forged = [
-        cg.synthesize(returns(*agents, near=True), relation="joint").certificate,
         cg.synthesize(returns(*agents), relation="path").certificate,
         cg.synthesize(returns(agents[0]), relation="path").certificate,
     ]
-    assert isinstance(forged[0].proof, JointProof) and all(each.lower_bound > 0.9 for each in forged)
+    assert all(each.lower_bound > 0.9 for each in forged)
     monkeypatch.undo()
     for certificate in forged:
         report = cg.check(certificate)
@@ -132,32 +128,3 @@ def test_several_letters_may_lead_to_one_state() -> None:
     problem = cg.Problem(name="later", horizon=3, agents=[agent], propositions=regions, specification=task)
     wide = problem.replace(initial_low=[0.6] * 4, initial_high=[0.9] * 4)
     assert wide.initial_q == problem.initial_q is not None
-
-
-def test_a_joint_agent_may_start_on_a_face() -> None:
-    """Outputs of a team are enclosed on cells; its start is a point, and has one letter."""
-    small = {"A": [[1.0]], "B": [[1.0]], "noise_covariance": [[1e-3]], "state_low": [-2.0], "state_high": [2.0],
-             "input_low": [-1.0], "input_high": [1.0]}  # fmt: skip
-    agents = [cg.LinearAgent(name=name, **small, initial_state=[x]) for name, x in (("left", -1.0), ("right", 0.5))]
-    regions: dict[str, Any] = {
-        "start": cg.Proposition("left", [-1.0], [0.0]),  # its lower face is where the agent starts
-        "goal": cg.Proposition("right", [1.0], [2.0]),
-        "near": cg.Pair(["left", "right"], [-0.2], [0.2]),
-    }
-    task = cg.Specification("start & ((!near) U goal)", "co-safe")
-    problem = cg.Problem(name="faces", horizon=4, agents=agents, propositions=regions, specification=task)
-    assert joint_problem(problem).initial_q == problem.initial_q is not None
-    certificate = cg.synthesize(problem, relation="joint").certificate
-    assert certificate.lower_bound > 0.99
-    report = cg.check(certificate)
-    assert report and report.recomputed > 0.99
-
-
-@pytest.mark.parametrize(
-    ("is_point", "base", "team", "is_wrong"), [(True, 1, 2, True), (True, 2, 2, False), (False, 1, 2, False)]
-)
-def test_the_base_of_a_team_begins_with_its_first_letter(is_point: bool, base: int, team: int, is_wrong: bool) -> None:
-    """Rounding may put the outputs of the one agent on the other side of a face."""
-    agent = SimpleNamespace(initial=SimpleNamespace(is_point=is_point))
-    found = wrong_first_letter(SimpleNamespace(initial_q=team), SimpleNamespace(agents=[agent], initial_q=base))  # type: ignore[arg-type]
-    assert bool(found) is is_wrong

@@ -235,16 +235,6 @@ def test_subtraction_uses_a_box_around_and_a_box_within() -> None:
     assert not cg.check(replace(wider, problem=problem("G near", 7.0)))
 
 
-def test_one_agent_for_a_team_does_not_know_them() -> None:
-    with pytest.raises(ValueError, match="a joint agent has boxes of differences"):
-        agents = [mover("a", [-2.0, 0.0]), mover("b", [2.0, 0.5])]
-        problem = cg.Problem(
-            name="pair", horizon=4, agents=agents, propositions={"near": cg.Pair(["a", "b"], distance=1.0)},
-            specification=cg.Specification("F near", "co-safe"),
-        )  # fmt: skip
-        cg.synthesize(problem, 6, relation="joint")
-
-
 @pytest.mark.parametrize(
     ("value", "message"),
     [

@@ -119,26 +119,6 @@ def test_certificates_of_other_shapes_are_refused(wrong: dict[str, Any]) -> None
     assert not cg.check(replace(certificate, problem=meant), meant)
 
 
-def test_a_joint_agent_has_a_grid_for_it() -> None:
-    """Two carts on a line, the first of which may be ahead of the other by a half-line of the difference."""
-    carts = [
-        cg.LinearAgent(
-            name=name, A=[[1.0]], B=[[1.0]], noise_covariance=[[0.01]], state_low=[-3], state_high=[3], input_low=[-1],
-            input_high=[1], initial_state=[start],
-        )
-        for name, start in (("one", -1.0), ("two", 1.0))
-    ]  # fmt: skip
-    ahead = cg.Pair(["one", "two"], halfspace={"normal": [-1], "offset": -1})
-    problem = cg.Problem(
-        name="ahead", horizon=4, agents=carts, propositions={"ahead": ahead},
-        specification=cg.Specification("F ahead", "co-safe"),
-    )  # fmt: skip
-    result = cg.synthesize(problem, 24, relation="joint")
-    assert cg.check(result.certificate, problem)
-    assert result.certificate.lower_bound > 0.9
-    assert cg.rollout(problem, result.controller, 400).success.mean() >= result.certificate.lower_bound - 0.05
-
-
 @pytest.mark.parametrize(
     ("near", "said"),
     [

@@ -20,7 +20,6 @@ from certigym.envs.problem import groups as independent
 from certigym.synthesis.controllers import told
 from certigym.synthesis.controllers.path_controller import PathController
 from certigym.synthesis.controllers.product_controller import ProductController
-from certigym.synthesis.controllers.team_controller import TeamController
 from sample_problems import mixed_problem
 from team_problems import pairs
 
@@ -195,13 +194,12 @@ def test_the_sensors_of_independent_tasks_are_told_for_the_whole(monkeypatch: py
         cg.parallel_env(problem, sensor_noise=[0.1, 0.2])
 
 
-@pytest.mark.parametrize("kind", ["path", "team", "product"])
+@pytest.mark.parametrize("kind", ["path", "product"])
 def test_all_controllers_look_for_readings_first(kind: str) -> None:
     problem = cg.make_problem("reach-avoid-v0")
     names, path = problem.agent_names, [(np.zeros((3, 1)), np.zeros((1, 1)), None)] * 2
     inner: Any = PathController(problem, tuple(path))
-    controller: Any = {"path": inner, "team": TeamController(problem, inner)}.get(kind)
-    controller = controller or ProductController(problem, (inner,))
+    controller: Any = inner if kind == "path" else ProductController(problem, (inner,))
     _, infos = cg.parallel_env(problem, sensor_noise=0.1).reset(seed=0)
     for call in (controller.reset, controller.act):
         with pytest.raises(ValueError, match="exact sensors"):

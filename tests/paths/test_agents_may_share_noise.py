@@ -233,7 +233,7 @@ def test_the_check_refuses_what_forgets_it() -> None:
     assert not report.valid and "recomputed" in " ".join(report.failures)
 
 
-@pytest.mark.parametrize("relation", ["exact", "linear", "boxes", "joint"])
+@pytest.mark.parametrize("relation", ["exact", "linear", "boxes"])
 def test_grids_refuse_it(relation: str) -> None:
     problem = team([drone("drone_0", 0.0), drone("drone_1", 0.5)], WIND)
     with pytest.raises(ValueError, match="joint_noise"):

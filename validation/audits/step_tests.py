@@ -29,7 +29,7 @@ from ...envs.dynamics import Dynamics
 from ...envs.dynamics import worlds as core
 from ...envs.problem import Problem
 from ...synthesis.certificates import Certificate, OnGrid, ProductProof, alike_members, certificate_on_grids, on_cells
-from ...synthesis.checking import claimed_values, wrong_base
+from ...synthesis.checking import claimed_values, wrong_in_time
 from ...synthesis.values import Terms, Trains
 from ..simulation import (
     Batchable,
@@ -115,8 +115,8 @@ def audit(
                 "`certificate`: expected one about the problem itself beside other arguments, got one that rests on "
                 "the same problem written in another way; give its `.proof.base`, and the problem of that"
             )
-        # Values are functions of the states of a joint agent, or of an automaton that counts steps.
-        if wrong := wrong_base(certificate):
+        # Values are functions of the states of an automaton that counts steps.
+        if wrong := wrong_in_time(certificate):
             raise ValueError(
                 f"`certificate`: expected one whose `.proof.base` is about its problem, got another: {wrong[0]}"
             )

@@ -105,7 +105,7 @@ def explored(certificate: Any, seed: int, axes: Sequence[int] | None = None) -> 
 
 
 def has_values(certificate: Any) -> bool:
-    """Whether a certificate knows its bound at every start: on grids, of joint agents and of written out times, too."""
+    """Whether a certificate knows its bound at every start: on grids, and of written out times, too."""
     return all(on_cells(member) is not None for member in members_of(certificate))
 
 

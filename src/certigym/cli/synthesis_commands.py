@@ -83,7 +83,6 @@ WAY_WORDS = {
     "exact": "`exact`",
     "linear": "`linear`, level by level",
     "path": "along a path",
-    "joint": "one joint agent",
 }
 """What ways are called in ``describe``, where the name alone says too little."""
 

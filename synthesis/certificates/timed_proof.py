@@ -1,8 +1,4 @@
-"""Proofs for problems that are written in another way: as one joint agent, or without the time.
-
-A small team whose task is about pairs of agents is written with one agent whose state is the joint state, and whose
-outputs are those of all agents and the differences that pairs compare; its controller sees all states
-(docs/theory/pairs.md, "Joint agents").
+"""Proofs for problems that name the time, by those of the same problems written without it.
 
 A problem that names the time is written out without it: regions that move are a region for each place, the automaton
 counts steps, and dynamics that name the time have it as an input, the clock, which policies have to set to the time at
@@ -11,7 +7,7 @@ every step. Then runs, letters and verdicts of both problems are the same (docs/
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Self
@@ -20,18 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem, states_in_time, written_out
-from ..controllers import TeamController, TimedController
+from ..controllers import TimedController
 from .archive import Pool, Stored
 from .certificate import Certificate
 from .grid_proof import OnGrid
 from .proof import Offer, Proof
-from .seen import Seen, SeenInTime, SeenJointly
-
-ALL_TOGETHER = (
-    "that of a joint agent, whose cells are those of all states together; give its `.proof.base`, which is about the "
-    "joint agent"
-)
-"""What certificates of joint agents answer to whoever asks for cells of single agents."""
+from .seen import Seen, SeenInTime
 
 IN_TIME = (
     "one of a problem that names the time `t`, of whose steps nothing is said beyond its horizon; its `.proof.base` is "
@@ -41,14 +31,24 @@ IN_TIME = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _OfBase(Proof):
-    """A bound that is that of the same problem written in another way."""
+class TimedProof(Proof):
+    """A bound for a problem that names the time: that of the problem written out.
 
-    base: Certificate
+    Parameters
+    ----------
+    base : Certificate
+        Of the problem written out, on cells.
+    """
+
+    base: OnGrid
+
+    kind = "timed"
+    inside = frozenset({"grid"})
+    lacks = MappingProxyType({Offer.SAME_STEPS: IN_TIME})
 
     @property
     def parts(self) -> tuple[Certificate, ...]:
-        """The certificate of the problem written in another way."""
+        """The certificate of the problem written out."""
         return (self.base,)
 
     @property
@@ -103,69 +103,6 @@ class _OfBase(Proof):
         """Return the entries of its file."""
         return {"base": pool.put_file(self.base)}
 
-
-@dataclass(frozen=True, eq=False, repr=False)
-class JointProof(_OfBase):
-    """A bound for a team whose agents see one another: that of their joint agent.
-
-    Parameters
-    ----------
-    base : Certificate
-        Of the problem of the joint agent, on a grid or along a path.
-    """
-
-    kind = "joint"
-    inside = frozenset({"grid", "path"})
-    about = MappingProxyType({"information": "every agent sees the states of all"})
-
-    @property
-    def lacks(self) -> Mapping[Offer, str]:  # type: ignore[override]
-        """What it does not offer: cells of single agents, and whatever its base does not offer."""
-        return {Offer.OWN_STATES: ALL_TOGETHER, **self.base.proof.lacks}
-
-    @property
-    def bound(self) -> str:
-        """Name of the bound of the joint agent."""
-        return f"joint agent, {self.base.proof.bound}"
-
-    @property
-    def method(self) -> str:
-        """How the bound was found, in words."""
-        return f"joint agent that sees all states: {self.base.proof.method}"
-
-    def seen(self, problem: Problem) -> Seen:
-        """Return runs of the team, as those of the joint agent."""
-        return SeenJointly(problem)
-
-    def controller(self, problem: Problem) -> TeamController:
-        """Return the controllers: each agent sees the states of all."""
-        return TeamController(problem, self.base.controller)
-
-    @classmethod
-    def read(cls, problem: Problem, stored: Stored) -> Self:
-        """Return the proof in a file; raise ValueError if there is none."""
-        base = stored.certificate(stored.entry["base"])
-        if base.problem.n_agents != 1 or base.problem.n_states != problem.n_states:
-            raise ValueError("its base does not fit the problem")
-        return cls(base)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class TimedProof(_OfBase):
-    """A bound for a problem that names the time: that of the problem written out.
-
-    Parameters
-    ----------
-    base : Certificate
-        Of the problem written out, on cells.
-    """
-
-    base: OnGrid
-
-    kind = "timed"
-    inside = frozenset({"grid"})
-    lacks = MappingProxyType({Offer.SAME_STEPS: IN_TIME})
-
     @property
     def method(self) -> str:
         """How the bound was found, in words."""
@@ -195,11 +132,6 @@ class TimedProof(_OfBase):
         if other.fingerprint != base.fingerprint:
             raise ValueError("its base is not its problem written out")
         return cls(replace(base, problem=other))
-
-
-def joint_certificate(problem: Problem, base: Certificate) -> Certificate[JointProof]:
-    """Return the certificate of a team, given that of its joint agent."""
-    return Certificate(problem, JointProof(base), base.settings)
 
 
 def timed_certificate(problem: Problem, base: OnGrid) -> Certificate[TimedProof]:
