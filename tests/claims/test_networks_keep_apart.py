@@ -170,7 +170,7 @@ def test_teams_of_planar_robots_are_certified(tmp_path: Path) -> None:
 
 def test_what_is_not_done_is_refused_in_words() -> None:
     problem, actor, _ = robots()
-    with pytest.raises(ValueError, match="at most 3 states"):
+    with pytest.raises(ValueError, match="not about pairs"):
         repair_network(problem, actor, 16)
 
 
