@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.certificates import HullProof, PathProof, changed
+from certigym.synthesis.certificates import PathProof, changed
 from certigym.synthesis.values import Terms
 
 Forged = tuple[str, Any]
@@ -27,9 +27,6 @@ def forgeries_of(claim: Any, rng: np.random.Generator, each: int) -> Iterator[Fo
     if isinstance(claim.proof, PathProof):
         for along in (_nominal_input, _gain, _letter, _face):
             yield from _repeated(along, claim, rng, each)
-    elif isinstance(claim.proof, HullProof):
-        for around in (_corner, _corner_input, _hull_letter):
-            yield from _repeated(around, claim, rng, each)
     elif isinstance(claim, cg.Certificate):
         yield from _of_parts(claim, rng, each)
         for one in (_factor, _guard, _start_guard, _union, _kept):
@@ -266,26 +263,3 @@ def _face(certificate: Any, rng: np.random.Generator) -> Forged | None:
         return None
     place = tuple(avoided[int(rng.integers(len(avoided)))])
     return "face", changed(certificate, faces=_put(certificate.proof.faces, place, rng.integers(-1, 4)))
-
-
-def _corner(hull: Any, rng: np.random.Generator) -> Forged | None:
-    """One corner moved away from the middle."""
-    i = int(rng.integers(len(hull.proof.corners)))
-    middle = hull.proof.corners.mean(axis=0)
-    farther = middle + float(rng.choice([1.02, 1.3])) * (hull.proof.corners[i] - middle)
-    return "corner", changed(hull, corners=_put(hull.proof.corners, i, farther))
-
-
-def _corner_input(hull: Any, rng: np.random.Generator) -> Forged | None:
-    """One nominal input of one corner moved."""
-    place = _anywhere(hull.proof.inputs, rng)
-    agent = hull.problem.agents[0]
-    size = float(np.max(agent.input_high - agent.input_low))
-    return "input of a corner", changed(
-        hull, inputs=_put(hull.proof.inputs, place, hull.proof.inputs[place] + float(rng.choice([-0.2, 0.2])) * size)
-    )
-
-
-def _hull_letter(hull: Any, rng: np.random.Generator) -> Forged | None:
-    """One proposition at one time no longer asked for."""
-    return _letter(hull, rng)

@@ -15,8 +15,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from cell_forgeries import forgeries_of
-from certigym.synthesis.certificates import AgentPath, GridProof, HullProof, PathProof, ProductProof, changed
-from certigym.synthesis.nominal_paths import certified_starts
+from certigym.synthesis.certificates import GridProof, PathProof, ProductProof, changed
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import Network
 from certigym.synthesis.upper_ends import bound_above
@@ -132,21 +131,6 @@ def _of_nonlinear(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     return claims, refusals
 
 
-def _of_hull(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
-    """A set of starts: mixtures of few corners, and a corner that is hardly mixed."""
-    certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
-    hull = certified_starts(certificate, spec["probability"], rays=10)
-    rng, claims = np.random.default_rng([5, len(hull.proof.corners)]), list[Any]()
-    for alpha in (0.05, 1e-4)[:STARTS]:
-        weights = rng.dirichlet(np.full(len(hull.proof.corners), alpha) + 1e-6)
-        inputs = np.tensordot(weights, hull.proof.inputs, axes=1)
-        agent = {**spec["agents"][0], "initial_state": (weights @ hull.proof.corners).tolist()}
-        own = {**spec, "agents": [agent]}
-        path = [AgentPath(inputs, hull.proof.gain)]
-        claims.append((own, lambda n, seed, own=own, path=path: Followed(own, path), hull.lower_bound))
-    return claims, _refused(hull)
-
-
 def _of_networks(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """A random network as it is, whose actions are computed by other code."""
     actor = SharedActor(problem, random_network(problem, spec))
@@ -187,7 +171,6 @@ CLAIMS: dict[str, Callable[[cg.Problem, Spec], tuple[Claims, str]]] = {
     "paths": _of_path,
     "nonlinear": _of_nonlinear,
     "fleets": _of_nonlinear,
-    "hulls": _of_hull,
     "networks": _of_networks,
     "upper": _of_upper_end,
 }
@@ -224,14 +207,12 @@ def _honest(problem: cg.Problem, spec: Spec) -> tuple[Any, Callable[[Any], Any]]
     certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
     if isinstance(certificate.proof, ProductProof):
         return None, cg.check
-    if "probability" in spec:
-        return certified_starts(certificate, spec["probability"], rays=10), cg.check
     return certificate, cg.check
 
 
 def _claiming(claim: Any, lower: float) -> Any:
     """The same claim with another bound."""
-    if isinstance(claim.proof, PathProof | HullProof):
+    if isinstance(claim.proof, PathProof):
         return changed(claim, failure=1.0 - lower)
     return changed(claim, lower_bound=lower, bounds={claim.proof.bound: lower}, gap=None)
 
@@ -277,12 +258,7 @@ def _judged(spec: Spec, honest: Any, forged: Any, verify: Callable[[Any], Any], 
 
 def _behaviours(spec: Spec, claim: Any) -> Iterator[tuple[Spec, Act]]:
     """Problems and controllers that a claim is about."""
-    if isinstance(claim.proof, HullProof):
-        for i in range(0, len(claim.proof.corners), 3):
-            agent = {**spec["agents"][0], "initial_state": claim.proof.corners[i].tolist()}
-            own = {**spec, "agents": [agent]}
-            yield own, Followed(own, [AgentPath(claim.proof.inputs[i], claim.proof.gain)])
-    elif isinstance(claim.proof, PathProof):
+    if isinstance(claim.proof, PathProof):
         yield spec, Followed(spec, claim.proof.paths)
     else:
         yield spec, Deployed(claim, FIRST, 1)

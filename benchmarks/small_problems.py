@@ -410,16 +410,6 @@ def _pair_task(rng: np.random.Generator, pairs: list[str], goals: list[str], apa
     return forms[int(rng.integers(len(forms)))]
 
 
-def _hull(rng: np.random.Generator) -> Spec:
-    """Convex sets of starts around the start of a certificate along a path."""
-    d = int(rng.choice([1, 2, 3], p=[0.3, 0.5, 0.2]))
-    agent = _linear(rng, "agent_0", d, (0.04, 0.12), wide=d == 1 or rng.random() < 0.7)
-    agent["correlated"] = True
-    spec = _problem(rng, [agent], {"relation": "path"}, (1, 2, 3, 4))
-    spec["probability"] = float(rng.choice([0.5, 0.6, 0.7, 0.8, 0.9]))
-    return spec
-
-
 def _networks(rng: np.random.Generator) -> Spec:
     """Linear agents moved by one random network that leads them about to their middle."""
     d = int(rng.choice([1, 2], p=[0.8, 0.2]))
@@ -462,7 +452,6 @@ MAKERS: dict[str, Callable[[np.random.Generator], Spec]] = {
     "paths": _path,
     "nonlinear": _nonlinear,
     "fleets": _fleet,
-    "hulls": _hull,
     "networks": _networks,
     "upper": _above,
 }

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 import certigym as cg
-from certigym.synthesis.canonical import save_canonical
+from certigym.synthesis.certificates.canonical import save_canonical
 from certigym.synthesis.controllers import AgentController, Controller
 from certigym.validation.simulation import Rollouts
 from certigym.validation.verdicts import ValidationReport

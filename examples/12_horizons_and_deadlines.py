@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import certigym as cg
-from certigym.synthesis.nominal_paths import certified_starts
 
 problem = cg.make_problem("reach-avoid-v0")
 for result in cg.synthesize(problem, 100, horizon=(5, 6, 7)):
@@ -29,9 +28,3 @@ print("safe for k steps:", lasting, lasting.at([1, 100, 10_000]))
 parked = cg.synthesize(parking, above=True).certificate
 print(f"the controllers park with a probability of {parked.lower_bound} at least, {parked.upper_bound} at most")
 assert parked.lower_bound <= parked.upper_bound and cg.check(parked)
-
-# Along a path: starts from all of which a probability is kept, as a convex set that the check takes, too.
-along = cg.synthesize("integrator-chain-v0", relation="path")
-hull = certified_starts(along, probability=0.9, rays=16)
-print(hull)
-assert cg.check(hull)

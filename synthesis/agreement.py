@@ -9,27 +9,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
 from ..envs.problem import Problem, out_of_reach
-from .canonical import NotCanonicalError, verdict_of
-from .cells import NoRunFound
+from .cells import NoRunFound, RelationRefused
 from .certificates import AlongPath, Synthesis, changed, path_under
-from .checking import check, checked_once
+from .certificates.canonical import NotCanonicalError, verdict_of
+from .checking import checked_once
 from .nominal_paths import CountedWork, path_certificate
-
-MOST_PAIRS = 15
-"""Pairs up to which the check is asked: of larger teams it takes seconds."""
-
-LAST_DIGIT = 2.0**-52
-"""What numbers near 1 are rounded by, at most."""
-
-NEAR = 1.05
-"""How many times the failure that is claimed the small checker's may be for it to be claimed in its place."""
-
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -84,19 +73,9 @@ def agreed(found: Synthesis) -> Synthesis:
 
 
 def agreed_path(certificate: AlongPath) -> AlongPath:
-    """Return a certificate along a path that claims no more than the check proves; nor the small checker, if near.
-
-    Where the small checker proves visibly less, the claim is that of the extended check, and both numbers are shown.
-    """
-    if len(certificate.problem.labeling.pairs) > MOST_PAIRS:
-        return certificate
-    with suppress(NotCanonicalError):
+    """Return a certificate along a path that claims what the checker proves; nothing if it cannot be written for it."""
+    try:
         proved = verdict_of(certificate).recomputed
-        if certificate.proof.failure < proved <= NEAR * certificate.proof.failure:
-            certificate = changed(certificate, failure=min(1.0, proved * (1.0 + 1e-9)))
-    if checked_once(certificate):
-        return certificate
-    report = check(changed(certificate, failure=1.0))
-    # The check says a bound near 1, and what is left of it is known up to its last digit alone.
-    proved = 1.0 - report.recomputed + LAST_DIGIT if report else 1.0
+    except NotCanonicalError as reason:
+        raise RelationRefused(f"nothing can be proved along a trajectory: {reason}") from reason
     return changed(certificate, failure=min(1.0, proved * (1.0 + 1e-9)))

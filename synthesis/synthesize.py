@@ -34,7 +34,6 @@ from .models import (
     check_settings,
     relations_of,
 )
-from .nominal_paths import certified_starts
 from .on_cells import Plan, continued
 from .parts import synthesize_parts
 from .search import Limits, Search, sweep_bar
@@ -75,7 +74,6 @@ def synthesize(
     cells: CellCounts = None,
     *,
     horizon: int | Iterable[int] | str | None = OWN,
-    starts: float | None = None,
     relation: Relations = "auto",
     max_sweeps: int = 8,
     limits: Limits | None = None,
@@ -107,9 +105,6 @@ def synthesize(
         with the policies of the next shorter one. None: no deadline. Then policies do not look at the time, and the
         horizon is doubled until the bound, or the rate at which a safety task is kept (``safety_rate``), gains less
         than ``accuracy`` (default: 1e-6).
-    starts : float, optional
-        Probability in [0.5, 1) that is to hold from every start of a set: a convex set around the problem's start, of
-        one linear agent, along a path (see ``certified_starts``). Not with other ways.
     relation : str, or mapping from agent name to str
         ``"exact"`` (inputs reach every mean), ``"linear"`` and ``"boxes"`` (any agent), ``"path"`` (no cells, any
         number of states), or ``"coupled"``: the best of its three sets, which may also be asked for by their names
@@ -163,7 +158,7 @@ def synthesize(
     -------
     Synthesis, or list of Synthesis
         ``certificate.lower_bound`` holds at the problem's start: at its initial state, or on average over its start
-        box; with ``starts``, at every point of the set. With delta > 0 all bounds that apply are computed and the
+        box. With delta > 0 all bounds that apply are computed and the
         largest one is reported. ``checked`` is what ``check`` says of it.
 
     Raises
@@ -177,7 +172,6 @@ def synthesize(
     device_put(device)  # refuses a device that does not exist before any work is done
     problem = as_problem(problem)
     endless = horizon is None
-    relation = "path" if starts is not None and relation == "auto" else relation
     gain, accuracy = (accuracy, None) if endless else (None, accuracy)
     budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
     search = Search(max_sweeps, pruning, value, restarts, told, stationary or endless, device)
@@ -206,20 +200,14 @@ def synthesize(
     if isinstance(horizon, int | np.integer):
         problem, horizon = problem.replace(horizon=horizon), OWN
     if horizon == OWN:
-        return once(problem, begun) if starts is None else _around(once(problem, begun), starts)
-    if begun is not None or starts is not None:
-        raise ValueError("`horizon`: expected one number with `start` or `starts`, got several, or None; leave it out")
+        return once(problem, begun)
+    if begun is not None:
+        raise ValueError("`horizon`: expected one number with `start`, got several, or None; leave it out")
     if endless:
         return without_deadline(problem, carried, TOLERANCE if gain is None else gain)
     asked = horizons_of(horizon)
     of_horizon = {found.certificate.problem.horizon: found for found in each_horizon(problem, asked, carried)}
     return [of_horizon[number] for number in asked]
-
-
-def _around(found: Synthesis, probability: float) -> Synthesis:
-    """Return what is certified of a set of starts around that of a synthesis along a path."""
-    hull = certified_starts(found.certificate, probability)
-    return Synthesis(hull, found.controller, found.stats)
 
 
 def _of_problem(

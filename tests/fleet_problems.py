@@ -9,12 +9,19 @@ import numpy as np
 
 import certigym as cg
 from certigym.synthesis.certificates import AlongPath, PathProof
+from certigym.synthesis.certificates.canonical import verdict_of
 
 
 def path_of(problem: cg.Problem) -> AlongPath:
     found: Any = cg.synthesize(problem, relation="path").certificate
     assert isinstance(found.proof, PathProof)
     return found
+
+
+def wrong_paths(certificate: AlongPath) -> tuple[list[str], float]:
+    """Return why the checker proves nothing of a certificate, and what it proves of the failure."""
+    verdict = verdict_of(certificate)
+    return [] if verdict.proved else [verdict.reason], verdict.recomputed
 
 
 def problem_of(agents: list[Any], regions: dict[str, Any], formula: str, horizon: int) -> cg.Problem:

@@ -167,32 +167,25 @@ def rows() -> list[dict[str, Any]]:
     box, full = [[19.5, 19.5], [20.5, 20.5]], [[19.0, 19.0, 30.0, 30.0], [21.0, 21.0, 36.0, 36.0]]
     free, inputs = [19.85, 20.05, 30.5, 47.0], [15.0, 22.0]
     result = []
-    for n, seconds, volume in (
-        (2, 5.12, 0.6293), (3, 6.27, 0.5958), (10, 16.43, 0.5858), (20, 25.8, 0.5858), (40, 51.2, 0.5858),
-        (100, 228.8, 0.5858),
-    ):  # fmt: skip
-        starts = {"level": 0.8, "axes": [0, 1], "published": volume}
+    for n, seconds in ((2, 5.12), (3, 6.27), (10, 16.43), (20, 25.8), (40, 51.2), (100, 228.8)):
         note = CAP + "; target at exactly step 5, start at 0"
         # By default two states get a grid, which says something of every start and takes longer than a row should.
         relation = "path" if n == 2 else "auto"
-        result.append(row(chain(n), note, 0.9999, reach, seconds, aws, relation, starts=starts))
+        result.append(row(chain(n), note, 0.9999, reach, seconds, aws, relation))
     through = anaesthesia("anaesthesia-through-b", 5.0 * np.outer(b, b), b.tolist())
     note = CAP + "; reading: noise of variance 5 enters with the input"
-    starts = {"level": 0.99, "axes": None, "published": 0.7041}
-    result.append(row(through, note, 0.9999, reach, 7.87, aws, starts=starts))
+    result.append(row(through, note, 0.9999, reach, 7.87, aws))
     automated = anaesthesia("anaesthesia-automated", 1e-3 * np.eye(3), b.tolist())
     result.append(row(automated, "reading: variance .001 in every state"))
     deviation = two_zones("bas-4-deviation", DEVIATION, box, inputs, 3.3378, free)
     note = "reading: .0774 is a standard deviation; states 3 and 4 are free. "
-    starts = {"level": 0.8, "axes": [0, 1], "published": 0.969}
-    result.append(row(deviation, note + PEAK, 0.997837, reach, 2.44, aws, starts=starts))
+    result.append(row(deviation, note + PEAK, 0.997837, reach, 2.44, aws))
     variance = two_zones("bas-4-variance", np.sqrt(DEVIATION), box, inputs, 3.3378, [20.0, 20.0, 33.0, 33.0])
     result.append(row(variance, "reading: .0774 is a variance"))
     gridded = two_zones("ba-4d", np.sqrt(DEVIATION), full, [17.0, 20.0], 3.4378, [19.3, 20.45, 33.7, 35.9])
     result.append(row(gridded, "on a grid. " + PEAK, 0.6673, "IMPaCT", 7.87, "see its report"))
-    starts = {"level": 0.8, "axes": [0, 1], "published": 0.8691}
     note = CAP + "; noise of rank four; start at 20"
-    result.append(row(seven_states(), note, 0.9999, reach, 1.33, aws, starts=starts))
+    result.append(row(seven_states(), note, 0.9999, reach, 1.33, aws))
     result += [row(almost_identity(n), "") for n in (5, 20)]
     return [*result, *(row(**entry) for entry in grid_rows.entries())]
 
@@ -207,7 +200,7 @@ def row(
     relation: str = "auto",
     **more: Any,
 ) -> dict[str, Any]:
-    """Write the file of a problem, and return its row; ``more`` may be cells, and shares of starts (see arch)."""
+    """Write the file of a problem, and return its row; ``more`` may be cells."""
     file = content["name"].replace("-", "_") + ".toml"
     (HERE / file).write_text(toml(content), encoding="utf-8")
     entry = {"row": content["name"], "problem": file, "relation": relation, "published": published, "tool": tool}

@@ -2,7 +2,7 @@
 
 A tree is a number, a name, or an operation on trees. There are three readings of it: arrays of numbers (`evaluation`),
 intervals for the search (`intervals`, `enclosure`), and intervals for the check, written a second time
-(`synthesis.path_checking.own_intervals`). Numbers are doubles: `0.1` is the double nearest to a tenth.
+(`synthesis.checker.intervals`). Numbers are doubles: `0.1` is the double nearest to a tenth.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ operation is not defined on the whole interval (the logarithm of an interval wit
 
 Written by hand: interval packages for Python (`pyinterval`, `mpmath.iv`, python-flint's balls) compute one number at a
 time, a thousand times slower than arrays, and cells are counted in hundreds of thousands. The check has another
-interval arithmetic of its own (`synthesis.path_checking.own_intervals`), and tests compare both with 50 digits.
+interval arithmetic of its own (`synthesis.checker.intervals`), and tests compare both with 50 digits.
 """
 
 from __future__ import annotations

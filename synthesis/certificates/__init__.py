@@ -33,7 +33,6 @@ from .given_certificate import (
     speaks_of_one_start,
 )
 from .grid_proof import GridProof, OnGrid, delta_of, value_of
-from .hull_proof import HullProof, corner, from_start
 from .path_proof import SOMETIME, AgentPath, AlongPath, PathProof
 from .path_tube import KEPT, Tube, tube_along
 from .product_proof import ProductProof, product_certificate, split
@@ -51,7 +50,6 @@ __all__ = [
     "Claim",
     "EXACT_GAP",
     "GridProof",
-    "HullProof",
     "KEPT",
     "MAX_BYTES",
     "Offer",
@@ -74,9 +72,7 @@ __all__ = [
     "changed",
     "check_sizes",
     "checked_certificate",
-    "corner",
     "delta_of",
-    "from_start",
     "certificate_from",
     "is_exact",
     "joint_states",

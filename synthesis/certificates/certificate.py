@@ -37,8 +37,8 @@ class Certificate(Generic[P_co]):
     problem : Problem
         What it is about: the continuous closed loop, with its start.
     proof : Proof
-        How the bound is proved: ``GridProof``, ``PathProof``, ``HullProof``, ``SubtractionProof``,
-        ``TimedProof`` or ``ProductProof``. Certificates that it is put together of are its ``parts``.
+        How the bound is proved: ``GridProof``, ``PathProof``, ``SubtractionProof``, ``TimedProof`` or
+        ``ProductProof``. Certificates that it is put together of are its ``parts``.
     settings : dict
         Every setting of abstraction and search with which it was found; nothing depends on them.
     """

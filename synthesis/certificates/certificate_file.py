@@ -16,7 +16,6 @@ from ...envs.problem import problem_from_dict
 from .archive import ALLOW, MAX_BYTES, VERSION, Stored, packed, unarchived
 from .certificate import Certificate
 from .grid_proof import GridProof
-from .hull_proof import HullProof
 from .path_proof import PathProof
 from .product_proof import ProductProof
 from .proof import Proof
@@ -27,7 +26,7 @@ from .timed_proof import TimedProof
 PROOFS: dict[str, type[Proof]] = {
     proof.kind: proof
     for proof in (
-        GridProof, PathProof, HullProof, SubtractionProof, TimedProof, ProductProof
+        GridProof, PathProof, SubtractionProof, TimedProof, ProductProof
     )
 }  # fmt: skip
 """Kinds of proofs, by their names in files."""

@@ -71,13 +71,13 @@ class AgentPath:
 
 OTHER_STARTS = (
     "one along a path, which says nothing of other starts; synthesize the problem with another `initial_state`, or "
-    "certify a set of starts (`synthesize(starts=...)`)"
+    "with a box of starts (`initial_low`, `initial_high`)"
 )
 """What certificates along paths answer to whoever asks for other starts."""
 
 ONE_RUN = (
     "one along a path, which says nothing of other states and times; it can be checked, validated, stressed, "
-    "simulated, compared and reported, and `synthesize(starts=...)` certifies a set of starts around its own"
+    "simulated, compared and reported"
 )
 """What certificates along paths answer to whoever asks for values."""
 

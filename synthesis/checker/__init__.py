@@ -6,6 +6,7 @@ Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; `
 ``trains``, ``cell_proofs``; ``selftest``, ``verdict``, ``controller``. Each file begins with its theorem.
 """
 
+from .angles import check_angles
 from .fields import Refused, Unreadable
 from .file import FORMAT, MOST_BYTES, VERSION, Contents, is_certificate, parse_file, read_file
 from .motions import affine_dynamics
@@ -15,6 +16,6 @@ from .verdict import Verdict, bound_of, check, check_contents, shown
 
 __all__ = [
     "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "Contents", "Refused", "Unreadable", "Verdict",
-    "affine_dynamics", "bound_of", "check", "check_contents", "is_certificate", "parse_file", "read_file",
-    "read_problem", "shown",
+    "affine_dynamics", "bound_of", "check", "check_angles", "check_contents", "is_certificate", "parse_file",
+    "read_file", "read_problem", "shown",
 ]  # fmt: skip

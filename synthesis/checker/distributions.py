@@ -24,11 +24,14 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from . import fields
 from .fields import Unreadable
+from .tables import normal_table
 
 NORMAL, STOPPED, LIGHT, LONG = range(4)
 """What is known of tails, the heavier ones last: normal; normal, of a size that depends on the past; sub-Gaussian;
@@ -104,8 +107,14 @@ def _cut_normal(spread: float, low: float, high: float) -> Envelope:
     half = 0.5 * (high - low)
     if low == -high:
         return Envelope(0.0, 0.0, min(_positive(spread, "spread"), _positive(high, "high")) * OUTWARD, LIGHT)
-    # the mean is between the ends, whatever it is: nothing is computed of a distribution that is not even
-    return Envelope(0.5 * low + 0.5 * high, half, 2.0 * half * OUTWARD, LIGHT)
+    if not low < high:
+        raise Unreadable(f"a distribution lies between {low} and {high}")
+    # Means of both hats of the interval share its mass as the mean divides it (``tables``).
+    table, lack = normal_table(np.zeros(1), np.array([low, high]), _positive(spread, "spread"), hats=True)
+    fall, rise = table[0]
+    least, most = (share / (fall + rise + lack) for share in (rise, rise + lack))
+    found = _bounded(low, high, float(low + half * (least + most)), half)
+    return replace(found, off=float(found.off + half * (most - least) * OUTWARD))
 
 
 def _laplace(scale: float) -> Envelope:

@@ -34,9 +34,9 @@ from .expressions import names_in
 from .fields import Refused
 from .file import Contents
 from .intervals import add, down, interval, mul, neg, up
-from .jets import value_on
 from .letters import Demand, demands
 from .linearization import expanded
+from .noise_sizes import kinds_of, mean_of, sized
 from .problem import Agent, Problem
 from .rigorous import Array, U
 
@@ -46,12 +46,16 @@ LARGEST_ERROR = 1e100
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Of one agent: inputs (S, m), feedback gains (S, m, d), states (S + 1, d), widths (S + 1, d + m) of the tube."""
+    """Of one agent: inputs (S, m), feedback gains (S, m, d), states (S + 1, d), widths (S + 1, d + m) of the tube.
+
+    Where the size of its noise depends on something, ``noise_widths`` (S, d) are those of strips of the noise.
+    """
 
     inputs: Array
     gains: Array
     states: Array
     widths: Array
+    noise_widths: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,21 +85,25 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
     for agent, entry in zip(problem.agents, entries, strict=True):
         d, m, place = len(agent.states), len(agent.inputs), f"proof.{agent.name}"
         widths = contents.floats(entry["widths"], f"{place}.widths", (steps + 1, d + m), infinite=True)
-        if np.any(widths < 0.0):
-            raise fields.Unreadable(f"{place}.widths: it holds a negative number")
+        noise_widths = np.full((steps, d), np.inf)
+        if "noise_widths" in entry:
+            noise_widths = contents.floats(entry["noise_widths"], f"{place}.noise_widths", (steps, d), infinite=True)
+        if np.any(widths < 0.0) or np.any(noise_widths < 0.0):
+            raise fields.Unreadable(f"{place}: a width is negative")
         trajectories.append(
             Trajectory(
                 contents.floats(entry["inputs"], f"{place}.inputs", (steps, m)),
                 contents.floats(entry["gains"], f"{place}.gains", (steps, m, d)),
                 contents.floats(entry["states"], f"{place}.states", (steps + 1, d)),
                 widths,
+                noise_widths,
             )
         )
     return TrajectoryProof(tuple(trajectories), letters, faces, normals)
 
 
 def _entry(value: Any, place: str) -> dict[str, Any]:
-    return fields.table(value, place, ("inputs", "gains", "states", "widths"))
+    return fields.table(value, place, ("inputs", "gains", "states", "widths"), ("noise_widths",))
 
 
 def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constraints]:
@@ -110,7 +118,8 @@ def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constra
     check_angles(problem)
     check_words(problem, proof.letters, proof.faces)
     joint = _Joint.of(problem, proof)
-    errors, constraints = ErrorSystem(joint.spread, len(problem.kinds)), Constraints(problem.kinds)
+    kinds = kinds_of(problem, [own.noise_widths for own in proof.trajectories])
+    errors, constraints = ErrorSystem(joint.spread, len(kinds)), Constraints(kinds)
     before = np.zeros((2, len(joint.spread)))
     for t in range(len(proof.letters)):
         # The tube rests on constraints of earlier times, and on the widths of this one, which are asked below.
@@ -203,29 +212,29 @@ def _ask_states(
     ``known`` are ends (2, D) and numbers g of the states themselves: the tube is made of these very numbers.
     """
     # Every state has its workspace and the width of its tube; what letters ask comes after.
-    axes, D = np.eye(len(joint.spread)), len(joint.spread)
-    values = interval(joint.states[t])
-    rows, limits, labels = [*axes], [*joint.box.T.tolist()], [f"state {k} at time {t}" for k in range(D)]
-    ends = [values[:, k : k + 1] for k in range(D)]
-    place = {(axis.tobytes(), value.tobytes()): k for k, (axis, value) in enumerate(zip(axes, ends, strict=True))}
+    D = len(joint.spread)
+    rows, own = [*np.eye(D)], [*range(D)]
+    place = {row.tobytes(): k for k, row in enumerate(rows)}
+    values, limits = [interval(joint.states[t])], [joint.box.T]
+    labels = [f"state {k} at time {t}" for k in range(D)] + [demand.label for demand in asked]
     for (row, value), demand in zip(_linear_forms(joint, tube, asked, t), asked, strict=True):
-        # One row for all that is asked of the same form: the narrowest limits say it all.
-        k = place.setdefault(((row + 0.0).tobytes(), value.tobytes()), len(rows))
-        if k == len(rows):
-            rows.append(row)
-            ends.append(value)
-            limits.append([-np.inf, np.inf])
-            labels.append(demand.label)
-        if demand.low > limits[k][0] or demand.high < limits[k][1]:
-            labels[k] = demand.label
-        limits[k] = [max(limits[k][0], demand.low), min(limits[k][1], demand.high)]
+        # One row for all that is asked of the same form, since every constraint costs.
+        own.append(place.setdefault((row + 0.0).tobytes(), len(rows)))
+        rows += [row] if own[-1] == len(rows) else []
+        values.append(value)
+        limits.append(np.array([[demand.low, demand.high]]))
     # What rows are besides g moves their values, and shortens the distance to both limits.
     more = errors.rows(np.array(rows[D:]).reshape(-1, D))
     drift, forms = np.concatenate([known[0], more[0]], axis=1), known[1].joined(more[1])
-    low, high = np.array(limits).T
-    value = add(np.concatenate(ends, axis=1), drift)
+    value, (low, high) = add(np.concatenate(values, axis=1), drift[:, own]), np.concatenate(limits).T
+    ends = np.full((2, len(rows)), np.inf)
+    names = [""] * len(rows)
+    for k, below, above, label in zip(own, down(value[0] - low), down(high - value[1]), labels, strict=True):
+        # the narrowest limits say it all; what is nan is nowhere kept, and stays so
+        names[k] = names[k] if min(below, above) >= ends[:, k].min() else label
+        ends[:, k] = np.minimum(ends[:, k], (below, above))
     width = np.concatenate([joint.widths[t], np.full(len(rows) - D, np.inf)])
-    constraints.add(down(value[0] - low), down(high - value[1]), width, forms, labels)
+    constraints.add(*ends, width, forms, names)
 
 
 def _ask_jumps(
@@ -326,47 +335,29 @@ def _advance(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube:
     for i, (agent, here) in enumerate(zip(joint.agents, joint.slices, strict=True)):
         # The next error is what the dynamics give less the next nominal state, and the mean of the noise.
         columns, rows, ends = _step(joint, moves, tube, i, t)
-        scale = _scale(joint, moves[i], tube, i, t)
         matrix[here, columns] = rows
-        pushed[:, here] = add(add(ends, neg(interval(joint.states[t + 1, here]))), _noise_mean(agent, scale))
+        mean = mean_of(agent)
+        if agent.scale:
+            leaves, width = _leaves(joint, moves[i], tube, i, t), joint.trajectories[i].noise_widths[t]
+            noise[here], mean = sized(agent, noise[here], width, leaves, constraints, t)
+        pushed[:, here] = add(add(ends, neg(interval(joint.states[t + 1, here]))), mean)
         pushed[:, here] = add(pushed[:, here], np.array([[-OFF], [OFF]]) * joint.turning[here])
-        if agent.scale:  # shared sources come last, and nothing multiplies them
-            own = noise.shape[1] - agent.shared_noise.shape[1]
-            noise[here, :own] *= np.abs(scale).max(axis=0)[:, None] * (1.0 + 4.0 * U)
     if not np.all(np.isfinite(matrix)) or not np.abs(pushed).max() <= LARGEST_ERROR or not np.all(np.isfinite(noise)):
         raise Refused(f"the linearization error grows beyond all limits at time {t}")
     errors.step(matrix, pushed, np.abs(tube).max(axis=0), noise)
 
 
-def _scale(joint: _Joint, moves: _Moves, tube: Array, i: int, t: int) -> Array:
-    """Return ends (2, d) of what multiplies the noise of an agent on the tube."""
+def _leaves(joint: _Joint, moves: _Moves, tube: Array, i: int, t: int) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return ends (2, 1) of the names of an agent on the nominal trajectory, and on the tube."""
     agent, here = joint.agents[i], joint.slices[i]
-    if not agent.scale:
-        return np.ones((2, len(agent.states)))
-    if np.any((agent.noise != 0.0).sum(axis=0) > 1):
-        # what one source adds to two states may cancel in a row only if both sizes are known
-        raise Refused(f"a source of the noise of `{agent.name}` that has a scale moves several states")
-    # The largest size on the tube counts, for states, inputs and disturbances in their ranges.
-    inputs = add(interval(moves.nominal), moves.deviation)
-    states = add(interval(joint.states[t, here]), tube[:, here])
-    ranges = np.array(list(agent.disturbances.values())).reshape(-1, 2).T
-    ends = np.concatenate([states, inputs, ranges], axis=1)
     names = (*agent.states, *agent.inputs, *agent.disturbances)
-    leaves = {"t": interval(np.full(1, float(t)))} | {name: ends[:, k : k + 1] for k, name in enumerate(names)}
-    scale = np.concatenate([np.broadcast_to(value_on(tree, leaves), (2, 1)) for tree in agent.scale], axis=1)
-    if not np.all(np.isfinite(scale)):
-        raise Refused(f"the size of the noise of `{agent.name}` is not known on the tube at time {t}")
-    return scale
-
-
-def _noise_mean(agent: Agent, scale: Array) -> Array:
-    """Return ends (2, d) of the mean of the noise of an agent, for its size between ends (2, d)."""
-    mean = np.zeros((2, len(agent.states)))
-    for column, own in zip(agent.noise.T, agent.envelopes, strict=True):
-        if own.mean or own.off:
-            ends = interval(np.full(len(column), own.mean), np.full(len(column), own.mean))
-            mean = add(mean, mul(interval(column), add(ends, np.array([[-own.off], [own.off]]))))
-    return mul(scale, mean)
+    ranges = np.array(list(agent.disturbances.values())).reshape(-1, 2).T
+    nominal = np.concatenate([joint.states[t, here], moves.nominal, 0.5 * ranges[0] + 0.5 * ranges[1]])
+    states = add(interval(joint.states[t, here]), tube[:, here])
+    around = np.concatenate([states, add(interval(moves.nominal), moves.deviation), ranges], axis=1)
+    time = {"t": interval(np.full(1, float(t)))}
+    both = [{name: ends[:, k : k + 1] for k, name in enumerate(names)} for ends in (interval(nominal), around)]
+    return time | both[0], time | both[1]
 
 
 def _step(joint: _Joint, moves: Sequence[_Moves], tube: Array, i: int, t: int) -> tuple[list[int], Array, Array]:

@@ -37,7 +37,6 @@ from ..certificates import (
     Certificate,
     CheckReport,
     GridProof,
-    HullProof,
     OnGrid,
     PathProof,
     ProductProof,
@@ -47,8 +46,9 @@ from ..certificates import (
     certificate_from,
     delta_of,
 )
+from ..certificates.canonical import NotCanonicalError, verdict_of, wrong_angles
+from ..checker import bound_of
 from ..masses import BrokenTrainError, noted, state
-from ..path_checking import wrong_angles, wrong_hull, wrong_paths
 from ..step_checking import execution_of, label_margin, places_of, verify_relation, wrong_actions, wrong_common
 from ..values import UNIT, Terms
 from .forward_mass import TooManyProducts, masses
@@ -102,11 +102,11 @@ def _checked(certificate: Any, problem: Problem) -> CheckReport:
     if problem.names_time and proof in (GridProof, SubtractionProof):
         failures = ("its problem names the time, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
-    if problem.labeling.pairs and proof in (GridProof, HullProof):
+    if problem.labeling.pairs and proof is GridProof:
         failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
-    if wrong := wrong_angles(problem):
-        return CheckReport(False, certificate.lower_bound, float("nan"), tuple(wrong))
+    if proof is not PathProof and (wrong := wrong_angles(problem)):
+        return CheckReport(False, certificate.lower_bound, float("nan"), (wrong,))
     try:
         # What overflows decides nothing: neither infinities nor numbers that are none are compared with anything.
         with np.errstate(over="raise", invalid="raise", divide="raise"):
@@ -154,27 +154,24 @@ def _check_timed(certificate: Certificate, problem: Problem) -> CheckReport:
 
 
 def _check_path(certificate: AlongPath, problem: Problem) -> CheckReport:
-    """Verify a certificate along a path."""
+    """Verify a certificate along a path: the checker proves it, from what its file holds."""
     failures: list[str] = []
+    failure = 1.0
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
-    failure = 1.0
     if not failures:
-        failures, failure = wrong_paths(certificate)
+        try:
+            verdict = verdict_of(certificate)
+        except NotCanonicalError as reason:
+            failures.append(str(reason))
+        else:
+            failure = verdict.recomputed
+            failures += [verdict.reason] if not verdict.proved else []
     if not failures and not failure <= certificate.proof.failure:
         claimed = f"it says that it fails with probability {certificate.proof.failure:.6g} at most"
         failures.append(f"{claimed}, but what was recomputed is {failure:.6g}")
-    recomputed = float("nan") if failures else 1.0 - failure
+    recomputed = float("nan") if failures else bound_of(failure)
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
-
-
-def _check_hull(hull: Certificate[HullProof], problem: Problem) -> CheckReport:
-    """Verify a convex set of starts."""
-    failures, failure = ["it was made for another problem (the fingerprints differ)"], 1.0
-    if hull.fingerprint == problem.fingerprint:
-        failures, failure = wrong_hull(hull)
-    recomputed = float("nan") if failures else 1.0 - failure
-    return CheckReport(not failures, hull.lower_bound, recomputed, tuple(failures))
 
 
 def _check_one(certificate: OnGrid, problem: Problem) -> CheckReport:
@@ -382,7 +379,6 @@ def _check_values(certificate: OnGrid, terms: Terms | Value, recomputed: float) 
 CHECKS: dict[type, Callable[[Any, Problem], CheckReport]] = {
     GridProof: _check_one,
     PathProof: _check_path,
-    HullProof: _check_hull,
     SubtractionProof: _check_pairs,
     TimedProof: _check_timed,
 }

@@ -16,7 +16,7 @@ from ...envs.agents import TIME, AnyAgent, Proposition
 from ...envs.problem import Places, states_in_time, written_out
 from ..certificates import Certificate, TimedProof, on_cells
 from ..masses import AgentPart
-from ..path_checking import RegionSpan
+from ..step_checking import RegionSpan
 
 if TYPE_CHECKING:
     from ...envs.problem import Problem

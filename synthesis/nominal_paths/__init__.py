@@ -2,6 +2,5 @@
 
 from .counted_work import CountedWork
 from .path_search import path_certificate, refuse_without_path
-from .start_rays import certified_starts
 
-__all__ = ["CountedWork", "certified_starts", "path_certificate", "refuse_without_path"]
+__all__ = ["CountedWork", "path_certificate", "refuse_without_path"]

@@ -9,6 +9,7 @@ from .linear_check import by_cell, hat_weights, masks_of, places_of
 from .map_spans import networked_maps
 from .mean_spans import Enclosed, enclosed_means, enclosed_scales
 from .network_enclosures import driven_spans, network_maps, network_modes, network_spans
+from .own_regions import RegionSpan
 from .relation_check import MOST_TERMS, label_margin, verify_relation, wrong_for_uneven_noise
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "Reading",
     "reading_of",
     "readings_of",
+    "RegionSpan",
     "start_shares",
     "UNIT",
     "verify_relation",

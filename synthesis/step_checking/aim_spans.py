@@ -21,10 +21,10 @@ from ...envs.agents import Agent
 from ...envs.expressions import Tree, operations_in
 from ..cells import FloatArray
 from ..masses import AgentPart, state
-from ..path_checking import Span, bounds, computed_off, span
 from ..relations import Turn, WrittenTargets
 from .geometry import cell_boxes
 from .mean_spans import Enclosed, leaves_of
+from .own_intervals import Span, bounds, computed_off, span
 
 AT_ONCE = 100_000
 """Pairs of cells and targets that are verified at once."""

@@ -19,10 +19,10 @@ from ...envs.agents import Agent
 from ...envs.expressions import Name, Operation, Tree, substituted
 from ..cells import FloatArray
 from ..masses import AgentPart, state
-from ..path_checking import Span, bounds, products
 from .geometry import cell_boxes
 from .mean_spans import Enclosed, Fed, spans_of_means
 from .network_enclosures import input_maps
+from .own_intervals import Span, bounds, products
 
 COMPUTED = 1e-14
 """Share of their size by which maps may be off as they are computed."""

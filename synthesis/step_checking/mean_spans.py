@@ -17,8 +17,8 @@ from ...envs.agents import Agent, AnyAgent
 from ...envs.expressions import Name, Operation, Tree, substituted
 from ..cells import FloatArray
 from ..masses import state
-from ..path_checking import Span, bounds, computed_off, products, span
 from ..relations import Command
+from .own_intervals import Span, bounds, computed_off, products, span
 
 ROTATED = 1e-13
 """Widening, relative to their size, of boxes in coordinates that are not the state."""

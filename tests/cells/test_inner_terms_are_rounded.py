@@ -10,9 +10,9 @@ import pytest
 
 import certigym as cg
 from certigym.envs.expressions import Affine, Number, Operation, Tree, computed, read_expression, roundings
-from certigym.synthesis.path_checking.own_intervals import Span, computed_off
 from certigym.synthesis.relations import solved_means, written_means
 from certigym.synthesis.step_checking import aim_spans, mean_spans
+from certigym.synthesis.step_checking.own_intervals import Span, computed_off
 
 NAMES = ("x", "y")
 

@@ -17,7 +17,7 @@ from canonical_simulator import Simulator
 from certigym.envs.agents import Agent
 from certigym.envs.problem import Problem, load_problem
 from certigym.envs.suite import make_problem, problem_ids
-from certigym.synthesis.canonical import NotCanonicalError, canonical_problem
+from certigym.synthesis.certificates.canonical import NotCanonicalError, canonical_problem
 from certigym.synthesis.checker import read_problem
 
 OWN = sorted((Path(__file__).parents[2] / "examples" / "own").glob("*.toml"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.canonical import canonical_bytes
+from certigym.synthesis.certificates.canonical import canonical_bytes
 from certigym.synthesis.checker import cell_proofs, parse_file, read_problem, trajectories
 from certigym.synthesis.checker.controller import along_trajectory, on_cells, rounding
 

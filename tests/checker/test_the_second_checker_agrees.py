@@ -25,7 +25,7 @@ import certigym as cg
 from certificate_files import archive, changed, file_of, members_of, npy, two_carts, two_tanks
 from certigym.envs.problem import load_problem
 from certigym.envs.suite import make_problem
-from certigym.synthesis.canonical import canonical_bytes
+from certigym.synthesis.certificates.canonical import canonical_bytes
 from certigym.synthesis.checker import Unreadable, check_contents, parse_file
 from test_forged_files_are_refused import array_changes, header_changes
 

@@ -18,7 +18,6 @@ from certigym.envs.agents import Gaussian, Law
 from certigym.synthesis.certificates import GridProof, changed
 from certigym.synthesis.checking import pairs_check
 from certigym.synthesis.masses import checked_kernel, checked_laws
-from certigym.synthesis.path_checking import gaussian_inequalities, own_intervals, path_check
 from certigym.synthesis.relations import Network
 from certigym.synthesis.step_checking import (
     boxes_check,
@@ -27,6 +26,7 @@ from certigym.synthesis.step_checking import (
     map_spans,
     mean_spans,
     network_enclosures,
+    own_intervals,
     relation_check,
     uniform_noise,
 )
@@ -34,7 +34,6 @@ from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from composing import certificate_of, problem_of
 from test_controllers_carry_out_what_is_certified import ordinary
-from test_nonlinear_paths_are_certified import bend, path_of
 
 flint = pytest.importorskip("flint")
 
@@ -287,7 +286,6 @@ SABOTAGE: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None], str]] = {
     "maps of expressions": ("linear expressions", flat_maps, "were not shown to hold"),
     "boxes of matrices": ("boxes matrices", narrow_boxes, "were not shown to hold"),
     "elementary functions": ("boxes expressions", rounded_sines, "values of the function `sin`"),
-    "tails of paths": ("path", times(path_check, "erfc", DOWN), "the tail of a path"),
     "near pairs": ("subtraction", times(pairs_check, "erfc", DOWN), "two agents are near"),
     "tubes": ("tube", times(relation_check, "_tube_support", DOWN), "a tube was not proved"),
     "ellipsoids": ("ellipsoid", times(relation_check, "ellipsoid_support", 1.0 - 1e-3), "how far an ellipsoid"),
@@ -330,14 +328,6 @@ def test_uniform_hats_are_proved(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(uniform_noise, "OPERATIONS", -1e6)
     assert cg.check(certificate)
     assert "a mass of a hat of agent `robot` was not proved" in check_rigorous(certificate).failures
-
-
-def test_nonlinear_paths_are_proved(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nominal paths of expressions: tails, slabs, and derivatives on tubes."""
-    certificate = path_of(bend())
-    assert check_rigorous(certificate)
-    times(gaussian_inequalities, "erfc", DOWN)(monkeypatch)
-    assert cg.check(certificate) and not check_rigorous(certificate)
 
 
 @pytest.mark.parametrize("relation", ["exact"])
@@ -384,7 +374,7 @@ def test_what_masses_lack_is_proved() -> None:
 
 
 def test_every_statement_has_a_proof() -> None:
-    rooms = ("masses", "certificates", "path_checking", "step_checking", "checking")
+    rooms = ("masses", "certificates", "step_checking", "checking")
     files = [file for room in rooms for file in (ROOT / "synthesis" / room).glob("*.py")]
     stated = {name for file in files for name in re.findall(r"\bstate\(\s*\"([\w ]+)\"", file.read_text("utf-8"))}
     assert stated == {*PROOFS}

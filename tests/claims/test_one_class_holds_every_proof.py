@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import certificate_from, changed, from_start, on_cells
+from certigym.synthesis.certificates import certificate_from, changed, on_cells
 from certigym.synthesis.certificates.archive import _digest
 
 FOLDER = Path(__file__).parents[1] / "data" / "kinds"
 """One small certificate of each kind."""
 
 KINDS = {
-    "hull": "hull", "opposite": "grid", "path": "path", "product": "product",
+    "opposite": "grid", "path": "path", "product": "product",
     "subtraction": "subtraction", "timed": "timed", "train": "grid",
 }  # fmt: skip
 """Names of files, and how what they hold was proved."""
@@ -66,20 +66,14 @@ def test_files_are_read_and_written_anew(name: str, tmp_path: Path) -> None:
     assert all(type(part) is cg.Certificate for part in again.proof.parts)
 
 
-@pytest.mark.parametrize("name", sorted({*KINDS} - {"hull"}))
+@pytest.mark.parametrize("name", sorted(KINDS))
 def test_controllers_of_files_keep_their_bound(name: str) -> None:
     """Fixed seed, 2,000 rollouts each, false alarm 1e-6."""
     assert not cg.validate(FOLDER / f"{name}.npz", 2000, seed=1, confidence=1 - 1e-6).refuted
 
 
 def test_members_that_a_proof_has_no_answer_to_say_what_to_do() -> None:
-    hull = cg.load(FOLDER / "hull.npz")
-    with pytest.raises(ValueError, match="a set of starts"):
-        hull.controller  # noqa: B018
-    with pytest.raises(ValueError, match="initial_state=x"):
-        cg.validate(hull, 10)
-    assert cg.check(from_start(hull, hull.proof.corners.mean(axis=0)))
-    for name in ("hull", "path", "subtraction"):
+    for name in ("path", "subtraction"):
         certificate = cg.load(FOLDER / f"{name}.npz")
         for ask in (certificate.at, lambda states, c=certificate: c.mean(states, states)):
             with pytest.raises(ValueError, match="`certificate`: expected"):
@@ -128,7 +122,7 @@ def test_parts_are_of_the_kinds_that_belong_there(tmp_path: Path) -> None:
     """A file of a product in the place of the problem written out, and so on: refused when it is read."""
     for name, outer in (
         ("product", "subtraction"),
-        ("hull", "product"),
+        ("subtraction", "product"),
         ("timed", "subtraction"),
         ("subtraction", "timed"),
     ):
@@ -142,11 +136,11 @@ def test_parts_are_of_the_kinds_that_belong_there(tmp_path: Path) -> None:
 
 
 def test_parts_are_of_the_kinds_that_belong_there_in_memory_too() -> None:
-    """The bound of a set of starts is none for the start of a problem: nothing else may rest on it."""
-    hull = cg.load(FOLDER / "hull.npz")
+    """Nothing rests on a bound by subtraction: what pairs may spoil was taken off for one task alone."""
+    inner = cg.load(FOLDER / "subtraction.npz")
     for outer in ("timed", "subtraction", "product"):
         whole: Any = cg.load(FOLDER / f"{outer}.npz")
-        fields = {"parts": (hull,) * len(whole.proof.parts)} if outer == "product" else {"base": hull}
+        fields = {"parts": (inner,) * len(whole.proof.parts)} if outer == "product" else {"base": inner}
         forged = changed(whole, **fields)
         assert "proved in other ways" in str(cg.check(forged))
 

@@ -11,7 +11,6 @@ import pytest
 import certigym as cg
 from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof
 from certigym.synthesis.nominal_paths import path_search
-from certigym.synthesis.path_checking.start_check import wrong_start
 
 
 def robot(name: str, start: Any, **changes: Any) -> cg.LinearAgent:
@@ -104,17 +103,6 @@ def test_grids_are_worth_nothing_outside(relation: str, monkeypatch: pytest.Monk
     forged = replace(certificate, problem=moved(problem, [2.0 + 1e-9]))
     assert not cg.check(forged)
     assert certificate.at([2.0 + 1e-9])[0] == 0.0
-
-
-def test_letters_of_a_box_must_lead_to_one_state() -> None:
-    problem = returns(robot("robot", INSIDE))
-    assert wrong_start(problem) == []
-    beside = problem.replace(initial_low=[0.6, 0, 0, 0], initial_high=[0.9, 0, 0, 0])
-    across = problem.replace(initial_low=[0.4, 0, 0, 0], initial_high=[0.9, 0, 0, 0])
-    beyond = problem.replace(initial_low=[1.6, 0, 0, 0], initial_high=[2.1, 0, 0, 0])
-    assert wrong_start(beside) == []
-    assert "depends on the start" in wrong_start(across)[0]
-    assert "outside" in wrong_start(beyond)[0]
 
 
 def test_several_letters_may_lead_to_one_state() -> None:

@@ -14,8 +14,8 @@ import certigym as cg
 from certigym.synthesis import canonical
 from certigym.synthesis.bounds.certified import SECOND_EVALUATION
 from certigym.synthesis.bounds.dense import dense_value
-from certigym.synthesis.canonical import TRAINS, verdict_of
 from certigym.synthesis.certificates import changed
+from certigym.synthesis.certificates.canonical import TRAINS, verdict_of
 from certigym.synthesis.checker import cell_proofs, trains
 from certigym.synthesis.checker.trains import Train
 from certigym.synthesis.checking import train_check

@@ -48,12 +48,11 @@ MAY_IMPORT = {
     "synthesis.controllers": f"{ENVS} synthesis.cells synthesis.relations",
     "synthesis.masses": f"{ENVS} synthesis.values synthesis.cells synthesis.relations",
     "synthesis.certificates": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.controllers "
-    "synthesis.masses",
+    "synthesis.masses synthesis.checker",
     "synthesis.bridges": f"{ENVS} envs.interfaces envs.suite synthesis.relations synthesis.controllers "
     "synthesis.certificates",
-    "synthesis.path_checking": f"{ENVS} {CERTIFICATES}",
-    "synthesis.step_checking": f"{ENVS} {CERTIFICATES} synthesis.path_checking",
-    "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES} synthesis.path_checking synthesis.step_checking",
+    "synthesis.step_checking": f"{ENVS} {CERTIFICATES}",
+    "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES} synthesis.checker synthesis.step_checking",
     "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.readings synthesis.models synthesis.search",
     "synthesis.path_bounds": f"{ENVS} {CERTIFICATES}",

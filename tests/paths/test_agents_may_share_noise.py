@@ -10,14 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flint import ctx
 from scipy.stats import multivariate_normal, norm
 
 import certigym as cg
-from balls import check_rigorous
-from balls.ball_memory import Memory
-from balls.ball_numbers import any_of
-from balls.rigorous import BITS
 from certigym import Agent, LinearAgent, Pair, Problem, Proposition, Specification, check
 from certigym.envs.agents import AnyAgent
 from certigym.envs.dynamics import worlds as core
@@ -260,19 +255,3 @@ def test_the_check_refuses_grids_of_teams_that_share_noise() -> None:
     assert check(found).valid
     report = check(replace(found, problem=shared))
     assert not report.valid and "share noise" in " ".join(report.failures)
-
-
-CLAIMS = ((1e-300, 3.0 * 1e-300 * (1.0 + 1e-9)), (1e-300, 2.9 * 1e-300), (0.1, 0.2709), (0.1, 0.2711))
-"""Probabilities of three things, and what is said of any of them."""
-
-
-def test_balls_prove_it_where_probabilities_are_tiny() -> None:
-    """What is next to 0 has no digits left beside 1: its sum is looked at, too."""
-    agents = [bent(f"drone_{i}", [-2.0, 0.7 * i]) for i in range(2)]
-    problem = team(agents, {"w": {"drone_*": {"y": 0.06}}}, "F all(goal)", 8)
-    found = cg.synthesize(problem).certificate
-    assert found.lower_bound > 0.999
-    with ctx.workprec(BITS):
-        proofs = [any_of(Memory(), np.full(3, x), value)[1] for x, value in CLAIMS]
-    assert check_rigorous(found).valid
-    assert [not proof for proof in proofs] == [True, False, False, True]

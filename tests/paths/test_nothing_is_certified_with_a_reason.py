@@ -117,7 +117,7 @@ def narrow() -> tuple[cg.Problem, Any]:
 
 def test_where_noise_is_to_blame_the_controller_follows_a_run() -> None:
     asked, found = narrow()
-    assert found.certificate.lower_bound == 0.0 and cg.check(found.certificate, asked).valid
+    assert found.certificate.lower_bound < 1e-6 and cg.check(found.certificate, asked).valid
     assert satisfies(asked, [part.states for part in found.certificate.proof.paths])
     # With hardly any noise the same controller does the task.
     calm = problem("!wall U goal", 6, 1e-6, 3.6, wall=2.4)

@@ -17,9 +17,11 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.synthesis.certificates import SOMETIME, AgentPath, AlongPath, Certificate, PathProof, changed
-from certigym.synthesis.path_checking import limits_kept, nonlinear_check, pair_limits_check
-from certigym.synthesis.path_checking.linear_deviations import Chain
+from certigym.synthesis.certificates import SOMETIME, AgentPath, AlongPath, Certificate, PathProof, canonical, changed
+from certigym.synthesis.checker import problem as checked_problem
+from certigym.synthesis.checker import trajectories
+from certigym.synthesis.checker.constraints import Constraints
+from certigym.synthesis.checker.error_system import ErrorSystem
 
 EPISODES, DEVIATIONS = 4000, 5.3
 """Rates are farther than so many deviations from the truth with a probability of 1.2e-7, seven times below 1e-6."""
@@ -152,36 +154,38 @@ def missed_by_a_jump() -> float:
     return float(np.trapezoid(np.where(stays, norm.pdf(x, scale=0.2) * after, 0.0), x))
 
 
-def nowhere(self: Chain, rows: Any) -> Any:
-    """Say that true deviations are the linear ones."""
-    return np.zeros(len(rows)), np.zeros(len(rows))
+def nowhere(self: ErrorSystem, c: Any, earlier: Any = None) -> Any:
+    """Say that errors are forms of the noise."""
+    ends, forms = ROWS(self, c, earlier)
+    return 0.0 * ends, forms
 
 
-def within_shifts(self: Chain, rows: Any) -> Any:
-    """Say that true deviations are the linear ones, shifted."""
-    shift, drift = DRIFT(self, rows)
-    return shift, 0.0 * drift
+def within_shifts(self: ErrorSystem, c: Any, earlier: Any = None) -> Any:
+    """Say that errors are forms of the noise, shifted."""
+    ends, forms = ROWS(self, c, earlier)
+    return np.tile(ends.mean(axis=0), (2, 1)), forms
 
 
-def cancelling(*arguments: Any) -> Any:
-    """Return what shared noise adds to differences as if it were on one side what it is on the other."""
-    common, rounded = COMMON(*arguments)
-    return -np.abs(common), rounded
+def without_inputs(self: Constraints, low: Any, high: Any, width: Any, forms: Any, labels: Any) -> None:
+    """Ask for nothing of inputs."""
+    if not labels[0].startswith("input"):
+        ADD(self, low, high, width, forms, labels)
 
 
-DRIFT, COMMON = Chain.drift, pair_limits_check._common
+ROWS, ADD, NOISE = ErrorSystem.rows, Constraints.add, checked_problem.Problem.noise
+CANCELLING = property(lambda self: np.abs(NOISE.fget(self)))  # type: ignore[attr-defined]
 HALF = 2.0 * float(norm.sf(0.5))
 CASES = {
-    "drift": Case(of_drift(0.49), of_drift(6.0), HALF, 1.02 * HALF, (Chain, "drift", nowhere)),
-    "product": Case(of_product(0.49), of_product(6.0), far_product(), 0.87, (Chain, "drift", within_shifts)),
-    "tube": Case(of_tube(0.48), of_tube(6.0), HALF, 1.03 * HALF, (Chain, "drift", nowhere)),
-    "middle": Case(of_middle(), of_middle(), 1.0, 1.0, (Chain, "drift", nowhere)),
+    "drift": Case(of_drift(0.49), of_drift(6.0), HALF, 1.02 * HALF, (ErrorSystem, "rows", nowhere)),
+    "product": Case(of_product(0.49), of_product(6.0), far_product(), 0.87, (ErrorSystem, "rows", within_shifts)),
+    "tube": Case(of_tube(0.48), of_tube(6.0), HALF, 1.03 * HALF, (ErrorSystem, "rows", nowhere)),
+    "middle": Case(of_middle(), of_middle(), 1.0, 1.0, (ErrorSystem, "rows", nowhere)),
     "inputs": Case(
         of_inputs(), of_inputs(), 2.0 * float(norm.sf(0.51)), 1.01 * HALF,
-        (nonlinear_check, "shortened", lambda below, above, *_: (below + np.inf, above + np.inf)),
+        (Constraints, "add", without_inputs),
     ),
-    "wind": Case(of_wind(), of_wind(), HALF, 1.001 * HALF, (pair_limits_check, "_common", cancelling)),
-    "jump": Case(of_jump(), of_jump(), missed_by_a_jump(), 1.0, (limits_kept, "add_jumps", lambda *_: None)),
+    "wind": Case(of_wind(), of_wind(), HALF, 1.001 * HALF, (checked_problem.Problem, "noise", CANCELLING)),
+    "jump": Case(of_jump(), of_jump(), missed_by_a_jump(), 1.0, (trajectories, "_ask_jumps", lambda *_: None)),
 }  # fmt: skip
 
 
@@ -213,4 +217,5 @@ def test_a_check_that_leaves_it_out_accepts_what_most_runs_contradict(
     forged = changed(case.loose, failure=0.5 * case.truth)
     assert not cg.check(forged)
     monkeypatch.setattr(*case.sabotage)
+    monkeypatch.setattr(canonical, "_verdicts", {})
     assert cg.check(forged)

@@ -21,7 +21,6 @@ from certigym.synthesis.nominal_paths import CountedWork, path_certificate
 from certigym.synthesis.nominal_paths.nominal_planner import Aim, Planner, rolled
 from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
 from certigym.synthesis.nominal_paths.team_search import TeamSearch
-from certigym.synthesis.nominal_paths.tied_paths import Ties
 from certigym.synthesis.nominal_paths.tried_runs import tried_run
 from certigym.synthesis.nominal_paths.turns import plans_of_runs, runs_in_turn
 from certigym.synthesis.path_bounds.feedback_bounds import Feedback, NominalPath, _Walk
@@ -86,17 +85,6 @@ def test_less_room_for_whom_others_name_is_refused(chased: cg.Synthesis) -> None
     hare, wolf = chased.certificate.proof.paths
     narrow = type(hare)(hare.inputs, hare.gains, hare.states, 0.3 * hare.slabs)
     assert not cg.check(changed(chased.certificate, paths=(narrow, wolf)))
-
-
-def test_a_search_that_takes_others_for_certain_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    def certain(ties: Ties, i: int, found: Any) -> Any:
-        ranges = np.repeat(ties.searches[i].model.unknown[:, None], len(found[i].nominal.states), axis=1)
-        for k, j, state in ties.of_agent[i]:
-            ranges[:, :, k] = found[j].nominal.states[:, state]
-        return ranges
-
-    monkeypatch.setattr(Ties, "_ranges", certain)
-    assert not cg.check(path_certificate(chase(), CountedWork(limit=0.5)).certificate)
 
 
 def test_slopes_of_teams_are_those_of_differences() -> None:

@@ -125,4 +125,4 @@ def test_what_needs_other_starts_is_refused_in_plain_words(
     given = [*words, saved, "--out", str(tmp_path / "a.png")] if plot else [words[0], saved, *words[1:]]
     assert main(given) == 2
     said = capsys.readouterr().err
-    assert "along a path" in said and ("`synthesize(starts=...)`" in said or "`check`" in said)
+    assert "along a path" in said and "says nothing of other st" in said

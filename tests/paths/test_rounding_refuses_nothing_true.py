@@ -13,9 +13,8 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.nominal_paths import CountedWork, certified_starts
+from certigym.synthesis.nominal_paths import CountedWork
 from certigym.synthesis.nominal_paths.path_search import linear_certificate
-from certigym.synthesis.path_checking.path_check import Motion
 from certigym.synthesis.raw_networks import certify_network
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
@@ -116,46 +115,10 @@ def test_the_check_of_paths_proves_the_same_in_all_units(unit: list[float]) -> N
     assert not cg.check(changed(certificate, failure=0.9999 * certificate.proof.failure))
 
 
-def test_units_in_which_digits_would_be_lost_are_not_taken() -> None:
-    certificate = straight(turned([1.0, 1.0]))
-    agent = turned([1e10, 1.0], noise=np.diag([1e-320, 0.01])).agents[0]
-    assert isinstance(agent, cg.LinearAgent) and agent.noise_covariance[0, 0] > 0.0
-    motion = Motion.of(agent, certificate.proof.paths[0])
-    assert np.array_equal(motion.agent.units, [1.0, 1.0]) and np.array_equal(motion.agent.A, agent.A)
-
-
 def test_rollouts_agree_in_uneven_units() -> None:
     """20,000 episodes with a fixed seed; a true claim is refuted with probability 1e-6."""
     certificate = straight(turned([3e4, 7e-4]))
     assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - 1e-6).verdict != "refuted"
-
-
-def hull_problem(start: list[float]) -> cg.Problem:
-    """The first letter says whether the start is in the region, and the task asks for it later alone."""
-    problem = turned([1.0, 1.0], noise=0.002 * np.eye(2), start=start)
-    task = cg.Specification("F safe", "co-safe")
-    return cg.Problem(
-        name="hull", horizon=4, agents=problem.agents, propositions=problem.propositions, specification=task
-    )
-
-
-def test_corners_do_not_cross_edges_on_which_the_first_letter_depends() -> None:
-    """A set around a start near an edge stays on its side of it, and is verified."""
-    problem = hull_problem([0.62, 0.0])
-    certificate: Any = cg.synthesize(problem, relation="path").certificate
-    hull = certified_starts(certificate, 0.7, rays=12)
-    assert cg.check(hull), cg.check(hull).failures
-    assert hull.proof.corners[:, 0].min() < 0.601 and hull.proof.corners[:, 0].min() > 0.6
-    # Sabotage: one corner beyond the edge.
-    corners = hull.proof.corners.copy()
-    corners[np.argmin(corners[:, 0]), 0] = 0.59
-    assert "first letter" in str(cg.check(changed(hull, corners=corners)))
-
-
-def test_a_start_on_such_an_edge_has_no_set_around_it() -> None:
-    certificate: Any = cg.synthesize(hull_problem([0.6, 0.0]), relation="path").certificate
-    with pytest.raises(ValueError, match="on such an edge"):
-        certified_starts(certificate, 0.7, rays=12)
 
 
 SKEW = np.array([[0.02, 0.012], [0.012, 0.03]])

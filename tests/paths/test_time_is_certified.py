@@ -15,10 +15,9 @@ from scipy.stats import binom
 import certigym as cg
 from balls import check_rigorous
 from certigym.envs.problem import groups, written_out
-from certigym.synthesis.certificates import AgentPath, Certificate, PathProof, TimedProof, changed, timed_certificate
+from certigym.synthesis.certificates import PathProof, TimedProof, changed, timed_certificate
 from certigym.synthesis.models import AgentModel
-from certigym.synthesis.path_checking import RegionSpan
-from certigym.synthesis.path_checking.path_check import wrong_paths
+from certigym.synthesis.step_checking import RegionSpan
 from timed_problems import band, best_probability, follow, robot, still
 
 FALSE_ALARM = 1e-6
@@ -97,7 +96,7 @@ def test_files_are_read_back_and_checked(way: str, tmp_path: Path) -> None:
     assert not cg.check(again, follow(still(), band(1)))
 
 
-@pytest.mark.parametrize("way", ["exact", "written, boxes", "written, linear", "path", "written, path"])
+@pytest.mark.parametrize("way", ["exact", "written, boxes", "written, linear"])
 def test_every_number_is_proved_in_balls(way: str) -> None:
     pytest.importorskip("flint")
     report = check_rigorous(certified(way))
@@ -344,24 +343,3 @@ def test_pairs_keep_apart_beside_regions_that_move() -> None:
 def test_long_horizons_have_paths_alone() -> None:
     with pytest.raises(ValueError, match="relation `path`"):
         cg.synthesize(follow(still(), horizon=600), 30, relation="exact")
-
-
-@pytest.mark.parametrize("value", [1, -1])
-def test_regions_of_which_the_check_knows_nothing_are_not_met(value: int) -> None:
-    # At step 3 the divisor is 6e-17: a number for the simulation, and anything for intervals.
-    agent = cg.Agent(
-        name="a", states=["x"], inputs=["u"], dynamics=["x + u"], noise_covariance=[[1e-4]],
-        state_low=[-3], state_high=[3], input_low=[-1], input_high=[1], initial_state=[0.0],
-    )  # fmt: skip
-    corners = ["min(1.0, 1/(0.1*t - 0.3)) + 1"], ["3"]
-    problem = cg.Problem(name="a", horizon=3, agents=[agent], propositions={"there": cg.Proposition("a", *corners)},
-                         specification=cg.Specification("F there" if value > 0 else "X X X !there"))  # fmt: skip
-    region = problem.propositions["there"]
-    assert isinstance(region, cg.Proposition)
-    assert region.at(3).low[0] == 2.0 and not np.isfinite(RegionSpan.of(region, 3).low).any()
-    letters, faces = np.zeros((4, 1), dtype=np.int8), np.full((4, 1), -1)
-    letters[3], faces[3] = value, 0
-    path = AgentPath(np.zeros((3, 1)), np.zeros((3, 1, 1)), np.zeros((4, 1)), np.full((4, 3), np.inf))
-    claim = Certificate(problem, PathProof((path,), letters, faces, 1e-3), {"relation": "path"})
-    assert wrong_paths(claim) == ([], 1.0)
-    assert not cg.check(claim)

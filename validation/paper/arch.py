@@ -19,8 +19,6 @@ from typing import Any
 from ...envs.agents import write_json, write_text
 from ...envs.problem import load_problem
 from ...synthesis.certificates import significant_down, significant_up
-from ...synthesis.checking import check
-from ...synthesis.nominal_paths import certified_starts
 from ...synthesis.synthesize import synthesize
 from ..simulation import rollout
 from ..statistics import clopper_pearson
@@ -39,7 +37,7 @@ EPISODES, ERROR = 100_000, 1e-6
 
 COLUMNS = (
     "row", "asked", "published", "tool", "published_seconds", "machine", "certified", "failure", "seconds", "check",
-    "rollouts", "upper_limit", "outcome", "starts", "published_starts", "note",
+    "rollouts", "upper_limit", "outcome", "note",
 )  # fmt: skip
 
 
@@ -117,21 +115,8 @@ def _certified(entry: Row, folder: Path, episodes: int = EPISODES) -> Row:
         "rollouts": met,
         "upper_limit": high,
         "outcome": outcome,
-        **_starts(entry, certificate),
         "note": entry["note"],
     }
-
-
-def _starts(entry: Row, certificate: Any) -> Row:
-    """Return the certified share of starts of a row, and the published one; nothing if the row asks for none."""
-    if "starts" not in entry:
-        return {"starts": None, "published_starts": None}
-    wanted = entry["starts"]
-    hull = certified_starts(certificate, wanted["level"], None if wanted["axes"] is None else tuple(wanted["axes"]))
-    report = check(hull)
-    if not report:
-        raise AssertionError(f"a set of starts does not pass its check: {report}")
-    return {"starts": hull.proof.share(hull.problem), "published_starts": wanted["published"]}
 
 
 def _asked(entry: Row) -> str:
@@ -146,7 +131,7 @@ def _page(rows: Sequence[Row]) -> str:
     """Return the rows as a table in Markdown."""
     lines = [
         "| row | published | tool, seconds, machine | asked for | certified | failure at most | seconds | check "
-        "| rollouts | outcome | starts, published |",
+        "| rollouts | outcome |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
@@ -155,6 +140,5 @@ def _page(rows: Sequence[Row]) -> str:
         cells = [row["row"], published, f"{row['tool'] or '-'}{seconds}", row["asked"]]
         cells += [significant_down(row["certified"], 6), significant_up(row["failure"], 3)]
         cells += [f"{row['seconds']:g}", row["check"], f"{row['rollouts']:.5f}", row["outcome"]]
-        cells += ["" if row["starts"] is None else f"{row['starts']:.4f}, {row['published_starts']:g}"]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([*lines, "", *(f"- **{row['row']}**: {row['note']}" for row in rows)]) + "\n"

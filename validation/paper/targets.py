@@ -112,14 +112,12 @@ def _refutation(result: dict[str, Any]) -> list[Line]:
 
 
 def _arch(rows: Sequence[dict[str, Any]]) -> list[Line]:
-    """Return a line for each row of the field's benchmarks, and one for each share of starts."""
+    """Return a line for each row of the field's benchmarks."""
     lines = list[Line]()
     for row in rows:
         # What fails its check is worth nothing.
         holds = row["check"] == "valid"
         lines.append(Bound(row["row"], row["published"], row["certified"] if holds else 0.0))
-        if row["starts"] is not None:
-            lines.append(Bound(f"{row['row']}: share of starts", row["published_starts"], row["starts"]))
     return lines
 
 

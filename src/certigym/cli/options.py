@@ -19,7 +19,6 @@ USUAL: dict[str, Any] = {
     "restarts": 0,
     "stationary": False,
     "device": "numpy",
-    "starts": None,
     "confidence": 0.999,
     "workers": None,
     "dask": None,
@@ -140,12 +139,6 @@ def add_search(parser: argparse.ArgumentParser) -> None:
         "--restarts", type=int, default=0, metavar="N", help="further searches from perturbed plans (default: 0)"
     )
     parser.add_argument("--stationary", action="store_true", help="policies that do not look at the time")
-    parser.add_argument(
-        "--starts",
-        type=float,
-        metavar="P",
-        help="along a path: certify a convex set of starts around that of the problem that keep this probability",
-    )
     parser.add_argument(
         "--device",
         default="numpy",

@@ -13,8 +13,8 @@ from tqdm import tqdm
 from ..envs.agents import AnyAgent, Pair, Proposition, counted, matrix_text, vector_text
 from ..envs.problem import Problem, cut_by_the_end, out_of_reach, why_never
 from ..envs.suite import make_problem, problem_ids, tier_of_id
-from ..synthesis.canonical import checker_text
 from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, start_of_claim
+from ..synthesis.certificates.canonical import checker_text
 from ..synthesis.checking import safety_rate
 from ..synthesis.in_files import check as check_claim
 from ..synthesis.in_files import load
@@ -156,10 +156,6 @@ def synthesize(options: Namespace) -> int:
     claim = result.claim
     if why := result.stats.get("nothing"):
         claim = f"nothing was certified ({claim}): {why}"
-    if options.starts is not None:
-        share = certificate.proof.share(certificate.problem)
-        claim += f" from {share:.4f} of the workspace, {len(certificate.proof.corners)} corners"
-        summary |= {"share": share, "corners": len(certificate.proof.corners)}
     text = f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {claim}\nsaved to {options.out}"
     show(options, text, summary)
     return 130 if result.checked is None else int(not result.checked)

@@ -39,8 +39,6 @@ def synthesized(options: Namespace) -> Synthesis:
     with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
         report = shown_on(bar)
         chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
-        if options.starts is not None:
-            chosen["starts"] = options.starts
         if is_endless(options):
             chosen["horizon"] = None
         result = synthesize(problem, cells, **chosen, progress=report)

@@ -12,15 +12,14 @@ from collections.abc import Callable
 
 from .ball_masses import hats, lost, masses, near
 from .ball_memory import Proof
-from .ball_numbers import angles, any_of, charge, error_function, function, light, long, moments, spans, start, tails
+from .ball_numbers import angles, charge, error_function, function, spans, start
 from .ball_relations import aims, disturbance, ellipsoid, ellipsoid_support, targets, tube
 from .ball_sums import differences, spare, sums
 from .turned_shares import turned
 
 PROOFS: dict[str, Callable[..., Proof]] = {
     "masses": masses, "lost": lost, "hats": hats, "near": near, "charge": charge, "erf": error_function,
-    "tails": tails, "light": light, "long": long, "moments": moments, "any": any_of, "function": function,
-    "spans": spans,
+    "function": function, "spans": spans,
     "aims": aims, "targets": targets,
     "disturbance": disturbance, "tube": tube, "ellipsoid support": ellipsoid_support, "ellipsoid": ellipsoid,
     "spare": spare, "angles": angles, "start": start, "turned": turned, "sums": sums, "differences": differences,

@@ -18,7 +18,6 @@ from flint import arb, arb_mat
 
 from certigym.envs.agents import with_matrices
 from certigym.envs.expressions import Name, Number, Tree, whole_exponent
-from certigym.synthesis.path_checking import Moving
 from certigym.synthesis.step_checking import Enclosed
 
 Ends = tuple[Any, Any]
@@ -190,7 +189,7 @@ class _Outputs:
     """What is enclosed, as functions of boxes of variables: grid coordinates of the cell, then what is unknown."""
 
     def __init__(self, enclosed: Enclosed) -> None:
-        self.enclosed, self.moving = enclosed, Moving.of(enclosed.agent)
+        self.enclosed, self.moving = enclosed, enclosed.agent
         assert enclosed.trees is not None  # those of matrices are maps
         self.trees = enclosed.trees
         C = enclosed.coordinates
@@ -215,7 +214,7 @@ class _Outputs:
             for name, row in zip(m.states, self.rows, strict=True):
                 leaves[name] = _combined([(x, variables[k]) for k, x in row], nothing)
             leaves |= {name: Span((u, u), nothing) for name, u in zip(m.inputs, inputs, strict=False)}
-            leaves |= dict(zip(m.unknown, variables[d:], strict=False))
+            leaves |= dict(zip(m.unknowns, variables[d:], strict=False))
             values = [span(tree, leaves) for tree in self.trees]
             if self.turned is not None:
                 values = [_combined(list(zip(row, values, strict=True)), nothing) for row in self.turned]

@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import Agent, AnyAgent, Law, LinearAgent, write_bytes
-from ..envs.logic import Formula, parse_formula
-from ..envs.problem import Problem
-from .cells import FloatArray
-from .certificates import AgentPath, Certificate, GridProof, PathProof
-from .checker import (
+from ...envs.agents import Agent, AnyAgent, Law, LinearAgent, write_bytes
+from ...envs.logic import Formula, parse_formula
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from ..checker import (
     FORMAT,
     MOST_BYTES,
     VERSION,
@@ -33,12 +32,16 @@ from .checker import (
     Unreadable,
     Verdict,
     affine_dynamics,
+    check_angles,
     check_contents,
     read_file,
     read_problem,
     shown,
 )
-from .masses import AgentPart
+from ..masses import AgentPart
+from .certificate import Certificate
+from .grid_proof import GridProof
+from .path_proof import AgentPath, PathProof
 
 
 class NotCanonicalError(ValueError):
@@ -92,6 +95,29 @@ def verdict_of(certificate: Certificate) -> Verdict:
         If its problem or its proof has no canonical form yet.
     """
     return _judged(certificate)[2]
+
+
+def wrong_angles(problem: Problem) -> str:
+    """Return why states that are said to be angles are none; nothing if they are.
+
+    Runs on cells need it as those along trajectories do, whatever the task: the one that is looked at is always true.
+    """
+    if not any(agent.angles for agent in problem.agents):
+        return ""
+    names = _plain_names(problem.labeling.names)
+    always = {"initial": 0, "accepting": [True], "root": [-1], "variable": [], "low": [], "high": []}
+    header = {
+        "horizon": problem.horizon,
+        "agents": [_agent(problem, i) for i in range(problem.n_agents)],
+        "regions": _regions(problem, names),
+        "pairs": _pairs(problem, names),
+        "task": {"semantics": "co-safe", "automaton": always},
+    }
+    try:
+        check_angles(read_problem({"problem": header}))
+    except (Refused, Unreadable) as reason:
+        return str(reason)
+    return ""
 
 
 def checker_text(certificate: Certificate) -> str:
@@ -354,6 +380,9 @@ class _Pool:
 def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndarray]) -> dict[str, Any]:
     """Return the entry of a proof along trajectories, and add its arrays to those of the file."""
     put = _Pool(arrays)
+    for agent, path in zip(problem.agents, proof.paths):
+        if path.states is None and not isinstance(agent, LinearAgent):
+            raise NotCanonicalError(f"the trajectory of agent `{agent.name}` has no nominal states")
     nominal = proof.controller(problem).nominal
     return {
         "kind": "trajectory",
@@ -371,12 +400,14 @@ def _trajectory(agent: AnyAgent, path: AgentPath, states: FloatArray) -> dict[st
     """Return nominal inputs, gains, states and widths of the tube of one agent."""
     steps, d, m = path.n_steps, agent.n_states, agent.n_inputs
     widths = np.full((steps + 1, d + m), np.inf) if path.slabs is None else path.slabs[:, : d + m]
-    return {
-        "inputs": path.inputs,
-        "gains": np.array(path.gains),
-        "states": states,
-        "widths": widths,
-    }
+    entry = {"inputs": path.inputs, "gains": np.array(path.gains), "states": states, "widths": widths}
+    if agent.noise_scale is not None and path.slabs is not None:
+        # slabs are in deviations of what the scale multiplies
+        deviations = [law.std for law in agent.laws or ()] or np.ones(agent.noise_axes.shape[1])
+        size = np.linalg.norm(agent.noise_axes * deviations, axis=1)
+        slabs = path.slabs[:-1, d + m :]
+        entry["noise_widths"] = np.where(np.isinf(slabs), np.inf, np.where(np.isinf(slabs), 0.0, slabs) * size)
+    return entry
 
 
 def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> dict[str, Any]:

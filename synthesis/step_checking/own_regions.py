@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...envs.agents import DECIMALS, TIME, PairRegion, Proposition, ball_box
+from ...envs.agents import DECIMALS, TIME, Proposition
 from ...envs.expressions import Tree
 from ..cells import FloatArray
 from .own_intervals import Span, span
-from .roundings import UNIT
+
+UNIT = 2.0**-52
+"""Twice the relative rounding of one operation."""
 
 HALF = 0.51 * 10.0**-DECIMALS
 """How far a corner is from the value of its expression, a little more than half a decimal."""
@@ -44,20 +46,6 @@ class RegionSpan:
     def is_apart_from(self, other: RegionSpan) -> bool:
         """Whether the two surely have no point in common."""
         return bool(np.any(self.high[1] <= other.low[0]) or np.any(other.high[1] <= self.low[0]))
-
-
-def pair_spans(pair: PairRegion, time: int) -> tuple[PairRegion, PairRegion]:
-    """Return a region within a pair at a time, and one around it; one that stands still is both."""
-    if pair.moving is None:
-        return pair, pair
-    ends = [np.stack([_ends(tree, time) for tree in own], axis=1) for own in pair.moving.trees]
-    here = pair.first, pair.second, pair.outputs
-    if len(ends) == 2:
-        low, high = ends
-        return PairRegion(*here, low[1], high[0], np.inf), PairRegion(*here, low[0], high[1], np.inf)
-    (low, high, radius), (first, last, most) = (ball_box(end, pair.size) for end in ends[0])
-    inner = PairRegion(*here, low[:, 0], high[:, 0], float(radius[0]))
-    return inner, PairRegion(*here, first[:, 0], last[:, 0], float(most[0]))
 
 
 def _ends(tree: Tree, time: int) -> FloatArray:
