@@ -14,19 +14,18 @@ WORKERS ?= auto
 PYTEST := $(BIN)/python -m pytest --numprocesses=$(WORKERS) --maxprocesses=8 --dist=worksteal
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test quick lint docs dist notebooks links clean
+.PHONY: demo test thorough lint docs dist notebooks links clean
 
 demo: .venv/core
 	$(BIN)/certigym run reach-avoid-v0
 
-# types are looked at beside the tests: either takes one core of two for a while
+# each map, backup, law, rule of the format and forgery once, on small problems; a part: `make test ARGS=tests/envs`
 test: .venv/test lint
-	@$(BIN)/python -m mypy & types=$$!; $(PYTEST) -m "not pages"; tests=$$?; wait $$types && exit $$tests
+	$(PYTEST) -m "not thorough and not pages" $(ARGS)
 
-# the inner loop: what is not marked slow; `make quick ARGS=tests/envs/test_labeling.py` runs all of one file
-quick: .venv/test
-	$(BIN)/python -m ruff check --quiet .
-	$(PYTEST) $(or $(ARGS),-m "not slow and not pages")
+# what searches as long as users do, or repeats a question for more problems, laws and seeds; and types
+thorough: .venv/test
+	@$(BIN)/python -m mypy & types=$$!; $(PYTEST) -m "thorough and not pages" $(ARGS); tests=$$?; wait $$types && exit $$tests
 
 lint: .venv/test
 	$(BIN)/python -m ruff check .

@@ -1,7 +1,7 @@
 """What several tests use and what is expensive to make: made once in a session (on each worker).
 
 Searches are smaller here than users have them (``smaller_searches``): what is claimed is as true, and proved by the
-same code. Tests of how much is found say so: ``pytest.mark.thorough``.
+same code. Tests of how much is found say so: ``pytest.mark.full_search``.
 """
 
 from __future__ import annotations
@@ -85,48 +85,13 @@ USUAL = [getattr(module, name) for module, name, _ in SMALLER]
 
 @pytest.fixture(autouse=True)
 def usual_searches(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Searches as users have them, for tests marked ``thorough``: all of them, or the modules that the mark names."""
-    mark = request.node.get_closest_marker("thorough")
+    """Searches as users have them, for tests marked ``full_search``: all, or the modules that the mark names."""
+    mark = request.node.get_closest_marker("full_search")
     if mark is not None:
         assert {*mark.args} <= {module for module, _, _ in SMALLER}, mark.args
         for (module, name, _), value in zip(SMALLER, USUAL, strict=True):
             if not mark.args or module in mark.args:
                 monkeypatch.setattr(module, name, value)
-
-
-SLOW = """
-    adversary agents_may_be_coupled boxes_certificates_are_checked boxes_values_are_below_the_truth
-    certificates_are_checked certificates_have_another_end check_answers_whatever_it_is_given
-    claims_hold_in_ball_arithmetic clients_find_what_they_expect command_line
-    common_inputs_stand_against_another_simulation coupled_tasks_have_one_automaton
-    deadlines_leave_few_states_at_a_time describe_says_which_ways_apply disturbances_have_a_behaviour
-    environments_behind_shields every_id_conforms every_way_that_applies_is_tried everything_composes
-    examples_ship_certificates expressions_are_read_and_enclosed expressions_have_exact_targets field_benchmarks
-    findings_are_as_told finer_levels_gain fleets_are_certified_along_paths given_policies_are_certified
-    guards_are_disjoint gymnasium_envs inner_terms_are_rounded inputs_are_chosen_in_common
-    inputs_stand_beside_targets labeling ladders_stay_below_the_sum laws_of_the_value learners_train_behind_shields
-    limits_hold_for_hostile_input linear_certificates_are_checked linear_tables_bound_what_they_say
-    linear_values_are_below_the_truth menus_keep_what_they_promise mixed_teams_are_certified
-    models_of_strangers_are_measured mona_agrees networks_are_certified_as_they_are networks_have_linear_cells
-    networks_keep_apart networks_move_bent_agents networks_of_problems_written_in_another_way
-    networks_see_states_in_their_units noise_of_any_law noise_that_is_uneven nominal_paths_are_nearly_optimal
-    nonlinear_paths_are_certified nothing_is_certified_with_a_reason other_programs_agree pairs_are_subtracted
-    pairs_may_be_distances pairs_may_be_polygons parallel_env paths_are_certified
-    paths_are_found_where_plans_are_hard paths_are_reported paths_know_other_laws
-    paths_of_agents_that_name_each_other paths_reach_regions_of_shapes polar_inputs_reach_sectors policies_come_back
-    probes_are_fair problem_files public_records_are_short regions_are_crossed regions_are_what_they_are rendering
-    report_pages_in_a_browser reports_print_themselves reviewers_see_what_passes rounding_refuses_nothing_true
-    safety_lasts_as_long_as_is_claimed sensors_may_be_noisy_or_see_neighbours sets_of_starts_are_certified
-    shaped_rewards shields_keep_what_they_promise shields_know_any_noise shields_of_agents_with_expressions
-    split_axes suite teams_are_one_agent teams_are_touched_up the_best_relation_is_kept
-    the_check_grows_trains_itself the_clock_decides_nothing the_page_of_defaults_is_true
-    the_studio_keeps_what_is_drawn the_trusted_base_is_known the_value_explorer_reads_what_is_certified
-    theory_pages_are_whole time_is_certified trains_stay_within_their_error translation_is_correct
-    tree_equals_dense_programming tube_relation validation_on_the_command_line values_hold_at_any_time
-    what_is_shared_is_equal words_of_few_cubes worlds_live_on_devices written_agents_have_linear_cells
-    written_certificates_are_checked
-"""
-"""Files that take some seconds on one core, without `test_`: `make quick` leaves them out."""
 
 
 # What is collected stays until the end: there is no garbage to look for in it.
@@ -137,14 +102,6 @@ def pytest_collection_finish() -> None:
     """Look for garbage from now on, among what tests make."""
     gc.freeze()
     gc.enable()
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of slow files."""
-    slow = {f"test_{name}" for name in SLOW.split()}
-    for item in items:
-        if item.path.stem in slow:
-            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(autouse=True)

@@ -1,10 +1,23 @@
-"""Problems that have every trait once: each way to move and each way to be judged, in place of all their products."""
+"""Which cases are asked for at every commit: problems that have every trait once, and the first cases of many."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
+import pytest
+
 import certigym as cg
+
+
+def mostly_thorough(names: str | tuple[str, ...], cases: Iterable[Any], first: int = 1, **options: Any) -> Any:
+    """``pytest.mark.parametrize``, of which ``make test`` runs the first cases and ``make thorough`` all others."""
+    is_one = isinstance(names, str) and "," not in names
+    marked = [
+        case if i < first else pytest.param(*([case] if is_one else case), marks=pytest.mark.thorough)
+        for i, case in enumerate(cases)
+    ]
+    return pytest.mark.parametrize(names, marked, **options)
 
 
 def traits_of(problem: cg.Problem) -> tuple[Any, ...]:
@@ -35,3 +48,7 @@ def ids_of_kinds() -> list[str]:
 
 
 IDS_OF_KINDS = ids_of_kinds()
+
+
+ALL_IDS = [id if id in IDS_OF_KINDS else pytest.param(id, marks=pytest.mark.thorough) for id in cg.problem_ids()]
+"""Every id: those of kinds at every commit, the others in `make thorough`."""

@@ -20,6 +20,7 @@ from certigym.synthesis.readings.box_minima import least_over_boxes
 from certigym.synthesis.readings.kernel import Kernel
 from certigym.synthesis.step_checking import boxes_check
 from certigym.synthesis.values import Terms
+from kinds import mostly_thorough
 from problems import cart, cart_reach, linear, two_agents
 
 
@@ -166,7 +167,7 @@ PROBLEMS: dict[str, tuple[cg.Problem, Any]] = {
 """Problems of one agent, and cells."""
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
+@mostly_thorough("name", PROBLEMS)
 def test_values_are_below_the_expectation_of_the_next_ones(name: str) -> None:
     """One step at a time, at random states under the certificate's controller."""
     problem, cells = PROBLEMS[name]

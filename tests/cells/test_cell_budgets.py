@@ -20,8 +20,6 @@ from certigym.synthesis.choosing.cell_choice import Budget, refine
 from certigym.synthesis.models.abstraction import abstract
 from problems import two_agents
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.mark.parametrize("resolution", [2.3, 3.0, 4.1])
 def test_means_of_position_and_velocity_fall_on_the_lattice(resolution: float) -> None:
@@ -53,6 +51,7 @@ def test_equal_agents_get_equal_cells_and_share_their_kernel() -> None:
     assert models[0].kernel is models[1].kernel
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("id", "horizon", "memory", "relation"),
     [
@@ -79,6 +78,7 @@ def test_memory_is_used_and_kept(id: str, horizon: int, memory: float, relation:
     assert found.certificate.lower_bound == max(entry["lower_bound"] for entry in record["tried"])
 
 
+@pytest.mark.thorough
 def test_runs_end_when_the_bound_changes_little(tmp_path: Path) -> None:
     problem = cg.make_problem("reach-avoid-v0", horizon=6)
     found = cg.synthesize(problem, accuracy=0.0005)
@@ -94,6 +94,7 @@ def test_runs_end_when_the_bound_changes_little(tmp_path: Path) -> None:
     assert cg.check(found.certificate, problem)
 
 
+@pytest.mark.thorough
 def test_relations_that_need_finer_cells_are_recorded_and_passed() -> None:
     """The integrator chain has no tube on coarse cells."""
     problem = cg.make_problem("integrator-chain-v0", horizon=2)

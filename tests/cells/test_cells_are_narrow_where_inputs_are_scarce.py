@@ -51,7 +51,7 @@ def test_cells_are_even_where_axes_are_alike(one: cg.Problem) -> None:
     assert cells_where_scarce(one) == {}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_more_is_certified_with_as_many_cells() -> None:
     task = problem([-16.0, 2.0])
     uneven = cg.synthesize(task, cells_where_scarce(task), relation="exact").certificate

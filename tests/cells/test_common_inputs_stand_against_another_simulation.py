@@ -16,6 +16,8 @@ from scipy.stats import binom
 import certigym as cg
 from tuple_expressions import Expression, text_of, value_of
 
+pytestmark = pytest.mark.thorough
+
 SEEDS, EPISODES = 6, 4000
 
 FALSE_ALARM = 1e-6

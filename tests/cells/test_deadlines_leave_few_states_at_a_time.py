@@ -11,6 +11,7 @@ from certigym.synthesis.choosing.levels import work_of
 from certigym.synthesis.models import joint as joint_module
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.joint import count_of_decisions, join
+from kinds import mostly_thorough
 from problems import two_agents
 from written_problems import oscillator_reach
 
@@ -25,7 +26,7 @@ def test_a_counter_is_in_one_state_at_a_time() -> None:
     assert join(problem, abstract(problem, 12, relation="exact")).occurs.all()
 
 
-@pytest.mark.parametrize("formula", ["G[0,6] !b", "F[0,5] (a & F[0,3] c)", "G[0,3] !b & F[2,6] a"])
+@mostly_thorough("formula", ["G[0,6] !b", "F[0,5] (a & F[0,3] c)", "G[0,3] !b & F[2,6] a"], first=2)
 def test_bounds_are_those_of_all_states(formula: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """States that do not occur add nothing to the value at the start, nor to the bound for any policy."""
     problem = two_agents(formula, horizon=6)

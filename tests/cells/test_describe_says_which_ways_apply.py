@@ -35,6 +35,7 @@ def test_ways_stand_in_the_order_in_which_they_are_tried(capsys: pytest.CaptureF
     assert lines[-1].startswith("not `linear`, level by level: agent `robot`: ")
 
 
+@pytest.mark.thorough
 def test_no_one_is_asked_for_fewer_of_what_nobody_gave(capsys: pytest.CaptureFixture[str]) -> None:
     for file in sorted(file for file in OWN.glob("*.toml") if file.stem not in LONG):
         for line in said(capsys, str(file)):
@@ -78,6 +79,7 @@ def test_laws_without_paths_are_named(capsys: pytest.CaptureFixture[str], tmp_pa
     assert "exponential moments are known, got scipy" in line
 
 
+@pytest.mark.thorough
 def test_what_is_said_is_what_is_tried() -> None:
     problem = cg.load(OWN / "response.toml")
     ((task, ways),) = ways_ahead(problem)

@@ -31,8 +31,7 @@ from certigym.synthesis.values.devices import (
     concatenate,
     take,
 )
-
-pytestmark = pytest.mark.slow
+from kinds import mostly_thorough
 
 DEVICE = os.environ.get("CERTIGYM_DEVICE", "torch:cpu")
 """`CERTIGYM_DEVICE=torch:cuda` or `cupy` tests an accelerator of this machine."""
@@ -63,7 +62,7 @@ def swept(name: str, device: str, policies: Policies | None, **how: Any) -> Swee
     return sweep(joint, policies, start_of(problem, joint), Limits(), **how)
 
 
-@pytest.mark.parametrize("name", TASKS)
+@mostly_thorough("name", TASKS, first=2)
 def test_frozen_sweeps_agree_to_rounding(name: str) -> None:
     policies = swept(name, "numpy", None).policies
     ours, theirs = (swept(name, device, policies, improve=False) for device in ("numpy", DEVICE))
@@ -77,7 +76,7 @@ def test_frozen_sweeps_agree_to_rounding(name: str) -> None:
             np.testing.assert_array_equal(rows, others)
 
 
-@pytest.mark.parametrize("name", TASKS)
+@mostly_thorough("name", TASKS)
 def test_best_responses_gain_the_same(name: str) -> None:
     """Choices may differ where two are worth the same to rounding; what they are worth may not."""
     policies = swept(name, "numpy", None).policies
@@ -98,7 +97,7 @@ def test_occupancies_and_robust_losses_agree() -> None:
             assert mine.masses(q).sum() == pytest.approx(other.masses(q).sum(), rel=CLOSE, abs=1e-300)
 
 
-@pytest.mark.parametrize("relation", ["auto", "paper"])
+@mostly_thorough("relation", ["auto", "paper"])
 def test_certificates_agree_and_are_checked(relation: str) -> None:
     problem = cg.make_problem("reach-avoid-v0")
     ours, theirs = (cg.synthesize(problem, 150, relation=relation, device=device) for device in ("numpy", DEVICE))

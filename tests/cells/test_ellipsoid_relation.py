@@ -30,9 +30,8 @@ from certigym.synthesis.relations.tube import disturbance_of
 from certigym.synthesis.step_checking.execution import execution_of
 from certigym.synthesis.step_checking.relation_check import verify_relation
 from certigym.validation.statistics.binomial import clopper_pearson
+from kinds import mostly_thorough
 from problems import scalar_agent
-
-pytestmark = pytest.mark.slow
 
 pytest.importorskip("cvxpy", reason="the extra lmi is not installed")
 
@@ -106,8 +105,8 @@ def failures(agent: Any, part: Any) -> list[str]:
     return verify_relation(agent, part, relation, execution_of(agent, part, relation))
 
 
-@pytest.mark.parametrize("delta", [0.0, 0.02])
-@pytest.mark.parametrize("name", CASES)
+@mostly_thorough("delta", [0.0, 0.02])
+@mostly_thorough("name", CASES)
 def test_ellipsoids_are_found_and_verified_without_the_solver(
     name: str, delta: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,7 +181,7 @@ def test_what_means_are_snapped_by_is_computed_and_not_believed() -> None:
         assert failures(cart(), replace(moved, relation={**part.relation, "snap": snap})) != []
 
 
-@pytest.mark.parametrize("seed", range(8))
+@mostly_thorough("seed", range(8), first=5)
 def test_the_proof_of_invariance_is_sound_and_loses_nothing(seed: int) -> None:
     """Against the largest image over 200,000 boundary points and all vertices, up to 1e-5 on both sides."""
     rng = np.random.default_rng(seed)
@@ -222,7 +221,7 @@ def test_scalar_ellipsoids_are_the_closed_form(delta: float) -> None:
     assert found.shape[0, 0] == pytest.approx(1.0) and not np.any(found.feedback)
 
 
-@pytest.mark.parametrize(("share", "deltas"), [(0.0, (0.15, 0.2, 0.3)), (0.3, (0.0, 0.005, 0.02, 0.06))])
+@mostly_thorough(("share", "deltas"), [(0.0, (0.15, 0.2, 0.3)), (0.3, (0.0, 0.005, 0.02, 0.06))])
 def test_epsilon_falls_as_delta_rises(share: float, deltas: tuple[float, ...]) -> None:
     """What labels lose, where the inputs that the feedback may use are held fixed; and epsilon with it."""
     found = [find_ellipsoid(cart(), cells(cart()), np.eye(2), ROOM, delta, share=share) for delta in deltas]
@@ -233,6 +232,7 @@ def test_epsilon_falls_as_delta_rises(share: float, deltas: tuple[float, ...]) -
         assert all(b.epsilon < a.epsilon for a, b in zip(found, found[1:]))
 
 
+@pytest.mark.thorough
 def test_what_inputs_and_labels_lose_together_falls_as_delta_rises() -> None:
     agent = cart()
     losses = []

@@ -54,7 +54,7 @@ def tried_of(found: cg.Synthesis) -> dict[str, Any]:
     return dict(found.stats["tried"])  # type: ignore[call-overload]
 
 
-@pytest.mark.thorough
+@pytest.mark.full_search
 def test_the_cheapest_is_first_and_the_best_is_kept(table: Table) -> None:
     found = best_of(
         [table.way("long", 0.5, 3.0), table.way("short", 0.6, 1.0), table.way("middle", 0.4, 2.0)], Effort()
@@ -87,7 +87,7 @@ def test_what_leaves_nothing_to_gain_ends_the_search(table: Table) -> None:
     assert found.certificate.lower_bound == 0.97 and "0.95 was certified already" in tried_of(found)["rare"]
 
 
-@pytest.mark.thorough
+@pytest.mark.full_search
 def test_what_needs_another_way_comes_after_it(table: Table) -> None:
     ways = [table.way("finer", 0.7, after="coarse"), table.way("coarse", 0.5, 4.0), table.way("path", 0.1, 2.0)]
     best_of(ways, Effort())
@@ -101,6 +101,7 @@ def test_a_grid_is_kept_where_a_path_certifies_hardly_more() -> None:
     assert leading({"path": path}) is path and leading({}) is None
 
 
+@pytest.mark.thorough
 def test_a_path_that_leaves_hardly_anything_to_gain_spares_the_grids() -> None:
     found = cg.synthesize("integrator-chain-v0")
     assert not found.certificate.proof.has_cells and found.certificate.lower_bound > 0.993
@@ -119,7 +120,6 @@ def test_the_number_of_agents_leaves_no_way_out() -> None:
         assert tables[0][name] < tables[1][name] < tables[2][name]
 
 
-@pytest.mark.slow
 def test_teams_of_three_get_linear_cells_on_cells_that_are_given() -> None:
     """On coarse cells they certify several times what other relations do."""
     found = cg.synthesize(robots(3), 12)
@@ -158,7 +158,8 @@ def test_ctrl_c_keeps_the_best_level() -> None:
     assert "broken off by Ctrl-C" in str(tried_of(found))
 
 
-@pytest.mark.thorough(effort)
+@pytest.mark.thorough
+@pytest.mark.full_search(effort)
 def test_ways_and_levels_are_told_beside_the_bound_so_far() -> None:
     told: list[tuple[str, float]] = []
     found = cg.synthesize("car-park-v0", progress=lambda text, value: told.append((text, value)))
@@ -174,6 +175,7 @@ def test_ways_and_levels_are_told_beside_the_bound_so_far() -> None:
     assert last == ("way: separate code computes it again", found.certificate.lower_bound)
 
 
+@pytest.mark.thorough
 def test_a_path_that_has_no_time_is_a_path() -> None:
     """What was found until the seconds are over is finished and certified."""
     problem = cg.make_problem("car-slalom-v0")
@@ -194,6 +196,7 @@ def driven() -> tuple[CountedWork, cg.Synthesis]:
     return slalom(CountedWork(told=TOLD.append))
 
 
+@pytest.mark.thorough
 def test_work_along_paths_is_counted_and_kept_to() -> None:
     """Twice the same search takes the same work; less of it ends earlier, with a first certificate all the same."""
     spent = list[tuple[float, float]]()

@@ -44,6 +44,7 @@ def ferry() -> cg.Problem:
 
 
 @pytest.mark.thorough
+@pytest.mark.full_search
 def test_boxes_on_default_cells_are_counted() -> None:
     work = {way.name: way.work for _, ways in ways_ahead(ferry()) for way in ways}
     assert work["others"] > 30.0  # 20 were counted, whatever they took

@@ -15,6 +15,7 @@ from certigym.envs.expressions import Number, Operation
 from certigym.synthesis.relations import WrittenTargets, written_targets
 from certigym.synthesis.step_checking.carrying_out import wrong_actions
 from certigym.synthesis.step_checking.execution import execution_of
+from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
 """Probability that rollouts refute a true certificate."""
@@ -78,7 +79,7 @@ def certificate_of(name: str) -> cg.Certificate:
     return result.certificate
 
 
-@pytest.mark.parametrize("name", AGENTS)
+@mostly_thorough("name", AGENTS, first=2)
 def test_claims_are_exact_checked_and_met_by_rollouts(name: str) -> None:
     """Both ends of the claim hold in simulations of their own: false alarm 1e-6; a gap of .03 would be seen."""
     certificate = certificate_of(name)
@@ -193,6 +194,7 @@ def test_neighbours_that_are_told_are_cancelled() -> None:
     assert cg.validate(result, 500, seed=0).estimate == 1.0
 
 
+@pytest.mark.thorough
 def test_automatic_choice_takes_exact_targets() -> None:
     """Where cells are fine they certify most; on coarse ones other relations may."""
     strong = robot(["x + 0.1*sin(y) + 4*u", "y + 4*v"], ["u", "v"], [-1, -1], [1, 1])

@@ -91,6 +91,7 @@ def test_policies_without_a_choice_rest_on_finer_cells() -> None:
     np.testing.assert_array_equal(carried[0, 0], fine.models[0].choices.resting_choice)
 
 
+@pytest.mark.thorough
 def test_defaults_of_agents_with_velocities_are_refined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Default cells become finer where the first ones certify little; the bound rises and the certificate is valid."""
 

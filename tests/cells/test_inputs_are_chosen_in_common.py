@@ -23,6 +23,7 @@ from certigym.synthesis.relations import CommonInputs
 from certigym.synthesis.search import Search, find_policies
 from certigym.synthesis.search.relaxation import relax
 from certigym.synthesis.shielding import shield_of
+from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
 """Probability that a true claim is refuted here; the seeds are fixed."""
@@ -66,6 +67,7 @@ def numbers_of(certificate: OnGrid) -> np.ndarray:
 # The bound is below the truth.
 
 
+@pytest.mark.thorough
 def test_the_bound_is_below_the_truth_which_is_a_product_here() -> None:
     """With one undecided automaton state the heat is a sequence: given it, agents are independent chains.
 
@@ -114,6 +116,7 @@ def sequences_of(problem: cg.Problem, joint: JointModel) -> dict[tuple[int, ...]
     return values
 
 
+@pytest.mark.thorough
 def test_the_search_finds_the_best_sequence_of_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """All sequences of small problems are tried: no other is better by a hundredth, and mostly none is better at all.
 
@@ -146,6 +149,7 @@ def test_relaxations_are_above_what_any_number_attains() -> None:
     assert certified(problem, 10).lower_bound <= above
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("problem", [boiler_problem(2), switching(1, 5)], ids=["stay", "switch"])
 def test_rollouts_do_not_refute_the_bound(problem: cg.Problem) -> None:
     """20,000 rollouts of the continuous system; the heat follows the automaton state."""
@@ -166,6 +170,7 @@ def test_rooms_may_have_noise_whose_scale_depends_on_their_state() -> None:
     assert cg.validate(certificate, 10_000, seed=2, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
 
 
+@pytest.mark.thorough
 def test_the_example_holds_and_a_joint_agent_does_better() -> None:
     """A joint agent of both zones looks at both of them when it chooses the heat; five zones have no joint grid."""
     building = cg.load(EXAMPLE).replace(horizon=4)
@@ -236,6 +241,7 @@ def test_controllers_act_alike_in_environments_and_batches(boiled: OnGrid) -> No
         observations, _, _, _, infos = env.step(actions)
 
 
+@pytest.mark.thorough
 def test_both_ways_are_tried_and_the_better_one_is_kept() -> None:
     """A boiler that has to look at its own state, and hardly matters to the room, is better left alone."""
     problem = boiler_problem(1)
@@ -282,6 +288,7 @@ def test_unknown_inputs_count_as_disturbances() -> None:
     assert 0.0 < whole == pytest.approx(product_of_all, rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_policies_go_on_from_certificates_and_without_a_clock(boiled: OnGrid) -> None:
     longer = boiler_problem(2, horizon=6)
     for settings in ({"start": boiled}, {"stationary": True, "common": True}):
@@ -328,6 +335,7 @@ def two_boilers() -> cg.Problem:
     )
 
 
+@pytest.mark.thorough
 def test_groups_may_have_several_owners_and_inputs() -> None:
     problem = two_boilers()
     joint = join(problem, abstract(problem, 12, relation="boxes", common=True))
@@ -342,6 +350,7 @@ def test_groups_may_have_several_owners_and_inputs() -> None:
     assert np.ptp(used[..., 0], axis=2).max() == 0.0 and np.ptp(used[..., 1], axis=2).max() > 0.0
 
 
+@pytest.mark.thorough
 def test_rooms_alike_beside_other_boilers_are_told_apart() -> None:
     """Equal rooms of equal boilers: their choices agree with their own boiler's, and these are two groups."""
     agents = [boiler(name=f"boiler_{k}") for k in range(2)]
@@ -448,7 +457,7 @@ BROKEN: dict[str, tuple[str, Callable[..., Any]]] = {
 }
 
 
-@pytest.mark.parametrize("name", BROKEN)
+@mostly_thorough("name", BROKEN)
 def test_broken_searches_are_caught(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = boiler_problem(2)
     with monkeypatch.context() as patch:

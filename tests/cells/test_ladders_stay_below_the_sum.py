@@ -90,6 +90,7 @@ def test_the_edge_of_a_region_for_two_disappears() -> None:
     assert weights[head] > 0.85 * weights.sum()
 
 
+@pytest.mark.thorough
 def test_teams_in_the_wind_meet_in_a_region() -> None:
     """Two drones and a bounded wind: no step may pay for the edge of a region that both have not reached yet."""
     windy = cg.make_problem("windy-delivery-v0", n_agents=2)

@@ -38,6 +38,7 @@ def test_the_order_of_the_agents_does_not_matter(problem: cg.Problem) -> None:
     assert value(swapped) == pytest.approx(value(problem), rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_splitting_guards_and_renaming_states_does_not_matter(problem: cg.Problem) -> None:
     rows = [
         ("idle", "a & c & b", "done"),
@@ -60,6 +61,7 @@ def test_splitting_guards_and_renaming_states_does_not_matter(problem: cg.Proble
     assert value(other) == pytest.approx(value(problem), rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_values_are_probabilities_and_grow_with_cells_horizon_and_inputs(problem: cg.Problem) -> None:
     by_cells = [value(problem, cells) for cells in (32, 64, 128)]
     assert by_cells == sorted(by_cells) and 0 < by_cells[0] and by_cells[-1] < 1

@@ -22,6 +22,7 @@ from certigym.synthesis.checking import wrong_opposite
 from certigym.synthesis.models import JointModel, join, start_of, surrounded
 from certigym.synthesis.search import FINAL, sweep
 from certigym.synthesis.upper_ends import abstraction_again, bound_above, evaluated
+from kinds import mostly_thorough
 from problems import two_agents
 
 FALSE_ALARM = 1e-6
@@ -74,7 +75,7 @@ def dense(certificate: Any) -> float:
     return float(values[q][tuple(part.grid.cell_of(x[:, None])[0] for part, x in zip(parts, starts, strict=True))])
 
 
-@pytest.mark.parametrize("task", TASKS)
+@mostly_thorough("task", TASKS, first=3)
 def test_the_upper_end_is_what_the_controllers_attain(task: str) -> None:
     """Where policies are followed exactly: no less than the truth, and no more than a millionth above it."""
     end, truth = ended(task, "exact"), dense(certified(task, "exact"))
@@ -84,9 +85,8 @@ def test_the_upper_end_is_what_the_controllers_attain(task: str) -> None:
     assert above is not None and truth <= above <= end.upper_bound
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("relation, room", [("linear", 0.01), ("boxes", 0.1)])
-@pytest.mark.parametrize("task", ["co-safe", "trace"])
+@mostly_thorough("relation, room", [("linear", 0.01), ("boxes", 0.1)])
+@mostly_thorough("task", ["co-safe", "trace"])
 def test_rollouts_lie_below_and_near_upper_ends(task: str, relation: str, room: float) -> None:
     end = ended(task, relation)
     report = cg.check(end)
@@ -255,7 +255,7 @@ def test_starts_on_the_upper_face_are_inside(relation: str, gap: float) -> None:
     assert cg.check(end) and 0.3 < end.lower_bound and end.gap < gap
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_ends_are_those_that_separate_code_finds_too() -> None:
     """Unions from below rest on ratios of small numbers, which the check does not find here: it has no part in them."""
     certificate = cg.synthesize("decoupled-chain-v0", above=True).certificate

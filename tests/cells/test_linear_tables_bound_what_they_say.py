@@ -15,6 +15,7 @@ from certigym.synthesis.readings import bends
 from certigym.synthesis.readings.kernel import Kernel
 from certigym.synthesis.readings.linear_kernel import hat_masses, hat_table
 from certigym.synthesis.step_checking import linear_tables
+from kinds import mostly_thorough
 from problems import linear
 
 mpmath.mp.dps = 50

@@ -15,6 +15,7 @@ from certigym.synthesis.checking import regrow
 from certigym.synthesis.readings.corner_forms import SubLattice, best_below
 from certigym.synthesis.step_checking import linear_check
 from certigym.synthesis.values import Terms
+from kinds import mostly_thorough
 from problems import cart, cart_reach, linear, scalar_agent
 
 DATA = Path(__file__).parents[1] / "data"
@@ -179,7 +180,7 @@ def expected(certificate: cg.Certificate, terms: Terms | None, q: int, mean: NDA
     return float(share.ravel() @ (inside * value_of(certificate, terms, following, states.T)))
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
+@mostly_thorough("name", PROBLEMS)
 def test_values_at_interior_points_are_below_quadrature(name: str) -> None:
     """One step at a time: the value at a random point is at most the mean of the next one under its controller."""
     problem, cells = PROBLEMS[name]

@@ -17,9 +17,8 @@ from certigym.synthesis.cells import hats
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.joint import join, start_of
 from certigym.validation.statistics.binomial import clopper_pearson
+from kinds import mostly_thorough
 from problems import scalar_agent, two_agents
-
-pytestmark = pytest.mark.slow
 
 FALSE_ALARM = 1e-6
 
@@ -39,8 +38,8 @@ def expected_hats(means: NDArray, edges: NDArray, std: float) -> NDArray:
     return np.stack([mass - rising, rising], axis=-1).reshape(len(means), -1)
 
 
-@pytest.mark.parametrize("n_cells", [6, 12, 40])
-@pytest.mark.parametrize("dynamics", [([[0.9]], [[0.5]]), ([[1.3]], [[0.02]]), ([[-0.7]], [[1.0]])])
+@mostly_thorough("n_cells", [6, 12, 40])
+@mostly_thorough("dynamics", [([[0.9]], [[0.5]]), ([[1.3]], [[0.02]]), ([[-0.7]], [[1.0]])])
 def test_one_step_lies_above_what_points_and_inputs_lead_to(n_cells: int, dynamics: tuple[object, object]) -> None:
     """Expectations by the normal distribution function, at many points of every cell and many inputs."""
     agent = scalar_agent("one", A=dynamics[0], B=dynamics[1], offset=[0.3], noise_covariance=[[0.16]])
@@ -117,7 +116,7 @@ def test_without_the_curvature_one_step_would_be_too_low(monkeypatch: pytest.Mon
         test_one_step_lies_above_what_points_and_inputs_lead_to(12, ([[1.3]], [[0.02]]))
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     ("problem_id", "horizon", "coarse", "fine"),
     [
         ("reach-avoid-v0", 6, (60, 120, 250, 500), 1000),
@@ -138,6 +137,7 @@ def test_finer_certificates_stay_below(problem_id: str, horizon: int, coarse: tu
     assert clopper_pearson(runs.successes, runs.episodes, 1 - FALSE_ALARM)[0] <= min(found)
 
 
+@pytest.mark.thorough
 def test_the_bound_is_tight_where_cells_are_small() -> None:
     problem = cg.make_problem("reach-avoid-v0", horizon=6)
     result = cg.synthesize(problem, 1000)
@@ -148,7 +148,7 @@ def test_the_bound_is_tight_where_cells_are_small() -> None:
     assert shown in str(cg.validate(result, 1_000))
 
 
-@pytest.mark.parametrize("seed", range(8))
+@mostly_thorough("seed", range(8), first=2)
 def test_random_problems_stay_below(seed: int) -> None:
     rng = np.random.default_rng(seed)
     formula = ["(!b | !c) U a", "F (a & F c)", "!b U (a & d)", "G (!b | !c)"][seed % 4]
@@ -167,6 +167,7 @@ def test_random_problems_stay_below(seed: int) -> None:
         assert certificate.lower_bound <= bound(problem, cells)
 
 
+@pytest.mark.thorough
 def test_boxes_of_starts_are_averaged() -> None:
     problem = two_agents("(!b | !c) U a", horizon=2).replace(initial_low=[0.05, -0.4], initial_high=[0.77, 1.0])
     most = bound(problem, 60)
@@ -176,6 +177,7 @@ def test_boxes_of_starts_are_averaged() -> None:
     assert most == pytest.approx(np.mean(at_points), abs=0.03)
 
 
+@pytest.mark.thorough
 def test_independent_tasks_multiply_them() -> None:
     meet = " & ".join(f"F near_{k}" for k in range(11))
     agents = scalar_agent("one", initial_state=[-1.0]).copies(11)
@@ -257,6 +259,7 @@ def test_some_letters_certain_and_others_not(cells: int) -> None:
     assert cells < 60 or both < 0.6
 
 
+@pytest.mark.thorough
 def test_no_point_of_a_start_cell_is_worth_more_than_a_box_in_it() -> None:
     """Points on an edge of the region, next to it, and anywhere."""
     formula, rng = "near_plane | X far_plane", np.random.default_rng(0)

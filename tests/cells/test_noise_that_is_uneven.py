@@ -27,6 +27,7 @@ from certigym.synthesis.readings import box_kernel
 from certigym.synthesis.relations import BoxRelation, MeanBoxes
 from certigym.synthesis.step_checking import boxes_check
 from certigym.synthesis.values import Terms
+from kinds import mostly_thorough
 
 GAUSSIAN = {"law": "gaussian", "std": 1.0}
 
@@ -183,7 +184,7 @@ def test_between_two_scales_interpolation_adds_no_more_than_the_charge(entry: di
     assert law.scale_charge(law.scale_step(1e-4)) == pytest.approx(1e-4, rel=1e-6)
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     "problem, cells, least",
     [
         (task(walker()), [40, 40], 0.85),
@@ -239,7 +240,7 @@ def expectation(agent: Any, edges: Any, following: NDArray, states: NDArray, inp
     return np.einsum("ma,mb,ab->m", *tables, following)
 
 
-@pytest.mark.parametrize("entry", LAWS, ids=[f"{n}-{law['law']}" for n, law in enumerate(LAWS)])
+@mostly_thorough("entry", LAWS, ids=[f"{n}-{law['law']}" for n, law in enumerate(LAWS)])
 def test_certificates_are_valid_and_below_rollouts(entry: dict[str, Any]) -> None:
     """False alarm 1e-6, all tests together."""
     problem = task(walker(entry))
@@ -253,6 +254,7 @@ def test_certificates_are_valid_and_below_rollouts(entry: dict[str, Any]) -> Non
     assert verdict.verdict != "refuted"
 
 
+@pytest.mark.thorough
 def test_by_default_such_agents_get_boxes_or_a_path() -> None:
     """Nothing is asked for; the larger of both bounds counts where there are both."""
     found = cg.synthesize(docking())
@@ -314,6 +316,7 @@ def test_pairs_by_subtraction_refuse_such_noise() -> None:
         cg.synthesize(problem, 20)
 
 
+@pytest.mark.thorough
 def test_scales_that_may_vanish_are_worth_nothing() -> None:
     """A cell in which the scale is not seen to be positive has no choice; elsewhere nothing changes."""
     certificate = cg.synthesize(task(walker(scale="0.05 + 0.1*x")), [24, 24], relation="boxes").certificate
@@ -358,7 +361,7 @@ SABOTAGE: dict[str, tuple[Any, str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("sabotage", SABOTAGE)
+@mostly_thorough("sabotage", SABOTAGE)
 def test_the_check_refuses_what_a_wrong_search_claims(sabotage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = task(walker(LAWS[5] if "charges" in sabotage else GAUSSIAN))
     if (
@@ -388,7 +391,7 @@ def test_forged_lattices_are_refused() -> None:
     assert not cg.check(dataclasses.replace(certificate, problem=louder))
 
 
-@pytest.mark.parametrize("side", [0, 1])
+@mostly_thorough("side", [0, 1])
 def test_boxes_with_an_end_that_is_not_known_are_worth_nothing(side: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where only one end of the mean of a state without noise is no number."""
     certificate = cg.synthesize(task(walker()), [24, 24], relation="boxes").certificate

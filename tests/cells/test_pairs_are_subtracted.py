@@ -21,6 +21,7 @@ from certigym.synthesis.pairs import NearMass, relevant_pairs, usual_values, wit
 from certigym.synthesis.pairs import near_mass as near_module
 from certigym.synthesis.upper_ends import bound_above
 from certigym.validation.statistics.binomial import clopper_pearson
+from kinds import mostly_thorough
 from pair_problems import followers, mover, random_pairs, simulated
 
 APART = "G !any(near) & F G goal"
@@ -109,7 +110,7 @@ def spread_starts(problem: cg.Problem, reach: float) -> cg.Problem:
     return problem.replace(initial_low=low, initial_high=high)
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     ("problem", "is_tight"),
     [
         (followers(APART, near=([-2.9], [1.0]), horizon=4), True),
@@ -122,6 +123,7 @@ def spread_starts(problem: cg.Problem, reach: float) -> cg.Problem:
         (spread_starts(followers(PHASES, near=([-2.0], [1.0]), semantics="co-safe", horizon=3), 1.0), False),
         (spread_starts(followers("G any(near) & F G goal", near=([-3.9], [-1.0]), horizon=3), 0.5), True),
     ],
+    first=3,
 )
 def test_masses_are_those_of_a_dense_enumeration(problem: cg.Problem, is_tight: bool) -> None:
     """Where one mode covers all undecided states nothing is lost; elsewhere the bound is larger, never smaller."""
@@ -297,6 +299,7 @@ def test_what_subtraction_cannot_say_is_refused_in_words(changes: dict[str, Any]
         cg.synthesize(problem, 8, relation="exact")
 
 
+@pytest.mark.thorough
 def test_claims_about_random_problems_survive_an_independent_simulation() -> None:
     """12 problems, fixed seeds, 3000 episodes each; false alarm 1e-6 over all claims; gaps of .03 would be seen.
 

@@ -13,6 +13,7 @@ import certigym as cg
 from certigym.envs.agents import Agent
 from certigym.synthesis.relations import Turn, WrittenTargets, sectors, solved_means, written_targets
 from certigym.synthesis.step_checking.aim_spans import turned_there
+from kinds import mostly_thorough
 from test_expressions_have_exact_targets import avoiding, robot
 
 FALSE_ALARM = 1e-6
@@ -127,7 +128,7 @@ def test_a_million_boxes_that_the_check_lets_through_are_reached() -> None:
     assert passed > 30_000 and around_zero > 50_000
 
 
-@pytest.mark.parametrize("name", [*SECTORS, "in space"])
+@mostly_thorough("name", [*SECTORS, "in space"], first=3)
 def test_claims_are_exact_checked_and_met_by_rollouts(name: str) -> None:
     """Both ends hold in simulations: false alarm 1e-6; a gap of .04 would be seen."""
     certificate = certificate_of(name)
@@ -168,6 +169,7 @@ def test_no_step_is_taken_with_an_angle_of_the_interval() -> None:
         assert inputs[0] == 0.0 and low[1] <= inputs[1] <= high[1]
 
 
+@pytest.mark.thorough
 def test_defaults_find_exact_targets_of_a_patrol() -> None:
     """Its course stops short of half a turn by 5e-8 on either side, which is not all the way round."""
     certificate = cg.synthesize("patrol-robot-v0").certificate
@@ -210,7 +212,7 @@ def opposite(agent: Agent, turn: Turn) -> tuple[sectors.Sector, ...]:
 _SECTORS_OF, _POLAR_INPUTS, _TURNED = sectors.sectors_of, sectors.polar_inputs, sectors._turned
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     "name, wrong",
     [
         ("narrow", wider),

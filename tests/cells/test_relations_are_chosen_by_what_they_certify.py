@@ -25,8 +25,6 @@ from certigym.synthesis.search.relaxation import relax, upper_bound
 from certigym.validation.statistics.binomial import REFUTED
 from problems import cart, cart_reach, scalar_agent, two_agents
 
-pytestmark = pytest.mark.slow
-
 NEEDS_SOLVER = "cvxpy"
 
 MAY_BE_LINEAR = task_ways.may_be_linear
@@ -83,6 +81,7 @@ def test_nothing_else_is_tried_where_exact_leaves_the_inputs_to_the_policy(monke
     assert {"exact", "tube", "ellipsoid"} == set(tried)
 
 
+@pytest.mark.thorough
 def test_linear_cells_are_tried_on_given_cells_where_much_is_left_open(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(task_ways, "may_be_linear", MAY_BE_LINEAR)
     found = cg.synthesize("car-park-v0", 60)
@@ -94,6 +93,7 @@ def test_linear_cells_are_tried_on_given_cells_where_much_is_left_open(monkeypat
     assert kinds_of(again.certificate) == ["exact"] and "ask for more `effort`" in str(tried_of(again)["linear"])
 
 
+@pytest.mark.thorough
 def test_a_tube_is_kept_where_it_certifies_more_than_exact() -> None:
     """On coarse cells the reserve of ``exact`` takes an eighth of the inputs, and rounding to one target takes more."""
     problem = cg.make_problem("car-park-planar-v0", horizon=12)
@@ -105,6 +105,7 @@ def test_a_tube_is_kept_where_it_certifies_more_than_exact() -> None:
     assert cg.check(found.certificate), str(cg.check(found.certificate))
 
 
+@pytest.mark.thorough
 def test_an_ellipsoid_is_kept_where_it_certifies_more_than_a_tube() -> None:
     """Two agents of position and velocity share it; the bound is checked and not refuted at 1e-6."""
     pytest.importorskip(NEEDS_SOLVER)
@@ -120,6 +121,7 @@ def test_an_ellipsoid_is_kept_where_it_certifies_more_than_a_tube() -> None:
     assert cg.validate(found, 20_000, confidence=1 - 1e-6).verdict != REFUTED
 
 
+@pytest.mark.thorough
 def test_agents_of_one_team_have_different_relations(tmp_path: Path) -> None:
     found = chosen()
     kinds = kinds_of(found.certificate)
@@ -159,6 +161,7 @@ def test_bounds_from_above_hold_for_every_combination() -> None:
         assert 0.0 < found.certificate.lower_bound <= most
 
 
+@pytest.mark.thorough
 def test_combinations_grow_with_the_groups_only() -> None:
     """Alike agents share a relation; searches are as many as groups have relations, not as there are combinations."""
     problem = team(n_carts=2)
@@ -192,6 +195,7 @@ def test_relations_can_be_named_per_agent(tmp_path: Path, capsys: pytest.Capture
     assert "`--relation`: expected one name, or AGENT=NAME once per agent" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_independent_tasks_choose_for_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(independent, "MOST_STATES", 0)
     problem = team(formula="(F home) & (F {carts})", semantics="finite-trace")
@@ -204,6 +208,7 @@ def test_independent_tasks_choose_for_themselves(monkeypatch: pytest.MonkeyPatch
     assert [kinds_of(part) for part in named.certificate.proof.parts] == [["tube"], ["tube"]]
 
 
+@pytest.mark.thorough
 def test_budgets_compare_at_the_last_cells_only() -> None:
     found = cg.synthesize(cart_reach(cart(), horizon=5), memory=6e6, max_sweeps=2, relation="best")
     settings = found.certificate.settings
@@ -213,6 +218,7 @@ def test_budgets_compare_at_the_last_cells_only() -> None:
     assert settings["relations_tried"]["tube"] == last <= found.certificate.lower_bound
 
 
+@pytest.mark.thorough
 def test_horizons_go_on_with_the_relation_of_the_first() -> None:
     short, longer = cg.synthesize(cart_reach(cart()), 32, horizon=[4, 6])
     assert kinds_of(short.certificate) == kinds_of(longer.certificate)
@@ -220,6 +226,7 @@ def test_horizons_go_on_with_the_relation_of_the_first() -> None:
     assert longer.certificate.lower_bound >= short.certificate.lower_bound > 0
 
 
+@pytest.mark.thorough
 def test_settings_of_relations_that_were_not_kept_do_not_stop_horizons(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = cart_reach(cart(), 4)
     for setting in ({"delta": 0.01}, {"share": 0.5}):
@@ -241,6 +248,7 @@ def test_stationary_policies_are_compared_too() -> None:
     assert cg.check(found.certificate)
 
 
+@pytest.mark.thorough
 def test_delta_is_for_the_ellipsoids_that_are_tried() -> None:
     pytest.importorskip(NEEDS_SOLVER)
     found = cg.synthesize(cart_reach(cart(), horizon=4), 40, delta=0.001)
@@ -268,6 +276,7 @@ def test_only_what_is_not_worth_a_search_is_passed_over(monkeypatch: pytest.Monk
     assert str(passed_over(0.9 * most - 2 * relation_choice.LEAST_GAIN)).endswith("after one sweep, not gone on with")
 
 
+@pytest.mark.thorough
 def test_default_cells_are_doubled_where_no_relation_applies() -> None:
     """With twice the inputs the second level applies; the integrators of the literature need the third."""
     chain = cg.make_problem("integrator-chain-v0", horizon=2)
@@ -307,6 +316,7 @@ def reach(agent: Any) -> cg.Problem:
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_coupled_keeps_the_best_of_its_three_sets() -> None:
     problem = reach(scalar_agent("one"))
     found = cg.synthesize(problem, 40, relation="coupled")

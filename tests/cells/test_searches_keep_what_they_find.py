@@ -28,9 +28,8 @@ from certigym.synthesis.search.relaxation import relax
 from certigym.synthesis.search.search_settings import Search
 from certigym.synthesis.values.devices import UNIT
 from certigym.validation.statistics.binomial import REFUTED
+from kinds import mostly_thorough
 from problems import cart, cart_reach, scalar_agent, two_agents
-
-pytestmark = pytest.mark.slow
 
 FALSE_ALARM = 1e-6
 
@@ -71,6 +70,7 @@ def brute_gain(problem: cg.Problem, joint: JointModel, policies: Policies) -> fl
     return most
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("formula", ["(!b | !c) U a", "(!b U a) & F c"])
 def test_the_gain_of_one_agent_is_that_of_trying_everything(formula: str) -> None:
     problem = two_agents(formula, horizon=2)
@@ -87,7 +87,7 @@ def test_the_gain_of_one_agent_is_that_of_trying_everything(formula: str) -> Non
     assert measured_gain(joint, tuple(spoiled), problem) == pytest.approx(expected, rel=1e-6)
 
 
-@pytest.mark.parametrize("problem_id", ["reach-avoid-v0", "meeting-v0", "patrol-recharge-v0"])
+@mostly_thorough("problem_id", ["reach-avoid-v0", "meeting-v0", "patrol-recharge-v0"])
 def test_further_starts_never_lower_the_bound(problem_id: str) -> None:
     problem = cg.make_problem(problem_id)
     problem = problem.replace(horizon=min(problem.horizon, 4))
@@ -109,7 +109,7 @@ def test_perturbed_plans_are_the_plans_of_other_times() -> None:
         assert np.all(np.abs(times - np.arange(6)) <= 2)
 
 
-@pytest.mark.parametrize("problem_id", ["reach-avoid-v0", "car-park-v0", "reach-avoid-n-v0"])
+@mostly_thorough("problem_id", ["reach-avoid-v0", "car-park-v0", "reach-avoid-n-v0"])
 def test_bounds_rise_with_the_horizon(problem_id: str) -> None:
     problem = cg.make_problem(problem_id)
     asked = [5, 3, 4, 8, 3]
@@ -167,7 +167,7 @@ def test_policies_of_stronger_agents_are_refused() -> None:
     assert cg.check(cg.synthesize(moved, 30, start=certificate).certificate)
 
 
-@pytest.mark.parametrize("problem_id", ["reach-avoid-v0", "car-park-v0", "invariance-v0"])
+@mostly_thorough("problem_id", ["reach-avoid-v0", "car-park-v0", "invariance-v0"], first=2)
 def test_stationary_policies_are_certified_checked_and_simulated(problem_id: str, tmp_path: Path) -> None:
     problem = cg.make_problem(problem_id)
     result = cg.synthesize(problem, 40, stationary=True)
@@ -215,6 +215,7 @@ def one_agent() -> cg.Problem:
     )
 
 
+@pytest.mark.thorough
 def test_without_a_deadline_one_agent_comes_to_the_optimum_from_below() -> None:
     """Value iteration over 1500 steps, far beyond its convergence, bounds what any policy attains at any time."""
     problem = one_agent()
@@ -312,6 +313,7 @@ def test_dense_programming_chooses_from_menus_of_inputs() -> None:
     assert result.certificate.lower_bound == pytest.approx(at_start(problem, joint, dense), rel=1e-8)
 
 
+@pytest.mark.thorough
 def test_what_pruning_hides_is_found_in_the_end() -> None:
     """With few terms the search stops early; the last sweeps see what one agent alone could gain."""
     problem = cg.make_problem("patrol-recharge-v0").replace(horizon=8)
@@ -322,6 +324,7 @@ def test_what_pruning_hides_is_found_in_the_end() -> None:
     assert isinstance(sweeps, list) and result.certificate.lower_bound >= max(sweeps) - 1e-9
 
 
+@pytest.mark.thorough
 def test_trains_try_staged_starts_where_others_fail() -> None:
     """Two robots have to agree on one of two rooms; from other starts they do not."""
     problem = cg.make_problem("meeting-v0")

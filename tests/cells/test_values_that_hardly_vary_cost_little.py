@@ -110,7 +110,6 @@ def chemostat(law: dict[str, Any]) -> cg.Problem:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "law", [{"law": "gaussian", "std": 1.0}, {"law": "laplace", "scale": 0.4}], ids=lambda law: law["law"]
 )

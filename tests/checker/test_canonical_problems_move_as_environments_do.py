@@ -42,7 +42,6 @@ def random_points(problem: Problem, rng: np.random.Generator) -> tuple[list[np.n
     return states, [points(agent.input_low, agent.input_high) for agent in agents]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES, ids=lambda name: Path(name).stem)
 def test_one_step_and_the_letters_are_the_same(name: str) -> None:
     problem = problem_named(name)

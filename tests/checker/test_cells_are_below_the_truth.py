@@ -235,7 +235,6 @@ def test_targets_are_worth_no_more_than_the_truth_at_any_mean_that_is_off(corner
     assert positive > 100
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("corners", [False, True], ids=["cells", "corners"])
 def test_several_steps_in_one_dimension_are_below_quadrature(corners: bool) -> None:
     """Up to four steps: stay in some cells until a goal; the truth is integrated on panels no longer than the noise."""

@@ -143,7 +143,6 @@ def changes_at(header: dict[str, Any], path: Path) -> Iterator[tuple[str, dict[s
         yield f"{path} = {value!r}", changed(header, path, value), value
 
 
-@pytest.mark.slow
 @KINDS
 def test_every_change_of_the_header_is_refused_or_harmless(made: Any) -> None:
     header, arrays = made()
@@ -209,7 +208,6 @@ def array_changes(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 
 
 @pytest.mark.filterwarnings("ignore:invalid value", "ignore:Casting complex")
-@pytest.mark.slow
 @KINDS
 def test_every_change_of_an_array_is_refused_or_harmless(made: Any) -> None:
     header, arrays = made()

@@ -533,7 +533,6 @@ def test_random_teams_do_what_the_proof_says(trait: str, monkeypatch: pytest.Mon
     compare(trait, TRAITS.index(trait), 8, monkeypatch)
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("trait", TRAITS)
 def test_many_random_teams_do_what_the_proof_says(trait: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -151,7 +151,6 @@ def test_what_is_not_covered_is_said(second: Second) -> None:
     assert second(file_of(of_another_law, arrays))[0] == 3
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["integrator-chain-v0", "reach-avoid-v0", "car-slalom-v0", "rendezvous-v0", "tanks_side_by_side.toml"]
 )
@@ -248,14 +247,12 @@ def test_no_file_of_a_sample_is_proved_by_the_second_checker_alone(made: Any, se
     assert wrong == []
 
 
-@pytest.mark.slow
 @MADE_BY_HAND
 def test_no_forged_file_is_proved_by_the_second_checker_alone(made: Any, second: Second) -> None:
     both, wrong = agree(forged_files(made, 1), second)
     assert wrong == [] and both > 50
 
 
-@pytest.mark.slow
 @MADE_BY_HAND
 def test_no_forged_file_makes_the_second_checker_stumble(made: Any, watched: Second) -> None:
     both, wrong = agree(forged_files(made, 5), watched)

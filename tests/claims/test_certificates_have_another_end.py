@@ -117,7 +117,8 @@ def test_both_ends_are_saved_and_products_have_them(tmp_path: Path) -> None:
     assert cg.load(tmp_path / "both.npz").upper_bound == both.upper_bound
 
 
-@pytest.mark.thorough(effort)
+@pytest.mark.thorough
+@pytest.mark.full_search(effort)
 def test_quick_upper_ends_are_there_by_default() -> None:
     """Where they take little beside the effort, for one horizon, and the same ones as if they were asked for."""
 

@@ -27,8 +27,6 @@ from certigym.synthesis.checking.regrown_tree import regrow
 from problems import two_agents
 from test_rollouts_agree_with_certificates import changed, correlated
 
-pytestmark = pytest.mark.slow
-
 REFUSED = "expected a certigym certificate"
 
 

@@ -23,8 +23,6 @@ from certigym.synthesis.relations.coupled import CoupledRelation
 from certigym.validation.statistics.binomial import REFUTED
 from problems import cart, cart_reach
 
-pytestmark = pytest.mark.slow
-
 pytest.importorskip("cvxpy", reason="the extra lmi is not installed")
 
 FALSE_ALARM = 1e-6

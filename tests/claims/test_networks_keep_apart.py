@@ -86,7 +86,6 @@ def test_rollouts_are_above_the_bound_and_not_far(kind: str) -> None:
     assert runs.successes / EPISODES - certificate.lower_bound < 0.15
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("wanted", [False, True])
 def test_one_step_is_charged_as_it_is(wanted: bool) -> None:
     """From known starts the means are known, and so is how likely the pair is as it should not be after a step."""
@@ -106,7 +105,6 @@ def test_one_step_is_charged_as_it_is(wanted: bool) -> None:
         assert not failures and truth <= again <= certificate.proof.near <= truth + slack
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", PROBLEMS)
 def test_smaller_charges_and_other_networks_are_refused(kind: str) -> None:
     _, _, certificate = certified(kind)

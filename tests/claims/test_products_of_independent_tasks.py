@@ -29,8 +29,6 @@ from certigym.validation.simulation.rollouts import rollout
 from certigym.validation.statistics.binomial import REFUTED
 from team_problems import pairs
 
-pytestmark = pytest.mark.slow
-
 FALSE_ALARM = 1e-6
 
 

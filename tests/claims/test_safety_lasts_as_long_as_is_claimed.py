@@ -31,7 +31,6 @@ def team(agents: int, horizon: int = 30, formula: str = "") -> cg.Problem:
     )
 
 
-@pytest.mark.slow
 def test_the_rate_is_the_eigenvalue_of_the_finite_model() -> None:
     problem = team(1, 60)
     certificate = cg.synthesize(problem, 40, relation="boxes", stationary=True).certificate
@@ -89,7 +88,6 @@ def test_tasks_with_several_live_states_have_a_rate() -> None:
     assert lasting.rate > 0.9
 
 
-@pytest.mark.slow
 def test_a_larger_rate_would_be_false(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mistakes that are easy to make give bounds that certificates of longer horizons contradict."""
     problem = team(2, 4, formula="G (safe_0 & safe_1)")

@@ -98,7 +98,6 @@ def test_charges_are_what_interpolation_may_miss() -> None:
         assert np.all(box.charge < 0.05)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind, form", [("wind, linear", "joint"), ("wind, boxes", "joint"), ("two axes", "decentralised")]
 )
@@ -124,7 +123,6 @@ def test_neighbours_are_seen_where_they_are() -> None:
     assert found["slack"] >= 0.0 and 0.0 < found["overridden"] < 1.0
 
 
-@pytest.mark.slow
 def test_a_shield_that_forgets_the_wind_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """Means without wind, and an adversary that has the wind on its side."""
     shield = made("wind, linear", 0.95)

@@ -32,8 +32,6 @@ from certigym.synthesis.values.terms import Occupancy, Terms
 from certigym.synthesis.values.train_values import Rounding, Trains, start_above, start_value
 from problems import scalar_agent, two_agents
 
-pytestmark = pytest.mark.slow
-
 WEAK: dict[str, Any] = {"input_low": [-0.2], "input_high": [0.2]}
 """Inputs too weak for some cells: no target is admissible there."""
 

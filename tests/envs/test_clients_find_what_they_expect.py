@@ -13,7 +13,7 @@ import pytest
 import certigym as cg
 from certigym.envs.agents import UnknownArgument
 from certigym.envs.suite.ids import gymnasium_id
-from kinds import IDS_OF_KINDS
+from kinds import ALL_IDS, IDS_OF_KINDS
 
 FORMS = ("parallel", "aec", "central", "vector")
 
@@ -82,7 +82,7 @@ def test_a_probe_through_gymnasium_sees_the_same_error() -> None:
         cg.parallel_env("meeting-v0", render_mod="ansi")
 
 
-@pytest.mark.parametrize("id", cg.problem_ids())
+@pytest.mark.parametrize("id", ALL_IDS)
 def test_both_libraries_know_both_names(id: str) -> None:
     for name in (f"certigym/{id}", gymnasium_id(id)):
         assert gymnasium.spec(name).kwargs == {"problem": id}
@@ -146,6 +146,7 @@ def test_the_vec_envs_of_stable_baselines_are_public_and_can_be_filmed() -> None
         baselines.nothing  # noqa: B018
 
 
+@pytest.mark.thorough
 def test_training_takes_an_id_and_a_device() -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
     training = cg.train("reach-avoid-v0", steps=64, worlds=2, device="cpu", n_steps=16, batch_size=64)

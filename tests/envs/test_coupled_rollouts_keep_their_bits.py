@@ -20,9 +20,8 @@ from certigym.validation.simulation.chunks import chunk_results, frames
 from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.rollouts import NUMBERS_SIDE_BY_SIDE, rollout, stream
 from certigym.validation.simulation.streams import Streams
+from kinds import mostly_thorough
 from problems import cart, cart_reach, linear, two_agents
-
-pytestmark = pytest.mark.slow
 
 
 def turned() -> cg.Problem:
@@ -66,7 +65,7 @@ def case(name: str) -> tuple[cg.Problem, Controller]:
     return problem, controller
 
 
-@pytest.mark.parametrize("name", CASES)
+@mostly_thorough("name", CASES)
 def test_coupled_worlds_leave_and_no_outcome_changes(name: str) -> None:
     """Chunks side by side, without the worlds that are settled, against each chunk to the end with all of them."""
     problem, controller = case(name)

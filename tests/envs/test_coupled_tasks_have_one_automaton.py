@@ -12,6 +12,7 @@ import certigym as cg
 from certigym.envs.logic import AutomatonSizeError, translate
 from certigym.envs.problem import groups
 from certigym.validation.statistics import clopper_pearson
+from kinds import mostly_thorough
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "eight_zones.toml"
 
@@ -43,6 +44,7 @@ def test_a_window_of_eight_zones_has_few_states() -> None:
     assert alone.n_states**8 > groups.MOST_STATES
 
 
+@pytest.mark.thorough
 def test_its_bound_needs_no_options_and_holds_in_rollouts() -> None:
     """Fixed seed, n = 20,000, false alarm 1e-6."""
     result = cg.synthesize(EXAMPLE)
@@ -53,7 +55,7 @@ def test_its_bound_needs_no_options_and_holds_in_rollouts() -> None:
     assert low <= result.certificate.lower_bound + (result.certificate.gap or 1.0)
 
 
-@pytest.mark.parametrize("name", EXPLODING)
+@mostly_thorough("name", EXPLODING, first=2)
 def test_what_explodes_is_refused_in_time(name: str) -> None:
     began = time.process_time()
     with pytest.raises(ValueError, match=r"joint automaton has more than 1000 states"):

@@ -15,6 +15,7 @@ from certigym.cli.main import main
 from certigym.envs.dynamics import BEHAVIOURS, Dynamics, OneWorld, worlds
 from certigym.synthesis.checking import greedy_disturbance
 from certigym.synthesis.relations import WrittenMeans
+from kinds import mostly_thorough
 from team_problems import windy_team
 from written_problems import bent
 
@@ -44,7 +45,7 @@ def steps(problem: cg.Problem, behaviour: Any, n_worlds: int, horizon: int) -> t
     return np.array(found), many
 
 
-@pytest.mark.parametrize("behaviour", [*BEHAVIOURS, "greedy"])
+@mostly_thorough("behaviour", [*BEHAVIOURS, "greedy"], first=3)
 def test_one_world_and_many_meet_the_same_disturbances(behaviour: str) -> None:
     found, _ = steps(windy_team(), greedy_disturbance(certified()) if behaviour == "greedy" else behaviour, 50, 4)
     assert np.all(np.abs(found) <= 0.3)
@@ -86,6 +87,7 @@ def test_rollouts_order_the_behaviours_and_none_refutes() -> None:
     assert "greedy is the worst of zero" in str(report)
 
 
+@pytest.mark.thorough
 def test_a_claim_that_fails_under_one_behaviour_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search leaves the wind out; calm rollouts agree with it, the greedy wind does not."""
     around = WrittenMeans.around
@@ -127,6 +129,7 @@ def test_environments_take_behaviours_by_name() -> None:
         cg.rollout(problem, certified(), 10, disturbance=3)  # type: ignore[arg-type]
 
 
+@pytest.mark.thorough
 def test_the_command_line_names_a_behaviour(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     calm, windy = tmp_path / "calm.npz", tmp_path / "windy.npz"
     cg.save(cg.synthesize("reach-avoid-v0", 20).certificate, calm)

@@ -27,12 +27,12 @@ from certigym.envs.interfaces.central_env import CentralEnv
 from certigym.envs.interfaces.observation import batch_inputs
 from certigym.envs.interfaces.vector_env import ProblemVectorEnv
 from certigym.envs.suite.ids import gymnasium_id
-from kinds import IDS_OF_KINDS
+from kinds import ALL_IDS, IDS_OF_KINDS
 from problems import linear
 from sample_problems import mixed_problem
 
 FALSE_ALARM = 1e-6
-each = pytest.mark.parametrize("id", cg.problem_ids())
+each = pytest.mark.parametrize("id", ALL_IDS)
 each_kind = pytest.mark.parametrize("id", IDS_OF_KINDS)
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import certigym as cg
 from certigym.envs.agents.labeling import Labeling, Proposition
 from certigym.envs.dynamics import worlds as core
+from kinds import ALL_IDS
 from sample_problems import planar, scalar
 
 
@@ -124,7 +125,7 @@ def test_box_classes_hold_the_classes_of_all_points_for_general_output(data: st.
     assert {row.tobytes() for row in labeling.class_at(0, points).T} <= allowed
 
 
-@pytest.mark.parametrize("id", cg.problem_ids())
+@pytest.mark.parametrize("id", ALL_IDS)
 def test_batched_letters_are_the_letters_of_single_states(id: str) -> None:
     problem = cg.make_problem(id)
     dynamics = core.Dynamics.of(problem)

@@ -16,6 +16,7 @@ from adversary import problem_of
 from certigym.envs.logic import translate, translation, within
 from certigym.validation.paper import reproduce
 from hostile import limited, outcome, problem, scalar
+from kinds import mostly_thorough
 from random_problems import random_spec
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,6 +35,7 @@ def test_hostile_input_is_refused_in_words(name: str) -> None:
     assert not row["outcome"].startswith("crashed"), row
 
 
+@pytest.mark.thorough
 def test_greedy_input_keeps_within_its_limits() -> None:
     """All of these took gigabytes, or minutes; together they get 2 GiB of addresses and 30 seconds."""
     rows = list(limited(GREEDY, seconds=30.0, most=2 * 2**30))
@@ -41,13 +43,14 @@ def test_greedy_input_keeps_within_its_limits() -> None:
     assert not [row for row in rows if row["outcome"].startswith("crashed")]
 
 
+@pytest.mark.thorough
 def test_joint_lattice_points_count_for_optional_statistics() -> None:
     """343,000 joint cells are few; their joint lattice points took 20 GiB."""
     (row,) = limited(["many lattice points"], seconds=60.0, most=3 * 2**30)
     assert row["outcome"] == "answered", row
 
 
-@pytest.mark.parametrize("seed", [110, 2868, 3473])
+@mostly_thorough("seed", [110, 2868, 3473], first=2)
 def test_what_random_problems_found(seed: int) -> None:
     """An agent without propositions crashed the check; means that creep along crashed a synthesis."""
     spec = random_spec(seed)
@@ -74,6 +77,7 @@ def test_states_beyond_the_horizon_are_left_out_and_nothing_else_changes() -> No
     assert within(translate("X[200] a", ["a"], "co-safe"), 5).n_states <= 8
 
 
+@pytest.mark.thorough
 def test_a_longer_horizon_needs_more_states_and_starts_anew() -> None:
     results = cg.synthesize(problem("X[60] g", horizon=2, noise_covariance=[[1e-4]]), 12, horizon=[2, 65])
     assert [result.certificate.lower_bound > 0 for result in results] == [False, True]
@@ -153,7 +157,7 @@ EXPLODING = {
 """Formulas with automata of thousands of states, or large diagrams; some took a minute and a half to be refused."""
 
 
-@pytest.mark.parametrize("name", EXPLODING)
+@mostly_thorough("name", EXPLODING)
 def test_exploding_formulas_are_refused_within_seconds(name: str) -> None:
     """By a count of steps, not by a clock; the clock of this test has room for machines with other work."""
     text, semantics = EXPLODING[name]
@@ -163,6 +167,7 @@ def test_exploding_formulas_are_refused_within_seconds(name: str) -> None:
     assert time.process_time() - began < 5.0
 
 
+@pytest.mark.thorough
 def test_the_limit_is_a_count_and_leaves_room_for_large_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     large = "F[0,99] (p0 & F[0,99] (!p0 & F[0,99] p0))"
     assert translate(large, ["p0"], "co-safe").n_states == 497

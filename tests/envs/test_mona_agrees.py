@@ -39,6 +39,7 @@ def test_chosen_formulas(formula: str) -> None:
     assert ours.to_dict() == theirs.to_dict()
 
 
+@pytest.mark.thorough
 @needs_mona
 def test_random_finite_trace_formulas() -> None:
     rng = random.Random(11)
@@ -48,6 +49,7 @@ def test_random_finite_trace_formulas() -> None:
         assert ours.to_dict() == theirs.to_dict(), formula
 
 
+@pytest.mark.thorough
 @needs_mona
 def test_random_co_safe_formulas() -> None:
     rng = random.Random(12)

@@ -161,6 +161,7 @@ def test_what_is_asked_inside_lies_inside(size: int) -> None:
     assert lengths.max() > 0.69 if size <= 2 else lengths.max() > 0.6
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["apart", "together"])
 def test_bounds_hold_in_rollouts(name: str, request: pytest.FixtureRequest) -> None:
     certificate: AlongPath = request.getfixturevalue(name)

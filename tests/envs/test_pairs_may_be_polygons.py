@@ -13,6 +13,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.problem import problem_from_dict
+from kinds import mostly_thorough
 from pair_problems import judged_by_hand
 
 TRIANGLE = [[-1.5, -1.0], [1.5, -1.0], [0.0, 1.5]]
@@ -68,8 +69,8 @@ def problem_of(formula: str, near: dict[str, Any], kind: Any = written, horizon:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SHAPES)
-@pytest.mark.parametrize("kind", [written, linear])
+@mostly_thorough("name", SHAPES)
+@mostly_thorough("kind", [written, linear])
 def test_a_difference_is_in_a_shape_where_geometry_says(name: str, kind: Any) -> None:
     near, wanted = SHAPES[name]
     if kind is linear and "of" in near:
@@ -86,8 +87,8 @@ def test_a_difference_is_in_a_shape_where_geometry_says(name: str, kind: Any) ->
     assert again.fingerprint == problem.fingerprint == pickle.loads(pickle.dumps(problem)).fingerprint
 
 
-@pytest.mark.parametrize("formula", ["!near U there", "F (near & there)"])
-@pytest.mark.parametrize("name", SHAPES)
+@mostly_thorough("formula", ["!near U there", "F (near & there)"])
+@mostly_thorough("name", SHAPES)
 def test_what_is_certified_is_checked_and_met(name: str, formula: str) -> None:
     from certigym.validation.simulation import Loop, paths
 
@@ -101,7 +102,7 @@ def test_what_is_certified_is_checked_and_met(name: str, formula: str) -> None:
     assert success.mean() > 0.97
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     "wrong",
     [
         {"polygon": {"corners": [[-y, x] for x, y in TRIANGLE]}},
@@ -109,6 +110,7 @@ def test_what_is_certified_is_checked_and_met(name: str, formula: str) -> None:
         {"polygon": {"corners": [[x + 2, y] for x, y in TRIANGLE]}},
         {"halfspace": {"normal": [0, -1], "offset": 1}},
     ],
+    first=2,
 )
 def test_certificates_of_other_shapes_are_refused(wrong: dict[str, Any]) -> None:
     """As they are, and with the problem that is meant put in."""

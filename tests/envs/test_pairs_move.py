@@ -15,6 +15,7 @@ import certigym as cg
 from certigym.envs.dynamics import Dynamics, OneWorld
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.problem import problem_from_dict
+from kinds import mostly_thorough
 from pair_problems import judged_by_hand
 
 HORIZON = 12
@@ -87,8 +88,8 @@ def test_pairs_are_saved_as_they_are_written(name: str) -> None:
     assert not still.names_time
 
 
-@pytest.mark.parametrize("formula", ["!near U there", "F (near & there)"])
-@pytest.mark.parametrize("name", MOVING)
+@mostly_thorough("formula", ["!near U there", "F (near & there)"])
+@mostly_thorough("name", MOVING)
 def test_what_is_certified_is_checked_and_met(name: str, formula: str) -> None:
     from certigym.validation.simulation import Loop, paths
 
@@ -117,7 +118,7 @@ def test_the_check_reads_pairs_at_their_time() -> None:
         assert not cg.check(replace(certificate, problem=wrong), wrong)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("grows", ["1 + 0.12*t", "0.6 + 0.3*t"])
 def test_paths_for_a_pair_that_stands_still_do_not_do_for_one_that_grows(grows: str) -> None:
     still, wrong = (problem_of("!near U there", {"distance": d}, 0.15) for d in (1.0, grows))
@@ -126,7 +127,7 @@ def test_paths_for_a_pair_that_stands_still_do_not_do_for_one_that_grows(grows: 
     assert not cg.check(replace(certificate, problem=wrong), wrong)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_grids_say_that_they_know_pairs_that_stand_still() -> None:
     problem = problem_of("!near U there", {"low": [-1, -1], "high": [1, "1 + t"]}, 0.9)
     with pytest.raises(ValueError, match="grids know pairs that stand still"):

@@ -78,6 +78,7 @@ def test_whole_episodes_repeat_with_a_seed_also_with_seed_zero(name: str) -> Non
     assert digest(episode(env, 0)) != digest(episode(env, 1))
 
 
+@pytest.mark.thorough
 def test_two_processes_tell_the_same_story() -> None:
     program = (
         "import hashlib, test_parallel_env as t, certigym as cg;"

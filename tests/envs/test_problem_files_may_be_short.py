@@ -89,7 +89,7 @@ def test_inputs_beyond_a_box_that_moves_count_as_its_end() -> None:
         np.testing.assert_allclose(env.state()[0], level, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_box_that_moves_is_certified_and_met() -> None:
     text = FILE.replace("copies = 2\n", "").replace('[[0.0], ["pi / 2"]]', "[0.0]").replace("all(full)", "full")
     problem = problem_from_toml(text.replace("pump_*", "pump"))

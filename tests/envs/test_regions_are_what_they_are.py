@@ -23,6 +23,7 @@ from certigym.envs.dynamics import worlds as core
 from certigym.envs.pictures import Drawer, Picture, panels
 from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.step_checking.geometry import classes_in_boxes
+from kinds import mostly_thorough
 
 Point = np.ndarray
 COUNT = 4000
@@ -317,6 +318,7 @@ def reaches(rock: Callable[[Point], bool], goal: Callable[[Point], bool]) -> Cal
     return verdict
 
 
+@pytest.mark.thorough
 def test_a_double_integrator_reaches_a_disc_around_a_triangle() -> None:
     step = 0.5
     agent = linear(
@@ -330,6 +332,7 @@ def test_a_double_integrator_reaches_a_disc_around_a_triangle() -> None:
     judged(problem, result, reaches(lambda x: in_polygon(TRIANGLE, x[:2]), lambda x: math.hypot(x[0] - 4, x[1]) < 1))
 
 
+@pytest.mark.thorough
 def test_a_ball_is_flown_around() -> None:
     centre, nest = [0, 0, 0], [3.5, 0, 1]
     problem = problem_of(
@@ -340,6 +343,7 @@ def test_a_ball_is_flown_around() -> None:
     judged(problem, result, reaches(lambda x: math.dist(x, centre) < 1.5, lambda x: math.dist(x, nest) < 0.9))
 
 
+@pytest.mark.thorough
 def test_rooms_of_a_union_are_met_on_a_grid() -> None:
     """Half a room is a polygon, the other a box; two robots, each of which may choose."""
     hall = [[2.0, 2.0], [5.0, 2.0], [5.0, 5.0], [3.0, 5.0]]
@@ -417,8 +421,8 @@ SABOTAGES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 """What is meant, and what a wrong compiler would make of it."""
 
 
-@pytest.mark.parametrize("name", SABOTAGES)
-@pytest.mark.parametrize("formula", ["F[4,8] p", "F !p"])
+@mostly_thorough("name", SABOTAGES)
+@mostly_thorough("formula", ["F[4,8] p", "F !p"])
 def test_certificates_of_wrong_shapes_are_refused(name: str, formula: str) -> None:
     """As they are, and with the problem that is meant put in; the check grants what was certified for what is meant."""
     meant, made = SABOTAGES[name]

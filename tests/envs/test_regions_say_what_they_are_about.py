@@ -155,6 +155,7 @@ def test_outputs_have_their_expressions_as_names() -> None:
     assert round_one.agents[0].n_outputs == 4
 
 
+@pytest.mark.thorough
 def test_files_say_it_and_describe_repeats_it(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
     from certigym.cli.main import main
 

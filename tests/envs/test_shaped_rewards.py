@@ -13,6 +13,7 @@ import certigym as cg
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces.central_env import CentralEnv
 from certigym.envs.interfaces.shaping import Potential
+from kinds import ALL_IDS, mostly_thorough
 
 IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "invariance-4-v0"]
 
@@ -41,8 +42,8 @@ def of_start(problem: cg.Problem) -> tuple[Any, core.Dynamics, Potential]:
     return cg.central_env(problem), dynamics, Potential.of(dynamics)
 
 
-@pytest.mark.parametrize("id", IDS)
-@pytest.mark.parametrize("discount", [1.0, 0.9])
+@mostly_thorough("id", IDS)
+@mostly_thorough("discount", [1.0, 0.9])
 def test_the_return_differs_from_the_sparse_one_by_the_potential_of_the_start(id: str, discount: float) -> None:
     problem = cg.make_problem(id)
     shaped = cg.central_env(problem, reward="shaped", discount=discount)
@@ -76,8 +77,8 @@ def test_a_potential_that_outlives_the_episode_would_favour_some_policies() -> N
     assert abs(broken[0] - broken[1]) > 0.01
 
 
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-@pytest.mark.parametrize("id", IDS)
+@mostly_thorough("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@mostly_thorough("id", IDS)
 def test_batch_parallel_and_centralised_environments_pay_alike(id: str, mode: AutoresetMode) -> None:
     options: dict[str, Any] = {"reward": "shaped", "discount": 0.95, "horizon": 5}
     envs = cg.vector_env(id, 1, autoreset_mode=mode, **options)
@@ -98,7 +99,7 @@ def test_batch_parallel_and_centralised_environments_pay_alike(id: str, mode: Au
                 assert envs.step(action[None])[1][0] == 0.0
 
 
-@pytest.mark.parametrize("id", cg.problem_ids())
+@pytest.mark.parametrize("id", ALL_IDS)
 def test_the_potential_lies_between_0_and_1_and_knows_the_ends(id: str) -> None:
     problem = cg.make_problem(id)
     dynamics = core.Dynamics.of(problem)

@@ -89,6 +89,7 @@ def sorted_by_agent(dynamics: core.Dynamics, joint: np.ndarray, sizes: str) -> l
     return [np.stack([parts[i].T for i in block.agents], axis=1) for block in dynamics.blocks]
 
 
+@pytest.mark.thorough
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10**6), formula=st.sampled_from(FORMULAS))
 def test_split_problems_run_as_the_originals_do(seed: int, formula: tuple[str, str]) -> None:
@@ -189,6 +190,7 @@ def test_axes_without_inputs_and_coupled_agents() -> None:
     assert split_axes(spiral) is spiral
 
 
+@pytest.mark.thorough
 def test_split_bounds_are_sound_and_no_better_than_the_optimum_of_whole_agents() -> None:
     """One agent: its dynamic program is optimal on its cells, and split policies are some of its own."""
     whole = cg.make_problem("package-delivery-single-v0", horizon=12)

@@ -9,6 +9,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.dynamics import worlds as core
+from kinds import mostly_thorough
 from problems import linear
 
 
@@ -238,7 +239,7 @@ ORACLES = {
 }
 
 
-@pytest.mark.parametrize("id", ORACLES)
+@mostly_thorough("id", ORACLES, first=2)
 def test_tasks_mean_what_their_pages_tell(id: str) -> None:
     """Random words of places, half of them biased to the order of the list, against the task in plain Python."""
     problem = cg.make_problem(id)
@@ -350,6 +351,7 @@ def test_patrols_go_west_then_east_then_home() -> None:
         assert word(problem, np.array(places)) is holds
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("id", "cells"), [("room-network-v0", 48), ("platoon-v0", [40, 16])])
 def test_teams_of_any_size_share_what_is_certified(id: str, cells: int | list[int]) -> None:
     """With couplings cancelled, the bound of n agents is about the n-th power of that of one."""

@@ -18,6 +18,7 @@ from certigym.validation.simulation.chunks import frames
 from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.mismatch import Mismatch
 from certigym.validation.simulation.rollouts import stream
+from kinds import mostly_thorough
 from problems import two_agents
 from sample_problems import mixed_problem, planar
 
@@ -70,8 +71,7 @@ def problems() -> list[cg.Problem]:
     return [*suite, planar_pair(), two_agents("G (b -> X d)", "finite-trace")]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("problem", problems(), ids=lambda problem: problem.name)
+@mostly_thorough("problem", problems(), first=17, ids=lambda problem: problem.name)
 def test_tables_and_definitions_judge_all_worlds_alike(problem: cg.Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     dynamics, plain = Dynamics.of(problem), Dynamics.of(problem)
     assert dynamics.reader is not None
@@ -114,8 +114,7 @@ def test_there_are_no_tables_where_they_would_not_do(monkeypatch: pytest.MonkeyP
     assert Dynamics.of(cg.make_problem("car-slalom-v0")).reader is None  # outputs are some of the states
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
+@mostly_thorough(
     ("name", "mismatch"),
     [
         *((name, None) for name in SMALL),

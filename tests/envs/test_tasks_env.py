@@ -14,9 +14,8 @@ import certigym as cg
 from certigym.envs.interfaces.problem_env import ProblemEnv
 from certigym.envs.interfaces.tasks_env import TasksEnv
 from certigym.envs.problem import groups as independent
+from kinds import mostly_thorough
 from team_problems import pairs
-
-pytestmark = pytest.mark.slow
 
 
 def both(monkeypatch: pytest.MonkeyPatch, semantics: str, **options: Any) -> tuple[TasksEnv, ProblemEnv]:
@@ -31,6 +30,7 @@ def both(monkeypatch: pytest.MonkeyPatch, semantics: str, **options: Any) -> tup
     return apart, whole
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("semantics", ["finite-trace", "co-safe"])
 def test_rewards_and_ends_are_those_of_the_whole(monkeypatch: pytest.MonkeyPatch, semantics: str) -> None:
     apart, whole = both(monkeypatch, semantics)
@@ -62,7 +62,7 @@ def test_rewards_and_ends_are_those_of_the_whole(monkeypatch: pytest.MonkeyPatch
     assert seen == {(0.0, False, False), (0.0, True, False), satisfied} | ({(0.0, False, True)} & seen)
 
 
-@pytest.mark.parametrize("discount", [1.0, 0.9])
+@mostly_thorough("discount", [1.0, 0.9])
 def test_shaped_returns_differ_by_the_first_potential_only(monkeypatch: pytest.MonkeyPatch, discount: float) -> None:
     apart, _ = both(monkeypatch, "finite-trace", reward="shaped", discount=discount)
     rng = np.random.default_rng(1)
@@ -95,6 +95,7 @@ def test_many_pairs_keep_the_contract_of_pettingzoo() -> None:
     assert one.keys() == other.keys() == set(env.possible_agents)
 
 
+@pytest.mark.thorough
 def test_controllers_act_in_the_environment_as_in_rollouts() -> None:
     """300 episodes, seed 7: each side is wrong with probability at most 1e-6."""
     problem = pairs(10, horizon=6, starts=(-1.0,))

@@ -129,6 +129,7 @@ def test_noise_is_added_and_scaled() -> None:
     assert out_of_reach(asked("F goal", 8, (pushed,)), rare=0.0) is None
 
 
+@pytest.mark.thorough
 def test_what_is_out_of_reach_takes_next_to_no_search_and_follows_what_comes_near() -> None:
     result = cg.synthesize(asked("F goal", 8))
     certificate = result.certificate

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from kinds import mostly_thorough
 
 IDS = ["reach-avoid-v0", "meeting-v0", "patrol-recharge-v0", "cyclic-delivery-v0", "package-delivery-single-v0"]
 WORLDS = 60
@@ -18,8 +19,8 @@ def split(problem: cg.Problem, joint: np.ndarray) -> dict[str, np.ndarray]:
     return {name: joint[:, columns] for name, columns in zip(problem.agent_names, problem.input_columns, strict=True)}
 
 
-@pytest.mark.parametrize("id", IDS)
-@pytest.mark.parametrize("reward", ["sparse", "progress"])
+@mostly_thorough("id", IDS)
+@mostly_thorough("reward", ["sparse", "progress"])
 def test_worlds_rewards_and_ends_are_those_of_the_vector_environment(id: str, reward: str) -> None:
     problem = cg.make_problem(id)
     envs = cg.vector_env(problem, WORLDS, reward=reward, autoreset_mode="SameStep")

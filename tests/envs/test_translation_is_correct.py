@@ -15,6 +15,7 @@ from certigym.envs.logic.obligations import Obligations
 from certigym.envs.logic.parser import FormulaError
 from certigym.envs.logic.rebuilt import over_propositions
 from certigym.envs.logic.translation import translate
+from kinds import mostly_thorough
 from temporal_oracle import Tree, all_words, holds, random_co_safe, random_formula, text
 
 AB = ("a", "b")
@@ -108,7 +109,7 @@ def path_order(table: np.ndarray, initial: int, path: dict[int, list[int]]) -> l
     return order
 
 
-@pytest.mark.parametrize("seed", range(20))
+@mostly_thorough("seed", range(20), first=6)
 def test_finite_trace_automata_agree_with_the_definition_on_all_words(seed: int) -> None:
     rng = random.Random(seed)
     for _ in range(30):
@@ -128,7 +129,7 @@ def test_finite_trace_automata_over_three_propositions(seed: int) -> None:
         assert is_minimal(automaton), text(f)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@mostly_thorough("seed", range(20), first=5)
 def test_co_safe_automata_accept_exactly_the_good_prefixes(seed: int) -> None:
     rng = random.Random(200 + seed)
     for _ in range(25):
@@ -276,6 +277,7 @@ def test_bad_arguments_are_named(arguments: tuple[object, ...], message: str) ->
     assert message in str(caught.value)
 
 
+@pytest.mark.thorough
 def test_families_of_a_thousand_members() -> None:
     names = [name for i in range(1000) for name in (f"safe_{i}", f"target_{i}")]
     families = {"safe": names[::2], "target": names[1::2]}

@@ -19,6 +19,7 @@ from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces import DeviceTeamEnv, Potential, TeamEnv
 from certigym.envs.interfaces.device_team_env import Drawn
 from certigym.validation.statistics import clopper_pearson
+from kinds import mostly_thorough
 
 CLOSE = 1e-12
 """Difference allowed, relative and absolute: quantiles and elementary functions round differently by a few units."""
@@ -210,7 +211,7 @@ class Fixed:
         return [self] * count
 
 
-@pytest.mark.parametrize(("id", "options"), OPTIONS)
+@mostly_thorough(("id", "options"), OPTIONS, first=5)
 def test_steps_of_teams_tell_the_same(id: str, options: dict[str, Any], device: str) -> None:
     """Observations, rewards, ends, new episodes: step by step those of numpy where no noise differs."""
     here, there = cg.team_env(id, 6, **options), cg.team_env(id, 6, device=device, **options)

@@ -101,6 +101,7 @@ def test_a_refuted_certificate_gives_status_1(task: str, tmp_path: Path, monkeyp
     assert main(["validate", cert, "--episodes", "2000"]) == 1
 
 
+@pytest.mark.thorough
 def test_describe_lists_ids_first(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["describe"]) == 0
     ids = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
@@ -153,6 +154,7 @@ def test_initial_states_may_be_negative_and_separated_by_commas(tmp_path: Path) 
     assert bounds[0] == bounds[1] == bounds[2] > 0.5
 
 
+@pytest.mark.thorough
 def test_terminals_without_umlauts_show_numbers_and_json_is_written(tmp_path: Path) -> None:
     file, out = tmp_path / "task.toml", tmp_path / "out.json"
     file.write_text(TASK.replace('"hop"', '"Türme"'), encoding="utf-8")
@@ -168,6 +170,7 @@ def test_terminals_without_umlauts_show_numbers_and_json_is_written(tmp_path: Pa
     assert json.loads(out.read_text(encoding="utf-8"))["problem"] == "Türme"
 
 
+@pytest.mark.thorough
 def test_readers_that_stop_reading_are_no_news() -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "certigym", "describe"], stdout=subprocess.PIPE, stderr=subprocess.PIPE

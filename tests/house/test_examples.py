@@ -13,8 +13,6 @@ import pytest
 import certigym as cg
 from certigym.validation.policies import imitation, probing, training
 
-pytestmark = pytest.mark.slow
-
 FOLDER = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
 NEEDS = {"09_learn_and_certify.py": "stable_baselines3", "10_many_workers.py": "dask"}

@@ -17,8 +17,6 @@ import pytest
 
 import certigym
 
-pytestmark = pytest.mark.slow
-
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("envs", "synthesis", "validation")
 HEAVY = ("matplotlib", "torch", "pygame", "scipy.stats", "stable_baselines3", "PIL", "cvxpy")
@@ -117,6 +115,7 @@ def test_the_wheel_works_without_the_checkout(wheel: Path, tmp_path: Path) -> No
     assert said.stdout.split() == [str(tmp_path / "site" / "certigym" / "__init__.py"), "2"]
 
 
+@pytest.mark.thorough
 def test_archives_work_where_they_are_installed(sdist: Path, tmp_path: Path) -> None:
     """Of the sources a wheel is made, of the same files as the other one, and that is installed."""
     binary = installed(sdist, tmp_path / "environment")
@@ -172,6 +171,7 @@ def test_a_checkout_without_links_finds_its_folders(tmp_path: Path) -> None:
     assert said.stdout.strip() == "4", said.stderr
 
 
+@pytest.mark.thorough
 def test_importing_certigym_is_light() -> None:
     said = python(f"import sys, certigym; print([name for name in {HEAVY!r} if name in sys.modules])")
     assert said.stdout.strip() == "[]", said.stderr

@@ -23,8 +23,6 @@ from certigym.synthesis.choosing import effort
 from certigym.validation.figures import certificate_figures as figures
 from certigym.validation.figures import figure_scenes
 
-pytestmark = pytest.mark.slow
-
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]

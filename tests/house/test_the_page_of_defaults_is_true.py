@@ -25,7 +25,7 @@ QUICK = (
 
 
 @pytest.mark.pages
-@pytest.mark.thorough
+@pytest.mark.full_search
 @pytest.mark.parametrize("name", QUICK)
 def test_what_an_id_certifies_is_what_the_page_says(name: str) -> None:
     """The same command gives the same certificate on every machine, but for the last digits of its libraries."""

@@ -5,15 +5,11 @@ from __future__ import annotations
 import io
 import re
 import sys
-import time
-from argparse import Namespace
-from typing import Any
 
 import pytest
 from tqdm import tqdm
 
 import certigym as cg
-from certigym.cli import work
 from certigym.cli.colors import colored, wants_colors
 from certigym.cli.main import main
 from certigym.cli.parser import build_parser
@@ -48,41 +44,6 @@ def test_colours_are_for_terminals(monkeypatch: pytest.MonkeyPatch, terminal: bo
     assert wants_colors() == wanted
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("width", [60, 132])
-def test_no_line_is_wider_than_the_terminal_and_no_word_is_lost(
-    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    wanted = ["meeting-v0", "door-formation-v0", "patrol-recharge-v0", "quadrotor-v0", "fleet-v0"]
-    for words in ([], *([name] for name in wanted)):
-        assert main(["describe", *words]) == 0
-        plain = capsys.readouterr().out
-        with monkeypatch.context() as terminal:
-            terminal.setattr(sys.stdout, "isatty", lambda: True)
-            terminal.setenv("COLUMNS", str(width))
-            terminal.delenv("NO_COLOR", raising=False)
-            terminal.setenv("TERM", "xterm")
-            assert main(["describe", *words]) == 0
-        shown = CODES.sub("", capsys.readouterr().out)
-        assert max(map(len, shown.splitlines())) <= width
-        # Words alone are broken, and only where they do not fit into a line of their own.
-        assert "".join(shown.split()) == "".join(plain.split())
-    assert any(len(line) > width for line in plain.splitlines())
-
-
-def test_reports_fit_eighty_columns(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setenv("NO_COLOR", "1")
-    assert main(["run", "reach-avoid-v0", "--horizon", "2", "--cells", "20", "--episodes", "300"]) == 0
-    report = capsys.readouterr().out
-    # What goes on stands below what it belongs to.
-    assert re.search(r"^method        linear relation.*\n {14}\S", report, re.M)
-    words = ["--policies", "certified,random", "--episodes", "300"]
-    assert main(["compare", "reach-avoid-v0", "--horizon", "2", "--cells", "20", *words]) == 0
-    assert max(map(len, (report + capsys.readouterr().out).splitlines())) <= 80
-
-
 def test_the_bar_shows_the_bound_before_what_a_narrow_terminal_cuts_off() -> None:
     text = io.StringIO()
     with tqdm(bar_format=BAR, file=text, ncols=60, mininterval=0.0) as bar:
@@ -91,86 +52,6 @@ def test_the_bar_shows_the_bound_before_what_a_narrow_terminal_cuts_off() -> Non
         bar.refresh()
     last = [line for line in text.getvalue().split("\r") if "linear" in line][-1]
     assert "] P >= 0.904608 so far; linear, 160 cells" in last and len(last.rstrip()) <= 60
-
-
-@pytest.mark.slow
-def test_eighty_columns_show_bound_level_upper_end_and_what_is_left() -> None:
-    """As a task of the suite tells them over few steps, whatever the clock says."""
-    text, told = io.StringIO(), list[str]()
-    with tqdm(bar_format=BAR, file=text, ncols=80, mininterval=0.0) as bar:
-        show = shown_on(bar)
-
-        def tell(what: str, value: float) -> None:
-            show(what, value)
-            bar.refresh()
-            told.append(what)
-
-        cg.synthesize(cg.make_problem("reach-avoid-v0").replace(horizon=2), effort=0.6, progress=tell)
-    lines = [line.rstrip() for line in text.getvalue().split("\r")]
-    whole = re.compile(r"\[\d\d:\d\d\] P >= 0\.\d{6} so far; linear, \d+ cells, at most 0\.\d{4}, effort \d+ of 1")
-    assert any(whole.match(line) for line in lines), told
-
-
-def test_the_clock_goes_on_while_nothing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(work, "TICK", 0.01)
-    text = io.StringIO()
-    with tqdm(bar_format=BAR, file=text, ncols=80) as bar, work.ticking(bar):
-        shown_on(bar)("way: linear", 0.0)
-        until = time.monotonic() + 10.0
-        while text.getvalue().count("linear") < 3 and time.monotonic() < until:
-            time.sleep(0.01)
-    assert text.getvalue().count("linear") >= 3
-
-
-def test_a_check_that_takes_long_says_what_it_checks(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(work, "TICK", 0.01)
-    monkeypatch.setattr(work, "PATIENCE", 0.02)
-    certificate = cg.synthesize(cg.make_problem("reach-avoid-v0").replace(horizon=3), 30).certificate
-    honest = work.checked_once
-
-    def slow(given: Any) -> Any:
-        time.sleep(0.5)
-        return honest(given)
-
-    monkeypatch.setattr(work, "checked_once", slow)
-    assert work.checked_again(certificate)
-    assert re.match(r"\[0 s\] P >= 0\.\d+; separate code computes it again\n", capsys.readouterr().err)
-
-
-def test_where_there_is_no_terminal_what_takes_long_is_a_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(work, "TICK", 0.01)
-    monkeypatch.setattr(work, "PATIENCE", 0.02)
-    with tqdm(bar_format=BAR, disable=True) as bar, work.ticking(bar):
-        shown_on(bar)("way: linear", 0.25)
-        time.sleep(0.5)
-    assert re.fullmatch(r"\[0 s\] P >= 0\.250000 so far; linear\n", capsys.readouterr().err)
-
-
-def test_without_a_terminal_nothing_is_silent_for_long(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A search that takes long says how far it is, again and again; rollouts say how many there are."""
-    monkeypatch.setattr(work, "TICK", 0.01)
-    monkeypatch.setattr(work, "PATIENCE", 0.02)
-    monkeypatch.setattr(work, "REMIND", 0.1)
-    with tqdm(bar_format=BAR, disable=True) as bar, work.ticking(bar):
-        told = shown_on(bar)
-        told("way: path", 0.0)
-        told("path", 0.25)
-        time.sleep(0.6)
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) >= 3
-    assert all(re.fullmatch(r"\[\d+ s\] nothing certified yet; path; this search: 0.250000", line) for line in lines)
-    options = Namespace(dask=None, workers=1, episodes=3000, seed=0, confidence=0.99)
-    with work.trials(options) as plan:
-        assert callable(plan.progress)
-        plan.progress(2000)
-        time.sleep(0.3)
-    assert "s] rollouts; 2000 episodes" in capsys.readouterr().err
 
 
 def test_a_search_that_found_nothing_shows_nothing_below_0() -> None:

@@ -74,7 +74,7 @@ def test_formulas_become_markup_without_a_network() -> None:
 
 
 @pytest.mark.pages
-@pytest.mark.thorough(box_model, common_choices, cell_budget)
+@pytest.mark.full_search(box_model, common_choices, cell_budget)
 @pytest.mark.parametrize("name", ["linear", "bounds", "boxes"])
 def test_worked_examples_print_what_the_page_says(name: str) -> None:
     text = (DOCS / "theory" / f"{name}.md").read_text(encoding="utf-8")

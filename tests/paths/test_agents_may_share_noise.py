@@ -154,7 +154,7 @@ def one_step(
                    specification=Specification(formula, "finite-trace"), joint_noise=sources)  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_bounds_are_below_integrals_and_near_where_differences_are() -> None:
     """Exact oracle: one step; of the difference of two agents their sources cancel a part."""
     rng = np.random.default_rng(SEED)
@@ -196,7 +196,7 @@ def test_a_product_of_agents_that_a_wind_drives_apart_is_refused() -> None:
     assert not check(changed(found, failure=product * (1.0 + 1e-6))).valid
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_one_wind_moves_a_formation() -> None:
     """Three drones in a wind that takes all alike: they keep apart as if it did not blow; rollouts agree."""
     agents = [bent(f"drone_{i}", [-2.0, 0.6 * i - 0.6]) for i in range(3)]

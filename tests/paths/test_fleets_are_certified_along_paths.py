@@ -284,6 +284,7 @@ def test_the_first_letter_of_pairs_is_known_where_all_starts_agree(low: float, h
 
 
 @pytest.mark.thorough
+@pytest.mark.full_search
 def test_jumps_without_a_stay_follow_at_once() -> None:
     """Two steps together, and then to the shop: one cannot stay where the second step is waited for."""
     regions = {

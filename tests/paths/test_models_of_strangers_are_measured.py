@@ -27,6 +27,7 @@ def test_every_file_is_in_the_table_and_on_the_page() -> None:
     "name", ["buck", "docking", "heat_pump", "battery", "rail_crossing", "moving_reference", "glider"]
 )
 @pytest.mark.thorough
+@pytest.mark.full_search
 def test_without_options_they_get_what_the_table_says(name: str) -> None:
     problem = cg.load(ROOT / "examples" / "own" / f"{name}.toml")
     certificate = cg.synthesize(problem).certificate

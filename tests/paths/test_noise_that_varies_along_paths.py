@@ -40,7 +40,6 @@ def epidemic() -> cg.Synthesis:
     return cg.synthesize(problem, relation="path", effort=15)
 
 
-@pytest.mark.slow
 def test_an_epidemic_with_noise_that_grows_is_certified() -> None:
     certificate = epidemic().certificate
     assert certificate.lower_bound > 0.999

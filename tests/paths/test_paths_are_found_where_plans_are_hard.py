@@ -132,6 +132,7 @@ def test_a_battery_that_fills_at_one_place_is_kept_from_running_dry() -> None:
 
 
 @pytest.mark.thorough
+@pytest.mark.full_search
 def test_plans_keep_all_of_the_drift_away_where_less_fails_often() -> None:
     """A charger that is a narrow bump bends so much within a deviation that what is lost there is drift."""
     problem = rover(
@@ -147,6 +148,7 @@ def test_plans_keep_all_of_the_drift_away_where_less_fails_often() -> None:
 
 
 @pytest.mark.thorough
+@pytest.mark.full_search
 @pytest.mark.parametrize(("name", "most"), [("examples/own/satellite.toml", 1e-8), ("quadrotor-v0", 4e-8)])
 def test_paths_that_fail_rarely_are_planned_anew_as_long_as_that_helps(name: str, most: float) -> None:
     """After four plans they fail 6e-8 and 3e-6 of the time, or a fiftieth of that with luck in the last bits."""
@@ -215,14 +217,12 @@ def test_noise_that_is_next_to_nothing_in_few_cells_asks_for_no_finer_lattice() 
     assert cg.check(result.certificate)
 
 
-@pytest.mark.slow
 def test_first_cells_are_widened_no_further_than_they_can_be() -> None:
     problem = growing()
     wide, usual = (first_cells(problem.replace(horizon=steps)) or {} for steps in (100_000, 3))
     assert 1 <= wide["stock"][0] <= usual["stock"][0]
 
 
-@pytest.mark.slow
 def test_hopeless_plans_take_a_small_share_of_the_work() -> None:
     """Noise that grows with a stock leaves nothing along a path: that is seen long before the work is done."""
     stock = cg.Agent(

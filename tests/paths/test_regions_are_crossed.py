@@ -54,7 +54,6 @@ def missed(width: float, std: float) -> float:
     return float(density.sum() * size)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("width", [0.5, 0.7, 1.0, 2.0])
 def test_failures_are_above_exact_ones_on_a_line(width: float, sign: float) -> None:
@@ -161,7 +160,6 @@ def tank() -> cg.Synthesis:
     return cg.synthesize(problem, relation="path", effort=10)
 
 
-@pytest.mark.slow
 def test_search_finds_windows_where_noise_is_large_against_a_region() -> None:
     certificate = tank().certificate
     assert np.any(certificate.proof.letters == SOMETIME)

@@ -22,8 +22,6 @@ from certigym.validation.audits.step_tests import audit
 from certigym.validation.audits.value_at import bound_by_steps_left, charge_of
 from problems import scalar_agent, two_agents
 
-pytestmark = pytest.mark.slow
-
 CONFIDENCE = 1 - 1e-6
 EPISODES = 20_000
 LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}

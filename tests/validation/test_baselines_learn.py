@@ -24,8 +24,6 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from certigym.validation.policies.learners import WorldsVecEnv, central_vec_env, shared_vec_env
 
-pytestmark = pytest.mark.slow
-
 RA2 = cg.make_problem("reach-avoid-v0")
 MAKERS: list[Callable[..., WorldsVecEnv]] = [shared_vec_env, central_vec_env]
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from itertools import combinations, product
-from typing import Any
-
 import numpy as np
 import pytest
 
 import certigym as cg
 from certigym.envs.logic import translate
-from certigym.envs.pictures import AGENTS, AGENTS_ON_DARK, AVOIDED, FREE, KEPT, LOOKS, MIXED, REACHED, Picture, roles
+from certigym.envs.pictures import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
 from certigym.envs.pictures.palette import rgb
 from certigym.envs.pictures.scene import panels
-from certigym.envs.pictures.task_roles import joined, proposition_roles
-from certigym.validation.reports.page_style import PATTERNS, STYLE
+from certigym.envs.pictures.task_roles import proposition_roles
 
 CASES = [
     ("!wall U goal", "co-safe", {"wall": AVOIDED, "goal": REACHED}),
@@ -63,12 +59,6 @@ def test_letters_that_no_point_has_do_not_tell() -> None:
     assert proposition_roles(automaton)["loss_0"] == MIXED
 
 
-def test_members_that_are_drawn_as_one_have_one_role() -> None:
-    for a, b in product((REACHED, AVOIDED, KEPT, MIXED, FREE), repeat=2):
-        assert joined([a, b]) == joined([b, a])
-    assert joined([]) == FREE and joined([AVOIDED, REACHED]) == MIXED and joined([AVOIDED, FREE]) == AVOIDED
-
-
 @pytest.mark.parametrize("id", ["meeting-v0", "invariance-b-100-v0", "patrol-recharge-v0", "fleet-v0"])
 def test_every_region_that_is_drawn_has_a_role(id: str) -> None:
     for panel in panels(cg.make_problem(id)):
@@ -102,78 +92,3 @@ def apart(a: str, b: str) -> float:
     """The smallest distance in CIELAB that two colours have for any reader; about 2 can just be seen."""
     views = [np.array(matrix) for matrix in BLINDNESS.values()]
     return min(float(np.linalg.norm(lab(view @ linear(a)) - lab(view @ linear(b)))) for view in views)
-
-
-def test_the_distance_knows_what_is_known() -> None:
-    """Red and green of equal lightness are far apart, and near for readers without one kind of cone."""
-    assert apart("#000000", "#ffffff") > 90 and apart("#b22222", "#5a6b00") < 15
-    assert np.linalg.norm(lab(linear("#b22222")) - lab(linear("#5a6b00"))) > 60
-
-
-@pytest.mark.parametrize("agents", [AGENTS, AGENTS_ON_DARK], ids=["light", "dark"])
-def test_readers_with_any_colour_deficiency_tell_agents_and_roles_apart(agents: tuple[str, ...]) -> None:
-    roles_told = [LOOKS[role].color for role in (REACHED, AVOIDED, KEPT, MIXED)]
-    assert min(apart(a, b) for a, b in combinations(agents, 2)) > 15
-    assert min(apart(a, b) for a, b in combinations(roles_told, 2)) > 15
-    assert min(apart(a, b) for a, b in product(AGENTS, roles_told)) > 10
-
-
-def test_agents_stand_out_from_the_page() -> None:
-    """Contrast of at least 3 with white, and on dark pages with their cards, as for graphics in WCAG 2.1."""
-
-    def light(color: str) -> float:
-        return float(linear(color) @ np.array([0.2126, 0.7152, 0.0722]))
-
-    assert min(1.05 / (light(color) + 0.05) for color in AGENTS) >= 3.0
-    assert min((light(color) + 0.05) / (light("#1c222a") + 0.05) for color in AGENTS_ON_DARK) >= 3.0
-
-
-def test_roles_are_told_without_colour() -> None:
-    hatches = [LOOKS[role].hatch for role in (REACHED, AVOIDED, KEPT, MIXED, FREE)]
-    assert len(set(hatches)) == 5
-    assert all(f'id="look-{role}"' in PATTERNS and f".r-{role}{{" in STYLE for role in LOOKS)
-    # Of frames in grey: regions of two roles differ in more than their lightness.
-    picture = Picture(cg.make_problem("reach-avoid-v0"))
-    masks = {hatch: np.asarray(mask) > 0 for hatch, mask in picture._hatches.items()}
-    for a, b in combinations(masks, 2):
-        assert (masks[a] != masks[b]).mean() > 0.05, (a, b)
-
-
-def test_frames_show_the_colours_of_the_roles() -> None:
-    env = cg.parallel_env("reach-avoid-v0", render_mode="rgb_array")
-    env.reset(seed=0)
-    frame = env.render()
-    assert isinstance(frame, np.ndarray)
-    seen = {tuple(color) for color in frame.reshape(-1, 3).tolist()}
-    assert {LOOKS[role].rgb for role in (REACHED, AVOIDED)} <= seen  # rims and legend
-    assert LOOKS[KEPT].rgb not in seen
-
-
-def test_agents_of_different_workspaces_share_a_map_if_a_pair_is_about_both() -> None:
-    def flyer(name: str, side: float) -> cg.LinearAgent:
-        return cg.LinearAgent(
-            name=name,
-            A=np.eye(2),
-            B=np.eye(2),
-            noise_covariance=0.01 * np.eye(2),
-            state_low=[-side, -side],
-            state_high=[side, side],
-            input_low=[-1.0, -1.0],
-            input_high=[1.0, 1.0],
-            initial_state=[0.5 * side, 0.0],
-        )
-
-    def pictured(pairs: bool) -> list[tuple[tuple[float, ...], int]]:
-        near: dict[str, Any] = {"near": cg.Pair(("small", "large"), [-1.0, -1.0], [1.0, 1.0])} if pairs else {}
-        home: dict[str, Any] = {"home": cg.Proposition("small", [0.0, 0.0], [1.0, 1.0])}
-        problem = cg.Problem(
-            name="two",
-            horizon=3,
-            agents=[flyer("small", 3.0), flyer("large", 6.0)],
-            propositions=home | near,
-            specification=cg.Specification("!near U home" if pairs else "F home", "co-safe"),
-        )
-        return [(panel.low, len(panel.curves)) for panel in panels(problem)]
-
-    assert pictured(False) == [((-3.0, -3.0), 1), ((-6.0, -6.0), 1)]
-    assert pictured(True) == [((-6.0, -6.0), 2)]

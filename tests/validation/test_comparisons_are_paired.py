@@ -17,8 +17,6 @@ from certigym.validation.figures import draw_comparison
 from certigym.validation.policies.comparison import mcnemar
 from problems import two_agents
 
-pytestmark = pytest.mark.slow
-
 PROBLEM = two_agents(horizon=4, noise_covariance=[[0.8]])
 AGENT = """
 [[agents]]

@@ -16,8 +16,6 @@ from certigym.validation.figures import certificate_figures as figures
 from certigym.validation.figures import figure_scenes as scenes
 from certigym.validation.figures.figure_style import new_figure, save_figure
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def certificate() -> cg.Certificate:

@@ -19,8 +19,6 @@ from certigym.validation.policies.views import SharedView
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
 
-pytestmark = pytest.mark.slow
-
 RA2 = cg.make_problem("reach-avoid-v0")
 SMALL: dict[str, Any] = {"worlds": 8, "n_steps": 16, "batch_size": 128}
 

@@ -13,8 +13,6 @@ from certigym.validation.paper.published import published_curve
 from certigym.validation.paper.refutation import refute_published
 from certigym.validation.paper.reproduce import FIGURE_3, fig4
 
-pytestmark = pytest.mark.slow
-
 RIGHT_NOISE = (0.127645, 0.271779, 0.436494, 0.616145, 0.811906, 0.933270, 0.934675)
 """Independent recomputation of the robust tree at the stated noise, T = 1 .. 7."""
 

@@ -10,14 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from certigym.cli.main import main
-from certigym.validation.paper import RECORDED, Reproduction, computed, lines_text, summary_text
+from certigym.validation.paper import Reproduction, computed, lines_text
 from certigym.validation.paper.judged_lines import Bound, Line, judged_lines
-from certigym.validation.paper.reproduce import WORDS, words_of
 from certigym.validation.paper.reproduction import Found
 from certigym.validation.simulation import processes
-
-PAGE = Path(__file__).parents[2] / "docs" / "artifact.md"
 
 
 @pytest.fixture
@@ -37,30 +33,6 @@ def test_a_line_says_what_is_expected_and_found_and_whether_it_passes(record: Pa
     # A bound that fell fails, by however little.
     (fallen,) = judged_lines("own", [Bound("a", 0.25, 0.5 - 1e-12)], record, only="a")
     assert lines_text([fallen]).splitlines()[1].endswith("FAIL: below the recorded 0.5")
-
-
-def test_the_summary_counts_every_line_once(record: Path) -> None:
-    lines = [Bound("a", 0.25, 0.75), Line("b", None, 3.0)]
-    told = {"own": judged_lines("own", lines, record), "other": judged_lines("own", lines[:1], record, only="a")}
-    rows = [row.split() for row in summary_text(told).splitlines()]
-    assert rows[1:] == [["own", "3", "1", "2"], ["other", "1", "1", "0"], ["all", "4", "2", "2"]]
-
-
-def test_the_page_for_reviewers_shows_expected_numbers() -> None:
-    text, record = PAGE.read_text(encoding="utf-8"), json.loads(RECORDED.read_text(encoding="utf-8"))
-    shown = [line for line in text.splitlines() if line.endswith("  pass")]
-    assert len(shown) == len(record["table1"])
-    for line in shown:
-        name = next(name for name in record["table1"] if line.startswith(f"{name}  "))
-        value, verdict = record["table1"][name]
-        assert f"  {value:.6g}  " in line and line.split()[-2] == verdict
-    assert all(f"`{target}`" in text for target in record)
-
-
-def test_columns_of_figures_have_names_in_words() -> None:
-    columns = [*WORDS, *(f"{kind}_{s}_{n}" for kind in ("robust_tree", "exact") for s in "AB" for n in (4, 20))]
-    names = [words_of(column) for column in columns]
-    assert len(set(names)) == len(names) and not any("_" in name for name in names)
 
 
 class _Heard:
@@ -109,26 +81,3 @@ def test_processes_side_by_side_have_one_thread_each(monkeypatch: pytest.MonkeyP
         assert pool.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
         assert pool.submit(os.getenv, "OPENBLAS_NUM_THREADS").result() == "3"
     assert "OMP_NUM_THREADS" not in os.environ
-
-
-def test_the_command_says_on_standard_error_what_it_computes_and_finds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    row = {"check": "valid", "certified": 0.25, "published": None, "starts": None, "row": "own"}
-    whole = Reproduction({"own": partial(Found, row, "0.25")}, lambda found, _: found)
-    monkeypatch.setattr("certigym.validation.paper.targets.arch", lambda _: whole)
-    monkeypatch.setattr("certigym.cli.reproduce_command.TARGETS", ("arch",))
-    # Nothing like it was recorded, and what was is missing: it fails, and what fails comes last.
-    assert main(["reproduce", "all", "--out", str(tmp_path)]) == 1
-    out, err = capsys.readouterr()
-    assert "computing arch, own" in err and "[1/1] arch, own: 0.25" in err
-    assert "\nfailed\n" in out and "FAIL: not recorded" in out.rsplit("\nfailed\n")[-1]
-    assert out.splitlines()[-1].startswith("FAIL: ")
-    assert main(["reproduce", "arch", "--workers", "0", "--out", str(tmp_path)]) == 2
-
-
-def test_the_keys_of_lines_are_explained(record: Path) -> None:
-    (line,) = judged_lines("own", [Bound("a", 0.25, 0.5)], record, only="a")
-    page = (PAGE.parent / "command_line.md").read_text(encoding="utf-8")
-    (row,) = [row for row in page.splitlines() if row.startswith("| each of `lines` |")]
-    assert all(f"`{key}`" in row for key in line)

@@ -16,8 +16,6 @@ from certigym.validation.simulation.chunks import run_chunk
 from certigym.validation.statistics.binomial import CONFIRMED, CONSISTENT, REFUTED, clopper_pearson, verdict
 from problems import two_agents
 
-pytestmark = pytest.mark.slow
-
 FALSE_ALARM = 1e-6
 
 

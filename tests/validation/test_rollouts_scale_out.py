@@ -31,8 +31,6 @@ from certigym.validation.verdicts.stress_test import stress
 from certigym.validation.verdicts.sweeps import each_report, synthesize_best
 from problems import two_agents
 
-pytestmark = pytest.mark.slow
-
 EPISODES, CHUNK = 21_300, 500
 
 

@@ -10,14 +10,11 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import certigym as cg
-from certigym.envs.problem import problem_from_dict
-from certigym.validation.policies.rollout_policies import RandomController
 from certigym.validation.studio import certifying, work
 from certigym.validation.studio.carets import mark
 from certigym.validation.studio.folder import place
@@ -511,29 +508,6 @@ def spot(tab: Tab, x: float, y: float) -> tuple[float, float]:
 SEEN = "window.studio && studio.link.state && studio.link.state.seen && studio.link.state.current"
 
 
-TALL = (
-    (ROOT / "validation" / "studio" / "template_first.toml")
-    .read_text(encoding="utf-8")
-    .replace("state_high = [10.0, 10.0]", "state_high = [10.0, 25.0]")
-)
-
-
-@pytest.mark.parametrize(("width", "height"), [(1400, 900), (390, 844)])
-def test_maps_are_in_scale_and_fit_on_the_page(browser: Chromium, tmp_path: Path, width: int, height: int) -> None:
-    (tmp_path / "task.toml").write_text(TALL, encoding="utf-8")
-    page = Studio(tmp_path, "task.toml").start()
-    try:
-        tab = browser.open(page.address, width, height)
-        tab.until(f"{SEEN} && document.querySelector('#panels .body')")
-        (left, bottom), (right, top) = spot(tab, 0, 0), spot(tab, 10, 25)
-        assert (bottom - top) / (right - left) == pytest.approx(2.5, rel=1e-6)
-        assert 0 <= left < right <= width and 0 <= top < bottom <= height
-        assert tab.run("document.documentElement.scrollWidth <= innerWidth") and tab.run("wrong") == []
-    finally:
-        page.stop()
-
-
-@pytest.mark.slow
 def test_from_an_empty_file_to_a_certificate(browser: Chromium, tmp_path: Path) -> None:
     page = Studio(tmp_path, "task.toml").start()
     try:
@@ -605,92 +579,6 @@ def test_from_an_empty_file_to_a_certificate(browser: Chromium, tmp_path: Path) 
         page.stop()
 
 
-def test_edges_cones_and_parts_follow_the_pointer(browser: Chromium, tmp_path: Path) -> None:
-    (tmp_path / "ship.toml").write_text(PARTS)
-    page = Studio(tmp_path, "ship.toml").start()
-
-    def regions(tab: Tab) -> dict[str, Any]:
-        return dict(tomllib.loads(tab.run("studio.link.text"))["propositions"])
-
-    try:
-        tab = browser.open(page.address)
-        tab.until(f"{SEEN} && document.querySelectorAll('#panels .body').length === 4")
-        # The water is drawn up, and its edge turned around its left end.
-        tab.drag(spot(tab, 3, 0.2), spot(tab, 3, 0.7))
-        tab.until("studio.link.text.includes('offset = 1.5')")
-        tab.drag(spot(tab, 10, 1.5), spot(tab, 10, 2.5))
-        tab.until(r"/normal = \[-0.(099|1)\d*, 0.99/.test(studio.link.text)")
-        shore = regions(tab)["shore"]["halfspace"]
-        assert abs(shore["offset"] / shore["normal"][1] - 1.5) < 0.05
-        # The light is moved by its body, turned by its axis, and closed by a ray.
-        tab.drag(spot(tab, 7.5, 4), spot(tab, 7, 4.5))
-        tab.until("studio.link.text.includes('tip = [8.5, 4.5]')")
-        tab.drag(spot(tab, 6.5, 4.5), spot(tab, 6.9, 6.1))
-        tab.until(r"/axis = \[-0.7[01]\d*, 0.7[01]/.test(studio.link.text)")
-        # A part of a union is a shape of its own.
-        tab.drag(spot(tab, 5, 5), spot(tab, 4, 5.5))
-        tab.until("studio.link.text.includes('centre = [4, 5.5]')")
-        tab.drag(spot(tab, 4.7, 5.5), spot(tab, 5, 5.5))
-        tab.until("studio.link.text.includes('radius = 1')")
-        assert regions(tab)["danger"]["union"][2] == {"complement": {"box": {"low": [0.5, 0.5], "high": [9.5, 7.5]}}}
-        assert tab.run("studio.link.state.seen.error") is None
-    finally:
-        page.stop()
-
-
-def test_changes_that_follow_at_once_are_all_kept(browser: Chromium, tmp_path: Path) -> None:
-    """Two regions moved before the first change is answered: both stand in the text, each can be taken back."""
-    (tmp_path / "ship.toml").write_text(PARTS)
-    page = Studio(tmp_path, "ship.toml").start()
-    try:
-        tab = browser.open(page.address)
-        tab.until(f"{SEEN} && document.querySelectorAll('#panels .body').length === 4")
-        first, second = '["propositions", "light", "cone", "tip"]', '["propositions", "shore", "halfspace", "offset"]'
-        edits = [
-            f"{{set: [[{first}, {tip}]], more: {more}}}" for tip, more in (("[8, 4]", "false"), ("[8, 5]", "true"))
-        ]
-        edits += [f"{{set: [[{second}, {offset}]], more: false}}" for offset in (2, 3)]
-        tab.run(f"Promise.all([{', '.join(f'studio.link.edit({edit})' for edit in edits)}]).then(() => null)")
-        assert "tip = [8, 5]" in tab.run("studio.link.text") and "offset = 3" in tab.run("studio.link.text")
-        for undone in ("offset = 2", "offset = 1", "tip = [9, 4]"):
-            tab.click("#undo")
-            assert undone in tab.run("studio.link.text"), undone
-    finally:
-        page.stop()
-
-
-def test_agents_with_a_heading_are_arrows(browser: Chromium, tmp_path: Path) -> None:
-    """At the start, and along episodes: the tip, which is the first corner, points to where the robot does."""
-    turned = UNICYCLE.replace("initial_state = [1.0, 1.0, 0.0]", "initial_state = [1.0, 1.5, 1.5707963]")
-    assert turned != UNICYCLE
-    (tmp_path / "u.toml").write_text(turned, encoding="utf-8")
-    page = Studio(tmp_path, "u.toml").start()
-    corners = "e => e.getAttribute('points').split(' ').map(c => c.split(',').map(Number))"
-    try:
-        tab = browser.open(page.address)
-        tab.until(f"{SEEN} && document.querySelector('polygon.start')")
-        (x, y), (u, v), _, (w, _) = tab.run(f"({corners})(document.querySelector('polygon.start'))")
-        assert y < v and min(u, w) < x < max(u, w)
-        paths = "{color: 0, paths: [[[1, 1], [2, 1]], [[1, 1], [2, 1]]], headings: [[0, 3.1415927], [0, 0]]}"
-        tab.run(f"studio.picture.episodes({{panels: [[{paths}]], success: [true, false]}}, 1)")
-        (back,) = tab.run(f"[...document.querySelectorAll('#panels polygon.now')].map({corners})")
-        assert back[0][0] < back[2][0] < back[1][0] and abs(back[0][1] - back[2][1]) < 0.2
-        assert tab.run("wrong") == []
-    finally:
-        page.stop()
-
-
-def test_what_is_played_tells_headings() -> None:
-    problem = problem_from_dict(tomllib.loads(UNICYCLE))
-    desk = certifying.Certifier(lambda _: None)
-    desk._certificate = SimpleNamespace(problem=problem, controller=RandomController())
-    told = desk.play({"seed": 0})
-    (curve,) = told["panels"][0]
-    assert [len(one) for one in curve["headings"]] == [len(path) for path in curve["paths"]] == told["lengths"]
-    assert {one[0] for one in curve["headings"]} == {0.0}
-
-
-@pytest.mark.slow
 def test_bad_input_a_second_tab_and_a_stopped_server_lose_nothing(browser: Chromium, tmp_path: Path) -> None:
     (tmp_path / "u.toml").write_text(UNICYCLE, encoding="utf-8")
     page = Studio(tmp_path, "u.toml").start()

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 import certigym as cg
-import environment_pages
 import rate_problems
 from certigym.cli.main import main
 from certigym.envs.suite.tiers import NAMES, TIERS
@@ -72,22 +71,3 @@ def test_the_command_line_lists_a_tier(capsys: pytest.CaptureFixture[str]) -> No
     found = json.loads(capsys.readouterr().out)
     assert tuple(entry["id"] for entry in found) == cg.problem_ids("hard")
     assert {entry["tier"] for entry in found} == {"hard"}
-
-
-def test_the_leaderboard_begins_with_what_is_open_and_has_the_best_learner_bold() -> None:
-    board = Leaderboard.load(rate_problems.RECORDED)
-    lines = [line for line in page_of(board).splitlines() if "](environments/" in line]
-    shown = [line.split(" | ")[2] for line in lines]
-    assert shown == sorted(shown, key=["open", "hard", "unrated", "solved"].index)
-    left = [line.split(" | ")[3] for line in lines if line.split(" | ")[2] == "hard"]
-    assert left == sorted(left, reverse=True) and left[0] == "1.00"
-    assert page_of(Leaderboard((row("ppo", 900), row("sac", 800), row("warm-ppo", 950)))).count("**0.9000**") == 1
-
-
-def test_cards_and_pages_say_the_tier() -> None:
-    folder = environment_pages.FOLDER
-    cards = (folder / "README.md").read_text(encoding="utf-8")
-    for id, tier in TIERS.items():
-        (card,) = [line for line in cards.splitlines() if line.startswith("| [![") and f"]({id}.md) |" in line]
-        assert f" · {tier} · " in card
-        assert f"- Tier: **{tier}**" in (folder / f"{id}.md").read_text(encoding="utf-8")
