@@ -343,6 +343,7 @@ def test_the_bound_from_above_counts_every_letter_of_a_start() -> None:
     assert float(result.stats["abstract_upper_bound"]) >= result.certificate.lower_bound > 0.1  # type: ignore[arg-type]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("settings", [{"relation": "best"}, {"memory": 2e6}])
 def test_horizons_are_doubled_under_budgets_and_several_relations(
     settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch

@@ -10,6 +10,7 @@ import pytest
 import certigym as cg
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.upper_ends import bound_above
+from kinds import mostly_thorough
 from problems import scalar_agent
 
 
@@ -34,7 +35,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("kind", SETTINGS)
+@mostly_thorough("kind", SETTINGS, first=2)
 def test_settings_that_are_not_given_are_those_of_the_certificate(kind: str) -> None:
     if kind == "ellipsoid":
         pytest.importorskip("cvxpy")

@@ -40,6 +40,7 @@ def test_a_relation_that_does_not_apply_says_why() -> None:
     assert isinstance(tried["tube"], float)
 
 
+@pytest.mark.thorough
 def test_where_relations_do_not_apply_their_reasons_are_kept() -> None:
     """Nobody reaches the second state of the agent: linear cells ask for nothing of the kind."""
     adrift = cart(A=[[1.0, 0.5], [0.0, 1.2]], B=[[0.5], [0.0]])

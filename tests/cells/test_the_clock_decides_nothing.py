@@ -53,6 +53,7 @@ def certified(monkeypatch: pytest.MonkeyPatch, look: float, problem: Any, **opti
         return cg.synthesize(problem, **options)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("problem", "options"),
     [
@@ -71,6 +72,7 @@ def test_slow_and_fast_machines_certify_the_same(
         np.testing.assert_array_equal(one.policy, other.policy)
 
 
+@pytest.mark.thorough
 def test_only_seconds_that_are_given_look_at_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first certificate is returned in any case; what comes after it is left out when the seconds are over."""
     quick = certified(monkeypatch, 100.0, robots(1), seconds=10.0)
@@ -82,6 +84,7 @@ def test_only_seconds_that_are_given_look_at_the_clock(monkeypatch: pytest.Monke
     assert cg.check(quick.certificate)
 
 
+@pytest.mark.thorough
 def test_more_effort_certifies_no_less_and_says_what_was_left_out() -> None:
     little, more = (cg.synthesize(robots(1), effort=effort) for effort in (0.05, 0.1))
     assert little.certificate.lower_bound < more.certificate.lower_bound

@@ -280,6 +280,7 @@ def compare_gains(problem: cg.Problem, joint: JointModel, policies: Policies) ->
     return max(on_trees)
 
 
+@pytest.mark.thorough
 def test_no_sweeps_leave_the_first_start() -> None:
     result = cg.synthesize(cg.make_problem("meeting-v0"), 12, value="train", max_sweeps=0, restarts=1)
     assert cg.check(result.certificate) and result.stats["sweeps"] == []

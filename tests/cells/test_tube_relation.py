@@ -16,6 +16,7 @@ from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.relations.coupled import CoupledRelation
 from certigym.synthesis.relations.tube import tube_generators, tube_relation
 from certigym.validation.statistics.binomial import REFUTED
+from kinds import mostly_thorough
 from problems import cart, cart_reach
 
 FALSE_ALARM = 1e-6
@@ -91,7 +92,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@mostly_thorough("name", CASES, first=2)
 def test_tube_bounds_hold_and_check(name: str) -> None:
     """One-sided at 1e-6 / 5, 30,000 rollouts."""
     result = cg.synthesize(cart_reach(CASES[name]), [60, 60], relation="tube", max_sweeps=1)

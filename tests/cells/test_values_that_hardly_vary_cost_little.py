@@ -110,6 +110,7 @@ def chemostat(law: dict[str, Any]) -> cg.Problem:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "law", [{"law": "gaussian", "std": 1.0}, {"law": "laplace", "scale": 0.4}], ids=lambda law: law["law"]
 )

@@ -20,6 +20,7 @@ from certigym.synthesis.readings import CornerReading
 from certigym.synthesis.readings.lattice_kernel import bend_of
 from certigym.synthesis.relations import AffineBoxes, AffineMeans
 from certigym.synthesis.step_checking.map_spans import map_spans
+from kinds import mostly_thorough
 from written_problems import oscillator, oscillator_reach
 
 FALSE_ALARM = 1e-6
@@ -173,7 +174,7 @@ def certificate_of(name: str) -> cg.Certificate:
     return cg.synthesize(problem, cells, relation="linear").certificate
 
 
-@pytest.mark.parametrize("name", ["oscillator", "rotated", "pendulum", "input inside"])
+@mostly_thorough("name", ["oscillator", "rotated", "pendulum", "input inside"])
 def test_certificates_travel_and_hold(name: str, tmp_path: Path) -> None:
     """20,000 episodes notice a claim that is too large by about .02 at a false-alarm rate of 1e-6."""
     certificate = certificate_of(name)
@@ -188,7 +189,7 @@ def test_certificates_travel_and_hold(name: str, tmp_path: Path) -> None:
     assert 0.0 <= later[0] <= 1.0
 
 
-@pytest.mark.parametrize("cells", [50, 200, 400])
+@mostly_thorough("cells", [50, 200, 400], first=2)
 def test_noise_that_is_narrow_in_a_wide_workspace_is_proved(cells: int) -> None:
     """Hats of narrow cells are rounded far from 0, which the search has to count in full."""
     agent = Agent(
@@ -273,7 +274,7 @@ SABOTAGE = (
 )
 
 
-@pytest.mark.parametrize("how", SABOTAGE)
+@mostly_thorough("how", SABOTAGE, first=2)
 def test_sabotage_is_refused(how: str, monkeypatch: pytest.MonkeyPatch) -> None:
     sabotaged(monkeypatch, how)
     certificate = cg.synthesize(reach(mover("pendulum", "uniform")), [20, 24], relation="linear").certificate

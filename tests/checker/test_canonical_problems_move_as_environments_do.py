@@ -19,6 +19,7 @@ from certigym.envs.problem import Problem, load_problem
 from certigym.envs.suite import make_problem, problem_ids
 from certigym.synthesis.certificates.canonical import NotCanonicalError, canonical_problem
 from certigym.synthesis.checker import read_problem
+from kinds import mostly_thorough
 
 OWN = sorted((Path(__file__).parents[2] / "examples" / "own").glob("*.toml"))
 NAMES = [*problem_ids(), *(str(path) for path in OWN)]
@@ -42,7 +43,7 @@ def random_points(problem: Problem, rng: np.random.Generator) -> tuple[list[np.n
     return states, [points(agent.input_low, agent.input_high) for agent in agents]
 
 
-@pytest.mark.parametrize("name", NAMES, ids=lambda name: Path(name).stem)
+@mostly_thorough("name", NAMES, first=11, ids=lambda name: Path(name).stem)
 def test_one_step_and_the_letters_are_the_same(name: str) -> None:
     problem = problem_named(name)
     try:

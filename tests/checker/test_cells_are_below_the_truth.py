@@ -25,6 +25,7 @@ from certigym.synthesis.checker.labels import cell_labels
 from certigym.synthesis.checker.motions import check_targets, maps_of_inputs
 from certigym.synthesis.checker.problem import Agent, Problem
 from certigym.synthesis.checker.tables import normal_table
+from kinds import mostly_thorough
 
 ACCEPTS = {"initial": 0, "accepting": [True], "root": [-1], "variable": [], "low": [], "high": []}
 SPARE = 1e-13
@@ -169,8 +170,8 @@ def points_in(case: Case, cell: int, share: np.ndarray) -> np.ndarray:
     return np.array([e[k] + s * (e[k + 1] - e[k]) for e, k, s in zip(case.edges, place, share.T, strict=True)])
 
 
-@pytest.mark.parametrize("corners", [False, True], ids=["cells", "corners"])
-@pytest.mark.parametrize("d", [1, 2, 3])
+@mostly_thorough("corners", [False, True], ids=["cells", "corners"])
+@mostly_thorough("d", [1, 2, 3])
 def test_a_step_back_is_below_the_truth_on_all_of_a_cell(d: int, corners: bool) -> None:
     rng, positive, gaps = np.random.default_rng(10 * d + corners), 0, []
     for _ in range({1: 200, 2: 100, 3: 30}[d]):
@@ -205,7 +206,7 @@ def disturbances(case: Case) -> list[float]:
     return [low, 0.5 * (low + high), high] if low < high else [0.0]
 
 
-@pytest.mark.parametrize("corners", [False, True], ids=["cells", "corners"])
+@mostly_thorough("corners", [False, True], ids=["cells", "corners"])
 def test_targets_are_worth_no_more_than_the_truth_at_any_mean_that_is_off(corners: bool) -> None:
     rng, positive = np.random.default_rng(3 + corners), 0
     for _ in range(60):
@@ -577,6 +578,7 @@ def test_a_multilinear_function_below_is_below_at_all_points_read() -> None:
     assert kinds == {True, False}
 
 
+@pytest.mark.thorough
 def test_constants_of_the_theorem_are_at_least_the_numbers_that_they_stand_for() -> None:
     import mpmath
 

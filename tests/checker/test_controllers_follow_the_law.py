@@ -5,18 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.canonical import canonical_bytes
 from certigym.synthesis.checker import cell_proofs, parse_file, read_problem, trajectories
 from certigym.synthesis.checker.controller import along_trajectory, on_cells, rounding
+from kinds import mostly_thorough
 
 OWN = Path(__file__).parents[2] / "examples" / "own"
 STATES = 200
 
 
-@pytest.mark.parametrize("name", ["integrator-chain-v0", "swing_up.toml", "satellite.toml"])
+@mostly_thorough("name", ["integrator-chain-v0", "swing_up.toml", "satellite.toml"])
 def test_along_trajectories(name: str) -> None:
     problem = cg.load(OWN / name) if name.endswith(".toml") else cg.make_problem(name)
     certificate = cg.synthesize(problem, relation="path", effort=2).certificate
@@ -33,7 +33,7 @@ def test_along_trajectories(name: str) -> None:
             assert np.all(np.abs(applied - along_trajectory(agent, own, t, x)) <= 2.0 * rounding(agent, own, t, x))
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     ("name", "relation", "cells"),
     [("reach-avoid-v0", "exact", 40), ("car-park-v0", "linear", 40), ("needle-v0", "exact", 16)],
 )

@@ -15,6 +15,7 @@ import pytest
 
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, read_distribution
 from certigym.synthesis.checker.fields import Unreadable
+from kinds import mostly_thorough
 
 Moment = Any
 
@@ -95,7 +96,7 @@ def random_law(rng: np.random.Generator, kind: str) -> dict[str, Any]:
 KINDS = ("gaussian", "uniform", "triangular", "even triangle", "cut", "even cut", "laplace", "logistic", "mixture")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@mostly_thorough("kind", KINDS, first=3)
 def test_exponential_moments_are_below_those_of_the_envelope(kind: str) -> None:
     rng = np.random.default_rng(KINDS.index(kind))
     tightest = mpmath.mpf(0)

@@ -31,6 +31,7 @@ from certificate_files import (
     without,
 )
 from certigym.synthesis.checker import Unreadable, check_contents, parse_file
+from kinds import mostly_thorough
 
 RUNS, FALSE_ALARM, CHANGES = 2000, 1e-6, 500
 SLACK = math.sqrt(math.log(CHANGES / FALSE_ALARM) / (2.0 * RUNS))
@@ -77,7 +78,7 @@ def is_true(header: dict[str, Any], arrays: list[np.ndarray]) -> bool:
     return failed / RUNS <= claim + SLACK
 
 
-KINDS = pytest.mark.parametrize("made", [two_carts, two_tanks, one_crane], ids=["trajectory", "cells", "crane"])
+KINDS = mostly_thorough("made", [two_carts, two_tanks, one_crane], ids=["trajectory", "cells", "crane"])
 
 
 @pytest.fixture(autouse=True)

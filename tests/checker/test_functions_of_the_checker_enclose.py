@@ -176,6 +176,7 @@ def chernoff(z: float, variance: float, largest: float) -> mpmath.mpf:
     return min(mpmath.exp(-a * d) / (1 - a * a * v / 2) ** n for a in (limit * k / 400 for k in range(1, 400)))
 
 
+@pytest.mark.thorough
 def test_long_tails_are_the_best_bound_by_exponential_moments() -> None:
     """From above by any choice of the exponent, next to the best one; and above the tails of Laplace's own law."""
     with mpmath.workdps(40):

@@ -15,6 +15,7 @@ from certigym.synthesis.checker import jets
 from certigym.synthesis.checker.expressions import Tree
 from certigym.synthesis.checker.intervals import add, interval
 from certigym.synthesis.checker.jets import Jet, off_linear
+from kinds import mostly_thorough
 
 Long = np.longdouble
 NAMES = ("x", "y", "u")
@@ -181,7 +182,7 @@ def outside(values: np.ndarray, ends: np.ndarray, spare: Any) -> np.ndarray:
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("seed", range(4))
+@mostly_thorough("seed", range(4))
 def test_random_expressions_stay_within_their_jets(seed: int) -> None:
     rng = np.random.default_rng(seed)
     known = dict.fromkeys(("value", "slope", "bend", "rest", "followed"), 0)

@@ -533,6 +533,7 @@ def test_random_teams_do_what_the_proof_says(trait: str, monkeypatch: pytest.Mon
     compare(trait, TRAITS.index(trait), 8, monkeypatch)
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("trait", TRAITS)
 def test_many_random_teams_do_what_the_proof_says(trait: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -56,6 +56,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(shutil.copytree(FOLDER, tmp_path_factory.mktemp("alone") / "checker"))
 
 
+@pytest.mark.thorough
 def test_it_runs_from_its_folder_and_its_status_is_the_verdict(alone: Path, tmp_path: Path) -> None:
     header, arrays = two_carts()
     good, bad, none = (tmp_path / name for name in ("good.npz", "bad.npz", "none.npz"))

@@ -27,6 +27,7 @@ from certigym.envs.problem import load_problem
 from certigym.envs.suite import make_problem
 from certigym.synthesis.certificates.canonical import canonical_bytes
 from certigym.synthesis.checker import Unreadable, check_contents, parse_file
+from kinds import mostly_thorough
 from test_forged_files_are_refused import array_changes, header_changes
 
 ROOT = Path(__file__).parents[2]
@@ -151,8 +152,10 @@ def test_what_is_not_covered_is_said(second: Second) -> None:
     assert second(file_of(of_another_law, arrays))[0] == 3
 
 
-@pytest.mark.parametrize(
-    "name", ["integrator-chain-v0", "reach-avoid-v0", "car-slalom-v0", "rendezvous-v0", "tanks_side_by_side.toml"]
+@mostly_thorough(
+    "name",
+    ["integrator-chain-v0", "reach-avoid-v0", "car-slalom-v0", "rendezvous-v0", "tanks_side_by_side.toml"],
+    first=2,
 )
 def test_certificates_of_the_search_are_proved_by_both(name: str, second: Second) -> None:
     raw = found(name)
@@ -247,12 +250,14 @@ def test_no_file_of_a_sample_is_proved_by_the_second_checker_alone(made: Any, se
     assert wrong == []
 
 
+@pytest.mark.thorough
 @MADE_BY_HAND
 def test_no_forged_file_is_proved_by_the_second_checker_alone(made: Any, second: Second) -> None:
     both, wrong = agree(forged_files(made, 1), second)
     assert wrong == [] and both > 50
 
 
+@pytest.mark.thorough
 @MADE_BY_HAND
 def test_no_forged_file_makes_the_second_checker_stumble(made: Any, watched: Second) -> None:
     both, wrong = agree(forged_files(made, 5), watched)

@@ -26,6 +26,7 @@ def test_corners_do_not_enclose_the_mean() -> None:
     assert corners.split()[-1] in page and enclosure.split()[-1] in page
 
 
+@pytest.mark.thorough
 def test_whole_numbers_leave_no_noise() -> None:
     """Of 20,000 rollouts each: with no noise all succeed; with noise far fewer (a false alarm is past 1e-6)."""
     first, stated, none = field_findings.rooms()
@@ -33,6 +34,7 @@ def test_whole_numbers_leave_no_noise() -> None:
     assert "1.0000 of 20000" in none and ", 0.7" in stated
 
 
+@pytest.mark.thorough
 def test_the_two_oscillators_differ() -> None:
     run, meant = (float(line.split(": ")[1].split()[0]) for line in field_findings.oscillator())
     assert run > meant + 0.3

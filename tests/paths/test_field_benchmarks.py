@@ -11,6 +11,7 @@ import pytest
 
 from certigym.cli.main import main
 from certigym.validation.paper import arch
+from kinds import mostly_thorough
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "arch"
 
@@ -25,7 +26,7 @@ def test_files_are_those_that_are_written(tmp_path: Path, monkeypatch: pytest.Mo
         assert (tmp_path / row["problem"]).read_text() == (FOLDER / row["problem"]).read_text()
 
 
-@pytest.mark.parametrize("row", ["chain-20", "bas-7", "bas-4-deviation", "ba-4d", "package-delivery-0.2"])
+@mostly_thorough("row", ["chain-20", "bas-7", "bas-4-deviation", "ba-4d", "package-delivery-0.2"])
 def test_rows_are_not_below_what_is_published(row: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arch, "EPISODES", 2000)
     (result,) = arch.arch(row, FOLDER).rows(tmp_path)
@@ -34,6 +35,7 @@ def test_rows_are_not_below_what_is_published(row: str, tmp_path: Path, monkeypa
     assert row in (tmp_path / "arch.md").read_text() and row in (tmp_path / "arch.csv").read_text()
 
 
+@pytest.mark.thorough
 def test_means_are_over_the_starts_that_count() -> None:
     """A mean over all starts, less those in the target: a lower bound of 1 on these would make the rest too large."""
     rows = json.loads((FOLDER / "rows.json").read_text(encoding="utf-8"))
@@ -44,7 +46,7 @@ def test_means_are_over_the_starts_that_count() -> None:
     assert entry["sure"] < whole < 1.0
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     "row", ["rooms-3-all-heated", "rooms-100-all-heated", "rooms-5-two-heaters", "decoupled-2", "patrol-minimal"]
 )
 def test_rows_without_a_published_number_are_checked(row: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,6 +57,7 @@ def test_rows_without_a_published_number_are_checked(row: str, tmp_path: Path, m
     )
 
 
+@pytest.mark.thorough
 def test_the_command_names_the_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,7 @@ from certigym.synthesis.path_bounds.pair_inequalities import PairRows
 from certigym.synthesis.path_words.accepted_words import is_accepted
 from certigym.synthesis.path_words.words import Way, ways_of
 from fleet_problems import mixed, path_of, problem_of, swap, walker
+from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""
@@ -48,12 +49,14 @@ def test_agents_see_themselves_alone(certificates: dict[str, AlongPath]) -> None
     assert certificates["three"].controller.information == "own state, time"
 
 
+@pytest.mark.thorough
 def test_the_search_is_deterministic(certificates: dict[str, AlongPath]) -> None:
     again, first = path_of(swap()), certificates["two"]
     assert again.proof.failure == first.proof.failure
     assert np.array_equal(again.proof.paths[1].gains, first.proof.paths[1].gains)
 
 
+@pytest.mark.thorough
 def test_paths_are_found_without_being_asked_for() -> None:
     found = cg.synthesize(swap(3, 0.02, 0.4))
     assert isinstance(found.certificate.proof, PathProof) and found.certificate.lower_bound > 0.99
@@ -93,6 +96,7 @@ def test_forgeries_are_refused(name: str, certificates: dict[str, AlongPath]) ->
     assert not cg.check(FORGERIES[name](certificate))
 
 
+@pytest.mark.thorough
 def test_a_half_plane_moved_inward_is_refused() -> None:
     """What would be true of a smaller box, claimed of the box, where agents pass each other in a narrow street."""
     honest, smaller = path_of(swap(std=0.03, side=0.9)), swap(std=0.03, near=0.75, side=0.9)
@@ -115,6 +119,7 @@ def noisy() -> AlongPath:
     return path_of(swap(std=0.06, horizon=9))
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("search_alone")
 @pytest.mark.parametrize("left_out", ["drift", "variance"])
 def test_one_agent_left_out_of_a_pair_is_refused(
@@ -161,8 +166,8 @@ def test_one_step_of_a_meeting_is_exact() -> None:
     assert not cg.check(changed(certificate, failure=0.9 * certificate.proof.failure))
 
 
-@pytest.mark.parametrize(("start", "holds"), [(1.0, True), (np.nextafter(1.0, 2.0), False), (-0.5, False),
-                                              (np.nextafter(-0.5, 0.0), True), (0.0, True)])  # fmt: skip
+@mostly_thorough(("start", "holds"), [(1.0, True), (np.nextafter(1.0, 2.0), False), (-0.5, False),
+                                              (np.nextafter(-0.5, 0.0), True), (0.0, True)], first=2)  # fmt: skip
 def test_pairs_are_read_at_time_0(start: float, holds: bool) -> None:
     """The difference first - second lies in [-1, .5) or not; G !near is lost before the first control where it does."""
     problem = apart(start)
@@ -308,6 +313,7 @@ def test_ways_spread_their_jumps_evenly_and_together() -> None:
     assert Way((stay,), ()).spread(5) == ()
 
 
+@pytest.mark.thorough
 def test_agents_that_are_alike_have_one_path_between_them() -> None:
     """Eight rooms on their own, of which one has another goal: two are searched."""
     room = cg.Agent(

@@ -43,6 +43,7 @@ def carts(number: int, order: bool = True) -> cg.Problem:
     )
 
 
+@pytest.mark.thorough
 def test_carts_enter_one_after_the_other() -> None:
     problem = carts(5)
     certificate = cg.synthesize(problem, relation="path", effort=20).certificate
@@ -66,6 +67,7 @@ def test_plans_keep_the_order(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not np.all(np.diff(places(), axis=1) > 0.8)
 
 
+@pytest.mark.thorough
 def test_words_of_teams_are_looked_at_a_few_times() -> None:
     """Ways that differ in what nobody needs are one: those with further jumps come before their many other times."""
     problem = carts(4)

@@ -8,6 +8,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
+from kinds import mostly_thorough
 
 
 @cache
@@ -40,6 +41,7 @@ def epidemic() -> cg.Synthesis:
     return cg.synthesize(problem, relation="path", effort=15)
 
 
+@pytest.mark.thorough
 def test_an_epidemic_with_noise_that_grows_is_certified() -> None:
     certificate = epidemic().certificate
     assert certificate.lower_bound > 0.999

@@ -19,6 +19,7 @@ from certigym.synthesis.nominal_paths.nonlinear_search import Found, NonlinearSe
 from certigym.synthesis.path_bounds import feedback_bounds
 from certigym.synthesis.path_bounds.limit_rows import Worth
 from fleet_problems import path_of
+from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""
@@ -80,6 +81,7 @@ def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[
     assert verdict.verdict != "refuted"
 
 
+@pytest.mark.thorough
 def test_the_search_is_deterministic() -> None:
     first, second = (path_of(bend(8)) for _ in range(2))
     assert first.proof.failure == second.proof.failure
@@ -156,11 +158,12 @@ FORGERIES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", sorted(FORGERIES))
+@mostly_thorough("name", sorted(FORGERIES), first=11)
 def test_forgeries_are_refused(name: str, certificates: dict[str, AlongPath]) -> None:
     assert not cg.check(FORGERIES[name](certificates["cart"]))
 
 
+@pytest.mark.thorough
 def test_what_is_certified_of_a_calm_world_is_refused_for_a_windy_one() -> None:
     """The search forgets that a disturbance has two ends, and claims what is true of the middle of them."""
     claim = path_of(tank(0.0049, 0.0051))
@@ -168,10 +171,10 @@ def test_what_is_certified_of_a_calm_world_is_refused_for_a_windy_one() -> None:
     assert not cg.check(replace(claim, problem=PROBLEMS["tank"]))
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     ("value", "gain", "admissible"),
     [(-1.0, 0.0, True), (1.0, 0.0, True), (1.01, 0.0, False), (-1.01, 0.0, False), (1.0, 0.1, False),
-     (-1.0, 0.1, False), (0.0, 0.1, True)],
+     (-1.0, 0.1, False), (0.0, 0.1, True)], first=4,
 )  # fmt: skip
 def test_inputs_keep_their_box_with_their_feedback(value: float, gain: float, admissible: bool) -> None:
     """A third input moves nothing: what is asked of it is its box alone."""
@@ -268,7 +271,7 @@ def honest(bowled: bool) -> tuple[Found, AlongPath]:
     return found, agreed_path(certificate)
 
 
-@pytest.mark.parametrize("name", [*sorted(SABOTAGES), "remainder of the other sign", "jacobian of a later step"])
+@mostly_thorough("name", [*sorted(SABOTAGES), "remainder of the other sign", "jacobian of a later step"])
 def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     found, certificate = honest(name not in SABOTAGES)
     nominal = found.nominal
@@ -286,8 +289,8 @@ def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: 
     assert forged.proof.failure < 0.999 * certificate.proof.failure and not cg.check(forged)
 
 
-@pytest.mark.parametrize("slab", [3.5, np.inf])
-@pytest.mark.parametrize("forgotten", ["what the scale varies", "that the noise depends on the past"])
+@mostly_thorough("slab", [3.5, np.inf])
+@mostly_thorough("forgotten", ["what the scale varies", "that the noise depends on the past"])
 def test_what_is_forgotten_of_scales_is_refused(
     slab: float, forgotten: str, certificates: dict[str, AlongPath], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -332,6 +335,7 @@ def without_noise(add: Any) -> Any:
     return kept
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("longest", [30.0, 3000.0])
 def test_a_clock_is_a_state_without_noise(longest: float) -> None:
     """A reference that moves with the time: the check refused slabs that were thinner than what it rounds by."""
@@ -345,6 +349,7 @@ def test_a_clock_is_a_state_without_noise(longest: float) -> None:
     assert cg.validate(certificate, 20_000, seed=2, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
 
 
+@pytest.mark.thorough
 def test_noise_that_grows_with_the_state_is_certified_at_any_size() -> None:
     """Noise of which no slab is small: the largest scale on the tube counts, and no more than the tails double."""
     agent = cg.Agent(
@@ -397,6 +402,7 @@ def test_reports_show_the_tube(certificates: dict[str, AlongPath], tmp_path: Pat
     assert "the tube that linear deviations" in page and "kept with probability" not in page
 
 
+@pytest.mark.thorough
 def test_nonlinear_paths_are_taken_without_any_options() -> None:
     """Four states have no grid; the example has five, two obstacles and nothing else."""
     assert isinstance(cg.synthesize(bend(8)).certificate.proof, PathProof)
@@ -419,6 +425,7 @@ def test_independent_agents_multiply() -> None:
     assert verdict.verdict != "refuted"
 
 
+@pytest.mark.thorough
 def test_agents_that_name_each_other_have_paths() -> None:
     """What another one does is anything in its box, which joins the drift."""
     pushed = cart(dynamics=["x + 0.4*speed*cos(heading) + 0.01*wagon.place", "y + 0.4*speed*sin(heading)",
@@ -434,6 +441,7 @@ def test_agents_that_name_each_other_have_paths() -> None:
     assert verdict.verdict != "refuted"
 
 
+@pytest.mark.thorough
 def test_outputs_may_bend() -> None:
     """The square of the distance from a mast is kept above 1 on the way past it."""
     agent = cart(outputs=["x", "(x - 2)**2 + y**2"])
@@ -453,6 +461,7 @@ def test_what_nonlinear_paths_do_not_do_is_said() -> None:
         cg.synthesize(bend(2), relation="path")
 
 
+@pytest.mark.thorough
 def test_no_more_is_claimed_than_the_check_proves() -> None:
     """Search and check enclose expressions by code of their own: the larger failure of both is claimed."""
     _, certificate = along(noisy())

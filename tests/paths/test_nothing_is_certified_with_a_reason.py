@@ -93,6 +93,7 @@ def test_runs_without_noise_are_judged_as_the_simulator_does() -> None:
     assert not satisfies(problem("G !wall", 4), [np.ones((4, 2))])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("formula", "horizon", "blamed"),
     [("F goal", 3, "it takes 4 at least"), ("!wall U goal", 8, "something is in the way")],
@@ -115,6 +116,7 @@ def narrow() -> tuple[cg.Problem, Any]:
     return asked, cg.synthesize(asked, relation="path")
 
 
+@pytest.mark.thorough
 def test_where_noise_is_to_blame_the_controller_follows_a_run() -> None:
     asked, found = narrow()
     assert found.certificate.lower_bound < 1e-6 and cg.check(found.certificate, asked).valid
@@ -138,6 +140,7 @@ def test_the_terminal_says_why(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     assert re.search(r"nothing was certified \(P >= 0.*\): `goal` is out of reach in 2 steps", capsys.readouterr().out)
 
 
+@pytest.mark.thorough
 def test_levels_end_where_no_run_is_known() -> None:
     tried = cg.synthesize(problem("F goal", 2, 0.1), effort=1).stats["tried"]
     assert isinstance(tried, dict)

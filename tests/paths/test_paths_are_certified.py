@@ -16,6 +16,7 @@ from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, cha
 from certigym.synthesis.nominal_paths import CountedWork, path_search
 from certigym.synthesis.nominal_paths.path_search import linear_certificate
 from certigym.synthesis.path_bounds import slabs
+from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""
@@ -110,6 +111,7 @@ def test_one_step_is_exact_and_several_are_below_the_truth() -> None:
         assert cg.check(certificate).valid
 
 
+@pytest.mark.thorough
 def test_small_failures_are_not_rounded_to_none() -> None:
     certificate = path_of(chain(20, 5))
     assert 0.0 < certificate.proof.failure < 1e-200 and certificate.lower_bound < 1.0
@@ -132,7 +134,7 @@ FORGERIES = {
 }
 
 
-@pytest.mark.parametrize("name", sorted(FORGERIES))
+@mostly_thorough("name", sorted(FORGERIES), first=4)
 def test_forgeries_are_refused(name: str) -> None:
     certificate = path_of(PROBLEMS["harbour"])
     assert not cg.check(FORGERIES[name](certificate))
@@ -200,12 +202,14 @@ def test_controllers_act_alike_in_environments_and_in_batches() -> None:
         assert "error" not in infos
 
 
+@pytest.mark.thorough
 def test_paths_are_taken_where_grids_do_not_reach() -> None:
     assert isinstance(cg.synthesize(PROBLEMS["harbour"]).certificate.proof, PathProof)
     assert isinstance(cg.synthesize(PROBLEMS["singular"]).certificate.proof, PathProof)
     assert not isinstance(cg.synthesize(chain(2, 3), 40, relation="boxes").certificate.proof, PathProof)
 
 
+@pytest.mark.thorough
 def test_random_problems_are_not_refuted() -> None:
     """Random agents and regions; rollouts against each claim, false alarm 1e-6 for all of them together."""
     rng, certified = np.random.default_rng(7), 0
@@ -285,6 +289,7 @@ def test_inputs_that_noise_reaches_have_no_room_at_a_face() -> None:
         assert bool(report) == admissible, report
 
 
+@pytest.mark.thorough
 def test_feedbacks_that_change_with_the_time_are_tried_where_one_for_all_times_is_weak() -> None:
     agent = cg.LinearAgent(
         name="tug", A=[[1, 0.5], [0, 1]], B=[[0.125], [0.5]], noise_covariance=np.diag([0.08**2, 0.12**2]),

@@ -217,12 +217,14 @@ def test_noise_that_is_next_to_nothing_in_few_cells_asks_for_no_finer_lattice() 
     assert cg.check(result.certificate)
 
 
+@pytest.mark.thorough
 def test_first_cells_are_widened_no_further_than_they_can_be() -> None:
     problem = growing()
     wide, usual = (first_cells(problem.replace(horizon=steps)) or {} for steps in (100_000, 3))
     assert 1 <= wide["stock"][0] <= usual["stock"][0]
 
 
+@pytest.mark.thorough
 def test_hopeless_plans_take_a_small_share_of_the_work() -> None:
     """Noise that grows with a stock leaves nothing along a path: that is seen long before the work is done."""
     stock = cg.Agent(
