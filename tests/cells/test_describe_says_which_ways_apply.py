@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from threading import Event
-from time import monotonic
 
 import pytest
 
 import certigym as cg
-from certigym.cli import synthesis_commands
 from certigym.cli.main import main
 from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.choosing import first_cells, levels, linear_work
@@ -18,9 +14,6 @@ from certigym.synthesis.models import Settings
 from certigym.synthesis.synthesize import ways_ahead
 
 OWN = Path(__file__).parents[2] / "examples" / "own"
-
-LONG = {"agv", "cascade", "drone_and_balls", "epidemic", "patrol", "queue", "reactor", "samples"}
-"""Examples about which nearly all is counted that there is to count, with the ways of others."""
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[str]:
@@ -33,13 +26,6 @@ def test_ways_stand_in_the_order_in_which_they_are_tried(capsys: pytest.CaptureF
     assert lines[0].startswith("way 1: along a path, about ")
     assert lines[1].startswith("way 2: other relations")
     assert lines[-1].startswith("not `linear`, level by level: agent `robot`: ")
-
-
-@pytest.mark.thorough
-def test_no_one_is_asked_for_fewer_of_what_nobody_gave(capsys: pytest.CaptureFixture[str]) -> None:
-    for file in sorted(file for file in OWN.glob("*.toml") if file.stem not in LONG):
-        for line in said(capsys, str(file)):
-            assert "fewer `cells`" not in line, (file.name, line)
 
 
 def test_cells_that_nobody_gave_fit() -> None:

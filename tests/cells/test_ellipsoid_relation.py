@@ -221,35 +221,6 @@ def test_scalar_ellipsoids_are_the_closed_form(delta: float) -> None:
     assert found.shape[0, 0] == pytest.approx(1.0) and not np.any(found.feedback)
 
 
-@mostly_thorough(("share", "deltas"), [(0.0, (0.15, 0.2, 0.3)), (0.3, (0.0, 0.005, 0.02, 0.06))])
-def test_epsilon_falls_as_delta_rises(share: float, deltas: tuple[float, ...]) -> None:
-    """What labels lose, where the inputs that the feedback may use are held fixed; and epsilon with it."""
-    found = [find_ellipsoid(cart(), cells(cart()), np.eye(2), ROOM, delta, share=share) for delta in deltas]
-    losses = [float(np.max(own.support(np.eye(2)) / ROOM)) for own in found]
-    assert all(b < a for a, b in zip(losses, losses[1:]))
-    assert all(np.any(own.feedback) == (share > 0) for own in found)
-    if share > 0:
-        assert all(b.epsilon < a.epsilon for a, b in zip(found, found[1:]))
-
-
-@pytest.mark.thorough
-def test_what_inputs_and_labels_lose_together_falls_as_delta_rises() -> None:
-    agent = cart()
-    losses = []
-    for delta in (0.0, 0.01, 0.05):
-        found = find_ellipsoid(agent, cells(agent), np.eye(2), ROOM, delta)
-        losses.append(2.0 * found.support(found.feedback)[0] / 2.0 + np.max(found.support(np.eye(2)) / ROOM))
-    assert losses[0] > losses[1] > losses[2]
-
-
-def test_a_reach_that_costs_a_cell_for_nothing_is_not_chosen() -> None:
-    """Cells of 0.25: a region loses the cells whose centre is within the reach of its edge, 0.125, 0.375, 0.625, ..."""
-    found = find_ellipsoid(cart(), cells(cart()), np.eye(2), ROOM)
-    halves = found.support(np.eye(2))[0] / 0.125
-    odd = 2 * np.ceil((halves - 1) / 2) + 1
-    assert odd - 0.1 < halves < odd
-
-
 def test_three_states_and_their_four_pairs_of_vertices() -> None:
     """Every vertex of W, 20,000 errors: a chain of three integrators."""
     low, high = [-6.0] * 3, [6.0] * 3
@@ -279,11 +250,6 @@ def test_agents_without_usable_inputs_need_no_feedback() -> None:
     agent = scalar_agent("x", A=[[0.8]], input_low=[0.0], input_high=[0.0])
     found = find_ellipsoid(agent, Grid((np.linspace(-4, 4, 81),)), np.eye(1), np.ones(1))
     assert not np.any(found.feedback) and found.epsilon == pytest.approx(0.25, rel=1e-6)
-
-
-def test_smaller_cells_have_smaller_ellipsoids() -> None:
-    sizes = [find_ellipsoid(cart(), cells(cart(), n), np.eye(2), ROOM, share=0.3).epsilon for n in (40, 48, 80)]
-    assert sizes[0] > sizes[1] > sizes[2]
 
 
 def test_the_coupling_has_both_marginals_and_fails_as_rarely_as_can_be() -> None:

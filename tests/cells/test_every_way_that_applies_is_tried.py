@@ -11,12 +11,8 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.choosing import Effort, Results, Way, best_of, effort, leading
-from certigym.synthesis.models import Settings
+from certigym.synthesis.choosing import Effort, Results, Way, best_of, leading
 from certigym.synthesis.nominal_paths import CountedWork, path_certificate
-from certigym.synthesis.on_cells import Plan
-from certigym.synthesis.search import Search
-from certigym.synthesis.task_ways import ways_of
 from test_the_clock_decides_nothing import robots
 
 
@@ -111,15 +107,6 @@ def test_a_path_that_leaves_hardly_anything_to_gain_spares_the_grids() -> None:
     assert second.certificate.lower_bound == found.certificate.lower_bound < first.certificate.lower_bound
 
 
-def test_the_number_of_agents_leaves_no_way_out() -> None:
-    """Robots alone and in teams have the same ways; what they take grows with the team."""
-    plan = Plan(Settings(), Search(), None, Effort())
-    tables = [{way.name: way.work for way in ways_of(robots(n), None, ["auto"] * n, plan)} for n in (1, 2, 4)]
-    assert [*tables[0]] == [*tables[1]] == [*tables[2]] == ["others", "exact", "linear", "finer cells", "path"]
-    for name in ("linear", "exact", "path"):
-        assert tables[0][name] < tables[1][name] < tables[2][name]
-
-
 def test_teams_of_three_get_linear_cells_on_cells_that_are_given() -> None:
     """On coarse cells they certify several times what other relations do."""
     found = cg.synthesize(robots(3), 12)
@@ -159,23 +146,6 @@ def test_ctrl_c_keeps_the_best_level() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.full_search(effort)
-def test_ways_and_levels_are_told_beside_the_bound_so_far() -> None:
-    told: list[tuple[str, float]] = []
-    found = cg.synthesize("car-park-v0", progress=lambda text, value: told.append((text, value)))
-    ways = [(text, value) for text, value in told if text.startswith("way: ")]
-    assert ways[0][1] == 0.0 and any("cells" in text for text, _ in ways)
-    assert max(value for _, value in ways) <= found.certificate.lower_bound
-    # The upper end, once it is known, and the work that is left are told, too.
-    most = found.stats["continuous_upper_bound"]
-    ends = [float(text.split("at most ")[1].split(",")[0]) for text, _ in ways if "at most " in text]
-    assert isinstance(most, float) and ends and min(ends) >= most
-    *ways, last = ways
-    assert all(text.endswith(" of 80") and ", effort " in text for text, _ in ways)
-    assert last == ("way: separate code computes it again", found.certificate.lower_bound)
-
-
-@pytest.mark.thorough
 def test_a_path_that_has_no_time_is_a_path() -> None:
     """What was found until the seconds are over is finished and certified."""
     problem = cg.make_problem("car-slalom-v0")
@@ -206,14 +176,6 @@ def test_work_along_paths_is_counted_and_kept_to() -> None:
         spent.append((work.spent, found.certificate.lower_bound))
     assert spent[0] == spent[1] and spent[2][0] < spent[0][0] and spent[2][1] <= spent[0][1]
     assert not CountedWork(2.0, spent=1.0).allows(1.5) and CountedWork(2.0, spent=1.0).allows(1.0)
-
-
-def test_bounds_along_paths_are_told_as_they_are_found() -> None:
-    """Long before the search ends: each larger than all before, and none larger than what is certified."""
-    _, found = driven()
-    told = TOLD
-    assert len(told) > 1 and told == sorted(told) and 0.0 < told[0]
-    assert told[-1] <= found.certificate.lower_bound + 1e-8
 
 
 def overdrawn(table: Table, effort: Effort, name: str, takes: float, outcome: float, work: float = 1.0) -> Way:

@@ -11,11 +11,8 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis import task_ways
-from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.choosing import Effort
-from certigym.synthesis.choosing import levels as levels_of_cells
 from certigym.synthesis.choosing.carrying import carried_over
-from certigym.synthesis.choosing.cell_budget import axis_weights
 from certigym.synthesis.models import BoxChoices, Settings, abstraction_of
 from certigym.synthesis.on_cells import Plan
 from certigym.synthesis.relations import BoxRelation, CoupledRelation
@@ -91,51 +88,6 @@ def test_policies_without_a_choice_rest_on_finer_cells() -> None:
     np.testing.assert_array_equal(carried[0, 0], fine.models[0].choices.resting_choice)
 
 
-@pytest.mark.thorough
-def test_defaults_of_agents_with_velocities_are_refined(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Default cells become finer where the first ones certify little; the bound rises and the certificate is valid."""
-
-    def refused(problem: cg.Problem, *others: object) -> cg.Synthesis:
-        raise RelationRefused("no path for this test")
-
-    monkeypatch.setattr(task_ways, "along_path", refused)
-    monkeypatch.setattr(task_ways, "may_be_linear", lambda problem, plan: False)
-    problem = crossing(2, horizon=4)
-    synthesis = cg.synthesize(problem, effort=task_ways.COMPARED + 0.5)
-    levels = synthesis.certificate.settings["levels"]
-    bounds = [level["lower_bound"] for level in levels]
-    assert len(levels) > 1 and max(bounds) == synthesis.certificate.lower_bound > bounds[0] + 0.01
-    assert cg.check(synthesis.certificate, problem).valid
-
-
-def test_axes_that_matter_little_get_wide_cells() -> None:
-    """Along an axis with targets only what it moves elsewhere counts; first cells and levels keep to that."""
-    drift = cg.Agent(
-        name="drift",
-        states=["x", "v"],
-        inputs=["u"],
-        dynamics=["x + 0.5*v", "v - 0.1*x**2 + u"],
-        noise_covariance=[[0.04, 0.0], [0.0, 0.01]],
-        state_low=[-4.0, -2.0],
-        state_high=[4.0, 2.0],
-        input_low=[-1.0],
-        input_high=[1.0],
-        initial_state=[0.0, 0.0],
-    )
-    # A deviation of x moves the mean of x by one deviation, one of v by 0.5 * 0.1 / 0.2 deviations.
-    np.testing.assert_allclose(axis_weights(drift), [1.0, 0.25], rtol=1e-6)
-    # An input that is not seen to command v leaves both axes as they are: v then widens its own boxes, too.
-    np.testing.assert_allclose(
-        axis_weights(drift.replace(dynamics=["x + 0.5*v", "v + tanh(u)"])), [0.8, 1.0], rtol=1e-6
-    )
-    np.testing.assert_array_equal(axis_weights(coordinate("robot")), [1.0, 1.0])
-    goal = {"goal": cg.Proposition("drift", [1.0, -2.0], [2.0, 2.0])}
-    problem = cg.Problem(
-        name="drift", agents=[drift], propositions=goal, specification=cg.Specification("F goal", "co-safe"), horizon=5
-    )
-    assert levels_of_cells.first_cells(problem) == {"drift": (24, 5)}
-
-
 def test_a_path_that_is_better_than_coarse_cells_leaves_finer_ones_to_try() -> None:
     """Unless it is better by far; and the best of other relations is still the one that is made finer."""
 
@@ -153,11 +105,3 @@ def test_a_path_that_is_better_than_coarse_cells_leaves_finer_ones_to_try() -> N
     assert reason(others=0.66, path=0.88) is None
     assert reason(others=0.01, path=0.88) == ""
     assert reason(others=0.66, linear=0.9) == ""
-
-
-def test_what_a_level_gains_is_foreseen() -> None:
-    """Losses go with the square of the width: after half of it three quarters of the last gain are left, by a third."""
-    lost = {width: 0.08 * width**2 for width in (1.0, 0.5, 0.2, 0.16)}
-    for first, second, third in ((1.0, 0.5, 0.2), (0.5, 0.2, 0.16)):
-        gain = levels_of_cells.expected_gain(lost[first] - lost[second], first / second, second / third)
-        assert gain == pytest.approx(lost[second] - lost[third])

@@ -95,16 +95,6 @@ def test_both_are_worth_more_than_targets_and_no_less_than_inputs(monkeypatch: p
     assert both.lower_bound > inputs.lower_bound - 0.002
 
 
-def test_they_travel_in_files(tmp_path: Any) -> None:
-    certificate, file = certified(False), tmp_path / "both.npz"
-    cg.save(certificate, file)
-    loaded = cg.load(file)
-    assert loaded.lower_bound == certificate.lower_bound and cg.check(loaded)
-    problem = certificate.problem
-    again = cg.synthesize(problem, 14, relation="linear", start=loaded, max_sweeps=0).certificate
-    assert again.lower_bound == pytest.approx(certificate.lower_bound, abs=1e-9)
-
-
 def forged(certificate: cg.Certificate, change: Any, **relation: Any) -> cg.Certificate:
     """Change choices, the claim being as it was."""
     part = certificate.proof.agents[0]

@@ -303,16 +303,6 @@ def test_laws_have_their_own_axes() -> None:
     assert verdict.verdict != "refuted" and certificate.lower_bound > 0.5
 
 
-def test_files_keep_laws(tmp_path: Path) -> None:
-    """Certificates hold their problem; mixtures are nested."""
-    problem = reach([DECLARED[-1]])
-    certificate = cg.synthesize(problem, 40).certificate
-    cg.save(certificate, tmp_path / "certificate.npz")
-    again = cg.load(tmp_path / "certificate.npz")
-    assert again.problem.agents[0].laws == problem.agents[0].laws
-    assert again.problem.fingerprint == problem.fingerprint and cg.check(again).valid
-
-
 def test_laws_of_scipy_are_taken_with_the_error_that_is_stated(tmp_path: Path) -> None:
     """A skewed law, frozen or by its name: certified under ``exact``, written to a file, and not refuted."""
     law = {"law": scipy.stats.gamma(4.0, loc=-0.4, scale=0.1), "cdf_error": 1e-12, "variation": 4.6}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -254,29 +253,6 @@ def test_pairs_that_are_near_at_the_start_spoil_everything() -> None:
     certificate = certificate_of(followers("G !any(near)", starts=((0.0,), (0.5,))))
     assert certificate.proof.near == 1.0 and certificate.lower_bound == 0.0
     assert not cg.check(changed(certificate, near=0.5))
-
-
-def test_certificates_travel(tmp_path: Path) -> None:
-    certificate = certificate_of(TRIPLE)
-    cg.save(certificate, tmp_path / "pairs.npz")
-    loaded: Any = cg.load(tmp_path / "pairs.npz")
-    assert isinstance(loaded.proof, SubtractionProof) and loaded.lower_bound == certificate.lower_bound
-    assert cg.check(loaded) and loaded.fingerprint == certificate.fingerprint
-    with pytest.raises(ValueError, match="what pairs of agents may spoil is bounded for the whole run"):
-        cg.audit(loaded)
-
-
-def test_reports_comparisons_and_validation_know_pairs(tmp_path: Path) -> None:
-    certificate: Any = certificate_of(TRIPLE)
-    content = cg.report(certificate, tmp_path / "page.html", 500)
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert content.audit is None and content.field is None and not content.refuted
-    assert "not as they should be with probability" in page and "Other starts" not in page
-    assert content.to_dict()["audit"] is None and "any(near)" in page
-    compared = cg.compare(TRIPLE, {"certified": certificate}, episodes=300)
-    assert "certified" in str(compared)
-    with pytest.raises(ValueError, match="nothing of other starts"):
-        cg.validate(certificate, 100, initial_state=[-2.0, 0.0, 2.0])
 
 
 @pytest.mark.parametrize(

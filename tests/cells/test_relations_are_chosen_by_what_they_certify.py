@@ -8,13 +8,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.problem import groups as independent
-from certigym.synthesis import horizons, task_ways
+from certigym.synthesis import task_ways
 from certigym.synthesis.cells.agent_grids import DEFAULT_CELLS
 from certigym.synthesis.choosing import relation_choice
 from certigym.synthesis.choosing.relation_choice import Tries, groups_of
@@ -23,7 +22,7 @@ from certigym.synthesis.models.abstraction import Settings, abstract
 from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.search.relaxation import relax, upper_bound
 from certigym.validation.statistics.binomial import REFUTED
-from problems import cart, cart_reach, scalar_agent, two_agents
+from problems import cart, cart_reach, scalar_agent
 
 NEEDS_SOLVER = "cvxpy"
 
@@ -206,57 +205,6 @@ def test_independent_tasks_choose_for_themselves(monkeypatch: pytest.MonkeyPatch
     assert all(name.endswith(", task of cart_0") for name in tried_of(found))
     named = cg.synthesize(problem, {"car": 60, "cart_0": 24}, relation={"car": "tube", "cart_0": "tube"})
     assert [kinds_of(part) for part in named.certificate.proof.parts] == [["tube"], ["tube"]]
-
-
-@pytest.mark.thorough
-def test_budgets_compare_at_the_last_cells_only() -> None:
-    found = cg.synthesize(cart_reach(cart(), horizon=5), memory=6e6, max_sweeps=2, relation="best")
-    settings = found.certificate.settings
-    assert {"tube", "ellipsoid"} <= set(settings["relations_tried"])
-    assert settings["cells"] == settings["cells_chosen"]["cells"]
-    last = max(run["lower_bound"] for run in settings["cells_chosen"]["tried"] if "lower_bound" in run)
-    assert settings["relations_tried"]["tube"] == last <= found.certificate.lower_bound
-
-
-@pytest.mark.thorough
-def test_horizons_go_on_with_the_relation_of_the_first() -> None:
-    short, longer = cg.synthesize(cart_reach(cart()), 32, horizon=[4, 6])
-    assert kinds_of(short.certificate) == kinds_of(longer.certificate)
-    assert "tried" in short.stats and "tried" not in longer.stats
-    assert longer.certificate.lower_bound >= short.certificate.lower_bound > 0
-
-
-@pytest.mark.thorough
-def test_settings_of_relations_that_were_not_kept_do_not_stop_horizons(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = cart_reach(cart(), 4)
-    for setting in ({"delta": 0.01}, {"share": 0.5}):
-        found = cg.synthesize(problem, [16, 16], horizon=[3, 4], **setting)
-        assert [kinds_of(one.certificate) for one in found] == [["tube"], ["tube"]]
-        monkeypatch.setattr(horizons, "LONGEST", 8)
-        endless = cg.synthesize(problem, [16, 16], horizon=None, **setting)
-        assert kinds_of(endless.certificate) == ["tube"]
-    start = found[0].certificate
-    with pytest.raises(ValueError, match="`share`: expected none with relation `tube`"):
-        cg.synthesize(problem, [16, 16], relation="tube", share=0.5, start=start)
-    mixed: Any = {"relation": {"one": "paper"}, "epsilon": 0.3, "share": 0.5, "max_sweeps": 0}
-    assert kinds_of(cg.synthesize(two_agents(horizon=2), accuracy=0.5, **mixed).certificate)[0] == "paper"
-
-
-def test_stationary_policies_are_compared_too() -> None:
-    found = cg.synthesize(cart_reach(cart(), horizon=5), 32, stationary=True)
-    assert len(tried_of(found)) > 1 and all(len(part.policy) == 1 for part in found.certificate.proof.agents)
-    assert cg.check(found.certificate)
-
-
-@pytest.mark.thorough
-def test_delta_is_for_the_ellipsoids_that_are_tried() -> None:
-    pytest.importorskip(NEEDS_SOLVER)
-    found = cg.synthesize(cart_reach(cart(), horizon=4), 40, delta=0.001)
-    assert {"tube", "ellipsoid"} <= set(tried_of(found))
-    alone = cg.synthesize(cart_reach(cart(), horizon=4), 40, relation="ellipsoid", delta=0.001)
-    outcome = tried_of(found)["ellipsoid"]
-    assert outcome == alone.certificate.lower_bound or isinstance(outcome, str)
-    assert np.isclose(found.certificate.lower_bound, max(v for v in tried_of(found).values() if isinstance(v, float)))
 
 
 def test_only_what_is_not_worth_a_search_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.synthesis import horizons
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.cells import start_share
@@ -262,20 +261,6 @@ def test_deadlines_are_left_out_up_to_the_longest_horizon(monkeypatch: pytest.Mo
     assert shortened.certificate.problem.horizon == 16
 
 
-def test_the_command_line_asks_for_restarts_and_stationary_policies(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = str(tmp_path / "c.npz")
-    settings = ["--cells", "40", "--horizon", "5", "--relation", "exact", "--out", out]
-    arguments = ["synthesize", "reach-avoid-v0", *settings]
-    assert main([*arguments, "--restarts", "1"]) == 0
-    assert cg.load(out).settings["restarts"] == 1
-    assert main([*arguments, "--stationary"]) == 0
-    assert cg.load(out).proof.stationary and "saved to" in capsys.readouterr().out
-    assert main([*arguments, "--restarts", "-1"]) == 2
-    assert "`restarts`" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("formula", ["F (a & c)", "(!b U a) & F c", "F (a & F c)"])
 def test_the_bound_from_above_is_the_joint_optimum_where_that_is_small(formula: str) -> None:
     problem = two_agents(formula, horizon=4)
@@ -324,16 +309,6 @@ def test_what_pruning_hides_is_found_in_the_end() -> None:
     assert isinstance(sweeps, list) and result.certificate.lower_bound >= max(sweeps) - 1e-9
 
 
-@pytest.mark.thorough
-def test_trains_try_staged_starts_where_others_fail() -> None:
-    """Two robots have to agree on one of two rooms; from other starts they do not."""
-    problem = cg.make_problem("meeting-v0")
-    result = cg.synthesize(problem, 24, value="train")
-    starts = result.stats["starts"]
-    assert isinstance(starts, dict) and any(name.startswith("staged") for name in starts)
-    assert result.certificate.lower_bound == pytest.approx(max(starts.values()), abs=1e-4)
-
-
 def test_the_bound_from_above_counts_every_letter_of_a_start() -> None:
     """Starts in a box have several letters that lead to one automaton state."""
     problem = two_agents(horizon=3, initial_state=None, initial_low=[-3.5], initial_high=[3.0])
@@ -341,13 +316,3 @@ def test_the_bound_from_above_counts_every_letter_of_a_start() -> None:
     joint = join(problem, abstract(problem, 24))
     assert max(len(rows) for rows in start_of(problem, joint).terms.index) > 1
     assert float(result.stats["abstract_upper_bound"]) >= result.certificate.lower_bound > 0.1  # type: ignore[arg-type]
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("settings", [{"relation": "best"}, {"memory": 2e6}])
-def test_horizons_are_doubled_under_budgets_and_several_relations(
-    settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(horizons, "LONGEST", 4)
-    found = cg.synthesize(cg.make_problem("car-park-v0").replace(horizon=2), horizon=None, **settings)
-    assert found.certificate.problem.horizon == 4 and cg.check(found.certificate)

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.envs.logic import may_accept, parse_formula, translate
 from certigym.envs.logic.windows import ahead, fitting
 from certigym.envs.problem import cut_by_the_end, why_never
@@ -83,14 +82,3 @@ def test_letters_are_counted() -> None:
     assert [may_accept(exactly, letters) for letters in range(1, 6)] == [False, False, True, False, False]
     assert ahead(parse_formula("a -> F[1,5] (b & X c)")) == 6
     assert str(fitting(parse_formula("G a & F b"), 5)) == "G a & F b"
-
-
-def test_the_commands_say_it(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "walk.toml"
-    agent = "A = [[1]]\nB = [[1]]\nnoise_std = [0.05]\nstate_low = [-3]\nstate_high = [3]\ninput_low = [-1]\n"
-    agent += 'input_high = [1]\ninitial_state = [0]\n[propositions]\na = { agent = "walker", low = [1], high = [2] }\n'
-    path.write_text(f'horizon = 12\nspecification = "G (F[1,6] a)"\n[agents.walker]\n{agent}')
-    assert main(["describe", str(path)]) == 0
-    assert "write `G[0,6] F[1,6] a`" in capsys.readouterr().out
-    certificate = cg.synthesize(walker("G (F[1,6] a)"), cells=8, relation="exact").certificate
-    assert certificate.lower_bound == 0.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,9 @@ import certigym as cg
 from certigym.envs.dynamics import Dynamics
 from certigym.envs.dynamics import worlds as core
 from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.certificates import Certificate, JointProof, changed, joint_certificate
+from certigym.synthesis.certificates import Certificate, JointProof, changed
 from certigym.synthesis.checking.team_check import wrong_team
 from certigym.synthesis.pairs import joint_problem
-from certigym.synthesis.upper_ends import bound_above
 from certigym.validation.statistics.binomial import clopper_pearson
 from pair_problems import followers, mover
 
@@ -168,14 +166,6 @@ def test_agents_act_alike_in_an_environment_and_in_batches(certificate: Certific
         controller.reset({"back": observations["back"]})
 
 
-def test_certificates_travel(certificate: Certificate[JointProof], tmp_path: Path) -> None:
-    cg.save(certificate, tmp_path / "team.npz")
-    loaded: Any = cg.load(tmp_path / "team.npz")
-    assert isinstance(loaded.proof, JointProof) and cg.check(loaded)
-    assert loaded.lower_bound == certificate.lower_bound == float(loaded.at([-2.0, 0.0])[0])
-    assert "sees the states of all" in repr(loaded)
-
-
 @pytest.mark.thorough
 def test_large_teams_are_refused_in_words() -> None:
     with pytest.raises(RelationRefused, match="at most 40 states"):
@@ -201,31 +191,6 @@ def test_values_in_time_are_those_of_the_joint_agent(certificate: Certificate[Jo
     assert 0.0 < values.at(start, q, 3)[0] <= 1.0
 
 
-def test_fields_and_audits_test_joint_agents(certificate: Certificate[JointProof]) -> None:
-    """Fixed seeds, false alarms 1e-6: true claims stand, and those of another system are refuted in their steps."""
-    states = np.array([[-2.0, 0.0], [-2.5, 0.5], [-1.5, 0.5]])
-    report = cg.validate_field(certificate, states, episodes=2000, seed=1, confidence=1 - 1e-6)
-    assert report.verdict != "refuted" and report.lower_bounds[0] > 0.3
-    found = cg.audit(certificate, episodes=4000, seed=2, confidence=1 - 1e-6)
-    assert found.verdict != "refuted", found
-    # Sabotage: a system with nine times the variance that the certificate counts with.
-    base: Any = certificate.proof.base
-    loud = base.problem.replace(disturbance_scale=3.0)
-    assert cg.audit(base, episodes=4000, seed=2, confidence=1 - 1e-6, problem=loud).verdict == "refuted"
-    with pytest.raises(ValueError, match=r"expected one whose `.proof.base` is about its problem"):
-        cg.audit(replace(certificate, problem=certificate.problem.replace(horizon=6)))
-
-
-@pytest.mark.thorough
-def test_audits_read_the_cells_that_joint_agents_remember() -> None:
-    held: Any = cg.synthesize(kept_close(), 40, relation="joint").certificate
-    base: Any = cg.synthesize(held.proof.base.problem, 40, relation="tube").certificate
-    tube = joint_certificate(held.problem, base)
-    assert cg.check(tube)
-    found = cg.audit(tube, episodes=2000, seed=3, confidence=1 - 1e-6)
-    assert found.verdict != "refuted", found
-
-
 def test_shields_keep_what_joint_agents_promise(certificate: Certificate[JointProof]) -> None:
     """Fixed seed, n = 4,000, false alarm 1e-6: idle and random proposals behind a shield of .5 succeed that often."""
     problem, p = certificate.problem, 0.5
@@ -241,22 +206,3 @@ def test_shields_keep_what_joint_agents_promise(certificate: Certificate[JointPr
     assert infos["back"]["budget"] <= infos["back"]["value"]
     with pytest.raises(ValueError, match="`form`: expected 'joint' for a joint agent"):
         cg.shield(problem, certificate, probability=p, form="decentralised")
-
-
-def test_upper_ends_of_joint_agents_are_verified(certificate: Certificate[JointProof]) -> None:
-    end = bound_above(certificate)
-    assert certificate.lower_bound <= end.upper_bound < 1.0
-    assert cg.check(end).above <= end.upper_bound
-    # Sabotage: the base of another team.
-    assert not cg.check(replace(end, problem=certificate.problem.replace(horizon=6)))
-
-
-@pytest.mark.thorough
-def test_what_is_refused_of_pairs_is_refused_for_a_true_reason(certificate: Certificate[JointProof]) -> None:
-    subtracted = cg.synthesize(followers("G !any(near)", ([-0.5], [0.5])), 40, relation="exact").certificate
-    for verb in (cg.audit, cg.safety_rate, lambda c: cg.permit(c, probability=0.1)):
-        with pytest.raises(ValueError, match="by subtraction: what pairs of agents may spoil"):
-            verb(subtracted)
-    # A joint agent is on a grid, and has menus.
-    assert cg.check(cg.permit(certificate, probability=0.9))
-    assert cg.check(certificate.proof.base)

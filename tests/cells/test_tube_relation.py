@@ -140,18 +140,6 @@ def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch)
     assert not cg.check(certificate)
 
 
-def test_tubes_travel(tmp_path: object) -> None:
-    from pathlib import Path
-
-    path = Path(str(tmp_path)) / "c.npz"
-    certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
-    cg.save(certificate, path)
-    loaded = cg.load(path)
-    assert cg.check(loaded, cart_reach(cart()))
-    first, again = (cg.rollout(c.problem, c.controller, 2000, seed=5).successes for c in (certificate, loaded))
-    assert first == again
-
-
 def test_means_that_differ_by_rounding_share_a_lattice_point() -> None:
     """Cells of a third have no exact edges; the tube allows for the difference, and the certificate checks."""
     problem = cart_reach(cart(), horizon=4)

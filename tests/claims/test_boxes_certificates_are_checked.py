@@ -13,15 +13,12 @@ import pytest
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.synthesis.bounds.dense import dense_optimum
 from certigym.synthesis.certificates import changed
-from certigym.synthesis.checking import claimed_values
 from certigym.synthesis.models import box_choices
 from certigym.synthesis.readings.box_kernel import BoxKernel
 from certigym.synthesis.readings.kernel import Kernel
 from certigym.synthesis.relations import BoxRelation, MeanBoxes, box_relation
 from certigym.synthesis.values import Terms
-from certigym.validation import figures
 from problems import cart, cart_reach, scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6
@@ -65,15 +62,6 @@ def test_rollouts_from_other_states_agree() -> None:
     states = rng.uniform([-5.0, -2.0], [3.0, 2.0], size=(20, 2))
     report = cg.validate_field(of_cart(), states, 2_000, seed=3, confidence=1 - FALSE_ALARM)
     assert report.verdict != "refuted" and of_cart().at(states).max() > 0.8
-
-
-def test_audits_refute_inflated_values() -> None:
-    """Power: the same audit refutes a value function that is a fifth too large."""
-    certificate = of_team()
-    stored = certificate.proof.tree
-    raised = Terms((1.2 * stored.factors[0], *stored.factors[1:]), stored.index)
-    values = [raised, *claimed_values(certificate)[1:]]
-    assert cg.audit(certificate, 4_000, values=values, seed=2, confidence=1 - FALSE_ALARM).refuted
 
 
 def part_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
@@ -207,25 +195,6 @@ def test_the_check_refuses_what_a_wrong_search_claims(
     assert not report and "exceeds" in " ".join(report.failures)
 
 
-def test_given_policies_are_put_on_boxes() -> None:
-    """The certificate's own controller comes back nearly as itself; improving does not lower it."""
-    for certificate, cells in ((of_cart(), [30, 15]), (of_team(), 40)):
-        again = cg.certify(certificate.problem, certificate.controller, cells, relation="boxes")
-        assert cg.check(again.certificate) and again.certificate.lower_bound > 0.9 * certificate.lower_bound
-        better = cg.improve(certificate.problem, certificate.controller, cells, relation="boxes", max_sweeps=1)
-        assert better.certificate.lower_bound >= again.certificate.lower_bound
-        longer = certificate.problem.replace(horizon=certificate.problem.horizon + 1)
-        started = cg.synthesize(longer, start=certificate).certificate
-        assert cg.check(started) and started.lower_bound >= certificate.lower_bound - 1e-3
-
-
-def test_policies_that_ignore_the_time_are_certified() -> None:
-    for certificate, cells in ((of_cart(), [30, 15]), (of_team(), 40)):
-        found = cg.synthesize(certificate.problem, cells, relation="boxes", stationary=True).certificate
-        assert found.proof.agents[0].policy.shape[0] == 1 and cg.check(found)
-        assert 0.4 < found.lower_bound <= certificate.lower_bound + 1e-3
-
-
 def test_boxes_stand_beside_relations_that_are_never_lost() -> None:
     problem = two_agents(horizon=3, noise_covariance=[[0.8]])
     for other in ("exact", "linear", "tube"):
@@ -233,25 +202,6 @@ def test_boxes_stand_beside_relations_that_are_never_lost() -> None:
         assert cg.check(certificate) and certificate.lower_bound > 0.5 and certificate.gap is None
     with pytest.raises(ValueError, match="never lost beside `boxes`"):
         cg.synthesize(problem, 40, relation={"one": "boxes", "two": "paper"})
-
-
-def test_what_boxes_cannot_have_is_refused_in_words() -> None:
-    problem = of_team().problem
-    with pytest.raises(ValueError, match="`value`: expected 'auto' or 'tree'"):
-        cg.synthesize(problem, 20, relation="boxes", value="train")
-    with pytest.raises(ValueError, match="one mean per choice"):
-        dense_optimum(problem, cg.abstract(problem, 20, relation="boxes").models)
-    with pytest.raises(ValueError, match="ask for fewer"):
-        cg.synthesize(problem, 20, relation="boxes", targets_per_cell=10**8)
-    with pytest.raises(ValueError, match="lattice points in a box"):
-        cg.synthesize(problem, 5, relation="boxes", targets_per_cell=200_000)
-
-
-def test_reports_and_figures_of_boxes_are_drawn(tmp_path: Path) -> None:
-    certificate = of_cart()
-    cg.report(certificate, tmp_path / "page.html")
-    assert "boxes" in (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert figures.relation_figure(certificate, 0, seed=0) is not None
 
 
 def test_inputs_that_mean_boxes_need_are_asked_for_in_words() -> None:

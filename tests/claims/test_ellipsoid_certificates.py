@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.worlds import Dynamics
 from certigym.synthesis.cells.labels import cell_labels
@@ -136,13 +135,3 @@ def test_delta_belongs_to_relations_that_have_one() -> None:
     assert isinstance(spent, CoupledRelation) and np.max(spent.inputs) >= 2.0 * (1 - 0.3) - 0.15 - 1e-6  # half a cell
     settings = abstract(cart_reach(cart()), 40, relation="ellipsoid", delta=0.01).settings
     assert settings["relation"] == "ellipsoid" and settings["delta"] == 0.01
-
-
-def test_the_command_line_takes_relation_and_delta(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = str(tmp_path / "c.npz")
-    arguments = ["reach-avoid-v0", "--horizon", "3", "--cells", "100", "--out", out]
-    assert main(["synthesize", *arguments, "--relation", "ellipsoid", "--delta", "0.001"]) == 0
-    assert main(["check", out]) == 0
-    assert cg.load(out).proof.agents[0].relation["delta"] <= 0.001
-    assert main(["synthesize", *arguments, "--relation", "tube", "--delta", "0.001"]) == 2
-    assert "`delta`: expected none" in capsys.readouterr().err

@@ -20,7 +20,6 @@ from certigym.synthesis.raw_networks import certify_network, differences, repair
 from certigym.synthesis.relations import Network, boxes
 from certigym.synthesis.relations.network_bounds import line_around, mean_bounds
 from certigym.synthesis.step_checking.network_enclosures import network_spans
-from certigym.validation.figures import network_figure
 from certigym.validation.policies.actors import CentralActor, SharedActor, TeamActor, load_actor, save_actor
 from certigym.validation.policies.views import CentralView, SharedView
 from network_problems import RNG, means_at, network, proportional, reach, with_network
@@ -319,17 +318,6 @@ def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.C
     assert main(["certify", file, "--above", *common]) == 0
     assert "P >=" in capsys.readouterr().out
     assert main(["certify", file, "--as-is", "--relation", "exact", *common]) == 2
-
-
-def test_weak_places_are_drawn() -> None:
-    """Scalar agents over cells and times, planar ones over cells; others are refused."""
-    for agent in (scalar_agent("a"), cart(initial_state=[-1.0, 0.0])):
-        problem = reach(agent, horizon=2)
-        repaired, places = repair_network(problem, proportional(problem), 20)
-        figure = network_figure(places, repaired.certificate)
-        assert "P >=" in figure.axes[0].get_title(loc="left")
-    with pytest.raises(ValueError, match="agent"):
-        network_figure(places, agent=1)
 
 
 @pytest.mark.parametrize("algorithm", ["ippo", "sac"])

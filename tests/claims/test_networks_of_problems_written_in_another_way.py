@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.certificates import Certificate, TimedProof, any_certificate, changed
+from certigym.synthesis.certificates import Certificate, TimedProof, changed
 from certigym.synthesis.raw_networks import _policies, _written, certify_network, differences, repair_network
 from certigym.synthesis.relations import Network
 from certigym.synthesis.relations.driven_means import DrivenMeans

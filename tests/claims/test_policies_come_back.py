@@ -312,52 +312,6 @@ def test_arrays_modules_and_files_are_the_same_policy(problem: cg.Problem, tmp_p
     assert {type(policy).__name__ for policy in policies[:-2]} == {"OwnModels"}
 
 
-class Agent(Module):
-    """The agent of CleanRL's ppo_continuous_action.py."""
-
-    def __init__(self, observed: int, answered: int) -> None:
-        super().__init__()
-        self.critic = chain(observed, 1)
-        self.actor_mean = chain(observed, answered)
-        self.actor_logstd = torch.nn.Parameter(torch.zeros(1, answered))
-
-
-class Actor(Module):
-    """The actor of CleanRL's sac_continuous_action.py."""
-
-    def __init__(self, observed: int, answered: int, half: float) -> None:
-        super().__init__()
-        self.fc1, self.fc2 = torch.nn.Linear(observed, 8), torch.nn.Linear(8, 8)
-        self.fc_mean, self.fc_logstd = torch.nn.Linear(8, answered), torch.nn.Linear(8, answered)
-        self.register_buffer("action_scale", torch.full((1, answered), half))
-        self.register_buffer("action_bias", torch.zeros((1, answered)))
-
-    def forward(self, rows: Any) -> Any:
-        hidden = torch.relu(self.fc2(torch.relu(self.fc1(rows))))
-        return self.fc_mean(hidden), self.fc_logstd(hidden)
-
-
-def test_scripts_like_cleanrl(problem: cg.Problem) -> None:
-    n = 1 + problem.automaton.n_states + 1
-    env = cg.team_env(problem, 1)
-    ppo = cg.as_policy(Agent(n, 1), problem, env)
-    mean = Agent(n, 1).actor_mean
-    assert ppo.why_not_as_it_is == ""
-    half = float(problem.agents[0].input_high[0])
-    in_units = cg.as_policy(Actor(n, 1, half), problem, "parallel_env")
-    assert in_units.why_not_as_it_is == ""
-    with pytest.raises(ValueError, match="actions"):  # its scale is that of another space of actions
-        cg.as_policy(Actor(n, 1, half), problem, env)
-    # Tanh at the end of a plain module is an input in its unit, so it is no share of the box.
-    tanh = cg.as_policy(chain(n, 1, torch.nn.Tanh()), problem, "parallel_env")
-    assert "tanh" in tanh.why_not_as_it_is
-    states, q = RNG.uniform(-4.0, 4.0, (1, 20)), np.zeros(20, dtype=int)
-    assert np.abs(tanh.inputs(0, states, q, 0)).max() <= 1.0 < half
-    rows = np.concatenate([states / 4.0, np.eye(n - 2)[q].T, np.ones((1, 20))]).T.astype(np.float32)
-    wanted = half * np.clip(mean(torch.as_tensor(rows)).detach().numpy(), -1.0, 1.0).T
-    assert np.allclose(ppo.inputs(0, states, q, 0), wanted, atol=1e-5)
-
-
 def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None:
     n = 1 + problem.automaton.n_states + 1
     strange = torch.nn.Sequential(torch.nn.Linear(n, 4), torch.nn.ELU(), torch.nn.Linear(4, 1))
@@ -433,30 +387,6 @@ def test_models_that_remember_are_judged_by_rollouts(problem: cg.Problem) -> Non
     assert np.allclose(second[0][0, 1], np.maximum(2.0 * first[0][0, 1], -problem.agents[1].input_high))
 
 
-def test_messages_name_what_is_known(problem: cg.Problem) -> None:
-    n = 1 + problem.automaton.n_states + 1
-    with pytest.raises(ValueError, match=r"expected the environment in which.*may be of.*team_env|parallel_env"):
-        cg.as_policy(chain(n, 1), problem)
-    with pytest.raises(ValueError, match=r"got the torch module.*41 observed numbers.*known are.*\(shared_vec_env\)"):
-        cg.as_policy(chain(41, 1), problem)
-    with pytest.raises(ValueError, match="known are"):
-        cg.as_policy(chain(n, 1), problem, "central_env")
-    with pytest.raises(ValueError, match=r"understood are.*Stable-Baselines3.*ONNX.*arrays"):
-        cg.as_policy(3.0, problem)
-    with pytest.raises(ValueError, match="central_vec_env with options"):
-        cg.as_policy(chain(n, 1), problem, "box_env")
-    with pytest.raises(ValueError, match="expected scale"):
-        cg.as_policy(chain(n, 1), problem, "team_env(scale=metric)")
-    with pytest.raises(ValueError, match="options"):
-        cg.as_policy(chain(n, 1), problem, "team_env(size=3)")
-    with pytest.raises(ValueError, match="exists"):
-        cg.as_policy("nothing.zip", problem)
-    with pytest.raises(ValueError, match="fact"):
-        cg.as_policy(chain(n, 1), problem, "team_env", colour="red")
-    with pytest.raises(ValueError, match="environment of certigym"):
-        cg.as_policy(chain(n, 1), problem, object())
-
-
 def test_files_that_cannot_be_read_say_so(problem: cg.Problem, tmp_path: Path) -> None:
     for name in ("a.zip", "a.pt", "a.npz"):
         (tmp_path / name).write_bytes(b"nothing of the kind")
@@ -507,17 +437,6 @@ def test_every_kind_of_file_that_is_unpickled_may_be_refused(problem: cg.Problem
     for name in ("m.zip", "m.pt", "checkpoint"):
         with pytest.raises(ValueError, match="runs code"):
             cg.as_policy(tmp_path / name, problem, trust=False)
-
-
-def test_functions_and_models_stand_beside_each_other(problem: cg.Problem) -> None:
-    n = 1 + problem.automaton.n_states + 1
-    module = chain(n, 1)
-    both = {"a": module, "b": lambda x, q, time: -0.5 * x}
-    policy = cg.as_policy(both, problem, "team_env")
-    alone = cg.as_policy(module, problem, "team_env")
-    states, q = RNG.uniform(-4.0, 4.0, (1, 9)), np.zeros(9, dtype=int)
-    assert np.array_equal(policy.inputs(0, states, q, 1), alone.inputs(0, states, q, 1))
-    assert np.array_equal(policy.inputs(1, states, q, 1), -0.5 * states)
 
 
 def test_the_command_line_takes_files(problem: cg.Problem, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

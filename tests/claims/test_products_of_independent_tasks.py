@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.worlds import Dynamics
 from certigym.envs.problem import groups as independent
@@ -319,34 +318,6 @@ def test_the_whole_has_no_automaton_and_says_what_to_do() -> None:
         certificate.lower_bound, rel=1e-9
     )
     assert math.isclose(certificate.lower_bound, math.prod([certificate.proof.parts[0].lower_bound] * 12), rel_tol=1e-9)
-
-
-def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    meet = " & ".join(f"F (near_left_{k} & near_right_{k})" for k in range(12))
-    agent = "A = [[0.9]]\nB = [[0.5]]\nnoise_covariance = [[0.1]]\nstate_low = [-4.0]\nstate_high = [4.0]\n"
-    agent += "input_low = [-2.0]\ninput_high = [2.0]\ncopies = 12\n"
-    (tmp_path / "pairs.toml").write_text(
-        f'name = "pairs"\nhorizon = 5\n[[agents]]\nname = "left"\ninitial_state = [-2.0]\n{agent}'
-        f'[[agents]]\nname = "right"\ninitial_state = [2.0]\n{agent}'
-        '[propositions]\nnear_left = { agent = "left_*", low = [-1.0], high = [1.0] }\n'
-        'near_right = { agent = "right_*", low = [-1.0], high = [1.0] }\n'
-        f'[specification]\nformula = "{meet}"\nsemantics = "finite-trace"\n',
-        encoding="utf-8",
-    )
-    file, saved = str(tmp_path / "pairs.toml"), str(tmp_path / "pairs.npz")
-    assert main(["run", file, "--cells", "20", "--relation", "exact", "--episodes", "1000", "--out", saved]) == 0
-    assert "12 independent tasks" in capsys.readouterr().out
-    assert main(["check", saved, "--problem", file]) == 0
-    assert main(["validate", saved, "--episodes", "1000"]) == 0
-    assert main(["describe", file]) == 0
-    assert "12 independent tasks" in capsys.readouterr().out
-    page = tmp_path / "page.html"
-    for command in ("audit", "stress", "validate-field", "report"):
-        more = {"report": ["--out", str(page)], "validate-field": ["--random", "3"]}.get(command, [])
-        assert main([command, saved, "--episodes", "40", *more]) == 0
-    assert page.read_text(encoding="utf-8").count("The task automaton.") == 1  # all tasks have the same one
-    for kind in ("value", "rollouts", "automaton", "rank", "relation", "tree"):
-        assert main(["plot", kind, saved, "--out", str(tmp_path / f"{kind}.png")]) == 0
 
 
 def test_audits_of_products_see_a_false_part() -> None:

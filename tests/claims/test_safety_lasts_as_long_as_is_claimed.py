@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.synthesis.checking import lasting_safety
 from certigym.validation.statistics import clopper_pearson
 from problems import scalar_agent
@@ -124,11 +123,3 @@ def test_other_certificates_are_refused() -> None:
         cg.safety_rate(cg.synthesize(problem, 40, relation="boxes", stationary=True)).at(-1)
     with pytest.raises(ValueError, match="co-safe task"):  # neither: what is false may become true again
         cg.synthesize(team(1, formula="F G safe_0"), horizon=None)
-
-
-def test_the_command_line_says_what_holds_for_every_number_of_steps(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "invariance-b-20-v0", "--cells", "60", "--horizon", "none", "--episodes", "500"]) == 0
-    assert "no deadline   P(safe for k steps) >= " in capsys.readouterr().out
-    reach = ["run", "reach-avoid-v0", "--cells", "40", "--horizon", "none", "--episodes", "500"]
-    assert main(reach) == 0
-    assert "without any: P >= " in capsys.readouterr().out

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +12,6 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.synthesis.bounds.above import evaluate_above
 from certigym.synthesis.bounds.certified import nominal_bound, stranded_mass, train_bound
 from certigym.synthesis.bounds.dense import dense_value
@@ -317,19 +314,6 @@ def test_large_masses_are_left_unverified(certificate: OnGrid, monkeypatch: pyte
     monkeypatch.setattr("certigym.synthesis.checking.upper_end.MOST", 1)
     report = cg.check(certificate)
     assert report and report.above is None and "at most" not in str(report)
-
-
-def test_the_command_line_tells_what_was_verified_from_above(
-    certificate: OnGrid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path, report = str(tmp_path / "c.npz"), cg.check(certificate)
-    cg.save(certificate, path)
-    assert main(["check", path, "--json", "-"]) == 0
-    assert json.loads(capsys.readouterr().out)["above"] == report.above
-    assert main(["check", path]) == 0 and "too large a computation" not in capsys.readouterr().out
-    if certificate.proof.rounding is None:
-        monkeypatch.setattr("certigym.synthesis.checking.upper_end.MOST", 1)
-        assert main(["check", path]) == 0 and "too large a computation" in capsys.readouterr().out
 
 
 def test_a_single_agent_has_trains_too() -> None:

@@ -260,23 +260,6 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
             cg.load(tmp_path / "forged.npz")
 
 
-def test_what_is_for_linear_agents_is_refused_in_words() -> None:
-    problem = oscillator_reach(3)
-    for relation, reason in {
-        "exact": "as many independent inputs",
-        "tube": "linear dyn",
-        "ellipsoid": "linear",
-    }.items():
-        with pytest.raises(ValueError, match=reason):
-            cg.synthesize(problem, 10, relation=relation)
-    for relation in ("quick", "boxes"):
-        assert cg.synthesize(problem, 10, relation=relation).certificate.proof.agents[0].relation["kind"] == "boxes"
-    for relation in ("auto", "best"):
-        kind = cg.synthesize(problem, 20, relation=relation).certificate.proof.agents[0].relation["kind"]
-        assert kind in ("linear", "boxes")
-    assert cg.synthesize(problem, memory=2e8, accuracy=0.2).certificate.lower_bound >= 0.0
-
-
 def test_cells_where_a_mean_is_not_defined_are_given_up() -> None:
     """The agent has no mean left of 0, and keeps away from there: a bound, and a controller that never fails on it."""
     agent = oscillator(
@@ -299,18 +282,6 @@ def test_cells_where_a_mean_is_not_defined_are_given_up() -> None:
     part = certificate.proof.agents[0]
     left = part.grid.high[:, 0] <= 0.0
     assert left.any() and np.all(part.policy[:, 0, left] < 0)
-
-
-def test_given_policies_are_certified_on_boxes() -> None:
-    """A policy written by hand: its bound holds, and improving it gains."""
-    problem = oscillator_reach(12)
-
-    def push(x: Any, q: int, t: int) -> Any:
-        return np.array([-1.0 if x[0] > -1.5 else 0.0])
-
-    certified = cg.certify(problem, push, 25).certificate
-    assert cg.check(certified)
-    assert cg.improve(problem, push, 25).certificate.lower_bound >= certified.lower_bound
 
 
 def test_boxes_are_mean_boxes() -> None:

@@ -7,15 +7,11 @@ import pickle
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from pettingzoo.test import parallel_api_test
 
 import certigym as cg
 from certigym.baselines import RandomController
-from certigym.cli.main import main
 from certigym.envs.dynamics import Dynamics, OneWorld, worlds
 from certigym.envs.pictures import panels
 from certigym.envs.problem import problem_from_dict
@@ -116,21 +112,6 @@ def test_linear_agents_written_as_expressions_move_alike() -> None:
     assert np.allclose(found[0], found[1], rtol=0, atol=1e-13) and found[0][:, 0].std() > 0.1
 
 
-def test_environments_pass_the_checkers_of_their_interfaces() -> None:
-    problem = cg.load(EXAMPLE)
-    parallel_api_test(cg.parallel_env(problem), num_cycles=50)
-    check_env(cg.central_env(problem), skip_render_check=True)
-    env = cg.central_env(oscillator_reach(5), render_mode="rgb_array")
-    env.reset(seed=0)
-    assert env.render().shape[2] == 3
-    vector = cg.vector_env(bent_team(4), 8)
-    observations, _ = vector.reset(seed=0)
-    assert isinstance(vector, gymnasium.vector.VectorEnv) and np.isfinite(observations).all()
-    team = cg.team_env(bent_team(4), 16, reward="shaped")
-    team.reset(seed=0)
-    assert team.step({name: np.zeros((16, 1)) for name in team.agents}) is not None
-
-
 def test_outputs_may_be_expressions() -> None:
     """A ring in the plane is an interval of the distance; labels of points and of boxes agree with it."""
     agent = oscillator(outputs=["sqrt(x**2 + y**2)", "x"])
@@ -203,9 +184,3 @@ def test_mistakes_in_files_are_named_with_a_caret_under_expressions(tmp_path: Pa
         assert "[[agents]] number 1 ('pendulum')" in said
         assert not below or (new in below[0] and below[0].index(new) == below[1].index("^"))
         assert bool(below) == (old == "damping*rate")
-
-
-def test_commands_take_such_problems(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["describe", str(EXAMPLE)]) == 0
-    shown = capsys.readouterr().out
-    assert "angle' = angle + step*rate + w" in shown and "x' = A x + B u + c + w" in shown

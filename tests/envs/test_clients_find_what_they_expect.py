@@ -144,10 +144,3 @@ def test_the_vec_envs_of_stable_baselines_are_public_and_can_be_filmed() -> None
     assert not np.array_equal(frame, env.render())
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         baselines.nothing  # noqa: B018
-
-
-@pytest.mark.thorough
-def test_training_takes_an_id_and_a_device() -> None:
-    pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
-    training = cg.train("reach-avoid-v0", steps=64, worlds=2, device="cpu", n_steps=16, batch_size=64)
-    assert training.problem.name == "reach-avoid-v0" and training.settings["device"] == "cpu"

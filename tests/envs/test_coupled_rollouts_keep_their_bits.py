@@ -12,10 +12,8 @@ import pytest
 import certigym as cg
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.worlds import Dynamics
-from certigym.synthesis.controllers.abstract_state import Memory
-from certigym.synthesis.controllers.controller import BatchMemory, Controller
+from certigym.synthesis.controllers.controller import Controller
 from certigym.synthesis.relations.coupled import CoupledRelation, couple
-from certigym.synthesis.relations.rows import product, rows_of
 from certigym.validation.simulation.chunks import chunk_results, frames
 from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.rollouts import NUMBERS_SIDE_BY_SIDE, rollout, stream
@@ -205,28 +203,6 @@ def test_nothing_is_drawn_without_a_coupling() -> None:
         assert before.bit_generator.state == np.random.default_rng(5).bit_generator.state
 
 
-def test_selected_memory_is_the_same_memory() -> None:
-    problem, controller = case("tube, three agents")
-    dynamics, rng = Dynamics.of(problem), np.random.default_rng(1)
-    policy, which = controller.batch(dynamics), np.array([1, 5, 6, 28])
-    worlds = anywhere(problem, rng, 30)
-    memory = policy.begin(worlds, rng)
-    assert memory.lost is not None and 0 < memory.lost[which].sum() < 4
-    for step in range(3):
-        few: BatchMemory = policy.selected(memory, which)
-        some = core.selected(worlds, which)
-        (inputs, memory), (of_few, few) = policy.act(worlds, memory), policy.act(some, few)
-        for all_of_them, own in zip(inputs, of_few, strict=True):
-            np.testing.assert_array_equal(own, all_of_them[..., which])
-        for block, own_block in zip(memory.groups, few.groups, strict=True):
-            for group, own_group in zip(block, own_block, strict=True):
-                assert group is not None and own_group is not None
-                for field in Memory.__dataclass_fields__:
-                    mine, theirs = getattr(own_group, field), getattr(group, field)
-                    np.testing.assert_array_equal(mine, theirs[..., which], err_msg=f"{field} at {step}")
-        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 30))
-
-
 def test_streams_draw_what_their_chunks_would_draw_alone() -> None:
     seeds, size = [np.random.SeedSequence(7, spawn_key=(k,)) for k in range(4)], 5
     streams, alone = Streams(seeds, size), [np.random.default_rng(seed) for seed in seeds]
@@ -298,15 +274,6 @@ def test_mirrored_noise_is_that_of_the_definition() -> None:
     expected = np.where(accepted, w + move, w - 2 * move * (w * move).sum(axis=0) / length)
     np.testing.assert_allclose(couple(w, move, uniform), expected, rtol=1e-12, atol=1e-12)
     assert 0.1 < np.mean(~accepted) < 0.5
-
-
-def test_rows_leave_out_zeros_only() -> None:
-    rng = np.random.default_rng(3)
-    matrix, vectors = rng.normal(size=(4, 3)), rng.normal(size=(3, 2, 50))
-    matrix[rng.random(matrix.shape) < 0.4] = 0.0
-    matrix[2] = 0.0
-    np.testing.assert_allclose(product(rows_of(matrix), vectors), np.einsum("ij,jkl->ikl", matrix, vectors), atol=1e-14)
-    assert [len(row) for row in rows_of(matrix)] == np.count_nonzero(matrix, axis=1).tolist()
 
 
 def test_coupled_rollouts_depend_on_seed_and_chunk_only() -> None:

@@ -7,9 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-import certigym as cg
 from certigym.envs.logic import DecisionDiagrams, cover
-from certigym.envs.pictures import edges, guard_texts
 from certigym.envs.pictures.guard_texts import guard_text
 
 
@@ -61,17 +59,3 @@ def test_guards_name_families_once() -> None:
     assert guard_text([{0: True}, {1: True}, {2: False}], names, families) == "any(a) or !b"
     assert guard_text([{0: True}, {1: False}], names, families) == "a_0 or !a_1"
     assert guard_text([{}], names, families) == "any letter"
-
-
-@pytest.mark.parametrize("id", ["package-delivery-v0", "reach-avoid-n-v0", "door-formation-v0", "dubins-team-v0"])
-def test_guards_of_the_suite_fit_on_a_line_or_two(id: str) -> None:
-    assert max(len(edge.guard) for edge in edges(cg.make_problem(id))) <= 160
-
-
-def test_where_guards_are_too_long_all_targets_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = cg.make_problem("reach-avoid-v0")
-    complete = {(edge.source, edge.target) for edge in edges(problem)}
-    monkeypatch.setattr(guard_texts, "cover", lambda *_: None)
-    drawn = edges(problem)
-    assert {(edge.source, edge.target) for edge in drawn} == complete
-    assert {edge.guard for edge in drawn} == {guard_texts.NOT_SHOWN, "otherwise"}

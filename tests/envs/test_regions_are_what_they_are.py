@@ -20,7 +20,7 @@ import certigym as cg
 from certigym.envs.agents import SHAPES
 from certigym.envs.dynamics import Dynamics, OneWorld
 from certigym.envs.dynamics import worlds as core
-from certigym.envs.pictures import Drawer, Picture, panels
+from certigym.envs.pictures import Drawer, Picture
 from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.step_checking.geometry import classes_in_boxes
 from kinds import mostly_thorough
@@ -333,17 +333,6 @@ def test_a_double_integrator_reaches_a_disc_around_a_triangle() -> None:
 
 
 @pytest.mark.thorough
-def test_a_ball_is_flown_around() -> None:
-    centre, nest = [0, 0, 0], [3.5, 0, 1]
-    problem = problem_of(
-        written(d=3, initial_state=[-4, 0, 0], noise=[{"law": "gaussian", "std": 0.08}] * 3), "!rock U goal", 12,
-        rock={"ball": {"centre": centre, "radius": 1.5}}, goal={"ball": {"centre": nest, "radius": 0.9}},
-    )  # fmt: skip
-    result = certified(problem, 0.99, relation="path")
-    judged(problem, result, reaches(lambda x: math.dist(x, centre) < 1.5, lambda x: math.dist(x, nest) < 0.9))
-
-
-@pytest.mark.thorough
 def test_rooms_of_a_union_are_met_on_a_grid() -> None:
     """Half a room is a polygon, the other a box; two robots, each of which may choose."""
     hall = [[2.0, 2.0], [5.0, 2.0], [5.0, 5.0], [3.0, 5.0]]
@@ -360,35 +349,6 @@ def test_rooms_of_a_union_are_met_on_a_grid() -> None:
         return (x[0] < -2 and x[1] < -2) or in_polygon(hall, x)
 
     judged(problem, result, lambda run: any(inside(x[:2]) and inside(x[2:]) for x in run))
-
-
-def test_a_half_space_moves_with_the_time() -> None:
-    problem = problem_of(
-        linear(initial_state=[0, 3]), "G !wet", 15, wet={"halfspace": {"normal": [1, 1], "offset": "2*sin(0.4*t)"}}
-    )
-    result = certified(problem, 0.999)
-    judged(
-        problem, result,
-        lambda run: len(run) == 16 and all(x[0] + x[1] > 2 * math.sin(0.4 * t) for t, x in enumerate(run)),
-    )  # fmt: skip
-
-
-def test_a_disc_may_grow_with_the_time() -> None:
-    problem = problem_of(linear(), p={"disc": {"centre": [0, 0], "radius": "t - 1"}}, horizon=6)
-    points = np.random.default_rng(6).uniform(-5, 5, (2, COUNT))
-    for time in range(6):
-        held = problem.labeling.at(time).class_at(0, points)[0]
-        assert held.tolist() == [math.hypot(*p) < time - 1 for p in points.T]
-
-
-def test_a_polygon_that_is_a_box_is_worth_as_much() -> None:
-    """Also where it has corners off the axes: a face that cuts off nothing changes the bound little."""
-    agent = linear()
-    plain = problem_of(agent, p=cg.Proposition("robot", [1, 2], [3, 4]))
-    cut = problem_of(agent, p={"polygon": {"corners": [[1, 2], [3, 2], [3, 3.999], [2.999, 4], [1, 4]]}})
-    for options in ({"relation": "exact", "cells": 30}, {"relation": "path"}):
-        bounds = [cg.synthesize(p, **options).certificate.lower_bound for p in (plain, cut)]
-        assert bounds[0] - 1e-3 <= bounds[1] <= bounds[0] + 1e-9
 
 
 def test_tasks_of_a_team_split_with_their_shapes() -> None:
@@ -447,29 +407,6 @@ def test_geometry_notices_wrong_shapes(name: str) -> None:
 
 
 # --- what is drawn
-
-
-def area(polygon: np.ndarray) -> float:
-    x, y = polygon.T
-    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
-@pytest.mark.parametrize(
-    ("name", "size"),
-    [
-        ("disc", math.pi * 1.5**2),
-        ("polygon", 17.625),
-        ("polygon with the clock", 2.5),
-        ("union", math.pi * 1.5**2 + 2.5),
-        ("complement", 100 - 17.625),
-    ],
-)
-def test_shapes_are_drawn_as_large_as_they_are(name: str, size: float) -> None:
-    problem = problem_of(linear(), p=SHAPED[name][0])
-    (panel,) = panels(problem)
-    (region,) = panel.regions
-    assert region.name == "p" and region.outline is not None
-    assert sum(map(area, region.outline.fill)) == pytest.approx(size, rel=3e-3)
 
 
 @pytest.mark.parametrize("name", [name for name, (_, d, _) in SHAPED.items() if d == 2])

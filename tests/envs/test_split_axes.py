@@ -10,7 +10,6 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.problem.split import axis_order, split_axes
 from certigym.validation.statistics.binomial import REFUTED
@@ -201,12 +200,6 @@ def test_split_bounds_are_sound_and_no_better_than_the_optimum_of_whole_agents()
     assert split.certificate.lower_bound <= kept.certificate.lower_bound * (1 + 1e-9)
     assert cg.check(split.certificate, parts)
     assert cg.validate(split, episodes=20_000, seed=0).verdict != REFUTED
-
-
-def test_the_command_line_splits(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["describe", "car-park-planar-v0", "--split"]) == 0
-    text = capsys.readouterr().out
-    assert "2 agents" in text and "!(p2_x0 & p2_x1) U (p1_x0 & p1_x1)" in text
 
 
 def test_axes_with_correlated_noise_stay_together() -> None:

@@ -17,7 +17,6 @@ from certigym.envs.arrays import LIBRARIES, device_put, numbers_beside, to_host
 from certigym.envs.dynamics import Dynamics, Worlds
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces import DeviceTeamEnv, Potential, TeamEnv
-from certigym.envs.interfaces.device_team_env import Drawn
 from certigym.validation.statistics import clopper_pearson
 from kinds import mostly_thorough
 
@@ -269,55 +268,6 @@ def test_random_numbers_are_made_on_the_device_and_follow_the_seed(device: str) 
     assert (drawn[0] != drawn[2]).all() and drawn[0].dtype == np.float64
     # 100,000 numbers: mean and variance within 5 of their deviations, a false alarm of 1e-6 for both.
     assert abs(drawn[0].mean()) < 5.1 / np.sqrt(1e5) and abs(drawn[0].var() - 1.0) < 5.1 * np.sqrt(2.0 / 1e5)
-
-
-def test_jax_compiles_the_step() -> None:
-    jax = pytest.importorskip("jax")
-    jax.config.update("jax_enable_x64", True)
-    env = cg.team_env("meeting-v0", 16, device="jax:cpu", reward="progress")
-    assert isinstance(env, DeviceTeamEnv)
-    env.reset(seed=0)
-
-    def pure(state: Any, actions: Any, drawn: Drawn) -> Any:
-        following, step = env.advance(state, actions, drawn)
-        return following, step.rewards, step.observations
-
-    actions = {name: 0.3 * jax.numpy.ones((16, agent.n_inputs)) for name, agent in team(env)}
-    drawn = env.draw()
-    plain, compiled = pure(env.state, actions, drawn), jax.jit(pure)(env.state, actions, drawn)
-    for mine, other in zip(jax.tree.leaves(plain), jax.tree.leaves(compiled), strict=True):
-        np.testing.assert_allclose(mine, other, rtol=1e-6, atol=CLOSE)
-
-
-def test_no_step_fetches_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Booleans and numbers of tensors are what a round trip begins with: a step asks for none."""
-    torch = pytest.importorskip("torch")
-    pytest.importorskip("array_api_compat")
-    for id, options in OPTIONS:
-        env = cg.team_env(id, 8, device="torch:cpu", **options)
-        env.reset(seed=0)
-        actions = {name: torch.zeros((8, agent.n_inputs)) for name, agent in team(env)}
-        env.step(actions)
-
-        def refused(*arguments: Any, **named: Any) -> Any:
-            raise AssertionError("a number was fetched from the device")
-
-        with monkeypatch.context() as patch:
-            for name in (
-                "__bool__",
-                "__float__",
-                "__int__",
-                "__index__",
-                "item",
-                "tolist",
-                "cpu",
-                "numpy",
-                "__array__",
-            ):
-                patch.setattr(torch.Tensor, name, refused)
-            for name in ("tensor", "asarray", "as_tensor", "from_numpy"):
-                patch.setattr(torch, name, refused)
-            env.step(actions)
 
 
 REFUSED: list[tuple[dict[str, Any], str]] = [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import importlib.util
-import json
 from pathlib import Path
 from typing import Any
 
@@ -68,22 +67,3 @@ def used_names(script: Path) -> set[str]:
 def test_together_they_show_every_public_name() -> None:
     shown = set().union(*map(used_names, SCRIPTS))
     assert set(cg.__all__) - {"__version__"} - shown == set()
-
-
-def test_scripts_are_numbered_and_notebooks_have_cells() -> None:
-    numbers = [int(path.name[:2]) for path in SCRIPTS]
-    assert numbers == list(range(1, len(numbers) + 1))
-    notebooks = sorted(FOLDER.glob("*.ipynb"))
-    assert len(notebooks) == 3
-    for path in notebooks:
-        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-        code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
-        assert "".join(cells[0]["source"]).startswith("# ") and len(code) >= 4
-        for text in code:  # `make notebooks` runs them
-            ast.parse(text.replace("%matplotlib inline", ""))
-
-
-def test_every_example_says_what_it_shows() -> None:
-    for script in SCRIPTS:
-        first = script.read_text(encoding="utf-8").splitlines()[0]
-        assert first.startswith('"""'), script.name

@@ -154,18 +154,6 @@ def test_no_block_has_an_unknown_language_and_none_is_indented() -> None:
         assert not indented, (page.name, indented)
 
 
-COLUMNS = 80
-"""What pages show of code without wrapping it; what programs print may be wider."""
-
-
-def test_code_is_not_wider_than_a_page() -> None:
-    for page in PAGES:
-        for language, block in blocks(page):
-            lines = [line for line in block.splitlines() if language != "console" or line.startswith(("$ ", "    -"))]
-            wide = [line for line in lines if len(line) > COLUMNS and language in ("python", "sh", "toml", "console")]
-            assert not wide, (page.name, wide)
-
-
 def test_every_command_is_on_its_page() -> None:
     text = (DOCS / "command_line.md").read_text(encoding="utf-8").partition("\n## JSON")[0]
     listed = set(re.findall(r"^\| `([\w-]+)` \|", text, re.MULTILINE))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from html.parser import HTMLParser
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,6 @@ BEHIND_DOORS = {
 
 RECORDS = {name: getattr(cg, name) for name in cg.__all__ if inspect.isclass(getattr(cg, name))} | BEHIND_DOORS
 CLASSES = sorted(RECORDS)
-TABLES = ("Problem", "Synthesis", "Comparison", "ValidationReport")
 
 
 @pytest.fixture(scope="module")
@@ -139,50 +137,3 @@ def test_public_records_are_short(name: str, size: str, request: pytest.FixtureR
     assert isinstance(record, RECORDS[name]) or name == "Controller"
     assert 0 < len(text) < MOST_CHARACTERS and len(text.splitlines()) <= MOST_LINES, text
     assert "array(" not in text and " object at 0x" not in text and max(map(len, text.splitlines())) <= 250, text
-
-
-class Table(HTMLParser):
-    """The cells of all tables, row by row; every tag has to be closed."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.open: list[str] = []
-        self.rows: list[list[str]] = []
-        self.feed(text)
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attrs: Any) -> None:
-        self.tags.append(tag)
-        self.open.append(tag)
-        if tag == "tr":
-            self.rows.append([])
-        elif tag in ("td", "th"):
-            self.rows[-1].append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if {"td", "th"} & {*self.open}:
-            self.rows[-1][-1] += data
-
-
-@pytest.mark.parametrize("size", ["tree", "product"])
-@pytest.mark.parametrize("name", TABLES)
-def test_notebooks_show_tables(name: str, size: str, request: pytest.FixtureRequest) -> None:
-    result = request.getfixturevalue(size)
-    text = examples(result)[name]()._repr_html_()
-    table = Table(text)
-    assert "table" in table.tags and "script" not in table.tags and len(text) <= 4 * MOST_CHARACTERS, text
-    assert len(table.rows) >= 3 and all(cell.strip() for row in table.rows for cell in row[:1]), table.rows
-    assert result.certificate.problem.name in text
-
-
-def test_the_tables_hold_what_the_text_says(tree: cg.Synthesis) -> None:
-    facts = {row[0]: row[1:] for row in Table(tree._repr_html_()).rows}
-    bound = str(tree.certificate.lower_bound)[:6]
-    assert any(bound in cell for cells in facts.values() for cell in cells), facts
-    report = cg.validate(tree, EPISODES)
-    cells = [cell for row in Table(report._repr_html_()).rows for cell in row]
-    assert any(report.verdict in cell for cell in cells) and any(str(EPISODES) in cell for cell in cells), cells

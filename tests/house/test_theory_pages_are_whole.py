@@ -84,23 +84,3 @@ def test_worked_examples_print_what_the_page_says(name: str) -> None:
     with contextlib.redirect_stdout(printed):
         exec(compile(found[1], f"{name}.md", "exec"), {})
     assert printed.getvalue() == found[2]
-
-
-def test_every_page_has_a_picture_that_a_script_draws() -> None:
-    pytest.importorskip("matplotlib", reason="needs the extra `viz`")
-    import draw_theory
-
-    assert {page.stem for page in PAGES} == set(draw_theory.PICTURES)
-    for page in PAGES:
-        (alt,) = re.findall(
-            rf"^!\[(.+)\]\(pictures/{page.stem}\.svg\)$", page.read_text(encoding="utf-8"), re.MULTILINE
-        )
-        drawn = (draw_theory.FOLDER / f"{page.stem}.svg").read_text(encoding="utf-8")
-        assert len(alt) > 40 and drawn.count("<path") > 3 and len(drawn) < 60_000
-        assert "http" not in re.sub(r'https?://(www\.w3\.org|purl\.org|creativecommons\.org)[^"]*', "", drawn)
-    # The one with numbers shows those that the page prints.
-    bars = draw_theory.bounds().axes[0].lines
-    printed = re.search(
-        r"^linear +nominal +\[([\d.]+), ([\d.]+)\]", (DOCS / "theory" / "bounds.md").read_text(), re.MULTILINE
-    )
-    assert printed and any(float(printed[1]) in list(line.get_xdata()) for line in bars)

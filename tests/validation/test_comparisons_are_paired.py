@@ -13,7 +13,6 @@ from scipy.stats import binomtest
 import certigym as cg
 from certigym.baselines import IdleController, RandomController
 from certigym.cli.main import main
-from certigym.validation.figures import draw_comparison
 from certigym.validation.policies.comparison import mcnemar
 from problems import two_agents
 
@@ -96,17 +95,6 @@ def test_bounds_seconds_and_information_are_stated() -> None:
     assert [entry.name for entry in seeds] == ["again (seed 0)", "again (seed 1)"]
     assert "again: mean" in str(result) and "over 2 training seeds" in str(result)
     assert len(result.pairs) == 10
-
-
-def test_comparisons_are_saved_and_drawn(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="needs the extra `viz`")
-    result = cg.compare(PROBLEM, {"ours": cg.synthesize(PROBLEM, 20, max_sweeps=0), "head": head}, 200)
-    result.save(tmp_path / "c.json")
-    assert json.loads((tmp_path / "c.json").read_text()) == json.loads(json.dumps(result.to_dict()))
-    draw_comparison(result, tmp_path / "c.png")
-    assert (tmp_path / "c.png").read_bytes()[:4] == b"\x89PNG"
-    with pytest.raises(ValueError, match="file name that ends in"):
-        draw_comparison(result, tmp_path / "c.xyz")
 
 
 def test_wrong_comparisons_are_refused() -> None:

@@ -52,50 +52,6 @@ def test_a_bound_against_the_horizon_is_drawn_as_a_bound(certificate: cg.Certifi
     assert np.max(np.asarray(tinted)[:, 1]) == 1.0, "what a lower bound leaves open is tinted up to 1"
 
 
-def test_ranks_are_those_of_the_tree(certificate: cg.Certificate) -> None:
-    (plot,) = figures.rank_figure(certificate).axes
-    kept = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in plot.lines])
-    assert np.nanmax(kept) >= certificate.proof.rank
-    assert certificate.proof.rank in kept
-
-
-def test_the_relation_holds_in_the_picture() -> None:
-    problem = cg.make_problem("reach-avoid-kinematic-v0", horizon=4)
-    for certificate in (cg.synthesize(problem, cells=30).certificate,):
-        figure = figures.relation_figure(certificate, agent=1, coordinate=0, seed=3)
-        (plot,) = figure.axes
-        states = np.asarray(plot.lines[1].get_ydata())
-        boxes = [np.asarray(patch.get_paths()[0].vertices)[:, 1] for patch in plot.collections]
-        assert len(states) == len(boxes)
-        for state, box in zip(states, boxes, strict=True):
-            assert box.min() - 1e-9 <= state <= box.max() + 1e-9
-    with pytest.raises(ValueError, match="`agent`: expected a number from 0 to 1"):
-        figures.relation_figure(certificate, agent=7)
-
-
-def test_the_tree_has_one_root_term_per_term_of_the_start(certificate: cg.Certificate) -> None:
-    layers = scenes._layers(certificate)
-    assert len(layers) == certificate.problem.horizon + 1
-    assert all(
-        child in following for layer, following in zip(layers, layers[1:]) for own in layer.values() for child in own
-    )
-    accepting = certificate.problem.automaton.accepting
-    assert all(accepting[q] for q, _ in layers[-1])
-    scenes.tree_figure(certificate)
-    long = cg.synthesize(certificate.problem.replace(horizon=40), cells=50).certificate
-    with pytest.raises(ValueError, match=r"`certificate`: expected a value tree of at most .* shorter horizon"):
-        scenes.tree_figure(long)
-
-
-@pytest.mark.parametrize("id", ["reach-avoid-v0", "meeting-v0", "door-formation-v0", "invariance-20-v0"])
-def test_automata_of_all_sizes_are_drawn(id: str) -> None:
-    problem = cg.make_problem(id)
-    (plot,) = scenes.automaton_figure(problem).axes
-    words = " ".join(text.get_text() for text in plot.texts)
-    for name in problem.automaton.state_names:
-        assert name in words
-
-
 def test_rollouts_mark_failures() -> None:
     problem = cg.make_problem("package-delivery-v0", horizon=2)
     certificate = cg.synthesize(problem, cells=10, relation="quick").certificate

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.envs.dynamics import Dynamics, joint
 from certigym.envs.dynamics.worlds import initial
 from certigym.validation.policies import imitation
@@ -130,13 +129,3 @@ def test_limits_of_a_mean_are_student_limits() -> None:
     assert mean_limits([1.0, 0.9], 0.99) == (0.0, 1.0)
     with pytest.raises(ValueError, match="at least two"):
         mean_limits([0.5], 0.9)
-
-
-def test_the_certified_bound_is_a_line_in_the_picture_of_a_training(certificate: Any, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="needs the extra `viz`")
-    cg.save(certificate, tmp_path / "c.npz")
-    words = ["train", "reach-avoid-v0", "--steps", "300", "--worlds", "4", "--out", str(tmp_path / "out")]
-    for picture, more in (("plain.svg", []), ("bound.svg", ["--bound", str(tmp_path / "c.npz")])):
-        assert main([*words, "--plot", str(tmp_path / picture), *more]) == 0
-    plain, bound = ((tmp_path / name).read_text() for name in ("plain.svg", "bound.svg"))
-    assert "certified controllers: at least" in bound and "certified controllers" not in plain

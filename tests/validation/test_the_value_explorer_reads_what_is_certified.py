@@ -16,7 +16,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import CheckReport
-from certigym.validation.reports.explorer import EPISODES, UNIT, UNKNOWN, _down, explored
+from certigym.validation.reports.explorer import EPISODES, UNIT, _down, explored
 from certigym.validation.reports.other_starts import begun_at, bounds_from
 from certigym.validation.simulation import task_tracks
 
@@ -183,39 +183,3 @@ def test_what_is_shown_elsewhere_is_what_rollouts_keep(source: str) -> None:
     for bound, place in zip(bounds[:-1], starts[:-1], strict=True):
         report = cg.validate(begun_at(certificate, place), 2000, confidence=1 - 2e-7)
         assert report.ci_high >= bound, place
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_the_explorer_of_one_start_says_what_it_is_about(tmp_path: Path) -> None:
-    """A pair that keeps apart: a bound at its own start, episodes from all, and no number where nothing is known."""
-    certificate: Any = cg.synthesize("corridor-v0", 12).certificate
-    page = tmp_path / "r.html"
-    shown = cg.report(certificate, page, 200).explored
-    assert shown is not None and shown.own is not None and np.isnan(shown.bounds).sum() == len(shown.bounds) - 1
-    seen = dragged(page, tmp_path, shown.shape)
-    assert seen["errors"] == [] and seen["paths"] > 0 and seen["later"] == []
-    for point, units, text in seen["read"]:
-        if point == shown.own:
-            assert units / UNIT <= certificate.lower_bound < (units + 2) / UNIT and text.startswith("P ≥ ")
-        else:
-            assert units == UNKNOWN and text == "No bound is known"
-    assert {point for point, *_ in seen["read"]} == set(range(len(shown.bounds)))
-
-
-CAR = Path(__file__).parents[2] / "examples" / "own" / "heading.toml"
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_episodes_of_agents_with_a_heading_end_in_arrows(tmp_path: Path) -> None:
-    """At the start where the ring is first: each successful episode has an arrow, turned to where the car points."""
-    certificate: Any = cg.synthesize(CAR, relation="path").certificate
-    page = tmp_path / "r.html"
-    shown = cg.report(certificate, page, 200).explored
-    assert shown is not None and shown.own is not None
-    seen = dragged(page, tmp_path, shown.shape)
-    told = []
-    for r in range(shown.own, len(shown.success), len(shown.starts)):
-        if shown.success[r]:
-            heading = shown.states[~np.isnan(shown.states[:, r]).any(axis=1), r, 2][-1]
-            told.append(f"polygon({round(-np.degrees(heading)) % 360})")
-    assert seen["errors"] == [] and seen["ends"] == told and told

@@ -15,13 +15,11 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.envs.pictures import edges
 from certigym.synthesis.certificates import OnGrid, changed
-from certigym.validation.reports.page import _automaton, _drawing
 from certigym.validation.reports.svg import ticks
 from certigym.validation.verdicts.success_rate import ValidationReport
 from certigym.validation.verdicts.sweeps import each_report
-from problems import scalar_agent, two_agents
+from problems import two_agents
 
 
 @pytest.fixture(scope="module")
@@ -168,34 +166,6 @@ def test_hostile_names_and_settings_stay_text(certificate: OnGrid, tmp_path: Pat
     page = parsed(tmp_path / "r.html")
     assert page.tags.count("script") == 5 and "img" not in page.tags
     assert not any(name.startswith("on") for name, _ in page.attributes)
-
-
-def test_reports_of_one_agent_and_of_a_box_of_starts(tmp_path: Path) -> None:
-    agent = scalar_agent("only", initial_state=None, initial_low=[-1.0], initial_high=[0.5])
-    one = cg.Problem(
-        name="one",
-        horizon=3,
-        agents=[agent],
-        propositions={"g": cg.Proposition("only", [1.0], [2.0])},
-        specification=cg.Specification("F g", "co-safe"),
-    )
-    content = cg.report(cg.synthesize(one, 40), tmp_path / "r.html", 500)
-    assert content.field is not None
-    assert content.axes == (0,) and content.field.shape == (40,) and not content.refuted
-    assert "middle of the initial box" in (tmp_path / "r.html").read_text()
-
-
-def test_the_page_says_when_the_automaton_moves() -> None:
-    """The table has the short guards of the other drawings, and the picture a circle for every state."""
-    for name, states in (("meeting-v0", 4), ("door-formation-v0", 9)):
-        problem = cg.make_problem(name)
-        text = html.unescape(_automaton(problem))
-        assert problem.automaton.n_states == states
-        assert _drawing(problem).count("<circle") == states + 1  # one is accepting
-        assert text.count("<tr>") == len(edges(problem)) + 1
-        assert "<code>otherwise</code>" in text and "<code>any letter</code>" in text
-    text = html.unescape(_automaton(cg.make_problem("meeting-v0")))
-    assert "any(pillar)" in text and "all(cafe) or all(lab)" in text and "..." not in text
 
 
 def test_a_refuted_certificate_is_reported_as_such(certificate: OnGrid, tmp_path: Path) -> None:
