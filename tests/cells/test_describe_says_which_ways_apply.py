@@ -76,37 +76,6 @@ def test_what_is_said_is_what_is_tried() -> None:
     assert ways[0].name in tried and isinstance(tried[ways[0].name], float)
 
 
-def test_independent_tasks_and_pairs_have_ways_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
-    assert any("along a path" in line for line in said(capsys, str(OWN / "crane_cart_drone.toml")))
-    assert said(capsys, "invariance-v0")
-
-
-def test_what_is_known_in_time_is_said(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """However long the look at ways takes, with everything that was known before; refusals come as they are."""
-    looked = Event()
-
-    def endless(problem: cg.Problem) -> Iterator[str]:
-        yield "way 1: a quick one"
-        looked.wait(60.0)
-
-    monkeypatch.setattr(synthesis_commands, "MOST_SECONDS", 0.2)
-    monkeypatch.setattr(synthesis_commands, "_ways", endless)
-    began = monotonic()
-    assert main(["describe", "reach-avoid-v0"]) == 0
-    assert monotonic() - began < 30.0
-    looked.set()
-    out = capsys.readouterr().out
-    assert "fingerprint: " in out and "way 1: a quick one\nnot known after 0.2 s: what else a search tries" in out
-
-    def refused(problem: cg.Problem) -> Iterator[str]:
-        yield "way 1: a quick one"
-        raise ValueError("no way")
-
-    monkeypatch.setattr(synthesis_commands, "_ways", refused)
-    assert main(["describe", "reach-avoid-v0"]) == 2
-    assert "no way" in capsys.readouterr().err
-
-
 def test_nothing_is_counted_for_boxes_of_no_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """Decisions of automata of thousands of states take long to count."""
     monkeypatch.setattr(levels, "count_of_decisions", lambda problem: pytest.fail("counted"))

@@ -200,10 +200,3 @@ def test_automatic_choice_takes_exact_targets() -> None:
     strong = robot(["x + 0.1*sin(y) + 4*u", "y + 4*v"], ["u", "v"], [-1, -1], [1, 1])
     for settings in ({"cells": 40}, {"cells": 40, "relation": "quick"}, {"cells": 40, "relation": {"robot": "exact"}}):
         assert cg.synthesize(avoiding(strong), **settings).certificate.proof.agents[0].relation == {"kind": "exact"}
-
-
-def test_files_hold_exact_targets(tmp_path: Any) -> None:
-    certificate = certificate_of("ring")
-    cg.save(certificate, tmp_path / "ring.npz")
-    read = cg.load(tmp_path / "ring.npz")
-    assert cg.check(read) and read.lower_bound == certificate.lower_bound

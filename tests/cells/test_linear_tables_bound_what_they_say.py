@@ -95,9 +95,9 @@ def test_the_norms_are_those_of_the_normal_density() -> None:
         assert all(norm.get(order - n, 1.0) * beyond[n] <= beyond[order] for n in range(1, order))
 
 
-@pytest.mark.parametrize("d", [1, 2])
-@pytest.mark.parametrize("width", [0.2, 0.7, 2.0])
-@pytest.mark.parametrize("skew", [False, True])
+@mostly_thorough("d", [1, 2])
+@mostly_thorough("width", [0.2, 0.7, 2.0])
+@mostly_thorough("skew", [False, True])
 def test_bends_are_at_least_the_gaps_of_random_factors(d: int, width: float, skew: bool) -> None:
     """Steps of two lattice points along the first axis and, in two dimensions, a straight or a skew one."""
     rng, deviations, n, per_cell = np.random.default_rng(int(10 * width) + d), np.array([1.0, 0.5])[:d], 7, 4
@@ -175,8 +175,8 @@ def test_bends_cover_directions_that_bend_most_at_different_points(seed: int) ->
             assert seen >= suprema
 
 
-@pytest.mark.parametrize("pitch", [0.4, 0.7, 1.1])
-@pytest.mark.parametrize("step", [1, 2])
+@mostly_thorough("pitch", [0.4, 0.7, 1.1])
+@mostly_thorough("step", [1, 2])
 def test_bends_hold_for_factors_that_bend_most_between_lattice_points(pitch: float, step: int) -> None:
     """Factors of 0 and 1 by the sign of a derivative of the density are the worst ones for that derivative."""
     edges = np.linspace(-16.0, 16.0, 641)

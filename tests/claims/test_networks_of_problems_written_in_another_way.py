@@ -146,11 +146,3 @@ def test_repairs_are_made_and_checked(kind: str) -> None:
     assert cg.check(repaired.certificate) and "replaced" in differences(repaired.certificate, actor)[0]
     assert repaired.certificate.lower_bound > plain.lower_bound + 0.05
     assert places.worst(1)[0]["loss"] > 0.0
-
-
-def test_certificates_travel(tmp_path: Path) -> None:
-    for kind in PROBLEMS:
-        problem, _, certificate = certified(kind)
-        cg.save(certificate, tmp_path / "network.npz")
-        loaded = any_certificate(tmp_path / "network.npz")
-        assert cg.check(loaded, problem) and loaded.lower_bound == certificate.lower_bound

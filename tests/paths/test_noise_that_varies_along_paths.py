@@ -8,7 +8,6 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
-from kinds import mostly_thorough
 
 
 @cache
