@@ -20,7 +20,7 @@ from .axes_of_lattices import (
     lattice_axes,
     points_by_axis,
 )
-from .corners import corner_sides, hat_share_of, hats, of_cells, spread, to_places
+from .corners import corner_sides, hat_share_of, hats, of_cells, spread, start_share, to_places
 from .grid import FloatArray, Grid
 from .grid_dynamics import GridDynamics, grid_covariance, grid_laws, in_grid_coordinates, sharpness
 from .labels import CellLabels, cell_labels, error_labels
@@ -37,7 +37,6 @@ from .refusal import (
     to_who_asked_for_none,
 )
 from .sizes import alike_text, shape_text
-from .turned_starts import cells_met, start_share
 
 __all__ = [
     "CellAxis",
@@ -61,7 +60,6 @@ __all__ = [
     "cell_finder",
     "cell_labels",
     "cell_points",
-    "cells_met",
     "cells_of_agent",
     "corner_sides",
     "deviations_of",

@@ -63,20 +63,27 @@ def hats(grid: Grid, points: FloatArray) -> tuple[NDArray[np.int64], FloatArray]
     return places, weights
 
 
-def hat_share_of(grid: Grid, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return the mean hat of every place (2^d S,) over a box of states, up to rounding; see ``hat_share``.
+def start_share(grid: Grid, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the share (S,) of a box of states, or of a point, in each cell, up to rounding."""
+    return grid.overlap(*_in_grid_coordinates(coordinates, low, high))
 
-    A point may be given in any grid coordinates, a box with an inside only where they are those of the state.
-    """
+
+def hat_share_of(grid: Grid, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the mean hat of every place (2^d S,) over a box of states, up to rounding; see ``hat_share``."""
+    return hat_share(grid, *_in_grid_coordinates(coordinates, low, high))
+
+
+def _in_grid_coordinates(coordinates: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a box of states in grid coordinates: a point in any, one with an inside only in those of the state."""
     if np.array_equal(coordinates, np.eye(len(coordinates))):
-        return hat_share(grid, low, high)
+        return low, high
     if not np.array_equal(low, high):
         raise RelationRefused(
-            "`initial_low`, `initial_high`: expected an `initial_state` under linear cells for an agent with "
-            "correlated noise, got a box; ask for `exact` or `boxes`"
+            "`initial_low`, `initial_high`: expected an `initial_state` on cells where noise is correlated, got "
+            "a box; ask for `path`"
         )
     point = np.linalg.solve(coordinates, low)
-    return hat_share(grid, point, point)
+    return point, point
 
 
 def hat_share(grid: Grid, low: FloatArray, high: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...envs.agents import slices_of, tree_text
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
-from ..cells import FloatArray, alike_text, cells_met, hat_share_of, shape_text, start_share
+from ..cells import FloatArray, alike_text, hat_share_of, shape_text, start_share
 from ..masses import AgentPart
 from ..relations import Relation
 from ..values import Guards, Skeleton, Terms, Trains, Unread, ValueFunction, term_depths
@@ -136,9 +136,7 @@ class Claim:
         """
         boxes = zip(self.agents, *self._corners(low, high), strict=True)
         cells = [
-            np.flatnonzero(hat_share_of(part.grid, part.coordinates, a, b))
-            if part.is_linear
-            else cells_met(part.grid, part.coordinates, a, b)
+            np.flatnonzero((hat_share_of if part.is_linear else start_share)(part.grid, part.coordinates, a, b))
             for part, a, b in boxes
         ]
         shape = tuple(len(numbers) for numbers in cells)

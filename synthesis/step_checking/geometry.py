@@ -16,7 +16,6 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..masses import AgentPart
 from .mean_spans import output_spans
-from .turned_boxes import turned_shares
 
 OUTWARD = 2.0**-47
 """Relative widening of boxes that went through a matrix: some sixty times the rounding of one operation."""
@@ -126,7 +125,7 @@ def start_shares(agent: AnyAgent, part: AgentPart) -> FloatArray:
     low, high = agent.initial.low, agent.initial.high
     if not is_identity(part.coordinates):
         if not np.array_equal(low, high):
-            return turned_shares(part, low, high)
+            raise ValueError("a start box is read on cells that are no boxes in state space")
         low = high = np.linalg.solve(part.coordinates, low)
     shares = np.ones(1)
     for edges, a, b in zip(part.grid.edges, low.tolist(), high.tolist(), strict=True):

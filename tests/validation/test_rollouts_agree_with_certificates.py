@@ -93,7 +93,7 @@ def test_boxes_and_points_may_be_mixed_among_the_starts() -> None:
     assert start_of_claim(result.certificate) == "mean" and cg.check(result.certificate)
     report = cg.validate(result, episodes=30_000, seed=5, confidence=1 - FALSE_ALARM)
     assert report.verdict != REFUTED and report.lower_bound > 0.3, str(report)
-    with pytest.raises(ValueError, match="linear cells for an agent with correlated noise"):
+    with pytest.raises(ValueError, match="on cells where noise is correlated"):
         drawn = correlated().replace(initial_low={"plane": [-1.0, -1.0]}, initial_high={"plane": [0.0, 0.0]})
         cg.synthesize(drawn, 16, relation="linear")
 

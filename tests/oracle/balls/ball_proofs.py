@@ -15,13 +15,12 @@ from .ball_memory import Proof
 from .ball_numbers import angles, charge, error_function, function, spans, start
 from .ball_relations import aims, disturbance, ellipsoid, ellipsoid_support, targets, tube
 from .ball_sums import differences, spare, sums
-from .turned_shares import turned
 
 PROOFS: dict[str, Callable[..., Proof]] = {
     "masses": masses, "lost": lost, "hats": hats, "near": near, "charge": charge, "erf": error_function,
     "function": function, "spans": spans,
     "aims": aims, "targets": targets,
     "disturbance": disturbance, "tube": tube, "ellipsoid support": ellipsoid_support, "ellipsoid": ellipsoid,
-    "spare": spare, "angles": angles, "start": start, "turned": turned, "sums": sums, "differences": differences,
+    "spare": spare, "angles": angles, "start": start, "sums": sums, "differences": differences,
 }  # fmt: skip
 """By the names of statements."""
