@@ -135,7 +135,6 @@ CASES: dict[str, Callable[[], dict[str, Any]]] = {
     "car park": synthesized("car-park-planar-v0", cells=60),
     "building": synthesized("building-automation-v0", cells=60),
     "docking chain": synthesized("integrator-chain-v0"),
-    "accuracy": synthesized("reach-avoid-v0", accuracy=0.01),
     "restarts": synthesized("reach-avoid-v0", cells=80, restarts=2),
     "stationary": synthesized("car-park-v0", cells=100, stationary=True),
     "given policies": certified_policy,

@@ -14,8 +14,7 @@ more = cg.synthesize(problem.replace(horizon=6), 100, restarts=2)
 print(f"{more.certificate.lower_bound:.5f}, one agent alone can gain about {more.stats['unilateral_gain']:.1e}")
 
 # policies that do not look at the time: the bound rises with the horizon, and holds for every longer one
-parking = cg.make_problem("car-park-v0")
-stationary = cg.synthesize(parking, 60, horizon=None, accuracy=0.01).certificate
+stationary = cg.synthesize(problem, 60, horizon=None).certificate
 print(f"within {stationary.problem.horizon} steps, and so without a deadline: P >= {stationary.lower_bound}")
 assert stationary.proof.stationary
 
@@ -25,6 +24,6 @@ lasting = cg.safety_rate(safe)
 print("safe for k steps:", lasting, lasting.at([1, 100, 10_000]))
 
 # The other end: how often these controllers succeed at most, under any relation with cells.
-parked = cg.synthesize(parking, above=True).certificate
+parked = cg.synthesize("car-park-v0", above=True).certificate
 print(f"the controllers park with a probability of {parked.lower_bound} at least, {parked.upper_bound} at most")
 assert parked.lower_bound <= parked.upper_bound and cg.check(parked)

@@ -11,7 +11,6 @@ from .cells import CellCounts
 from .certificates import OnGrid, Synthesis, checked_certificate
 from .certification import against_losses, certified
 from .choosing import (
-    Budget,
     Effort,
     Tries,
     groups_of,
@@ -43,8 +42,6 @@ class Plan:
         Settings of the relations.
     search : Search
         How policies are searched for.
-    budget : Budget or None
-        If there is one, cells are made finer until it is used up.
     effort : Effort
         What the task may still take.
     paths : bool
@@ -53,7 +50,6 @@ class Plan:
 
     settings: Settings
     search: Search
-    budget: Budget | None
     effort: Effort
     paths: bool = True
 

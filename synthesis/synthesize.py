@@ -24,8 +24,8 @@ from .certificates import (
     on_cells,
     timed_certificate,
 )
-from .choosing import Budget, Effort, Way, best_of, in_order, settings_of
-from .horizons import TOLERANCE, each_horizon, horizons_of, without_deadline
+from .choosing import Effort, Way, best_of, in_order, settings_of
+from .horizons import each_horizon, horizons_of, without_deadline
 from .models import (
     RELATIONS,
     Relations,
@@ -45,7 +45,6 @@ from .task_ways import (
     ways_in_time,
     ways_of,
     ways_of_named_inputs,
-    ways_within,
 )
 from .together import ways_together
 from .upper_ends import synthesis_above
@@ -79,8 +78,6 @@ def synthesize(
     limits: Limits | None = None,
     value: str = "auto",
     progress: Callable[[str, float], None] | bool | None = None,
-    memory: float | None = None,
-    accuracy: float | None = None,
     effort: float | None = None,
     seconds: float | None = None,
     device: str = HOST,
@@ -104,7 +101,7 @@ def synthesize(
         Control steps (default: the problem's). Several give a list of syntheses, in their order: each search begins
         with the policies of the next shorter one. None: no deadline. Then policies do not look at the time, and the
         horizon is doubled until the bound, or the rate at which a safety task is kept (``safety_rate``), gains less
-        than ``accuracy`` (default: 1e-6).
+        than 1e-6.
     relation : str, or mapping from agent name to str
         ``"exact"`` (inputs reach every mean), ``"linear"`` and ``"boxes"`` (any agent), ``"path"`` (no cells, any
         number of states), or ``"coupled"``: the best of its three sets, which may also be asked for by their names
@@ -123,10 +120,6 @@ def synthesize(
         (tensor trains, rounded with a certified error, for tasks whose trees grow too many terms), or ``"auto"``.
     progress : callable or True, optional
         Called with a short text and the best value so far after each sweep; True: a bar, in notebooks, too.
-    memory, accuracy : float, optional
-        A budget instead of ``cells``: the memory in bytes that the search may use, and the gain of the bound that is
-        not worth finer cells. Cells are made finer until the first of the two is reached; ``stats["cells"]`` says how
-        they were chosen (see ``refine``).
     effort : float, optional
         Work that may be spent, in core seconds: what one core of 2024 does in about a second (default: 80, of each
         independent task). It is estimated before anything is computed, and not taken from a clock: the same problem and
@@ -172,8 +165,6 @@ def synthesize(
     device_put(device)  # refuses a device that does not exist before any work is done
     problem = as_problem(problem)
     endless = horizon is None
-    gain, accuracy = (accuracy, None) if endless else (None, accuracy)
-    budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
     search = Search(max_sweeps, pruning, value, restarts, told, stationary or endless, device)
 
     is_single = isinstance(horizon, int | np.integer) or horizon == OWN
@@ -183,7 +174,7 @@ def synthesize(
         own = settings
         if begun is not None and not task.groups and not task.labeling.pairs:
             own = {**_settings_of_start(task, relation, checked_certificate(begun, "start")), **settings}
-        plan = Plan(Settings(**own), search, budget, Effort(effort, seconds, progress=told))
+        plan = Plan(Settings(**own), search, Effort(effort, seconds, progress=told))
         try:
             found = _of_problem(task, cells, relation, plan, begun)
             if above or (above is None and is_single and not plan.effort.is_over):
@@ -194,7 +185,7 @@ def synthesize(
 
     def carried(task: Problem, begun: Certificate | None) -> Synthesis:
         # Cells and relation that are chosen anew at every horizon have nothing to begin with.
-        return once(task, None if budget is not None or relation == "best" else begun)
+        return once(task, None if relation == "best" else begun)
 
     begun = None if start is None else certificate_from(start, "start")
     if isinstance(horizon, int | np.integer):
@@ -204,7 +195,7 @@ def synthesize(
     if begun is not None:
         raise ValueError("`horizon`: expected one number with `start`, got several, or None; leave it out")
     if endless:
-        return without_deadline(problem, carried, TOLERANCE if gain is None else gain)
+        return without_deadline(problem, carried)
     asked = horizons_of(horizon)
     of_horizon = {found.certificate.problem.horizon: found for found in each_horizon(problem, asked, carried)}
     return [of_horizon[number] for number in asked]
@@ -228,16 +219,14 @@ def _of_problem(
 def _of_task(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None = None
 ) -> Synthesis:
-    """Synthesize one task, in the ways that relations, budget and start leave open."""
-    if cells is None and relation == "auto" and plan.budget is None and start is None and plan.paths:
+    """Synthesize one task, in the ways that relations and start leave open."""
+    if cells is None and relation == "auto" and start is None and plan.paths:
         never = why_never(problem)
         if lost := OutOfReach(never, 0.0) if never else out_of_reach(problem):
             plan.effort.give_up(lost.why)
     if problem.joint_noise:
         return best_of(_under_joint_noise(problem, cells, relation, plan, start), plan.effort)
     if problem.labeling.pairs:
-        if plan.budget is not None and cells is not None:
-            raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
         if start is None:
             return best_of(ways_together(problem, cells, relation, plan), plan.effort)
         if type(start.proof) is not SubtractionProof:
@@ -249,8 +238,8 @@ def _of_task(
         plan = replace(plan, settings=Settings(**settings_of(base, ["exact"] * problem.n_agents)))
         return best_of(ways_together(problem, cells, relation, plan, base), plan.effort)
     if relation == "path":
-        if cells is not None or plan.budget is not None or start is not None:
-            raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
+        if cells is not None or start is not None:
+            raise ValueError("`relation`: expected no cells or start with 'path', which has no grid; leave out")
         return along_path(problem, plan.along_paths)
     if problem.names_time:
         return _in_time(problem, cells, relation, plan, start)
@@ -259,13 +248,9 @@ def _of_task(
         return best_of(ways, plan.effort)
     kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
     if start is not None:
-        _refuse_beside(start, relation, plan)
+        _refuse_beside(start, relation)
         return continued(problem, cells, kinds, plan, start)
-    if plan.budget is None:
-        return best_of(ways_of(problem, cells, kinds, plan), plan.effort)
-    if cells is not None:
-        raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
-    return best_of(ways_within(problem, kinds, plan), plan.effort)
+    return best_of(ways_of(problem, cells, kinds, plan), plan.effort)
 
 
 def ways_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Way]]]:
@@ -277,7 +262,7 @@ def ways_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Way]]]:
         for task in problem.tasks:
             yield from ways_ahead(task)
         return
-    plan = Plan(Settings(), Search(), None, Effort())
+    plan = Plan(Settings(), Search(), Effort())
 
     def nothing(*arguments: object) -> Synthesis:
         raise AssertionError("a way that is looked at was taken")
@@ -299,7 +284,7 @@ def _under_joint_noise(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
 ) -> list[Way]:
     """Return the ways of teams that share noise: a path. Whatever multiplies over agents takes them for independent."""
-    grids = cells is not None or plan.budget is not None or start is not None or not has_usual_search(plan)
+    grids = cells is not None or start is not None or not has_usual_search(plan)
     if grids or relation not in ("auto", "best", "path"):
         raise RelationRefused(JOINT_NOISE_REFUSAL)
     return [path_way(problem, plan)]
@@ -313,8 +298,6 @@ def _in_time(
         raise ValueError(
             "`stationary`: expected False for a problem that names the time `t`, whose policies have to look at it"
         )
-    if cells is not None and plan.budget is not None:
-        raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
 
     def on_grids(sizes: CellCounts, chosen: Plan) -> Synthesis:
         # Along a path of the problem written out the time would be an input to choose.
@@ -323,7 +306,7 @@ def _in_time(
         certificate = timed_certificate(problem, found.certificate)
         return Synthesis(certificate, certificate.controller, found.stats)
 
-    if relation not in ("auto", "best") or cells is not None or plan.budget is not None or start is not None:
+    if relation not in ("auto", "best") or cells is not None or start is not None:
         return on_grids(cells, plan)
     return best_of(ways_in_time(problem, plan, lambda: on_grids(None, plan)), plan.effort)
 
@@ -350,10 +333,8 @@ def _settings_of_start(problem: Problem, relation: Relations, start: OnGrid) -> 
     return settings_of(start, kinds)
 
 
-def _refuse_beside(start: Certificate, relation: Relations, plan: Plan) -> None:
-    """Refuse a certificate to start from beside a budget, or several relations."""
-    if plan.budget is not None:
-        _refuse_start(start, "a budget")
+def _refuse_beside(start: Certificate, relation: Relations) -> None:
+    """Refuse a certificate to start from beside several relations."""
     if relation == "best":
         _refuse_start(start, "several relations")
 

@@ -1,6 +1,6 @@
 """The table of ways to certify one task: what may be tried, how much work it is, and from which bound it is left out.
 
-What is asked for decides which rows there are: relations by name, cells, a budget of memory or accuracy, or nothing at
+What is asked for decides which rows there are: relations by name, cells, or nothing at
 all. ``best_of`` tries the rows.
 """
 
@@ -32,9 +32,7 @@ from .choosing import (
     leading,
     linear_levels,
     linear_work,
-    refine,
     refused,
-    with_chosen_cells,
     with_settings,
     work_of,
 )
@@ -127,34 +125,6 @@ def _ways_of_lost(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Wa
     if max(math.prod(counts) for counts in cells.values()) > MOST_CELLS_OF_LOST:
         return ways
     return [*ways, Way("few cells", lambda results: compared(problem, cells, kinds, plan))]
-
-
-def ways_within(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:
-    """Return the ways to certify a task within a budget of memory, or to an accuracy.
-
-    Linear cells come first where they are worth trying. Other relations are compared on the last cells only, which are
-    chosen under the relations of the quick choice.
-    """
-    assert plan.budget is not None
-    budget, usual = plan.budget, has_usual_search(plan)
-    linear = ["linear"] * problem.n_agents
-    first = Way("linear", lambda results: _refined(problem, linear, plan), ends=GOOD)
-    if {*kinds} == {"linear"} and usual:
-        return [first]
-    quick = [{"auto": "quick", "best": "quick", "coupled": "tube"}.get(kind, kind) for kind in kinds]
-
-    def others(results: Results) -> Synthesis:
-        best = _refined(problem, quick, replace(plan, settings=plan.settings.of_kinds(quick)))
-        if quick == kinds:
-            return best
-        parts = zip(problem.agent_names, best.certificate.proof.agents, strict=True)
-        shapes = {name: part.grid.shape for name, part in parts}
-        return with_chosen_cells(compared(problem, shapes, kinds, plan, best), best.stats["cells"])
-
-    rest = Way("others", others, enough=1.0)
-    few = problem.n_agents <= FEW_AGENTS or is_scalar(problem)
-    may = {*kinds} == {"auto"} and usual and few and may_be_linear(problem, plan)
-    return [rest, replace(first, work=-1.0)] if may and budget else [rest]
 
 
 def ways_of_named_inputs(problem: Problem, plan: Plan, run: Callable[[Plan], Synthesis]) -> list[Way]:
@@ -404,9 +374,3 @@ def _run_of_levels(problem: Problem, plan: Plan) -> Run:
         return searched(problem, abstraction, join(problem, abstraction, search.device), search, starts)
 
     return run
-
-
-def _refined(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
-    """Return the best synthesis under given relations, on cells that are made finer until the budget is used up."""
-    assert plan.budget is not None
-    return refine(problem, lambda cells: plain(problem, cells, kinds, plan), kinds, plan.budget)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from .agreement import along_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import OnGrid, Synthesis
 from .certification import certificate_of
-from .choosing import SOLVED, Results, Way, policies_from, refine, refused
+from .choosing import SOLVED, Results, Way, policies_from, refused
 from .keeping_apart import evaluated_by, kept_apart, less_nearness
 from .models import Relations, Settings, abstraction_of, check_names, join
 from .nominal_paths import refuse_without_path
@@ -61,15 +60,11 @@ def ways_together(
                 "what pairs may spoil grows with every step, and nothing is left of a bound by subtraction without a "
                 "deadline"
             )
-        if plan.budget is None:
-            return by_subtraction(problem, cells, plan.search, plan.settings, start)
-        base, kinds = without_pairs(problem, usual_values(problem)), ["exact"] * problem.n_agents
-        run = partial(by_subtraction, problem, search=plan.search, settings=plan.settings)
-        return refine(base, run, kinds, plan.budget)
+        return by_subtraction(problem, cells, plan.search, plan.settings, start)
 
     def path(results: Results) -> Synthesis:
         if cells is not None or _asks_for_grid(plan, start is not None):
-            raise RelationRefused("paths have no grid, and need no `cells`, budget or start")
+            raise RelationRefused("paths have no grid, and need no `cells` or start")
         return along_path(problem, plan.along_paths)
 
     along = Way("path", path, 1.0 + PATH * problem.horizon * problem.n_states, ENOUGH, ENOUGH)
@@ -100,7 +95,7 @@ def _subtraction_work(problem: Problem) -> float:
 
 def _asks_for_grid(plan: Plan, has_start: bool) -> bool:
     """Return whether something is asked for that only grids have."""
-    return has_start or plan.budget is not None or plan.search.stationary or plan.search.value == "train"
+    return has_start or plan.search.stationary or plan.search.value == "train"
 
 
 def by_subtraction(

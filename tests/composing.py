@@ -134,7 +134,6 @@ class Row:
     problem: Callable[[], cg.Problem]
     cells: Any
     options: dict[str, Any] = field(default_factory=dict)
-    memory: float = 1.02e6
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -162,10 +161,10 @@ ROWS: dict[str, Row] = {
     "exact Laplace": Row(lambda: task(lawful()), 24, {"relation": "exact"}),
     "exact correlated": Row(lambda: task(matrices(**PLANAR, noise_covariance=CORRELATED)), 14, {"relation": "exact"}),
     "exact expressions": Row(lambda: task(expressions()), 24, {"relation": "exact"}),
-    "tube": Row(lambda: task(cart()), 24, {"relation": "tube"}, 3e6),
+    "tube": Row(lambda: task(cart()), 24, {"relation": "tube"}),
     "ellipsoid": Row(lambda: task(matrices()), 40, {"relation": "ellipsoid"}),
     "ellipsoid with delta": Row(lambda: task(matrices()), 40, {"relation": "ellipsoid", "delta": 0.001}),
-    "paper": Row(lambda: task(matrices()), 60, {"relation": "paper", "epsilon": 0.1, "inputs": 10}, 3e6),
+    "paper": Row(lambda: task(matrices()), 60, {"relation": "paper", "epsilon": 0.1, "inputs": 10}),
     "linear matrices": Row(lambda: task(matrices()), 24, {"relation": "linear"}),
     "linear expressions": Row(lambda: task(expressions()), 24, {"relation": "linear"}),
     "boxes matrices": Row(lambda: task(matrices()), 24, {"relation": "boxes"}),
@@ -537,13 +536,6 @@ def safety(row: str, folder: Path) -> Claims:
     return Claims()
 
 
-def budgeted(row: str, folder: Path) -> Claims:
-    options = {k: v for k, v in ROWS[row].settings.items() if k != "cells"}
-    result = cg.synthesize(problem_of(row), memory=ROWS[row].memory, **options)
-    assert cg.check(result.certificate)
-    return Claims((result.certificate.lower_bound,))
-
-
 def begun(row: str, folder: Path) -> Claims:
     """A search that begins with the policies of a certificate."""
     options = {k: v for k, v in ROWS[row].settings.items() if k not in ("cells", "relation")}
@@ -577,5 +569,5 @@ COLUMNS: dict[str, Callable[[str, Path], Claims]] = {
     "rigorous": rigorous, "shield": shield, "certify": certified_policy, "network": network,
     "at": elsewhere, "values in time": values_in_time, "audit": audit, "field": fields, "stress": stressed,
     "compare": compared, "start box": start_box, "no deadline": no_deadline, "safety rate": safety,
-    "budget": budgeted, "start=": begun, "device": on_device, "report": reported, "file": kept,
+    "start=": begun, "device": on_device, "report": reported, "file": kept,
 }  # fmt: skip

@@ -18,7 +18,7 @@ from hypothesis import settings
 import certigym as cg
 from certigym.synthesis import agreement
 from certigym.synthesis.cells import in_grid_coordinates
-from certigym.synthesis.choosing import cell_budget, effort
+from certigym.synthesis.choosing import effort
 from certigym.synthesis.models import box_model, common_choices, ellipsoid_program, ellipsoid_search
 from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team
 from certigym.validation.policies import imitation, probing
@@ -40,7 +40,7 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     (ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95)),
     (ellipsoid_search, "LAST_STEP", 2e-2),
     # Menus of inputs: less than half of them in each dimension.
-    *((module, "INPUT_LEVELS", {1: 7, 2: 5, 3: 3}) for module in (box_model, common_choices, cell_budget)),
+    *((module, "INPUT_LEVELS", {1: 7, 2: 5, 3: 3}) for module in (box_model, common_choices)),
     # Paths are planned with more times, refined and moved a little a hundred times: the first few gain the most.
     (nonlinear_search, "GENERATIONS", 3),
     (nonlinear_search, "MORE_REPLANS", 0),

@@ -1,6 +1,5 @@
 """Which ways to certify a task are tried: relations, cells, and from which policies to start."""
 
-from .cell_choice import Budget, refine, with_chosen_cells
 from .effort import Effort, OutOfTime
 from .given_start import policies_from, settings_of
 from .levels import Run, box_work, finer_levels, first_cells, linear_levels, linear_work, work_of
@@ -9,7 +8,6 @@ from .scarce_inputs import cells_where_scarce
 from .ways import GOOD, SOLVED, Results, Way, best_of, in_order, leading, refused, with_settings
 
 __all__ = [
-    "Budget",
     "Effort",
     "OutOfTime",
     "GOOD",
@@ -30,10 +28,8 @@ __all__ = [
     "linear_levels",
     "linear_work",
     "policies_from",
-    "refine",
     "refused",
     "settings_of",
-    "with_chosen_cells",
     "with_settings",
     "work_of",
 ]

@@ -25,7 +25,7 @@ from ..models import Abstraction, BoxChoices, Policies, Settings, abstraction_of
 from ..readings import MOST_SCALED, MOST_SCALES, points_per_cell
 from ..search import RELAXED
 from .carrying import carried_over
-from .cell_budget import axis_weights, cells_at
+from .cell_numbers import axis_weights, cells_at
 from .effort import Effort, OutOfTime
 from .ways import SOLVED
 
@@ -152,7 +152,7 @@ def finer_levels(
     shapes = {agent.name: part.grid.shape for agent, part in zip(problem.agents, parts, strict=True)}
 
     def cells_of(width: float) -> dict[str, tuple[int, ...]]:
-        return {name: agent_cells.shape for name, agent_cells in cells_at(problem, 1.0 / width, kinds).items()}
+        return cells_at(problem, 1.0 / width, kinds)
 
     levels = _Levels(problem, settings, kinds, cells_of, run, effort)
     try:
@@ -181,11 +181,11 @@ def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
     for number in range(MOST_WIDENINGS + 1):
         fitting = cells_at(problem, 1.0 / (FIRST_TUBE_WIDTH * WIDER**number), ["tube"] * problem.n_agents)
         cells = {
-            agent.name: fitting[agent.name].shape
+            agent.name: fitting[agent.name]
             for agent in problem.agents
             if not reached[agent.model_key]
             and (isinstance(agent, Agent) or agent.n_states == 2)
-            and math.prod(fitting[agent.name].shape) <= MOST_CELLS  # others have default cells, which always fit
+            and math.prod(fitting[agent.name]) <= MOST_CELLS  # others have default cells, which always fit
         }
         if box_work(problem, cells) <= MOST_FIRST_WORK:
             break

@@ -53,7 +53,7 @@ def test_boxes_on_default_cells_are_counted() -> None:
 def test_finer_cells_begin_with_exact_targets_where_nothing_else_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = ferry()
     coarse = cg.synthesize(problem, 14, relation="exact")
-    finer = _finer(problem, Plan(Settings(), Search(), None, Effort()))
+    finer = _finer(problem, Plan(Settings(), Search(), Effort()))
     assert finer.why_not({"exact": coarse}) is None and finer.why_not({}) == ""
     begun = list[cg.Synthesis]()
 

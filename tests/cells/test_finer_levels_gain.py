@@ -96,7 +96,7 @@ def test_a_path_that_is_better_than_coarse_cells_leaves_finer_ones_to_try() -> N
             certificate=SimpleNamespace(lower_bound=bound, proof=SimpleNamespace(rounding=None, has_cells=True))
         )
 
-    plan = Plan(Settings(), Search(), None, Effort())
+    plan = Plan(Settings(), Search(), Effort())
     finer = task_ways._finer(cg.make_problem("reach-avoid-v0", horizon=3), plan)
 
     def reason(**bounds: float) -> str | None:

@@ -36,7 +36,6 @@ PATHS_HAVE_NO_END = Reason(
     "no upper end", "a path proves that runs succeed near it; those that leave it may succeed, too"
 )
 OWN_FEEDBACK = Reason("expected one of auto", "a path has a feedback of its own: no policy is given to it")
-NO_GRID = Reason("has no grid", "memory and accuracy choose cells, and a path has none")
 BY_SUBTRACTION = Reason(
     "by subtraction",
     "what pairs may spoil is bounded for the whole run from its start, and is no function of the state",
@@ -96,7 +95,6 @@ CANNOT: dict[str, dict[str, Reason]] = {
     },
     "no deadline": {"subtraction": GROWS, **dict.fromkeys([*TIMED, "path in time"], STEPS_DIFFER)},
     "start box": {"exact correlated": TURNED},
-    "budget": dict.fromkeys(PATHS, NO_GRID),
     "start=": dict.fromkeys(PATHS, ON_PATHS),
 }
 """Refusals by mathematics: column, row, and why. The page of limits lists them (``docs/limits_table.py``)."""
@@ -109,18 +107,6 @@ NOTHING_LOST = ["exact matrices", "exact Laplace", "exact expressions", "exact i
 
 ELSEWHERE: dict[str, dict[str, str]] = {
     "opposite end": {row: SAME_END for row in ROWS if row not in [*NOTHING_LOST, *PATHS]},
-    "budget": dict.fromkeys(
-        [
-            "ellipsoid",
-            "linear matrices",
-            "linear in time",
-            "exact in time",
-            "boxes expressions",
-            "boxes Laplace",
-            "boxes disturbance",
-        ],
-        OTHER_ROWS,
-    ),
 }
 """Cells that other tests imply: column, row, which."""
 

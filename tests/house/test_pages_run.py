@@ -42,7 +42,6 @@ QUICKER: dict[str, dict[str, str]] = {
     },
     "choose_cells.md": {
         "(25, 100, 400)": "(25, 50)",
-        "accuracy=0.005": "accuracy=0.05",
         "cells=100)": "cells=50)",
         '"cells": 100': '"cells": 60',
     },

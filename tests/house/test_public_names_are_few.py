@@ -66,7 +66,7 @@ def test_other_horizons_are_refused(problem: cg.Problem, horizon: Any) -> None:
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--memory", "4G"], "`certigym synthesize` and `certigym validate` have all options"),
+        (["--restarts", "4"], "`certigym synthesize` and `certigym validate` have all options"),
         (["--nothing"], "unrecognized arguments: --nothing\n"),
     ],
 )

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 import certigym
-from certigym.synthesis.choosing import cell_budget
 from certigym.synthesis.models import box_model, common_choices
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -74,7 +73,7 @@ def test_formulas_become_markup_without_a_network() -> None:
 
 
 @pytest.mark.pages
-@pytest.mark.full_search(box_model, common_choices, cell_budget)
+@pytest.mark.full_search(box_model, common_choices)
 @pytest.mark.parametrize("name", ["linear", "bounds", "boxes"])
 def test_worked_examples_print_what_the_page_says(name: str) -> None:
     text = (DOCS / "theory" / f"{name}.md").read_text(encoding="utf-8")

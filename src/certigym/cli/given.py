@@ -82,11 +82,8 @@ def cells_of(options: Namespace) -> int | list[int] | None:
 
 def budget_of(options: Namespace) -> dict[str, Any]:
     """Return the budgets of the options, if any, as keyword arguments of ``synthesize``."""
-    given = {name: getattr(options, name) for name in ("accuracy", "effort", "seconds")}
-    budget: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    if options.memory is not None:
-        budget["memory"] = _bytes("--memory", options.memory)
-    return budget
+    given = {name: getattr(options, name) for name in ("effort", "seconds")}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def limit_of(options: Namespace) -> int:

@@ -14,8 +14,6 @@ USUAL: dict[str, Any] = {
     "split": False,
     "delta": None,
     "targets": None,
-    "memory": None,
-    "accuracy": None,
     "restarts": 0,
     "stationary": False,
     "device": "numpy",
@@ -126,15 +124,6 @@ def add_effort(parser: argparse.ArgumentParser) -> None:
 def add_search(parser: argparse.ArgumentParser) -> None:
     """Add how cells and policies are searched for."""
     add_effort(parser)
-    parser.add_argument(
-        "--memory", metavar="BYTES", help="instead of --cells: the finest that fit (bytes, or with K, M, G)"
-    )
-    parser.add_argument(
-        "--accuracy",
-        type=float,
-        metavar="P",
-        help="instead of --cells: finer until the bound changes by less; with --horizon none: longer until then",
-    )
     parser.add_argument(
         "--restarts", type=int, default=0, metavar="N", help="further searches from perturbed plans (default: 0)"
     )

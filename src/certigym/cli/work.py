@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from ..envs.agents import counted
 from ..envs.problem import Problem, crossed_starts
 from ..synthesis.certificates import CheckReport, Synthesis, rounded_down
 from ..synthesis.checking import checked_once
@@ -22,7 +21,7 @@ from ..synthesis.synthesize import synthesize
 from ..validation.policies import Training
 from ..validation.policies import train as train_baseline
 from ..validation.simulation import TrialPlan, executor_for
-from .given import budget_of, cells_of, is_endless, problem_of, relation_of, say, search_of
+from .given import budget_of, cells_of, is_endless, problem_of, relation_of, search_of
 
 Part = TypeVar("Part")
 
@@ -41,12 +40,7 @@ def synthesized(options: Namespace) -> Synthesis:
         chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
         if is_endless(options):
             chosen["horizon"] = None
-        result = synthesize(problem, cells, **chosen, progress=report)
-    record = result.stats.get("cells")
-    if isinstance(record, dict):
-        shapes = ", ".join(" x ".join(map(str, shape)) for shape in record["cells"])
-        say(options, f"{shapes} cells, the best of {counted(len(record['tried']), 'run')}: {record['stopped']}")
-    return result
+        return synthesize(problem, cells, **chosen, progress=report)
 
 
 @contextmanager

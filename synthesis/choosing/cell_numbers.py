@@ -1,4 +1,4 @@
-"""Numbers of cells that fit together, and the memory that they need.
+"""Numbers of cells that fit together.
 
 A *resolution* is a number of cells per standard deviation of the noise, the same for all axes of all agents: what cells
 lose depends on their width against the noise. Near the number that a resolution asks for on an axis, those numbers are
@@ -9,16 +9,12 @@ preferred
 - under relations with a menu of inputs, for which the means fall on few lattice points per cell: with equal cells of
   widths h the means of axis k lie on the multiples of ``h_k / q`` where ``A_kj h_j / h_k`` has the denominator q. For
   position and velocity, ``p' = p + s v``, cells of width ``h_v = h_p / s`` (or twice that) have q = 1 (or 2).
-
-Memory is estimated from the shapes of tables, policies and menus. What the value function takes is not known
-beforehand; it is scaled from a run with fewer cells (see ``refine``).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from fractions import Fraction
 from itertools import product
 from typing import Any
@@ -28,9 +24,8 @@ import numpy as np
 from ...envs.agents import AnyAgent, LinearAgent, with_expressions
 from ...envs.problem import Problem
 from ..cells import DEFAULT_TARGETS, FloatArray, deviations_of, region_boundaries
-from ..models import BAND_BYTES, INPUT_LEVELS, SNAPPED_POINTS
-from ..readings import LATTICE_BLOCK, REACH_DEVIATIONS
-from ..relations import commands_of, coupling_failure
+from ..models import SNAPPED_POINTS
+from ..relations import commands_of
 
 Shape = tuple[int, ...]
 
@@ -55,41 +50,9 @@ WEIGHING_STATES, DIFFERENCE = 64, 1e-5
 LEAST_WEIGHT = 0.15
 """Least weight of an axis: wider cells on commanded axes would cost inputs and labels too much."""
 
-UNKNOWN_STATES = 3
-"""Automaton states assumed for independent tasks, where the automaton of the whole is not built."""
 
-
-LINEAR_TABLES = 6.0
-"""What linear cells take against other relations: tables of hats, second differences and losses on top (measured)."""
-
-
-@dataclass(frozen=True)
-class AgentCells:
-    """Cells per axis of one agent, and the memory that they need.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Cells per axis.
-    per_cell : tuple of int
-        Lattice points per cell and axis.
-    tables : float
-        Bytes of kernel and choices, building them included.
-    policy : float
-        Bytes of one policy table.
-    points : float
-        Cells and lattice points together: what value functions are arrays over.
-    """
-
-    shape: Shape
-    per_cell: tuple[int, ...]
-    tables: float
-    policy: float
-    points: float
-
-
-def cells_at(problem: Problem, resolution: float, kinds: Sequence[str]) -> dict[str, AgentCells]:
-    """Return cells of every agent at about ``resolution`` cells per standard deviation; equal agents get equal ones.
+def cells_at(problem: Problem, resolution: float, kinds: Sequence[str]) -> dict[str, Shape]:
+    """Return cells per axis of every agent at about ``resolution`` cells per standard deviation of noise.
 
     Parameters
     ----------
@@ -104,41 +67,14 @@ def cells_at(problem: Problem, resolution: float, kinds: Sequence[str]) -> dict[
         corners = (agent.state_low, agent.state_high, agent.input_low, agent.input_high)
         key = (kinds[i], *agent.motion_key, *agent.noise_key, *(a.tobytes() for a in corners))
         alike.setdefault(key, []).append(i)
-    cells_of: dict[int, AgentCells] = {}
+    cells_of: dict[int, Shape] = {}
     for (kind, *_), members in alike.items():
         first = problem.agents[members[0]]
         # The boundaries of all members, so that they share edges, and with them kernels.
         axes = [{b for i in members for b in region_boundaries(problem, i, k)} for k in range(first.n_states)]
-        cells = _agent_cells(problem, first, [sorted(axis) for axis in axes], resolution, kind)
+        cells = _agent_cells(first, [sorted(axis) for axis in axes], resolution, kind)
         cells_of |= dict.fromkeys(members, cells)
     return {agent.name: cells_of[i] for i, agent in enumerate(problem.agents)}
-
-
-def base_bytes(problem: Problem, cells: Mapping[str, AgentCells]) -> float:
-    """Return the bytes of kernels, choices and policies, apart from the value function (an estimate)."""
-    agents = list(cells.values())
-    distinct = {id(agent_cells): agent_cells for agent_cells in agents}.values()
-    # Held at a time: the policies of the last sweep, those of the best one, and those of the starts.
-    policies = 5 if len(agents) > 1 else 4
-    return sum(each.tables for each in distinct) + policies * sum(each.policy for each in agents)
-
-
-def snapping_loss(problem: Problem, cells: Mapping[str, AgentCells]) -> float:
-    """Return an upper bound on what choosing means from a lattice instead of freely can cost a whole run.
-
-    A mean moved by r whitened units changes the law of a step by at most ``2 Phi(r / 2) - 1`` in total variation; the
-    nearest lattice point is half a spacing away per axis at most. Inputs and labels that cells use up come on top.
-    """
-    # Sums of logarithms: probabilities of losing nothing multiply over agents and steps.
-    log_kept = 0.0
-    for agent in problem.agents:
-        agent_cells = cells[agent.name]
-        deviations = deviations_of(agent)
-        points = np.array(agent_cells.shape) * np.array(agent_cells.per_cell)
-        spacing = (agent.state_high - agent.state_low) / points
-        lost = coupling_failure(float(np.linalg.norm(0.5 * spacing / deviations)))
-        log_kept += math.log1p(-min(1 - 1e-12, lost))
-    return min(1.0, -math.expm1(problem.horizon * log_kept))
 
 
 def axis_weights(agent: AnyAgent) -> FloatArray:
@@ -174,10 +110,8 @@ def axis_weights(agent: AnyAgent) -> FloatArray:
     return np.asarray(np.maximum(cost / np.max(cost), LEAST_WEIGHT))
 
 
-def _agent_cells(
-    problem: Problem, agent: AnyAgent, boundaries: Sequence[list[float]], resolution: float, relation: str
-) -> AgentCells:
-    """Return the cells of one agent: of the numbers near the resolution those with the fewest lattice points."""
+def _agent_cells(agent: AnyAgent, boundaries: Sequence[list[float]], resolution: float, relation: str) -> Shape:
+    """Return the cells per axis of one agent: of numbers near the resolution those with the fewest lattice points."""
     span = agent.state_high - agent.state_low
     deviations = deviations_of(agent)
     fineness = resolution * axis_weights(agent)
@@ -203,12 +137,8 @@ def _agent_cells(
             per_cell = _points_per_cell(agent, np.array(shape), even)
         axes = zip(shape, wanted, boundaries, strict=True)
         far = sum(abs(math.log(n / max(number, len(inside) + 1))) for n, number, inside in axes)
-        scored.append((math.prod(per_cell), -sum(even), far, shape, per_cell))
-    *_, shape, per_cell = min(scored)
-    if not isinstance(agent, LinearAgent):
-        return _boxes_sized(problem, agent, shape, per_cell)
-    sized = _sized(problem, agent, shape, per_cell, by_target)
-    return replace(sized, tables=LINEAR_TABLES * sized.tables) if relation == "linear" else sized
+        scored.append((math.prod(per_cell), -sum(even), far, shape))
+    return min(scored)[-1]
 
 
 def _numbers(low: float, high: float, boundaries: Sequence[float], wanted: float) -> list[tuple[int, bool]]:
@@ -273,51 +203,3 @@ def _points_per_cell(agent: LinearAgent, shape: np.ndarray, even: Sequence[bool]
             q = min(q, SNAPPED_POINTS)
         per_cell.append(q)
     return tuple(per_cell)
-
-
-def _sized(
-    problem: Problem, agent: LinearAgent, shape: Shape, per_cell: tuple[int, ...], by_target: bool
-) -> AgentCells:
-    """Return the cells with the bytes of tables, choices and policies (an estimate)."""
-    d, m, n_cells = agent.n_states, agent.n_inputs, math.prod(shape)
-    widths = (agent.state_high - agent.state_low) / np.array(shape)
-    deviations = deviations_of(agent)
-    reach = np.abs(agent.B) @ (0.5 * (agent.input_high - agent.input_low))
-    # Kernel: lattice points inside the grid and as far beyond as means get, times the cells in the band of each.
-    lattice, kernel = 1.0, 0.0
-    for k in range(d):
-        beyond = 2 * reach[k] + (np.abs(agent.A[k]) - np.eye(d)[k]).clip(0) @ (agent.state_high - agent.state_low)
-        beyond = min(beyond, 6 * deviations[k]) if by_target else beyond
-        points = shape[k] * per_cell[k] * (1 + beyond / (agent.state_high[k] - agent.state_low[k]))
-        band = min(shape[k], 2 * REACH_DEVIATIONS * deviations[k] / widths[k] + LATTICE_BLOCK / per_cell[k])
-        kernel += 8 * points * band
-        lattice *= points
-    if by_target:
-        # Windows and what is computed to make them, per cell, and the remembered bands of targets.
-        window = math.prod(2 * r / w * q + 1 for r, w, q in zip(reach, widths, per_cell, strict=True))
-        choices = n_cells * (8 * d + 40 * d + 16 * m) + min(BAND_BYTES, 2.0 * n_cells * min(window, lattice))
-    else:
-        # The menu, and the means and distances that it is made from, per cell and input.
-        inputs = {1: 41, 2: 169}.get(m, 5**m)
-        step = [float(np.min(widths[c != 0] / np.abs(c[c != 0]))) if c.any() else math.inf for c in agent.B.T]
-        spread = agent.input_high - agent.input_low
-        inputs = min(inputs, math.prod(max(5, math.ceil(s / h) + 1) for s, h in zip(spread, step, strict=True)))
-        choices = n_cells * inputs * (4 + 8 * (3 * d + 4))
-    policy = 4.0 * problem.horizon * _n_states(problem) * n_cells
-    return AgentCells(shape, per_cell, kernel + choices, policy, n_cells + lattice)
-
-
-def _boxes_sized(problem: Problem, agent: AnyAgent, shape: Shape, per_cell: tuple[int, ...]) -> AgentCells:
-    """Return the cells of an agent with expressions, with the bytes of boxes, lattice and policies (an estimate)."""
-    d, n_cells = agent.n_states, math.prod(shape)
-    lattice = float(math.prod(n * k for n, k in zip(shape, per_cell, strict=True)))
-    # Corners of boxes, the windows that cover them, and some lattice tables at a time.
-    inputs = INPUT_LEVELS.get(agent.n_inputs, 3) ** agent.n_inputs
-    tables = n_cells * inputs * (16.0 * d + 4.0 * 2**d + 2.0) + 64.0 * lattice
-    policy = 4.0 * problem.horizon * _n_states(problem) * n_cells
-    return AgentCells(shape, per_cell, tables, policy, n_cells + lattice)
-
-
-def _n_states(problem: Problem) -> int:
-    """Return the automaton states that need policies, or a guess where the automaton of the whole is not built."""
-    return UNKNOWN_STATES if getattr(problem, "groups", ()) else problem.automaton.n_states
