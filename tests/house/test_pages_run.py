@@ -50,7 +50,6 @@ QUICKER: dict[str, dict[str, str]] = {
     "many_agents.md": {
         "(problem, 20)": "(problem, 10)",
         "5_000": "1_000",
-        "parking, 40, horizon": "parking, 30, horizon",
         '"invariance-b-20-v0", 100': '"invariance-b-20-v0", 40',
     },
     "networks.md": {"steps=2_000": "steps=512"},
