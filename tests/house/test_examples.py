@@ -21,7 +21,7 @@ QUICKER: dict[str, dict[str, str]] = {
     "12_horizons_and_deadlines.py": {"100, horizon=(5": "40, horizon=(5", "horizon=6), 100": "horizon=6), 40",
                                      "problem, 60, horizon": "problem, 30, horizon",
                                      '("car-park-v0", above': '("car-park-v0", 40, above',
-                                     '"invariance-b-20-v0", 100': '"invariance-b-20-v0", 40', "rays=16": "rays=4"},
+                                     '"invariance-b-20-v0", 100': '"invariance-b-20-v0", 40'},
     "05_cells_and_relations.py": {"(25, 100, 400)": "(25, 50)", "range(1, 8)": "range(1, 4)",
                                   "100, horizon": "50, horizon", "episodes=4_000": "episodes=1_000"},
 }  # fmt: skip
