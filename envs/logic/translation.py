@@ -1,6 +1,6 @@
 """From a formula to its minimal deterministic automaton.
 
-A state of the built-in translator is a positive Boolean function of obligations (`obligations`), expanded letter by
+A state of the translator is a positive Boolean function of obligations (`obligations`), expanded letter by
 letter from the formula. The sub-diagrams below the propositions are its successors, so letters are never enumerated.
 For co-safe semantics acceptance is then made absorbing and closed under "all successors accept" (`saturated`). Finally
 equivalent states are merged. The first letter that the automaton reads is that of x0.
@@ -22,8 +22,6 @@ from .normal_form import NormalForm, Term, Terms, check_names
 from .obligations import Obligations
 from .parser import Formula, FormulaError, parse_formula
 
-BACKENDS = ("builtin", "mona")
-
 MOST_NODES = 5_000_000
 """Most nodes of the diagrams that are built: about a gigabyte."""
 
@@ -43,7 +41,6 @@ def translate(
     propositions: Sequence[str],
     semantics: str = "co-safe",
     families: Mapping[str, Sequence[str]] | None = None,
-    backend: str = "builtin",
     max_states: int = 10_000,
     max_nodes: int = MOST_NODES,
 ) -> Automaton:
@@ -62,8 +59,6 @@ def translate(
         ``"finite-trace"``: LTLf, judged after the last letter.
     families : mapping, optional
         Members of each family, for ``all(family)`` and ``any(family)``.
-    backend : str
-        ``"builtin"``, or ``"mona"`` if the program of that name is on the path. Both give equal arrays.
     max_states : int
         Largest number of states that is built, before minimisation.
     max_nodes : int
@@ -76,7 +71,7 @@ def translate(
     AutomatonSizeError
         If the automaton needs more states or nodes than may be built; a ``FormulaError``.
     ValueError
-        If another argument is wrong, or the back end is not available; or if an automaton is not of that form.
+        If another argument is wrong, or if an automaton is not of that form.
 
     Examples
     --------
@@ -97,8 +92,6 @@ def translate(
             raise ValueError(f"`semantics`: expected 'co-safe' for an automaton in HOA format, got {semantics!r}")
         return automaton_from_hoa(task, propositions)
     formula = task
-    if backend not in BACKENDS:
-        raise ValueError(f"`backend`: expected one of {', '.join(BACKENDS)}, got {backend!r}")
     families = families or {}
     check_names(propositions, families)
     if not isinstance(formula, Formula):
@@ -107,12 +100,7 @@ def translate(
     reader = NormalForm(propositions, families, co_safe)
     term = reader.read(formula)
     try:
-        if backend == "mona":
-            from .mona import mona_states
-
-            graph = mona_states(term, tuple(propositions), co_safe, max_states)
-        else:
-            graph = _explore(term, reader.terms, tuple(propositions), co_safe, (max_states, max_nodes))
+        graph = _explore(term, reader.terms, tuple(propositions), co_safe, (max_states, max_nodes))
         return minimal_automaton(saturated(graph) if co_safe else graph, semantics, judge_empty_word=co_safe)
     except DiagramSizeError as error:
         raise AutomatonSizeError(f"the automaton is too large: {error}; simplify the formula", formula.text) from error

@@ -14,30 +14,28 @@ from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ..certificates import any_certificate
 from ..controllers import InputTable, Vectorized, decentralised, vectorized
-from . import onnx_files, rllib, stable_baselines3, tianshou, torch_modules, torchrl, weight_arrays
+from . import onnx_files, stable_baselines3, torch_modules, weight_arrays
 from .actor_files import NotAnActor, read_actor
 from .environments import matched
 from .found import Found, Reader
 from .local_policies import LocalController
 from .model_policies import Model, OwnModels, TeamModels, policy_of
 
-READERS: tuple[Reader, ...] = (
-    stable_baselines3, torchrl, tianshou, rllib, torch_modules, onnx_files, weight_arrays,
-)  # fmt: skip
+READERS: tuple[Reader, ...] = (stable_baselines3, torch_modules, onnx_files, weight_arrays)
 """Libraries in the order in which they are asked: modules of torch are last of those that are made of such modules."""
 
 FILES: dict[str, Any] = {
     ".zip": stable_baselines3, ".onnx": onnx_files, ".pt": torch_modules, ".pth": torch_modules,
 }  # fmt: skip
-"""Who reads files, by their ends; folders are checkpoints of RLlib."""
+"""Who reads files, by their ends."""
 
 UNREADABLE = (zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, EOFError, KeyError)
 """What libraries raise at files that are not theirs."""
 
 RUN = frozenset({".zip", ".pt", ".pth"})
-"""Ends of files that may run code as they are read, as checkpoints do."""
+"""Ends of files that may run code as they are read."""
 
-FACTS = ("activation", "squashed", "key", "answer", "module", "trust")
+FACTS = ("activation", "squashed", "trust")
 """What may be said of a model that it does not say itself."""
 
 
@@ -50,20 +48,18 @@ def as_policy(model: Any, problem: Any, env: Any = None, **facts: Any) -> Any:
     Parameters
     ----------
     model : object, str or Path
-        A model or policy of Stable-Baselines3 or sb3-contrib, of TorchRL, Tianshou or RLlib; a module of torch; layers
-        as arrays (JAX, flax); the path of a file: ``.zip`` (Stable-Baselines3), ``.onnx``, ``.pt``, a checkpoint of
-        RLlib, a certificate. A mapping from agent names to these, a model for each agent. Or what is a policy already:
-        a function ``u = f(x, q, time)`` of the agent's own state (d,), automaton state and time, a table, a controller,
-        a certificate, anything with ``batch(dynamics)``.
+        A model or policy of Stable-Baselines3 or sb3-contrib; a module of torch; layers as arrays (JAX, flax); the path
+        of a file: ``.zip`` (Stable-Baselines3), ``.onnx``, ``.pt``, a certificate. A mapping from agent names to these,
+        a model for each agent. Or what is a policy already: a function ``u = f(x, q, time)`` of the agent's own state
+        (d,), automaton state and time, a table, a controller, a certificate, anything with ``batch(dynamics)``.
     problem : Problem, id or path
         On which it acts.
     env : environment or str, optional
         In which it was trained, or how that is made: ``cg.parallel_env(id, actions="unit")``, or
         ``"parallel_env(actions=unit)"``. Needed where a model does not say what it observes.
     **facts
-        ``activation`` ("tanh" or "relu") and ``squashed`` (whether tanh follows the outputs) of arrays; ``key`` and
-        ``answer``, what a policy of TorchRL reads and writes; ``module``, the name of a module of RLlib; ``trust``,
-        whether files may run code that is in them (default: True). Reading ``.zip``, ``.pt`` and checkpoints runs such
+        ``activation`` ("tanh" or "relu") and ``squashed`` (whether tanh follows the outputs) of arrays; ``trust``,
+        whether files may run code that is in them (default: True). Reading ``.zip`` and ``.pt`` runs such
         code (pickle), unless a ``.pt`` holds numbers alone: give only files that you trust, or ``trust=False``.
 
     Returns
@@ -178,7 +174,7 @@ def _of_file(path: Path, problem: Problem, env: Any, facts: dict[str, Any]) -> A
             f"`policy`: expected a function or a table, a model, or the path of a file or folder that exists, got "
             f"{str(path)!r}"
         )
-    reader = rllib if path.is_dir() else FILES.get(path.suffix)
+    reader = FILES.get(path.suffix)
     if reader is None:
         try:
             found, own = read_actor(path, problem.n_agents)

@@ -1,4 +1,4 @@
-"""The built-in translator and MONA give the same minimal automaton, array by array."""
+"""The translator and MONA give the same minimal automaton, array by array."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from certigym.envs.logic import mona
+import mona
 from certigym.envs.logic.parser import FormulaError
 from certigym.envs.logic.translation import translate
 from temporal_oracle import random_co_safe, random_formula, text
@@ -35,7 +35,7 @@ FORMULAS = [
 @pytest.mark.parametrize("formula", FORMULAS)
 def test_chosen_formulas(formula: str) -> None:
     names = (*ABC, "p1", "p2", "p3")
-    ours, theirs = (translate(formula, names, "finite-trace", backend=b) for b in ("builtin", "mona"))
+    ours, theirs = translate(formula, names, "finite-trace"), mona.translated(formula, names, "finite-trace")
     assert ours.to_dict() == theirs.to_dict()
 
 
@@ -45,7 +45,7 @@ def test_random_finite_trace_formulas() -> None:
     rng = random.Random(11)
     for _ in range(150):
         formula = text(random_formula(rng, ABC, rng.choice([2, 3, 4])))
-        ours, theirs = (translate(formula, ABC, "finite-trace", backend=b) for b in ("builtin", "mona"))
+        ours, theirs = translate(formula, ABC, "finite-trace"), mona.translated(formula, ABC, "finite-trace")
         assert ours.to_dict() == theirs.to_dict(), formula
 
 
@@ -55,7 +55,7 @@ def test_random_co_safe_formulas() -> None:
     rng = random.Random(12)
     for _ in range(150):
         formula = text(random_co_safe(rng, ABC, rng.choice([2, 3, 4])))
-        ours, theirs = (translate(formula, ABC, "co-safe", backend=b) for b in ("builtin", "mona"))
+        ours, theirs = translate(formula, ABC, "co-safe"), mona.translated(formula, ABC, "co-safe")
         assert ours.to_dict() == theirs.to_dict(), formula
 
 
@@ -64,17 +64,17 @@ def test_families_and_limits() -> None:
     names = [f"{kind}_{i}" for i in range(12) for kind in ("safe", "target")]
     families = {"safe": names[::2], "target": names[1::2]}
     formula = "all(safe) U (any(target) & all(safe))"
-    ours, theirs = (translate(formula, names, "co-safe", families, b) for b in ("builtin", "mona"))
+    ours, theirs = (read(formula, names, "co-safe", families) for read in (translate, mona.translated))
     assert ours.to_dict() == theirs.to_dict()
     with pytest.raises(FormulaError, match="max_states"):
-        translate("F[0,30] a", ABC, "co-safe", backend="mona", max_states=10)
+        mona.translated("F[0,30] a", ABC, "co-safe", max_states=10)
 
 
-def test_a_missing_program_is_an_error_that_names_the_other_back_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_program_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mona.shutil, "which", lambda name: None)
     assert not mona.mona_available()
-    with pytest.raises(ValueError, match=r'`backend`: expected the program mona on the path .* use "builtin"'):
-        translate("F a", ABC, "co-safe", backend="mona")
+    with pytest.raises(ValueError, match="expected the program mona on the path"):
+        mona.translated("F a", ABC, "co-safe")
 
 
 FAKES = [
@@ -94,7 +94,7 @@ def test_strange_answers_are_errors(script: str, message: str, tmp_path: Path, m
     program.chmod(0o755)
     monkeypatch.setattr(mona.shutil, "which", lambda name: str(program))
     with pytest.raises(ValueError, match=message):
-        translate("F a", ABC, "co-safe", backend="mona")
+        mona.translated("F a", ABC, "co-safe")
 
 
 def test_a_program_that_hangs_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,4 +104,4 @@ def test_a_program_that_hangs_is_stopped(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(mona.shutil, "which", lambda name: str(program))
     monkeypatch.setattr(mona, "_TIMEOUT", 0.2)
     with pytest.raises(FormulaError, match="mona took more than"):
-        translate("F a", ABC, "co-safe", backend="mona")
+        mona.translated("F a", ABC, "co-safe")

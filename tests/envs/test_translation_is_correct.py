@@ -267,7 +267,6 @@ def test_names_are_declared() -> None:
         (("a", ["a"], "co-safe", {"f": []}), "`families`: expected members"),
         (("a", ["a"], "co-safe", {"f": ["b"]}), "`families`: expected declared"),
         (("a", ["a"], "co-safe", {"f": "a"}), "`families`: expected a list"),
-        (("a", ["a"], "co-safe", {}, "spot"), "`backend`: expected one of builtin, mona"),
         ((3, ["a"], "co-safe"), "`formula`: expected a string"),
     ],
 )

@@ -121,7 +121,6 @@ MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     (lambda: cg.synthesize(PROBLEM, cell=10), "cell", "did you mean `cells`?"),
     (lambda: cg.synthesize(PROBLEM, relation="exakt"), "relation", "one of auto, boxes"),
     (lambda: cg.synthesize(PROBLEM, cells=20, relation="paper"), "epsilon", "more `cells`"),
-    (lambda: cg.translate("F a", ["a"], "co-safe", backend="ltl2ba"), "backend", "one of builtin, mona"),
     (lambda: automaton_from_hoa("hello", ["a"]), "hoa", "HOA: v1 at the beginning"),
     # environments
     (lambda: cg.parallel_env("reach-avoid"), "id", "did you mean 'reach-avoid-v0'?"),

@@ -49,11 +49,11 @@ def policy_of_file(problem: Problem, name: str, trust: bool) -> Any:
     if str(file) == "." or not file.exists():
         raise ValueError(
             f"`{name}`: expected certified, {', '.join(ALGORITHMS)}, random, idle, FILE.py:NAME or an existing file: "
-            ".npz (actor or certificate), .zip (Stable-Baselines3), .onnx, .pt, a folder of RLlib, followed by @ENV "
+            ".npz (actor or certificate), .zip (Stable-Baselines3), .onnx, .pt, followed by @ENV "
             "where it was trained in another environment than it says"
         )
     if file.suffix != ".npz":
-        if trust and (file.is_dir() or file.suffix in RUN):
+        if trust and file.suffix in RUN:
             print(f"certigym: `{file}` may run code that is in it as it is read (--trust)", file=sys.stderr)
         return as_policy(name, problem, trust=trust)
     try:

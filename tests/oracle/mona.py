@@ -18,13 +18,16 @@ import re
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from .decision_diagram import DecisionDiagrams
-from .formula import FormulaError
-from .guard_diagrams import CONFLICT, MISSING, joined_guards
-from .minimal import StateGraph
-from .normal_form import Term
+from certigym.envs.logic.automaton import Automaton
+from certigym.envs.logic.decision_diagram import DecisionDiagrams
+from certigym.envs.logic.formula import FormulaError
+from certigym.envs.logic.guard_diagrams import CONFLICT, MISSING, joined_guards
+from certigym.envs.logic.minimal import StateGraph, minimal_automaton, saturated
+from certigym.envs.logic.normal_form import NormalForm, Term
+from certigym.envs.logic.parser import parse_formula
 
 _TIMEOUT = 120.0
 """Seconds that MONA may take; sentences of the sizes met here take well below one."""
@@ -33,6 +36,20 @@ _TIMEOUT = 120.0
 def mona_available() -> bool:
     """Return whether the program ``mona`` is on the path."""
     return shutil.which("mona") is not None
+
+
+def translated(
+    formula: str,
+    propositions: Sequence[str],
+    semantics: str,
+    families: Mapping[str, Sequence[str]] | None = None,
+    max_states: int = 10_000,
+) -> Automaton:
+    """Return the automaton of a formula as MONA computes it, with the same arrays as ``certigym.translate``."""
+    co_safe = semantics == "co-safe"
+    term = NormalForm(propositions, families or {}, co_safe).read(parse_formula(formula))
+    graph = mona_states(term, tuple(propositions), co_safe, max_states)
+    return minimal_automaton(saturated(graph) if co_safe else graph, semantics, judge_empty_word=co_safe)
 
 
 def mona_states(term: Term, propositions: tuple[str, ...], co_safe: bool, max_states: int) -> StateGraph:
@@ -116,7 +133,7 @@ def _run(text: str) -> str:
     """Return the text that MONA prints about the sentence in `text`."""
     program = shutil.which("mona")
     if program is None:
-        raise ValueError('`backend`: expected the program mona on the path for "mona", found none; use "builtin"')
+        raise ValueError("expected the program mona on the path, found none")
     # No shell is involved, and the file name is fixed: formulas cannot reach the command line.
     with tempfile.TemporaryDirectory(prefix="certigym-mona-") as folder:
         (Path(folder) / "formula.mona").write_text(text, encoding="ascii")
@@ -133,7 +150,7 @@ def _run(text: str) -> str:
             raise FormulaError(f"mona took more than {_TIMEOUT:.0f} s; simplify the formula") from error
     if done.returncode != 0 or "Transitions:" not in done.stdout:
         message = (done.stderr or done.stdout).strip()[:300]
-        raise ValueError(f"`backend`: mona failed with status {done.returncode}: {message}")
+        raise ValueError(f"mona failed with status {done.returncode}: {message}")
     return done.stdout
 
 
@@ -142,7 +159,7 @@ def _parsed(output: str, used: list[int], propositions: tuple[str, ...], max_sta
     count = re.search(r"^Automaton has (\d+) states?", output, re.MULTILINE)
     accept = re.search(r"^Accepting states: *([\d ]*)$", output, re.MULTILINE)
     if count is None or accept is None:
-        raise ValueError(f"`backend`: cannot read the answer of mona: {output[:300]!r}")
+        raise ValueError(f"cannot read the answer of mona: {output[:300]!r}")
     n_states = int(count.group(1))
     if n_states > max_states + 1:
         raise FormulaError(f"the automaton needs more than `max_states` = {max_states} states")
@@ -155,10 +172,10 @@ def _parsed(output: str, used: list[int], propositions: tuple[str, ...], max_sta
     roots = [joined_guards(diagrams, pairs) for pairs in guarded]
     for root in roots:
         if set(diagrams.leaves(root)) & {MISSING, CONFLICT}:
-            raise ValueError("`backend`: the transitions printed by mona are not deterministic and complete")
+            raise ValueError("the transitions printed by mona are not deterministic and complete")
     # State 0 reads the Boolean variables: its only successor is the state before the first letter.
     if not diagrams.is_terminal(roots[0]):
-        raise ValueError("`backend`: expected the first step of mona's automaton to depend on no proposition")
+        raise ValueError("expected the first step of mona's automaton to depend on no proposition")
     accepting = {int(q) for q in accept.group(1).split()}
     initial = diagrams.value(roots[0])
     return StateGraph(propositions, diagrams, roots, [q in accepting for q in range(n_states)], initial)
