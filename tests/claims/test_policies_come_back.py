@@ -433,8 +433,7 @@ def test_files_run_no_code_unless_they_are_trusted(
 def test_every_kind_of_file_that_is_unpickled_may_be_refused(problem: cg.Problem, tmp_path: Path) -> None:
     sb3.PPO("MlpPolicy", shared_vec_env(problem, 2), n_steps=8, batch_size=16, device="cpu").save(tmp_path / "m.zip")
     torch.save(chain(4, 1), tmp_path / "m.pt")
-    (tmp_path / "checkpoint").mkdir()
-    for name in ("m.zip", "m.pt", "checkpoint"):
+    for name in ("m.zip", "m.pt"):
         with pytest.raises(ValueError, match="runs code"):
             cg.as_policy(tmp_path / name, problem, trust=False)
 
