@@ -11,6 +11,7 @@ import certigym as cg
 from adversary import FALSE_ALARM, claim, drawn, forged, problem_of
 from forgeries import forgeries, opened
 from kind_trials import forged_cells, trial
+from kinds import mostly_thorough
 from small_problems import MAKERS, small_spec
 
 CLAIMS, WRITTEN, FIRST, EPISODES = 6, 3, 900_000, 10_000
@@ -19,7 +20,7 @@ SMALL = 1
 """Small problems of every kind."""
 
 
-@pytest.mark.parametrize("seed", range(FIRST, FIRST + CLAIMS))
+@mostly_thorough("seed", range(FIRST, FIRST + CLAIMS), first=2)
 def test_random_claims_are_true(seed: int) -> None:
     """An independent simulator agrees with claim, upper ends and check; or the problem is refused in words."""
     row = claim(seed, EPISODES, FALSE_ALARM / (3 * CLAIMS))
@@ -39,14 +40,14 @@ def test_random_claims_about_written_agents_are_true(seed: int, kind: str) -> No
     assert row["outcome"] in ("refused", "certified", "nothing certified")
 
 
-@pytest.mark.parametrize("kind", sorted(MAKERS))
+@mostly_thorough("kind", sorted(MAKERS), first=2)
 def test_small_problems_of_every_kind_are_true_and_accepted(kind: str) -> None:
     """Claims of every kind that the simulator does not refute pass the check; false alarm 1e-6 over all kinds."""
     rows = [trial(kind, seed, FALSE_ALARM / (SMALL * len(MAKERS)), 0) for seed in range(FIRST, FIRST + SMALL)]
     assert [row for row in rows if row["finding"]] == []
 
 
-@pytest.mark.parametrize("kind", ["states", "paths", "hulls", "networks"])
+@mostly_thorough("kind", ["states", "paths", "hulls", "networks"])
 def test_forgeries_of_one_cell_are_refused_or_true(kind: str) -> None:
     """One entry of an honest claim is another: what is false is refused; some are refused, so that the forger works."""
     found = []
@@ -71,6 +72,7 @@ def _certified(first: int, relation: str | None = None) -> tuple[dict, cg.Certif
     raise AssertionError("no problem was certified")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("first", "relation"), [(910_001, None), (910_004, "written"), (910_001, "uneven")])
 def test_forgeries_are_refused_or_true(first: int, relation: str | None, tmp_path: Path) -> None:
     spec, certificate = _certified(first, relation)

@@ -19,6 +19,7 @@ from certigym.synthesis.readings.box_kernel import BoxKernel
 from certigym.synthesis.readings.kernel import Kernel
 from certigym.synthesis.relations import BoxRelation, MeanBoxes, box_relation
 from certigym.synthesis.values import Terms
+from kinds import mostly_thorough
 from problems import cart, cart_reach, scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6
@@ -40,6 +41,7 @@ def of_team() -> cg.Certificate:
 CERTIFICATES = {"cart": of_cart, "team": of_team}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", CERTIFICATES)
 def test_files_and_rollouts_agree(name: str, tmp_path: Path) -> None:
     """40,000 episodes notice a claim that is too large by about .01 at a false-alarm rate of 1e-6."""
@@ -130,8 +132,8 @@ FORGERIES: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
 }
 
 
-@pytest.mark.parametrize("name", CERTIFICATES)
-@pytest.mark.parametrize("forgery", FORGERIES)
+@mostly_thorough("name", CERTIFICATES)
+@mostly_thorough("forgery", FORGERIES)
 def test_forgeries_are_refused_in_words(forgery: str, name: str, tmp_path: Path) -> None:
     certificate = CERTIFICATES[name]()
     try:
@@ -181,8 +183,8 @@ SABOTAGE: dict[str, tuple[Any, str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("sabotage", SABOTAGE)
-@pytest.mark.parametrize("name", CERTIFICATES)
+@mostly_thorough("sabotage", SABOTAGE)
+@mostly_thorough("name", CERTIFICATES)
 def test_the_check_refuses_what_a_wrong_search_claims(
     sabotage: str, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

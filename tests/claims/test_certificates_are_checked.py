@@ -16,6 +16,7 @@ from certigym.synthesis.cells import Grid
 from certigym.synthesis.certificates import OnGrid, changed, delta_of
 from certigym.synthesis.checking.grid_check import _is_inverted
 from certigym.synthesis.values.terms import Terms
+from kinds import mostly_thorough
 from problems import scalar_agent, two_agents
 
 
@@ -30,7 +31,7 @@ def with_agent(certificate: OnGrid, i: int, **changes: Any) -> OnGrid:
     return changed(certificate, agents=tuple(agents))
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     "problem",
     [
         two_agents(horizon=5),
@@ -40,6 +41,7 @@ def with_agent(certificate: OnGrid, i: int, **changes: Any) -> OnGrid:
         cg.make_problem("reach-avoid-n-v0", n_agents=3),
         cg.make_problem("invariance-4-v0"),
     ],
+    first=2,
     ids=lambda problem: f"{problem.specification.formula}-{problem.agents[0].initial.low}",
 )
 def test_certificates_check_and_survive_the_disk(problem: cg.Problem, tmp_path: Path) -> None:

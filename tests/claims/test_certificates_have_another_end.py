@@ -15,6 +15,7 @@ from certigym.envs.problem import opposite_of
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.choosing import effort
 from certigym.synthesis.upper_ends import bound_above
+from kinds import mostly_thorough
 from problems import two_agents
 from written_problems import oscillator_reach
 
@@ -38,6 +39,7 @@ MADE = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", MADE)
 def test_rollouts_lie_between_both_ends(kind: str) -> None:
     certificate = MADE[kind]()
@@ -64,6 +66,7 @@ def test_the_upper_end_is_near_that_of_exact_claims() -> None:
     assert cg.check(end) and abs(end.upper_bound - certificate.upper_bound) < 1e-7
 
 
+@pytest.mark.thorough
 def test_other_controllers_are_refused() -> None:
     """The upper end of better or worse controllers says nothing about these."""
     good = parked(60)
@@ -97,7 +100,7 @@ def forgeries() -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("said", range(7))
+@mostly_thorough("said", range(7), first=2)
 def test_upper_ends_that_do_not_hold_are_refused(said: int) -> None:
     pattern, forged = list(forgeries().items())[said]
     report = cg.check(forged)

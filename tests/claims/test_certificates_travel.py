@@ -24,6 +24,7 @@ from certigym.synthesis.cells import Grid
 from certigym.synthesis.certificates import OnGrid
 from certigym.synthesis.certificates.archive import _digest
 from certigym.synthesis.checking.regrown_tree import regrow
+from kinds import mostly_thorough
 from problems import two_agents
 from test_rollouts_agree_with_certificates import changed, correlated
 
@@ -57,6 +58,7 @@ def packed(header: dict[str, Any], arrays: list[np.ndarray], path: Path, renew: 
     return path
 
 
+@pytest.mark.thorough
 def test_a_stranger_needs_only_the_file(raw: bytes, tmp_path: Path) -> None:
     (tmp_path / "c.npz").write_bytes(raw)
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "src")}
@@ -81,6 +83,7 @@ def test_every_truncation_is_refused(raw: bytes, tmp_path: Path) -> None:
             cg.load(path)
 
 
+@pytest.mark.thorough
 def test_flipped_bits_are_refused_or_without_effect(raw: bytes, certificate: OnGrid, tmp_path: Path) -> None:
     rng, path, refused = np.random.default_rng(0), tmp_path / "c.npz", 0
     for _ in range(125):
@@ -186,7 +189,7 @@ HOSTILE: dict[str, Callable[[dict[str, Any]], None]] = {
 }
 
 
-@pytest.mark.parametrize("name", [n for n in HOSTILE if n != "deep settings"])
+@mostly_thorough("name", [n for n in HOSTILE if n != "deep settings"], first=14)
 def test_hostile_headers_are_refused_in_one_line(
     raw: bytes, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import OnGrid
+from kinds import mostly_thorough
 
 Path = tuple[Any, ...]
 
@@ -51,7 +52,7 @@ def certificate(request: pytest.FixtureRequest) -> OnGrid:
     return made
 
 
-@pytest.mark.parametrize("number", [-7, 10**6])
+@mostly_thorough("number", [-7, 10**6], first=2)
 def test_numbers_out_of_range_are_answered(certificate: OnGrid, number: int) -> None:
     arrays = list(whole_numbers(certificate))
     assert len(arrays) > 15

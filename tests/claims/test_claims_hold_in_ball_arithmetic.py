@@ -41,6 +41,7 @@ from balls.ball_masses import lost  # noqa: E402
 from balls.ball_memory import Memory  # noqa: E402
 from balls.ball_proofs import PROOFS  # noqa: E402
 from balls.ball_relations import aims, targets  # noqa: E402
+from kinds import mostly_thorough
 
 ROOT = Path(__file__).parents[2]
 
@@ -62,7 +63,7 @@ KINDS: dict[str, tuple[str, int, dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@mostly_thorough("kind", KINDS)
 def test_honest_claims_stand(kind: str) -> None:
     name, cells, options = KINDS[kind]
     certificate = synthesized(name, cells, **options)
@@ -130,7 +131,7 @@ def law_of(numbers: dict[str, Any]) -> Law:
     return Gaussian(numbers["std"]) if laws is None else laws[0]
 
 
-@pytest.mark.parametrize("numbers", LAWS, ids=name_of)
+@mostly_thorough("numbers", LAWS, ids=name_of)
 def test_every_law_is_proved(numbers: dict[str, Any]) -> None:
     for relation in ("exact", "boxes"):
         certificate = cg.synthesize(robot(noise=[numbers]), 40, relation=relation).certificate
@@ -301,7 +302,7 @@ def without_an_upper_end(certificate: Any) -> Any:
     return changed(certificate, gap=None) if isinstance(certificate.proof, GridProof) else certificate
 
 
-@pytest.mark.parametrize("kind", SABOTAGE)
+@mostly_thorough("kind", SABOTAGE, first=2)
 def test_what_the_check_takes_on_trust_is_proved(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     row, sabotage, said = SABOTAGE[kind]
     certificate = without_an_upper_end(certificate_of(row))

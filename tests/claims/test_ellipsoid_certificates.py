@@ -20,6 +20,7 @@ from certigym.synthesis.models import abstraction
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.relations.coupled import CoupledRelation
 from certigym.validation.statistics.binomial import REFUTED
+from kinds import mostly_thorough
 from problems import cart, cart_reach
 
 pytest.importorskip("cvxpy", reason="the extra lmi is not installed")
@@ -39,8 +40,8 @@ def synthesis(name: str, delta: float | None) -> cg.Synthesis:
     return cg.synthesize(CASES[name], [48, 48], relation="ellipsoid", delta=delta, max_sweeps=1)
 
 
-@pytest.mark.parametrize("delta", [None, 0.001, 0.01])
-@pytest.mark.parametrize("name", CASES)
+@mostly_thorough("delta", [None, 0.001, 0.01])
+@mostly_thorough("name", CASES)
 def test_ellipsoid_bounds_hold_and_check(name: str, delta: float | None) -> None:
     """One-sided at 1e-6 / 9, 20,000 rollouts."""
     result = synthesis(name, delta)
@@ -53,6 +54,7 @@ def test_ellipsoid_bounds_hold_and_check(name: str, delta: float | None) -> None
     assert report.lower_bound > 0.3
 
 
+@pytest.mark.thorough
 def test_two_agents_couple_with_independent_coins() -> None:
     """RA4 on 40 x 40 cells from near its goal: the bound is positive, checked, and not refuted at 1e-6."""
     near = cg.make_problem("reach-avoid-kinematic-v0").replace(horizon=8, initial_state=[-6.0, 0.0, -4.0, 0.0])
@@ -123,6 +125,7 @@ def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch)
     assert not cg.check(certificate)
 
 
+@pytest.mark.thorough
 def test_delta_belongs_to_relations_that_have_one() -> None:
     for relation in ("auto", "exact", "tube"):
         with pytest.raises(ValueError, match=rf"`delta`: expected none with relation `{relation}`, got 0.01"):

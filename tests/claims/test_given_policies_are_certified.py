@@ -45,6 +45,7 @@ def test_the_bound_is_that_of_the_wrapped_policy() -> None:
     assert report.details["inadmissible"] == 0
 
 
+@pytest.mark.thorough
 def test_wrapped_and_raw_policy_come_together_on_fine_cells() -> None:
     """Common noise, 40,000 episodes each: the rates differ by less than .01 at 400 cells, by more at 8."""
     raw = cg.rollout(PROBLEM, cg.as_controller(PROBLEM, POLICY), 40_000, seed=5)

@@ -16,6 +16,7 @@ import certigym as cg
 from certigym.synthesis.certificates import changed, value_of
 from certigym.synthesis.masses import AgentPart
 from certigym.synthesis.values import Terms
+from kinds import mostly_thorough
 from problems import cart, cart_reach, scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6
@@ -200,7 +201,7 @@ def test_forged_targets_are_refused(name: str, tmp_path: Path) -> None:
     assert refused(TARGETS[name], of_targets(), tmp_path / "forged.npz")
 
 
-@pytest.mark.parametrize("name", MENU)
+@mostly_thorough("name", MENU, first=5)
 def test_forged_menus_are_refused(name: str, tmp_path: Path) -> None:
     assert cg.check(of_menu())
     assert refused(MENU[name], of_menu(), tmp_path / "forged.npz")
@@ -260,7 +261,7 @@ def test_stored_factors_leave_room_for_the_rounding_of_means() -> None:
     assert certificate.lower_bound > 0.1
 
 
-@pytest.mark.parametrize("cells", [33, 118, 260, 261, 401])
+@mostly_thorough("cells", [33, 118, 260, 261, 401], first=2)
 def test_cells_that_are_equal_up_to_the_rounding_of_edges_are_read_alike_by_the_check(cells: int) -> None:
     """Edges have eleven decimals here: whether cells count as equal must not depend on which code asks."""
     problem = cg.make_problem("reach-avoid-n-v0", n_agents=1, horizon=2)

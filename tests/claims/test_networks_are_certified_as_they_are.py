@@ -22,6 +22,7 @@ from certigym.synthesis.relations.network_bounds import line_around, mean_bounds
 from certigym.synthesis.step_checking.network_enclosures import network_spans
 from certigym.validation.policies.actors import CentralActor, SharedActor, TeamActor, load_actor, save_actor
 from certigym.validation.policies.views import CentralView, SharedView
+from kinds import mostly_thorough
 from network_problems import RNG, means_at, network, proportional, reach, with_network
 from problems import cart, linear, scalar_agent
 
@@ -44,8 +45,8 @@ SHAPES = [
 ]
 
 
-@pytest.mark.parametrize("hidden, activation, squashed", SHAPES)
-@pytest.mark.parametrize("make", [scalar_agent, cart])
+@mostly_thorough("hidden, activation, squashed", SHAPES)
+@mostly_thorough("make", [scalar_agent, cart])
 def test_no_point_of_a_cell_leaves_its_box(hidden: list[int], activation: str, squashed: bool, make: Any) -> None:
     """Dense samples of closed cells, corners among them; the boxes of the check lie inside those of the search."""
     agent = make() if make is cart else make("a")
@@ -117,6 +118,7 @@ def dense(problem: cg.Problem, actor: Any, points: int) -> float:
     return float(value[0])
 
 
+@pytest.mark.thorough
 def test_bounds_approach_dense_programming_from_below() -> None:
     """One agent: the bound rises with the cells, and stays below a computation with many points."""
     problem = reach(scalar_agent("a", initial_state=[-2.0]), horizon=3)
@@ -295,6 +297,7 @@ def test_losses_are_those_of_a_step() -> None:
     assert places.losses[0].sum() == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.thorough
 def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An actor beside its problem, and in the place of it; list and picture of weak places; bounds as in Python."""
     problem = cg.make_problem("reach-avoid-v0", horizon=2)
@@ -320,6 +323,7 @@ def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.C
     assert main(["certify", file, "--as-is", "--relation", "exact", *common]) == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("algorithm", ["ippo", "sac"])
 def test_trained_actors_are_certified(algorithm: str) -> None:
     """Actors of Stable-Baselines3, hardly trained: PPO clips and has tanh, SAC squashes and has relu."""

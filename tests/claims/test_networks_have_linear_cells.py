@@ -19,6 +19,7 @@ from certigym.synthesis.relations.boxes import linear_means
 from certigym.synthesis.step_checking.network_enclosures import network_maps
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
+from kinds import mostly_thorough
 from network_problems import RNG, means_at, network, proportional, reach, with_network
 from problems import cart, linear, scalar_agent
 
@@ -44,9 +45,9 @@ def maps_of(policy: NetworkPolicy, agent: LinearAgent, cuts: int) -> NetworkMaps
     return NetworkMaps(linear_means(agent, np.eye(agent.n_states), still), policy, np.eye(agent.n_states), cuts)
 
 
-@pytest.mark.parametrize("hidden, activation, squashed", SHAPES)
-@pytest.mark.parametrize("make", [lambda: scalar_agent("a"), cart, turned])
-@pytest.mark.parametrize("cuts", [1, 2])
+@mostly_thorough("hidden, activation, squashed", SHAPES)
+@mostly_thorough("make", [lambda: scalar_agent("a"), cart, turned])
+@mostly_thorough("cuts", [1, 2])
 def test_no_point_of_a_cell_leaves_its_map(
     hidden: list[int], activation: str, squashed: bool, make: Callable[[], LinearAgent], cuts: int
 ) -> None:
@@ -111,6 +112,7 @@ def test_stable_relus_leave_rounding() -> None:
     assert np.median(rest) < 1e-6
 
 
+@pytest.mark.thorough
 def test_remainders_of_what_rounding_takes_are_stored_below_what_the_check_computes() -> None:
     """With many cells the search takes more off a step than the check, and remainders of 1e-9 are larger for it."""
     problem = cg.make_problem("reach-avoid-v0")

@@ -21,6 +21,7 @@ from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import TeamActor
 from certigym.validation.policies.views import SharedView
 from composing import expressions, matrices
+from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
 """Probability with which a statistical test here fails although all is right."""
@@ -74,7 +75,7 @@ def certified(kind: str) -> tuple[cg.Problem, TeamActor, Any]:
     return problem, actor, found
 
 
-@pytest.mark.parametrize("kind", PROBLEMS)
+@mostly_thorough("kind", PROBLEMS)
 def test_rollouts_are_above_the_bound_and_not_far(kind: str) -> None:
     problem, actor, certificate = certified(kind)
     report = cg.check(certificate)
@@ -86,6 +87,7 @@ def test_rollouts_are_above_the_bound_and_not_far(kind: str) -> None:
     assert runs.successes / EPISODES - certificate.lower_bound < 0.15
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("wanted", [False, True])
 def test_one_step_is_charged_as_it_is(wanted: bool) -> None:
     """From known starts the means are known, and so is how likely the pair is as it should not be after a step."""
@@ -105,7 +107,7 @@ def test_one_step_is_charged_as_it_is(wanted: bool) -> None:
         assert not failures and truth <= again <= certificate.proof.near <= truth + slack
 
 
-@pytest.mark.parametrize("kind", PROBLEMS)
+@mostly_thorough("kind", PROBLEMS)
 def test_smaller_charges_and_other_networks_are_refused(kind: str) -> None:
     _, _, certificate = certified(kind)
     less = replace(certificate, proof=replace(certificate.proof, near=0.97 * certificate.proof.near))
@@ -172,7 +174,7 @@ def test_what_is_not_done_is_refused_in_words() -> None:
         repair_network(problem, actor, 16)
 
 
-@pytest.mark.parametrize("what", ["angles", "time"])
+@mostly_thorough("what", ["angles", "time"])
 def test_what_is_not_known_of_pairs_is_refused(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """An angle turns, so that masses come from copies of cells; and the time is for paths alone beside pairs."""
 

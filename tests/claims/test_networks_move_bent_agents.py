@@ -73,6 +73,7 @@ def certified(kind: str, relation: str = "boxes") -> tuple[cg.Problem, Any, Any]
     return problem, actor, cg.certify(problem, actor, 150, as_is=True, above=True, relation=relation).certificate
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "relation"), [*((kind, "boxes") for kind in PROBLEMS), ("plain", "linear"), ("disturbed", "linear")]
 )

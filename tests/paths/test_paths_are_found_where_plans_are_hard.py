@@ -257,6 +257,7 @@ def crossing(count: int, semantics: str = "finite-trace") -> cg.Problem:
     return cg.Problem(name="crossing", horizon=26, agents=cars, propositions=regions, specification=task)
 
 
+@pytest.mark.thorough
 def test_cars_come_through_a_crossing_one_after_the_other() -> None:
     problem = crossing(4)
     plans = list(plans_of_runs(problem, CountedWork()))
@@ -287,6 +288,7 @@ def test_who_is_in_the_way_of_everybody_leaves_no_runs_in_turn() -> None:
     assert list(plans_of_runs(chase(), CountedWork())) == []
 
 
+@pytest.mark.thorough
 def test_drones_with_velocities_pass_a_gate_one_after_the_other() -> None:
     """Agents of four states are points for that: what a point reads is a guess that is planned as any word."""
     A = [[1, 0, 0.5, 0], [0, 1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]]
@@ -335,6 +337,7 @@ def roads() -> cg.Problem:
     return cg.Problem(name="roads", horizon=30, agents=cars, propositions=regions, specification=task)
 
 
+@pytest.mark.thorough
 def test_cars_of_two_roads_keep_their_distance_and_take_turns() -> None:
     """Not every order will do: who is in front has to make room for who follows."""
     problem = roads()

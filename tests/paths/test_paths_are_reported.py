@@ -67,6 +67,7 @@ def test_edges_of_tubes_are_where_they_are_drawn(building: AlongPath) -> None:
     np.testing.assert_allclose(tube.half_widths()[1] / tube.radius, 0.0774, rtol=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scale", "said"), [(None, "keep with probability 0.99"), (0.03, "standard deviations around")]
 )

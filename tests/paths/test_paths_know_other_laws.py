@@ -14,6 +14,7 @@ from certigym.envs.agents import Law, Tail
 from certigym.synthesis.certificates import PathProof, changed
 from certigym.synthesis.checker.distributions import Envelope, read_distribution
 from certigym.synthesis.path_bounds.nonlinear_model import NonlinearModel
+from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""
@@ -65,7 +66,7 @@ def moments_of(law: Law) -> Envelope:
     return read_distribution(law.to_dict(), "law")
 
 
-@pytest.mark.parametrize("name", LAWS)
+@mostly_thorough("name", LAWS, first=2)
 def test_normal_laws_are_above_the_exponential_moments(name: str) -> None:
     """Against sums over a million quantiles, at arguments up to six deviations; search and check say the same."""
     law = law_of(LAWS[name])
@@ -89,7 +90,7 @@ def test_even_laws_have_their_own_variance() -> None:
         np.testing.assert_allclose(found.deviation, law.std, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", LAWS)
+@mostly_thorough("name", LAWS)
 def test_certificates_are_valid_and_below_their_rollouts(name: str) -> None:
     problem = around(robot(LAWS[name]))
     result = cg.synthesize(problem, relation="path")
@@ -128,7 +129,7 @@ LONG: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", LONG)
+@mostly_thorough("name", LONG)
 def test_laplace_laws_are_above_heavier_exponential_moments(name: str) -> None:
     """Against sums over a million quantiles, without the rarest noise where it is given up; search and check agree."""
     law = law_of(LONG[name])
@@ -146,7 +147,7 @@ def test_laplace_laws_are_above_heavier_exponential_moments(name: str) -> None:
         assert moment <= (1.0 + 1e-6) / (1.0 - 0.5 * share * share)
 
 
-@pytest.mark.parametrize("name", LONG)
+@mostly_thorough("name", LONG)
 def test_paths_of_heavier_tails_are_valid_and_below_their_rollouts(name: str) -> None:
     problem = around(robot(LONG[name]))
     certificate = cg.synthesize(problem, relation="path").certificate
@@ -171,6 +172,7 @@ def test_lighter_tails_than_those_of_the_noise_are_refused(tail: Tail, monkeypat
     assert not cg.check(claimed, problem)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("search_alone")
 def test_noise_that_is_given_up_is_charged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Heavy tails cost what they are cut by; a search that forgets it claims more than the check proves."""
@@ -208,6 +210,7 @@ def test_paths_of_another_law_are_refused() -> None:
     assert not cg.check(changed(honest, failure=0.9 * honest.proof.failure), honest.problem)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("search_alone")
 def test_gaussian_tails_for_other_noise_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A search that takes the noise for Gaussian claims more than the check proves."""

@@ -30,6 +30,7 @@ def path_of(problem: cg.Problem) -> Any:
     return cg.synthesize(problem, relation="path").certificate
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("file", "least"), [("springs.toml", 0.999), ("tanks_side_by_side.toml", 0.99)])
 def test_coupled_agents_are_certified_and_the_claim_holds_in_rollouts(file: str, least: float) -> None:
     certificate = own_path(file)
@@ -41,6 +42,7 @@ def test_coupled_agents_are_certified_and_the_claim_holds_in_rollouts(file: str,
     assert beta.ppf(1.0 - FALSE_ALARM, wins + 1, max(episodes - wins, 1e-9)) >= certificate.lower_bound
 
 
+@pytest.mark.thorough
 def test_narrower_tubes_than_are_kept_are_refused() -> None:
     """Whoever says that neighbours stay nearer to their paths pays for it with inequalities that fail more often."""
     certificate = own_path("springs.toml")
@@ -66,6 +68,7 @@ def pushed(noise: float) -> cg.Problem:
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_what_comes_from_a_neighbour_is_in_the_bound() -> None:
     """The exact law of the slow agent at the end, from the joint system, is an upper bound on the truth."""
     problem = pushed(0.3)
@@ -84,6 +87,7 @@ def test_what_comes_from_a_neighbour_is_in_the_bound() -> None:
     assert 0.99 < calm.lower_bound <= 1.0 and cg.check(calm)
 
 
+@pytest.mark.thorough
 def test_a_boiler_burns_for_the_rooms_that_name_it() -> None:
     """Planned in turn the boiler stays in the middle of its range, too cool for valves that are open: .98."""
     common: dict[str, Any] = {"input_low": [0.0], "input_high": [1.0]}

@@ -71,6 +71,7 @@ def test_random_regions_that_meet_are_never_taken_for_apart() -> None:
     assert found > 10
 
 
+@pytest.mark.thorough
 def test_words_visit_discs_one_after_the_other() -> None:
     """Without that knowledge the shortest words ask for all of them at once, and no other is looked at."""
     problem = rover(DISCS, "F (a & F (b & F (wedge & F a)))", horizon=30)
@@ -95,6 +96,7 @@ def test_a_region_between_the_middles_of_cells_is_found() -> None:
     assert min(np.hypot(*(point - [2.03, 1.97])) for point in points) < 0.3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("slow", [0.6, 0.3])
 def test_docking_in_a_cone_with_little_speed(slow: float) -> None:
     """Four states, and limits on all of them: the way is planned in the plane, where the cone is."""
@@ -114,6 +116,7 @@ def test_docking_in_a_cone_with_little_speed(slow: float) -> None:
     assert certificate.lower_bound > 0.99 and cg.check(certificate)
 
 
+@pytest.mark.thorough
 def test_ways_see_what_they_must_avoid_beside_a_round_region_of_other_states() -> None:
     """To be slow is a disc of velocities; the wall is about positions, and the way leads around it all the same."""
     agent = cg.Agent(

@@ -13,6 +13,7 @@ from certigym.synthesis.certificates import SOMETIME, AgentPath, AlongPath, Cert
 from certigym.synthesis.path_words.accepted_words import is_accepted
 from certigym.synthesis.path_words.visits import visits_of, with_windows
 from fleet_problems import wrong_paths
+from kinds import mostly_thorough
 
 PACE, STEPS = 0.2, 12
 
@@ -54,8 +55,8 @@ def missed(width: float, std: float) -> float:
     return float(density.sum() * size)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("width", [0.5, 0.7, 1.0, 2.0])
+@mostly_thorough("sign", [1.0, -1.0])
+@mostly_thorough("width", [0.5, 0.7, 1.0, 2.0])
 def test_failures_are_above_exact_ones_on_a_line(width: float, sign: float) -> None:
     problem = line(width, 0.1, sign=sign)
     failures, failure = wrong_paths(crossing(problem, sign=sign))
@@ -160,6 +161,7 @@ def tank() -> cg.Synthesis:
     return cg.synthesize(problem, relation="path", effort=10)
 
 
+@pytest.mark.thorough
 def test_search_finds_windows_where_noise_is_large_against_a_region() -> None:
     certificate = tank().certificate
     assert np.any(certificate.proof.letters == SOMETIME)

@@ -19,6 +19,7 @@ from certigym.synthesis.raw_networks import certify_network
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
+from kinds import mostly_thorough
 from network_problems import proportional, reach, with_network
 
 EDGE = 0.3
@@ -42,8 +43,8 @@ def beside(steps: int, **changes: Any) -> cg.Problem:
     )
 
 
-@pytest.mark.parametrize("relation", ["exact", "tube", "ellipsoid", "paper", "linear", "boxes", "auto", "best"])
-@pytest.mark.parametrize("steps", [1, 1000])
+@mostly_thorough("relation", ["exact", "tube", "ellipsoid", "paper", "linear", "boxes", "auto", "best"])
+@mostly_thorough("steps", [1, 1000])
 def test_edges_that_differ_by_rounding_are_certified(relation: str, steps: int) -> None:
     """Cells between them hold no mass; relations that feed the place in a cell back get little, and by default others
     are taken."""

@@ -53,6 +53,7 @@ def _rolled(search: TeamSearch, start: np.ndarray, inputs: np.ndarray) -> np.nda
     return np.array(states)
 
 
+@pytest.mark.thorough
 def test_a_team_fails_less_often_after_small_moves(planned: tuple[TeamSearch, np.ndarray, TeamFound]) -> None:
     search, letters, team = planned
     assert team.failure > 1e-4
@@ -63,6 +64,7 @@ def test_a_team_fails_less_often_after_small_moves(planned: tuple[TeamSearch, np
     assert again.failure == pytest.approx(touched.failure, rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_claims_are_proved_and_not_refuted(planned: tuple[TeamSearch, np.ndarray, TeamFound]) -> None:
     certificate = path_of(PROBLEM)
     assert certificate.proof.failure < 0.9 * planned[2].failure
@@ -71,6 +73,7 @@ def test_claims_are_proved_and_not_refuted(planned: tuple[TeamSearch, np.ndarray
     assert binom.cdf(done.successes, 20_000, certificate.lower_bound) > 1e-6
 
 
+@pytest.mark.thorough
 def test_teams_of_unlike_agents_are_touched_up() -> None:
     """A unicycle, a cart and a walker, with three times the noise; one pair keeps apart and one meets."""
     problem = mixed().replace(disturbance_scale=3.0)

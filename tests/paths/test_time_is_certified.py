@@ -18,6 +18,7 @@ from certigym.envs.problem import groups, written_out
 from certigym.synthesis.certificates import PathProof, TimedProof, changed, timed_certificate
 from certigym.synthesis.models import AgentModel
 from certigym.synthesis.step_checking import RegionSpan
+from kinds import mostly_thorough
 from timed_problems import band, best_probability, follow, robot, still
 
 FALSE_ALARM = 1e-6
@@ -48,7 +49,7 @@ def lies(bound: float, successes: int, episodes: int) -> bool:
     return bool(binom.cdf(successes, episodes, bound) < FALSE_ALARM)
 
 
-@pytest.mark.parametrize("way", WAYS)
+@mostly_thorough("way", WAYS, first=2)
 def test_bounds_are_below_the_truth_and_near_it(way: str) -> None:
     certificate = certified(way)
     best, spare = best_probability(certificate.problem), 5e-3  # what the dense program is off by
@@ -67,6 +68,7 @@ def test_a_task_that_may_be_done_early_is_certified() -> None:
     assert cg.check(certificate) and certificate.gap is not None
 
 
+@pytest.mark.thorough
 def test_without_options_a_path_or_a_grid_is_chosen() -> None:
     calm = cg.synthesize(follow(still(noise_covariance=[[0.01]])))
     assert isinstance(calm.certificate.proof, PathProof) and calm.certificate.lower_bound > 0.99
@@ -75,6 +77,7 @@ def test_without_options_a_path_or_a_grid_is_chosen() -> None:
     assert {"path", "linear"} <= set(dict[str, Any](rough.stats)["tried"])
 
 
+@pytest.mark.thorough
 def test_a_reference_is_followed_for_thirty_steps() -> None:
     reference = "2*sin(0.4*t)"
     for agent in (robot(noise=[{"law": "gaussian", "std": 0.1}], initial_state=[0]),
@@ -96,7 +99,7 @@ def test_files_are_read_back_and_checked(way: str, tmp_path: Path) -> None:
     assert not cg.check(again, follow(still(), band(1)))
 
 
-@pytest.mark.parametrize("way", ["exact", "written, boxes", "written, linear"])
+@mostly_thorough("way", ["exact", "written, boxes", "written, linear"])
 def test_every_number_is_proved_in_balls(way: str) -> None:
     pytest.importorskip("flint")
     report = check_rigorous(certified(way))
@@ -136,7 +139,7 @@ def transplanted(forged: Any, problem: cg.Problem) -> Any:
     return replace(forged, problem=problem, proof=proof)
 
 
-@pytest.mark.parametrize("way", ["exact", "linear", "boxes", "written, linear", "written, boxes", "path",
+@mostly_thorough("way", ["exact", "linear", "boxes", "written, linear", "written, boxes", "path",
                                  "written, path"])  # fmt: skip
 def test_the_region_of_t_in_place_of_t_plus_one_is_refused(way: str) -> None:
     # In the forged proof every step is judged by where the region was before it.
@@ -155,8 +158,8 @@ def test_a_region_that_stands_still_is_that_of_the_problem() -> None:
     assert cg.check(honest) and not cg.check(replace(honest, problem=narrow))
 
 
-@pytest.mark.parametrize("way", ["written, linear", "written, boxes", "written, path"])
-@pytest.mark.parametrize("drift", ["x + u + 0.4*sin(0.9*(t + 1))", "x + u + 0.4*sin(0.9*t*0)"])
+@mostly_thorough("way", ["written, linear", "written, boxes", "written, path"])
+@mostly_thorough("drift", ["x + u + 0.4*sin(0.9*(t + 1))", "x + u + 0.4*sin(0.9*t*0)"])
 def test_dynamics_of_another_step_are_refused(way: str, drift: str) -> None:
     if drift.endswith("*0)"):
         make, cells, relation, _ = WAYS[way]
@@ -248,6 +251,7 @@ def test_horizons_are_certified_one_by_one() -> None:
 
 
 # --- teams -----------------------------------------------------------------------------------------------------
+@pytest.mark.thorough
 def test_teams_of_both_kinds_are_certified_together() -> None:
     agents = robot("first"), still("second", initial_state=[-1.0])
     problem = cg.Problem(
@@ -262,6 +266,7 @@ def test_teams_of_both_kinds_are_certified_together() -> None:
         assert not lies(certificate.lower_bound, int(np.sum(rollouts.success)), 2000)
 
 
+@pytest.mark.thorough
 def test_what_else_changes_with_time_is_certified() -> None:
     wind = robot(dynamics=["x + u + gust*cos(t)"], disturbances={"gust": [-0.1, 0.1]})
     noisy = robot(dynamics=["x + u"], noise=[{"law": "gaussian", "std": 1.0}], noise_scale=["0.1 + 0.2*exp(-t/3)"])

@@ -17,6 +17,7 @@ from certigym.synthesis.path_words.segments import segmented_ways
 from certigym.synthesis.path_words.timed_words import timed_ways
 from certigym.synthesis.path_words.words import ways_of
 from fleet_problems import wrong_paths
+from kinds import mostly_thorough
 
 
 def robot(**changes: Any) -> cg.LinearAgent:
@@ -68,6 +69,7 @@ def test_automata_that_count_steps_have_paths() -> None:
     assert cg.check(result.certificate, problem)
 
 
+@pytest.mark.thorough
 def test_one_waits_until_nobody_is_in_the_lane() -> None:
     """The loop of `!(lane & busy) U here` is read beside the lane at first, and in it later."""
     lift = cg.LinearAgent(
@@ -96,6 +98,7 @@ def test_what_was_forbidden_up_to_a_jump_is_not_asked_for_after_it() -> None:
     assert is_accepted(problem, less)
 
 
+@pytest.mark.thorough
 def test_visits_again_and_again_are_timed_by_how_far_it_is() -> None:
     """A patrol whose automaton counts steps: no ways are looked for without end, and visits are told apart in time."""
     problem = cg.Problem(
@@ -128,7 +131,7 @@ FORMULAS = (
 )
 
 
-@pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
+@mostly_thorough(("formula", "semantics"), FORMULAS, first=3)
 def test_a_word_is_accepted_if_every_word_that_agrees_is(formula: str, semantics: str) -> None:
     """Against all words of four letters, one after the other."""
     problem, rng, outcomes = task(formula, 4, semantics), np.random.default_rng(8), set[bool]()
@@ -154,7 +157,7 @@ def test_a_word_is_accepted_if_every_word_that_agrees_is(formula: str, semantics
     assert outcomes == {False, True}
 
 
-@pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
+@mostly_thorough(("formula", "semantics"), FORMULAS, first=2)
 def test_the_check_follows_every_word_that_agrees(formula: str, semantics: str) -> None:
     """Against all words of four letters: states that one letter leads to are followed all, and none is made up."""
     fast = {"robot": robot(input_low=[-4.0], input_high=[4.0])}
@@ -220,6 +223,7 @@ def test_as_much_is_left_out_as_one_by_one(formula: str, semantics: str) -> None
         np.testing.assert_array_equal(without_needless(problem, letters), expected)
 
 
+@pytest.mark.thorough
 def test_errands_of_several_agents_are_done_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
     """Too many beginnings to look at them all: those that end soonest are found all the same."""
     regions = {"a": (1.0, 2.0), "b": (-1.0, 0.0), "home": (-4.8, -3.2)}

@@ -20,6 +20,7 @@ from certigym.validation.audits.audit_report import AuditReport
 from certigym.validation.audits.ledger import STAKES, Ledger
 from certigym.validation.audits.step_tests import audit
 from certigym.validation.audits.value_at import bound_by_steps_left, charge_of
+from kinds import mostly_thorough
 from problems import scalar_agent, two_agents
 
 CONFIDENCE = 1 - 1e-6
@@ -95,7 +96,7 @@ def bound_raised(c: OnGrid) -> AuditReport:
     return audit(changed(c, lower_bound=c.lower_bound + 0.01), EPISODES, seed=5, confidence=CONFIDENCE)
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     "sabotage",
     [
         variance_for_standard_deviation,
@@ -107,6 +108,7 @@ def bound_raised(c: OnGrid) -> AuditReport:
         label_not_shrunk,
         bound_raised,
     ],
+    first=4,
 )
 def test_sabotage_is_refuted(certificate: OnGrid, sabotage: Any) -> None:
     report = sabotage(certificate)
@@ -124,7 +126,7 @@ TRUE = {
 }
 
 
-@pytest.mark.parametrize("name", TRUE)
+@mostly_thorough("name", TRUE)
 def test_true_certificates_pass(name: str) -> None:
     problem, cells = TRUE[name]
     for seed in (0, 1):
@@ -186,6 +188,7 @@ def test_value_functions_must_fit_the_horizon(certificate: OnGrid) -> None:
         audit(certificate, 10, values=claimed_values(certificate)[1:])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("horizon", "cells"), [(3, 300), (4, 100)])
 def test_coupled_controllers_pass_at_their_own_cells_and_louder_noise_is_refuted(horizon: int, cells: int) -> None:
     """The a-posteriori bound, with ``Delta Theta`` taken off and the run stopped where the relation is lost."""

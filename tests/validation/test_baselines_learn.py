@@ -23,6 +23,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from certigym.validation.policies.learners import WorldsVecEnv, central_vec_env, shared_vec_env
+from kinds import mostly_thorough
 
 RA2 = cg.make_problem("reach-avoid-v0")
 MAKERS: list[Callable[..., WorldsVecEnv]] = [shared_vec_env, central_vec_env]
@@ -125,7 +126,7 @@ def test_rows_of_actions_reach_their_agents() -> None:
     assert inputs_of(agent.input_box, np.array([[-3.0, -1.0, 0.0, 0.5, 9.0]])).tolist() == [[-5.0, -5.0, 0.0, 2.5, 5.0]]
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "central-ppo", "sac"])
+@mostly_thorough("algorithm", ["ppo", "central-ppo", "sac"])
 def test_the_actor_in_numbers_is_that_of_the_learner(algorithm: str, tmp_path: Path) -> None:
     settings: dict[str, Any] = {} if algorithm == "sac" else {"n_steps": 16}
     training = cg.train(RA2, algorithm, 400, 3, worlds=8, **settings)
@@ -145,6 +146,7 @@ def test_the_actor_in_numbers_is_that_of_the_learner(algorithm: str, tmp_path: P
     assert ("own state" in record["information"]) == (algorithm == "ppo")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_training_is_deterministic_under_a_seed(algorithm: str) -> None:
     one, two, other = (cg.train(RA2, algorithm, 400, seed, worlds=8) for seed in (0, 0, 1))
@@ -154,6 +156,7 @@ def test_training_is_deterministic_under_a_seed(algorithm: str) -> None:
     assert [p["success"] for p in one.curve] == [p["success"] for p in two.curve]
 
 
+@pytest.mark.thorough
 def test_ppo_learns_the_two_agent_task_and_its_certificate_holds() -> None:
     """8,000 world steps; the untrained policy succeeds in fewer than half of the episodes."""
     training = cg.train(RA2, "ppo", 8_000, 0)
@@ -202,6 +205,7 @@ def test_wrong_arguments_are_refused(tmp_path: Path) -> None:
         load_actor(tmp_path / "text.npz", RA2)
 
 
+@pytest.mark.thorough
 def test_learners_start_from_certificates_about_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(imitation, "ROUNDS", 300)
     problem = cg.make_problem("platoon-distance-v0", n_agents=2)

@@ -137,6 +137,7 @@ def test_the_command_line_compares_and_certifies(task: str, tmp_path: Path, caps
         assert "expected" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_the_command_line_trains(task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
     folder = tmp_path / "ppo"

@@ -14,6 +14,7 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.baselines import RandomController
 from certigym.synthesis.shielding import Shield, shield_of
+from kinds import mostly_thorough
 from team_problems import pairs
 
 FALSE_ALARM = 1e-6
@@ -36,8 +37,8 @@ def refuted(successes: int, count: int, p: float) -> bool:
     return bool(binom.cdf(successes, count, p) < FALSE_ALARM)
 
 
-@pytest.mark.parametrize("autoreset", ["NextStep", "SameStep"])
-@pytest.mark.parametrize("spread", [0.0, 0.5])
+@mostly_thorough("autoreset", ["NextStep", "SameStep"])
+@mostly_thorough("spread", [0.0, 0.5])
 def test_batches_keep_the_probability_over_many_episodes(
     problem: cg.Problem, shield: Shield, autoreset: str, spread: float
 ) -> None:
@@ -109,6 +110,7 @@ def test_teams_see_budgets_of_their_worlds(problem: cg.Problem, shield: Shield) 
     assert step.observations["agent_0"].shape == (300, 3)
 
 
+@pytest.mark.thorough
 def test_tasks_side_by_side_are_shielded_one_by_one() -> None:
     certificate = cg.synthesize(pairs(10, starts=(-2.0, -1.5)), 24, relation="exact", value="tree").certificate
     env = cg.shield(certificate.problem, certificate, probability=0.9 * certificate.lower_bound)

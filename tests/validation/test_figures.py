@@ -60,6 +60,7 @@ def test_rollouts_mark_failures() -> None:
     assert crosses and "0 of 3 rollouts satisfied" in figure.get_suptitle()
 
 
+@pytest.mark.thorough
 def test_drawing_leaves_pyplot_alone(tmp_path: Path) -> None:
     program = (
         "import sys, certigym as cg\n"
@@ -86,6 +87,7 @@ def test_formats_are_checked(certificate: cg.Certificate, tmp_path: Path) -> Non
         save_figure(figure, tmp_path / "a.bmp")
 
 
+@pytest.mark.thorough
 def test_the_command_draws_every_kind(
     certificate: cg.Certificate, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

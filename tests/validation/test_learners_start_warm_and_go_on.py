@@ -51,6 +51,7 @@ def test_a_warm_start_is_good_at_once_and_says_that_it_was_helped(helped: Any, c
     assert cold.help == "" and cg.rollout(RA2, cold.actor, 2000, seed=9).successes < 1800
 
 
+@pytest.mark.thorough
 def test_the_central_learner_clones_too(certificate: Any) -> None:
     training = cg.train(RA2, "central-ppo", 256, 1, warm_start=certificate, **SMALL)
     assert cg.rollout(RA2, training.actor, 2000, seed=9).successes > 1800
@@ -92,6 +93,7 @@ def test_settings_come_from_the_file_and_can_be_changed_by_name() -> None:
     assert [phase.fixed for phase in settings_for("ppo", view, warm=True).phases] == [True]
 
 
+@pytest.mark.thorough
 def test_several_seeds_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["train", "reach-avoid-v0", "--steps", "300", "--worlds", "4", "--seeds", "0", "1"]
     assert main([*words, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "all.json")]) == 0

@@ -25,6 +25,7 @@ def shield() -> Shield:
     return made
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_training_episodes_succeed_as_promised(shield: Shield, algorithm: str) -> None:
     """The steps of the training are fixed beforehand, and the episodes that are counted are a prefix."""
@@ -39,6 +40,7 @@ def test_training_episodes_succeed_as_promised(shield: Shield, algorithm: str) -
     assert binom.cdf(rate.successes, 2000, shield.probability) >= FALSE_ALARM
 
 
+@pytest.mark.thorough
 def test_a_learner_that_is_not_shielded_fails_more_often(shield: Shield) -> None:
     """The test above would notice."""
     training = cg.train(shield.problem, "ppo", 2500, reward="sparse", spread=0.0)
@@ -47,6 +49,7 @@ def test_a_learner_that_is_not_shielded_fails_more_often(shield: Shield) -> None
     assert binom.cdf(successes, episodes, shield.probability) < FALSE_ALARM
 
 
+@pytest.mark.thorough
 def test_the_command_line_trains_behind_a_shield(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     problem = cg.make_problem("reach-avoid-v0", horizon=5)
     file = str(tmp_path / "certificate.npz")

@@ -108,6 +108,7 @@ def test_a_probe_is_judged_on_common_episodes(found: Probe, certificate: Any) ->
     assert all(300 <= attempt.steps <= 600 for attempt in found.attempts)
 
 
+@pytest.mark.thorough
 def test_a_probe_repeats_with_its_seed(found: Probe, certificate: Any) -> None:
     again = cg.probe("reach-avoid-v0", certificate, 3000, steps=300, seed=5, confidence=1 - 1e-6)
     assert again.attempts == found.attempts and again.learned == found.learned
@@ -116,6 +117,7 @@ def test_a_probe_repeats_with_its_seed(found: Probe, certificate: Any) -> None:
     assert len(repr(found).splitlines()) <= 12 and "agents see" in str(found)
 
 
+@pytest.mark.thorough
 def test_the_command_prints_and_writes(certificate: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
     cg.save(certificate, tmp_path / "c.npz")

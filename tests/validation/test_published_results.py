@@ -34,6 +34,7 @@ def test_the_stated_noise_gives_less() -> None:
         assert step.mean < FIGURE_3[step.horizon - 1][0]
 
 
+@pytest.mark.thorough
 def test_the_published_certificate_is_refuted_and_ours_are_not() -> None:
     """Holm over 40 starts at 1e-6; the excess near x1 = -20 is .09, its standard error .005."""
     result = refute_published(states=(20, 2), episodes=5000, confidence=1 - 1e-6)
@@ -45,6 +46,7 @@ def test_the_published_certificate_is_refuted_and_ours_are_not() -> None:
         assert key in result
 
 
+@pytest.mark.thorough
 def test_fig_4_is_the_recomputed_one_and_full_invariance_is_nearly_certain(tmp_path: Path) -> None:
     rows = fig4().rows(tmp_path)
     for n, values in INVARIANCE.items():
