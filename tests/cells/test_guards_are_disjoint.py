@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.envs.logic.decision_diagram import DecisionDiagrams
 from certigym.synthesis.models.guards import compile_guards
 from certigym.synthesis.values.terms import Guards
 from problems import scalar_agent, two_agents
@@ -119,23 +118,3 @@ def test_guards_grow_linearly_with_the_agents() -> None:
         guards = compile_guards(problem, [np.eye(len(c), dtype=bool) for c in problem.labeling.classes])
         sizes.append(len(guards.source))
     assert sizes == [21, 201]
-
-
-def test_compiling_visits_the_diagrams_of_many_agents_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nodes asked for grow with the agents; a walk through everything below each of them would ask for their square."""
-    asked, counts = [0], []
-    node = DecisionDiagrams.node
-
-    def counted(self: DecisionDiagrams, variable: int, low: int, high: int) -> int:
-        asked[-1] += 1
-        return node(self, variable, low, high)
-
-    monkeypatch.setattr(DecisionDiagrams, "node", counted)
-    for n in (100, 400):
-        problem = cg.make_problem("invariance-v0", n_agents=n)
-        sets = [np.eye(len(c), dtype=bool) for c in problem.labeling.classes]
-        asked.append(0)
-        guards = compile_guards(problem, sets)
-        assert len(guards.source) == 1 and guards.mask.shape == (1, n)
-        counts.append(asked[-1])
-    assert counts[1] <= 5 * counts[0]

@@ -202,19 +202,6 @@ def test_joint_delta_rounds_up() -> None:
     assert joint_delta([0.1] * 20) >= 1 - 0.9**20
 
 
-def test_coupled_controllers_run_in_the_environment_loop() -> None:
-    problem = two_agents(horizon=4)
-    controller = cg.synthesize(problem, 40, relation="paper", epsilon=0.15).controller
-    env = cg.parallel_env(problem)
-    for seed in range(5):
-        observations, infos = env.reset(seed=seed)
-        controller.reset(observations, infos, seed=seed)
-        while env.agents:
-            actions = controller.act(observations, infos)
-            assert all(env.action_space(name).contains(action) for name, action in actions.items())
-            observations, _, _, _, infos = env.step(actions)
-
-
 def test_memory_of_a_batch_shows_lost_relations() -> None:
     problem = two_agents(horizon=4, noise_covariance=[[0.6]])
     controller = cg.synthesize(problem, 64, relation="paper", epsilon=0.1).controller

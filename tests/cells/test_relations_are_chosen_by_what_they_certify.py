@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,9 +15,8 @@ from certigym.envs.problem import groups as independent
 from certigym.synthesis import task_ways
 from certigym.synthesis.cells.agent_grids import DEFAULT_CELLS
 from certigym.synthesis.choosing import relation_choice
-from certigym.synthesis.choosing.relation_choice import Tries, groups_of
 from certigym.synthesis.models import ellipsoid_search
-from certigym.synthesis.models.abstraction import Settings, abstract
+from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.search.relaxation import relax, upper_bound
 from certigym.validation.statistics.binomial import REFUTED
@@ -160,25 +158,6 @@ def test_bounds_from_above_hold_for_every_combination() -> None:
         assert 0.0 < found.certificate.lower_bound <= most
 
 
-@pytest.mark.thorough
-def test_combinations_grow_with_the_groups_only() -> None:
-    """Alike agents share a relation; searches are as many as groups have relations, not as there are combinations."""
-    problem = team(n_carts=2)
-    alike = groups_of(problem, {"car": 40, "cart_0": 16, "cart_1": 16}, ["auto"] * 3, Settings())
-    assert [group.members for group in alike] == [(0,), (1, 2)]
-    groups = groups_of(problem, {"car": 40, "cart_0": 16, "cart_1": 20}, ["best"] * 3, Settings())
-    assert [group.members for group in groups] == [(0,), (1,), (2,)]
-    tries, runs = Tries(problem, groups, Settings(), "numpy"), []
-    same = cg.synthesize(team(), {"car": 40, "cart_0": 16}, relation="quick", max_sweeps=0)
-
-    def run(abstraction: Any, joint: Any, relaxations: Any) -> Any:
-        runs.append(tuple(model.relation.kind for model in abstraction.models))
-        return same
-
-    tries.best(run, every=True)
-    assert len(runs) == len({*runs}) == 1 + sum(len(group.models) - 1 for group in groups)
-
-
 def test_relations_can_be_named_per_agent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     problem, cells = team(), {"car": 40, "cart_0": 24}
     assert [m.relation.kind for m in abstract(problem, cells, relation={"car": "tube"}).models] == ["tube", "tube"]
@@ -205,23 +184,6 @@ def test_independent_tasks_choose_for_themselves(monkeypatch: pytest.MonkeyPatch
     assert all(name.endswith(", task of cart_0") for name in tried_of(found))
     named = cg.synthesize(problem, {"car": 60, "cart_0": 24}, relation={"car": "tube", "cart_0": "tube"})
     assert [kinds_of(part) for part in named.certificate.proof.parts] == [["tube"], ["tube"]]
-
-
-def test_only_what_is_not_worth_a_search_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Next to a bound below what a combination may reach it is searched; next to one above, or far ahead, it is not."""
-    problem = team()
-    groups = groups_of(problem, {"car": 40, "cart_0": 24}, ["best", "tube"], Settings())
-    tries, chosen, other = Tries(problem, groups, Settings(), "numpy"), ("exact", "tube"), ("tube", "tube")
-
-    def passed_over(lower: float) -> str | None:
-        best: Any = SimpleNamespace(certificate=SimpleNamespace(lower_bound=lower))
-        return tries._passed_over(other, chosen, best)
-
-    most, value = tries.most(other), tries.value(other)
-    assert 0.0 < value <= most and passed_over(0.9 * most - 2 * relation_choice.LEAST_GAIN) is None
-    assert str(passed_over(most)).startswith("at most ")
-    monkeypatch.setattr(relation_choice, "PROMISING", 1.2)
-    assert str(passed_over(0.9 * most - 2 * relation_choice.LEAST_GAIN)).endswith("after one sweep, not gone on with")
 
 
 @pytest.mark.thorough

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,14 +11,13 @@ import certigym as cg
 from certigym.synthesis import horizons
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.cells import start_share
-from certigym.synthesis.certificates import changed, lasting_bound
+from certigym.synthesis.certificates import lasting_bound
 from certigym.synthesis.choosing.given_start import policies_from
 from certigym.synthesis.models import TIE
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import JointModel, join, start_of
 from certigym.synthesis.search.ascent import sweep
-from certigym.synthesis.search.limits import Limits
 from certigym.synthesis.search.paths import perturbed
 from certigym.synthesis.search.policy_search import FINAL, find_policies
 from certigym.synthesis.search.relaxation import relax
@@ -28,7 +25,7 @@ from certigym.synthesis.search.search_settings import Search
 from certigym.synthesis.values.devices import UNIT
 from certigym.validation.statistics.binomial import REFUTED
 from kinds import mostly_thorough
-from problems import cart, cart_reach, scalar_agent, two_agents
+from problems import cart, cart_reach, two_agents
 
 FALSE_ALARM = 1e-6
 
@@ -147,25 +144,6 @@ def test_policies_are_read_by_the_time_left_and_by_the_time_gone() -> None:
     assert unchanged.lower_bound == pytest.approx(certificate.lower_bound, rel=1e-9)
 
 
-def test_policies_of_stronger_agents_are_refused() -> None:
-    """Same cells and lattice, but the weaker agent cannot reach the targets of the stronger one."""
-    strong, weak = (
-        cg.Problem(
-            name="one",
-            horizon=1,
-            agents=[scalar_agent("one", input_low=[-a], input_high=[a], initial_state=[-2.0])],
-            propositions={"goal": cg.Proposition("one", [1.0], [4.0])},
-            specification=cg.Specification("F goal", "co-safe"),
-        )
-        for a in (9.0, 6.0)
-    )
-    certificate = cg.synthesize(strong, 30, relation="exact").certificate
-    with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents"):
-        cg.synthesize(weak, 30, start=certificate)
-    moved = strong.replace(initial_state=[-3.0])
-    assert cg.check(cg.synthesize(moved, 30, start=certificate).certificate)
-
-
 @mostly_thorough("problem_id", ["reach-avoid-v0", "car-park-v0", "invariance-v0"], first=2)
 def test_stationary_policies_are_certified_checked_and_simulated(problem_id: str, tmp_path: Path) -> None:
     problem = cg.make_problem(problem_id)
@@ -230,20 +208,6 @@ def test_without_a_deadline_one_agent_comes_to_the_optimum_from_below() -> None:
     assert abs(patient.successes / 20_000 - optimum) < 5.0 * np.sqrt(0.25 / 20_000)  # 1e-6
 
 
-def test_the_largest_bound_of_all_deadlines_is_kept() -> None:
-    """A doubled horizon may be searched worse; what was proved for the shorter one still holds."""
-    asked: list[int] = []
-
-    def worse(problem: cg.Problem, begun: Any) -> Any:
-        asked.append(problem.horizon)
-        found = cg.synthesize(problem.replace(horizon=8), 40, stationary=True)
-        lower = found.certificate.lower_bound * (1.0 if len(asked) == 1 else 0.9)
-        return replace(found, certificate=changed(found.certificate, problem=problem, lower_bound=lower))
-
-    kept = horizons.without_deadline(one_agent().replace(horizon=8), worse).certificate
-    assert asked == [8, 16] and kept.problem.horizon == 8
-
-
 def test_bounds_for_continuous_policies_say_nothing_where_relations_can_be_lost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -296,17 +260,6 @@ def test_dense_programming_chooses_from_menus_of_inputs() -> None:
     assert np.all(dense <= alone.values * (1 + 2 * 10 * TIE) + 1e-15)  # incumbents stay that close to the best
     assert 0.01 < result.certificate.lower_bound
     assert result.certificate.lower_bound == pytest.approx(at_start(problem, joint, dense), rel=1e-8)
-
-
-@pytest.mark.thorough
-def test_what_pruning_hides_is_found_in_the_end() -> None:
-    """With few terms the search stops early; the last sweeps see what one agent alone could gain."""
-    problem = cg.make_problem("patrol-recharge-v0").replace(horizon=8)
-    result = cg.synthesize(problem, 24, value="tree", limits=Limits(rank=8))
-    gain = result.stats["unilateral_gain"]
-    assert isinstance(gain, float) and gain <= 1e-5 * result.certificate.lower_bound
-    sweeps = result.stats["sweeps"]
-    assert isinstance(sweeps, list) and result.certificate.lower_bound >= max(sweeps) - 1e-9
 
 
 def test_the_bound_from_above_counts_every_letter_of_a_start() -> None:

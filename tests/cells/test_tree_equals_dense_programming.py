@@ -19,10 +19,9 @@ from certigym.synthesis.models.joint import cell_masks, join, start_of
 from certigym.synthesis.models.target_windows import TargetWindows
 from certigym.synthesis.readings import kernel
 from certigym.synthesis.readings.kernel import AxisTable, Kernel
-from certigym.synthesis.search import occupancy
 from certigym.synthesis.search.ascent import resting_policies, sweep
 from certigym.synthesis.search.limits import Limits
-from certigym.synthesis.search.occupancy import forward, push
+from certigym.synthesis.search.occupancy import forward
 from certigym.synthesis.search.tree import assemble, candidates, terminal_terms
 from certigym.synthesis.values.terms import Terms
 from problems import exact_model, fractions, scalar_agent
@@ -197,27 +196,6 @@ def test_alive_mass_never_exceeds_one_and_counts_what_it_drops() -> None:
         mass = [sum(o.masses(q).sum() for q in range(joint.n_states)) for o in (a, b)]
         assert mass[1] * (1 - 1e-12) <= mass[0] <= min(1.0, mass[1] + b.leftover) * (1 + 1e-12)
     assert cut[-1].leftover > 0
-
-
-def test_alive_mass_is_the_same_however_little_of_it_is_stored(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = problem_of(2, "(!p0 | !p2) U p1", "co-safe", 6)
-    joint = join(problem, abstract(problem, 32))
-    policies = sweep(joint, resting_policies(joint), None, Limits(), improve=True).policies
-    whole = forward(joint, policies, start_of(problem, joint), Limits())
-    pushes: list[int] = []
-
-    def counted(*given: Any) -> Any:
-        pushes.append(1)
-        return push(*given)
-
-    monkeypatch.setattr(occupancy, "STORED", 0)
-    monkeypatch.setattr(occupancy, "push", counted)
-    again = forward(joint, policies, start_of(problem, joint), Limits())
-    assert len(pushes) > joint.horizon - 1  # some were pushed once more
-    for a, b in zip(whole, again, strict=True):
-        assert a.leftover == b.leftover
-        for one, other in zip((*a.terms.factors, *a.terms.index), (*b.terms.factors, *b.terms.index), strict=True):
-            np.testing.assert_array_equal(one, other)
 
 
 def test_kernels_take_rows_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,6 +33,7 @@ from certigym.synthesis.step_checking import (
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from composing import certificate_of, problem_of
+from kinds import mostly_thorough
 from test_controllers_carry_out_what_is_certified import ordinary
 
 flint = pytest.importorskip("flint")
@@ -41,7 +42,6 @@ from balls.ball_masses import lost  # noqa: E402
 from balls.ball_memory import Memory  # noqa: E402
 from balls.ball_proofs import PROOFS  # noqa: E402
 from balls.ball_relations import aims, targets  # noqa: E402
-from kinds import mostly_thorough
 
 ROOT = Path(__file__).parents[2]
 

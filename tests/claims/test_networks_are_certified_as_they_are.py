@@ -20,7 +20,7 @@ from certigym.synthesis.raw_networks import certify_network, differences, repair
 from certigym.synthesis.relations import Network, boxes
 from certigym.synthesis.relations.network_bounds import line_around, mean_bounds
 from certigym.synthesis.step_checking.network_enclosures import network_spans
-from certigym.validation.policies.actors import CentralActor, SharedActor, TeamActor, load_actor, save_actor
+from certigym.validation.policies.actors import CentralActor, SharedActor, load_actor, save_actor
 from certigym.validation.policies.views import CentralView, SharedView
 from kinds import mostly_thorough
 from network_problems import RNG, means_at, network, proportional, reach, with_network
@@ -148,17 +148,6 @@ def test_certificates_hold_and_travel(certified: tuple[cg.Problem, SharedActor, 
     # False alarm 1e-6; a bound that is too large by .02 is refuted.
     report = cg.validate(synthesis, episodes=20_000, seed=1, confidence=1.0 - 1e-6)
     assert report.ci_high >= certificate.lower_bound
-
-
-def test_networks_of_their_own_are_certified() -> None:
-    """One network for each agent, one of them with an input box of its own."""
-    problem = reach(scalar_agent("a"), scalar_agent("b", input_low=[-1.0], input_high=[2.0]))
-    networks = tuple(proportional(problem, hidden).network for hidden in (4, 6))
-    actor = TeamActor(problem, networks)
-    synthesis = certify_network(problem, actor, 80)
-    assert cg.check(synthesis)
-    swapped = TeamActor(problem, networks[::-1])
-    assert differences(synthesis.certificate, swapped) != []
 
 
 def test_a_single_agent_may_have_a_network_that_sees_all() -> None:

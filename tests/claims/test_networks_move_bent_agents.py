@@ -13,7 +13,6 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.models import network_model
-from certigym.synthesis.raw_networks import repair_network
 from certigym.synthesis.relations import Network, network_maps
 from certigym.synthesis.step_checking.map_spans import networked_maps
 from certigym.synthesis.step_checking.network_enclosures import _inputs_between, driven_spans
@@ -214,14 +213,3 @@ def test_a_check_that_forgets_what_inputs_may_be_is_caught(monkeypatch: pytest.M
     forged = cg.certify(problem, balancing(problem), 30, as_is=True, relation="boxes").certificate
     monkeypatch.undo()
     assert not cg.check(forged)
-
-
-def test_repairs_and_refusals() -> None:
-    problem = PROBLEMS["plain"]()
-    poor = balancing(problem, 0.1)
-    as_is = cg.certify(problem, poor, 40, as_is=True, relation="boxes").certificate
-    repaired, _ = repair_network(problem, poor, 40)
-    assert cg.check(repaired) and repaired.certificate.lower_bound > as_is.lower_bound + 0.05
-    scaled = PROBLEMS["scaled noise"]()
-    with pytest.raises(ValueError, match="boxes"):
-        cg.certify(scaled, balancing(scaled), 40, as_is=True, relation="linear")

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.synthesis.models import network_abstraction
@@ -130,17 +129,3 @@ def _passes(certificate: Any) -> bool:
         return bool(cg.check(certificate))
     except ValueError:
         return False
-
-
-def test_rows_are_those_of_the_environment() -> None:
-    """The environment's own float32 observation and the row that is enclosed are the same number, or its neighbour."""
-    problem = reach(scalar_agent("a"), scalar_agent("b"))
-    for scale in ("raw", "unit"):
-        env = cg.parallel_env(problem, scale=scale, dtype="float32")
-        policy = cg.as_policy(goal_seeker(problem), problem, env)
-        seen, infos = env.reset(seed=1)
-        for name, i in (("a", 0), ("b", 1)):
-            view = policy.agent_policy(i).view
-            state: NDArray[Any] = infos[name]["state"][:, None]
-            row = view.rows(problem.agents[i].workspace, state, np.array([infos[name]["automaton_state"]]), 0)[0]
-            assert np.allclose(row[: len(seen[name])][:1], seen[name][:1], rtol=2**-23, atol=0)

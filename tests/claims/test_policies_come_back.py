@@ -208,18 +208,6 @@ def test_models_of_other_environments(problem: cg.Problem) -> None:
     assert "all agents" in cg.as_policy(sb3.PPO("MlpPolicy", central, device="cpu"), problem).information
 
 
-@pytest.mark.parametrize("algorithm", ["ippo", "mappo"])
-def test_learners_of_this_package_are_read_like_others(problem: cg.Problem, algorithm: str) -> None:
-    """Networks of their own for each agent, and actors that see less than their critics."""
-    training = cg.train(problem, algorithm, steps=64, worlds=4, seed=0)
-    policy = cg.as_policy(training.model, problem)
-    actor: Any = training.actor
-    states, q = RNG.uniform(-4.0, 4.0, (1, 20)), np.zeros(20, dtype=int)
-    for i in (0, 1):
-        assert np.array_equal(policy.inputs(i, states, q, 2), actor.inputs(i, states, q, 2))
-    assert cg.as_policy(training, problem) is training.actor
-
-
 def test_networks_are_sent_to_workers(problem: cg.Problem) -> None:
     """What was read of a model is pickled without the model."""
     policy = cg.as_policy(chain(1 + problem.automaton.n_states + 1, 1), problem, "team_env")

@@ -16,7 +16,6 @@ import certigym as cg
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.worlds import Dynamics
 from certigym.envs.problem import groups as independent
-from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.bounds.dense import dense_optimum
 from certigym.synthesis.certificates import ProductProof, changed, is_exact, product_certificate
 from certigym.synthesis.controllers.product_controller import ProductController
@@ -53,17 +52,6 @@ def test_the_optimum_of_the_whole_is_the_product_of_the_parts(monkeypatch: pytes
     optimum = together[(whole.initial_q, *cells)]
     assert 0.5 * optimum < certificate.lower_bound <= optimum
     assert certificate.gap is not None and is_exact(certificate)
-
-
-def test_tasks_judged_at_the_horizon_fall_apart_where_that_pays() -> None:
-    """There the product is exact, and seven pairs cost no more than one; fewer have environments of one task."""
-    assert pairs(6, 3).groups == ()
-    seven, alone = pairs(7, 3, starts=(-1.2,)), pairs(1, 3, starts=(-1.2,))
-    assert [group.agents for group in seven.groups] == [(2 * k, 2 * k + 1) for k in range(7)]
-    certificate = cg.synthesize(seven, 12, relation="exact").certificate
-    assert cg.check(certificate, seven)
-    one = cg.synthesize(alone, 12, relation="exact").certificate.lower_bound
-    assert certificate.lower_bound == pytest.approx(one**7, rel=1e-9)
 
 
 def test_joint_episodes_have_the_verdicts_of_the_parts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -298,26 +286,6 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         assert len(archive.namelist()) == 3
     with pytest.raises(ValueError, match="more than 1000"):
         cg.load(path, max_bytes=1000)
-
-
-def test_the_whole_has_no_automaton_and_says_what_to_do() -> None:
-    problem = pairs(12, 3)
-    assert "12 independent tasks" in repr(problem)
-    with pytest.raises(ValueError, match=r"problem.tasks"):
-        problem.automaton  # noqa: B018
-    certificate = cg.synthesize(problem, 20, relation="exact").certificate
-    assert isinstance(certificate.proof, ProductProof)
-    with pytest.raises(ValueError, match="ProductController"):
-        rollout(problem, cg.synthesize(problem.tasks[0], 20, relation="exact").controller, 10)
-    assert [len(task.agents) for task in problem.tasks] == [2] * 12
-    assert problem.replace(horizon=4).tasks[3].horizon == 4
-    assert problem.replace(horizon=4).fingerprint != problem.fingerprint == pairs(12, 3).fingerprint
-    assert pairs(12, 3, "co-safe").fingerprint != problem.fingerprint
-    assert problem_from_dict(problem.to_dict()).fingerprint == problem.fingerprint
-    assert cg.synthesize(problem.tasks[0], 20, relation="exact").certificate.lower_bound ** 12 == pytest.approx(
-        certificate.lower_bound, rel=1e-9
-    )
-    assert math.isclose(certificate.lower_bound, math.prod([certificate.proof.parts[0].lower_bound] * 12), rel_tol=1e-9)
 
 
 def test_audits_of_products_see_a_false_part() -> None:

@@ -150,30 +150,3 @@ def test_a_network_may_be_what_a_shield_falls_back_on(relation: str) -> None:
         assert not refuted(result["success"], shield.probability)
         assert result["slack"] >= 0.0 and 0.0 < result["overridden"]
         assert propose is the_worst or result["overridden"] < 1.0
-
-
-def test_environments_keep_their_disturbance() -> None:
-    """All kinds of environments, behind a shield, meet the disturbance of the environment that was given."""
-    found, problem = certificate("wind, linear"), WINDY
-    wind = greedy_disturbance(found)
-    makers: list[Any] = [cg.parallel_env, cg.central_env]
-    for behaviour in ("periodic", wind):
-        envs = [make(problem, disturbance=behaviour) for make in makers]
-        envs += [make(problem, 3, disturbance=behaviour) for make in (cg.vector_env, cg.team_env)]
-        for env in envs:
-            shielded = cg.shield(env, found, probability=0.1)
-            batch = getattr(shielded, "_batch", shielded)
-            dynamics = batch._dynamics if hasattr(batch, "_dynamics") else batch._episode.dynamics
-            assert dynamics.disturbance == behaviour and shielded.options["disturbance"] == behaviour
-
-
-def test_the_wind_moves_a_shielded_world() -> None:
-    """The same seed and actions lead elsewhere in the wind than without."""
-    found, ends = certificate("wind, linear"), []
-    for behaviour in ("zero", "periodic"):
-        env = cg.shield(cg.parallel_env(WINDY, disturbance=behaviour), found, probability=0.1)
-        env.reset(seed=0)
-        for _ in range(2):  # in the first step the wind is still
-            observations = env.step({name: np.zeros(1) for name in env.agents})[0]
-        ends.append(observations["one"][0])
-    assert ends[0] != ends[1]

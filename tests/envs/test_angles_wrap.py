@@ -12,8 +12,7 @@ from scipy.stats import norm
 import certigym as cg
 from certigym.envs.agents import expression_agent, wrapped
 from certigym.envs.expressions import read_expression, turns
-from certigym.envs.pictures import agent_color, edges, panels
-from certigym.envs.pictures.palette import rgb
+from certigym.envs.pictures import edges
 from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.controllers import path_controller
@@ -295,37 +294,6 @@ def yard(heading: float, turning: bool = True) -> cg.Problem:
     formula = "F (bay & west)" if turning else "F bay"
     specification = cg.Specification(formula, "co-safe")
     return cg.Problem(name="yard", horizon=3, agents=[car], propositions=propositions, specification=specification)
-
-
-def test_agents_on_maps_point_where_they_head() -> None:
-    (panel,) = panels(yard(0.5))
-    (curve,) = panel.curves
-    assert panel.is_map and curve.heading == 2
-    corners = curve.arrow(np.array([1.0, 1.0, 0.5 * np.pi]))
-    assert corners is not None
-    assert np.allclose(corners[0], [0, 1]) and np.allclose(corners[1:, 1], [-0.7, -0.4, -0.7])
-    assert curve.arrow(np.full(3, np.nan)) is None  # after the decision
-    # A state that is not named as an angle is a heading if its cosine and its sine move the agent on the map.
-    assert panels(yard(0.5, turning=False))[0].curves[0].heading == 2
-    # Along an axis of the panel an angle is a number, and points nowhere.
-    assert all(curve.heading is None for panel in panels(ship()) for curve in panel.curves)
-
-
-def test_frames_show_headings_on_maps_in_scale() -> None:
-    pytest.importorskip("PIL", reason="needs the extra `viz`")
-
-    def ink(heading: float) -> Any:
-        env = cg.parallel_env(yard(heading), render_mode="rgb_array")
-        env.reset(seed=0)
-        frame = np.asarray(env.render())
-        # 466 by 233 pixels: as wide and high as the workspace, whose middle is the start. The name is further off.
-        mine = (frame[121:146, 255:280] == rgb(agent_color(0))).all(axis=-1)
-        rows, columns = np.nonzero(mine)
-        return columns.max() - 12, 12 - columns.min(), 12 - rows.min(), rows.max() - 12
-
-    east, west, north, south = ink(0.0)
-    assert east > west and abs(north - south) <= 1
-    assert ink(np.pi)[1] > ink(np.pi)[0] and ink(0.5 * np.pi)[2] > ink(0.5 * np.pi)[3]
 
 
 def test_guards_name_headings_as_they_were_written() -> None:

@@ -5,7 +5,6 @@ Noise that grows from next to nothing has tables that fit, and cells to begin wi
 
 from __future__ import annotations
 
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,12 @@ import pytest
 import certigym as cg
 from certigym.synthesis.certificates import changed
 from certigym.synthesis.choosing import first_cells
-from certigym.synthesis.masses import AgentPart, axis_tables
-from certigym.synthesis.models import box_model
 from certigym.synthesis.nominal_paths import CountedWork, path_certificate
 from certigym.synthesis.nominal_paths.nominal_planner import Aim, Planner, rolled
 from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
 from certigym.synthesis.nominal_paths.team_search import TeamSearch
 from certigym.synthesis.nominal_paths.tried_runs import tried_run
 from certigym.synthesis.nominal_paths.turns import plans_of_runs, runs_in_turn
-from certigym.synthesis.path_bounds.feedback_bounds import Feedback, NominalPath, _Walk
 from certigym.synthesis.path_bounds.nonlinear_model import NonlinearModel
 from certigym.synthesis.path_bounds.path_limits import farthest_sides, limits_along
 from certigym.synthesis.path_words.accepted_words import is_accepted
@@ -167,22 +163,6 @@ def test_inputs_from_which_an_agent_runs_away_cost_everything() -> None:
     assert Planner(model, aim, CountedWork()).improved(np.ones((steps, 1)), 3)[2] == np.inf
 
 
-def test_steps_without_remainders_take_no_place_in_a_walk() -> None:
-    problem = rover(dynamics=["x + u", "charge - 0.1"])
-    model, steps = NonlinearModel(problem.agents[0]), 30
-    letters = np.zeros((steps + 1, 2), dtype=np.int8)
-    limits = limits_along(problem, problem.agents[0], letters, np.full(letters.shape, -1))
-    inputs = np.zeros((steps, 1))
-    path = NominalPath(model, limits, rolled(model, problem.agents[0].initial.low, inputs), inputs)
-    feedback = Feedback(np.full((1, steps, 1, 2), -0.3), np.full((1, steps + 1, 5), 4.0))
-    walk = _Walk([path], feedback, np.zeros(1, dtype=np.int64))
-    walk.walked()
-    assert walk.count == 0
-    # What is rounded counts all the same: 1e-13 of the ranges at each step, some of which feedback takes back.
-    _, drift, _ = walk.of_rows(steps, np.eye(2))
-    assert np.all(drift > 1e-13) and np.all(drift < 1e-10)
-
-
 def growing() -> cg.Problem:
     """Return a stock whose noise grows with it, from next to nothing."""
     agent = cg.Agent(
@@ -192,22 +172,6 @@ def growing() -> cg.Problem:
     regions = {"alive": cg.Proposition("stock", [2], [16])}
     task = cg.Specification("G alive", "finite-trace")
     return cg.Problem(name="growing", horizon=3, agents=[agent], propositions=regions, specification=task)
-
-
-def test_tables_of_noise_that_grows_are_held_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(box_model, "MOST_MASSES", 500_000)
-    result = cg.synthesize(growing(), cells=60, relation="boxes")
-    part: AgentPart = result.certificate.proof.agents[0]
-    scales, means = part.lattice
-    entries = len(scales) * len(means) * 60
-    # One level more than asked for at either end, and one and a half to spare.
-    assert entries < 2 * 500_000
-    tracemalloc.start()
-    (table,) = axis_tables(result.certificate.problem.agents[0], part, {})
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert table.shape == (len(scales) * len(means), 60)
-    assert peak < 1.7 * 8 * entries
 
 
 def test_noise_that_is_next_to_nothing_in_few_cells_asks_for_no_finer_lattice() -> None:

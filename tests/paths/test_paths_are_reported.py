@@ -96,16 +96,6 @@ def test_agents_on_grids_have_no_tube() -> None:
     assert tube_along(certificate, np.eye(certificate.problem.n_states)[:1]) is None
 
 
-@pytest.mark.parametrize("kind", ["rollouts", "episode", "automaton"])
-def test_what_has_a_picture_is_drawn(saved: str, tmp_path: Path, kind: str) -> None:
-    assert main(["plot", kind, saved, "--out", str(tmp_path / "a.png")]) == 0
-
-
-@pytest.mark.parametrize("words", [["validate", "--episodes", "2000"], ["stress", "--episodes", "200"]])
-def test_what_tests_one_start_runs(saved: str, words: list[str]) -> None:
-    assert main([words[0], saved, *words[1:]]) == 0
-
-
 @pytest.mark.parametrize(
     "words",
     [

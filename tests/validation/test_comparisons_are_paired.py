@@ -135,18 +135,3 @@ def test_the_command_line_compares_and_certifies(task: str, tmp_path: Path, caps
     for wrong in ("nobody", f"{tmp_path / 'mine.py'}:nobody", "nowhere.py:here"):
         assert main(["certify", task, "--policy", wrong]) == 2
         assert "expected" in capsys.readouterr().err
-
-
-@pytest.mark.thorough
-def test_the_command_line_trains(task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
-    folder = tmp_path / "ppo"
-    words = ["train", task, "--algo", "ppo", "--steps", "2000", "--seed", "1", "--worlds", "16", "--out", str(folder)]
-    assert main([*words, "--plot", str(tmp_path / "curve.svg")]) == 0
-    assert "own state, automaton state, time" in capsys.readouterr().out
-    assert (tmp_path / "curve.svg").is_file()
-    actor = str(folder / "actor.npz")
-    assert main(["compare", task, "--policies", f"{actor},ppo", "--steps", "1000", "--episodes", "100"]) == 0
-    assert main(["certify", task, "--policy", actor, "--cells", "30", "--episodes", "100"]) == 0
-    assert "hold for the policies wrapped" in capsys.readouterr().out
-    assert main(["train", task, "--steps", "0", "--out", str(folder)]) == 2

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.validation.policies import imitation
 from certigym.validation.policies.actors import networks_of
 from certigym.validation.policies.settings import settings_for
@@ -91,17 +90,6 @@ def test_settings_come_from_the_file_and_can_be_changed_by_name() -> None:
     assert [(p.reward, p.share, p.spread) for p in single.phases] == [("shaped", 1.0, 0.0)]
     assert json.loads(json.dumps(plain.to_dict()))["steps"] == plain.steps
     assert [phase.fixed for phase in settings_for("ppo", view, warm=True).phases] == [True]
-
-
-@pytest.mark.thorough
-def test_several_seeds_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["train", "reach-avoid-v0", "--steps", "300", "--worlds", "4", "--seeds", "0", "1"]
-    assert main([*words, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "all.json")]) == 0
-    printed = capsys.readouterr().out
-    assert "over 2 training seeds" in printed and "settings: " in printed
-    assert (tmp_path / "out" / "seed-1" / "actor.npz").is_file()
-    record = json.loads((tmp_path / "all.json").read_text())
-    assert len(record["trainings"]) == len(record["comparison"]["entries"]) == 2
 
 
 def test_mistakes_are_answered(certificate: Any, tmp_path: Path) -> None:

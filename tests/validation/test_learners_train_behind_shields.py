@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.synthesis.shielding import Shield, shield_of
 
 pytest.importorskip("stable_baselines3")
@@ -47,22 +43,6 @@ def test_a_learner_that_is_not_shielded_fails_more_often(shield: Shield) -> None
     episodes = sum(int(point["episodes"]) for point in training.curve)
     successes = sum(round(point["episodes"] * point["success"]) for point in training.curve)
     assert binom.cdf(successes, episodes, shield.probability) < FALSE_ALARM
-
-
-@pytest.mark.thorough
-def test_the_command_line_trains_behind_a_shield(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    problem = cg.make_problem("reach-avoid-v0", horizon=5)
-    file = str(tmp_path / "certificate.npz")
-    cg.save(cg.synthesize(problem, 60, relation="exact").certificate, file)
-    command = ["train", "reach-avoid-v0", "--horizon", "5", "--steps", "1000", "--out", str(tmp_path / "out")]
-    assert main([*command, "--shield", file, "--probability", "0.7"]) == 0
-    assert "trained behind a shield that keeps 0.7" in capsys.readouterr().out
-    record = json.loads((tmp_path / "out" / "training.json").read_text(encoding="utf-8"))
-    assert record["help"] == "trained behind a shield that keeps 0.7"
-    assert main([*command, "--shield", file]) == 2
-    assert "expected both or neither" in capsys.readouterr().err
-    assert main([*command, "--shield", file, "--probability", "0.95"]) == 2
-    assert "`probability`: expected at most 0.76" in capsys.readouterr().err
 
 
 def test_shields_that_do_not_fit_are_refused(shield: Shield) -> None:
