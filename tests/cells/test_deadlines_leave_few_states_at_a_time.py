@@ -39,6 +39,7 @@ def test_bounds_are_those_of_all_states(formula: str, monkeypatch: pytest.Monkey
     assert found.certificate.lower_bound <= most == pytest.approx(above, rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_deadline_at_the_horizon_is_that_of_the_horizon() -> None:
     """`G[0,T] safe` and `G safe` up to the horizon are one task, also for agents with expressions."""
     bounds = []

@@ -121,8 +121,8 @@ def test_ellipsoids_are_found_and_verified_without_the_solver(
         assert relation.epsilon == pytest.approx(relation.state_reach[0], rel=1e-6)
 
 
-@pytest.mark.parametrize("delta", [0.0, 0.02])
-@pytest.mark.parametrize("name", CASES)
+@mostly_thorough("delta", [0.0, 0.02])
+@mostly_thorough("name", CASES)
 def test_errors_on_the_boundary_and_vertices_of_the_cells_stay_inside(name: str, delta: float) -> None:
     """20,000 errors, every vertex, the largest image within 0.1 % of the boundary: nothing is given away."""
     agent, part = case(name, delta)
@@ -221,6 +221,7 @@ def test_scalar_ellipsoids_are_the_closed_form(delta: float) -> None:
     assert found.shape[0, 0] == pytest.approx(1.0) and not np.any(found.feedback)
 
 
+@pytest.mark.thorough
 def test_three_states_and_their_four_pairs_of_vertices() -> None:
     """Every vertex of W, 20,000 errors: a chain of three integrators."""
     low, high = [-6.0] * 3, [6.0] * 3
@@ -252,6 +253,7 @@ def test_agents_without_usable_inputs_need_no_feedback() -> None:
     assert not np.any(found.feedback) and found.epsilon == pytest.approx(0.25, rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_the_coupling_has_both_marginals_and_fails_as_rarely_as_can_be() -> None:
     """Kolmogorov-Smirnov per axis and one exact binomial test, each at 1e-6 / 4; 200,000 draws see errors of .007."""
     relation = relation_of(cart(), _part("cart", 0.05))
@@ -290,6 +292,7 @@ def followed(relation: CoupledRelation, model: Any, agent: cg.LinearAgent, grid:
     return Tracker(relation, grid).follow(memory, following[:, None], rng.random((1, n))), following, point
 
 
+@pytest.mark.thorough
 def test_relations_are_lost_no_more_often_than_delta_says_and_cells_move_as_the_kernel_says() -> None:
     """Losses one-sided at 1e-6, cell frequencies at 1e-6 over all cells; 300,000 steps from the worst error."""
     agent, grid, n = cart(), cells(cart()), 300_000

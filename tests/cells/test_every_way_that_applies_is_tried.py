@@ -107,6 +107,7 @@ def test_a_path_that_leaves_hardly_anything_to_gain_spares_the_grids() -> None:
     assert second.certificate.lower_bound == found.certificate.lower_bound < first.certificate.lower_bound
 
 
+@pytest.mark.thorough
 def test_teams_of_three_get_linear_cells_on_cells_that_are_given() -> None:
     """On coarse cells they certify several times what other relations do."""
     found = cg.synthesize(robots(3), 12)
@@ -131,6 +132,7 @@ def test_ctrl_c_keeps_the_best_so_far(table: Table) -> None:
         best_of([Way("first", broken_off)], Effort())
 
 
+@pytest.mark.thorough
 def test_ctrl_c_keeps_the_best_level() -> None:
     """The second level is broken off: the first one is what there is, and nothing else is begun."""
     seen: list[str] = []

@@ -50,6 +50,7 @@ def both_bounds(tree: Tree, box: list[tuple[float, float]]) -> tuple[float, floa
     return float(np.max(of_search)), float(computed_off(tree, leaves)[1][0])
 
 
+@pytest.mark.thorough
 def test_what_is_computed_is_off_by_no_more_than_is_said() -> None:
     """Random expressions with terms from 1e-9 to 1e26 against rational arithmetic; the search allows for more."""
     rng, tight = np.random.default_rng(0), []
@@ -119,6 +120,7 @@ def test_the_check_refuses_searches_that_forget_inner_terms(monkeypatch: pytest.
     assert cg.check(forged)
 
 
+@pytest.mark.thorough
 def test_choices_that_steer_are_charged_for_inner_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     """Boxes around targets are wider by what is lost; a search that forgets it is refused."""
     steered = reaches(agent("5e13*(x+1) - 5e13*x - 5e13"))

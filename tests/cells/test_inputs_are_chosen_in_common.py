@@ -138,6 +138,7 @@ def test_the_search_finds_the_best_sequence_of_numbers(monkeypatch: pytest.Monke
     assert solved >= 3
 
 
+@pytest.mark.thorough
 def test_relaxations_are_above_what_any_number_attains() -> None:
     problem = boiler_problem(2, horizon=3)
     joint = join(problem, abstract(problem, 10, relation="boxes", common=True))
@@ -163,6 +164,7 @@ def test_rollouts_do_not_refute_the_bound(problem: cg.Problem) -> None:
         assert np.any(heat[:, 1:] != heat[:, :1])
 
 
+@pytest.mark.thorough
 def test_rooms_may_have_noise_whose_scale_depends_on_their_state() -> None:
     problem = boiler_problem(1, noise_scale=["1 + 0.1*(warmth - 19)"])
     certificate = certified(problem, 16)

@@ -315,6 +315,7 @@ def test_laws_of_scipy_are_taken_with_the_error_that_is_stated(tmp_path: Path) -
     assert cg.check(cg.load(tmp_path / "certificate.npz"), problem).valid
 
 
+@pytest.mark.thorough
 def test_laws_that_the_small_checker_has_no_words_for_are_for_the_extended_check() -> None:
     normal = ScipyLaw(scipy.stats.norm(0.0, 0.15), 1e-12, 10.0)
     for law in (Stranger(0.15), normal, Mixture((0.5, 0.5), (0.0, 0.0), (Gaussian(0.15), normal))):

@@ -418,8 +418,8 @@ def test_the_check_makes_its_own_tables(monkeypatch: pytest.MonkeyPatch) -> None
     assert MeanBoxes.__dataclass_fields__["scales"].default is None
 
 
-@pytest.mark.parametrize("law", [LAWS[0], LAWS[1], LAWS[2]], ids=lambda law: law["law"])
-@pytest.mark.parametrize("scale", ["1", "2/2", "p", "exp(0)"])
+@mostly_thorough("law", [LAWS[0], LAWS[1], LAWS[2]], ids=lambda law: law["law"])
+@mostly_thorough("scale", ["1", "2/2", "p", "exp(0)"])
 def test_a_scale_of_one_is_no_scale(law: dict[str, Any], scale: str) -> None:
     """However it is written: search and check charge nothing for what does not vary, and agree on it."""
     keys: dict[str, Any] = {

@@ -138,7 +138,7 @@ def test_claims_are_exact_checked_and_met_by_rollouts(name: str) -> None:
     assert outcome.ci_low <= certificate.lower_bound + certificate.gap and certificate.lower_bound <= outcome.ci_high
 
 
-@pytest.mark.parametrize("name", [*SECTORS, "in space"])
+@mostly_thorough("name", [*SECTORS, "in space"], first=2)
 def test_inputs_put_means_on_targets_from_everywhere_in_a_cell(name: str) -> None:
     """Every choice, at random points of its cell: inputs in their box, the mean on the lattice point."""
     certificate, rng = certificate_of(name), np.random.default_rng(1)

@@ -68,6 +68,7 @@ def kinds_of(certificate: Any) -> list[str]:
     return [part.relation["kind"] for part in certificate.proof.agents]
 
 
+@pytest.mark.thorough
 def test_nothing_else_is_tried_where_exact_leaves_the_inputs_to_the_policy(monkeypatch: pytest.MonkeyPatch) -> None:
     found = cg.synthesize(cg.make_problem("reach-avoid-v0"), 100)
     assert found.certificate.lower_bound > 0.9
@@ -132,6 +133,7 @@ def test_agents_of_one_team_have_different_relations(tmp_path: Path) -> None:
     assert f"tried         exact for car, {kinds[1]} for cart_0: P >= " in str(cg.validate(loaded, 200))
 
 
+@pytest.mark.thorough
 def test_what_is_passed_over_would_not_have_been_better() -> None:
     found = chosen()
     for kind in ("tube", "ellipsoid"):
@@ -147,6 +149,7 @@ def test_what_is_passed_over_would_not_have_been_better() -> None:
             assert outcome == other.certificate.lower_bound
 
 
+@pytest.mark.thorough
 def test_bounds_from_above_hold_for_every_combination() -> None:
     """Also where cells have several labels, of which the worst counts."""
     problem, cells = team(), {"car": 40, "cart_0": 24}

@@ -219,6 +219,7 @@ def test_bounds_for_continuous_policies_say_nothing_where_relations_can_be_lost(
     assert isinstance(paper["abstract_upper_bound"], float) and paper["abstract_upper_bound"] > 0.1
 
 
+@pytest.mark.thorough
 def test_deadlines_are_left_out_up_to_the_longest_horizon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(horizons, "LONGEST", 20)
     shortened = cg.synthesize(one_agent(), 60, horizon=None)

@@ -100,6 +100,7 @@ def test_budgets_are_positive_numbers(name: str, value: Any) -> None:
         cg.synthesize(robots(2), **{name: value})
 
 
+@pytest.mark.thorough
 def test_linear_algebra_has_one_thread_and_gets_its_threads_back() -> None:
     """The order of sums would depend on the number of cores."""
     cg.synthesize(cart_reach(cart(), horizon=4), 24)  # loads all libraries that it needs

@@ -22,6 +22,7 @@ from certigym.synthesis.search.train_ascent import TrainLimits, sweep_trains
 from certigym.synthesis.search.train_backward import evaluate
 from certigym.synthesis.values.tensor_train import Diagram, Train, added, diagram, rounded
 from certigym.synthesis.values.train_values import Rounding
+from kinds import mostly_thorough
 from test_tree_equals_dense_programming import FORMULAS, problem_of
 
 SHAPE = (5, 4, 6, 3)
@@ -258,8 +259,8 @@ def test_frozen_policies_keep_their_value_under_a_finer_rounding() -> None:
     assert coarse.rank <= fine.rank
 
 
-@pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
-@pytest.mark.parametrize("n_agents", [1, 2, 3])
+@mostly_thorough(("formula", "semantics"), FORMULAS)
+@mostly_thorough("n_agents", [1, 2, 3])
 def test_what_one_agent_could_gain_is_what_it_is_on_trees(n_agents: int, formula: str, semantics: str) -> None:
     problem, joint, policies = a_team(n_agents, formula, semantics)
     compare_gains(problem, joint, policies)

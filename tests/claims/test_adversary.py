@@ -28,8 +28,8 @@ def test_random_claims_are_true(seed: int) -> None:
     assert row["outcome"] in ("refused", "certified", "nothing certified")
 
 
-@pytest.mark.parametrize("kind", ["written", "uneven"])
-@pytest.mark.parametrize("seed", range(FIRST + 4, FIRST + 4 + WRITTEN))
+@mostly_thorough("kind", ["written", "uneven"])
+@mostly_thorough("seed", range(FIRST + 4, FIRST + 4 + WRITTEN))
 def test_random_claims_about_written_agents_are_true(seed: int, kind: str) -> None:
     """The same for random expressions, whose values the simulator computes itself, in winds that jump.
 

@@ -58,6 +58,7 @@ def test_files_and_rollouts_agree(name: str, tmp_path: Path) -> None:
     assert not cg.audit(loaded, 4_000, seed=2, confidence=1 - FALSE_ALARM).refuted
 
 
+@pytest.mark.thorough
 def test_rollouts_from_other_states_agree() -> None:
     """2,000 episodes from each of twenty states; a claim that is .06 too large would be refuted at a state."""
     rng = np.random.default_rng(4)

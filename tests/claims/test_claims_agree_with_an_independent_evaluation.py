@@ -22,6 +22,7 @@ from adversary import problem_of
 from certigym.synthesis.certificates import changed, delta_of
 from certigym.synthesis.checking import regrow
 from independent import FALSE, GoodPrefixes, membership
+from kinds import mostly_thorough
 
 FORMULA = ("and", ("U", ("not", "wall"), ("is", "goal")), ("F", 0, None, ("is", "door")))
 HORIZON = 4
@@ -132,7 +133,7 @@ CASES: list[tuple[Callable[[], dict[str, Any]], dict[str, Any]]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", CASES)
+@mostly_thorough("case", CASES, first=2)
 def test_claims_agree_everywhere(case: tuple[Callable[[], dict[str, Any]], dict[str, Any]]) -> None:
     problem, options = case[0](), case[1]
     certificate: Any = cg.synthesize(problem_of(problem), 8, **options).certificate

@@ -11,6 +11,7 @@ import pytest
 import certigym as cg
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces.shaping import Potential
+from kinds import mostly_thorough
 
 IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "building-automation-v0"]
 
@@ -163,7 +164,7 @@ def test_a_charged_battery_is_worth_more_than_an_empty_one() -> None:
     assert totals[-1.0] > totals[0.0] > 0.0
 
 
-@pytest.mark.parametrize("id", IDS)
+@mostly_thorough("id", IDS, first=4)
 def test_all_forms_pay_progress_alike(id: str) -> None:
     options: dict[str, Any] = {"reward": "progress", "horizon": 5}
     envs, central = cg.vector_env(id, 1, **options), cg.central_env(id, **options)

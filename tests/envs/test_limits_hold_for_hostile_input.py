@@ -62,6 +62,7 @@ def test_what_random_problems_found(seed: int) -> None:
 
 
 # --- what lies beyond the horizon ---------------------------------------------------------------------------
+@pytest.mark.thorough
 def test_states_beyond_the_horizon_are_left_out_and_nothing_else_changes() -> None:
     rng = np.random.default_rng(0)
     tasks = [("X[200] a", "co-safe"), ("F[80,190] a", "co-safe"), ("G[0,150] a", "finite-trace")]

@@ -7,6 +7,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.problem import out_of_reach, problem_from_toml
+from kinds import mostly_thorough
 
 NOISE = {"law": "gaussian", "std": 0.05}
 
@@ -138,7 +139,7 @@ def test_what_is_out_of_reach_takes_next_to_no_search_and_follows_what_comes_nea
     assert "not computed: the task is out of reach" in str(result.stats["tried"])
 
 
-@pytest.mark.parametrize("wind", ["", " + 0.1*sin(t)"])
+@mostly_thorough("wind", ["", " + 0.1*sin(t)"])
 def test_a_start_that_breaks_the_task_says_so_at_once(wind: str) -> None:
     """No run comes near: what is certified, 0, needs no more cells than there are regions."""
     cart = robot(dynamics=["x + 0.5*y", f"y + 0.5*u{wind}"], inputs=["u"], input_low=[-1], input_high=[1])
@@ -183,7 +184,7 @@ goal = { agent = "ship", of = ["theta"], low = [-3.1], high = [-2.8] }
 """
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     ("change", "is_told"),
     [
         (("", ""), True),
@@ -195,6 +196,7 @@ goal = { agent = "ship", of = ["theta"], low = [-3.1], high = [-2.8] }
         (('"x + u"', '"x + 0.01*theta + u"'), False),
         (("dynamics =", 'angles = ["theta"]\\ndynamics ='), False),
     ],
+    first=6,
 )
 def test_states_that_may_be_angles_are_told_where_that_would_help(change: tuple[str, str], is_told: bool) -> None:
     before, after = (text.replace("\\n", "\n") for text in change)

@@ -127,6 +127,7 @@ def test_results_are_json_with_keys_that_are_explained(
     check_keys(spoken(command, words, folder, capsys, monkeypatch))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("command", "words"), [(name, words) for name, all in LEARNING.items() for words in all])
 def test_results_of_learning_are_json_with_keys_that_are_explained(
     command: str, words: list[str], folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

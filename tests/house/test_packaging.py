@@ -103,6 +103,7 @@ def test_the_wheel_holds_exactly_the_folders(wheel: Path) -> None:
         assert "certigym = certigym.cli.main:main" in archive.read(extra[0]).decode()
 
 
+@pytest.mark.thorough
 def test_the_wheel_works_without_the_checkout(wheel: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path / "site")
@@ -160,6 +161,7 @@ def test_the_package_is_typed(wheel: Path) -> None:
         assert "Classifier: Typing :: Typed" in archive.read(metadata).decode()
 
 
+@pytest.mark.thorough
 def test_a_checkout_without_links_finds_its_folders(tmp_path: Path) -> None:
     for path in sources().values():
         place = tmp_path / path.relative_to(ROOT)

@@ -266,6 +266,7 @@ def from_boxes(width: float, formula: str = "G !near & F there") -> cg.Problem:
     return problem_of(agents, regions, formula, 6)
 
 
+@pytest.mark.thorough
 def test_pairs_hold_from_every_start_of_a_box() -> None:
     """The set of starts joins the drift of pairs, and claims that forget it are refused."""
     wide, point = path_of(from_boxes(0.3)), path_of(from_boxes(0.0))

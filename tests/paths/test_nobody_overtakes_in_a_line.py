@@ -50,6 +50,7 @@ def test_carts_enter_one_after_the_other() -> None:
     assert certificate.lower_bound > 0.999 and cg.check(certificate)
 
 
+@pytest.mark.thorough
 def test_plans_keep_the_order(monkeypatch: pytest.MonkeyPatch) -> None:
     """Guesses that end in one point have the carts pass through each other."""
     problem = carts(4)

@@ -133,6 +133,7 @@ def test_a_claim_of_nothing_along_a_path_cannot_be_made_one_of_something() -> No
     assert not cg.check(changed(certificate, failure=0.5), asked).valid
 
 
+@pytest.mark.thorough
 def test_the_terminal_says_why(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "try.toml"
     file.write_text(FILE.format(name="try", formula="F goal", horizon=2, std=0.02, high=9.0, wall=2.75))
@@ -147,6 +148,7 @@ def test_levels_end_where_no_run_is_known() -> None:
     assert any("no run without noise was found" in str(told) for told in tried.values())
 
 
+@pytest.mark.thorough
 def test_what_a_path_certifies_stays_where_grids_hold_too_few_cells() -> None:
     """Nobody asked for cells, so that none are to be fewer: twelve states, one of them without noise."""
     chain = cg.LinearAgent(

@@ -174,6 +174,7 @@ def growing() -> cg.Problem:
     return cg.Problem(name="growing", horizon=3, agents=[agent], propositions=regions, specification=task)
 
 
+@pytest.mark.thorough
 def test_noise_that_is_next_to_nothing_in_few_cells_asks_for_no_finer_lattice() -> None:
     result = cg.synthesize(growing(), cells=60, relation="boxes")
     assert len(result.certificate.proof.agents[0].lattice[1]) < 1000

@@ -32,6 +32,7 @@ def saved(building: AlongPath, tmp_path_factory: pytest.TempPathFactory) -> str:
     return path
 
 
+@pytest.mark.thorough
 def test_a_page_shows_claim_rollouts_and_tube(saved: str, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     content = cg.report(saved, page, episodes=2000)

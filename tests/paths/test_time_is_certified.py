@@ -89,7 +89,7 @@ def test_a_reference_is_followed_for_thirty_steps() -> None:
         assert not lies(result.certificate.lower_bound, int(np.sum(rollouts.success)), 3000)
 
 
-@pytest.mark.parametrize("way", ["exact", "written, linear", "written, boxes", "path", "written, path"])
+@mostly_thorough("way", ["exact", "written, linear", "written, boxes", "path", "written, path"], first=2)
 def test_files_are_read_back_and_checked(way: str, tmp_path: Path) -> None:
     certificate, path = certified(way), tmp_path / "kept.npz"
     cg.save(certificate, path)
@@ -283,6 +283,7 @@ def test_what_else_changes_with_time_is_certified() -> None:
             assert report.verdict != "refuted"
 
 
+@pytest.mark.thorough
 def test_independent_tasks_in_time_are_certified_one_by_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(groups, "MOST_STATES", 0)
     region = cg.Proposition("d_*", ["sin(t) - 1.4"], ["sin(t) + 1.4"])

@@ -23,6 +23,7 @@ INVARIANCE = {
 """The same for the invariance benchmark, setting A."""
 
 
+@pytest.mark.thorough
 def test_fig_3_comes_out_to_six_digits_with_the_variance_as_standard_deviation() -> None:
     for step, (published, _) in zip(published_curve(16), FIGURE_3):
         assert abs(step.mean - published) <= 5.1e-7, (step.horizon, step.mean, published)
