@@ -54,7 +54,7 @@ WHY_NOT = {
     "corridor-v0": "it stays at 0 within a minute, also with a central critic: both robots are paid for going ahead, "
     "meet in the corridor, and the one that would have to wait first has to unlearn what it was paid for. If they may "
     "meet, or if there are no walls, every episode succeeds within 40 seconds; four times the time, or one learner for "
-    "both, changes nothing ([tested](../why_hard.md#corridor-v0)).",
+    "both, changes nothing (tested).",
     "rendezvous-v0": "it stays at 0 within a minute, also with a central critic: every follower has to stay within "
     "reach of a leader that it does not see, so an exploring leader that turns early or late loses all of them.",
     "swarm-v0": "it stays at 0 within a minute, also with a central critic: all robots are paid for going straight "
@@ -72,27 +72,27 @@ WHY_NOT = {
 HARD: dict[str, str] = {
     "courier-v0": "the mission is long: one of two customers is learned by PPO without help in 40 seconds, one of "
     "four is not, also without the pond, in a given order, or with four times the time "
-    "([tested](../why_hard.md#courier-v0)).",
+    "(tested).",
     "needle-v0": "a learner that keeps noise in its actions hardly ever passes all three gates, and so sees little "
     "of the last one. More steps help, which was tested: PPO without help came to .02 after 175,000 world steps "
     "and to .34 after 357,000, one seed each.",
     "fleet-6-v0": "all six have to be in their places at the same time: two vehicles learn to pass one another in "
-    "40 seconds, and six stay at 0 even if they may meet ([tested](../why_hard.md#fleet-6-v0)).",
+    "40 seconds, and six stay at 0 even if they may meet (tested).",
     "swarm-8-v0": "this is not known. It was said to be the agreement on one sense of going around, but robots "
     "that may meet, and two in place of eight, stay at 0 within 40 seconds, too "
-    "([tested](../why_hard.md#swarm-8-v0)).",
+    "(tested).",
     "rendezvous-3-v0": "three followers keep within reach of a leader that they do not see: PPO comes to .90 and "
     ".9999 with two seeds if they need not, and stays at 0 if they need not keep apart "
-    "([tested](../why_hard.md#rendezvous-3-v0)).",
+    "(tested).",
     "invariance-b-50-v0": "the task is lost by whoever leaves first of fifty, so the return says little of what "
     "one agent did. The number is what counts, which was tested: with 20 agents PPO comes to .999, with 100 to "
     ".002.",
     "reach-avoid-20-rough-v0": "twenty agents have to succeed together, which takes time and nothing else: PPO "
     "comes to .72 after 103,000 world steps and to .81 after four times as long "
-    "([tested](../why_hard.md#reach-avoid-20-rough-v0)); on the leaderboard it had 29,184.",
+    "(tested); on the leaderboard it had 29,184.",
     "car-park-rough-v0": "what is left is where a step of bad luck costs least, which takes time: PPO comes to .74 "
     "in 40 seconds and to .77 in four times as long, and another reward changes nothing "
-    "([tested](../why_hard.md#car-park-rough-v0)).",
+    "(tested).",
 }
 """What is hard about problems that were made to tell learners apart, and whether an experiment has tested that."""
 

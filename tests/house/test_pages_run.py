@@ -170,8 +170,8 @@ def test_every_public_name_is_in_the_reference() -> None:
 def test_every_figure_is_drawn_by_the_script_and_used() -> None:
     present = {path.stem for path in (DOCS / "figures").glob("*.png")}
     used = {name for page in PAGES for name in re.findall(r"figures/(\w+)\.png", page.read_text(encoding="utf-8"))}
-    # The studio is a page, drawn by `draw_studio.py`; the study by `benchmarks/from_certificates.py` with its numbers.
-    assert present == used == {*draw_figures.FIGURES, "studio", "from_certificates"}
+    # The studio is a page, drawn by `draw_studio.py`.
+    assert present == used == {*draw_figures.FIGURES, "studio"}
     for path in (DOCS / "figures").iterdir():
         assert path.stat().st_size < 100_000, "small enough to commit"
 
