@@ -172,6 +172,7 @@ def test_bounds_hold_in_rollouts(name: str, request: pytest.FixtureRequest) -> N
     assert binom.cdf(rollouts.successes, rollouts.episodes, certificate.lower_bound) > FALSE_ALARM
 
 
+@pytest.mark.thorough
 def test_a_shorter_distance_does_not_prove_a_longer_one(apart: AlongPath, together: AlongPath) -> None:
     longer = meeting("G !near_0_1 & F (right & left)", distance=1.6, horizon=12)
     assert not cg.check(replace(apart, problem=longer))
@@ -179,6 +180,7 @@ def test_a_shorter_distance_does_not_prove_a_longer_one(apart: AlongPath, togeth
     assert not cg.check(replace(together, problem=shorter))
 
 
+@pytest.mark.thorough
 @mostly_thorough("size", [1e-9, 1e-170, 5e-324, 1e200], first=2)
 def test_tiny_directions_ask_for_nothing_and_are_refused(apart: AlongPath, size: float) -> None:
     """Squares of 1e-170 are 0, as is the length of such a direction: any half-space would be as far as the origin."""

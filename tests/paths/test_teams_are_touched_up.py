@@ -12,6 +12,8 @@ from certigym.synthesis.nominal_paths.team_search import TeamFound, TeamSearch
 from certigym.synthesis.path_bounds.pair_costs import pair_limits
 from fleet_problems import mixed, path_of, swap
 
+pytestmark = pytest.mark.thorough
+
 PROBLEM = swap(3, 0.04, 0.4)
 
 

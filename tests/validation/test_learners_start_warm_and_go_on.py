@@ -16,6 +16,8 @@ from certigym.validation.policies.actors import networks_of
 from certigym.validation.policies.settings import settings_for
 from certigym.validation.policies.views import SharedView
 
+pytestmark = pytest.mark.thorough
+
 pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
 
 RA2 = cg.make_problem("reach-avoid-v0")

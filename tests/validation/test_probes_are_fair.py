@@ -94,6 +94,7 @@ def found(certificate: Any) -> Probe:
     return cg.probe(RA2, certificate, 3000, steps=300, seed=5, confidence=1 - 1e-6)
 
 
+@pytest.mark.thorough
 def test_a_probe_is_judged_on_common_episodes(found: Probe, certificate: Any) -> None:
     """Clone and controllers of a nearly certain task both succeed nearly always; the limits fail once in 1e6 seeds."""
     assert found.only_learned - found.only_certified == found.learned - found.certified
