@@ -29,7 +29,11 @@ COMMANDS: dict[str, list[list[str]]] = {
         [*TASK, *FEW, "--horizon", "2", "3"],
         [*TASK, *FEW, "--horizon", "none"],
     ],
-    "synthesize": [[*TASK, "--out", "made.npz"]],
+    "synthesize": [
+        [*TASK, "--out", "made.npz"],
+        [*TASK, "--stationary", "--restarts", "1", "--out", "made.npz"],
+        [*TASK, "--relation", "ellipsoid", "--delta", "0.01", "--out", "made.npz"],
+    ],
     "check": [["c.npz"]],
     "canonical": [["task.toml"]],
     "validate": [["c.npz", *FEW]],
