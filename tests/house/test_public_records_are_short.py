@@ -16,6 +16,7 @@ from certigym.synthesis.cells import Grid
 from certigym.synthesis.shielding import shield_of
 from certigym.validation import audits, policies, simulation, verdicts
 from certigym.validation.policies import Attempt, Probe
+from kinds import mostly_thorough
 
 MOST_CHARACTERS, MOST_LINES = 1500, 15
 EPISODES = 100
@@ -129,7 +130,7 @@ def test_every_public_class_has_an_example(tree: cg.Synthesis) -> None:
     assert sorted(examples(tree)) == CLASSES
 
 
-@pytest.mark.parametrize("size", ["tree", "product"])
+@mostly_thorough("size", ["tree", "product"])
 @pytest.mark.parametrize("name", CLASSES)
 def test_public_records_are_short(name: str, size: str, request: pytest.FixtureRequest) -> None:
     record = examples(request.getfixturevalue(size))[name]()
