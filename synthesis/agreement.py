@@ -15,8 +15,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from ..envs.problem import Problem, out_of_reach
 from .cells import NoRunFound, RelationRefused
-from .certificates import AlongPath, Synthesis, changed, path_under
-from .certificates.canonical import NotCanonicalError, verdict_of
+from .certificates import AlongPath, NotCanonicalError, Synthesis, changed, path_under, verdict_of
 from .checking import checked_once
 from .nominal_paths import CountedWork, path_certificate
 

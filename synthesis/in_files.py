@@ -8,8 +8,7 @@ from typing import Any
 from ..envs.problem import load_problem
 from ..envs.suite import as_problem
 from .bridges import is_written_policy, save_policy
-from .certificates import MAX_BYTES, Certificate, CheckReport, Synthesis, load_certificate, save_certificate
-from .certificates.canonical import check_file
+from .certificates import MAX_BYTES, Certificate, CheckReport, Synthesis, check_file, load_certificate, save_certificate
 from .checker import bound_of, is_certificate
 from .checking import check as check_certificate
 

@@ -1,6 +1,16 @@
 """The certified claim, everything it rests on, and its file."""
 
 from .archive import MAX_BYTES, check_sizes, packed
+from .canonical import (
+    NotCanonicalError,
+    canonical_bytes,
+    canonical_problem,
+    check_file,
+    checker_text,
+    save_canonical,
+    verdict_of,
+    wrong_angles,
+)
 from .certificate import (
     Certificate,
     alike_members,
@@ -43,6 +53,14 @@ from .subtraction_proof import SubtractionProof
 from .timed_proof import TimedProof, timed_certificate
 
 __all__ = [
+    "NotCanonicalError",
+    "canonical_bytes",
+    "canonical_problem",
+    "check_file",
+    "checker_text",
+    "save_canonical",
+    "verdict_of",
+    "wrong_angles",
     "AgentPath",
     "AlongPath",
     "Certificate",

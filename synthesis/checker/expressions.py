@@ -120,6 +120,26 @@ def affine(row: Sequence[float], names: Sequence[str], constant: float) -> Tree:
     return terms[0]
 
 
+def plain_sum(tree: Tree) -> tuple[tuple[float, str], ...] | None:
+    """Return factors and names of a sum of multiples of names, each of them once (no name: a number); else None."""
+    found, waiting, constants = dict[str, float](), [(1.0, tree)], list[float]()
+    while waiting:
+        sign, part = waiting.pop()
+        factor, name = (part[1], part[2]) if isinstance(part, tuple) and part[0] == "*" else (1.0, part)
+        if isinstance(name, float) and not isinstance(factor, float):
+            factor, name = name, factor
+        if isinstance(part, float):
+            constants.append(sign * part)
+        elif isinstance(name, str) and isinstance(factor, float) and name not in found:
+            found[name] = sign * factor
+        elif isinstance(part, tuple) and part[0] in ("+", "-", "negative"):
+            last = sign if part[0] == "+" else -sign
+            waiting += [(last, part[-1])] if part[0] == "negative" else [(sign, part[1]), (last, part[2])]
+        else:
+            return None
+    return (*((factor, name) for name, factor in found.items()), *((number, "") for number in constants))
+
+
 def names_in(trees: Sequence[Tree]) -> set[str]:
     """Return the names in trees."""
     names, waiting = set[str](), list(trees)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .expressions import Tree, names_in
+from .expressions import names_in, plain_sum
 from .fields import Refused
 from .intervals import down, interval, up
 from .jets import Jet, Memory, jet, off_linear
@@ -123,30 +123,18 @@ def check_targets(
 
 
 def affine_dynamics(agent: Agent) -> tuple[Array, Array, Array]:
-    """Return A, B and b of dynamics ``A x + B u + b``; ``Refused`` unless they are of this form to the last bit."""
-    _refuse_time(agent)
+    """Return A, B and b of dynamics ``A x + B u + b``; ``Refused`` unless they are sums of multiples, as they stand."""
     names = (*agent.states, *agent.inputs)
-    if not all(_is_affine(tree) for tree in agent.dynamics):
-        raise Refused(f"`{agent.name}` has targets, and its dynamics are no sums of multiples")
-    if not names_in(agent.dynamics) <= set(names):
-        raise Refused(f"`{agent.name}` has targets, and its mean depends on more than its state and its input")
-    eye, zero, memory = np.eye(len(names)), interval(np.zeros(1)), Memory()
-    leaves = {name: Jet.variable(zero, eye[k][:, None]) for k, name in enumerate(names)}
-    jets = [jet(tree, leaves, memory) for tree in agent.dynamics]
-    slopes = np.stack([own.slope[:, :, 0] for own in jets], axis=1)  # (2, d, d + m)
-    value = np.stack([own.value[:, 0] for own in jets], axis=1)
-    exact = np.array_equal(slopes[0], slopes[1]) and np.array_equal(value[0], value[1])
-    if not exact or not np.all(np.isfinite(value)):
-        raise Refused(f"`{agent.name}` has targets, and factors of its dynamics are rounded")
-    d = len(agent.states)
-    return slopes[0][:, :d], slopes[0][:, d:], value[0]
-
-
-def _is_affine(tree: Tree) -> bool:
-    """Return whether an expression is a sum of multiples of names, by its form: slopes at one point do not tell."""
-    if not isinstance(tree, tuple):
-        return True
-    name, *arguments = tree
-    numbers = [isinstance(argument, float) for argument in arguments]
-    allowed = name in ("+", "-", "negative") or (name == "*" and any(numbers)) or (name == "/" and numbers[1])
-    return allowed and all(map(_is_affine, arguments))
+    rows, b = np.zeros((len(agent.states), len(names))), np.zeros(len(agent.states))
+    for k, tree in enumerate(agent.dynamics):
+        terms = plain_sum(tree)
+        if terms is None or [name for _, name in terms].count("") > 1:
+            raise Refused(f"`{agent.name}` has targets, and its dynamics are no sums of multiples")
+        for factor, name in terms:
+            if name and name not in names:
+                raise Refused(f"`{agent.name}` has targets, and its mean depends on more than its state and its input")
+            if name:
+                rows[k, names.index(name)] = factor
+            else:
+                b[k] = factor
+    return rows[:, : len(agent.states)], rows[:, len(agent.states) :], b

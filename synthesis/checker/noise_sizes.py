@@ -51,23 +51,9 @@ def sized(
 ) -> tuple[Array, Array]:
     """Return factors (d, W) of the noise of a step, and ends (2, d) of what else it adds; ask for its strips.
 
-    Parameters
-    ----------
-    agent : Agent
-        With sizes of its noise.
-    factor : (d, W) array
-        Of the noise before it is scaled, in deviations of its sources.
-    width : (d,) array
-        Of the strips; infinite for none.
-    leaves : two dicts
-        What names are on the nominal trajectory, and on the tube.
-    constraints : Constraints
-    t : int
-
-    Raises
-    ------
-    Refused
-        If a size is not known, or a source may cancel where sizes are not.
+    ``factor`` (d, W) is that of the noise before it is scaled, in deviations of its sources, ``width`` (d,) of strips,
+    infinite for none; ``leaves`` are ends of names on the nominal trajectory, and on the tube. ``Refused`` if a size is
+    not known, or if a source may cancel where sizes are not.
     """
     nominal, ends = (_sizes(agent.scale, names) for names in leaves)
     if not np.all(np.isfinite(ends)):

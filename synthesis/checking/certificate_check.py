@@ -37,6 +37,7 @@ from ..certificates import (
     Certificate,
     CheckReport,
     GridProof,
+    NotCanonicalError,
     OnGrid,
     PathProof,
     ProductProof,
@@ -45,8 +46,9 @@ from ..certificates import (
     alike_members,
     certificate_from,
     delta_of,
+    verdict_of,
+    wrong_angles,
 )
-from ..certificates.canonical import NotCanonicalError, verdict_of, wrong_angles
 from ..checker import bound_of
 from ..masses import BrokenTrainError, noted, state
 from ..step_checking import execution_of, label_margin, places_of, verify_relation, wrong_actions, wrong_common

@@ -72,8 +72,8 @@ MAY_IMPORT = {
     "validation.verdicts validation.audits validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
     "validation.studio": f"{EVIDENCE} envs.pictures synthesis validation.reports",
-    "validation.paper": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.models synthesis.nominal_paths "
-    "synthesis.search synthesis.bounds synthesis.checking validation.verdicts",
+    "validation.paper": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.models "
+    "synthesis.search synthesis.bounds validation.verdicts",
 }
 """Rooms that the files of a room may import, lazily or for types alone, too; ``synthesis`` is its hall, the verbs."""
 

@@ -17,7 +17,6 @@ from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, cha
 from certigym.synthesis.nominal_paths.counted_work import CountedWork
 from certigym.synthesis.nominal_paths.nonlinear_search import Found, NonlinearSearch
 from certigym.synthesis.path_bounds import feedback_bounds
-from certigym.synthesis.path_bounds.limit_rows import Worth
 from fleet_problems import path_of
 from kinds import mostly_thorough
 
@@ -229,16 +228,6 @@ class NoDrift(feedback_bounds._Walk):
         return shift, 0.0 * drift, variance
 
 
-class Unlimited(feedback_bounds._Walk):
-    """Inputs whose feedback is not asked to keep their limits."""
-
-    def _step(self, t: int, reach: Any) -> Any:
-        result = super()._step(t, reach)
-        for part in (self.worth.low, self.worth.high):
-            part[-1] = np.full_like(part[-1], np.inf)
-        return result
-
-
 class NoTubeRows(feedback_bounds._Walk):
     """Tubes that are not asked for in the product."""
 
@@ -251,7 +240,6 @@ class NoTubeRows(feedback_bounds._Walk):
 SABOTAGES: dict[str, tuple[str, Any]] = {
     "remainder at the point": ("remainders", without_the_tube),
     "tube without drift": ("_Walk", NoDrift),
-    "limits without feedback": ("_Walk", Unlimited),
     "tube rows left out": ("_Walk", NoTubeRows),
 }
 
@@ -287,52 +275,6 @@ def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: 
     path = AgentPath(found.nominal.inputs, feedback.gains[0], found.nominal.states, spreads.slabs)
     forged = changed(certificate, paths=(path,), failure=float(worth.failures()[0]))
     assert forged.proof.failure < 0.999 * certificate.proof.failure and not cg.check(forged)
-
-
-@mostly_thorough("slab", [3.5, np.inf])
-@mostly_thorough("forgotten", ["what the scale varies", "that the noise depends on the past"])
-def test_what_is_forgotten_of_scales_is_refused(
-    slab: float, forgotten: str, certificates: dict[str, AlongPath], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With slabs on the noise, and with variances of the largest scale: the nominal scale alone is not enough."""
-    certificate, search = certificates["tank"], NonlinearSearch(PROBLEMS["tank"], 0, CountedWork())
-    found = search.quick(certificate.proof.letters)
-    assert found is not None
-    slabs = found.feedback.slabs.copy()
-    slabs[:, :, 3:] = slab
-    feedback = replace(found.feedback, slabs=slabs)
-
-    def claimed() -> AlongPath:
-        worth, spreads = found.nominal.worth(feedback)
-        path = replace(found.path, slabs=spreads.slabs)
-        return changed(certificate, paths=(path,), faces=found.faces, failure=float(worth.failures()[0]))
-
-    honest = agreed_path(claimed())
-    assert cg.check(honest) and honest.proof.failure < 1.0
-
-    def nominal(*arguments: Any, follows: bool = True) -> Any:
-        middle, half = true_remainders(*arguments, follows)
-        factor = 1.0 if follows else 0.0  # only scales ask for no feedback
-        return factor * middle, factor * half
-
-    if forgotten == "what the scale varies":
-        monkeypatch.setattr(feedback_bounds, "remainders", nominal)
-    elif slab == np.inf:
-        monkeypatch.setattr(Worth, "stop", lambda self, which: None)
-    else:  # a slab on the noise has a tail
-        monkeypatch.setattr(Worth, "add", without_noise(Worth.add))
-    forged = claimed()
-    assert forged.proof.failure < 0.999 * honest.proof.failure and not cg.check(forged)
-
-
-def without_noise(add: Any) -> Any:
-    """Add all rows but those on the noise."""
-
-    def kept(self: Worth, *rows: Any) -> None:
-        if not rows[4][0].startswith("noise"):
-            add(self, *rows)
-
-    return kept
 
 
 @pytest.mark.thorough

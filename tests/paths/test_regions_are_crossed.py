@@ -127,6 +127,8 @@ def test_words_are_read_whenever_the_region_is_met() -> None:
     letters = certificate.proof.letters.copy()
     goal, wall = (problem.automaton.propositions.index(name) for name in ("goal", "wall"))
     letters[:, wall] = -1
+    faces = np.where(letters == -1, 1, certificate.proof.faces)  # the cart keeps to the right of the wall
+    certificate = changed(certificate, faces=faces)
     assert wrong_paths(changed(certificate, letters=letters))[0]
     letters[STEPS - 2 :, goal] = 0
     assert not wrong_paths(changed(certificate, letters=letters))[0]
