@@ -64,7 +64,7 @@ PATH_ENDS = 0.99
 WRITTEN_ENOUGH = 0.999
 """Bound of grids of agents with expressions from which no path is tried beside them."""
 
-COMPARED, MANY_STATES = 20.0, 256
+COMPARED, MANY_STATES = 30.0, 256
 """Work of comparing relations of agents with several states, for so many automaton states at most; those of single
 states take next to nothing."""
 
