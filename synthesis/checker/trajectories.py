@@ -234,7 +234,7 @@ def _ask_states(
         names[k] = names[k] if min(below, above) >= ends[:, k].min() else label
         ends[:, k] = np.minimum(ends[:, k], (below, above))
     width = np.concatenate([joint.widths[t], np.full(len(rows) - D, np.inf)])
-    constraints.add(*ends, width, forms, names)
+    constraints.add(ends[0], ends[1], width, forms, names)
 
 
 def _ask_jumps(

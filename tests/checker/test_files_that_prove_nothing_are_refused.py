@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import truncnorm
 
 from canonical_simulator import Simulator
 from certificate_files import file_of, one_crane, two_carts, two_tanks
 from certigym.synthesis.checker import Unreadable, check_contents, parse_file, read_problem
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED, read_distribution
-from certigym.synthesis.checker.trajectories import _noise_mean
+from certigym.synthesis.checker.intervals import mul
+from certigym.synthesis.checker.noise_sizes import mean_of
 from certigym.synthesis.checker.verdict import Verdict
 
 Change = Callable[[dict[str, Any], list[np.ndarray]], None]
@@ -314,10 +316,11 @@ def test_guards_of_the_start_and_of_steps_are_both_asked() -> None:
 
 
 def test_means_of_noise_are_multiplied_by_its_size_and_may_be_off() -> None:
-    """All means that a law may have, for all sizes, lie between the ends of what is pushed."""
+    """The mean of a law, for all sizes, lies between the ends of what is pushed."""
     header, _ = two_carts()
     law = {"law": "truncated-gaussian", "spread": 0.3, "low": -0.25, "high": 1.0}
     agent(header).update(noise=[[2.0]], distributions=[law])
     own = read_problem(header).agents[0]
-    low, high = _noise_mean(own, np.array([[0.5], [3.0]]))[:, 0].tolist()
-    assert low <= 3.0 * 2.0 * -0.25 and high >= 3.0 * 2.0 * 1.0
+    low, high = mul(np.array([[0.5], [3.0]]), mean_of(own))[:, 0].tolist()
+    mean = 2.0 * float(truncnorm(-0.25 / 0.3, 1.0 / 0.3, scale=0.3).mean())
+    assert low <= 0.5 * mean and high >= 3.0 * mean and high - low <= 2.6 * mean

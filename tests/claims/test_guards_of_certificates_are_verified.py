@@ -9,7 +9,6 @@ import numpy as np
 
 import certigym as cg
 from certigym.synthesis.certificates import changed
-from mutations import guards_twice
 from test_controllers_carry_out_what_is_certified import ordinary
 
 
@@ -17,6 +16,22 @@ def certificate() -> Any:
     """One guard: from inside the region to inside the region; nothing is claimed from above."""
     honest = cg.synthesize(ordinary(), 16, relation="exact").certificate
     return changed(honest, gap=None)
+
+
+def guards_twice(certificate: Any) -> Any:
+    """Every guard listed twice, and the last step back taken through both: the value at time 0 is doubled."""
+    step, count = certificate.proof.skeleton[0], len(certificate.proof.guard_source)
+    origin = tuple(np.concatenate([rows, rows + np.array([count, 0])]) for rows in step.origin)
+    kept = tuple(np.concatenate([rows, rows + len(o)]) for rows, o in zip(step.kept, step.origin, strict=True))
+    pairs = zip(certificate.proof.terms.index, step.origin, strict=True)
+    index = tuple(np.concatenate([rows, rows]) if len(o) else rows for rows, o in pairs)
+    guards = ("guard_source", "guard_target", "guard_mask")
+    return changed(
+        certificate,
+        skeleton=(replace(step, origin=origin, kept=kept), *certificate.proof.skeleton[1:]),
+        terms=replace(certificate.proof.terms, index=index),
+        **{name: np.concatenate([getattr(certificate.proof, name)] * 2) for name in guards},
+    )
 
 
 def test_the_same_guard_twice_is_an_overlap() -> None:

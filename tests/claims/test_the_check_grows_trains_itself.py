@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis import canonical
 from certigym.synthesis.bounds.certified import SECOND_EVALUATION
 from certigym.synthesis.bounds.dense import dense_value
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.certificates.canonical import TRAINS, verdict_of
+from certigym.synthesis.certificates import canonical, changed, verdict_of
+from certigym.synthesis.certificates.canonical import TRAINS
 from certigym.synthesis.checker import cell_proofs, trains
 from certigym.synthesis.checker.trains import Train
 from certigym.synthesis.checking import train_check

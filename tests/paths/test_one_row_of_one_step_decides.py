@@ -7,7 +7,6 @@ failure of runs most of which fail.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any
@@ -41,7 +40,7 @@ class Case:
     loose: AlongPath
     truth: float
     most: float
-    sabotage: tuple[Any, str, Callable[..., Any]]
+    sabotage: tuple[Any, str, Any]
 
 
 def agent(name: str, dynamics: list[str], std: list[float], reach: float = 2.0) -> cg.Agent:
