@@ -37,9 +37,6 @@ FIRST = 20_000
 RESERVES = 1e-5
 """By how much stored values may grow and still be proved: reserves of searches that the check does not need."""
 
-STARTS = 2
-"""Starts of a set that are simulated."""
-
 Act = Callable[..., Any]
 
 

@@ -16,7 +16,7 @@ from PIL import Image
 
 import certigym as cg
 from certigym.envs.pictures import LOOKS, Panel, Region, agent_color, panels
-from certigym.synthesis.certificates import any_certificate
+from certigym.synthesis.certificates import certificate_from
 from certigym.validation.figures.figure_style import FAILURE, INK, SOFT, new_figure
 from certigym.validation.simulation import Loop, paths
 from draw_gallery import certificate
@@ -37,7 +37,7 @@ FAINT, FEWER = 0.45, 2
 
 def card(id: str) -> Any:
     """Return the figure of one environment."""
-    claim = any_certificate(certificate(id))
+    claim = certificate_from(certificate(id))
     states, success = paths(Loop(claim.problem, claim.controller, 1, EPISODES), EPISODES)
     shown = panels(claim.problem)[:PANELS]
     side = len(shown) if shown[0].is_map else 1

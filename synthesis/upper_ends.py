@@ -18,7 +18,7 @@ import numpy as np
 from ..envs.arrays import on_one_thread
 from ..envs.problem import Problem, opposite_inside, opposite_of
 from .cells import RelationRefused
-from .certificates import OnGrid, Synthesis, any_certificate, changed, with_claims
+from .certificates import OnGrid, Synthesis, certificate_from, changed, with_claims
 from .certification import certificate_of
 from .checking import check
 from .choosing import Effort, OutOfTime, policies_from, settings_of
@@ -53,7 +53,7 @@ def bound_above(certificate: Any) -> Any:
     ValueError
         If its policies cannot be evaluated.
     """
-    return _ended(any_certificate(certificate), math.inf)
+    return _ended(certificate_from(certificate), math.inf)
 
 
 def synthesis_above(synthesis: Synthesis, most: float = math.inf) -> Synthesis:

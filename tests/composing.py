@@ -25,7 +25,7 @@ from balls import check_rigorous
 from certigym.baselines import RandomController
 from certigym.envs.agents import LinearAgent
 from certigym.synthesis import horizons
-from certigym.synthesis.certificates import any_certificate, changed, with_claims
+from certigym.synthesis.certificates import certificate_from, changed, with_claims
 from certigym.synthesis.relations import Network
 from certigym.synthesis.upper_ends import bound_above
 from certigym.validation.policies.actors import SharedActor
@@ -390,7 +390,7 @@ def ended(certificate: Any, folder: Path) -> Claims:
     report = cg.check(certificate)
     assert report and certificate.lower_bound <= report.above <= certificate.upper_bound
     cg.save(certificate, folder / "ends.npz")
-    loaded: Any = any_certificate(folder / "ends.npz")
+    loaded: Any = certificate_from(folder / "ends.npz")
     assert loaded.upper_bound == certificate.upper_bound and cg.check(loaded).above == report.above
     validation = cg.validate(certificate, EPISODES, confidence=1.0 - FALSE_ALARM)
     assert not validation.refuted
@@ -559,7 +559,7 @@ def reported(row: str, folder: Path) -> Claims:
 def kept(row: str, folder: Path) -> Claims:
     """Saved, loaded, and checked."""
     cg.save(certificate_of(row), folder / "certificate.npz")
-    loaded: Any = any_certificate(folder / "certificate.npz")
+    loaded: Any = certificate_from(folder / "certificate.npz")
     assert loaded.lower_bound == certificate_of(row).lower_bound and cg.check(loaded)
     return Claims((loaded.lower_bound,))
 

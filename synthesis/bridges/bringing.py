@@ -12,7 +12,7 @@ import numpy as np
 
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ..certificates import any_certificate
+from ..certificates import certificate_from
 from ..controllers import InputTable, Vectorized, decentralised, vectorized
 from . import onnx_files, stable_baselines3, torch_modules, weight_arrays
 from .actor_files import NotAnActor, read_actor
@@ -179,7 +179,7 @@ def _of_file(path: Path, problem: Problem, env: Any, facts: dict[str, Any]) -> A
         try:
             found, own = read_actor(path, problem.n_agents)
         except NotAnActor:
-            return any_certificate(str(path)).controller
+            return certificate_from(str(path)).controller
         return _made(problem, [found], own if env is None else env)
     try:
         found = reader.read_file(path, facts)

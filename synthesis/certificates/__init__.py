@@ -34,7 +34,6 @@ from .check_report import CheckReport, told_assumed, told_claim
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import (
-    any_certificate,
     as_certificate,
     certificate_from,
     certificate_on_grids,
@@ -84,7 +83,6 @@ __all__ = [
     "UNREADABLE",
     "alike_members",
     "path_under",
-    "any_certificate",
     "as_certificate",
     "certificate_on_grids",
     "changed",

@@ -76,14 +76,7 @@ class Certificate(Generic[P_co]):
 
     @cached_property
     def controller(self) -> Any:
-        """The controllers the bound belongs to.
-
-        Raises
-        ------
-        ValueError
-            If the certificate is one of a set of starts, of which each has controllers of its own.
-        """
-        require(self, Offer.ONE_START)
+        """The controllers the bound belongs to."""
         return self.proof.controller(self.problem)
 
     @cached_property

@@ -37,22 +37,15 @@ def certificate_from(value: Any, argument: str = "certificate") -> Certificate:
     return value
 
 
-def any_certificate(value: Any) -> Certificate:
-    """Return the certificate that a value stands for, on grids or not; ValueError for one of a set of starts, too."""
-    certificate = certificate_from(value)
-    require(certificate, Offer.ONE_START)
-    return certificate
-
-
 def certificate_on_grids(value: Any) -> Certificate:
-    """Return the certificate with values of all states that a value stands for, that of a joint agent included.
+    """Return the certificate with values of all states that a value stands for.
 
     Raises
     ------
     ValueError
         If `value` stands for no certificate, or for one along a path or by subtraction.
     """
-    certificate = any_certificate(value)
+    certificate = certificate_from(value)
     require(certificate, Offer.VALUES)
     return certificate
 
@@ -63,11 +56,10 @@ def as_certificate(value: Any) -> Certificate:
     Raises
     ------
     ValueError
-        As for ``certificate_on_grids``, and for one of a joint agent. That of a problem that names the time stands for
-        the one of the problem written out.
+        As for ``certificate_on_grids``. That of a problem that names the time stands for the one of the problem written
+        out.
     """
     certificate = certificate_on_grids(value)
-    require(certificate, Offer.OWN_STATES)
     return on_cells(certificate) or certificate
 
 
@@ -107,5 +99,5 @@ def checked_certificate(value: Any, argument: str = "certificate") -> OnGrid:
 
 
 def speaks_of_one_start(certificate: Certificate) -> bool:
-    """Return whether a report shows the start alone: by subtraction, of joint agents, and along paths."""
+    """Return whether a report shows the start alone: by subtraction, and along paths."""
     return any(on_cells(member) is not member for member in members_of(certificate))

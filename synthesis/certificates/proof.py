@@ -21,13 +21,9 @@ class Offer(Enum):
     """What may be asked of a certificate; the text says what was expected where it lacks that."""
 
     VALUES = "one with values of all states"
-    """Values at every state, automaton state and time: shields, audits, fields, figures, menus."""
+    """Values at every state, automaton state and time: shields, audits, fields, figures."""
     OTHER_STARTS = "one on grids"
     """Bounds from other starts than the problem's."""
-    ONE_START = "one of one start"
-    """Controllers: of a set of starts there are some for each."""
-    OWN_STATES = "one whose agents each look at their own state"
-    """Cells of every agent by itself: figures of an agent."""
     SAME_STEPS = "one of a problem that is the same at every step"
     """Steps beyond the horizon that are like those before: rates at which safety is lost."""
 
@@ -73,10 +69,6 @@ class Proof:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}: {shown_bound(self.lower_bound, None)}, {self.method}"
-
-    def begun(self, certificate: Any, start: Any) -> tuple[Any, Any]:
-        """Return the certificate that is about a start, and the start that it does not know of itself."""
-        return certificate, start
 
     def gap_of(self, problem: Problem) -> float | None:
         """Return the gap, where the certificate is about this problem."""

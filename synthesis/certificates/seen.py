@@ -1,7 +1,7 @@
 """How runs of a problem are seen by the certificate on cells that its own one rests on.
 
-The joint agent of a team sees the states of all in one. A problem that names the time is written out without it: its
-automaton counts steps, and its agents may have a clock among their inputs.
+A problem that names the time is written out without it: its automaton counts steps, and its agents may have a clock
+among their inputs.
 """
 
 from __future__ import annotations
@@ -30,10 +30,6 @@ class Seen:
 
     problem: Problem
 
-    def states(self, states: Arrays) -> Arrays:
-        """Return states as those of the agents on cells."""
-        return states
-
     def inputs(self, inputs: Arrays, time: NDArray[np.int64]) -> Arrays:
         """Return inputs as those of the agents on cells, in worlds at times (M,)."""
         return inputs
@@ -41,10 +37,6 @@ class Seen:
     def given_back(self, inputs: Arrays) -> Arrays:
         """Return inputs of the agents on cells as those of the problem's agents."""
         return inputs
-
-    def overridden(self, which: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which inputs (I, M) were replaced, by the problem's agents."""
-        return which
 
     def automaton_states(self, q: NDArray[np.int64], time: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return automaton states (M,) of the problem on cells; -1 for those that no run comes to at this time."""

@@ -14,7 +14,6 @@ from ...envs.problem import Problem
 from ..cells import alike_text, shape_text
 from ..masses import AgentPart
 from .digits import shown_bound
-from .proof import Offer
 
 MOST_TOLD = 3
 """Agents of which a summary says who tells them of states: a line has room for them."""
@@ -40,8 +39,6 @@ def certificate_facts(certificate: Any, claim: str | None = None) -> list[tuple[
 
 def _start_text(certificate: Any) -> str:
     """Return what a claim says about its start, in words."""
-    if Offer.ONE_START in certificate.proof.lacks:
-        return "from any state in the set"
     point = all(agent.initial.is_point for agent in certificate.problem.agents)
     return "from the initial state" if point else "on average over the initial boxes"
 

@@ -79,7 +79,7 @@ class Shield:
     def value_of(self, states: tuple[FloatArray, ...], q: NDArray[Any], time: NDArray[Any]) -> FloatArray:
         """Return the values (M,) of states (d_i, M) per agent; lower bounds up to rounding, 0 where no run comes to."""
         on_cells = self.seen.automaton_states(q, time)
-        values = self.values.of_states(self.seen.states(states), np.maximum(on_cells, 0), time)
+        values = self.values.of_states(states, np.maximum(on_cells, 0), time)
         return np.where(on_cells >= 0, values, 0.0)
 
     def first_budget(
@@ -121,7 +121,7 @@ class Shield:
             refused. Runs that are decided keep them.
         """
         agents = self.values.certificate.problem.agents
-        states, proposed = self.seen.states(states), self.seen.inputs(proposed, time)
+        proposed = self.seen.inputs(proposed, time)
         on_cells = self.seen.automaton_states(q, time)
         low = tuple(agent.input_box.low[:, None] for agent in agents)
         high = tuple(agent.input_box.high[:, None] for agent in agents)
@@ -137,7 +137,7 @@ class Shield:
             for u, applied in zip(inputs, found.inputs, strict=True):
                 u[:, which] = applied
             ratio[which], overridden[:, which] = found.ratio, found.overridden
-        return Choice(self.seen.given_back(inputs), ratio, self.seen.overridden(overridden))
+        return Choice(self.seen.given_back(inputs), ratio, overridden)
 
     def certified_inputs(self, states: tuple[FloatArray, ...], q: int, time: int) -> tuple[FloatArray, ...]:
         """Return the inputs (m_i, M) of the certified controllers at one time and in one automaton state."""

@@ -13,7 +13,7 @@ from scipy.stats import binom, norm
 
 import certigym as cg
 from certigym.envs.agents import LinearAgent
-from certigym.synthesis.certificates import SubtractionProof, any_certificate
+from certigym.synthesis.certificates import SubtractionProof, certificate_from
 from certigym.synthesis.checking.pairs_check import wrong_pairs
 from certigym.synthesis.pairs.lattice_moves import NearPoints
 from certigym.synthesis.raw_networks import _less_nearness, _policies, differences, repair_network
@@ -164,7 +164,7 @@ def test_teams_of_planar_robots_are_certified(tmp_path: Path) -> None:
     runs = cg.rollout(problem, cg.as_controller(problem, actor), EPISODES, seed=3)
     assert binom.cdf(runs.successes, EPISODES, certificate.lower_bound) > FALSE_ALARM
     cg.save(certificate, tmp_path / "robots.npz")
-    loaded = any_certificate(tmp_path / "robots.npz")
+    loaded = certificate_from(tmp_path / "robots.npz")
     assert cg.check(loaded, problem) and loaded.lower_bound == certificate.lower_bound
 
 

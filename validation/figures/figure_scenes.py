@@ -9,7 +9,7 @@ import numpy as np
 from ...envs.logic import Automaton
 from ...envs.pictures import edges, panels, places
 from ...envs.suite import as_problem
-from ...synthesis.certificates import OnGrid, any_certificate, of_one_task, tube_along
+from ...synthesis.certificates import OnGrid, certificate_from, of_one_task, tube_along
 from ...synthesis.checking import claim_text
 from ..simulation import Loop, paths
 from .figure_regions import rollouts_panel
@@ -61,7 +61,7 @@ def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figu
     """
     if episodes < 1:
         raise ValueError(f"`episodes`: expected at least 1, got {episodes}")
-    certificate = any_certificate(certificate)
+    certificate = certificate_from(certificate)
     problem = certificate.problem
     states, success = paths(Loop(problem, certificate.controller, seed, episodes), episodes)
     all_panels = panels(problem)

@@ -24,7 +24,7 @@ from ...envs.agents import counted, shortened, tree_text
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.bridges import is_model
-from ...synthesis.certificates import Certificate, Synthesis, any_certificate, shown_bound, told_claim
+from ...synthesis.certificates import Certificate, Synthesis, certificate_from, shown_bound, told_claim
 from ...synthesis.checking import checked_once
 from ...synthesis.controllers import LOCAL, Controller
 from ..shields import ShieldedController
@@ -300,7 +300,7 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
         ]
     # A certificate brings its bound along, which holds for its problem only.
     if isinstance(policy, Synthesis | Certificate):
-        certificate = any_certificate(policy)
+        certificate = certificate_from(policy)
         if certificate.fingerprint != problem.fingerprint:
             raise ValueError(
                 f"`policies`: the certificate of {name!r} is about another problem ({certificate.problem.name!r}); "

@@ -29,7 +29,7 @@ import numpy as np
 from ...envs.agents import checked_count, counted, tree_text, write_bytes, write_json, write_text
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ...synthesis.certificates import Certificate, any_certificate
+from ...synthesis.certificates import Certificate, certificate_from
 from ...synthesis.shielding import Shield
 from ...synthesis.synthesize import synthesize
 from ..simulation import rollout
@@ -235,7 +235,7 @@ def certificate_of(problem: Problem, given: Any) -> Certificate:
     """
     if isinstance(given, str) and given == "certificate":
         return synthesize(problem).certificate
-    certificate: Certificate = any_certificate(given)
+    certificate: Certificate = certificate_from(given)
     if certificate.fingerprint != problem.fingerprint:
         raise ValueError(
             f"`warm_start`: expected a certificate of {problem.name!r}, got one about another problem "

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ...envs.agents import write_text
 from ...synthesis.certificates import (
     CheckReport,
-    any_certificate,
     as_certificate,
+    certificate_from,
     members_of,
     on_cells,
     speaks_of_one_start,
@@ -86,7 +86,7 @@ def gathered(
     certificate: Any, plan: Plan, axes: Sequence[int] | None = None, checked: CheckReport | None = None
 ) -> ReportContent:
     """Run check (unless ``checked``), validation, audit and the tests of a map, and return what a report shows."""
-    claim = any_certificate(certificate)
+    claim = certificate_from(certificate)
     problem = claim.problem
     checked = checked_once(claim) if checked is None else checked
     if speaks_of_one_start(claim):

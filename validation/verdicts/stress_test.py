@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Unpack
 
 from ...envs.agents import counted, tree_text
-from ...synthesis.certificates import any_certificate, rounded_down
+from ...synthesis.certificates import certificate_from, rounded_down
 from ..simulation import (
     FAMILIES,
     Mismatch,
@@ -195,7 +195,7 @@ def stress(
     """
     settled = planned(plan, trial, 20_000)
     check_confidence(settled.confidence)
-    certificate, episodes = any_certificate(certificate), settled.episodes
+    certificate, episodes = certificate_from(certificate), settled.episodes
     problem, lower, _, _ = claim_at(certificate, initial_state)
     pairs = [(name, rung) for name, rungs in (LADDERS if ladders is None else ladders).items() for rung in rungs]
     # Successes without mismatch first, then of each rung; a rung that Ctrl-C interrupts does not count.

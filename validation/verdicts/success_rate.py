@@ -18,7 +18,6 @@ from ...synthesis.certificates import (
     Certificate,
     CheckReport,
     Synthesis,
-    any_certificate,
     certificate_from,
     on_cells,
     relations_tried,
@@ -322,8 +321,6 @@ def validate(
     settled = planned(plan, trial, 100_000)
     check_confidence(settled.confidence)
     certificate = certificate_from(result)
-    certificate, initial_state = certificate.proof.begun(certificate, initial_state)
-    certificate = any_certificate(certificate)
     behaviours = _behaviours(certificate)
     if disturbance is not None:
         # "greedy" needs a certificate to play against; the other names are those of the dynamics
