@@ -232,7 +232,7 @@ def reach(noise: Any, **changes: Any) -> cg.Problem:
     return cg.Problem(name="noisy", agents=[agent], propositions=regions, specification=task, horizon=6)
 
 
-@mostly_thorough("entry", DECLARED[1:], ids=NAMES[1:])
+@pytest.mark.parametrize("entry", DECLARED[1:], ids=NAMES[1:])
 @mostly_thorough("relation", ["exact", "boxes"])
 def test_certificates_are_valid_and_below_rollouts(entry: dict[str, Any], relation: str) -> None:
     """Checked, and not refuted by 20,000 rollouts of the continuous system (false alarm 1e-6, all tests together)."""

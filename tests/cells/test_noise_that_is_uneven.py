@@ -361,7 +361,7 @@ SABOTAGE: dict[str, tuple[Any, str, Any]] = {
 }
 
 
-@mostly_thorough("sabotage", SABOTAGE)
+@mostly_thorough("sabotage", SABOTAGE, first=2)
 def test_the_check_refuses_what_a_wrong_search_claims(sabotage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = task(walker(LAWS[5] if "charges" in sabotage else GAUSSIAN))
     if (

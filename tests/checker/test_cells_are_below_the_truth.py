@@ -170,7 +170,7 @@ def points_in(case: Case, cell: int, share: np.ndarray) -> np.ndarray:
     return np.array([e[k] + s * (e[k + 1] - e[k]) for e, k, s in zip(case.edges, place, share.T, strict=True)])
 
 
-@mostly_thorough("corners", [False, True], ids=["cells", "corners"])
+@pytest.mark.parametrize("corners", [False, True], ids=["cells", "corners"])
 @mostly_thorough("d", [1, 2, 3])
 def test_a_step_back_is_below_the_truth_on_all_of_a_cell(d: int, corners: bool) -> None:
     rng, positive, gaps = np.random.default_rng(10 * d + corners), 0, []
@@ -206,7 +206,7 @@ def disturbances(case: Case) -> list[float]:
     return [low, 0.5 * (low + high), high] if low < high else [0.0]
 
 
-@mostly_thorough("corners", [False, True], ids=["cells", "corners"])
+@pytest.mark.parametrize("corners", [False, True], ids=["cells", "corners"])
 def test_targets_are_worth_no_more_than_the_truth_at_any_mean_that_is_off(corners: bool) -> None:
     rng, positive = np.random.default_rng(3 + corners), 0
     for _ in range(60):

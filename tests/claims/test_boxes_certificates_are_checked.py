@@ -134,7 +134,7 @@ FORGERIES: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
 
 
 @mostly_thorough("name", CERTIFICATES)
-@mostly_thorough("forgery", FORGERIES)
+@pytest.mark.parametrize("forgery", FORGERIES)
 def test_forgeries_are_refused_in_words(forgery: str, name: str, tmp_path: Path) -> None:
     certificate = CERTIFICATES[name]()
     try:
@@ -184,7 +184,7 @@ SABOTAGE: dict[str, tuple[Any, str, Any]] = {
 }
 
 
-@mostly_thorough("sabotage", SABOTAGE)
+@pytest.mark.parametrize("sabotage", SABOTAGE)
 @mostly_thorough("name", CERTIFICATES)
 def test_the_check_refuses_what_a_wrong_search_claims(
     sabotage: str, name: str, monkeypatch: pytest.MonkeyPatch

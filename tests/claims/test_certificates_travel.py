@@ -24,7 +24,6 @@ from certigym.synthesis.cells import Grid
 from certigym.synthesis.certificates import OnGrid
 from certigym.synthesis.certificates.archive import _digest
 from certigym.synthesis.checking.regrown_tree import regrow
-from kinds import mostly_thorough
 from problems import two_agents
 from test_rollouts_agree_with_certificates import changed, correlated
 
@@ -189,7 +188,7 @@ HOSTILE: dict[str, Callable[[dict[str, Any]], None]] = {
 }
 
 
-@mostly_thorough("name", [n for n in HOSTILE if n != "deep settings"], first=14)
+@pytest.mark.parametrize("name", [n for n in HOSTILE if n != "deep settings"])
 def test_hostile_headers_are_refused_in_one_line(
     raw: bytes, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

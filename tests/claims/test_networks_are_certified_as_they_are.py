@@ -45,7 +45,7 @@ SHAPES = [
 ]
 
 
-@mostly_thorough("hidden, activation, squashed", SHAPES)
+@pytest.mark.parametrize("hidden, activation, squashed", SHAPES)
 @mostly_thorough("make", [scalar_agent, cart])
 def test_no_point_of_a_cell_leaves_its_box(hidden: list[int], activation: str, squashed: bool, make: Any) -> None:
     """Dense samples of closed cells, corners among them; the boxes of the check lie inside those of the search."""

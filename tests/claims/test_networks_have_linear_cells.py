@@ -45,7 +45,7 @@ def maps_of(policy: NetworkPolicy, agent: LinearAgent, cuts: int) -> NetworkMaps
     return NetworkMaps(linear_means(agent, np.eye(agent.n_states), still), policy, np.eye(agent.n_states), cuts)
 
 
-@mostly_thorough("hidden, activation, squashed", SHAPES)
+@pytest.mark.parametrize("hidden, activation, squashed", SHAPES)
 @mostly_thorough("make", [lambda: scalar_agent("a"), cart, turned])
 @mostly_thorough("cuts", [1, 2])
 def test_no_point_of_a_cell_leaves_its_map(

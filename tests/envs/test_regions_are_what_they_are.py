@@ -381,7 +381,7 @@ SABOTAGES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 """What is meant, and what a wrong compiler would make of it."""
 
 
-@mostly_thorough("name", SABOTAGES)
+@pytest.mark.parametrize("name", SABOTAGES)
 @mostly_thorough("formula", ["F[4,8] p", "F !p"])
 def test_certificates_of_wrong_shapes_are_refused(name: str, formula: str) -> None:
     """As they are, and with the problem that is meant put in; the check grants what was certified for what is meant."""
