@@ -87,6 +87,7 @@ def test_rollouts_lie_between_both_ends(kind: str, relation: str) -> None:
     assert runs.successes / 20_000 - certificate.lower_bound < 0.2
 
 
+@pytest.mark.thorough
 def test_boxes_hold_what_the_deployed_network_does() -> None:
     """10,000 states: inputs and means lie in the enclosures of the check."""
     problem, actor, certificate = certified("plain")
@@ -148,6 +149,7 @@ def test_maps_hold_what_the_deployed_network_does(make: Any) -> None:
     assert np.all(again[2] <= searched.rest[:, mode])
 
 
+@pytest.mark.thorough
 def test_what_maps_leave_is_of_second_order() -> None:
     """Four times as many cells: what both ends are apart by falls to less than a tenth."""
     problem = PROBLEMS["plain"]()

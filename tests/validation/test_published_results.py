@@ -60,6 +60,7 @@ def test_fig_4_is_the_recomputed_one_and_full_invariance_is_nearly_certain(tmp_p
     assert (tmp_path / "fig4.png").stat().st_size > 10_000
 
 
+@pytest.mark.thorough
 def test_table_1_counts_bytes_and_is_written(tmp_path: Path) -> None:
     """In this process: those beside it would take longer to begin than to count."""
     table = reproduce.table1()
