@@ -18,6 +18,7 @@ from certigym.synthesis.step_checking.map_spans import networked_maps
 from certigym.synthesis.step_checking.network_enclosures import _inputs_between, driven_spans
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
+from kinds import mostly_thorough
 from network_problems import with_network
 
 FALSE_ALARM = 1e-6
@@ -122,7 +123,7 @@ def bent(**changes: Any) -> cg.Problem:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("make", [PROBLEMS["plain"], bent])
+@mostly_thorough("make", [PROBLEMS["plain"], bent])
 def test_maps_hold_what_the_deployed_network_does(make: Any) -> None:
     """5,000 states: means lie in the maps of the check, which leave no more than those of the search."""
     problem = make()
@@ -188,6 +189,7 @@ def test_angles_that_wrap_are_for_boxes_alone(monkeypatch: pytest.MonkeyPatch) -
     assert "takes its angles for numbers" in cg.check(forged).failures[0]
 
 
+@pytest.mark.thorough
 def test_other_networks_and_larger_claims_are_refused() -> None:
     problem, _, certificate = certified("plain")
     larger = certificate.lower_bound + 0.02

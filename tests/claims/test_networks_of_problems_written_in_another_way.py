@@ -18,6 +18,7 @@ from certigym.synthesis.relations.driven_means import DrivenMeans
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from composing import expressions, matrices, timed
+from kinds import mostly_thorough
 from network_problems import with_network
 
 FALSE_ALARM = 1e-6
@@ -55,7 +56,7 @@ def certified(kind: str) -> tuple[cg.Problem, SharedActor, Any]:
     return problem, actor, cg.certify(problem, actor, cells, as_is=True, above=True, relation=relation).certificate
 
 
-@pytest.mark.parametrize("kind", PROBLEMS)
+@mostly_thorough("kind", PROBLEMS)
 def test_rollouts_of_the_network_lie_between_both_ends(kind: str) -> None:
     problem, actor, certificate = certified(kind)
     report = cg.check(certificate)

@@ -12,6 +12,7 @@ from certigym.synthesis.models import network_abstraction
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import Network
 from certigym.synthesis.step_checking.network_enclosures import network_maps, network_spans
+from kinds import mostly_thorough
 from network_problems import RNG, means_at, reach, with_network
 from problems import cart, scalar_agent
 
@@ -50,9 +51,9 @@ def agents() -> list[Any]:
     return [scalar_agent("a"), cart(), moved]
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@mostly_thorough("shape", SHAPES)
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("which", range(3))
+@mostly_thorough("which", range(3))
 def test_no_point_of_a_cell_leaves_its_box_or_its_map(which: int, form: tuple[str, str], shape: Any) -> None:
     """Dense samples of closed cells, corners among them; the boxes of the check lie inside those of the search."""
     agent = agents()[which]

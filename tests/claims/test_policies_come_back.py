@@ -20,6 +20,7 @@ from certigym.synthesis.raw_networks import repair_network
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor, save_actor
 from certigym.validation.policies.entrants import given
+from kinds import mostly_thorough
 from network_problems import proportional, reach
 from problems import cart, scalar_agent
 
@@ -122,8 +123,8 @@ def test_rows_of_teams(problem: cg.Problem, observation: str, scale: str) -> Non
         assert np.allclose(mine, middle + action * agent.input_box.half_width, atol=2e-5)
 
 
-@pytest.mark.parametrize("scale", ["unit", "raw"])
-@pytest.mark.parametrize("actions", ["unit", "input"])
+@mostly_thorough("scale", ["unit", "raw"])
+@mostly_thorough("actions", ["unit", "input"])
 def test_rows_of_one_learner_for_all(uneven: cg.Problem, scale: str, actions: str) -> None:
     """The centralised environment steps as rollouts do: the same inputs at the states of an episode."""
     env = cg.central_env(uneven, scale=scale, actions=actions)
@@ -156,7 +157,7 @@ ALGORITHMS = [
 
 
 @pytest.mark.parametrize("name, options", ALGORITHMS)
-@pytest.mark.parametrize("worlds", [shared_vec_env, central_vec_env])
+@mostly_thorough("worlds", [shared_vec_env, central_vec_env])
 def test_models_of_stable_baselines(
     problem: cg.Problem, name: str, options: dict[str, Any], worlds: Any, tmp_path: Path
 ) -> None:
@@ -244,6 +245,7 @@ def seeker(network: Network) -> Any:
     return torch.nn.Sequential(*layers[:-1])
 
 
+@pytest.mark.thorough
 def test_every_verb_takes_a_model(problem: cg.Problem, tmp_path: Path) -> None:
     """One module: compared, certified wrapped and as it is, improved, bounded above, repaired, shielded, recorded."""
     actor = seeker(proportional(problem).network)
@@ -266,6 +268,7 @@ def test_every_verb_takes_a_model(problem: cg.Problem, tmp_path: Path) -> None:
     assert cg.as_controller(problem, policy) is policy
 
 
+@pytest.mark.thorough
 def test_models_that_say_what_they_see_need_no_bridge(problem: cg.Problem, tmp_path: Path) -> None:
     """A model of Stable-Baselines3 goes into every verb as it is, and so does its file."""
     model = sb3.PPO("MlpPolicy", shared_vec_env(problem, 2), n_steps=8, batch_size=16, seed=0, device="cpu")
@@ -395,7 +398,7 @@ class Intruder:
         return Path.mkdir, (self.made,)
 
 
-@pytest.mark.parametrize("verb", ["compare", "certify", "record", "save-policy", "leaderboard", "plot"])
+@mostly_thorough("verb", ["compare", "certify", "record", "save-policy", "leaderboard", "plot"], first=5)
 def test_files_run_no_code_unless_they_are_trusted(
     verb: str, problem: cg.Problem, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -467,8 +470,8 @@ int main(void) {
 
 
 @pytest.mark.skipif(CC is None, reason="no C compiler")
-@pytest.mark.parametrize("relation", ["exact", "linear"])
-@pytest.mark.parametrize("make", [scalar_agent, cart, "turned"])
+@mostly_thorough("relation", ["exact", "linear"])
+@mostly_thorough("make", [scalar_agent, cart, "turned"])
 def test_c_gives_the_same_inputs_to_the_last_bit(relation: str, make: Any, tmp_path: Path) -> None:
     """Certified tables as a C header, at points inside and outside, on edges of cells, and at what is no number."""
     if make == "turned":

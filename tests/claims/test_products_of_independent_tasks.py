@@ -74,6 +74,7 @@ def test_joint_episodes_have_the_verdicts_of_the_parts(monkeypatch: pytest.Monke
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("semantics", ["finite-trace", "co-safe"])
 def test_a_hundred_agents_are_certified_checked_and_simulated(semantics: str, tmp_path: Path) -> None:
     problem = pairs(50, 6, semantics)
@@ -106,6 +107,7 @@ def test_co_safe_parts_ask_for_no_less_than_the_whole(monkeypatch: pytest.Monkey
     assert 0.0 < certificate.lower_bound <= optimum[(whole.initial_q, *cells)]
 
 
+@pytest.mark.thorough
 def test_upper_ends_of_the_parts_multiply_in_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
     certificate: Any = cg.synthesize(apart(monkeypatch, 3, starts=(-2.0, 1.0)), 16, relation="exact").certificate
     report = cg.check(certificate)
@@ -120,6 +122,7 @@ def test_upper_ends_of_the_parts_multiply_in_the_check(monkeypatch: pytest.Monke
     assert cg.check(co_safe) and cg.check(co_safe).above is None
 
 
+@pytest.mark.thorough
 def test_a_bound_that_is_too_high_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
     """With twice the noise, the certificates of the parts are wrong, and rollouts of the whole show it."""
     problem = pairs(12, 4, starts=(-2.5,))
@@ -138,6 +141,7 @@ def test_a_bound_that_is_too_high_is_refuted(monkeypatch: pytest.MonkeyPatch) ->
         product_certificate(noisy, certificate.proof.parts)
 
 
+@pytest.mark.thorough
 def test_other_starts_multiply(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = apart(monkeypatch, 2, 4, starts=(-2.0, -1.2))
     certificate = cg.synthesize(problem, 40, relation="exact").certificate
@@ -161,6 +165,7 @@ def test_other_starts_multiply(monkeypatch: pytest.MonkeyPatch) -> None:
         certificate.at([[0.0, 0.0]])
 
 
+@pytest.mark.thorough
 def test_groups_that_differ_are_synthesized_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = pairs(12, 3, starts=(-2.0, -1.2, -1.5))
     assert cg.synthesize(problem, 20, relation="exact").stats["distinct_tasks"] == 3
@@ -247,6 +252,7 @@ def test_agents_without_a_task_have_to_stay_in_the_workspace(monkeypatch: pytest
     assert not cg.validate(with_idle, 20_000, confidence=1 - FALSE_ALARM).refuted
 
 
+@pytest.mark.thorough
 def test_workers_see_the_same_episodes() -> None:
     problem = pairs(12, 4)
     result = cg.synthesize(problem, 20, relation="exact")

@@ -9,6 +9,7 @@ from scipy.stats import norm
 import certigym as cg
 from certigym.synthesis.checking import lasting_safety
 from certigym.validation.statistics import clopper_pearson
+from kinds import mostly_thorough
 from problems import scalar_agent
 
 FALSE_ALARM = 1e-6
@@ -42,7 +43,7 @@ def test_the_rate_is_the_eigenvalue_of_the_finite_model() -> None:
     assert 0.9 * truth < lasting.rate <= truth + 1e-4
 
 
-@pytest.mark.parametrize("agents", [1, 2, 3])
+@mostly_thorough("agents", [1, 2, 3])
 def test_the_bound_lies_below_the_certificate_of_every_horizon_and_below_rollouts(agents: int) -> None:
     problem = team(agents, 24)
     result = cg.synthesize(problem, 40, relation="boxes", stationary=True)
@@ -64,6 +65,7 @@ def test_the_bound_lies_below_the_certificate_of_every_horizon_and_below_rollout
         assert lasting.at(k) <= high
 
 
+@pytest.mark.thorough
 def test_tasks_with_several_live_states_have_a_rate() -> None:
     """Who has been above 1 must stay above 0 from then on: two live automaton states."""
     agent = scalar_agent("a", A=[[0.8]], noise_covariance=[[0.3]])
@@ -87,6 +89,7 @@ def test_tasks_with_several_live_states_have_a_rate() -> None:
     assert lasting.rate > 0.9
 
 
+@pytest.mark.thorough
 def test_a_larger_rate_would_be_false(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mistakes that are easy to make give bounds that certificates of longer horizons contradict."""
     problem = team(2, 4, formula="G (safe_0 & safe_1)")

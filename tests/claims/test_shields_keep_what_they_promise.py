@@ -13,6 +13,7 @@ import certigym as cg
 from certigym.synthesis.certificates import ProductProof
 from certigym.synthesis.shielding import ProductShield, Shield, shield_of
 from certigym.synthesis.shielding.noise_masses import NoiseAxis
+from kinds import mostly_thorough
 from shield_trials import anything, episodes, the_worst
 from team_problems import pairs
 
@@ -113,7 +114,7 @@ def test_inputs_are_worth_no_more_than_the_next_state_on_average(certificate: cg
 
 
 # --- the guarantee ---------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("share", "form"), [(0.5, "joint"), (0.99, "decentralised")])
+@mostly_thorough(("share", "form"), [(0.5, "joint"), (0.99, "decentralised")])
 def test_whoever_proposes_succeeds_as_promised(certificate: cg.Certificate, form: str, share: float) -> None:
     shield = shield_of(certificate, share * certificate.lower_bound, form)
     assert isinstance(shield, Shield)
@@ -125,6 +126,7 @@ def test_whoever_proposes_succeeds_as_promised(certificate: cg.Certificate, form
         assert 0.0 < found["overridden"] < 1.0
 
 
+@pytest.mark.thorough
 def test_the_adversary_is_left_no_more_than_promised(synthesized: Any) -> None:
     """Where values are the truth the judgement is neither lax nor wasteful: 20,000 episodes, standard error .003."""
     shield = sabotaged(synthesized, 0.99)
@@ -157,7 +159,7 @@ def never_moved(shield: Shield, step: dict[str, Any]) -> np.ndarray:
     return np.asarray(step["budget"])
 
 
-@pytest.mark.parametrize("sabotage", [one_step_late, one_step_short, never_moved])
+@mostly_thorough("sabotage", [one_step_late, one_step_short, never_moved], first=2)
 def test_a_budget_that_is_read_wrongly_is_caught(sabotage: Any, synthesized: Any) -> None:
     shield = sabotaged(synthesized)
     assert refuted(episodes(shield, the_worst, EPISODES, 11, sabotage)["success"], shield.probability)
@@ -204,6 +206,7 @@ def test_a_start_in_a_box_keeps_the_mean() -> None:
     assert found["slack"] >= 0.0
 
 
+@pytest.mark.thorough
 def test_independent_tasks_share_what_is_kept() -> None:
     certificate = cg.synthesize(pairs(10, starts=(-2.0, -1.5)), 24, relation="exact", value="tree").certificate
     assert isinstance(certificate.proof, ProductProof)

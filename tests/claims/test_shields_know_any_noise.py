@@ -15,6 +15,7 @@ from certigym.synthesis.shielding import Shield, noise_masses, shield_of, unknow
 from certigym.synthesis.shielding.noise_masses import LawAxis, NoiseAxis, StillAxis
 from certigym.synthesis.shielding.unknown_means import MeanBox
 from composing import expressions, lawful, matrices, task
+from kinds import mostly_thorough
 from shield_trials import anything, episodes, the_worst
 from test_noise_that_is_uneven import task as clocked
 from test_noise_that_is_uneven import walker
@@ -88,7 +89,7 @@ def test_a_state_without_noise_is_in_the_cell_of_its_mean() -> None:
 
 
 @pytest.mark.parametrize("name", list(LAWS))
-@pytest.mark.parametrize("widths", [(0.0, 1.0), (1e-12, 1.0), (0.3, 1.0), (0.0, 1.4), (0.3, 1.2), (1.5, 1.05)])
+@mostly_thorough("widths", [(0.0, 1.0), (1e-12, 1.0), (0.3, 1.0), (0.0, 1.4), (0.3, 1.2), (1.5, 1.05)])
 def test_least_values_hold_all_over_the_box(name: str, widths: tuple[float, float]) -> None:
     """Means and scales between those that are read, three axes at once: a law, normal noise, none."""
     rng, count = np.random.default_rng(7), 30
@@ -136,7 +137,7 @@ def test_certified_inputs_are_worth_what_their_states_are(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", list(PROBLEMS))
-@pytest.mark.parametrize("propose", [anything, the_worst])
+@mostly_thorough("propose", [anything, the_worst])
 def test_nobody_can_break_the_promise(kind: str, propose: Any) -> None:
     shield = made(kind)
     found = episodes(shield, propose, EPISODES, 1)

@@ -15,6 +15,7 @@ from certigym.synthesis.raw_networks import certify_network
 from certigym.synthesis.shielding import Shield, shield_of, unknown_means
 from certigym.synthesis.shielding.noise_masses import NoiseAxis
 from certigym.synthesis.shielding.unknown_means import MeanBox
+from kinds import mostly_thorough
 from network_problems import proportional, reach
 from problems import scalar_agent
 from shield_trials import anything, episodes, the_worst
@@ -58,7 +59,7 @@ def made(kind: str, share: float, form: str = "joint") -> Shield:
     return shield
 
 
-@pytest.mark.parametrize("kind", ["wind, linear", "two axes", "neighbours"])
+@mostly_thorough("kind", ["wind, linear", "two axes", "neighbours"], first=2)
 def test_least_values_are_below_those_of_every_disturbance(kind: str) -> None:
     """Expected factors at 200 states, against the mean under 50 disturbances each, corners among them."""
     shield, rng, count = made(kind, 0.5), np.random.default_rng(0), 200
@@ -98,6 +99,7 @@ def test_charges_are_what_interpolation_may_miss() -> None:
         assert np.all(box.charge < 0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "kind, form", [("wind, linear", "joint"), ("wind, boxes", "joint"), ("two axes", "decentralised")]
 )

@@ -18,6 +18,7 @@ from certigym.synthesis.certificates import changed
 from certigym.synthesis.controllers import path_controller
 from certigym.synthesis.readings import box_kernel
 from certigym.synthesis.shielding import shield_of
+from kinds import mostly_thorough
 
 ROTOR: dict[str, Any] = {
     "name": "rotor", "states": ["theta"], "angles": ["theta"], "inputs": ["turn"],
@@ -154,7 +155,7 @@ def test_headings_hold_on_the_arc_and_nowhere_else(around: cg.Problem) -> None:
         assert ("west" in told) == (off < 0.5) or abs(off - 0.5) < 1e-9
 
 
-@pytest.mark.parametrize("deviation", [0.2, 1.0, 3.0])
+@mostly_thorough("deviation", [0.2, 1.0, 3.0])
 def test_a_step_has_the_mass_of_all_windings(deviation: float) -> None:
     """The wrapped normal law is known: what is certified is below its mass, and near it, however many turns it goes."""
     problem = problem_of("X west", 1, noise=[{"law": "gaussian", "std": deviation}], input_low=[0.0], input_high=[0.0])

@@ -16,7 +16,7 @@ import certigym as cg
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+pytestmark = [pytest.mark.thorough, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")]
 
 # Runs after the page's own script, plays an episode to its end, and writes what it sees into the title.
 PROBE = """

@@ -50,6 +50,7 @@ class _Heard:
         self.told.append((name, words))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("workers", [1, 2])
 def test_every_piece_is_told_of_and_comes_back_in_its_place(workers: int) -> None:
     """With one process or two; a target comes as soon as its own pieces are there."""
@@ -67,12 +68,14 @@ def _broken() -> Found:
     raise ValueError("a piece that fails")
 
 
+@pytest.mark.thorough
 def test_a_piece_that_fails_is_not_passed_over() -> None:
     whole = {"one": Reproduction({"good": partial(Found, 1, ""), "bad": _broken}, lambda found, _: found)}
     with pytest.raises(ValueError, match="a piece that fails"):
         list(computed(whole, _Heard(), 1))
 
 
+@pytest.mark.thorough
 def test_processes_side_by_side_have_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two libraries of linear algebra with a thread for every core take twice the time; what the user says stays."""
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)

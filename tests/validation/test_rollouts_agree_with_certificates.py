@@ -14,6 +14,7 @@ from certigym.envs.dynamics.worlds import Dynamics
 from certigym.synthesis.certificates import OnGrid, changed, is_exact, start_of_claim
 from certigym.validation.simulation.chunks import run_chunk
 from certigym.validation.statistics.binomial import CONFIRMED, CONSISTENT, REFUTED, clopper_pearson, verdict
+from kinds import mostly_thorough
 from problems import two_agents
 
 FALSE_ALARM = 1e-6
@@ -64,7 +65,7 @@ EXACT = {
 }
 
 
-@pytest.mark.parametrize("name", EXACT)
+@mostly_thorough("name", EXACT, first=3)
 def test_exact_certificates_are_right_from_both_sides(name: str) -> None:
     """Limits at 1e-6 over five claims: 200,000 episodes notice an error of about .006."""
     problem, cells = EXACT[name]
@@ -76,6 +77,7 @@ def test_exact_certificates_are_right_from_both_sides(name: str) -> None:
     assert report.ci_high - report.ci_low < 0.015
 
 
+@pytest.mark.thorough
 def test_lower_bounds_with_cut_cells_and_correlated_noise_hold() -> None:
     """One-sided, 1e-6: cells cut by region boundaries cost value but never validity."""
     result = cg.synthesize(correlated(), {"plane": [40, 40], "line": 60})
@@ -86,6 +88,7 @@ def test_lower_bounds_with_cut_cells_and_correlated_noise_hold() -> None:
     assert 0.5 < report.lower_bound <= report.ci_high
 
 
+@pytest.mark.thorough
 def test_boxes_and_points_may_be_mixed_among_the_starts() -> None:
     """One-sided, 1e-6: the scalar agent starts in a box, the one with correlated noise at a point."""
     problem = correlated().replace(initial_low={"line": [-0.5]}, initial_high={"line": [0.5]})
@@ -158,6 +161,7 @@ def test_sabotaged_certificates_are_refuted(sabotage: Any) -> None:
     assert report.verdict == REFUTED, str(report)
 
 
+@pytest.mark.thorough
 def test_stepping_the_environment_agrees_with_batched_rollouts() -> None:
     """2,000 episodes of the PettingZoo loop against the exact certificate, limits at 1e-6."""
     problem, cells = EXACT["sequence"]

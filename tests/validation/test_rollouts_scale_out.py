@@ -78,6 +78,7 @@ def test_order_of_completion_does_not_matter(certificate: OnGrid, alone: np.ndar
     assert executor.most <= 32
 
 
+@pytest.mark.thorough
 def test_processes_give_the_same_bits_and_a_killed_one_loses_nothing(certificate: OnGrid, alone: np.ndarray) -> None:
     with processes(2) as pool:
         np.testing.assert_array_equal(runs(certificate, pool), alone)
@@ -92,6 +93,7 @@ def test_processes_give_the_same_bits_and_a_killed_one_loses_nothing(certificate
             np.testing.assert_array_equal(runs(certificate, pool, kill), alone)
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("default::ResourceWarning", "default::DeprecationWarning")
 def test_dask_gives_the_same_bits_and_a_killed_worker_loses_nothing(certificate: OnGrid, alone: np.ndarray) -> None:
     pytest.importorskip("distributed")
@@ -111,6 +113,7 @@ def test_dask_gives_the_same_bits_and_a_killed_worker_loses_nothing(certificate:
         np.testing.assert_array_equal(field.successes, same.successes)
 
 
+@pytest.mark.thorough
 def test_sweeps_and_attempts_run_on_executors(certificate: OnGrid) -> None:
     with ThreadPoolExecutor(2) as pool:
         plan = TrialPlan(500, executor=pool)
@@ -199,6 +202,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 @pytest.mark.parametrize("place", [[], ["--workers", "2"], ["--dask", "local", "--workers", "2"]], ids=str)
 def test_control_c_leaves_a_report(certificate: OnGrid, tmp_path: Path, place: list[str]) -> None:

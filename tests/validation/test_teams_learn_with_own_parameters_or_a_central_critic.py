@@ -19,6 +19,8 @@ from certigym.validation.policies.settings import settings_for
 from certigym.validation.policies.views import SharedView, TeamView
 from certigym.validation.statistics import mean_limits
 
+pytestmark = pytest.mark.thorough
+
 pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
 
 RA2 = cg.make_problem("reach-avoid-v0")

@@ -104,6 +104,7 @@ def test_printed_bounds_hold(folder: Path) -> None:
     assert "| 0.9999 |" in text and "[0.9999, 0.0001]" in text
 
 
+@pytest.mark.thorough
 def test_learners_are_made_within_their_budget_and_kept(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -129,6 +130,7 @@ def test_learners_are_made_within_their_budget_and_kept(
         cg.leaderboard(["reach-avoid-v0"], ["ppo"], 300, sources=sources)
 
 
+@pytest.mark.thorough
 def test_learners_behind_a_shield_are_judged_behind_it(folder: Path, tmp_path: Path) -> None:
     """Half of the bound is kept whatever was learned; P < 1e-6 of fewer successes than are asked for here."""
     pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")

@@ -23,6 +23,7 @@ from certigym.validation.studio.server import MOST_BYTES, Studio
 from certigym.validation.studio.toml_edits import edited
 from certigym.validation.studio.toml_spans import places
 from chromium_pages import CHROMIUM, Chromium, Tab
+from kinds import mostly_thorough
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted(ROOT.glob("examples/**/*.toml"))
@@ -168,7 +169,7 @@ COUNTING = {"patrol", "queue", "samples"}
 DRAWN = [path for path in EXAMPLES if path.stem not in COUNTING]
 
 
-@pytest.mark.parametrize("path", DRAWN, ids=lambda path: path.stem)
+@mostly_thorough("path", DRAWN, first=9, ids=lambda path: path.stem)
 def test_what_can_be_moved_is_drawn_where_the_task_has_it(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     seen = look(text, path.name, path.parent)
@@ -414,6 +415,7 @@ def test_what_is_stopped_keeps_the_best_so_far(monkeypatch: pytest.MonkeyPatch) 
     assert answer["certificate"]["fingerprint"] == problem.fingerprint
 
 
+@pytest.mark.thorough
 def test_a_process_that_ends_is_told_and_replaced(tmp_path: Path) -> None:
     (tmp_path / "cart.toml").write_text((ROOT / "examples" / "pendulum_and_cart.toml").read_text())
     page = Studio(tmp_path, "cart.toml").start()
@@ -440,6 +442,7 @@ def test_a_process_that_ends_is_told_and_replaced(tmp_path: Path) -> None:
         page.stop()
 
 
+@pytest.mark.thorough
 def test_what_was_certified_outlives_its_process(tmp_path: Path) -> None:
     """Stopped twice while it certifies again, and killed: the certificate before is there to be played and saved."""
     (tmp_path / "a.toml").write_text((ROOT / "validation" / "studio" / "template_first.toml").read_text())
@@ -508,6 +511,7 @@ def spot(tab: Tab, x: float, y: float) -> tuple[float, float]:
 SEEN = "window.studio && studio.link.state && studio.link.state.seen && studio.link.state.current"
 
 
+@pytest.mark.thorough
 def test_from_an_empty_file_to_a_certificate(browser: Chromium, tmp_path: Path) -> None:
     page = Studio(tmp_path, "task.toml").start()
     try:

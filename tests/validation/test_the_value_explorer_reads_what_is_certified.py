@@ -70,6 +70,7 @@ def dragged(page: Path, folder: Path, shape: tuple[int, ...]) -> dict[str, Any]:
     return dict(json.loads(html.unescape(found.group(1))))
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 @pytest.mark.parametrize(("id", "cells"), [("reach-avoid-v0", 40), ("patrol-robot-v0", 24), ("car-park-v0", 60)])
 def test_the_explorer_says_what_the_certificate_says(
