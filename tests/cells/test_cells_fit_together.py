@@ -12,7 +12,7 @@ from certigym.synthesis.choosing.cell_numbers import MOST_COMBINATIONS, cells_at
 from certigym.synthesis.models.abstraction import abstract
 from problems import two_agents
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.thorough
 
 
 @pytest.mark.parametrize("resolution", [2.3, 3.0, 4.1])

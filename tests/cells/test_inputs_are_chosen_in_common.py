@@ -268,6 +268,7 @@ def test_both_ways_are_tried_and_the_better_one_is_kept() -> None:
     assert cg.check(found.certificate)
 
 
+@pytest.mark.thorough
 def test_unknown_inputs_count_as_disturbances() -> None:
     """Without a common choice the bound is the product of those of rooms that are disturbed by any heat."""
     problem = boiler_problem(2)

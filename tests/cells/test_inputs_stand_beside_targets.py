@@ -15,6 +15,7 @@ from certigym.synthesis.models import corner_model
 from certigym.synthesis.readings import CornerReading
 from certigym.synthesis.relations import ExactRelation
 from certigym.synthesis.step_checking.written_linear import MatrixMaps
+from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
 """Probability that rollouts refute a true certificate, over all cases."""
@@ -59,7 +60,7 @@ def certified(written: bool) -> cg.Certificate:
     return certificate
 
 
-@pytest.mark.parametrize("written", [False, True])
+@mostly_thorough("written", [False, True])
 def test_policies_choose_both_and_hold(written: bool) -> None:
     certificate = certified(written)
     part = certificate.proof.agents[0]

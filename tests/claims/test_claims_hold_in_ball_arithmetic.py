@@ -346,6 +346,7 @@ def test_targets_are_judged_in_balls(relation: str) -> None:
     assert aims(Memory(), agent.replace(A=agent.A + 1e-12), part, own, execution.mean)[1]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("relation", ["linear", "boxes"])
 def test_networks_are_proved_as_they_are(relation: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their masses, and the bent function of their layers; what forms through layers lose is bounded by hand."""

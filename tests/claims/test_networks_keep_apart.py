@@ -158,6 +158,7 @@ def robots() -> tuple[cg.Problem, TeamActor, Any]:
     return problem, actor, cg.certify(problem, actor, 16, as_is=True).certificate
 
 
+@pytest.mark.thorough
 def test_teams_of_planar_robots_are_certified(tmp_path: Path) -> None:
     problem, actor, certificate = robots()
     assert cg.check(certificate) and certificate.lower_bound > 0.5

@@ -161,6 +161,7 @@ def test_what_maps_leave_is_of_second_order() -> None:
     assert apart[1] < 0.1 * apart[0]
 
 
+@pytest.mark.thorough
 def test_maps_that_forget_what_networks_leave_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sabotage of the search: inputs that are their affine maps, with nothing left."""
     honest = network_maps.mean_form

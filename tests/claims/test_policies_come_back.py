@@ -429,6 +429,7 @@ def test_every_kind_of_file_that_is_unpickled_may_be_refused(problem: cg.Problem
             cg.as_policy(tmp_path / name, problem, trust=False)
 
 
+@pytest.mark.thorough
 def test_the_command_line_takes_files(problem: cg.Problem, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     task = cg.make_problem("reach-avoid-v0", horizon=5)
     model = sb3.PPO("MlpPolicy", shared_vec_env(task, 2), n_steps=8, batch_size=16, seed=0, device="cpu")

@@ -95,6 +95,7 @@ def test_a_hundred_agents_are_certified_checked_and_simulated(semantics: str, tm
     assert again.successes == report.successes
 
 
+@pytest.mark.thorough
 def test_co_safe_parts_ask_for_no_less_than_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     whole, problem = pairs(2, 4, "co-safe"), apart(monkeypatch, 2, 4, "co-safe")
     optimum = dense_optimum(whole, list(abstract(whole, 8).models))

@@ -134,6 +134,7 @@ def test_the_adversary_is_left_no_more_than_promised(synthesized: Any) -> None:
     assert abs(rate - shield.probability) < 0.012
 
 
+@pytest.mark.thorough
 def test_budgets_are_paid_back_on_average(certificate: cg.Certificate) -> None:
     """The mean of the last budgets is at least the first one, up to Hoeffding's limit at 1e-6."""
     shield = shield_of(certificate, 0.9 * certificate.lower_bound)

@@ -123,7 +123,7 @@ def test_too_many_cells_are_unknown() -> None:
     assert all(np.isnan(axis.masses(places[0], scales[0])).all() for places, scales in box.points)
 
 
-@pytest.mark.parametrize("kind", list(PROBLEMS))
+@mostly_thorough("kind", list(PROBLEMS), first=3)
 def test_certified_inputs_are_worth_what_their_states_are(kind: str) -> None:
     """Q of the certified inputs is nearly V at least: boxes lose what cells do, and no more."""
     shield, rng, count = made(kind), np.random.default_rng(3), 300

@@ -117,6 +117,7 @@ def test_nobody_can_break_the_promise_in_the_worst_wind(kind: str, form: str) ->
         assert 0.0 < found["overridden"] and (propose is the_worst or found["overridden"] < 1.0)
 
 
+@pytest.mark.thorough
 def test_neighbours_are_seen_where_they_are() -> None:
     """Rooms on a ring: the joint shield knows all temperatures."""
     shield = made("neighbours", 0.9)
@@ -125,6 +126,7 @@ def test_neighbours_are_seen_where_they_are() -> None:
     assert found["slack"] >= 0.0 and 0.0 < found["overridden"] < 1.0
 
 
+@pytest.mark.thorough
 def test_a_shield_that_forgets_the_wind_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """Means without wind, and an adversary that has the wind on its side."""
     shield = made("wind, linear", 0.95)
@@ -140,6 +142,7 @@ def test_a_shield_that_forgets_the_wind_is_caught(monkeypatch: pytest.MonkeyPatc
     assert refuted(episodes(shield, the_worst, EPISODES, 5, disturbance=wind)["success"], shield.probability)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("relation", ["linear", "boxes"])
 def test_a_network_may_be_what_a_shield_falls_back_on(relation: str) -> None:
     """The certificate of a network as it is, and a proposer that works against it."""

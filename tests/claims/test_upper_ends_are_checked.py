@@ -27,6 +27,7 @@ from certigym.synthesis.search.relaxation import upper_bound
 from certigym.synthesis.search.train_backward import evaluate
 from certigym.synthesis.values.terms import Occupancy, Terms
 from certigym.synthesis.values.train_values import Rounding, Trains, start_above, start_value
+from kinds import mostly_thorough
 from problems import scalar_agent, two_agents
 
 WEAK: dict[str, Any] = {"input_low": [-0.2], "input_high": [0.2]}
@@ -51,8 +52,8 @@ def truth(certificate: OnGrid, cells: int) -> float:
     return float(dense[(problem.initial_q, *where)])
 
 
-@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda problem: problem.name + problem.specification.semantics)
-@pytest.mark.parametrize("value", ["tree", "train"])
+@mostly_thorough("problem", PROBLEMS, ids=lambda problem: problem.name + problem.specification.semantics)
+@mostly_thorough("value", ["tree", "train"])
 def test_the_upper_end_of_exact_claims_is_verified(problem: cg.Problem, value: str) -> None:
     certificate = cg.synthesize(problem, 24, value=value, relation="exact").certificate
     assert certificate.gap is not None

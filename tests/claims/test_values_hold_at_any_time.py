@@ -65,6 +65,7 @@ def test_with_fewer_steps_left_it_is_what_those_policies_are_certified_for(value
     np.testing.assert_allclose(value.at(states, q, 3), tail.certificate.at(states), atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_runs_from_the_middle_reach_what_is_promised(value: ValueInTime) -> None:
     """20,000 runs from each of some states with 3 steps left, against the limit at 1e-6 for the whole test."""
     certificate = value.certificate

@@ -94,6 +94,7 @@ def four(last: str) -> cg.Problem:
     return cg.Problem(name="four", horizon=3, agents=agents, propositions=propositions, specification=task)
 
 
+@pytest.mark.thorough
 def test_inputs_in_common_are_known_by_name_and_place() -> None:
     """The last agent is pushed the other way: the same numbers, read at the places of the one before, would be .999."""
     alike = four("0.6*x + 0.5*p.u - 0.5*q.u + 0.3*u")

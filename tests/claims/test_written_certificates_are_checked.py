@@ -20,6 +20,7 @@ from certigym.synthesis.certificates import changed
 from certigym.synthesis.relations import MeanBoxes, WrittenMeans
 from certigym.synthesis.step_checking.carrying_out import wrong_actions
 from certigym.synthesis.step_checking.execution import execution_of
+from kinds import mostly_thorough
 from written_problems import bent_team, oscillator, oscillator_reach
 
 FALSE_ALARM = 1e-6
@@ -60,6 +61,7 @@ def of_ring() -> cg.Certificate:
 CERTIFICATES = {"oscillator": of_oscillator, "team": of_team, "rotated": of_rotated, "ring": of_ring}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", CERTIFICATES)
 def test_files_checks_and_rollouts_agree(name: str, tmp_path: Path) -> None:
     """40,000 episodes notice a claim that is too large by about .01 at a false-alarm rate of 1e-6."""
@@ -80,6 +82,7 @@ def masses(edges: NDArray, mean: float, std: float) -> NDArray:
     return np.diff(norm.cdf((edges - mean) / std))
 
 
+@pytest.mark.thorough
 def test_values_stay_below_dense_programming_with_an_adversary() -> None:
     """The adversary chooses all states of the cells after it has seen the joint cell; no products, no lattice.
 
@@ -168,7 +171,7 @@ SABOTAGE: dict[str, Callable[..., Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", SABOTAGE)
+@mostly_thorough("name", SABOTAGE)
 def test_certificates_of_wrong_enclosures_are_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = windy()
     honest = cg.synthesize(problem, 25, relation="boxes")
@@ -212,6 +215,7 @@ def test_targets_that_inputs_do_not_reach_are_refused(monkeypatch: pytest.Monkey
     )
 
 
+@pytest.mark.thorough
 def test_controllers_that_steer_elsewhere_are_noticed() -> None:
     """Sabotage of the object that is deployed: its expression has another sign."""
     certificate = of_oscillator()
@@ -260,6 +264,7 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
             cg.load(tmp_path / "forged.npz")
 
 
+@pytest.mark.thorough
 def test_cells_where_a_mean_is_not_defined_are_given_up() -> None:
     """The agent has no mean left of 0, and keeps away from there: a bound, and a controller that never fails on it."""
     agent = oscillator(

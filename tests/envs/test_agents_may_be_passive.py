@@ -88,6 +88,7 @@ def test_a_state_may_be_called_idle() -> None:
     assert agent.inputs == ("idle_",)
 
 
+@pytest.mark.thorough
 def test_it_is_certified_checked_and_simulated_without_options(problem: cg.Problem, tmp_path: Path) -> None:
     found = cg.synthesize(problem)
     certificate = found.certificate

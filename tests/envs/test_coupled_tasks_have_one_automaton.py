@@ -63,6 +63,7 @@ def test_what_explodes_is_refused_in_time(name: str) -> None:
     assert time.process_time() - began < SECONDS
 
 
+@pytest.mark.thorough
 def test_nodes_are_counted_as_well_as_states() -> None:
     """Two states may need many nodes: pairs that stand far apart in the order of variables do."""
     formula = "G (" + " | ".join(f"(a{i} & b{i})" for i in range(14)) + ")"

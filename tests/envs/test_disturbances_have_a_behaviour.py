@@ -68,6 +68,7 @@ def test_intervals_without_zero_are_nearest_to_it() -> None:
     assert agent.mean(np.zeros((1, 3)), np.zeros((1, 3))).tolist() == [[0.2] * 3]
 
 
+@pytest.mark.thorough
 def test_rollouts_order_the_behaviours_and_none_refutes() -> None:
     """20,000 episodes each. The greedy wind does the most harm, and the certificate is below it."""
     certificate, problem = certified(), windy_team()

@@ -179,6 +179,7 @@ def test_agents_may_see_where_the_others_are_from_their_own_place(dtype: str) ->
         observations, _, _, _, infos = env.step({name: env.action_space(name).sample() for name in env.agents})
 
 
+@pytest.mark.thorough
 def test_agents_that_a_pair_ties_have_one_task() -> None:
     agents = [mover(f"agent_{i}", [0.0]) for i in range(24)]
     goals = {f"goal_{i}": cg.Proposition(f"agent_{i}", [1.0], [2.0]) for i in range(24)}

@@ -103,6 +103,7 @@ def test_what_is_certified_is_checked_and_met(name: str, formula: str) -> None:
     assert success.mean() > 0.98
 
 
+@pytest.mark.thorough
 def test_the_check_reads_pairs_at_their_time() -> None:
     """A pair that is wide at all times but one: who is told otherwise, or is late by one, is refused."""
     gap = "5 - 4.4*max(0, 1 - abs(t - {}))"

@@ -7,6 +7,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.problem.problem_file import problem_from_dict, problem_from_toml
+from kinds import mostly_thorough
 
 FILE = """
 name = "short"
@@ -214,13 +215,14 @@ def test_wrong_names_of_states_are_refused(wrong: str, message: str) -> None:
         problem_from_toml(CART.replace('states = ["place", "speed"]', f"states = {wrong}"))
 
 
-@pytest.mark.parametrize(
+@mostly_thorough(
     ("task", "steps"),
     [
         ("F (all(full) & F all(full))", 100),  # no deadline: what is satisfied stays satisfied
         ("F (any(full) & F[0,70] all(full))", 140),
         ("F[0,30] all(full) & G[4,9] any(full)", 30),  # windows say when all is decided
     ],
+    first=2,
 )
 def test_a_task_may_have_no_horizon(task: str, steps: int) -> None:
     for written in ("", 'horizon = "none"'):

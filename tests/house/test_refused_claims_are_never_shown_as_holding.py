@@ -53,6 +53,7 @@ def named(files: dict[str, str], words: list[str]) -> list[str]:
     return [files.get(word, word) for word in words]
 
 
+@pytest.mark.thorough
 def test_results_carry_the_verdict(boastful: None, monkeypatch: pytest.MonkeyPatch) -> None:
     several = cg.synthesize(PROBLEM, 20, relation="exact", horizon=[1, 2])
     actor = proportional(PROBLEM)

@@ -127,6 +127,7 @@ def test_where_noise_is_to_blame_the_controller_follows_a_run() -> None:
     assert rollouts.success.mean() == 1.0
 
 
+@pytest.mark.thorough
 def test_a_claim_of_nothing_along_a_path_cannot_be_made_one_of_something() -> None:
     asked, found = narrow()
     certificate = found.certificate

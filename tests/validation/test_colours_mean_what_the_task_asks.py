@@ -11,6 +11,7 @@ from certigym.envs.pictures import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
 from certigym.envs.pictures.palette import rgb
 from certigym.envs.pictures.scene import panels
 from certigym.envs.pictures.task_roles import proposition_roles
+from kinds import mostly_thorough
 
 CASES = [
     ("!wall U goal", "co-safe", {"wall": AVOIDED, "goal": REACHED}),
@@ -59,7 +60,7 @@ def test_letters_that_no_point_has_do_not_tell() -> None:
     assert proposition_roles(automaton)["loss_0"] == MIXED
 
 
-@pytest.mark.parametrize("id", ["meeting-v0", "invariance-b-100-v0", "patrol-recharge-v0", "fleet-v0"])
+@mostly_thorough("id", ["meeting-v0", "invariance-b-100-v0", "patrol-recharge-v0", "fleet-v0"], first=3)
 def test_every_region_that_is_drawn_has_a_role(id: str) -> None:
     for panel in panels(cg.make_problem(id)):
         assert {region.role for region in panel.regions} <= {REACHED, AVOIDED, KEPT}

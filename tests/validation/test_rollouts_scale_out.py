@@ -127,6 +127,7 @@ def test_sweeps_and_attempts_run_on_executors(certificate: OnGrid) -> None:
         synthesize_best(certificate.problem, [])
 
 
+@pytest.mark.thorough
 def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: OnGrid) -> None:
     loop = Loop(certificate.problem, certificate.controller, 0, CHUNK)
 

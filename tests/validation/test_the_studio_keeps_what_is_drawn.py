@@ -397,6 +397,7 @@ def test_two_who_write_at_once_are_told(tmp_path: Path) -> None:
         page.stop()
 
 
+@pytest.mark.thorough
 def test_what_is_stopped_keeps_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     ways: list[str] = []
 
@@ -479,6 +480,7 @@ def test_what_was_certified_outlives_its_process(tmp_path: Path) -> None:
         page.stop()
 
 
+@pytest.mark.thorough
 def test_texts_are_read_before_the_rest_is_loaded() -> None:
     """What a process that reads texts imports is small: neither searches nor reports."""
     code = "import sys, certigym.validation.studio.work; print([n for n in sys.modules if 'certigym.synthesis' in n])"

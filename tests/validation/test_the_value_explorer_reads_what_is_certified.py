@@ -125,6 +125,7 @@ def test_bounds_are_rounded_down_also_where_products_are_rounded_up() -> None:
     assert np.any(np.floor(below * UNIT) / UNIT > below), "without the second step some would be rounded up"
 
 
+@pytest.mark.thorough
 def test_what_failed_or_says_nothing_is_the_headline(tmp_path: Path) -> None:
     problem = cg.make_problem("reach-avoid-v0", horizon=3)
     sound = cg.synthesize(problem, 30).certificate
@@ -170,6 +171,7 @@ def test_a_path_moved_to_another_start_is_followed_by_the_same_controllers() -> 
     assert moved.lower_bound == 0.0, "it claims nothing before it is checked"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("source", ["bas_4_deviation.toml", "saved"])
 def test_what_is_shown_elsewhere_is_what_rollouts_keep(source: str) -> None:
     """2000 episodes from five starts; 1e-6 for all of them. A linear path and a nonlinear one; outside nothing is."""
