@@ -76,14 +76,6 @@ class TruncatedGaussian(Law):
         below, above = _between(low, at) / self.share, _between(at, high) / self.share
         return np.clip(below, 0.0, 1.0), np.clip(above, 0.0, 1.0)
 
-    def exact_above(self, x: Any) -> Any:
-        low, high = type(x)(self.low), type(x)(self.high)
-        first, at, last = (_exactly_normal(end / self.spread) for end in (low, x.max(low).min(high), high))
-        return (at - last) / (first - last)
-
-    def exact_below(self, x: Any) -> Any:
-        return TruncatedGaussian(self.spread, -self.high, -self.low).exact_above(-x)
-
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         low = self.low / self.spread
         below, xp = float(ndtr(low)), namespace(z)
@@ -152,17 +144,6 @@ class Mixture(Law):
         parts = [law.tails(x - m) for m, law in zip(self.means, self.laws)]
         below, above = (sum(w * tail[k] for w, tail in zip(self.weights, parts)) for k in (0, 1))
         return np.asarray(below), np.asarray(above)
-
-    def exact_above(self, x: Any) -> Any:
-        return self._weighed([law.exact_above(x - m) for m, law in zip(self.means, self.laws)])
-
-    def exact_below(self, x: Any) -> Any:
-        return self._weighed([law.exact_below(x - m) for m, law in zip(self.means, self.laws)])
-
-    def _weighed(self, parts: list[Any]) -> Any:
-        """Return the mean of balls; weights that sum to 1 up to rounding count by their shares."""
-        balls = [type(parts[0])(w) for w in self.weights]
-        return sum(w * part for w, part in zip(balls, parts)) / sum(balls)
 
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         z = np.asarray(z, dtype=float)
@@ -282,8 +263,3 @@ def scipy_law(entry: Mapping[str, Any]) -> ScipyLaw:
 def _between(low: Any, high: Any) -> np.ndarray:
     """Return ``Phi(high) - Phi(low)``, from the tails that are small."""
     return np.where(np.asarray(low) > 0.0, ndtr(-low) - ndtr(-high), ndtr(high) - ndtr(low))
-
-
-def _exactly_normal(x: Any) -> Any:
-    """Return a ball around the probability of more than x under the standard normal law."""
-    return (x / type(x)(2).sqrt()).erfc() / 2

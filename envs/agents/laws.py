@@ -95,26 +95,6 @@ class Law(ABC):
     def tails(self, x: np.ndarray) -> Tails:
         """Return the probabilities of at most x, and of more than x, each with an error of ``cdf_error`` at most."""
 
-    def exact_above(self, x: Any) -> Any:
-        """Return a ball around the probability of more than x, a ball of python-flint.
-
-        This is what the law *means*: proofs compare the numbers of all other formulas with it.
-
-        Raises
-        ------
-        NotImplementedError
-            If the law is given by the numbers of others alone.
-        """
-        raise NotImplementedError(f"the law {self.name!r}, whose probabilities are numbers of its author")
-
-    def exact_below(self, x: Any) -> Any:
-        """Return a ball around the probability of at most x; here of a law that is symmetric about 0."""
-        return self.exact_above(-x)
-
-    def exact_mean(self, a: Any, b: Any) -> Any:
-        """Return a ball around the expectation of the noise where it is between the balls a and b, else 0."""
-        raise NotImplementedError(f"the law {self.name!r}, on linear cells")
-
     @abstractmethod
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         """Return the quantiles (rounded) that standard normal numbers z are quantiles of, for simulation."""
@@ -213,13 +193,6 @@ class Gaussian(Law):
     def tails(self, x: np.ndarray) -> Tails:
         return ndtr(x / self.std), ndtr(-x / self.std)
 
-    def exact_above(self, x: Any) -> Any:
-        return (x / self.std / type(x)(2).sqrt()).erfc() / 2
-
-    def exact_mean(self, a: Any, b: Any) -> Any:
-        first, last = ((-((x / self.std) ** 2) / 2).exp() for x in (a, b))
-        return (first - last) * self.std / (2 * type(a).pi()).sqrt()
-
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         return self.std * z
 
@@ -266,18 +239,6 @@ class Uniform(Law):
     def tails(self, x: np.ndarray) -> Tails:
         width = self.high - self.low
         return np.clip((x - self.low) / width, 0.0, 1.0), np.clip((self.high - x) / width, 0.0, 1.0)
-
-    def exact_above(self, x: Any) -> Any:
-        low, high = type(x)(self.low), type(x)(self.high)
-        return (high - x.max(low).min(high)) / (high - low)
-
-    def exact_below(self, x: Any) -> Any:
-        return 1 - self.exact_above(x)
-
-    def exact_mean(self, a: Any, b: Any) -> Any:
-        low, high = type(a)(self.low), type(a)(self.high)
-        first, last = (x.max(low).min(high) for x in (a, b))
-        return (last**2 - first**2) / (2 * (high - low))
 
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         found: np.ndarray = namespace(z).clip(
@@ -338,18 +299,6 @@ class Triangular(Law):
         first = inside <= self.mode
         return np.where(first, below, 1.0 - above), np.where(first, 1.0 - below, above)
 
-    def exact_above(self, x: Any) -> Any:
-        low, mode, high = (type(x)(end) for end in (self.low, self.mode, self.high))
-        fallen, total = high - x.max(mode).min(high), type(x)(0)
-        if high > mode:
-            total += fallen**2 / ((high - low) * (high - mode))
-        if mode > low:  # the density rises from 0 to its peak: the whole side less what lies before x
-            total += ((mode - low) ** 2 - (x.max(low).min(mode) - low) ** 2) / ((high - low) * (mode - low))
-        return total
-
-    def exact_below(self, x: Any) -> Any:
-        return 1 - self.exact_above(x)
-
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         width, rise, fall = self.high - self.low, self.mode - self.low, self.high - self.mode
         below, above = special(z).ndtr(z), special(z).ndtr(-z)
@@ -405,9 +354,6 @@ class Laplace(Law):
         small = 0.5 * np.exp(-np.abs(x) / self.scale)
         return np.where(x <= 0.0, small, 1.0 - small), np.where(x <= 0.0, 1.0 - small, small)
 
-    def exact_above(self, x: Any) -> Any:
-        return _by_side(x, (-abs(x) / self.scale).exp() / 2)
-
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         xp = namespace(z)
         found: np.ndarray = -xp.sign(z) * self.scale * (math.log(2.0) + special(z).log_ndtr(-xp.abs(z)))
@@ -450,9 +396,6 @@ class Logistic(Law):
 
     def tails(self, x: np.ndarray) -> Tails:
         return expit(x / self.scale), expit(-x / self.scale)
-
-    def exact_above(self, x: Any) -> Any:
-        return 1 / (1 + (x / self.scale).exp())
 
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         found: np.ndarray = self.scale * (special(z).log_ndtr(z) - special(z).log_ndtr(-z))
@@ -509,14 +452,6 @@ class StudentT(Law):
     def tails(self, x: np.ndarray) -> Tails:
         return stdtr(self.df, x / self.scale), stdtr(self.df, -x / self.scale)
 
-    def exact_above(self, x: Any) -> Any:
-        nu, half = type(x)(self.df), type(x)(1) / 2
-        square = (x / self.scale) ** 2
-        share = square / (nu + square)
-        if share < half:  # each incomplete beta function where its argument is small
-            return _by_side(x, (1 - share.beta_lower(half, nu / 2, True)) / 2)
-        return _by_side(x, (nu / (nu + square)).beta_lower(nu / 2, half, True) / 2)
-
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         # The lower tail has all its digits.
         return -np.sign(z) * self.scale * stdtrit(self.df, ndtr(-np.abs(z)))
@@ -531,10 +466,3 @@ class StudentT(Law):
 
     def scaled(self, factor: float) -> Law:
         return StudentT(factor * self.scale, self.df)
-
-
-def _by_side(x: Any, tail: Any) -> Any:
-    """Return a ball around the probability of more than x, given that of more than ``|x|`` of a symmetric law."""
-    if x > 0:
-        return tail
-    return 1 - tail if x < 0 else tail.union(1 - tail)

@@ -10,9 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-ARITHMETIC = ("+", "-", "*", "/", "**")
-"""Operations on two trees that are written between them."""
-
 FUNCTIONS = {
     "abs": 1,
     "atan": 1,

@@ -43,10 +43,6 @@ class RegionSpan:
         """Whether it surely holds no point."""
         return bool(np.any(self.high[1] <= self.low[0]))
 
-    def is_apart_from(self, other: RegionSpan) -> bool:
-        """Whether the two surely have no point in common."""
-        return bool(np.any(self.high[1] <= other.low[0]) or np.any(other.high[1] <= self.low[0]))
-
 
 def _ends(tree: Tree, time: int) -> FloatArray:
     """Return ends (2,) of an expression in the time."""

@@ -14,6 +14,7 @@ import pytest
 
 import certigym as cg
 from balls import check_rigorous, rigorous
+from balls.ball_laws import ExactLaw
 from certigym.envs.agents import Gaussian, Law
 from certigym.synthesis.certificates import GridProof, changed
 from certigym.synthesis.checking import pairs_check
@@ -170,6 +171,7 @@ def density(law: Law, x: Any, m: Any) -> Any:
 def test_laws_mean_their_densities(numbers: dict[str, Any]) -> None:
     """Balls around probabilities of intervals hold the integral of the density; both tails hold all that there is."""
     m, law = pytest.importorskip("mpmath"), law_of(numbers)
+    exact = ExactLaw(law)
     flint.ctx.prec = 106
     places = [-0.35, -0.15, -0.05, 0.0, 0.02, 0.15, 0.27]
     with m.workdps(30):
@@ -177,22 +179,23 @@ def test_laws_mean_their_densities(numbers: dict[str, Any]) -> None:
         for a, b in zip(places, places[1:], strict=False):
             cuts = sorted({a, b, *(x for x in (*ends, 0.0, -0.1) if a < x < b)})
             true = m.quad(lambda x: density(law, x, m), [m.mpf(x) for x in cuts])
-            for tail, sign in ((law.exact_below, 1), (law.exact_above, -1)):
+            for tail, sign in ((exact.exact_below, 1), (exact.exact_above, -1)):
                 ball = sign * (tail(flint.arb(b)) - tail(flint.arb(a)))
                 assert abs(m.mpf(ball.mid().str(30, radius=False)) - true) < m.mpf("1e-15"), (a, b)
     for x in places:
-        assert abs(law.exact_below(flint.arb(x)) + law.exact_above(flint.arb(x)) - 1) < 1e-25
+        assert abs(exact.exact_below(flint.arb(x)) + exact.exact_above(flint.arb(x)) - 1) < 1e-25
 
 
 @pytest.mark.parametrize("numbers", [LAWS[0], LAWS[2]], ids=name_of)
 def test_first_moments_mean_their_densities(numbers: dict[str, Any]) -> None:
     m, law = pytest.importorskip("mpmath"), law_of(numbers)
+    exact = ExactLaw(law)
     flint.ctx.prec = 106
     with m.workdps(30):
         for a, b in ((-0.15, -0.05), (-0.05, 0.2), (0.1, 0.3)):
             inside = [m.mpf(x) for x in (a, *(e for e in (getattr(law, "high", 9.0),) if a < e < b), b)]
             true = m.quad(lambda x: x * density(law, x, m), inside)
-            ball = law.exact_mean(flint.arb(a), flint.arb(b))
+            ball = exact.exact_mean(flint.arb(a), flint.arb(b))
             assert abs(m.mpf(ball.mid().str(30, radius=False)) - true) < m.mpf("1e-15")
 
 

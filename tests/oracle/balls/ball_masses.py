@@ -15,6 +15,7 @@ from certigym.envs.agents import AnyAgent
 from certigym.synthesis.cells import CellAxis, FloatArray, MeanAxis, ScaleAxis, points_by_axis
 from certigym.synthesis.masses import AgentPart, axis_tables, kernel_key
 
+from .ball_laws import ExactLaw
 from .ball_memory import Memory, Proof
 from .ball_spans import balls
 
@@ -73,7 +74,7 @@ class Normal:
 def _laws(agent: AnyAgent, part: AgentPart) -> list[Any]:
     """The law of the noise along every grid axis; deviations of normal ones are balls."""
     if agent.laws is not None:
-        return list(agent.laws)
+        return [ExactLaw(law) for law in agent.laws]
     inverse = np.array(arb_mat(part.coordinates.tolist()).inv().tolist(), dtype=object)
     variances = np.diag(inverse @ balls(agent.noise_covariance) @ inverse.T)
     return [Normal(variance.sqrt()) for variance in variances]

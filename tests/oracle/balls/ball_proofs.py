@@ -2,7 +2,7 @@
 
 Numbers of the problem and of the certificate are the doubles that they are; everything that follows from them is
 computed anew with python-flint, each result being a ball that holds the true number. A function returns how many
-numbers it looked at, and what is wrong in words. What laws of noise mean is said by themselves (``Law.exact_above``);
+numbers it looked at, and what is wrong in words. What laws of noise mean is said by ``ball_laws``;
 no special function of scipy or numpy is used, and what is guessed in doubles is proved.
 """
 
