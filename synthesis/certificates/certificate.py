@@ -2,7 +2,7 @@
 
 A certificate speaks of one problem (dynamics, regions, automaton, horizon, start: its fingerprint) and one set of
 policies. Its *proof* holds these policies and the numbers from which ``check``, a short separate program, computes the
-bound again. Proofs are of several kinds: on grids, along paths, for sets of starts, by subtraction,
+bound again. Proofs are of several kinds: on grids, along paths, by subtraction,
 written out in time, and products of independent tasks. Whoever needs something that not every proof has
 asks for it (``require``).
 """

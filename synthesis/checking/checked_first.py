@@ -1,7 +1,7 @@
 """Certificates that stand: checked once, before a guaranteed number is computed from what they hold.
 
 A file says what it likes of relations, guards and lattices. A verb that makes another guarantee out of them (a rate, a
-shield, menus, values in the middle of a run) asks here first, and so does whoever prints a bound. Verbs that *test* a
+shield, values in the middle of a run) asks here first, and so does whoever prints a bound. Verbs that *test* a
 claim (``validate``, ``audit``) take it as it is: a false one is what they look for.
 """
 

@@ -96,7 +96,7 @@ def safety_rate(certificate: Any) -> SafetyRate:
     Parameters
     ----------
     certificate : Synthesis, certificate or path
-        Of one task, of independent ones, or of a joint agent on a grid: a safety task (semantics "finite-trace",
+        Of one task, or of independent ones: a safety task (semantics "finite-trace",
         satisfied as long as it has not failed), with stationary policies (``synthesize(..., stationary=True)``) and a
         horizon of at least 4. A longer horizon gives a better v.
 
@@ -113,7 +113,6 @@ def safety_rate(certificate: Any) -> SafetyRate:
     """
     claim = certificate_on_grids(certificate)
     require(claim, Offer.SAME_STEPS)
-    # A joint agent stands for its team, which the check of the team verifies.
     parts = [on_cells(member) for member in members_of(claim)]
     for part in parts:
         _refuse_other_kinds(part)

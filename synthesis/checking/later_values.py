@@ -105,8 +105,8 @@ def value_in_time(certificate: Any) -> ValueInTime:
     Parameters
     ----------
     certificate : certificate on cells
-        Of one task; give one of the ``parts`` of a product. States of a joint agent are those of all agents in order,
-        and automaton states are those of the problem, also where it names the time.
+        Of one task; give one of the ``parts`` of a product. Automaton states are those of the
+        problem, also where it names the time.
 
     Raises
     ------
