@@ -4,7 +4,7 @@ from .actors import NotAnActor, load_actor
 from .comparison import Comparison, compare
 from .entrants import LEARNERS, Sources, given, label_of
 from .probing import Attempt, Probe, probe
-from .recording import Recording, checked_dataset, record
+from .recording import Recording, record
 from .rollout_policies import IdleController, RandomController, as_controller
 from .standings import Leaderboard, Standing, judged, judging_plan, leaderboard
 from .standings_page import page_of
@@ -27,7 +27,6 @@ __all__ = [
     "Training",
     "as_controller",
     "certificate_of",
-    "checked_dataset",
     "compare",
     "given",
     "judged",

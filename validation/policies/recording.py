@@ -34,7 +34,7 @@ RECORDING_FORMAT = "certigym recording 1"
 """Name and version of the file format, whose states have always been as they are."""
 
 RAW_STATES = "states as they are, outside of workspaces, too"
-"""What the description of a Minari dataset says of its states; in datasets before 0.3 they were clipped."""
+"""What the description of a Minari dataset says of its states."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,23 +148,6 @@ class Recording:
             algorithm_name=self.information,
             description=facts,
         )
-
-
-def checked_dataset(dataset: MinariDataset) -> MinariDataset:
-    """Return a Minari dataset that `Recording.to_minari` wrote, if its observations hold states as they are.
-
-    Raises
-    ------
-    ValueError
-        If they were clipped to the workspaces, as in datasets before 0.3: an episode that left its workspace then seems
-        to end at its edge.
-    """
-    if RAW_STATES in str(dataset.storage.metadata.get("description", "")):
-        return dataset
-    raise ValueError(
-        f"`dataset`: expected one with the note {RAW_STATES!r}, got {dataset.spec.dataset_id!r} without it: its states "
-        "were clipped to the workspaces, as before certigym 0.3; record it again (`certigym record --minari`)"
-    )
 
 
 def record(problem: Any, policy: Any, episodes: int = 1000, seed: int = 0, chunk: int = CHUNK) -> Recording:
