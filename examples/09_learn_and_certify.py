@@ -20,7 +20,7 @@ improved = cg.improve(problem, actor, cells=100)
 print(cg.compare(problem, {"raw": training, "certified": certified, "improved": improved}, episodes=4_000))
 
 # The network as it is deployed, wrapped in nothing; and repaired where it loses most.
-raw = cg.certify(problem, actor, cells=500, as_is=True)
+raw = cg.certify(problem, actor, cells=500)
 repaired = cg.improve(problem, actor, cells=500, as_is=True)
 places = repaired.stats["weak_places"]
 print(f"the network itself: P >= {raw.certificate.lower_bound:.4f}")

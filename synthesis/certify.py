@@ -46,9 +46,12 @@ from .models import (
     start_of,
 )
 from .pairs import NearMass, relevant_pairs, usual_values, without_pairs
-from .raw_networks import COVERED, certify_network, repair_network
+from .raw_networks import COVERED, certified_as_it_is, repair_network
 from .search import FINAL, Limits, Search, Sweep, sweep
 from .upper_ends import synthesis_above
+
+OF_NETWORKS = ("auto", "quick", "path", "linear", "boxes")
+"""Relations under which networks are certified as they are."""
 
 WORTHWHILE = 1e-7
 """Relative gain below which ``improve`` stops: far above rounding, and too little for the cost of another sweep."""
@@ -62,13 +65,14 @@ def certify(
     cells: CellCounts = None,
     *,
     relation: Relations = "auto",
-    as_is: bool = False,
+    wrap: bool = False,
     above: bool = False,
     **settings: Any,
 ) -> Synthesis:
-    """Compute a certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
+    """Compute a certified lower bound on the satisfaction probability of ``policy``: of networks as they are.
 
-    With ``as_is`` the bound is about networks as they are deployed (``certify_network``).
+    Networks are certified along the run that they take without noise, in any dimension, or on cells; the better bound
+    is kept. Other policies, and networks with ``wrap``, are put on cells first ("wrapped").
 
     Parameters
     ----------
@@ -77,11 +81,12 @@ def certify(
     policy : Policy, model or path
         Decentralised policies, in any form that ``synthesis.decentralised`` or ``as_policy`` takes.
     cells : int, sequence of int or mapping from agent name, optional
-        Cells per axis; with more cells the wrapped policy is closer to the raw one.
+        Cells per axis: then cells alone are tried. With more cells a wrapped policy is closer to the raw one.
     relation : str, or mapping from agent name to str
-        As for ``abstract``; ``exact`` or ``joint`` for tasks about pairs. Relations are not compared.
-    as_is : bool
-        Whether to certify a trained actor as it is, not wrapped: the relation is ``linear`` or ``boxes`` then.
+        Of networks as they are ``path``, ``linear`` or ``boxes`` (by default what is best). Any other wraps the policy,
+        as for ``abstract``; ``exact`` for tasks about pairs; relations are not compared.
+    wrap : bool
+        Whether to certify what a network becomes on cells.
     above : bool
         Whether to bound it from above, too (``upper_bound`` of the certificate).
     **settings
@@ -90,8 +95,8 @@ def certify(
     Returns
     -------
     Synthesis
-        ``certificate`` and ``controller`` belong to the wrapped policy. Simulate the raw one with
-        ``rollout(problem, as_controller(problem, policy), ...)``; no bound holds for it but with ``as_is``.
+        ``certificate`` and ``controller`` belong to the networks as they are, or to the wrapped policy; simulate the
+        raw one with ``rollout(problem, as_controller(problem, policy), ...)``.
         ``checked`` is what ``check`` says of the certificate.
 
     Raises
@@ -99,21 +104,19 @@ def certify(
     ValueError
         If the policy has an unknown form or returns inputs that are not finite, or the relation does not apply.
     """
-    found = _found(problem, policy, cells, relation, as_is, settings)
+    found = _found(problem, policy, cells, relation, wrap, settings)
     return synthesis_above(found) if above else found
 
 
 def _found(
-    problem: Any, policy: Any, cells: CellCounts, relation: Relations, as_is: bool, settings: dict[str, Any]
+    problem: Any, policy: Any, cells: CellCounts, relation: Relations, wrap: bool, settings: dict[str, Any]
 ) -> Synthesis:
-    """Certify a policy from below, wrapped on cells or as it is."""
-    if as_is:
-        if not isinstance(relation, str):
-            raise ValueError("`relation`: expected one for all agents with `as_is`, got a mapping; leave it out")
-        kind = "auto" if relation == "quick" else relation
-        return certify_network(problem, policy, cells, relation=kind, **settings)
+    """Certify a policy from below, as it is or wrapped on cells."""
     problem = as_problem(problem)
     policy = certifiable(problem, policy)
+    is_network = hasattr(policy, "agent_policy") and not getattr(policy, "why_not_as_it_is", "")
+    if is_network and not wrap and isinstance(relation, str) and relation in OF_NETWORKS:
+        return certified_as_it_is(problem, policy, cells, "auto" if relation == "quick" else relation, settings)
     if problem.labeling.pairs:
         return _about_pairs(problem, policy, cells, relation, settings)
     if problem.names_time:

@@ -31,6 +31,7 @@ from .models import (
     network_tables,
     start_of,
 )
+from .nominal_paths import networks_along
 from .pairs import NearMass, relevant_pairs, usual_values, without_pairs
 from .relations import NetworkPolicy, network_policy
 from .search import FINAL, Limits, Stage, sweep
@@ -149,6 +150,47 @@ def certify_network(
     return _of_given(given, _on_grids(base, policies, cells, relation, targets_per_cell)[0])
 
 
+PLENTY, FEW_STATES = 1e-3, 2
+"""Probability of failing from which no cells are tried beside a trajectory, and most states of an agent for which they
+are, unless they are asked for."""
+
+
+def certified_as_it_is(
+    problem: Problem, actor: Any, cells: CellCounts, relation: str, settings: dict[str, Any]
+) -> Synthesis:
+    """Return the best certificate of networks as they are: along their run without noise, or on cells.
+
+    Raises
+    ------
+    ValueError
+        If nothing is certified; the message says why along the run, and what would help.
+    """
+    if cells is not None or relation in RELATIONS or relation not in ("auto", "path"):
+        return certify_network(problem, actor, cells, relation=relation, **settings)
+    began, tried, found = time.perf_counter(), dict[str, Any](), None
+    try:
+        certificate = networks_along(problem, _policies(problem, actor))
+        seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
+        found = Synthesis(certificate, certificate.controller, {"seconds": seconds})
+        tried["path"] = certificate.lower_bound
+    except ValueError as refused:
+        tried["path"] = str(refused)
+        if relation == "path":
+            raise
+    is_small = all(agent.n_states <= FEW_STATES for agent in problem.agents)
+    if is_small and (found is None or 1.0 - found.certificate.lower_bound > PLENTY):
+        try:
+            on_cells = certify_network(problem, actor, cells, **settings)
+            tried["cells"] = on_cells.certificate.lower_bound
+            if found is None or tried["cells"] > found.certificate.lower_bound:
+                found = on_cells
+        except ValueError as refused:
+            tried["cells"] = str(refused)
+    if found is None:
+        raise RelationRefused(f"`policy`: nothing is certified of it as it is: {tried['path']}")
+    return replace(found, stats={**found.stats, "tried": tried})
+
+
 def _on_grids(
     problem: Problem,
     policies: Sequence[NetworkPolicy],
@@ -265,7 +307,7 @@ def _policies(problem: Problem, actor: Any) -> list[NetworkPolicy]:
     if not hasattr(actor, "agent_policy"):
         raise ValueError(
             f"`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
-            f"{type(actor).__name__}; train `ppo`, `ippo` or `mappo`, or leave out `as_is`"
+            f"{type(actor).__name__}; train `ppo`, `ippo` or `mappo`, or wrap it on cells (`wrap=True`)"
         )
     if actor.problem.fingerprint != problem.fingerprint:
         actor = replace(actor, problem=problem)

@@ -455,7 +455,7 @@ def network(row: str, folder: Path) -> Claims:
     kind = ROWS[row].options["relation"]
     # A network of a problem along a path is on cells like any other: no relations need be compared for it.
     options = {"relation": kind} if kind in ("linear", "boxes") else {"relation": "boxes"} if kind == "path" else {}
-    result = cg.certify(problem, SharedActor(problem, layers), ROWS[row].cells or 24, as_is=True, **options)
+    result = cg.certify(problem, SharedActor(problem, layers), ROWS[row].cells or 24, **options)
     assert cg.check(result.certificate)
     return Claims((result.certificate.lower_bound,))
 

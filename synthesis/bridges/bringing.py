@@ -67,7 +67,7 @@ def as_policy(model: Any, problem: Any, env: Any = None, **facts: Any) -> Any:
     policy
         With ``batch(dynamics)`` and ``information`` (what agents see, in words). If agents see their own state alone,
         it has ``inputs(agent, states, q, time)``, can be certified, and says in ``why_not_as_it_is`` whether it can be
-        certified as it is (``certify(..., as_is=True)``: feed-forward networks with tanh or relu, exactly, in single
+        certified as it is (``certify``: feed-forward networks with tanh or relu, exactly, in single
         precision). Models that see other agents or remember say in ``why_not_certified`` why they are judged by
         rollouts alone.
 

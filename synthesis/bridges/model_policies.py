@@ -104,7 +104,7 @@ class OwnModels:
         if why:
             raise ValueError(
                 f"`policy`: expected a network that can be certified as it is, got {self.models[0].found.name}: {why}; "
-                "leave out `as_is`: it is certified wrapped on a grid"
+                "it is certified wrapped on cells (`wrap=True`)"
             )
         return self._networks[agent]
 
@@ -267,7 +267,7 @@ def _answered(answer: Any) -> Array:
 
 def _rows(policy: OwnModels | TeamModels) -> list[tuple[str, str]]:
     """Return what is told of a policy: what it sees, and how it is judged."""
-    how = "as it is (`as_is=True`), or wrapped on a grid"
+    how = "as it is, or wrapped on cells (`wrap=True`)"
     why = policy.why_not_as_it_is
     if isinstance(policy, TeamModels):
         how = f"no, only by rollouts: {policy.why_not_certified}"

@@ -147,6 +147,12 @@ _verdicts: dict[bytes, Verdict] = {}
 """Verdicts by what the checker read: a search asks it before it claims, and who prints the claim asks again."""
 
 
+def contents_of(certificate: Certificate) -> Contents:
+    """Return what the checker reads of a certificate that claims nothing."""
+    header, arrays = _contents(certificate)
+    return Contents(header, tuple(arrays), set())
+
+
 def _contents(certificate: Certificate) -> tuple[dict[str, Any], list[np.ndarray]]:
     """Return header and arrays of a file that claims nothing."""
     proof, problem = certificate.proof, certificate.problem
@@ -390,9 +396,32 @@ def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndar
         "faces": put(proof.faces, np.int32),
         "normals": put(np.zeros((proof.n_steps + 1, 0)) if proof.normals is None else proof.normals),
         "agents": [
-            {key: put(array) for key, array in _trajectory(*each).items()}
-            for each in zip(problem.agents, proof.paths, nominal, strict=True)
+            {key: put(array) for key, array in _trajectory(*each).items()} | _network_of(proof, i, put)
+            for i, each in enumerate(zip(problem.agents, proof.paths, nominal, strict=True))
         ],
+    }
+
+
+def _network_of(proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
+    """Return the entries of the network of agent i; none where nominal inputs act."""
+    if proof.networks is None:
+        return {}
+    policy = proof.networks[i]
+    network, view = policy.network, policy.view
+    if view.told or policy.has_clock:
+        raise NotCanonicalError("networks of problems that are written otherwise have no canonical form")
+    return {
+        "radius": float(proof.radii[i]),
+        "network": {
+            "weights": [put(weight) for weight in network.weights],
+            "biases": [put(bias) for bias in network.biases],
+            "activation": network.activation,
+            "output": "box" if network.outputs == "box" else "tanh" if network.squashed else "clip",
+            "sees": "raw" if view.scale == "raw" else "scaled",
+            "width": view.width,
+            "agents": view.agents,
+            "number": view.agent,
+        },
     }
 
 

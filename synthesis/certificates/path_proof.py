@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from ...envs.arrays import is_whole
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..controllers import PathController
+from ..controllers import NetworkController, PathController
+from ..relations import NetworkPolicy, check_network, network_policy
 from .archive import Pool, Stored
 from .certificate import Certificate
 from .digits import significant_up
@@ -102,6 +103,10 @@ class PathProof(Proof):
     normals : (S + 1, sum of p) array, optional
         Of a task about pairs of agents, pair after pair: where one is not to hold, the direction (p,) of the half-space
         ``n.(y_a - y_b) > max over the box of n.z`` in which its difference stays; elsewhere they say nothing.
+    networks : tuple of NetworkPolicy, optional
+        Of given policies: they act, and the inputs of paths are what they answer without noise.
+    radii : tuple of float
+        With networks: radii of the ellipsoids in which the errors of each agent keep.
     """
 
     paths: tuple[AgentPath, ...]
@@ -109,6 +114,8 @@ class PathProof(Proof):
     faces: NDArray[np.int64]
     failure: float
     normals: FloatArray | None = None
+    networks: tuple[NetworkPolicy, ...] | None = None
+    radii: tuple[float, ...] = ()
 
     kind = "path"
     lacks = MappingProxyType({Offer.VALUES: ONE_RUN, Offer.OTHER_STARTS: OTHER_STARTS})
@@ -135,6 +142,8 @@ class PathProof(Proof):
     @property
     def method(self) -> str:
         """How the bound was found, in words."""
+        if self.networks is not None:
+            return f"networks as they are, along {self.n_steps} steps"
         gains = any(np.any(path.gain) for path in self.paths)
         return f"nominal path of {self.n_steps} steps, {'with feedback' if gains else 'open loop'}"
 
@@ -144,7 +153,12 @@ class PathProof(Proof):
 
     def controller(self, problem: Problem) -> PathController:
         """Return the controllers the bound belongs to."""
-        return PathController(problem, tuple((path.inputs, path.gain, path.states) for path in self.paths))
+        paths = tuple((path.inputs, path.gain, path.states) for path in self.paths)
+        return (
+            PathController(problem, paths)
+            if self.networks is None
+            else NetworkController(problem, paths, self.networks)
+        )
 
     def written(self, pool: Pool) -> dict[str, Any]:
         """Return the entries of its file."""
@@ -154,6 +168,8 @@ class PathProof(Proof):
             "faces": pool.put(self.faces),
             "agents": [[pool.put(array) for array in path.arrays] for path in self.paths],
             **({} if self.normals is None else {"normals": pool.put(self.normals)}),
+            **({} if self.networks is None else {"networks": [own.description for own in self.networks]}),
+            **({} if self.networks is None else {"radii": list(self.radii)}),
         }
 
     @classmethod
@@ -174,7 +190,8 @@ class PathProof(Proof):
             if len(numbers) == 4 and not np.all(arrays[3] >= 0.0):
                 raise ValueError(f"the slabs of agent {agent.name!r} are none")
             paths.append(AgentPath(*arrays))
-        return cls(tuple(paths), letters, faces, failure, _normals(problem, stored, len(letters)))
+        normals = _normals(problem, stored, len(letters))
+        return cls(tuple(paths), letters, faces, failure, normals, *_networks(problem, stored))
 
 
 AlongPath = Certificate[PathProof]
@@ -201,6 +218,21 @@ def probability(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
         raise ValueError("what it says is a probability is none")
     return float(value)
+
+
+def _networks(problem: Problem, stored: Stored) -> tuple[tuple[NetworkPolicy, ...] | None, tuple[float, ...]]:
+    """Return the networks in a file and the radii of their ellipsoids; None where nominal inputs act."""
+    if "networks" not in stored.entry:
+        return None, ()
+    networks, radii = stored.entry["networks"], stored.entry["radii"]
+    if len(networks) != problem.n_agents or len(radii) != problem.n_agents:
+        raise ValueError("its networks are not those of its agents")
+    if any(isinstance(radius, bool) or not isinstance(radius, int | float) or not radius > 0.0 for radius in radii):
+        raise ValueError("the radii of its ellipsoids are none")
+    for description, agent in zip(networks, problem.agents, strict=True):
+        check_network(description, agent, 2**31)
+    made = (network_policy(description, agent) for description, agent in zip(networks, problem.agents, strict=True))
+    return tuple(made), tuple(float(radius) for radius in radii)
 
 
 def _normals(problem: Problem, stored: Stored, times: int) -> NDArray[np.float64] | None:

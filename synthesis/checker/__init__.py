@@ -7,15 +7,23 @@ Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; `
 """
 
 from .angles import check_angles
+from .crossings import check_words
 from .fields import Refused, Unreadable
 from .file import FORMAT, MOST_BYTES, VERSION, Contents, is_certificate, parse_file, read_file
+from .jets import value_on
+from .letters import demands
 from .motions import affine_dynamics
+from .networks import automaton_states
 from .problem import Agent as CheckedAgent
+from .problem import Problem as CheckedProblem
 from .problem import read_problem
+from .trajectories import constraints_of, linear_forms, walk
+from .trajectories import read_proof as read_trajectories
 from .verdict import Verdict, bound_of, check, check_contents, shown
 
 __all__ = [
-    "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "Contents", "Refused", "Unreadable", "Verdict",
-    "affine_dynamics", "bound_of", "check", "check_angles", "check_contents", "is_certificate", "parse_file",
-    "read_file", "read_problem", "shown",
+    "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "CheckedProblem", "Contents", "Refused", "Unreadable", "Verdict",
+    "affine_dynamics", "automaton_states", "bound_of", "check", "check_angles", "check_contents", "check_words",
+    "constraints_of", "demands", "is_certificate", "linear_forms", "parse_file", "read_file", "read_problem",
+    "read_trajectories", "shown", "value_on", "walk",
 ]  # fmt: skip

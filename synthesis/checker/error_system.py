@@ -8,13 +8,15 @@ y_s (D,) with ``y_t = c``. By telescoping
 **Theorem** (``rows``). The second term is a form g of the noise, with the variance ``sum_s |L_s' y_(s+1)|^2``; the
 others lie between the ends that are returned, while each e_s is within its reach.
 
-*Proof.* The identity holds for any y. Whatever y was rounded by is charged by the last sum, so that nothing has to be
-known of how it was computed. QED A row ``c e_t + b e_(t-1)`` is the same with y_(t-1) moved by b.
+*Proof.* The identity holds for any y: here those that are the products c P_s without any rounding, P_s being doubles.
+What is computed differs by less than sizes ``|c| |P_s|`` times a unit, and the last sum charges what y misses. QED So g
+is linear in c. A row ``c e_t + b e_(t-1)`` is the same with y_(t-1) moved by b.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .constraints import Forms
 from .rigorous import Array, U
@@ -45,37 +47,59 @@ class ErrorSystem:
     def rows(self, c: Array, earlier: Array | None = None) -> tuple[Array, Forms]:
         """Return ends (2, J) of what rows c (J, D) of e are besides g, and g.
 
-        With ``earlier`` (J, D) the rows are ``c e_t + earlier e_(t-1)``.
+        With ``earlier`` (J, D) the rows are ``c e_t + earlier e_(t-1)``. Forms are linear in c, to the last bit.
         """
         t, d = len(self.matrices), c.shape[1]
-        # y_s = c F_(t-1) .. F_s as floating point computes it: what it lacks is charged below.
-        y = np.matmul(c[None], self.products)  # (t + 1, J, D)
-        if earlier is not None:
-            y[:t] += np.matmul(earlier[None], self.before)
+        y, most = self._pulled(c, earlier)
         # sums of so many numbers of one sign are rounded by less
-        counted = 1.0 + 4.0 * U * (y.shape[0] * d + 64.0)
-        spare = np.abs(y[0]) @ self.spread * counted
+        counted = 1.0 + 4.0 * U * (len(y) * d + 64.0)
+        spare = (np.abs(y[0]) + (d + 2.0) * U * most[0]) @ self.spread * counted
         if not t:
             still = np.zeros(len(c))
             return np.stack([-spare, spare]), Forms(still, still, np.zeros((len(c), self.n_sources), dtype=bool))
-        before, after, size = y[:-1].copy(), y[1:], np.abs(y[1:])
+        before, after, size = y[:-1].copy(), y[1:], most[1:]
         if earlier is not None:
             before[-1] -= earlier
-        matrices, pushed, noises = np.array(self.matrices), np.array(self.pushed), np.array(self.noises)
+        matrices, pushed = np.array(self.matrices), np.array(self.pushed)
         # what y misses: the difference, its rounding, and underflow
         missed = np.abs(np.matmul(after, matrices) - before)
-        missed += (d + 6.0) * U * (np.matmul(size, np.abs(matrices)) + np.abs(before) + np.abs(y[:-1])) + 1e-290
+        missed += (2.0 * d + 8.0) * U * (np.matmul(size, np.abs(matrices)) + np.abs(before) + most[:-1]) + 1e-290
         spare = spare + np.einsum("sjd,sd->j", missed, np.array(self.reach)) * counted
         # Boxes b: what their middles add up to is a shift, and their half widths add up.
         middle, half = 0.5 * (pushed[:, 0] + pushed[:, 1]), 0.5 * (pushed[:, 1] - pushed[:, 0])
         shift, shifted = np.einsum("sjd,sd->j", after, middle), np.einsum("sjd,sd->j", size, np.abs(middle))
-        spare += np.einsum("sjd,sd->j", size, half + 2 * U * np.abs(middle)) * counted
-        spare += (d * t + 8.0) * U * shifted + 1e-290
-        # every product y L is off by less than this, and its square enters the variance
-        moved = np.abs(np.matmul(after, noises))
-        moved += (d + 4.0) * U * np.matmul(size, np.abs(noises)) + np.where(moved > 0.0, 1e-160, 0.0)
+        each = np.abs(after) + (d + 2.0) * U * size
+        spare += np.einsum("sjd,sd->j", each, half + 2 * U * np.abs(middle)) * counted
+        spare += (d * t + d + 8.0) * U * shifted + 1e-290
+        moved, off = self._moved(after, size)
+        moved = np.abs(moved) + off
         # What each step adds to the variance; the largest one matters for long tails.
         each = np.einsum("sjw,sjw->sj", moved, moved)
         more = counted + 4.0 * U * t * moved.shape[2]
-        forms = Forms(each.sum(axis=0) * more, each.max(axis=0) * more, (moved > 0.0).any(axis=0))
+        sources: NDArray[np.bool_] = np.any(moved > 0.0, axis=0)
+        forms = Forms(each.sum(axis=0) * more, each.max(axis=0) * more, sources)
         return np.stack([shift - spare, shift + spare]), forms
+
+    def covariance(self, c: Array) -> tuple[Array, Array]:
+        """Return the covariance (J, J) of the forms of rows c, and what its entries are off by."""
+        y, most = self._pulled(c, None)
+        if not self.matrices:
+            return np.zeros((len(c), len(c))), np.zeros((len(c), len(c)))
+        moved, off = self._moved(y[1:], most[1:])
+        size, count = np.abs(moved) + off, moved.shape[0] * moved.shape[2]
+        found, inner, outer = (np.einsum("siw,sjw->ij", part, part) for part in (moved, np.abs(moved), size))
+        return found, (outer - inner) + (count + 16.0) * 4.0 * U * outer + 1e-290
+
+    def _pulled(self, c: Array, earlier: Array | None) -> tuple[Array, Array]:
+        """Return all ``y_s = c F_(t-1) .. F_s`` (t + 1, J, D) as they are rounded, and sizes of their roundings."""
+        y, most = np.matmul(c[None], self.products), np.matmul(np.abs(c)[None], np.abs(self.products))
+        if earlier is not None:
+            y[: len(self.matrices)] += np.matmul(earlier[None], self.before)
+            most[: len(self.matrices)] += np.matmul(np.abs(earlier)[None], np.abs(self.before))
+        return y, most
+
+    def _moved(self, after: Array, size: Array) -> tuple[Array, Array]:
+        """Return ``y L`` (t, J, W) as it is rounded, and what it is off by; its square enters the variance."""
+        noises, d = np.array(self.noises), after.shape[2]
+        moved = np.matmul(after, noises)
+        return moved, (2.0 * d + 6.0) * U * np.matmul(size, np.abs(noises)) + np.where(moved != 0.0, 1e-160, 0.0)

@@ -18,7 +18,7 @@ Reference: docs/theory/paths.md, "Agents of any dynamics", "Teams".
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +29,8 @@ from . import fields
 from .angles import HALF_TURN, OFF, angle_axes, check_angles, of_copies
 from .constraints import ROUNDED, Constraints, Forms
 from .crossings import SOMETIME, Jump, check_words, crossed, jumps
+from .distributions import NORMAL
+from .ellipsoids import Ellipsoid
 from .error_system import ErrorSystem
 from .expressions import names_in
 from .fields import Refused
@@ -36,6 +38,7 @@ from .file import Contents
 from .intervals import add, down, interval, mul, neg, up
 from .letters import Demand, demands
 from .linearization import expanded
+from .networks import Network, automaton_states, enclosed, read_network
 from .noise_sizes import kinds_of, mean_of, sized
 from .problem import Agent, Problem
 from .rigorous import Array, U
@@ -48,7 +51,8 @@ LARGEST_ERROR = 1e100
 class Trajectory:
     """Of one agent: inputs (S, m), feedback gains (S, m, d), states (S + 1, d), widths (S + 1, d + m) of the tube.
 
-    Where the size of its noise depends on something, ``noise_widths`` (S, d) are those of strips of the noise.
+    Where the size of its noise depends on something, ``noise_widths`` (S, d) are those of strips of the noise. Where a
+    network acts, inputs and gains are not looked at, and its errors keep in an ellipsoid of a ``radius``.
     """
 
     inputs: Array
@@ -56,6 +60,8 @@ class Trajectory:
     states: Array
     widths: Array
     noise_widths: Array
+    network: Network | None = None
+    radius: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +103,29 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
                 contents.floats(entry["states"], f"{place}.states", (steps + 1, d)),
                 widths,
                 noise_widths,
+                *_network(contents, entry, place, agent, problem),
             )
         )
     return TrajectoryProof(tuple(trajectories), letters, faces, normals)
 
 
 def _entry(value: Any, place: str) -> dict[str, Any]:
-    return fields.table(value, place, ("inputs", "gains", "states", "widths"), ("noise_widths",))
+    return fields.table(value, place, ("inputs", "gains", "states", "widths"), ("noise_widths", "network", "radius"))
+
+
+def _network(
+    contents: Contents, entry: dict[str, Any], place: str, agent: Agent, problem: Problem
+) -> tuple[Network | None, float]:
+    """Return the network that acts for an agent, if there is one, and the radius of the ellipsoid of its errors."""
+    if "network" not in entry:
+        return None, np.inf
+    if agent.scale or agent.angles or any(own.tail != NORMAL for own in agent.envelopes):
+        raise fields.Unreadable(f"{place}: networks act where noise is normal, of one size, and no state is an angle")
+    radius = fields.number(entry["radius"], f"{place}.radius") if "radius" in entry else -1.0
+    if not radius > 0.0:
+        raise fields.Unreadable(f"{place}: where a network acts, `radius` is above 0")
+    states = len(problem.automaton.accepting)
+    return read_network(contents, entry["network"], f"{place}.network", agent, states), radius
 
 
 def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constraints]:
@@ -117,31 +139,46 @@ def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, Constra
     # What is asked of the problem and of words, before anything moves.
     check_angles(problem)
     check_words(problem, proof.letters, proof.faces)
-    joint = _Joint.of(problem, proof)
-    kinds = kinds_of(problem, [own.noise_widths for own in proof.trajectories])
-    errors, constraints = ErrorSystem(joint.spread, len(kinds)), Constraints(kinds)
+    joint, errors, constraints = constraints_of(problem, proof)
     before = np.zeros((2, len(joint.spread)))
-    for t in range(len(proof.letters)):
-        # The tube rests on constraints of earlier times, and on the widths of this one, which are asked below.
-        known = errors.rows(np.eye(len(joint.spread)))
-        tube = joint.tube(known[0], t)
+    for t, around, known in walk(problem, joint, errors, constraints):
         # The start has no noise, and its letter was read from its box: nothing is asked at time 0.
         if t:
             asked = demands(problem, proof.letters, proof.faces, proof.normals, t)
             asked += crossed(problem, proof.letters, proof.faces, t)
             asked = [of_copies(problem, demand, joint.states[t]) for demand in asked]
-            _ask_states(joint, errors, constraints, tube, known, asked, t)
-            _ask_jumps(joint, errors, constraints, (before, tube), jumps(problem, proof.letters, proof.faces, t), t)
-        # Inputs are asked for, and the step is taken, in the tube of this time.
-        before = tube
-        if t < len(proof.letters) - 1:
-            _advance(joint, errors, constraints, tube, t)
-            constraints.lost += sum(envelope.lost for agent in problem.agents for envelope in agent.envelopes)
+            _ask_states(joint, errors, constraints, around.ends, known, asked, t)
+            tubes, leaps = (before, around.ends), jumps(problem, proof.letters, proof.faces, t)
+            _ask_jumps(joint, errors, constraints, tubes, leaps, t)
+        before = around.ends
     return constraints.failure(), constraints
 
 
+def constraints_of(problem: Problem, proof: TrajectoryProof) -> tuple[Joint, ErrorSystem, Constraints]:
+    """Return all agents as one at time 0, where nothing has been asked."""
+    joint = Joint.of(problem, proof)
+    kinds = kinds_of(problem, [own.noise_widths for own in proof.trajectories])
+    return joint, ErrorSystem(joint.spread, len(kinds)), Constraints(kinds)
+
+
+def walk(
+    problem: Problem, joint: Joint, errors: ErrorSystem, constraints: Constraints
+) -> Iterator[tuple[int, Tube, tuple[Array, Forms]]]:
+    """Yield times, tubes, and the rows of all errors; then take the step, and ask for what it rests on."""
+    for t in range(len(joint.states)):
+        # The tube rests on constraints of earlier times, and on the widths of this one, which are asked for by others.
+        known = errors.rows(np.eye(len(joint.spread)))
+        ellipsoids = joint.ellipsoids(errors, t)
+        constraints.lost += sum(own.lost for own in ellipsoids if own is not None)
+        around = Tube(joint.tube(known[0], ellipsoids, t), known[0], ellipsoids)
+        yield t, around, known
+        if t < len(joint.states) - 1:
+            _advance(joint, errors, constraints, around, t)
+            constraints.lost += sum(envelope.lost for agent in problem.agents for envelope in agent.envelopes)
+
+
 @dataclass(frozen=True, eq=False)
-class _Joint:
+class Joint:
     """All agents as one: where each is in the joint state, boxes (2, D), nominal states and widths (S + 1, D)."""
 
     agents: tuple[Agent, ...]
@@ -153,9 +190,13 @@ class _Joint:
     spread: Array
     noise: Array
     turning: NDArray[np.bool_]
+    horizon: int
+    seen: list[int]  # automaton states that networks see
+    n_states_of_task: int
 
     @classmethod
-    def of(cls, problem: Problem, proof: TrajectoryProof) -> _Joint:
+    def of(cls, problem: Problem, proof: TrajectoryProof) -> Joint:
+        """Return all agents as one; ``Refused`` if a trajectory does not fit its agent."""
         agents, trajectories = problem.agents, proof.trajectories
         box, start = (np.concatenate(ends, axis=1) for ends in zip(*((a.state_box, a.start) for a in agents)))
         states = np.concatenate([own.states for own in trajectories], axis=1)
@@ -173,14 +214,27 @@ class _Joint:
         spread = np.where(point, 0.0, np.maximum(up(start[1] - states[0]), up(states[0] - start[0])))
         widths = [own.widths[:, : len(agent.states)] for agent, own in zip(agents, trajectories, strict=True)]
         slices = problem.slices
-        return cls(
-            agents, trajectories, slices, box, states, np.concatenate(widths, axis=1), spread, problem.noise, turning
+        acts = any(own.network is not None for own in trajectories)
+        task = (
+            problem.horizon,
+            automaton_states(problem, proof.letters) if acts else [],
+            len(problem.automaton.accepting),
         )
+        around = np.concatenate(widths, axis=1)
+        return cls(agents, trajectories, slices, box, states, around, spread, problem.noise, turning, *task)
 
-    def tube(self, ends: Array, t: int) -> Array:
+    def ellipsoids(self, errors: ErrorSystem, t: int) -> list[Ellipsoid | None]:
+        """Return the ellipsoid of each agent for which a network acts; there is no noise at time 0."""
+        pairs = zip(self.trajectories, self.slices, strict=True)
+        return [None if own.network is None or not t else Ellipsoid.of(errors, at, own.radius) for own, at in pairs]
+
+    def tube(self, ends: Array, ellipsoids: Sequence[Ellipsoid | None], t: int) -> Array:
         """Return ends (2, D) between which errors stay, from those (2, D) of what they are besides g."""
         # |g| <= width is asked at times from 1 on; at time 0 there is no noise.
-        width = self.widths[t] if t else np.zeros(len(self.spread))
+        width = self.widths[t].copy() if t else np.zeros(len(self.spread))
+        for own, here in zip(ellipsoids, self.slices, strict=True):
+            if own is not None:
+                width[here] = np.minimum(width[here], own.widths)
         still = (ends == 0).all(axis=0) & (width == 0)
         low, high = np.minimum(down(ends[0] - width), 0.0), np.maximum(up(ends[1] + width), 0.0)
         # states are in their workspaces, too; the tube holds 0, where the dynamics are expanded
@@ -199,7 +253,7 @@ class _Joint:
 
 
 def _ask_states(
-    joint: _Joint,
+    joint: Joint,
     errors: ErrorSystem,
     constraints: Constraints,
     tube: Array,
@@ -217,7 +271,7 @@ def _ask_states(
     place = {row.tobytes(): k for k, row in enumerate(rows)}
     values, limits = [interval(joint.states[t])], [joint.box.T]
     labels = [f"state {k} at time {t}" for k in range(D)] + [demand.label for demand in asked]
-    for (row, value), demand in zip(_linear_forms(joint, tube, asked, t), asked, strict=True):
+    for (row, value), demand in zip(linear_forms(joint, tube, asked, t), asked, strict=True):
         # One row for all that is asked of the same form, since every constraint costs.
         own.append(place.setdefault((row + 0.0).tobytes(), len(rows)))
         rows += [row] if own[-1] == len(rows) else []
@@ -238,7 +292,7 @@ def _ask_states(
 
 
 def _ask_jumps(
-    joint: _Joint,
+    joint: Joint,
     errors: ErrorSystem,
     constraints: Constraints,
     tubes: tuple[Array, Array],
@@ -250,7 +304,7 @@ def _ask_jumps(
         return
     outputs = [Demand(((jump.agent, jump.output, 1.0),), jump.low, jump.high, jump.label) for jump in asked]
     # The difference of an output at two times is a row of the errors at both.
-    old, new = (_linear_forms(joint, tube, outputs, time) for tube, time in zip(tubes, (t - 1, t), strict=True))
+    old, new = (linear_forms(joint, tube, outputs, time) for tube, time in zip(tubes, (t - 1, t), strict=True))
     value = np.concatenate([add(now[1], neg(was[1])) for was, now in zip(old, new, strict=True)], axis=1)
     drift, forms = errors.rows(np.array([now[0] for now in new]), -np.array([was[0] for was in old]))
     value, (low, high) = add(value, drift), np.array([(jump.low, jump.high) for jump in asked]).T
@@ -258,7 +312,7 @@ def _ask_jumps(
     constraints.add(down(value[0] - low), down(high - value[1]), nothing, forms, [jump.label for jump in asked])
 
 
-def _linear_forms(joint: _Joint, tube: Array, asked: Sequence[Demand], t: int) -> list[tuple[Array, Array]]:
+def linear_forms(joint: Joint, tube: Array, asked: Sequence[Demand], t: int) -> list[tuple[Array, Array]]:
     """Return rows (D,) and ends (2, 1) besides them of what is asked, on the tube."""
     known: dict[tuple[int, int], tuple[Array, Array]] = {}
     for i, (agent, here) in enumerate(zip(joint.agents, joint.slices, strict=True)):
@@ -286,15 +340,60 @@ def _linear_forms(joint: _Joint, tube: Array, asked: Sequence[Demand], t: int) -
 
 
 @dataclass(frozen=True, eq=False)
+class Tube:
+    """Ends (2, D) of errors, and of what they are besides g, and the ellipsoids of agents for which networks act."""
+
+    ends: Array
+    drift: Array
+    ellipsoids: Sequence[Ellipsoid | None]
+
+
+@dataclass(frozen=True, eq=False)
 class _Moves:
-    """Inputs of one agent at a time: nominal (m,), deviations (2, m), rounding (m,) of the controller."""
+    """Inputs of one agent at a time: nominal (m,), deviations (2, m), what gains (m, d) leave out (m,)."""
 
     nominal: Array
     deviation: Array
     rounding: Array
+    gains: Array
 
 
-def _inputs(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: Array, i: int, t: int) -> _Moves:
+def _network_inputs(joint: Joint, errors: ErrorSystem, tube: Tube, i: int, t: int) -> _Moves:
+    """Return what the inputs of a network may be: in their box, whatever it answers."""
+    agent, network, here = joint.agents[i], joint.trajectories[i].network, joint.slices[i]
+    if network is None:
+        raise Refused(f"no network acts for `{agent.name}`")
+    ends, own = tube.ends[:, here], tube.ellipsoids[i]
+    far = np.abs(ends).max(axis=0)
+
+    def reach(rows: Array) -> Array:
+        """Rows of the errors: on the box of the tube, and on the ellipsoid and what rows are besides."""
+        spare = (len(far) + 4.0) * U * (np.abs(rows) @ far) + 1e-290
+        low, high = (np.minimum(rows * ends[0], rows * ends[1]), np.maximum(rows * ends[0], rows * ends[1]))
+        box = np.stack([low.sum(axis=1) - spare, high.sum(axis=1) + spare])
+        if own is None:
+            return box
+        drift = errors.rows(np.array([joint.row(i, row) for row in rows]))[0]
+        wide = own.reach(rows, up(far + np.abs(tube.drift[:, here]).max(axis=0)))
+        return np.stack([np.maximum(box[0], down(drift[0] - wide)), np.minimum(box[1], up(drift[1] + wide))])
+
+    left = float(np.float32(1.0 - t / joint.horizon))
+    row = joint.seen[t], joint.n_states_of_task, left
+    u, gains, rest = enclosed(network, agent, joint.states[t, here], row, reach, far)
+    if not np.all(np.isfinite(rest)):
+        raise Refused(f"nothing is known of the network of `{agent.name}` at time {t}")
+    # around a nominal input in the box, what the gains leave out is as wide on both sides
+    low, high = agent.input_box
+    nominal = np.clip(u + 0.5 * (rest[0] + rest[1]), low, high)
+    off = add(add(interval(u), rest), neg(interval(nominal)))
+    spare = np.abs(off).max(axis=0)
+    moved = reach(gains) + np.stack([-spare, spare])
+    deviation = np.stack([np.maximum(np.minimum(moved[0], 0.0), down(low - nominal)),
+                          np.minimum(np.maximum(moved[1], 0.0), up(high - nominal))])  # fmt: skip
+    return _Moves(nominal, deviation, spare, gains)
+
+
+def _inputs(joint: Joint, errors: ErrorSystem, constraints: Constraints, tube: Array, i: int, t: int) -> _Moves:
     """Ask that the inputs of an agent stay in their box, and return what they may be."""
     agent, own, here = joint.agents[i], joint.trajectories[i], joint.slices[i]
     d, m = len(agent.states), len(agent.inputs)
@@ -323,15 +422,18 @@ def _inputs(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: 
     if labels:
         below, above = down(value[0] - low[moved]), down(high[moved] - value[1])
         constraints.add(below, above, width[moved], forms.at(moved), labels)
-    return _Moves(u, deviation, rounding)
+    return _Moves(u, deviation, rounding, gain)
 
 
-def _advance(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube: Array, t: int) -> None:
+def _advance(joint: Joint, errors: ErrorSystem, constraints: Constraints, around: Tube, t: int) -> None:
     """One step of all agents: inputs stay in their boxes, and the next error is F e and something in a box."""
-    D = len(joint.spread)
+    D, tube = len(joint.spread), around.ends
     matrix, pushed, noise = np.zeros((D, D)), np.zeros((2, D)), joint.noise.copy()
     # All inputs first: dynamics may name those of other agents.
-    moves = [_inputs(joint, errors, constraints, tube, i, t) for i in range(len(joint.agents))]
+    moves = [
+        _inputs(joint, errors, constraints, tube, i, t) if own.network is None
+        else _network_inputs(joint, errors, around, i, t) for i, own in enumerate(joint.trajectories)
+    ]  # fmt: skip
     for i, (agent, here) in enumerate(zip(joint.agents, joint.slices, strict=True)):
         # The next error is what the dynamics give less the next nominal state, and the mean of the noise.
         columns, rows, ends = _step(joint, moves, tube, i, t)
@@ -347,7 +449,7 @@ def _advance(joint: _Joint, errors: ErrorSystem, constraints: Constraints, tube:
     errors.step(matrix, pushed, np.abs(tube).max(axis=0), noise)
 
 
-def _leaves(joint: _Joint, moves: _Moves, tube: Array, i: int, t: int) -> tuple[dict[str, Array], dict[str, Array]]:
+def _leaves(joint: Joint, moves: _Moves, tube: Array, i: int, t: int) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return ends (2, 1) of the names of an agent on the nominal trajectory, and on the tube."""
     agent, here = joint.agents[i], joint.slices[i]
     names = (*agent.states, *agent.inputs, *agent.disturbances)
@@ -360,7 +462,7 @@ def _leaves(joint: _Joint, moves: _Moves, tube: Array, i: int, t: int) -> tuple[
     return time | both[0], time | both[1]
 
 
-def _step(joint: _Joint, moves: Sequence[_Moves], tube: Array, i: int, t: int) -> tuple[list[int], Array, Array]:
+def _step(joint: Joint, moves: Sequence[_Moves], tube: Array, i: int, t: int) -> tuple[list[int], Array, Array]:
     """Return columns (n,) of the joint error, rows (d, n) of F there, and ends (2, d) of the rest of a step."""
     agent = joint.agents[i]
     # variables: errors that the step depends on, then inputs, then disturbances
@@ -391,7 +493,7 @@ def _step(joint: _Joint, moves: Sequence[_Moves], tube: Array, i: int, t: int) -
     # how inputs follow errors
     transform = np.eye(len(point))
     for row, (j, k) in enumerate(inputs.values(), start=n):
-        for column, gain in zip(range(joint.slices[j].start, joint.slices[j].stop), joint.trajectories[j].gains[t, k]):
+        for column, gain in zip(range(joint.slices[j].start, joint.slices[j].stop), moves[j].gains[k]):
             transform[row, columns.index(column)] = gain
     transform = np.delete(transform, range(n, n + m), axis=1)
     offsets = np.concatenate([np.zeros(n), rounding, np.zeros(len(middle))])

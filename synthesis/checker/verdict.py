@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -90,7 +91,7 @@ def check_contents(contents: Contents) -> Verdict:
     kind = contents.header["proof"].get("kind") if isinstance(contents.header["proof"], dict) else None
     if not isinstance(kind, str) or kind not in KINDS:
         raise fields.expected("proof.kind", " or ".join(map(repr, KINDS)), kind)
-    modules = KINDS[kind] + (("trains",) if "tolerance" in contents.header["proof"] else ())
+    modules = KINDS[kind] + _more_modules(contents.header["proof"])
     try:
         # What overflows becomes infinite or nan, and neither is ever better than a limit.
         with np.errstate(all="ignore"):
@@ -104,6 +105,13 @@ def check_contents(contents: Contents) -> Verdict:
         return Verdict(False, claimed, failure, modules, reason)
     given = "" if problem.formula is not None else "; the task is the automaton in the file, which has no formula"
     return Verdict(True, claimed, failure, modules, given)
+
+
+def _more_modules(proof: dict[str, Any]) -> tuple[str, ...]:
+    """Return the modules that a proof of its kind uses besides."""
+    agents = proof.get("agents")
+    acts = isinstance(agents, list) and any(isinstance(own, dict) and "network" in own for own in agents)
+    return (("trains",) if "tolerance" in proof else ()) + (("networks", "ellipsoids") if acts else ())
 
 
 def _failure_of(contents: Contents, problem: Problem, kind: str) -> tuple[float, str]:

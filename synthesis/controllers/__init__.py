@@ -3,6 +3,7 @@
 from .agent_controller import AgentController
 from .controller import Controller
 from .given_policies import LOCAL, Decentralised, InputTable, Policy, Vectorized, decentralised, vectorized
+from .network_controller import NetworkController
 from .path_controller import PathController, covariances_of, nominal_states
 from .path_covariances import covariances_along
 from .product_controller import ProductController
@@ -14,6 +15,7 @@ __all__ = [
     "Decentralised",
     "InputTable",
     "LOCAL",
+    "NetworkController",
     "PathController",
     "Policy",
     "Vectorized",

@@ -2,5 +2,6 @@
 
 from .counted_work import CountedWork
 from .path_search import path_certificate, refuse_without_path
+from .policy_paths import networks_along
 
-__all__ = ["CountedWork", "path_certificate", "refuse_without_path"]
+__all__ = ["CountedWork", "networks_along", "path_certificate", "refuse_without_path"]

@@ -86,7 +86,7 @@ class NearPoints:
         if self.agent.angles:
             raise RelationRefused(
                 f"agent `{self.agent.name}`: what pairs may spoil is bounded for states that are numbers, got the "
-                f"angle {self.agent.angles[0]!r}, which wraps; leave out `as_is`, and ask for the relation `path`"
+                f"angle {self.agent.angles[0]!r}, which wraps; ask for the relation `path`"
             )
         if not np.array_equal(self.model.relation.coordinates, np.eye(self.agent.n_states)):
             raise RelationRefused(f"agent `{self.agent.name}`: pairs compare states, which are not axes of its cells")

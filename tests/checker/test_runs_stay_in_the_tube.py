@@ -355,8 +355,8 @@ def bound_of(header: Header, arrays: Arrays, monkeypatch: pytest.MonkeyPatch) ->
     proof = trajectories.read_proof(contents, problem)
     advance, step = trajectories._advance, ErrorSystem.step
 
-    def seen(joint: Any, errors: Any, constraints: Any, tube: np.ndarray, t: int) -> None:
-        spied.tubes.append(tube.copy())
+    def seen(joint: Any, errors: Any, constraints: Any, tube: Any, t: int) -> None:
+        spied.tubes.append(tube.ends.copy())
         advance(joint, errors, constraints, tube, t)
 
     def stepped(self: ErrorSystem, *own: np.ndarray) -> None:

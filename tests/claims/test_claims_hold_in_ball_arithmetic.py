@@ -358,7 +358,7 @@ def test_networks_are_proved_as_they_are(relation: str, monkeypatch: pytest.Monk
     first = 0.2 * rng.normal(size=(4, view.size)).astype(np.float32)
     last = np.full((view.n_actions, 4), 0.2, dtype=np.float32)
     layers = Network((first, last), (np.full(4, 0.5, np.float32), np.zeros(view.n_actions, np.float32)), "tanh", False)
-    certificate = cg.certify(problem, SharedActor(problem, layers), 24, as_is=True, relation=relation).certificate
+    certificate = cg.certify(problem, SharedActor(problem, layers), 24, relation=relation).certificate
     report = check_rigorous(certificate)
     assert report and certificate.lower_bound <= report.low, report
     # Sabotage: a hyperbolic tangent that is off by less than single precision is.

@@ -155,7 +155,7 @@ def test_a_single_agent_may_have_a_network_that_sees_all() -> None:
     problem = reach(scalar_agent("a", initial_state=[-1.0]), horizon=3)
     view = CentralView(problem)
     actor: Any = CentralActor(problem, network([view.size, 16, 16, 1], "relu", True))
-    synthesis = cg.certify(problem, actor, 200, as_is=True)
+    synthesis = cg.certify(problem, actor, 200)
     assert cg.check(synthesis) and differences(synthesis.certificate, actor) == []
     ours, deployed = (cg.rollout(problem, policy, episodes=5000, seed=0) for policy in (synthesis.controller, actor))
     assert np.array_equal(ours.success, deployed.success)
@@ -229,12 +229,10 @@ def test_what_is_not_certified_is_refused_in_words(certified: tuple[cg.Problem, 
     view = CentralView(problem)
     with pytest.raises(ValueError, match="own state"):
         central: Any = CentralActor(problem, network([view.size, 2]))
-        cg.certify(problem, central, 50, as_is=True)
+        cg.certify(problem, central, 50)
     double = Network(tuple(w.astype(float) for w in actor.network.weights), actor.network.biases, "tanh", False)
     with pytest.raises(ValueError, match="single precision"):
-        cg.certify(problem, SharedActor(problem, double), 50, as_is=True)
-    with pytest.raises(ValueError, match="relation"):
-        cg.certify(problem, actor, 50, as_is=True, relation="exact")
+        cg.certify(problem, SharedActor(problem, double), 50)
     with pytest.raises(ValueError, match="share"):
         repair_network(problem, actor, 50, share=2.0)
 
@@ -294,11 +292,11 @@ def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.C
     save_actor(actor, tmp_path / "a.npz")
     file, out, picture = str(tmp_path / "a.npz"), str(tmp_path / "c.npz"), str(tmp_path / "weak.svg")
     common = ["--cells", "60", "--episodes", "100", "--horizon", "2"]
-    assert main(["certify", file, "--as-is", "--above", "--out", out, *common]) == 0
+    assert main(["certify", file, "--above", "--out", out, *common]) == 0
     printed = capsys.readouterr().out
     assert "holds for the deployed network" in printed and "succeeds with P <= " in printed
     stored = cg.load(out)
-    assert stored.lower_bound == cg.certify(problem, actor, 60, as_is=True).certificate.lower_bound
+    assert stored.lower_bound == cg.certify(problem, actor, 60).certificate.lower_bound
     options = ["certify", "reach-avoid-v0", "--policy", file, "--repair", "0.9", "--plot", picture]
     assert main([*options, "--json", out + ".json", *common]) == 0
     assert "replaced in" in capsys.readouterr().out
@@ -309,7 +307,8 @@ def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.C
     assert "--policy" in capsys.readouterr().err
     assert main(["certify", file, "--above", *common]) == 0
     assert "P >=" in capsys.readouterr().out
-    assert main(["certify", file, "--as-is", "--relation", "exact", *common]) == 2
+    assert main(["certify", file, "--relation", "exact", *common]) == 0
+    assert "wrapped on the cells" in capsys.readouterr().out
 
 
 @pytest.mark.thorough
@@ -322,7 +321,7 @@ def test_trained_actors_are_certified(algorithm: str) -> None:
     settings: dict[str, Any] = {"worlds": 8, "hidden": [16, 16]}
     settings |= {"learning_starts": 64, "batch_size": 32} if algorithm == "sac" else {}
     actor: Any = cg.train(problem, algorithm, steps=256, seed=0, **settings).actor
-    certified = cg.certify(problem, actor, 150, as_is=True)
+    certified = cg.certify(problem, actor, 150)
     assert cg.check(certified) and differences(certified.certificate, actor) == []
     found = {part.relation["network"]["activation"] for part in certified.certificate.proof.agents}
     assert found == {"tanh" if algorithm == "ippo" else "relu"}

@@ -24,7 +24,7 @@ def ends() -> tuple[cg.Problem, Any, Any]:
     """Two scalar agents whose network succeeds about as often as not, and its certificate with both ends."""
     problem = reach(scalar_agent("a"), scalar_agent("b"), horizon=2)
     actor = proportional(problem)
-    return problem, actor, cg.certify(problem, actor, 150, as_is=True, above=True).certificate
+    return problem, actor, cg.certify(problem, actor, 150, above=True).certificate
 
 
 def test_the_truth_is_between_both_ends(ends: tuple[cg.Problem, Any, Any]) -> None:
@@ -63,6 +63,6 @@ def test_a_network_that_fails_has_a_small_upper_end() -> None:
     actor = proportional(problem)
     away = dataclasses.replace(actor.network, biases=(*actor.network.biases[:-1], np.full(1, -0.3, dtype=np.float32)))
     away = dataclasses.replace(away, weights=(*away.weights[:-1], 0.0 * away.weights[-1]))
-    certificate = cg.certify(problem, type(actor)(problem, away), 100, as_is=True, above=True).certificate
+    certificate = cg.certify(problem, type(actor)(problem, away), 100, above=True).certificate
     assert certificate.upper_bound < 0.1 and cg.check(certificate)
     assert "P <=" in repr(certificate)

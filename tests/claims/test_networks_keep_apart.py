@@ -155,7 +155,7 @@ def robots() -> tuple[cg.Problem, TeamActor, Any]:
         specification=cg.Specification("G !near & F G (home_one & home_two)", "finite-trace"),
     )  # fmt: skip
     actor = towards(problem, [-0.9, -0.9], [0.9, 0.9])
-    return problem, actor, cg.certify(problem, actor, 16, as_is=True).certificate
+    return problem, actor, cg.certify(problem, actor, 16).certificate
 
 
 @pytest.mark.thorough
@@ -194,10 +194,10 @@ def test_what_is_not_known_of_pairs_is_refused(what: str, monkeypatch: pytest.Mo
     )  # fmt: skip
     actor = towards(problem, [-1.0, 0.0], [1.0, 0.0])
     with pytest.raises(ValueError, match="which wraps" if what == "angles" else "names the time"):
-        cg.certify(problem, actor, 12, as_is=True)
+        cg.certify(problem, actor, 12)
     if what == "angles":
         monkeypatch.setattr(NearPoints, "__post_init__", lambda self: None)
-        forged = cg.certify(problem, actor, 12, as_is=True)
+        forged = cg.certify(problem, actor, 12)
         assert "has an angle" in cg.check(forged).failures[0]
 
 

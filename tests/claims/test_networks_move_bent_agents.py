@@ -70,7 +70,7 @@ PROBLEMS = {
 def certified(kind: str, relation: str = "boxes") -> tuple[cg.Problem, Any, Any]:
     problem = PROBLEMS[kind]()
     actor = balancing(problem)
-    return problem, actor, cg.certify(problem, actor, 150, as_is=True, above=True, relation=relation).certificate
+    return problem, actor, cg.certify(problem, actor, 150, above=True, relation=relation).certificate
 
 
 @pytest.mark.thorough
@@ -129,7 +129,7 @@ def test_maps_hold_what_the_deployed_network_does(make: Any) -> None:
     problem = make()
     (agent,), actor = problem.agents, balancing(problem)
     assert isinstance(agent, cg.Agent)
-    certificate = cg.certify(problem, actor, 12, as_is=True, relation="linear").certificate
+    certificate = cg.certify(problem, actor, 12, relation="linear").certificate
     assert cg.check(certificate)
     (part,), rng = certificate.proof.agents, np.random.default_rng(5)
     cells = rng.integers(part.grid.n_cells, size=5_000)
@@ -156,7 +156,7 @@ def test_what_maps_leave_is_of_second_order() -> None:
     problem = PROBLEMS["plain"]()
     apart = []
     for cells in (12, 48):
-        found = cg.certify(problem, balancing(problem), cells, as_is=True, above=True, relation="linear").certificate
+        found = cg.certify(problem, balancing(problem), cells, above=True, relation="linear").certificate
         apart.append(found.upper_bound - found.lower_bound)
     assert apart[1] < 0.1 * apart[0]
 
@@ -172,7 +172,7 @@ def test_maps_that_forget_what_networks_leave_are_refused(monkeypatch: pytest.Mo
 
     problem = PROBLEMS["plain"]()
     monkeypatch.setattr(network_maps, "mean_form", careless)
-    forged = cg.certify(problem, balancing(problem), 12, as_is=True, relation="linear").certificate
+    forged = cg.certify(problem, balancing(problem), 12, relation="linear").certificate
     monkeypatch.undo()
     assert not cg.check(forged)
 
@@ -181,12 +181,12 @@ def test_angles_that_wrap_are_for_boxes_alone(monkeypatch: pytest.MonkeyPatch) -
     """Linear cells would count who turns past the seam as gone: refused, and refused by the check where it is not."""
     agent = rover(dynamics=["x + u"], angles=["x"], state_low=[-np.pi], state_high=[np.pi], initial_state=[1.0])
     problem = middle(agent)
-    found = cg.certify(problem, balancing(problem), 24, as_is=True).certificate
+    found = cg.certify(problem, balancing(problem), 24).certificate
     assert found.proof.agents[0].relation["kind"] == "boxes" and cg.check(found)
     with pytest.raises(ValueError, match="which wraps"):
-        cg.certify(problem, balancing(problem), 24, as_is=True, relation="linear")
+        cg.certify(problem, balancing(problem), 24, relation="linear")
     monkeypatch.setattr(network_model, "refuse_angles", lambda *arguments: None)
-    forged = cg.certify(problem, balancing(problem), 24, as_is=True, relation="linear")
+    forged = cg.certify(problem, balancing(problem), 24, relation="linear")
     assert "takes its angles for numbers" in cg.check(forged).failures[0]
 
 
@@ -215,6 +215,6 @@ def test_a_check_that_forgets_what_inputs_may_be_is_caught(monkeypatch: pytest.M
 
     monkeypatch.setattr(driven_means, "mean_bounds", careless)
     problem = PROBLEMS["plain"]()
-    forged = cg.certify(problem, balancing(problem), 30, as_is=True, relation="boxes").certificate
+    forged = cg.certify(problem, balancing(problem), 30, relation="boxes").certificate
     monkeypatch.undo()
     assert not cg.check(forged)

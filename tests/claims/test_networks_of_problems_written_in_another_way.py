@@ -53,7 +53,7 @@ def certified(kind: str) -> tuple[cg.Problem, SharedActor, Any]:
     make, cells, relation = PROBLEMS[kind]
     problem = make()
     actor = looking(problem, 5)
-    return problem, actor, cg.certify(problem, actor, cells, as_is=True, above=True, relation=relation).certificate
+    return problem, actor, cg.certify(problem, actor, cells, above=True, relation=relation).certificate
 
 
 @mostly_thorough("kind", PROBLEMS)

@@ -99,7 +99,7 @@ def goal_seeker(problem: cg.Problem) -> Network:
 def certified() -> tuple[cg.Problem, Any, cg.Synthesis]:
     problem = reach(scalar_agent("a"), scalar_agent("b"))
     policy = cg.as_policy(goal_seeker(problem), problem, "parallel_env")
-    return problem, policy, cg.certify(problem, policy, 100, as_is=True)
+    return problem, policy, cg.certify(problem, policy, 100)
 
 
 def test_the_bound_is_that_of_the_network_itself(certified: tuple[cg.Problem, Any, cg.Synthesis]) -> None:

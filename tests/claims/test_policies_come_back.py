@@ -250,11 +250,11 @@ def test_every_verb_takes_a_model(problem: cg.Problem, tmp_path: Path) -> None:
     """One module: compared, certified wrapped and as it is, improved, bounded above, repaired, shielded, recorded."""
     actor = seeker(proportional(problem).network)
     policy = cg.as_policy(actor, problem, "shared_vec_env")
-    raw = cg.certify(problem, policy, 100, as_is=True)
+    raw = cg.certify(problem, policy, 100)
     assert cg.check(raw) and raw.certificate.lower_bound > 0.3
-    wrapped, improved = cg.certify(problem, policy, 40), cg.improve(problem, policy, 40)
+    wrapped, improved = cg.certify(problem, policy, 40, wrap=True), cg.improve(problem, policy, 40)
     assert improved.certificate.lower_bound >= wrapped.certificate.lower_bound > 0.3
-    ended = cg.certify(problem, policy, 100, as_is=True, above=True).certificate
+    ended = cg.certify(problem, policy, 100, above=True).certificate
     assert raw.certificate.lower_bound == ended.lower_bound <= ended.upper_bound < 1.0
     repaired, _ = repair_network(problem, policy, 60)
     assert repaired.certificate.lower_bound > 0.3
@@ -277,7 +277,7 @@ def test_models_that_say_what_they_see_need_no_bridge(problem: cg.Problem, tmp_p
     result = cg.compare(problem, {"model": model, "file": file, "seeds": [model, model]}, 200)
     assert len({entry.successes for entry in result.entries}) == 1 and len(result.entries) == 4
     assert cg.rollout(problem, model, 200).successes == result.entries[0].successes
-    bounds = {cg.certify(problem, each, 30, as_is=True).certificate.lower_bound for each in (model, file)}
+    bounds = {cg.certify(problem, each, 30).certificate.lower_bound for each in (model, file)}
     assert len(bounds) == 1
     assert cg.certify(problem, model, 20).certificate.lower_bound >= 0.0
     assert cg.improve(problem, model, 20, max_sweeps=1).certificate.lower_bound >= 0.0
@@ -311,8 +311,6 @@ def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None
     for module, words in ((strange, "ELU"), (mixed, "one kind of activation"), (double, "float64")):
         policy = cg.as_policy(module, problem, "team_env")
         assert words in policy.why_not_as_it_is and words in repr(policy)
-        with pytest.raises(ValueError, match=words):
-            cg.certify(problem, policy, 20, as_is=True)
         assert cg.certify(problem, policy, 20).certificate.lower_bound >= 0.0  # wrapped
     torn = torch.nn.Sequential(torch.nn.Linear(n, 4), torch.nn.Tanh(), torch.nn.Linear(5, 1))
     with pytest.raises(ValueError, match="layers that fit together, got 4 outputs before 5 inputs"):
@@ -322,7 +320,7 @@ def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None
         with pytest.raises(ValueError, match=r"sees states of all agents.*rollouts"):
             verb(problem, central, 20)
     with pytest.raises(ValueError, match="sees states of all agents"):
-        cg.certify(problem, central, 20, as_is=True)
+        cg.certify(problem, central, 20)
 
 
 class Wrong(Module):
@@ -440,7 +438,7 @@ def test_the_command_line_takes_files(problem: cg.Problem, tmp_path: Path, capsy
     assert main([*given, "--json", str(tmp_path / "c.json")]) == 0
     sees = {entry["information"] for entry in json.loads((tmp_path / "c.json").read_text())["entries"]}
     assert "own state, automaton state, time" in sees
-    for more in ([], ["--as-is"]):
+    for more in ([], ["--wrap"]):
         command = ["certify", "reach-avoid-v0", "--horizon", "5", "--policy", str(tmp_path / "m.zip"), *more, "--trust"]
         assert main([*command, "--cells", "30", "--episodes", "200"]) == 0
     header = str(tmp_path / "policy.h")
@@ -537,7 +535,7 @@ def test_networks_go_out_and_come_back_as_onnx(problem: cg.Problem, tmp_path: Pa
         proportional(problem),
         cg.as_policy(chain(n, 1), problem, "parallel_env"),
         cg.as_policy(chain(n, 1), problem, "team_env"),
-        cg.certify(problem, cg.as_policy(chain(n, 1), problem, "parallel_env"), 20, as_is=True),
+        cg.certify(problem, cg.as_policy(chain(n, 1), problem, "parallel_env"), 20),
     ]
     for source in sources:
         agent = "a" if source is sources[3] else None

@@ -61,7 +61,7 @@ def test_results_carry_the_verdict(boastful: None, monkeypatch: pytest.MonkeyPat
         cg.synthesize(PROBLEM, 20, relation="exact"),
         *several,
         cg.certify(PROBLEM, actor, 20, relation="exact"),
-        cg.certify(PROBLEM, actor, 20, as_is=True),
+        cg.certify(PROBLEM, actor, 20),
         cg.improve(PROBLEM, actor, 20, relation="exact", max_sweeps=1),
         cg.improve(PROBLEM, actor, 20, as_is=True),
     ):
@@ -91,7 +91,7 @@ COMMANDS = [
     ["run", "reach-avoid-v0", "--cells", "20", "--relation", "exact", *QUICK],
     ["run", "reach-avoid-v0", "--cells", "20", "--relation", "exact", "--horizon", "2", "3", *QUICK],
     ["certify", "actor", "--cells", "20", "--relation", "exact", "--improve", *QUICK],
-    ["certify", "actor", "--cells", "20", "--as-is", *QUICK],
+    ["certify", "actor", "--cells", "20", *QUICK],
     ["certify", "actor", "--cells", "20", "--repair", "0.5", *QUICK],
 ]
 

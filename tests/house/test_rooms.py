@@ -57,7 +57,7 @@ MAY_IMPORT = {
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.readings synthesis.models synthesis.search",
     "synthesis.path_bounds": f"{ENVS} {CERTIFICATES}",
     "synthesis.path_words": f"{ENVS} {CERTIFICATES} synthesis.path_bounds",
-    "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES} synthesis.path_bounds synthesis.path_words",
+    "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES} synthesis.checker synthesis.path_bounds synthesis.path_words",
     "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.checker synthesis.models synthesis.search "
     "synthesis.bounds synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking synthesis.bridges",

@@ -118,7 +118,7 @@ class CentralActor:
         if problem.n_agents > 1:
             raise ValueError(
                 "`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
-                "one that sees the states of all agents; train `ppo`, `ippo` or `mappo`, or leave out `as_is`"
+                "one that sees the states of all agents; train `ppo`, `ippo` or `mappo`"
             )
         alone = problem.agents[agent]
         view = OwnView(0, 0, alone.n_states, problem.automaton.n_states, problem.horizon)

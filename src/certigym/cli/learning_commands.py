@@ -36,7 +36,7 @@ from ..validation.policies import probe as probe_certificate
 from ..validation.policies import record as record_episodes
 from ..validation.simulation import planned
 from .given import cells_of, problem_of, relation_of, say, show
-from .network_commands import UNCERTIFIED, certify_raw, is_actor, problem_of_actor
+from .network_commands import UNCERTIFIED, certify_raw, is_actor, is_network, is_wrapping, problem_of_actor
 from .policy_words import policy_of_file, policy_of_word
 from .work import trained, trials
 
@@ -197,7 +197,7 @@ def compare(options: Namespace) -> int:
 
 
 def certify(options: Namespace) -> int:
-    """Certify a policy wrapped on a grid, or as it is (``--as-is``); the status is 1 if check or rollouts refute it."""
+    """Certify a network as it is, or a policy wrapped on cells; the status is 1 if check or rollouts refute it."""
     if is_actor(options):
         problem, file = problem_of_actor(options.problem, options.horizon), options.problem
     elif options.policy is None:
@@ -205,12 +205,15 @@ def certify(options: Namespace) -> int:
     else:
         problem, file = problem_of(options), options.policy
     policy = policy_of_file(problem, file, options.trust)
-    if options.as_is or options.repair is not None:
+    wraps = options.wrap or options.improve or is_wrapping(options)
+    if options.repair is not None or (is_network(policy) and not wraps):
         return certify_raw(options, problem, policy)
     cells = cells_of(options)
     # All forms of the policy are simulated beside each other; the last one is saved.
     policies: dict[str, Any] = {"raw": policy}
-    last = policies["certified"] = certify_policy(problem, policy, cells, above=options.above, **relation_of(options))
+    last = policies["certified"] = certify_policy(
+        problem, policy, cells, wrap=True, above=options.above, **relation_of(options)
+    )
     if options.improve:
         last = policies["improved"] = improve_policy(problem, policy, cells, **relation_of(options))
     if options.out:

@@ -1,4 +1,4 @@
-"""What ``certify --as-is`` and ``certify --repair`` do: certificates of networks as they are deployed."""
+"""What ``certify`` does with networks, and ``certify --repair``: certificates of networks as they are deployed."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ..envs.problem import Problem
 from ..synthesis.certificates import rounded_up, save_certificate
+from ..synthesis.certify import OF_NETWORKS
 from ..synthesis.certify import certify as certify_policy
 from ..synthesis.certify import improve as improve_policy
 from ..synthesis.raw_networks import WeakPlaces
@@ -41,13 +42,23 @@ def is_actor(options: Namespace) -> bool:
     return options.policy is None and options.problem.endswith(".npz") and Path(options.problem).is_file()
 
 
+def is_network(policy: Any) -> bool:
+    """Return whether a policy is of networks that are certified as they are."""
+    return hasattr(policy, "agent_policy") and not getattr(policy, "why_not_as_it_is", "")
+
+
+def is_wrapping(options: Namespace) -> bool:
+    """Return whether what is asked of the relation is about policies that are wrapped on cells."""
+    return options.delta is not None or len(options.relation) > 1 or options.relation[0] not in OF_NETWORKS
+
+
 def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
     """Certify networks as they are, and repaired; the status is 1 if check or rollouts refute a bound."""
-    if options.relation != ["auto"] or options.delta is not None or options.improve:
-        raise ValueError("`--as-is`: expected none of --relation, --delta and --improve beside it; leave them out")
-    cells, settings = cells_of(options), {"targets_per_cell": options.targets}
+    cells = cells_of(options)
+    settings: dict[str, Any] = {} if options.targets is None else {"targets_per_cell": options.targets}
     policies: dict[str, Any] = {"deployed": policy}
-    last = policies["certified"] = certify_policy(problem, policy, cells, as_is=True, above=options.above, **settings)
+    found = certify_policy(problem, policy, cells, relation=options.relation[0], above=options.above, **settings)
+    last = policies["certified"] = found
     places: WeakPlaces | None = None
     if options.repair is not None:
         last = policies["repaired"] = improve_policy(

@@ -304,7 +304,7 @@ def _add_comparing(commands: Any) -> None:
     add_picture(compare, "the comparison")
     add_trials(compare, 10_000, " per policy", 0.99)
 
-    certify = commands.add_parser("certify", help="certify a decentralised policy, wrapped on a grid or as it is")
+    certify = commands.add_parser("certify", help="certify a policy: networks as they are, others wrapped on cells")
     add_problem(certify)
     certify.add_argument(
         "--policy",
@@ -313,7 +313,7 @@ def _add_comparing(commands: Any) -> None:
         "problem)",
     )
     add_trust(certify)
-    certify.add_argument("--as-is", action="store_true", help="certify the network itself as it is deployed")
+    certify.add_argument("--wrap", action="store_true", help="certify what a network becomes on cells, not as it is")
     add_above(certify)
     certify.add_argument(
         "--repair",

@@ -1,0 +1,248 @@
+"""Networks along trajectories: what is enclosed is what they answer, and errors keep in ellipsoids and tubes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import certigym as cg
+from certigym.synthesis.certificates import canonical, canonical_problem, contents_of
+from certigym.synthesis.checker import constraints_of, networks, read_problem, read_trajectories, trajectories, walk
+from certigym.synthesis.checker.ellipsoids import Ellipsoid, chi_tail
+from certigym.synthesis.checker.error_system import ErrorSystem
+from certigym.synthesis.checker.networks import Network, automaton_states, enclosed
+from certigym.synthesis.nominal_paths import networks_along
+from certigym.synthesis.relations import Network as Layers
+from certigym.synthesis.relations import NetworkPolicy, OwnView
+
+KINDS = [
+    (act, output, sees) for act in ("tanh", "relu") for output in ("clip", "tanh", "box") for sees in ("scaled", "raw")
+]
+
+
+def layers_of(rng: np.random.Generator, sizes: list[int], size: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    weights = [size * rng.standard_normal((b, a)) / np.sqrt(a) for a, b in zip(sizes, sizes[1:])]
+    biases = [0.3 * rng.standard_normal(b) for b in sizes[1:]]
+    return [w.astype(np.float32) for w in weights], [b.astype(np.float32) for b in biases]
+
+
+def an_agent(d: int, m: int) -> Any:
+    agent = cg.LinearAgent(
+        name="a", A=np.eye(d), B=np.ones((d, m)), noise_covariance=np.eye(d), state_low=-3.0 - np.arange(d),
+        state_high=4.0 + np.arange(d), input_low=[-1.5] * m, input_high=[0.5] * m, initial_state=np.zeros(d),
+    )  # fmt: skip
+    task = cg.Specification("F b", "co-safe")
+    problem = cg.Problem(name="p", horizon=7, agents=[agent], specification=task,
+                         propositions={"b": cg.Proposition("a", [0.0] * d, [1.0] * d)})  # fmt: skip
+    return problem, read_problem({"problem": canonical_problem(problem)}).agents[0]
+
+
+@pytest.mark.parametrize(("activation", "output", "sees"), KINDS)
+@pytest.mark.parametrize("size", [0.5, 2.0, 6.0])
+def test_answers_are_enclosed(activation: str, output: str, sees: str, size: float) -> None:
+    """At points of an ellipsoid with drift, in single precision and in another order of summation."""
+    rng = np.random.default_rng(KINDS.index((activation, output, sees)) + int(100 * size))
+    d, m, states = 3, 2, 4
+    problem, agent = an_agent(d, m)
+    view = OwnView(0, 1, d + 1, states, problem.horizon, scale="raw" if sees == "raw" else "unit")
+    weights, biases = layers_of(rng, [view.size, 16, 16, m], size)
+    plain = Layers(tuple(weights), tuple(biases), activation, output == "tanh", "box" if output == "box" else "unit")
+    policy = NetworkPolicy(plain, view, problem.agents[0].workspace, problem.agents[0].input_box)
+    exact = (tuple(w.astype(float) for w in weights), tuple(b.astype(float) for b in biases))
+    network = Network(*exact, activation, output, sees, d + 1, 1, 0)
+    for _ in range(6):
+        at, q, t = rng.uniform(-1.0, 1.5, d), int(rng.integers(states)), int(rng.integers(7))
+        root, radius = 0.1 * rng.standard_normal((d, d)), 2.0
+        low, high = -rng.uniform(0.0, 0.05, d), rng.uniform(0.0, 0.05, d)
+        g = rng.standard_normal((4000, d))
+        g *= (radius * rng.uniform(0.0, 1.0, (len(g), 1)) ** 0.2) / np.linalg.norm(g, axis=1, keepdims=True)
+        e = g @ root.T + np.where(rng.random((len(g), d)) < 0.5, low, high)
+        far = np.abs(radius * np.linalg.norm(root, axis=1)) + np.maximum(-low, high) + 1e-9
+
+        def reach(rows: np.ndarray, root: Any = root, low: Any = low, high: Any = high) -> np.ndarray:
+            spread = 2.0 * np.linalg.norm(rows @ root, axis=1) * (1.0 + 1e-12)
+            ends = np.minimum(rows * low, rows * high).sum(axis=1), np.maximum(rows * low, rows * high).sum(axis=1)
+            return np.stack([ends[0] - spread - 1e-12, ends[1] + spread + 1e-12])
+
+        left = float(np.float32(1.0 - t / problem.horizon))
+        u, J, rest = enclosed(network, agent, at, (q, states, left), reach, far)
+        answers = policy.inputs((at + e).T, np.full(len(e), q), t).T
+        turned = NetworkPolicy(shuffled(plain, rng), view, policy.workspace, policy.input_box)
+        for found in (answers, turned.inputs((at + e).T, np.full(len(e), q), t).T):
+            left_out = found - u - e @ J.T
+            assert np.all(left_out >= rest[0] - 1e-13) and np.all(left_out <= rest[1] + 1e-13)
+        assert np.all(np.isfinite(rest))
+        # It says something: about as wide as what is seen of it at these points.
+        if size == 0.5:
+            assert np.all(rest[1] - rest[0] <= 8.0 * np.ptp(answers - u - e @ J.T, axis=0) + 1e-3)
+
+
+def shuffled(plain: Layers, rng: np.random.Generator) -> Layers:
+    """The same network with its hidden numbers in another order: its sums round otherwise."""
+    weights, biases = list(plain.weights), list(plain.biases)
+    for k in range(len(weights) - 1):
+        order = rng.permutation(len(biases[k]))
+        weights[k], biases[k], weights[k + 1] = weights[k][order], biases[k][order], weights[k + 1][:, order]
+    return replace(plain, weights=tuple(weights), biases=tuple(biases))
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 4, 7, 12, 25])
+def test_tails_of_lengths_are_those_of_the_chi_square_distribution(d: int) -> None:
+    for radius in (0.3, 1.0, 3.0, 6.0, 9.0):
+        for largest in (1.0, 1.3):
+            truth, found = chi2.sf(radius**2 / largest, d), chi_tail(radius, d, largest)
+            assert truth * (1.0 - 1e-12) <= found <= truth * (1.0 + 1e-9) + 1e-300
+    assert chi_tail(-1.0, d, 1.0) == chi_tail(2.0, d, np.inf) == 1.0
+
+
+def a_system(rng: np.random.Generator, d: int, steps: int) -> tuple[ErrorSystem, list[np.ndarray], list[np.ndarray]]:
+    errors, loops, noises = ErrorSystem(np.zeros(d), d), [], []
+    for _ in range(steps):
+        loops.append(0.5 * np.eye(d) + 0.3 * rng.standard_normal((d, d)))
+        noises.append(np.diag(rng.uniform(0.0, 1.0, d) * (rng.random(d) < 0.7)))
+        errors.step(loops[-1], np.zeros((2, d)), np.ones(d), noises[-1])
+    return errors, loops, noises
+
+
+def test_forms_keep_in_ellipsoids_as_often_as_is_said() -> None:
+    """Exact covariances; 200,000 draws of the form, a false alarm of 1e-6 for all of them (5.3 deviations)."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        d = int(rng.integers(1, 5))
+        errors, loops, noises = a_system(rng, d, int(rng.integers(1, 5)))
+        covariance = np.zeros((d, d))
+        for F, L in zip(loops, noises, strict=True):
+            covariance = F @ covariance @ F.T + L @ L.T
+        found, off = errors.covariance(np.eye(d))
+        assert np.all(np.abs(found - covariance) <= off + 1e-14) and np.all(off < 1e-12)
+        ellipsoid = Ellipsoid.of(errors, slice(0, d), float(rng.uniform(1.0, 3.0)))
+        g = rng.standard_normal((200_000, d)) @ np.linalg.cholesky(covariance + 1e-300 * np.eye(d)).T if np.all(
+            np.linalg.eigvalsh(covariance) > 1e-12) else None  # fmt: skip
+        if g is None:
+            continue
+        inside = np.linalg.norm(g @ ellipsoid.white.T, axis=1) <= ellipsoid.radius
+        p = ellipsoid.lost
+        assert np.mean(~inside) <= p + 5.3 * np.sqrt(p / len(g))
+        rows = rng.standard_normal((6, d))
+        most = np.abs(g[inside]).max(axis=0)
+        assert np.all(np.abs(g[inside] @ rows.T).max(axis=0) <= ellipsoid.reach(rows, most))
+        assert np.all(most <= ellipsoid.widths)
+
+
+def glider(std: float = 0.02) -> tuple[cg.Problem, list[NetworkPolicy]]:
+    """A point that turns and drifts, and a network about as good as a linear feedback."""
+    agent = cg.Agent(
+        name="a", states=["x", "y", "v"], inputs=["u"],
+        dynamics=["x + 0.3*cos(v)", "y + 0.3*sin(v) + 0.05*x", "v + 0.3*u"],
+        noise=[{"law": "gaussian", "std": std}] * 3,
+        state_low=[-3, -3, -2], state_high=[6, 3, 2], input_low=[-2], input_high=[2], initial_state=[-1, 0.4, 0],
+    )  # fmt: skip
+    goal = cg.Proposition("a", [0.8, -0.6, -2.0], [3.0, 0.8, 2.0])
+    wall = cg.Proposition("a", [-1.0, 1.0, -2.0], [3.0, 3.0, 2.0])
+    problem = cg.Problem(name="glider", horizon=10, agents=[agent], propositions={"goal": goal, "wall": wall},
+                         specification=cg.Specification("!wall U goal"))  # fmt: skip
+    view = OwnView(0, 1, 3, problem.automaton.n_states, 10)
+    rng = np.random.default_rng(1)
+    weights, biases = layers_of(rng, [view.size, 12, 1], 0.15)
+    weights[0][:3, :3] = np.array([[0.0, 0.6, 0.0], [0.0, 0.0, 0.7], [0.1, 0.2, 0.1]], dtype=np.float32)
+    weights[1][0, :3] = np.array([-1.3, -0.9, 0.1], dtype=np.float32)
+    layers = Layers(tuple(weights), tuple(biases), "tanh", False)
+    return problem, [NetworkPolicy(layers, view, agent.workspace, agent.input_box)]
+
+
+def test_runs_stay_in_tubes_wherever_forms_keep_in_ellipsoids() -> None:
+    """Pathwise: of 20,000 runs, some with more noise, those whose forms keep in all ellipsoids are in all tubes."""
+    problem, policies = glider()
+    certificate = networks_along(problem, policies)
+    assert certificate.proof.failure < 1e-3 and cg.check(certificate)
+    known = read_problem({"problem": canonical_problem(problem)})
+    radius = 2.5  # so that many runs are near the edge
+    proof = replace(certificate.proof, radii=(radius,))
+    joint, errors, constraints = constraints_of(
+        known, read_trajectories(contents_of(replace(certificate, proof=proof)), known)
+    )
+    rng, n = np.random.default_rng(0), 20_000
+    x, g, kept = np.tile(joint.states[0][:, None], n), np.zeros((3, n)), np.ones(n, dtype=bool)
+    noise = np.zeros((3, n))
+    seen = automaton_states(known, certificate.proof.letters.astype(np.int64))
+    for t, around, _ in walk(known, joint, errors, constraints):
+        if t:  # the step that was taken last
+            g = errors.matrices[-1] @ g + noise
+            kept &= np.linalg.norm(around.ellipsoids[0].white @ g, axis=0) <= radius  # type: ignore[union-attr]
+        e = x - joint.states[t][:, None]
+        kept &= np.all((x >= joint.box[0][:, None]) & (x <= joint.box[1][:, None]), axis=0)
+        inside = np.all((e >= around.ends[0][:, None] - 1e-9) & (e <= around.ends[1][:, None] + 1e-9), axis=0)
+        assert inside[kept].all(), t
+        if t < len(joint.states) - 1:
+            u = policies[0].inputs(x, np.full(n, max(seen[t], 0)), t)
+            noise = some_noise(rng, n)
+            x = (
+                np.array([x[0] + 0.3 * np.cos(x[2]), x[1] + 0.3 * np.sin(x[2]) + 0.05 * x[0], x[2] + 0.3 * u[0]])
+                + noise
+            )
+    assert 0.05 < kept.mean() < 0.999
+
+
+def some_noise(rng: np.random.Generator, n: int) -> np.ndarray:
+    return 0.02 * rng.standard_normal((3, n)) * rng.choice([0.5, 1.0, 1.6], n)
+
+
+def test_files_hold_networks_and_forgeries_are_refused(tmp_path: Any) -> None:
+    problem, policies = glider()
+    certificate = networks_along(problem, policies)
+    cg.save(certificate, tmp_path / "c.npz")
+    again: Any = cg.load(tmp_path / "c.npz")
+    assert cg.check(again, problem) and again.proof.failure == certificate.proof.failure
+    assert cg.validate(again, 20_000, seed=2, confidence=1.0 - 1e-6).verdict != "refuted"
+    proof, (policy,) = certificate.proof, policies
+    smaller = replace(proof, failure=0.9 * proof.failure)
+    wilder = replace(policy, network=replace(policy.network, weights=tuple(3 * w for w in policy.network.weights)))
+    path = replace(proof.paths[0], states=proof.paths[0].states + 0.05)  # type: ignore[operator,arg-type]
+    for forged in (
+        smaller,
+        replace(proof, networks=(wilder,)),
+        replace(proof, radii=(2.0,)),
+        replace(proof, paths=(path,)),
+    ):
+        assert not cg.check(replace(certificate, proof=forged))
+    windy, _ = glider(0.06)
+    assert not cg.check(replace(certificate, problem=windy), windy)
+
+
+SABOTAGE: dict[str, tuple[Any, str, Any]] = {
+    "radius of a dimension less": (trajectories.Ellipsoid, "of", None),
+    "what rounds and bends is dropped": (networks._Forms, "rest", None),
+    "the automaton state of another step": (trajectories, "automaton_states", None),
+}
+
+
+@pytest.mark.parametrize("name", SABOTAGE)
+def test_sabotage_claims_less_failure_or_another_network(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What makes these tests: that each sabotage changes what is proved of an honest certificate."""
+    problem, policies = glider(0.05)
+    certificate = networks_along(problem, policies)
+    owner, attribute, _ = SABOTAGE[name]
+    if attribute == "of":
+        honest: Any = Ellipsoid.of
+
+        def fewer(errors: ErrorSystem, places: slice, radius: float) -> Ellipsoid:
+            own = honest(errors, places, radius)
+            return replace(own, lost=chi_tail(radius, len(own.root) - 1, 1.0))
+
+        monkeypatch.setattr(owner, attribute, staticmethod(fewer))
+    elif attribute == "rest":
+        monkeypatch.setattr(owner, attribute, lambda self: np.zeros((2, len(self.h))))
+    else:
+        monkeypatch.setattr(
+            owner, attribute, lambda problem, letters: [q + 1 for q in automaton_states(problem, letters)]
+        )
+    monkeypatch.setattr(canonical, "_verdicts", {})
+    try:
+        found = canonical.verdict_of(certificate).recomputed
+    except (IndexError, ValueError):
+        return
+    assert found != pytest.approx(certificate.proof.failure, rel=1e-6)
