@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,10 @@ from numpy.typing import NDArray
 
 from ..envs.agents import AnyAgent
 from ..envs.arrays import on_one_thread
-from ..envs.problem import Problem, states_in_time, written_out
+from ..envs.problem import Problem, policy_in_file, states_in_time, written_out
 from ..envs.suite import as_problem
 from .agreement import judged
-from .bridges import certifiable
+from .bridges import WrittenPolicies, certifiable
 from .cells import CellCounts, FloatArray
 from .certificates import Synthesis, timed_certificate
 from .certification import certificate_of
@@ -61,7 +62,7 @@ WORTHWHILE = 1e-7
 @on_one_thread
 def certify(
     problem: Any,
-    policy: Any,
+    policy: Any = None,
     cells: CellCounts = None,
     *,
     relation: Relations = "auto",
@@ -78,8 +79,9 @@ def certify(
     ----------
     problem : Problem, id or path
         Agents with positive definite noise, to whom the relation applies.
-    policy : Policy, model or path
-        Decentralised policies, in any form that ``synthesis.decentralised`` or ``as_policy`` takes.
+    policy : Policy, model or path, optional
+        Decentralised policies, in any form that ``synthesis.decentralised`` or ``as_policy`` takes; or expressions,
+        ``{"u": ["clip(-1.2*x - 0.8*v, -1, 1)"]}``. Default: those in the table ``[policy]`` of a problem file.
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis: then cells alone are tried. With more cells a wrapped policy is closer to the raw one.
     relation : str, or mapping from agent name to str
@@ -104,6 +106,10 @@ def certify(
     ValueError
         If the policy has an unknown form or returns inputs that are not finite, or the relation does not apply.
     """
+    if policy is None:
+        policy = policy_in_file(problem) if isinstance(problem, str | Path) else None
+        if policy is None:
+            raise ValueError("`policy`: expected one, or a problem file with a table [policy], got none")
     found = _found(problem, policy, cells, relation, wrap, settings)
     return synthesis_above(found) if above else found
 
@@ -115,6 +121,8 @@ def _found(
     problem = as_problem(problem)
     policy = certifiable(problem, policy)
     is_network = hasattr(policy, "agent_policy") and not getattr(policy, "why_not_as_it_is", "")
+    if is_network and not wrap and cells is not None and isinstance(policy, WrittenPolicies):
+        is_network = False  # cells are for what expressions become on them
     if is_network and not wrap and isinstance(relation, str) and relation in OF_NETWORKS:
         return certified_as_it_is(problem, policy, cells, "auto" if relation == "quick" else relation, settings)
     if problem.labeling.pairs:

@@ -17,7 +17,7 @@ import numpy as np
 from ..envs.agents import counted, tree_text
 from ..envs.problem import Problem, written_out
 from ..envs.suite import as_problem
-from .bridges import certifiable
+from .bridges import WrittenPolicies, certifiable
 from .cells import CellCounts, FloatArray, RelationRefused
 from .certificates import Certificate, OnGrid, Synthesis, timed_certificate
 from .certification import certificate_of
@@ -165,19 +165,21 @@ def certified_as_it_is(
     ValueError
         If nothing is certified; the message says why along the run, and what would help.
     """
-    if cells is not None or relation in RELATIONS or relation not in ("auto", "path"):
+    is_written = isinstance(actor, WrittenPolicies)
+    if (cells is not None or relation in RELATIONS) and not is_written:
         return certify_network(problem, actor, cells, relation=relation, **settings)
+    policies = actor.policies if is_written else _policies(problem, actor)
     began, tried, found = time.perf_counter(), dict[str, Any](), None
     try:
-        certificate = networks_along(problem, _policies(problem, actor))
+        certificate = networks_along(problem, policies)
         seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
         found = Synthesis(certificate, certificate.controller, {"seconds": seconds})
         tried["path"] = certificate.lower_bound
     except ValueError as refused:
         tried["path"] = str(refused)
-        if relation == "path":
+        if relation == "path" or is_written:
             raise
-    is_small = all(agent.n_states <= FEW_STATES for agent in problem.agents)
+    is_small = not is_written and all(agent.n_states <= FEW_STATES for agent in problem.agents)
     if is_small and (found is None or 1.0 - found.certificate.lower_bound > PLENTY):
         try:
             on_cells = certify_network(problem, actor, cells, **settings)

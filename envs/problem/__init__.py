@@ -3,7 +3,7 @@
 from .joint_noise import JOINT_NOISE_REFUSAL, refuse_joint_noise
 from .never import cut_by_the_end, why_never
 from .opposite import opposite_inside, opposite_of
-from .problem_file import load_problem, problem_from_dict, problem_from_toml
+from .problem_file import load_problem, policy_in_file, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification
 from .split import split_axes
@@ -13,6 +13,7 @@ from .unrolling import Unrolled, unrolled
 from .writing_out import Places, states_in_time, written_out
 
 __all__ = [
+    "policy_in_file",
     "JOINT_NOISE_REFUSAL",
     "OutOfReach",
     "Places",

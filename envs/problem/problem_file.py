@@ -137,6 +137,18 @@ def load_problem(path: str | Path) -> Problem:
     return problem_from_toml(text, source=path.name, folder=path.parent)
 
 
+def policy_in_file(path: str | Path) -> dict[str, Any] | None:
+    """Return the policy that a problem file says in its table ``[policy]``; None if it has none.
+
+    It is no part of the problem: expressions of inputs, for ``certify`` and whoever acts.
+    """
+    try:
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8")).get("policy")
+    except (OSError, ValueError):
+        return None
+    return dict(table) if isinstance(table, dict) else None
+
+
 def problem_from_toml(text: str, source: str = "problem file", folder: Path | None = None) -> Problem:
     """Return the problem that a TOML text describes.
 
@@ -180,7 +192,9 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
     ValueError
         If anything is wrong. The message is one line that names table and field.
     """
-    _check_keys(data, "the problem", ("name", "agents", "propositions", "specification"), ["horizon", "joint_noise"])
+    _check_keys(
+        data, "the problem", ("name", "agents", "propositions", "specification"), ["horizon", "joint_noise", "policy"]
+    )
     horizon = data.get("horizon", "none")
     horizon = usual_horizon(data["specification"]) if horizon == "none" else horizon
     agents = _agents(data["agents"], horizon)

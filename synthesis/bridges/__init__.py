@@ -8,8 +8,10 @@ from .local_policies import LocalBatch, LocalController
 from .model_policies import OwnModels, TeamModels
 from .sights import Sight
 from .writing import is_written_policy, save_policy
+from .written_feedback import WrittenPolicies
 
 __all__ = [
+    "WrittenPolicies",
     "RUN",
     "Found",
     "LocalBatch",

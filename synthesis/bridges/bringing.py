@@ -20,6 +20,7 @@ from .environments import matched
 from .found import Found, Reader
 from .local_policies import LocalController
 from .model_policies import Model, OwnModels, TeamModels, policy_of
+from .written_feedback import is_written, written_policies
 
 READERS: tuple[Reader, ...] = (stable_baselines3, torch_modules, onnx_files, weight_arrays)
 """Libraries in the order in which they are asked: modules of torch are last of those that are made of such modules."""
@@ -120,6 +121,8 @@ def brought(
             return getattr(model, attribute)
     if hasattr(model, "batch") or callable(getattr(model, "inputs", None)):
         return model
+    if is_written(model, problem):
+        return written_policies(model, problem)
     reader = _reader(model)
     if reader is not None:
         return _made(problem, [reader.read(model, known)], env)

@@ -39,6 +39,7 @@ from ..checker import (
     shown,
 )
 from ..masses import AgentPart
+from ..relations import WrittenPolicy
 from .certificate import Certificate
 from .grid_proof import GridProof
 from .path_proof import AgentPath, PathProof
@@ -402,11 +403,20 @@ def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndar
     }
 
 
+def _written(policy: WrittenPolicy, text: str) -> str:
+    """Return an expression with the parameters of its agent as numbers."""
+    for name, value in policy.parameters.items():
+        text = re.sub(rf"(?<![\w.]){re.escape(name)}(?![\w.])", f"({value!r})", text)
+    return text
+
+
 def _network_of(proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
     """Return the entries of the network of agent i; none where nominal inputs act."""
     if proof.networks is None:
         return {}
     policy = proof.networks[i]
+    if isinstance(policy, WrittenPolicy):
+        return {"radius": float(proof.radii[i]), "feedback": [_written(policy, text) for text in policy.expressions]}
     network, view = policy.network, policy.view
     if view.told or policy.has_clock:
         raise NotCanonicalError("networks of problems that are written otherwise have no canonical form")

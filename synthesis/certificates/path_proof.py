@@ -22,11 +22,14 @@ from ...envs.arrays import is_whole
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..controllers import NetworkController, PathController
-from ..relations import NetworkPolicy, check_network, network_policy
+from ..relations import NetworkPolicy, WrittenPolicy, check_network, network_policy
 from .archive import Pool, Stored
 from .certificate import Certificate
 from .digits import significant_up
 from .proof import Offer, Proof
+
+GivenPolicy = NetworkPolicy | WrittenPolicy
+"""What acts where a policy was given."""
 
 SOMETIME = 2
 """A letter over a window of times: the proposition is to hold at one of them at least."""
@@ -103,7 +106,7 @@ class PathProof(Proof):
     normals : (S + 1, sum of p) array, optional
         Of a task about pairs of agents, pair after pair: where one is not to hold, the direction (p,) of the half-space
         ``n.(y_a - y_b) > max over the box of n.z`` in which its difference stays; elsewhere they say nothing.
-    networks : tuple of NetworkPolicy, optional
+    networks : tuple of NetworkPolicy or WrittenPolicy, optional
         Of given policies: they act, and the inputs of paths are what they answer without noise.
     radii : tuple of float
         With networks: radii of the ellipsoids in which the errors of each agent keep.
@@ -114,7 +117,7 @@ class PathProof(Proof):
     faces: NDArray[np.int64]
     failure: float
     normals: FloatArray | None = None
-    networks: tuple[NetworkPolicy, ...] | None = None
+    networks: tuple[GivenPolicy, ...] | None = None
     radii: tuple[float, ...] = ()
 
     kind = "path"
@@ -143,9 +146,14 @@ class PathProof(Proof):
     def method(self) -> str:
         """How the bound was found, in words."""
         if self.networks is not None:
-            return f"networks as they are, along {self.n_steps} steps"
+            return f"{'networks' if self.acts_by_networks else 'policies'} as they are, along {self.n_steps} steps"
         gains = any(np.any(path.gain) for path in self.paths)
         return f"nominal path of {self.n_steps} steps, {'with feedback' if gains else 'open loop'}"
+
+    @property
+    def acts_by_networks(self) -> bool:
+        """Whether networks act, and not nominal inputs or expressions."""
+        return any(isinstance(own, NetworkPolicy) for own in self.networks or ())
 
     def along(self, certificate: Certificate) -> Certificate:
         """Return the certificate itself."""
@@ -220,7 +228,7 @@ def probability(value: Any) -> float:
     return float(value)
 
 
-def _networks(problem: Problem, stored: Stored) -> tuple[tuple[NetworkPolicy, ...] | None, tuple[float, ...]]:
+def _networks(problem: Problem, stored: Stored) -> tuple[tuple[GivenPolicy, ...] | None, tuple[float, ...]]:
     """Return the networks in a file and the radii of their ellipsoids; None where nominal inputs act."""
     if "networks" not in stored.entry:
         return None, ()
@@ -229,9 +237,13 @@ def _networks(problem: Problem, stored: Stored) -> tuple[tuple[NetworkPolicy, ..
         raise ValueError("its networks are not those of its agents")
     if any(isinstance(radius, bool) or not isinstance(radius, int | float) or not radius > 0.0 for radius in radii):
         raise ValueError("the radii of its ellipsoids are none")
+    made = list[GivenPolicy]()
     for description, agent in zip(networks, problem.agents, strict=True):
+        if isinstance(description, dict) and "expressions" in description:
+            made.append(WrittenPolicy.of(agent, [str(text) for text in description["expressions"]]))
+            continue
         check_network(description, agent, 2**31)
-    made = (network_policy(description, agent) for description, agent in zip(networks, problem.agents, strict=True))
+        made.append(network_policy(description, agent))
     return tuple(made), tuple(float(radius) for radius in radii)
 
 

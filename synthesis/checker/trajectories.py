@@ -33,6 +33,7 @@ from .distributions import NORMAL
 from .ellipsoids import Ellipsoid
 from .error_system import ErrorSystem
 from .expressions import names_in
+from .feedbacks import Feedback, enclosed_feedback, read_feedback
 from .fields import Refused
 from .file import Contents
 from .intervals import add, down, interval, mul, neg, up
@@ -60,7 +61,7 @@ class Trajectory:
     states: Array
     widths: Array
     noise_widths: Array
-    network: Network | None = None
+    network: Network | Feedback | None = None
     radius: float = np.inf
 
 
@@ -110,20 +111,26 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
 
 
 def _entry(value: Any, place: str) -> dict[str, Any]:
-    return fields.table(value, place, ("inputs", "gains", "states", "widths"), ("noise_widths", "network", "radius"))
+    return fields.table(
+        value, place, ("inputs", "gains", "states", "widths"), ("noise_widths", "network", "feedback", "radius")
+    )
 
 
 def _network(
     contents: Contents, entry: dict[str, Any], place: str, agent: Agent, problem: Problem
-) -> tuple[Network | None, float]:
-    """Return the network that acts for an agent, if there is one, and the radius of the ellipsoid of its errors."""
-    if "network" not in entry:
+) -> tuple[Network | Feedback | None, float]:
+    """Return what acts for an agent, if it was given, and the radius of the ellipsoid of its errors."""
+    if "network" not in entry and "feedback" not in entry:
         return None, np.inf
+    if "network" in entry and "feedback" in entry:
+        raise fields.Unreadable(f"{place}: a network and a feedback cannot both act")
     if agent.scale or agent.angles or any(own.tail != NORMAL for own in agent.envelopes):
         raise fields.Unreadable(f"{place}: networks act where noise is normal, of one size, and no state is an angle")
     radius = fields.number(entry["radius"], f"{place}.radius") if "radius" in entry else -1.0
     if not radius > 0.0:
         raise fields.Unreadable(f"{place}: where a network acts, `radius` is above 0")
+    if "feedback" in entry:
+        return read_feedback(entry["feedback"], f"{place}.feedback", agent), radius
     states = len(problem.automaton.accepting)
     return read_network(contents, entry["network"], f"{place}.network", agent, states), radius
 
@@ -214,7 +221,7 @@ class Joint:
         spread = np.where(point, 0.0, np.maximum(up(start[1] - states[0]), up(states[0] - start[0])))
         widths = [own.widths[:, : len(agent.states)] for agent, own in zip(agents, trajectories, strict=True)]
         slices = problem.slices
-        acts = any(own.network is not None for own in trajectories)
+        acts = any(isinstance(own.network, Network) for own in trajectories)
         task = (
             problem.horizon,
             automaton_states(problem, proof.letters) if acts else [],
@@ -377,9 +384,12 @@ def _network_inputs(joint: Joint, errors: ErrorSystem, tube: Tube, i: int, t: in
         wide = own.reach(rows, up(far + np.abs(tube.drift[:, here]).max(axis=0)))
         return np.stack([np.maximum(box[0], down(drift[0] - wide)), np.minimum(box[1], up(drift[1] + wide))])
 
-    left = float(np.float32(1.0 - t / joint.horizon))
-    row = joint.seen[t], joint.n_states_of_task, left
-    u, gains, rest = enclosed(network, agent, joint.states[t, here], row, reach, far)
+    at = joint.states[t, here]
+    if isinstance(network, Feedback):
+        u, gains, rest = enclosed_feedback(network, agent, at, t, ends, reach)
+    else:
+        row = joint.seen[t], joint.n_states_of_task, float(np.float32(1.0 - t / joint.horizon))
+        u, gains, rest = enclosed(network, agent, at, row, reach, far)
     if not np.all(np.isfinite(rest)):
         raise Refused(f"nothing is known of the network of `{agent.name}` at time {t}")
     # around a nominal input in the box, what the gains leave out is as wide on both sides

@@ -110,8 +110,10 @@ def check_contents(contents: Contents) -> Verdict:
 def _more_modules(proof: dict[str, Any]) -> tuple[str, ...]:
     """Return the modules that a proof of its kind uses besides."""
     agents = proof.get("agents")
-    acts = isinstance(agents, list) and any(isinstance(own, dict) and "network" in own for own in agents)
-    return (("trains",) if "tolerance" in proof else ()) + (("networks", "ellipsoids") if acts else ())
+    entries = [own for own in agents if isinstance(own, dict)] if isinstance(agents, list) else []
+    more = {"network": "networks", "feedback": "feedbacks", "radius": "ellipsoids"}
+    acts = tuple(name for key, name in more.items() if any(key in own for own in entries))
+    return (("trains",) if "tolerance" in proof else ()) + acts
 
 
 def _failure_of(contents: Contents, problem: Problem, kind: str) -> tuple[float, str]:

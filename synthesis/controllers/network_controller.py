@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...envs.dynamics import Dynamics, Worlds
 from ..cells import FloatArray
-from ..relations import NetworkPolicy
+from ..relations import NetworkPolicy, WrittenPolicy
 from .path_controller import PathController
 from .told import told_of_all
 
@@ -22,13 +22,13 @@ class NetworkController(PathController):
 
     Parameters
     ----------
-    networks : tuple of NetworkPolicy
+    networks : tuple of NetworkPolicy or WrittenPolicy
         One for each agent, which sees its own state, the automaton state and the time.
     """
 
     information = "own state, automaton state, time"
 
-    networks: tuple[NetworkPolicy, ...]
+    networks: tuple[NetworkPolicy | WrittenPolicy, ...]
 
     def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
         """Return the action of every agent observed: name -> (m,) float64; see ``PathController.act``."""

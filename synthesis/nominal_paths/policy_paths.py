@@ -39,7 +39,7 @@ from ..checker import (
     value_on,
     walk,
 )
-from ..relations import NetworkPolicy
+from ..relations import NetworkPolicy, WrittenPolicy
 
 LOST = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
 """Probabilities, of all ellipsoids of an agent together, that radii are chosen for, the widest tubes first."""
@@ -76,7 +76,7 @@ class _Margins:
     normals: FloatArray
 
 
-def networks_along(problem: Problem, policies: Sequence[NetworkPolicy]) -> AlongPath:
+def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | WrittenPolicy]) -> AlongPath:
     """Return the best certificate of networks as they are, along their run without noise.
 
     Raises
@@ -118,7 +118,7 @@ def networks_along(problem: Problem, policies: Sequence[NetworkPolicy]) -> Along
     return best
 
 
-def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkPolicy]) -> _Run:
+def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkPolicy | WrittenPolicy]) -> _Run:
     """Return the run without noise, and the times by which it has been accepted."""
     x = [0.5 * (agent.initial.low + agent.initial.high) for agent in problem.agents]
     q, automaton, T = int(problem.initial_q or 0), problem.automaton, problem.horizon
@@ -171,7 +171,7 @@ def _radii(problem: Problem, steps: int, lost: float) -> tuple[float, ...]:
 
 def _certificate(
     problem: Problem,
-    policies: Sequence[NetworkPolicy],
+    policies: Sequence[NetworkPolicy | WrittenPolicy],
     run: _Run,
     letters: NDArray[np.int8],
     margins: _Margins | None,
@@ -194,7 +194,7 @@ def _certificate(
 
 
 def _margins(
-    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[NetworkPolicy], lost: float
+    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[NetworkPolicy | WrittenPolicy], lost: float
 ) -> _Margins:
     """Return how far all literals of the run are away, in deviations, on the tube of some radii."""
     certificate = _certificate(problem, policies, run, run.letters, None, lost)

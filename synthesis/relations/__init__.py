@@ -28,8 +28,10 @@ from .scalar import paper_relation
 from .solved_means import WrittenOnCells, WrittenTargets, written_targets
 from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
 from .written_means import WrittenMeans
+from .written_policies import WrittenPolicy
 
 __all__ = [
+    "WrittenPolicy",
     "ACTIVATIONS",
     "AffineBoxes",
     "AffineMeans",

@@ -14,10 +14,11 @@ from certigym.synthesis.certificates import canonical, canonical_problem, conten
 from certigym.synthesis.checker import constraints_of, networks, read_problem, read_trajectories, trajectories, walk
 from certigym.synthesis.checker.ellipsoids import Ellipsoid, chi_tail
 from certigym.synthesis.checker.error_system import ErrorSystem
+from certigym.synthesis.checker.feedbacks import enclosed_feedback, read_feedback
 from certigym.synthesis.checker.networks import Network, automaton_states, enclosed
 from certigym.synthesis.nominal_paths import networks_along
 from certigym.synthesis.relations import Network as Layers
-from certigym.synthesis.relations import NetworkPolicy, OwnView
+from certigym.synthesis.relations import NetworkPolicy, OwnView, WrittenPolicy
 
 KINDS = [
     (act, output, sees) for act in ("tanh", "relu") for output in ("clip", "tanh", "box") for sees in ("scaled", "raw")
@@ -246,3 +247,36 @@ def test_sabotage_claims_less_failure_or_another_network(name: str, monkeypatch:
     except (IndexError, ValueError):
         return
     assert found != pytest.approx(certificate.proof.failure, rel=1e-6)
+
+
+WRITTEN = (
+    "clip(-0.6*x - 1.2*y, -1, 0.4)", "max(-1, min(1, -0.6*x)) + 0.3*tanh(2*y)", "-tanh(x + 3*y)*min(1, t/4 + 0.3)",
+    "0.5*x*y - max(x - 0.2, 0)", "sin(x) - min(0.1, y)", "-(max(x, 0) - 2*min(y, 0.3))*0.5", "max(x, y)", "0.3*t - 1",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", WRITTEN)
+def test_expressions_are_enclosed(text: str) -> None:
+    """At points of boxes around random states, corners among them; controllers may be off by a billionth."""
+    rng = np.random.default_rng(WRITTEN.index(text))
+    agent = cg.Agent(name="a", states=["x", "y"], inputs=["u"], dynamics=["x + u", "y"],
+                     noise=[{"law": "gaussian", "std": 1}] * 2, state_low=[-9] * 2, state_high=[9] * 2,
+                     input_low=[-0.9], input_high=[1.1], initial_state=[0, 0])  # fmt: skip
+    problem = cg.Problem(name="p", horizon=5, agents=[agent], specification=cg.Specification("F b"),
+                         propositions={"b": cg.Proposition("a", [0, 0], [1, 1])})  # fmt: skip
+    own = read_problem({"problem": canonical_problem(problem)}).agents[0]
+    feedback, policy = read_feedback([text], "feedback", own), WrittenPolicy.of(agent, [text])
+    for _ in range(20):
+        at, t = rng.uniform(-1.0, 1.0, 2), int(rng.integers(5))
+        ends = np.stack([-rng.uniform(0.0, 0.4, 2), rng.uniform(0.0, 0.4, 2)])
+        e = np.where(rng.random((2000, 2)) < 0.3, rng.choice([0, 1], (2000, 2)), rng.random((2000, 2)))
+        e = ends[0] + e * (ends[1] - ends[0])
+
+        def reach(rows: np.ndarray, ends: Any = ends) -> np.ndarray:
+            low, high = np.minimum(rows * ends[0], rows * ends[1]), np.maximum(rows * ends[0], rows * ends[1])
+            return np.stack([low.sum(axis=1) - 1e-12, high.sum(axis=1) + 1e-12])
+
+        u, J, rest = enclosed_feedback(feedback, own, at, t, ends, reach)
+        left = policy.inputs((at + e).T, np.zeros(len(e), dtype=int), t).T - u - e @ J.T
+        assert np.all(left >= rest[0]) and np.all(left <= rest[1])
+        assert np.all(rest[1] - rest[0] <= 8.0 * np.ptp(left, axis=0) + 1e-8) or "*y" in text or "max(x, y)" in text

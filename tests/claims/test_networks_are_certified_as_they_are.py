@@ -294,7 +294,7 @@ def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.C
     common = ["--cells", "60", "--episodes", "100", "--horizon", "2"]
     assert main(["certify", file, "--above", "--out", out, *common]) == 0
     printed = capsys.readouterr().out
-    assert "holds for the deployed network" in printed and "succeeds with P <= " in printed
+    assert "holds for the deployed policy" in printed and "succeeds with P <= " in printed
     stored = cg.load(out)
     assert stored.lower_bound == cg.certify(problem, actor, 60).certificate.lower_bound
     options = ["certify", "reach-avoid-v0", "--policy", file, "--repair", "0.9", "--plot", picture]

@@ -10,7 +10,9 @@ from typing import Any
 from tqdm import tqdm
 
 from ..envs.agents import counted, write_json, write_text
+from ..envs.problem import policy_in_file
 from ..envs.suite import as_problem
+from ..synthesis.bridges import as_policy
 from ..synthesis.bridges import save_policy as save_for_others
 from ..synthesis.certificates import save_certificate
 from ..synthesis.certify import certify as certify_policy
@@ -201,10 +203,16 @@ def certify(options: Namespace) -> int:
     if is_actor(options):
         problem, file = problem_of_actor(options.problem, options.horizon), options.problem
     elif options.policy is None:
-        raise ValueError("`--policy`: expected an actor (.npz) or FILE.py:NAME, or an actor in place of the problem")
+        written = policy_in_file(options.problem)
+        if written is None:
+            raise ValueError(
+                "`--policy`: expected an actor (.npz) or FILE.py:NAME, an actor in place of the problem, or a problem "
+                "file with a table [policy]"
+            )
+        problem, file = problem_of(options), ""
     else:
         problem, file = problem_of(options), options.policy
-    policy = policy_of_file(problem, file, options.trust)
+    policy = policy_of_file(problem, file, options.trust) if file else as_policy(written, problem)
     wraps = options.wrap or options.improve or is_wrapping(options)
     if options.repair is not None or (is_network(policy) and not wraps):
         return certify_raw(options, problem, policy)

@@ -72,12 +72,12 @@ def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
         save_certificate(last.certificate, options.out)
     with trials(options, options.episodes * len(policies)) as plan:
         result = compare_policies(problem, policies, plan)
-    holds = "The bound of `certified` holds for the deployed network: it is the same policy."
+    holds = "The bound of `certified` holds for the deployed policy: it is the same."
     lines = [str(result), UNCERTIFIED if result.is_invalid else holds]
     above: float | None = None
     if options.above and not result.is_invalid:
         above = policies["certified"].certificate.upper_bound
-        lines.append(f"The deployed network succeeds with P <= {rounded_up(above, 6)}.")
+        lines.append(f"The deployed policy succeeds with P <= {rounded_up(above, 6)}.")
     weakest = [] if places is None else places.worst(PLACES_SHOWN)
     if places is not None:
         lines.append(f"replaced in {last.stats['repaired']} places; where the network loses most:")
