@@ -1,8 +1,8 @@
 """Tails of linear deviations whose noise varies with them, by exponential moments, for many candidates at once.
 
 The square of a scale that depends on the state is below a linear function of the linear deviation g on the tube, and
-with that ``exp(theta . g)`` has a mean of which the logarithm is found backwards, row by row (docs/theory/paths.md,
-"Noise that varies much"). In plain floating point: the check decides.
+with that ``exp(theta . g)`` has a mean of which the logarithm is found backwards, row by row: its mean times
+``exp(-theta . g)`` is a supermartingale until a row fails. The search goes by it; the checker counts the largest scale.
 """
 
 from __future__ import annotations
