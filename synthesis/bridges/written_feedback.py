@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ...envs.dynamics import Dynamics
 from ...envs.problem import Problem
-from ..cells import FloatArray
 from ..relations import WrittenPolicy
 from .local_policies import LocalBatch
 
@@ -32,7 +31,7 @@ class WrittenPolicies:
 
     information = "own state, time"
 
-    def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
+    def inputs(self, agent: int, states: NDArray[Any], q: NDArray[Any], time: int) -> NDArray[Any]:
         """Return the inputs (m, N) of one agent at states (d, N) and a time."""
         return self.policies[agent].inputs(states, np.asarray(q), time)
 
