@@ -33,6 +33,7 @@ from ..checker import (
     check_words,
     constraints_of,
     demands,
+    failure_of,
     linear_forms,
     read_problem,
     read_trajectories,
@@ -52,6 +53,9 @@ TRIED = 2
 
 DIRECTIONS = 16
 """Directions of half-spaces that keep two agents apart, in a plane."""
+
+HALVINGS = 4
+"""Radii that are tried between two of these."""
 
 FAR = 40.0
 """Deviations beyond which a demand costs nothing."""
@@ -85,37 +89,74 @@ def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | WrittenP
         If the run does not satisfy the task, or nothing is proved; the message says why, and what would help.
     """
     if problem.initial_q is None or problem.groups:
-        raise RelationRefused("networks along a trajectory have one start, and one task that does not fall apart")
+        raise RelationRefused("policies along a trajectory have one start, and one task that does not fall apart")
     known = read_problem({"problem": canonical_problem(problem)})
     run = _run_of(problem, known, policies)
     if not run.accepted:
-        raise RelationRefused("the run of the networks without noise does not satisfy the task: train on, or elsewhere")
+        raise RelationRefused("the run of the policies without noise does not satisfy the task: train on, or elsewhere")
     best: AlongPath | None = None
-    why = "nothing is known of the networks on any tube around their run"
+    why, before = "nothing is known of the policies on any tube around their run", 0.0
     for lost in LOST:
         try:
             margins = _margins(problem, known, run, policies, lost)
         except Refused as refused:
-            why = str(refused)
+            why, before = str(refused), lost
             continue
-        for letters in _words(problem, known, run, margins)[:TRIED]:
-            for share in (lost, 100.0 * lost):
-                found = _certificate(problem, policies, run, letters, margins, share)
-                verdict = verdict_of(found)
-                if verdict.recomputed >= 1.0:
-                    why = verdict.reason or "the bound is 0"
-                    continue
-                found = changed(found, failure=min(1.0, verdict.recomputed * (1.0 + 1e-9)))
-                best = found if best is None or found.proof.failure < best.proof.failure else best
-            if best is not None and best.proof.failure < 10.0 * lost:
-                return best
-        # Narrower tubes are for networks that bend: what is proved with room is hardly proved better without.
-        if best is not None and best.proof.failure < 1e3 * lost:
-            break
-    if best is None:
-        raise RelationRefused(f"nothing is proved of these networks along their run: {why}; noise of this size needs a "
-                              "smoother policy, or cells (`cells=`)")  # fmt: skip
+        words = _words(problem, known, run, margins)[:TRIED]
+        for letters in words:
+            found = _proved(problem, policies, run, letters, margins, lost)
+            best = found if best is None or found.proof.failure < best.proof.failure else best
+        # Narrower tubes are for policies that bend: what is proved with room is hardly proved better without.
+        if best is None or best.proof.failure >= 1.0:
+            before = lost
+        elif best.proof.failure < 1e3 * lost:
+            return _widest(problem, policies, run, margins, best, (before, lost))
+    if best is None or best.proof.failure >= 1.0:
+        why = why if best is None else f"most probable is that {_likeliest(best, known)} fails"
+        raise RelationRefused(
+            f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy, "
+            "or cells (`cells=`)"
+        )
     return best
+
+
+def _proved(
+    problem: Problem,
+    policies: Sequence[NetworkPolicy | WrittenPolicy],
+    run: _Run,
+    letters: NDArray[np.int8],
+    margins: _Margins,
+    lost: float,
+) -> AlongPath:
+    """Return the certificate of a word, which claims what the checker proves."""
+    found = _certificate(problem, policies, run, letters, margins, lost)
+    return changed(found, failure=min(1.0, verdict_of(found).recomputed * (1.0 + 1e-9)))
+
+
+def _widest(
+    problem: Problem,
+    policies: Sequence[NetworkPolicy | WrittenPolicy],
+    run: _Run,
+    margins: _Margins,
+    best: AlongPath,
+    between: tuple[float, float],
+) -> AlongPath:
+    """Return what radii between those that were too wide and those that were not prove of the same word."""
+    low, high = between
+    if best.proof.failure >= 10.0 * high:  # rows fail more than ellipsoids: a narrower tube may help
+        found = _proved(problem, policies, run, best.proof.letters, margins, 10.0 * high)
+        return found if found.proof.failure < best.proof.failure else best
+    for _ in range(HALVINGS if low > 0.0 else 0):
+        middle = float(np.sqrt(low * high))
+        found = _proved(problem, policies, run, best.proof.letters, margins, middle)
+        low, high = (low, middle) if found.proof.failure < best.proof.failure else (middle, high)
+        best = found if found.proof.failure < best.proof.failure else best
+    return best
+
+
+def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
+    """Return what fails most probably, in words."""
+    return failure_of(known, read_trajectories(contents_of(certificate), known))[1].likeliest()
 
 
 def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkPolicy | WrittenPolicy]) -> _Run:
