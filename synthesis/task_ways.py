@@ -252,7 +252,7 @@ def _linear(problem: Problem, plan: Plan, few: bool) -> Way:
         if problem.n_agents <= FEW_AGENTS or first is None or not is_scalar(problem):
             return None
         if first.certificate.proof.rank > MOST_LINEAR_TERMS or first.certificate.proof.rounding is not None:
-            return f"not computed: value trees of {first.certificate.proof.rank} terms cost linear cells too much"
+            return f"skipped: value trees of {first.certificate.proof.rank} terms cost linear cells too much"
         return None
 
     enough = SOLVED if few or any(isinstance(agent, Agent) for agent in problem.agents) else GOOD

@@ -196,7 +196,7 @@ class Effort:
         """Return that work is more than is left, in words."""
         option = "effort" if self.seconds is None else "seconds"
         left = max(0.0, left)
-        return f"not computed: about {work:.3g} core seconds, {left:.3g} left; ask for more `{option}`"
+        return f"skipped: about {work:.3g} core seconds, {left:.3g} left; ask for more `{option}`"
 
     def heeding(self, progress: Callable[[str, float], None] | None) -> Callable[[str, float], None] | None:
         """Return what is told after each sweep: it gives up when the seconds are over and there is a certificate."""

@@ -54,7 +54,7 @@ MOST_FINER = 2.5
 MOST_LEVELS = 7
 """Levels, at most: cells of the last are a twentieth of a standard deviation wide, and nothing is left to gain."""
 
-NO_HOPE = "not computed: finer cells gave nothing, either, and no run without noise was found"
+NO_HOPE = "skipped: finer cells gave nothing, either, and no run without noise was found"
 """Why no further levels are made where all bounds are 0."""
 
 LEAST_GAIN = 5e-4

@@ -109,7 +109,7 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
         way = waiting.pop(_next(waiting, results, bool(effort.lost))) if waiting else given_up.pop(0)
         ended_by = BROKEN_OFF if effort.is_interrupted else ended_by
         ended_by = "the task is out of reach" if effort.lost and results else ended_by
-        reason = f"not computed: {ended_by}" if ended_by is not None else _left_out(way, results, effort)
+        reason = f"skipped: {ended_by}" if ended_by is not None else _left_out(way, results, effort)
         if reason is not None:
             tried |= {way.name: reason} if reason else {}
             continue
@@ -141,7 +141,7 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
         effort.above = min(effort.above, _above(result))
         tried |= _outcomes(way, result)
         if result.certificate.lower_bound >= way.ends:
-            ended_by = f"after `{way.name}` hardly anything is left to gain"
+            ended_by = f"at most {1.0 - result.certificate.lower_bound:.2g} is left to gain after `{way.name}`"
             if way.ends <= 0.0 and result.certificate.lower_bound < HARDLY_LEFT:
                 ended_by = f"agents have more states than grids hold as a rule, which `{way.name}` is for"
     if not results:
@@ -213,7 +213,7 @@ def _left_out(way: Way, results: Results, effort: Effort) -> str | None:
     if reason is not None or best is None:
         return reason
     if _bound(best) >= way.enough:
-        return f"not computed: {_bound(best):.4g} was certified already"
+        return f"skipped: {_bound(best):.4g} was certified already"
     return effort.refusal(way.work)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from ..synthesis.certificates import Certificate, CheckReport, load_certificate, rounded_down
+from ..synthesis.certificates import Certificate, CheckReport, load_certificate, rounded_down, shown_bound
 from ..validation.audits import audit as audit_certificate
 from ..validation.reports import report as write_report
 from ..validation.simulation import LABEL_WIDTH, Mismatch
@@ -79,9 +79,21 @@ def validate_result(
         )
     report = report if checked is None else report.with_check(checked)
     said = {label: (more or {}).get(key) for label, key in NOTES}
-    lines = [str(report), *(f"{label:<{LABEL_WIDTH}}{text}" for label, text in said.items() if text)]
+    lines = [_headline(report), str(report)]
+    lines += [f"{label:<{LABEL_WIDTH}}{text}" for label, text in said.items() if text]
     show(options, "\n".join(lines), {**report.to_dict(), **(more or {})})
     return 130 if report.interrupted else int(report.refuted or report.is_invalid)
+
+
+def _headline(report: ValidationReport) -> str:
+    """Return the claim, what rollouts show, and what the check says, on one line."""
+    check = report.details.get("check")
+    checked = "not asked" if check is None else "valid" if check["valid"] else "NOT valid"
+    word = "CLAIMED" if report.is_invalid else "CERTIFIED" if check is None else "PROVED"
+    seconds = sum(value for value in report.seconds.values() if value is not None)
+    measured = f"MEASURED {report.estimate:.5f} [{report.ci_low:.5f}, {report.ci_high:.5f}]"
+    bound = shown_bound(report.lower_bound, report.gap if report.exact else None)
+    return f"{word} {bound}   {measured}   CHECKED {checked}   {seconds:.1f} s"
 
 
 def print_horizons(options: Namespace, horizons: Sequence[int]) -> int:
