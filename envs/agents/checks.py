@@ -46,7 +46,7 @@ def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: s
     Parameters
     ----------
     value : array_like
-        Numbers, or nested lists of numbers. Strings and Booleans are refused.
+        Numbers, or nested lists of numbers; one number for one in lists. Strings and Booleans are refused.
     name : str
         Argument named in the error.
     shape : tuple of int or None
@@ -70,6 +70,8 @@ def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: s
     for cell in cells.flat:
         if not isinstance(cell, Real) or isinstance(cell, bool):
             raise ValueError(f"`{name}`: expected {wanted}, got {shown(cell)}; give plain numbers")
+    if not cells.ndim and all(n in (None, 1) for n in shape):  # one number for a vector or a matrix of one
+        cells = cells.reshape((1,) * len(shape))
     if cells.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, cells.shape)) or cells.size == 0:
         raise ValueError(f"`{name}`: expected {wanted}, got shape {_shape(cells.shape)}: {shown(value)}")
     # The comparison is written such that NaN fails it, too.

@@ -63,13 +63,13 @@ class Problem:
     name : str
     horizon : int
         Number of control steps T, at least 1.
-    agents : sequence of LinearAgent or Agent
+    agents : LinearAgent or Agent, or a sequence of them
         Each with a start. Those with propositions of other shapes than boxes get outputs for them.
     propositions : mapping from str to Proposition or Pair, or to a dict of its arguments
         A proposition belongs to one agent, or to a pair. An agent name with one `*` makes a family: one member per
         agent that matches, named by what the `*` stands for (`safe` on `drone_*` gives `safe_0`, `safe_1`, ...), or per
         pair (`near` on pairs of `drone_*` gives `near_0_1`, `near_0_2`, ...).
-    specification : Specification
+    specification : Specification, or a formula
     joint_noise : mapping from str to mapping, optional
         Noise that agents share, by name: what one standard normal number per step adds to the states of each, such as
         ``{"wind": {"drone_*": {"x": 0.03}, "kite": [0.0, 0.05]}}``, in units of the states (see ``joint_noise``).
@@ -140,14 +140,16 @@ class Problem:
     def __init__(
         self,
         *,
-        name: str,
+        name: str = "problem",
         horizon: int,
-        agents: Sequence[AnyAgent],
+        agents: AnyAgent | Sequence[AnyAgent],
         propositions: Mapping[str, AnyProposition | Mapping[str, Any]],
-        specification: Specification,
+        specification: Specification | str,
         joint_noise: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         title = _checked_title(name)
+        specification = Specification(specification) if isinstance(specification, str) else specification
+        agents = [agents] if isinstance(agents, AnyAgent) else agents
         if not isinstance(specification, Specification):
             raise ValueError(f"`specification`: expected a Specification, got {shown(specification)}")
         # Expand families first: the labelling, the groups and the automaton all speak of single propositions.

@@ -24,13 +24,13 @@ def register_suite() -> None:
 def _register(name: str, id: str) -> None:
     """Register one suite problem under one of its two names, with both libraries."""
     if name not in parallel_registry:
-        register("parallel", name, "certigym.envs.suite.make:parallel_env", kwargs={"problem": id})
+        register("parallel", name, "certigym.envs.suite.constructors:parallel_env", kwargs={"problem": id})
     if name not in aec_registry:
-        register("aec", name, "certigym.envs.suite.make:aec_env", kwargs={"problem": id})
+        register("aec", name, "certigym.envs.suite.constructors:aec_env", kwargs={"problem": id})
     if name not in gymnasium.registry:
         gymnasium.register(
             name,
-            entry_point="certigym.envs.suite.make:central_env",
-            vector_entry_point="certigym.envs.suite.make:vector_env",
+            entry_point="certigym.envs.suite.constructors:central_env",
+            vector_entry_point="certigym.envs.suite.constructors:vector_env",
             kwargs={"problem": id},
         )

@@ -12,6 +12,7 @@ from .envs.problem import Specification as Specification
 from .envs.problem import split_axes as split_axes
 from .envs.suite import aec_env as aec_env
 from .envs.suite import central_env as central_env
+from .envs.suite import make as make
 from .envs.suite import make_problem as make_problem
 from .envs.suite import parallel_env as parallel_env
 from .envs.suite import problem_ids as problem_ids
@@ -73,6 +74,7 @@ __all__ = [
     "improve",
     "leaderboard",
     "load",
+    "make",
     "make_problem",
     "parallel_env",
     "probe",

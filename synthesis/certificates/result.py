@@ -44,6 +44,16 @@ class Synthesis:
     checked: CheckReport | None = None
 
     @property
+    def lower_bound(self) -> float:
+        """Certified lower bound on the satisfaction probability at the problem's start: that of the certificate."""
+        return self.certificate.lower_bound
+
+    @property
+    def policy(self) -> Controller:
+        """The controllers that the certificate is about."""
+        return self.controller
+
+    @property
     def claim(self) -> str:
         """The bound in words, called a claim where the check refuses it, or was not asked."""
         return told_claim(shown_bound(self.certificate.lower_bound, self.certificate.gap), self.checked)

@@ -17,11 +17,12 @@ from ...envs.problem import Problem
 from ..cells import FloatArray, alike_text, shape_text
 from .abstract_state import Memory
 from .agent_controller import AgentController
+from .predicting import Predicting
 from .told import told
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Controller:
+class Controller(Predicting):
     """Controllers of all agents of a problem, usable in a PettingZoo loop and in batched rollouts.
 
     The information structure is that of the certificate: own state, shared automaton state, time, and per coupled

@@ -14,11 +14,12 @@ from ...envs.agents import LinearAgent, tree_text, wrapped
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from .predicting import Predicting
 from .told import told
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PathController:
+class PathController(Predicting):
     """Controllers of all agents along their nominal paths; after the end of a path its last input is repeated.
 
     Agents see their own state and the time.

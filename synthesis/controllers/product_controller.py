@@ -14,10 +14,11 @@ from ...envs.dynamics import Dynamics
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from .controller import Controller
+from .predicting import Predicting
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ProductController:
+class ProductController(Predicting):
     """Controllers of all agents of a problem that decomposes into independent tasks.
 
     Every agent sees its own state, the automaton state of its own group, and the time.

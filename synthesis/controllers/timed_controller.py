@@ -13,11 +13,12 @@ from ...envs.agents import tree_text
 from ...envs.dynamics import Dynamics, Worlds, joint, split_joint
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from .predicting import Predicting
 from .told import told_of_all
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TimedController:
+class TimedController(Predicting):
     """Controllers of all agents: each sees its own state, the automaton state and the time.
 
     Parameters

@@ -100,6 +100,11 @@ def central_env(problem: Problem | str | Path, render_mode: str | None = None, *
     return CentralEnv(resolve(problem, arguments, CENTRAL_OPTIONS), render_mode, **options)
 
 
+def make(problem: Problem | str | Path, render_mode: str | None = None, **arguments: Any) -> CentralEnv:
+    """Return the Gymnasium environment of a problem, as ``gymnasium.make`` does: the same as `central_env`."""
+    return central_env(problem, render_mode, **arguments)
+
+
 def vector_env(
     problem: Problem | str | Path, num_envs: int = 1, render_mode: str | None = None, **arguments: Any
 ) -> ProblemVectorEnv:
