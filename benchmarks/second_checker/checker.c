@@ -1545,7 +1545,10 @@ static void check_trajectory(const Json *proof) {
     paths = room((size_t)agent_count, sizeof *paths);
     for (e = list->first, i = 0; e; e = e->next, i++) {
         Agent *agent = &agents[i]; Path *p = &paths[i]; int d = agent->d, m = agent->m;
-        has_keys(e, "an agent of `proof`", "inputs gains states widths");
+        has_keys(e, "an agent of `proof`", "inputs gains states widths noise_widths? network? feedback? radius?");
+        if (get(e, "network") || get(e, "feedback")) stop(NOT_COVERED, "policies that were given");
+        if (get(e, "noise_widths"))
+            reals_of(array_of(get(e, "noise_widths"), "noise_widths", 'f', 2, S, d, 0), "noise_widths", 1);
         p->u = reals_of(array_of(get(e, "inputs"), "inputs", 'f', 2, S, m, 0), "inputs", 0);
         p->K = reals_of(array_of(get(e, "gains"), "gains", 'f', 3, S, m, d), "gains", 0);
         p->x = reals_of(array_of(get(e, "states"), "states", 'f', 2, S + 1, d, 0), "states", 0);
