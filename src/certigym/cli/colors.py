@@ -6,7 +6,8 @@ import os
 import re
 import sys
 
-from ..validation.simulation import LABEL_WIDTH
+LABEL_WIDTH = 14
+"""Columns of a label: those of reports (``validation.simulation``), which are not loaded for a number."""
 
 _GREEN, _RED, _CYAN, _YELLOW, _BOLD, _FAINT = 32, 31, 36, 33, 1, 2
 

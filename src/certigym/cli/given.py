@@ -99,13 +99,6 @@ def _bytes(option: str, text: str) -> float:
     return float(size[1]) * 1024 ** " KMG".index((size[2] or " ").upper())
 
 
-def check_places(*paths: str | None) -> None:
-    """Raise ValueError for files in folders that do not exist, before anything is computed."""
-    for path in paths:
-        if path is not None and path != "-" and not Path(path).absolute().parent.is_dir():
-            raise ValueError(f"`{path}`: expected a file name in a folder that exists; make the folder first")
-
-
 def relation_of(options: Namespace) -> dict[str, Any]:
     """Return ``--relation``, and ``--delta`` and ``--targets`` if given, as keyword arguments of ``synthesize``.
 

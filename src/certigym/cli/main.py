@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import nullcontext, redirect_stdout
 from importlib import import_module
+from pathlib import Path
 
 from .parser import MODULES, build_parser, elsewhere
 
@@ -30,6 +31,13 @@ _WELCOME = """certigym: environments with proofs
 A TOML file can stand for an id. `certigym --help` lists all commands, `certigym COMMAND --help` their options."""
 
 
+def check_places(*paths: str | None) -> None:
+    """Raise ValueError for files in folders that do not exist, before anything is computed."""
+    for path in paths:
+        if path is not None and path != "-" and not Path(path).absolute().parent.is_dir():
+            raise ValueError(f"`{path}`: expected a file name in a folder that exists; make the folder first")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -44,8 +52,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options, unknown = parser.parse_known_args([f" {word}" if NUMBER.match(word) else word for word in words])
     if unknown:
         parser.error(f"unrecognized arguments: {' '.join(unknown)}{elsewhere(options.command, unknown)}")
-    from .given import check_places
-
     # The command's file, and with it the rest of the package, is loaded only now, so that --help is quick.
     try:
         check_places(getattr(options, "json", None), _file_of(options), getattr(options, "plot", None))

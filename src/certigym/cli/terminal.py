@@ -7,8 +7,7 @@ import shutil
 import sys
 import textwrap
 
-from ..validation.simulation import LABEL_WIDTH
-from .colors import colored, wants_colors
+from .colors import LABEL_WIDTH, colored, wants_colors
 
 _LABELLED = re.compile(rf"(?=.{{{LABEL_WIDTH - 1}}} \S)[a-z][a-z ]*\s+\S")
 _GAP = re.compile(r"(?<=\S)\s{2,}(?=\S)")
