@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import float_array, read_only, shown
+from .checks import float_array, for_all_axes, read_only, shown
 from .printing import box_text
 
 
@@ -45,6 +45,10 @@ class Box:
     ) -> None:
         # An example of the right length, for the errors of `float_array`.
         example = f"[{', '.join(['0.0'] * (length or 1))}]"
+        for name, corner in zip(names, (low, high), strict=True):
+            if corner is None:
+                raise ValueError(f"`{name}` is missing; give one number for each axis, such as {example}")
+        low, high = for_all_axes(low, length), for_all_axes(high, length)
         object.__setattr__(self, "low", float_array(low, names[0], (length,), example))
         object.__setattr__(self, "high", float_array(high, names[1], (self.low.size,), example))
         # Name the first axis on which the corners are not in order.

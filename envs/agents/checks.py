@@ -83,6 +83,12 @@ def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: s
     return read_only(cells.astype(np.float64) + 0.0)  # + 0.0 turns -0.0 into 0.0: equal problems, equal fingerprints
 
 
+def for_all_axes(value: Any, length: int | None) -> Any:
+    """Return a list of `length` numbers where one number is given for all axes, else `value` itself, unchecked."""
+    is_one = isinstance(value, Real) and not isinstance(value, bool)
+    return [value] * length if is_one and length is not None else value
+
+
 def checked_count(value: Any, argument: str, least: int = 1, most: int | None = None, unit: str = "") -> int:
     """Return a whole number as an int (exact), or raise ValueError; Booleans and floats are refused.
 

@@ -1,7 +1,7 @@
 """A problem: agents, propositions, specification and horizon, checked once; problem files; independent tasks."""
 
 from .joint_noise import JOINT_NOISE_REFUSAL, refuse_joint_noise
-from .never import cut_by_the_end, why_never
+from .never import cut_by_the_end, doubts, why_never
 from .opposite import opposite_inside, opposite_of
 from .problem_file import load_problem, policy_in_file, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
@@ -23,6 +23,7 @@ __all__ = [
     "checked_problem",
     "crossed_starts",
     "cut_by_the_end",
+    "doubts",
     "load_problem",
     "opposite_inside",
     "opposite_of",

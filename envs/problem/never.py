@@ -1,8 +1,14 @@
-"""Tasks that no run satisfies, or that runs satisfy by their end alone: why, and what to write instead."""
+"""Problems that are hardly what was meant, in words, and what to write instead.
+
+Tasks that no run satisfies, or that runs satisfy by their end alone; windows beyond the horizon; dynamics that look
+like derivatives.
+"""
 
 from __future__ import annotations
 
-from ..logic import AutomatonSizeError, fitting, is_cut, may_accept, parse_formula, translate, with_time_left
+from ..agents import Agent
+from ..expressions import names_in
+from ..logic import AutomatonSizeError, Formula, fitting, is_cut, may_accept, parse_formula, translate, with_time_left
 from .record import Problem
 
 
@@ -44,3 +50,46 @@ def cut_by_the_end(problem: Problem) -> str:
     if is_cut(shorter, horizon):
         return f"{what}: give the task a longer `horizon`, or shorter windows"
     return f"{what}, so that less than all of it will do; write `{shorter}` for all of it"
+
+
+def doubts(problem: Problem) -> tuple[str, ...]:
+    """Return what in a problem is likely to be a slip, in words: nothing is refused for it, and no result changes."""
+    return tuple(doubt for doubt in (*_derivatives(problem), _window_beyond(problem), cut_by_the_end(problem)) if doubt)
+
+
+def _derivatives(problem: Problem) -> list[str]:
+    """Return a line for each agent with dynamics of which none names its own state, as those of x' = u do not."""
+    lines = []
+    for agent in problem.written_agents:
+        if not isinstance(agent, Agent) or not agent.inputs:
+            continue
+        own = [state in names_in(tree) for state, tree in zip(agent.states, agent.timed_trees, strict=True)]
+        if not any(own):
+            state, text = agent.states[0], agent.dynamics[0]
+            lines.append(
+                f"agent {agent.name}: `{state}` does not occur in its own next value `{text}`, nor does any other "
+                f"state; dynamics are the states one step later, not derivatives: for {state}' = {text} write "
+                f'"{state} + dt*({text})", with the length of a step in `parameters`'
+            )
+    return lines
+
+
+def _window_beyond(problem: Problem) -> str:
+    """Return which window of an `F` or `U` ends beyond the horizon, in words; "" if none does."""
+    if problem.specification.formula is None:
+        return ""
+    horizon = problem.horizon
+    beyond = _first_beyond(parse_formula(problem.specification.formula), horizon)
+    if beyond is None:
+        return ""
+    return (
+        f"`{beyond}` has a window beyond the horizon: runs end after {horizon} steps, and what comes later does not "
+        f"count; give the task a longer `horizon`, or end the window at {horizon}"
+    )
+
+
+def _first_beyond(formula: Formula, horizon: int) -> Formula | None:
+    """Return the first subformula ``F[a,b]`` or ``U[a,b]`` with b beyond the horizon."""
+    if formula.operator in ("F", "U") and formula.bounds is not None and formula.bounds[1] > horizon:
+        return formula
+    return next((found for one in formula.operands if (found := _first_beyond(one, horizon)) is not None), None)

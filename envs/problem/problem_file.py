@@ -106,6 +106,8 @@ _ELSEWHERE = {
     "[specification]": dict.fromkeys(("probability", "threshold", "p", "at_least", "confidence"), _PROBABILITY),
     "the problem": {
         **_MEASURED,
+        **dict.fromkeys(("regions", "region", "obstacles", "labels"), "regions are tables [propositions.NAME]"),
+        "agent": "agents are tables, each under its own [[agents]]",
         "formula": "it stands in the table `[specification]`, or above all tables as `specification`",
         **dict.fromkeys(("probability", "threshold"), _PROBABILITY),
     },
@@ -284,7 +286,10 @@ def _keys(kind: type[AnyAgent]) -> tuple[list[str], list[str]]:
 
 def _propositions(table: Any) -> dict[str, AnyProposition]:
     if not isinstance(table, Mapping):
-        raise ValueError(f"[propositions]: expected a table, got {shown(table)}")
+        raise ValueError(
+            f"[propositions]: expected a table, got {shown(table)}; write [propositions.NAME] for each of them, "
+            "and below it what it is"
+        )
     result = {}
     for name, value in table.items():
         where = f"[propositions] {shown(name)}"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import TIME, float_array, shown
+from ..agents import TIME, float_array, for_all_axes, shown
 from ..expressions import ExpressionError, Tree, computed, names_in, read_expression
 
 CONSTANTS = ("state_low", "state_high", "initial_low", "initial_high", "initial_state", "noise_std")
@@ -176,6 +176,11 @@ def _texts(table: Any, key: str) -> list[str]:
     return [text for text in found if isinstance(text, str)] if isinstance(found, list) else []
 
 
+def _n_states(table: Mapping[str, Any]) -> int | None:
+    """Return how many states the table of an agent has, by the first list that says so; None if none does."""
+    return next((len(table[key]) for key in ("states", "A", "state_low") if isinstance(table.get(key), list)), None)
+
+
 def _with_covariance(table: dict[str, Any]) -> dict[str, Any]:
     """Return the table of an agent with a covariance, or laws, where it has standard deviations."""
     if "noise_std" not in table:
@@ -183,7 +188,7 @@ def _with_covariance(table: dict[str, Any]) -> dict[str, Any]:
     for other in ("noise_covariance", "noise"):
         if other in table:
             raise ValueError(f"`noise_std`: expected no `{other}` beside it; leave one of them out")
-    deviations = float_array(table["noise_std"], "noise_std", (None,), "[0.1, 0.1]")
+    deviations = float_array(for_all_axes(table["noise_std"], _n_states(table)), "noise_std", (None,), "[0.1, 0.1]")
     states = table.get("state_low")
     wrong_length = isinstance(states, list) and len(states) != len(deviations)
     if wrong_length or np.any(deviations < 0.0):

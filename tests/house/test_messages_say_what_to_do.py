@@ -89,7 +89,7 @@ def wrapped(policy: Any) -> Any:
 MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     # shapes and numbers of agents
     (lambda: agent(A=[[0.9, 0.1]]), "A", "square matrix"),
-    (lambda: agent(A=0.9), "A", "such as [[0.9]]"),
+    (lambda: agent(A=[0.9]), "A", "such as [[0.9]]"),
     (lambda: agent(B=[[0.5], [0.5]]), "B", "such as [[0.5]]"),
     (lambda: agent(noise_covariance=[0.2]), "noise_covariance", "such as [[1.0]]"),
     (lambda: agent(noise_covariance=[[-1.0]]), "noise_covariance", "positive semidefinite"),
@@ -108,7 +108,7 @@ MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
         "did you mean 'cart'",
     ),
     (lambda: problem(propositions=STRIP), "propositions.goal", "corners of length 1"),
-    (lambda: problem(specification="F goal"), "specification", "expected a Specification"),
+    (lambda: problem(specification=3), "specification", "expected a Specification"),
     (lambda: problem(horizon=0), "horizon", "from 1 to 1000000 (control steps)"),
     (lambda: PROBLEM.replace(initial_state=[1.0]), "initial_state", "such as [0.0, 0.0]"),
     (lambda: cg.Specification("F goal", "ltl"), "semantics", "'co-safe' or 'finite-trace'"),

@@ -7,6 +7,7 @@ import math
 import re
 from argparse import Namespace
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,9 @@ def named_problem(name: str, horizon: int | None = None) -> Problem:
     elif Path(name).is_file():
         problem = load_problem(name)
     else:
-        raise ValueError(f"`{name}`: expected a suite id (see `certigym describe`) or a problem file, found neither")
+        close = get_close_matches(name, problem_ids(), n=1)
+        remedy = f"did you mean `{close[0]}`?" if close else "`certigym describe` lists the ids"
+        raise ValueError(f"`{name}`: expected a suite id or a problem file, found neither; {remedy}")
     return problem if horizon is None else problem.replace(horizon=horizon)
 
 

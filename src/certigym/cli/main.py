@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = build_parser()
     options, unknown = parser.parse_known_args([f" {word}" if NUMBER.match(word) else word for word in words])
     if unknown:
-        parser.error(f"unrecognized arguments: {' '.join(unknown)}{elsewhere(options.command, unknown)}")
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}{elsewhere(parser, options.command, unknown)}")
     # The command's file, and with it the rest of the package, is loaded only now, so that --help is quick.
     try:
         check_places(getattr(options, "json", None), _file_of(options), getattr(options, "plot", None))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from typing import Any
+import re
+from collections.abc import Collection, Sequence
+from difflib import get_close_matches
+from typing import Any, NoReturn
 
 from .. import __version__
 from .options import (
@@ -72,9 +74,26 @@ POLICIES = (
 """The words for policies on the command line."""
 
 
+class Parser(argparse.ArgumentParser):
+    """A parser of arguments that names the command or option that was probably meant."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print what is wrong in one line, without all that would have been right, and leave with status 2."""
+        if found := re.fullmatch(r"argument COMMAND: invalid choice: '(.*)' \(choose from (.*)\)", message):
+            word, known = found[1], re.findall(r"[\w-]+", found[2])
+            self.exit(2, f"{self.prog}: error: no command `{word}`; {nearest(word, known)}\n")
+        super().error(message)
+
+
+def nearest(word: str, known: Collection[str]) -> str:
+    """Return the known word that a mistyped one resembles, as a question, or where all are listed."""
+    close = get_close_matches(word, known, n=1)
+    return f"did you mean `{close[0]}`?" if close else "`certigym --help` lists all"
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="certigym", description="Multi-agent environments with temporal-logic tasks and certified controllers."
     )
     parser.add_argument("--version", action="version", version=f"certigym {__version__}")
@@ -90,12 +109,16 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def elsewhere(command: str, unknown: Sequence[str]) -> str:
-    """Return where an unknown option of `run` is to be found, in words; nothing if it is nowhere."""
+def elsewhere(parser: argparse.ArgumentParser, command: str, unknown: Sequence[str]) -> str:
+    """Return what an unknown option should have been, or where it is, in words; nothing if it is nowhere."""
     names = [word.partition("=")[0] for word in unknown if word.startswith("--")]
-    if command != "run" or not names:
+    if not names:
         return ""
-    if names[0].lstrip("-").replace("-", "_") in USUAL:
+    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    known = [name.lstrip("-") for name in commands.choices[command]._option_string_actions]
+    if close := get_close_matches(names[0].lstrip("-"), known, n=1, cutoff=0.75):
+        return f"; did you mean `--{close[0]}`?"
+    if command == "run" and names[0].lstrip("-").replace("-", "_") in USUAL:
         return "; `certigym synthesize` and `certigym validate` have all options, `run` has the ten that matter most"
     return ""
 
@@ -126,7 +149,7 @@ def _add_synthesis(commands: Any) -> None:
     add_how_it_starts(synthesize)
     add_models(synthesize)
     add_search(synthesize)
-    synthesize.add_argument("--out", metavar="CERT", required=True, help="certificate file to write (.npz)")
+    synthesize.add_argument("--out", metavar="CERT", help="certificate file to write (.npz; default: NAME.npz here)")
 
     check = commands.add_parser("check", help="verify a saved certificate by separate code, without simulation")
     add_certificate(check)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from argparse import Namespace
 from collections.abc import Iterator
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 from ..envs.agents import AnyAgent, Pair, Proposition, counted, matrix_text, vector_text
-from ..envs.problem import Problem, cut_by_the_end, out_of_reach, why_never
+from ..envs.problem import Problem, cut_by_the_end, doubts, out_of_reach, why_never
 from ..envs.suite import make_problem, problem_ids, tier_of_id
 from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, start_of_claim
 from ..synthesis.certificates.canonical import checker_text
@@ -73,7 +74,7 @@ def describe(options: Namespace) -> int:
 def _looked_for(problem: Problem) -> Iterator[str]:
     """Yield a line for each thing that is known of a problem before a search: notes, and then the ways."""
     lost = why_never(problem) or ("" if (found := out_of_reach(problem)) is None else found.why)
-    yield from (f"note: {note}" for note in (lost, cut_by_the_end(problem)) if note)
+    yield from (f"note: {note}" for note in (lost, *doubts(problem)) if note)
     yield from _ways(problem)
 
 
@@ -135,6 +136,12 @@ def synthesize(options: Namespace) -> int:
     """Synthesize, save the certificate, and print the claim."""
     if several_horizons(options) is not None:
         raise ValueError("`--horizon`: expected one number, or `none`, for one certificate; got several")
+    if options.out is None:
+        options.out = f"{Path(options.problem).stem}.npz"
+        if Path(options.out).exists():
+            raise ValueError(
+                f"`--out`: expected a name, as {options.out} is already there; give one, or move that file"
+            )
     result = synthesized(options)
     certificate = result.certificate
     save_certificate(certificate, options.out)

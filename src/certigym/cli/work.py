@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from ..envs.problem import Problem, crossed_starts
+from ..envs.problem import Problem, crossed_starts, doubts
 from ..synthesis.certificates import CheckReport, Synthesis, rounded_down
 from ..synthesis.checking import checked_once
 from ..synthesis.search import BAR, shown_on
@@ -33,8 +33,9 @@ is told of that takes longer, and seconds after which something is said in any c
 def synthesized(options: Namespace) -> Synthesis:
     """Return the synthesis that the options for problem, models and search ask for."""
     problem, cells = problem_of(options), cells_of(options)
-    if why := crossed_starts(problem):
-        print(f"certigym: {why}", file=sys.stderr)
+    for why in (crossed_starts(problem), *doubts(problem)):
+        if why:
+            print(f"certigym: note: {why}", file=sys.stderr)
     with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
         report = shown_on(bar)
         chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
