@@ -34,6 +34,9 @@ while not done:
     observation, reward, terminated, truncated, info = central.step(central.action_space.sample())
     done = terminated or truncated
 
+# the same environment by the word that users of Gymnasium know
+observation, info = cg.make("reach-avoid-v0", reward="shaped").reset(seed=0)
+
 # Gymnasium, a batch of worlds in one array
 worlds = cg.vector_env("reach-avoid-v0", 1000)
 worlds.reset(seed=0)

@@ -75,7 +75,7 @@ def _derivatives(problem: Problem) -> list[str]:
 
 
 def _window_beyond(problem: Problem) -> str:
-    """Return which window of an `F` or `U` ends beyond the horizon, in words; "" if none does."""
+    """Return which window of an `F` ends beyond the horizon, in words; "" if none does."""
     if problem.specification.formula is None:
         return ""
     horizon = problem.horizon
@@ -89,7 +89,7 @@ def _window_beyond(problem: Problem) -> str:
 
 
 def _first_beyond(formula: Formula, horizon: int) -> Formula | None:
-    """Return the first subformula ``F[a,b]`` or ``U[a,b]`` with b beyond the horizon."""
-    if formula.operator in ("F", "U") and formula.bounds is not None and formula.bounds[1] > horizon:
+    """Return the first subformula ``F[a,b]`` with b beyond the horizon."""
+    if formula.operator == "F" and formula.bounds is not None and formula.bounds[1] > horizon:
         return formula
     return next((found for one in formula.operands if (found := _first_beyond(one, horizon)) is not None), None)

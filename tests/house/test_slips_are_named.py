@@ -1,0 +1,99 @@
+"""What was probably meant is said: of commands, options and ids, of dynamics like derivatives, of windows too long."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.cli.main import main
+from certigym.envs.problem import doubts, problem_from_toml
+
+FILE = """
+specification = "F goal"
+horizon = 20
+[[agents]]
+name = "cart"
+states = ["x", "y"]
+inputs = ["u", "v"]
+dynamics = ["x + 0.5*u", "y + 0.5*v"]
+noise_std = 0.1
+state_low = -5
+state_high = 5
+input_low = -1
+input_high = 1
+initial_state = 0
+[propositions.goal]
+agent = "cart"
+low = [2, 2]
+high = [3, 3]
+"""
+
+
+def test_one_number_stands_for_all_axes() -> None:
+    agent = problem_from_toml(FILE).agents[0]
+    assert agent.state_low.tolist() == [-5.0, -5.0] and agent.input_high.tolist() == [1.0, 1.0]
+    assert np.array_equal(agent.noise_covariance, np.diag([0.1**2, 0.1**2]))
+
+
+def test_a_corner_that_is_missing_is_called_missing() -> None:
+    with pytest.raises(ValueError, match="`input_high` is missing"):
+        problem_from_toml(FILE.replace("input_high = 1\n", ""))
+
+
+def test_tables_of_other_tools_are_led_to_ours() -> None:
+    with pytest.raises(ValueError, match=r"\[propositions.NAME\]"):
+        problem_from_toml(FILE.replace("[propositions.goal]", '[[regions]]\nname = "goal"'))
+    with pytest.raises(ValueError, match=r"write \[propositions.NAME\]"):
+        problem_from_toml(FILE.replace("[propositions.goal]", '[[propositions]]\nname = "goal"'))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('"x + 0.5*u", "y + 0.5*v"', '"u", "v"', 'write "x + dt*(u)"'),
+        ('"F goal"', '"F[5,30] goal"', "runs end after 20 steps"),
+        ('"F goal"', '"G F[2,25] goal"', "end the window at 20"),
+        ('"F goal"', '"F[5,20] goal"', ""),
+        ('"x + 0.5*u", "y + 0.5*v"', '"y", "x + u + v"', 'write "x + dt*(y)"'),
+        ('"x + 0.5*u", "y + 0.5*v"', '"y", "0.5*y + u + v"', ""),
+    ],
+)
+def test_doubts(old: str, new: str, says: str) -> None:
+    told = doubts(problem_from_toml(FILE.replace(old, new)))
+    assert says in "".join(told) and bool(told) == bool(says)
+
+
+def test_doubts_are_none_in_the_suite() -> None:
+    assert {name: told for name in cg.problem_ids() if (told := doubts(cg.make_problem(name)))} == {}
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["chek", "file.npz"], "no command `chek`; did you mean `check`?"),
+        (["qqqq"], "no command `qqqq`; `certigym --help` lists all"),
+        (["run", "meeting-v0", "--efort", "3"], "did you mean `--effort`?"),
+    ],
+)
+def test_commands_and_options(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    assert left.value.code == 2 and says in capsys.readouterr().err
+
+
+def test_ids(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["describe", "meting-v0"]) == 2
+    assert "did you mean `meeting-v0`?" in capsys.readouterr().err
+
+
+def test_a_certificate_has_a_name_by_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cart.toml").write_text(FILE, encoding="utf-8")
+    assert main(["synthesize", "cart.toml", "--cells", "20"]) == 0 and (tmp_path / "cart.npz").is_file()
+    assert main(["synthesize", "cart.toml", "--cells", "20"]) == 2  # what was found is not written over
+    assert "already there" in capsys.readouterr().err
