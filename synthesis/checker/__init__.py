@@ -2,8 +2,8 @@
 
 Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``problem`` (with
 ``distributions``); ``automaton``, ``formula``; ``letters``, ``angles``, ``crossings``, ``constraints``,
-``error_system``, ``linearization``, ``trajectories``; ``labels``, ``tables``, ``motions``, ``cells``, ``tree``,
-``trains``, ``cell_proofs``; ``selftest``, ``verdict``, ``controller``. Each file begins with its theorem.
+``error_system``, ``steps``, ``trajectories``; ``tables``, ``motions``, ``cells``,
+``tree``, ``trains``, ``cell_proofs``; ``selftest``, ``verdict``, ``controller``. Each file begins with its theorem.
 """
 
 from .angles import check_angles
@@ -17,13 +17,14 @@ from .networks import automaton_states
 from .problem import Agent as CheckedAgent
 from .problem import Problem as CheckedProblem
 from .problem import read_problem
-from .trajectories import constraints_of, failure_of, linear_forms, walk
+from .steps import Joint
+from .trajectories import failure_of, linear_forms, walk
 from .trajectories import read_proof as read_trajectories
 from .verdict import Verdict, bound_of, check, check_contents, shown
 
 __all__ = [
-    "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "CheckedProblem", "Contents", "Refused", "Unreadable", "Verdict",
-    "affine_dynamics", "automaton_states", "bound_of", "check", "check_angles", "check_contents", "check_words",
-    "constraints_of", "demands", "failure_of", "is_certificate", "linear_forms", "parse_file", "read_file",
+    "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "CheckedProblem", "Contents", "Joint", "Refused", "Unreadable",
+    "Verdict", "affine_dynamics", "automaton_states", "bound_of", "check", "check_angles", "check_contents",
+    "check_words", "demands", "failure_of", "is_certificate", "linear_forms", "parse_file", "read_file",
     "read_problem", "read_trajectories", "shown", "value_on", "walk",
 ]  # fmt: skip

@@ -17,7 +17,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("files", nargs="+", metavar="FILE")
     parser.add_argument("--most-bytes", type=int, default=2**30, help="largest file that is read (default: 1 GiB)")
     options = parser.parse_args(arguments)
-    checker, status = importlib.import_module(__package__ or _package_beside_this_file()), 0
+    folder, package = Path(__file__).resolve().parent, __package__
+    if not package:  # the folder of this file is a package of its own: the rest of the repository is not needed
+        sys.path[:] = [*(path for path in sys.path if Path(path).resolve() != folder), str(folder.parent)]
+    checker, status = importlib.import_module(package or folder.name), 0
     for name in options.files:
         try:
             verdict = checker.check(name, options.most_bytes)
@@ -27,13 +30,6 @@ def main(arguments: list[str] | None = None) -> int:
         sys.stdout.write(f"{name}: {line}\n")
         status = max(status, code)
     return status
-
-
-def _package_beside_this_file() -> str:
-    """Make the folder of this file importable as a package of its own: the rest of the repository is not needed."""
-    folder = Path(__file__).resolve().parent
-    sys.path[:] = [*(path for path in sys.path if Path(path).resolve() != folder), str(folder.parent)]
-    return folder.name
 
 
 if __name__ == "__main__":

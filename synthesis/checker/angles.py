@@ -27,14 +27,9 @@ from .letters import Demand
 from .problem import TURN, Agent, Problem
 from .rigorous import Array
 
-OFF = 1e-13
-"""What angles are off by at most: where they wrap, where copies are, and where the nearest number is taken."""
-
-FARTHEST = 200.0
-"""Largest nominal angle: so many turns are off by a tenth of ``OFF`` at most."""
-
-HALF_TURN = 3.14
-"""Half width of a tube: less than half a turn."""
+OFF = 1e-13  # what angles are off by at most: where they wrap, where copies are, and where the nearest number is taken
+FARTHEST = 200.0  # largest nominal angle: so many turns are off by a tenth of ``OFF`` at most
+HALF_TURN = 3.14  # half width of a tube: less than half a turn
 
 
 def angle_axes(agent: Agent) -> Array:
@@ -99,10 +94,8 @@ def _slope(tree: Tree, angle: str) -> Fraction | None:
     if not any(known):
         return Fraction(0)
     a, b = known[0], known[-1]
-    if name in ("sin", "cos"):
-        return Fraction(0) if a.denominator == 1 else None
-    if name == "tan":
-        return Fraction(0) if (2 * a).denominator == 1 else None
+    if name in ("sin", "cos", "tan"):  # tangents repeat after half a turn
+        return Fraction(0) if (2 * a if name == "tan" else a).denominator == 1 else None
     if name == "negative":
         return -a
     if name in ("+", "-"):

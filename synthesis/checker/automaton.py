@@ -17,8 +17,7 @@ from dataclasses import dataclass
 
 CO_SAFE, FINITE_TRACE = "co-safe", "finite-trace"
 
-Known = Mapping[int, bool]
-"""What is known of a letter: propositions by number, and whether they hold."""
+Known = Mapping[int, bool]  # what is known of a letter: propositions by number, and whether they hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,20 +35,21 @@ class Automaton:
 
     def __post_init__(self) -> None:
         states, nodes = len(self.accepting), len(self.variable)
-        if self.semantics not in (CO_SAFE, FINITE_TRACE):
-            raise ValueError(f"semantics are {CO_SAFE} or {FINITE_TRACE}, not {self.semantics!r}")
-        if not 0 <= self.initial < states or len(self.root) != states:
-            raise ValueError("the automaton has another number of states than it says")
-        if len(self.low) != nodes or len(self.high) != nodes:
-            raise ValueError("the diagrams of the automaton have lists of different lengths")
-        if any(not -states <= entry < nodes for entry in (*self.root, *self.low, *self.high)):
-            raise ValueError("a diagram of the automaton leads to a node or a state that does not exist")
-        if any(not 0 <= p < len(self.propositions) for p in self.variable):
-            raise ValueError("a diagram of the automaton tests a proposition that does not exist")
-        # children test larger propositions: there is no circle, and every letter has one way
-        for node, children in enumerate(zip(self.low, self.high, strict=True)):
-            if any(child >= 0 and self.variable[child] <= self.variable[node] for child in children):
-                raise ValueError("a diagram of the automaton tests propositions out of order")
+        entries, children = (*self.root, *self.low, *self.high), list(zip(self.low, self.high, self.variable))
+        wrong = {
+            f"semantics are {CO_SAFE} or {FINITE_TRACE}": self.semantics not in (CO_SAFE, FINITE_TRACE),
+            "it has another number of states than it says": not 0 <= self.initial < states or len(self.root) != states,
+            "its diagrams have lists of different lengths": not len(self.low) == len(self.high) == nodes,
+            "a diagram leads to what does not exist": any(not -states <= entry < nodes for entry in entries),
+            "a diagram tests no proposition": any(not 0 <= p < len(self.propositions) for p in self.variable),
+        }
+        # Children test larger propositions: there is no circle, and every letter has one way.
+        if not any(wrong.values()):
+            pairs = [(child, p) for *both, p in children for child in both if child >= 0]
+            wrong = {"a diagram tests propositions out of order": any(self.variable[child] <= p for child, p in pairs)}
+        for what, is_so in wrong.items():
+            if is_so:
+                raise ValueError(f"the automaton is wrong: {what}")
 
     @property
     def is_co_safe(self) -> bool:
@@ -74,17 +74,12 @@ class Automaton:
 
     def dead(self) -> tuple[bool, ...]:
         """Return which states lead to no accepting state: computed, and not read from any file."""
-        sources: dict[int, set[int]] = {q: set() for q in range(len(self.accepting))}
-        for q in sources:
-            for target in self.targets(q, {}):
-                sources[target].add(q)
+        leads = [self.targets(q, {}) for q in range(len(self.accepting))]
         alive = {q for q, accepts in enumerate(self.accepting) if accepts}
-        waiting = list(alive)
-        while waiting:
-            new = sources[waiting.pop()] - alive
+        # Backward from the accepting states, one transition at a time, until nothing is new.
+        while new := {q for q, targets in enumerate(leads) if q not in alive and targets & alive}:
             alive |= new
-            waiting += new
-        return tuple(q not in alive for q in sources)
+        return tuple(q not in alive for q in range(len(leads)))
 
 
 def followed(automaton: Automaton, states: Iterable[int], known: Known) -> set[int]:
@@ -97,15 +92,9 @@ def followed(automaton: Automaton, states: Iterable[int], known: Known) -> set[i
 
 
 def wrong_word(automaton: Automaton, horizon: int, letters: Sequence[Known]) -> str:
-    """Return why not all words that agree with what is known are accepted; an empty text if all are.
+    """Return why not all words are accepted that agree with what is known at times 0 .. S; else an empty text.
 
-    Parameters
-    ----------
-    automaton : Automaton
-    horizon : int
-        Number T of control steps: words have T + 1 letters.
-    letters : sequence of Known
-        At times 0, 1, .. S.
+    Words have T + 1 letters, T the horizon.
     """
     if len(letters) > horizon + 1:
         return "the trajectory goes on after the horizon"

@@ -32,23 +32,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .motions import Maps
-from .rigorous import Array, U
+from .rigorous import Array, Truth, U, Whole
 
+# Half the L1 norms of phi'''' and of phi'' phi'', and phi(0), rounded up.
 FOURTH, CROSSED, DENSITY = 1.40031, 0.46840, 0.39895
-"""Half the L1 norms of phi'''' and of phi'' phi'', and phi(0), rounded up."""
-
+# Differences are looked up at the position plus LOOK, rounded down: at most BESIDE from it, next lattice point
+# included. With a half it would be left to rounding which point that is.
 LOOK, BESIDE = 0.37, 1.63
-"""Differences are looked up at the position plus LOOK, rounded down: at most BESIDE from it, next lattice point
-included. With a half it would be left to rounding which point that is."""
-
-NOTHING = 1e-50
-"""Smaller values count as 0: their digits are not to be trusted."""
-
-AT_ONCE = 3_000_000
-"""Numbers that are formed at once."""
+NOTHING = 1e-50  # smaller values count as 0: their digits are not to be trusted
+AT_ONCE = 3_000_000  # numbers that are formed at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +65,9 @@ class Kernel:
     parts: int
 
     @property
-    def moves(self) -> bool:
-        """Whether means may move with the state inside a cell."""
-        return self.inputs > 0
+    def places(self) -> int:
+        """Number of places at which factors have numbers: cells, or their corners."""
+        return int(np.prod(self.shape)) * (2 ** len(self.shape) if self.corners else 1)
 
     @cached_property
     def spacing(self) -> Array:
@@ -94,10 +88,8 @@ class Kernel:
     def slack(self) -> float:
         """What is taken off for what differences miss, uneven lattices, and rounding, as a share of L."""
         d, ratios = len(self.shape), self.spacing / self.deviations
-        missed = sum(
-            FOURTH * r**4 / 96.0 + sum((FOURTH if e == k else CROSSED) * (r * ratios[e]) ** 2 / 64.0 for e in range(d))
-            for k, r in enumerate(ratios)
-        )
+        crossed = np.where(np.eye(d), FOURTH, CROSSED) * np.outer(ratios, ratios) ** 2 / 64.0
+        missed = float(np.sum(FOURTH * ratios**4 / 96.0) + np.sum(crossed))
         # Values belong to points that are off an even lattice by so many steps, and positions are rounded; a shift by
         # one step changes V by at most DENSITY r L. Uneven values enter the interpolant and, four times, each eighth.
         shift = 0.0
@@ -108,66 +100,55 @@ class Kernel:
         # interpolation adds 2^d products of d factors, and forms add a few numbers of at most L
         return float(missed + 2.0 * shift + self.lack * (1.0 + 0.25 * d) + 64.0 * 2**d * U)
 
-    def _half(self, cells: NDArray[np.int64]) -> Array:
+    def _half(self, cells: Whole) -> Array:
         """Half widths (n, d) of cells."""
         places = np.unravel_index(cells, self.shape)
         return 0.5 * np.stack([np.diff(edges)[k] for edges, k in zip(self.edges, places)], axis=1)
 
-    def values(self, factors: Array) -> Array:
-        """Return V (n, Z_1, ..) of factors (n, places) at the lattice, from below."""
+    def means(self, functions: Array) -> Array:
+        """Return means (n, Z_1, ..) of functions (n, places) around lattice points, as they are rounded."""
         # Noise is independent along the axes: one table after the other.
-        tensor = factors.reshape(len(factors), *(table.shape[1] for table in self.tables))
+        tensor = functions.reshape(len(functions), *(table.shape[1] for table in self.tables))
         for k, table in enumerate(self.tables, start=1):
             tensor = np.moveaxis(np.tensordot(tensor, table, axes=(k, 1)), -1, k)
-        count = sum(table.shape[1] for table in self.tables)
+        return tensor
+
+    def values(self, factors: Array) -> Array:
+        """Return V (n, Z_1, ..) of factors (n, places) at the lattice, from below."""
+        tensor, count = self.means(factors), sum(table.shape[1] for table in self.tables)
         return np.asarray(np.where(tensor < NOTHING, 0.0, tensor * (1.0 - 2.0 * (count + 4.0) * U)))
 
-    def backup(self, values: Array, largest: Array, policy: NDArray[np.int64]) -> Array:
+    def backup(self, values: Array, largest: Array, policy: Whole) -> Array:
         """Return factors (n, places) one step earlier, at most the truth on every cell; 0 where nothing is chosen.
 
         ``values`` (n, Z_1, ..) and ``largest`` (n,) are V and the largest numbers of the factors one step later.
         """
-        n, S = len(values), int(np.prod(self.shape))
-        sides = 2 ** len(self.shape) if self.corners else 1
-        result = np.zeros((n, S, sides))
-        if n:
-            aimed = np.flatnonzero(policy >= self.inputs)
-            # the mean is one lattice point, up to a rest that changes V by at most the largest density
-            off = float(np.sum(self.target_rest * DENSITY / self.deviations)) * (1.0 + 8.0 * U)
-            at = values.reshape(n, -1)[:, policy[aimed] - self.inputs] - off * largest[:, None]
-            result[:, aimed] = np.maximum(at, 0.0)[:, :, None]
-            moving = np.flatnonzero((policy >= 0) & (policy < self.inputs))
-            if len(moving):
-                self._moved(values, largest, moving, policy[moving], result)
-        return self._by_place(result) if self.corners else result[:, :, 0]
-
-    def _moved(
-        self, values: Array, largest: Array, moving: NDArray[np.int64], choices: NDArray[np.int64], result: Array
-    ) -> None:
-        """Write the values of cells under inputs, whose means move with the state."""
-        # Values are read at the corners of ``parts`` pieces of every side, corners of the cell among them.
-        d, around = len(self.shape), _differences(values, self.reach)
+        result = np.zeros((len(values), len(policy), 2 ** len(self.shape) if self.corners else 1))
+        if not len(values):
+            return result.reshape(0, self.places)
+        aimed, moving = np.flatnonzero(policy >= self.inputs), np.flatnonzero((policy >= 0) & (policy < self.inputs))
+        # A target is one lattice point, up to a rest that changes V by at most the largest density.
+        off = float(np.sum(self.target_rest * DENSITY / self.deviations)) * (1.0 + 8.0 * U)
+        at = values.reshape(len(values), -1)[:, policy[aimed] - self.inputs] - off * largest[:, None]
+        result[:, aimed] = np.maximum(at, 0.0)[:, :, None]
+        # Under inputs means move with the state: V is read at the corners of ``parts`` pieces of every side.
+        d, around = len(self.shape), _differences(values, self.reach) if len(moving) else []
         share = np.array(list(itertools.product(np.linspace(0.0, 1.0, self.parts + 1), repeat=d)))
         corners = np.array(list(itertools.product((0.0, 1.0), repeat=d)))
         blend = np.prod(np.where(corners[:, None] == 1.0, share, 1.0 - share), axis=2)
         pieces = len(moving) * len(largest) * len(share) // AT_ONCE + 1
-        for some in np.array_split(np.arange(len(moving)), pieces):
-            at, lacking, inside = self._images(values, around, largest, moving[some], choices[some], share)
+        for some in np.array_split(moving, pieces) if len(moving) else ():
+            at, lacking, inside = self._images(values, around, largest, some, policy[some], share)
             if self.corners:
                 below = _multilinear_below(at, lacking, blend, share)
             else:
                 below = np.maximum(at.min(axis=2) - lacking, 0.0)[:, :, None]
-            result[:, moving[some]] = below * inside[:, None]
+            result[:, some] = below * inside[:, None]
+        return self._by_place(result) if self.corners else result[:, :, 0]
 
     def _images(
-        self,
-        values: Array,
-        around: list[Array],
-        largest: Array,
-        cells: NDArray[np.int64],
-        choices: NDArray[np.int64],
-        share: Array,
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        self, values: Array, around: list[Array], largest: Array, cells: Whole, choices: Whole, share: Array
+    ) -> tuple[Array, Array, Truth]:
         """Return I (n, C, K) at images of points ``share`` (K, d), what it may lack (n, C), and which are known."""
         d, shape = len(self.shape), np.array(values.shape[1:])
         # Every choice in the policy has a map: they were made from it.
@@ -258,8 +239,7 @@ def _interpolated(values: Array, position: Array) -> Array:
     return result
 
 
-BETTER = 1.0 - 1e-6
-"""Share of a mean by which a later form has to be better than an earlier one."""
+BETTER = 1.0 - 1e-6  # share of a mean by which a later form has to be better than an earlier one
 
 
 def _multilinear_below(at: Array, lacking: Array, blend: Array, share: Array) -> Array:
@@ -285,32 +265,22 @@ def _multilinear_below(at: Array, lacking: Array, blend: Array, share: Array) ->
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of one agent: kernel, sets of cells (K, S), policy (T or 1, Q, S), and shares (K0, places) of the start."""
+    """Cells of one agent: kernel, sets of cells (K, S), policy (T or 1, Q, S).
+
+    ``start`` (K0, places) are lower bounds on the weights of places for starts in a set of cells.
+    """
 
     kernel: Kernel
-    sets: NDArray[np.bool_]
-    policy: NDArray[np.int64]
+    sets: Truth
+    policy: Whole
     start: Array
 
-    @property
-    def places(self) -> int:
-        """Number of places at which factors have numbers: cells, or their corners."""
-        return int(np.prod(self.kernel.shape)) * (2 ** len(self.kernel.shape) if self.kernel.corners else 1)
-
-    def policy_at(self, t: int, q: int) -> NDArray[np.int64]:
+    def policy_at(self, t: int, q: int) -> Whole:
         """Return the choice (S,) of each cell, -1 for none."""
         return self.policy[min(t, len(self.policy) - 1), q]
 
-    def spread(self, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return sets of cells at the places of factors (n, places)."""
-        return spread(self.sets[numbers], self.kernel)
 
-    def start_shares(self, number: int) -> Array:
-        """Return lower bounds (places,) on the weights of places for starts in a set of cells."""
-        return self.start[number]
-
-
-def spread(sets: NDArray[np.bool_], kernel: Kernel) -> NDArray[np.bool_]:
+def spread(sets: Truth, kernel: Kernel) -> Truth:
     """Return sets (n, S) of cells at the places of factors."""
     if not kernel.corners:
         return sets

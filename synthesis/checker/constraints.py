@@ -22,19 +22,17 @@ component are multiplied.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import rigorous
 from .distributions import LIGHT, NORMAL, STOPPED
 from .intervals import down, up
-from .rigorous import Array, U
+from .rigorous import Array, Truth, U, Whole
 
 
-@dataclass(frozen=True, eq=False)
-class Forms:
+class Forms(NamedTuple):
     """Linear forms of noise, of mean 0: upper bounds on their variances (J,) and on what one step adds to them (J,).
 
     ``sources`` (J, W) says of which sources of noise they are made.
@@ -42,23 +40,17 @@ class Forms:
 
     variance: Array
     largest: Array
-    sources: NDArray[np.bool_]
+    sources: Truth
 
-    def joined(self, other: Forms) -> Forms:
-        """Return these forms and others after them."""
-        pairs = zip((self.variance, self.largest, self.sources), (other.variance, other.largest, other.sources))
-        return Forms(*(np.concatenate(pair) for pair in pairs))
-
-    def at(self, places: NDArray[np.bool_]) -> Forms:
+    def at(self, places: Truth) -> Forms:
         """Return some of these forms."""
         return Forms(self.variance[places], self.largest[places], self.sources[places])
 
 
+# Guesses of the product, for each of which strips or tails are chosen by what they cost; any choice is a bound.
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
-"""Guesses of the product, for each of which strips or tails are chosen by what they cost; any choice is a bound."""
-
+# More than sums and products of 8,000 numbers of one sign are rounded by; longer sums count it once per 8,000.
 ROUNDED = 1.0 + 2.0**-40
-"""More than sums and products of 8,000 numbers of one sign are rounded by; longer sums count it once per 8,000."""
 
 
 class Constraints:
@@ -67,10 +59,10 @@ class Constraints:
     ``kinds`` (W,) are those of the sources of noise; ``lost`` is a probability of noise that is given up.
     """
 
-    def __init__(self, kinds: NDArray[np.int64]) -> None:
+    def __init__(self, kinds: Whole) -> None:
         self.kinds, self.lost = kinds, 0.0
         self.rows: list[Array] = []
-        self.sources: list[NDArray[np.bool_]] = []
+        self.sources: list[Truth] = []
         self.labels: list[str] = []
 
     def add(self, low: Array, high: Array, width: Array, forms: Forms, labels: Sequence[str]) -> None:
@@ -96,7 +88,7 @@ class Constraints:
         return self.labels[int(np.argmax(each))]
 
 
-def _components(sources: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _components(sources: Truth) -> Whole:
     """Return the component (J,) of each constraint: those that share a source (J, W), at first or second hand."""
     component = np.arange(len(sources))
     for shared in sources.T:
@@ -106,7 +98,7 @@ def _components(sources: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.unique(component, return_inverse=True)[1].reshape(-1)
 
 
-def _failure_of(rows: Array, kinds: NDArray[np.int64]) -> float:
+def _failure_of(rows: Array, kinds: Whole) -> float:
     """Return an upper bound on the probability that one of some constraints, rows (5, J), fails."""
     low, high, width, variance, largest = rows
     if np.any(kinds != NORMAL):
@@ -117,12 +109,12 @@ def _failure_of(rows: Array, kinds: NDArray[np.int64]) -> float:
     both = np.minimum(2.0 * tails(np.minimum(np.minimum(low, high), width), variance), 1.0)
     inner = np.minimum(2.0 * tails(width, variance), 1.0)
     outer = np.where(low < width, tails(low, variance), 0.0) + np.where(high < width, tails(high, variance), 0.0)
-    return min(1.0, *(_with_strips(share * both <= share * inner + outer, both, inner, outer) for share in SHARES))
-
-
-def _with_strips(strip: NDArray[np.bool_], both: Array, inner: Array, outer: Array) -> float:
-    """Return the bound in which some constraints are strips as a whole, and others strips and tails."""
-    return _union(np.where(strip, both, inner)) + float(np.sum(np.where(strip, 0.0, outer))) * _rounded(len(outer))
+    found = 1.0
+    for share in SHARES:
+        strip = share * both <= share * inner + outer
+        tail = float(np.sum(np.where(strip, 0.0, outer))) * _rounded(len(outer))
+        found = min(found, _union(np.where(strip, both, inner)) + tail)
+    return found
 
 
 def _union(each: Array) -> float:
@@ -138,24 +130,23 @@ def _rounded(count: int) -> float:
     return float(ROUNDED ** (1 + count // 8000))
 
 
-def _tails_by_kind(distance: Array, variance: Array, largest: Array, kinds: NDArray[np.int64]) -> Array:
+def _tails_by_kind(distance: Array, variance: Array, largest: Array, kinds: Whole) -> Array:
     """Return upper bounds (J,) on P(g > distance), whatever the noise is made of."""
     # How many deviations there are to the end, from below.
     z = _in_deviations(distance, variance)
+    normal, light, long = tails(distance, variance), _light_tail(z), _long_tail(z, variance, largest)
     # normal noise whose size depends on the past is sub-Gaussian, too
-    normal, light = tails(distance, variance), _light_tail(z)
-    stopped, long = np.minimum(np.minimum(2.0 * normal, light), 1.0), _long_tail(z, variance, largest)
+    stopped = np.minimum(np.minimum(2.0 * normal, light), 1.0)
     return np.select([kinds == NORMAL, kinds == STOPPED, kinds == LIGHT], [normal, stopped, light], long)
 
 
 def _in_deviations(distance: Array, variance: Array) -> Array:
     """Return lower bounds (J,) on distances in deviations; infinite ends for what is kept, or not, for sure."""
     with np.errstate(all="ignore"):
-        distance = np.where(np.isnan(variance), -np.inf, distance)
-        z = distance / np.sqrt(variance)
+        z = np.where(np.isnan(variance), -np.inf, distance) / np.sqrt(variance)
         # root and quotient round by U each, and a smaller z has a larger tail
         z = z - 8 * U * np.minimum(np.abs(z), 1e300)
-        z = np.where(variance > 0, z, np.where(distance > 0, np.inf, -np.inf))
+        z = np.where(variance > 0, z, np.where((distance > 0) & ~np.isnan(variance), np.inf, -np.inf))
         return np.where(np.isnan(z), -np.inf, z)
 
 
@@ -174,8 +165,7 @@ def tails(distance: Array, variance: Array) -> Array:
 def _light_tail(z: Array) -> Array:
     """Return exp(-z^2 / 2) from above, and 1 where z <= 0."""
     size = np.clip(z, 0.0, 1e3)
-    tail = rigorous.exp(-0.5 * size * size * (1.0 - 4.0 * U))[1]
-    return np.where(z <= 0.0, 1.0, np.where(z == np.inf, 0.0, np.minimum(tail, 1.0)))
+    return _where_it_is(z, rigorous.exp(-0.5 * size * size * (1.0 - 4.0 * U))[1])
 
 
 def _long_tail(z: Array, variance: Array, largest: Array) -> Array:
@@ -186,6 +176,9 @@ def _long_tail(z: Array, variance: Array, largest: Array) -> Array:
         size = np.clip(z, 0.0, 1e6)
         r = down(np.sqrt(1.0 + 2.0 * (size * size / n) * (1.0 - 8.0 * U)))
         exponent = n * (rigorous.log(up(0.5 + 0.5 * r))[1] + up(1.0 - r))
-        exponent = np.minimum(exponent + 8.0 * U * n * (1.0 + r), 0.0)
-        tail = rigorous.exp(exponent)[1]
+        return _where_it_is(z, rigorous.exp(np.minimum(exponent + 8.0 * U * n * (1.0 + r), 0.0))[1])
+
+
+def _where_it_is(z: Array, tail: Array) -> Array:
+    """Return a tail beyond z > 0 deviations; 1 below, also where nothing is known, and 0 where nothing is beyond."""
     return np.where(z <= 0.0, 1.0, np.where(z == np.inf, 0.0, np.minimum(tail, 1.0)))

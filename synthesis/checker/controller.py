@@ -17,7 +17,7 @@ from .fields import Refused
 from .motions import affine_dynamics
 from .problem import TURN, Agent
 from .rigorous import Array, U
-from .trajectories import Trajectory
+from .steps import Trajectory
 
 
 def along_trajectory(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
@@ -44,11 +44,9 @@ def on_cells(agent: Agent, own: AgentCells, t: int, q: int, x: Array) -> Array |
     """Return inputs (m,) of an agent at a time, in an automaton state, from its state (d,); None: anything will do."""
     shape = [len(axis) - 1 for axis in own.edges]
     # half-open cells; the last one along an axis holds its upper face
-    places = [
-        min(int(np.searchsorted(axis, value, side="right")) - 1, n - 1)
-        for axis, value, n in zip(own.edges, x.tolist(), shape, strict=True)
-    ]
-    choice = int(own.policy[min(t, len(own.policy) - 1), q, np.ravel_multi_index(places, shape)])
+    cells = [int(np.searchsorted(axis, value, side="right")) - 1 for axis, value in zip(own.edges, x, strict=True)]
+    place = np.ravel_multi_index(cells, shape, mode="clip")
+    choice = int(own.policy[min(t, len(own.policy) - 1), q, place])
     if choice < len(own.inputs):
         return None if choice < 0 else own.inputs[choice]
     point = np.unravel_index(choice - len(own.inputs), [len(axis) for axis in own.lattice])

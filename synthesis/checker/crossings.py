@@ -16,88 +16,67 @@ of what was met, and where a window ends without that there is no such run.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .angles import angle_outputs
 from .automaton import Known, followed, wrong_word
 from .fields import Refused
 from .letters import Demand, known_at, known_at_start
-from .problem import Problem
+from .problem import Problem, Region
+from .rigorous import Whole
 
-SOMETIME = 2
-"""Letter of a proposition that is to hold at some time of a window."""
+SOMETIME = 2  # letter of a proposition that is to hold at some time of a window
+Met = frozenset[int]
+Window = tuple[Region, int, bool, bool, bool]
 
-MOST_OPEN = 4
-"""Most windows that are open at one time: each doubles the words that are followed."""
-
-Letters = NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class Jump:
-    """``low < y_k(t) - y_k(t - 1) < high`` for an output of an agent."""
-
-    agent: int
-    output: int
-    low: float
-    high: float
-    label: str
+MOST_OPEN = 4  # most windows that are open at one time: each doubles the words that are followed
 
 
-def _one_window(letters: Letters, faces: Letters, t: int, p: int) -> bool:
+def _one_window(letters: Whole, faces: Whole, t: int, p: int) -> bool:
     """Return whether times t and t + 1 belong to one window of a proposition; another side begins another one."""
-    return bool(np.all(letters[t : t + 2, p] == SOMETIME)) and faces[t, p] == faces[t + 1, p]
+    inside = 1 <= t < len(letters) - 1 and np.all(letters[t : t + 2, p] == SOMETIME)  # nothing is asked at time 0
+    return bool(inside) and faces[t, p] == faces[t + 1, p]
 
 
-def is_first(letters: Letters, faces: Letters, t: int, p: int) -> bool:
-    """Return whether a window begins at time t; nothing is asked at time 0."""
-    return t == 1 or not _one_window(letters, faces, t - 1, p)
-
-
-def is_last(letters: Letters, faces: Letters, t: int, p: int) -> bool:
-    """Return whether a window ends at time t."""
-    return t == len(letters) - 1 or not _one_window(letters, faces, t, p)
-
-
-def crossed(problem: Problem, letters: Letters, faces: Letters, t: int) -> list[Demand]:
-    """Return what regions that are met at some time of a window ask of outputs at a time in it."""
-    asked = []
+def _in_windows(problem: Problem, letters: Whole, faces: Whole, t: int) -> Iterator[Window]:
+    """Yield regions in a window at a time, the output of the face, whether it is the upper one, and the first and last
+    time of the window."""
     for p, region in enumerate(problem.regions):
         if letters[t, p] == SOMETIME:
             k, from_above = divmod(int(faces[t, p]), 2)
-            outputs = range(region.low.shape[1])
-            if k not in outputs or k in angle_outputs(problem.agents[region.agent]):
+            if not 0 <= k < region.low.shape[1] or k in angle_outputs(problem.agents[region.agent]):
                 raise Refused(f"`{region.name}` at time {t} is crossed from no side, or along an angle")
-            far, near = is_first(letters, faces, t, p), is_last(letters, faces, t, p)
-            keeps_low, keeps_high = (far, near) if from_above else (near, far)
-            for j, low, high in zip(outputs, region.low[t].tolist(), region.high[t].tolist(), strict=True):
-                ends = low if j != k or keeps_low else -np.inf, high if j != k or keeps_high else np.inf
-                asked.append(Demand(((region.agent, j, 1.0),), *ends, f"`{region.name}` crossed at time {t}"))
+            ends = not _one_window(letters, faces, t - 1, p), not _one_window(letters, faces, t, p)
+            yield region, k, bool(from_above), *ends
+
+
+def crossed(problem: Problem, letters: Whole, faces: Whole, t: int) -> list[Demand]:
+    """Return what regions that are met at some time of a window ask of outputs at a time in it."""
+    asked = []
+    for region, k, from_above, first, last in _in_windows(problem, letters, faces, t):
+        keeps_low, keeps_high = (first, last) if from_above else (last, first)
+        for j, (low, high) in enumerate(zip(region.low[t].tolist(), region.high[t].tolist(), strict=True)):
+            ends = low if j != k or keeps_low else -np.inf, high if j != k or keeps_high else np.inf
+            asked.append(Demand(((region.agent, j, 1.0),), *ends, f"`{region.name}` crossed at time {t}"))
     return asked
 
 
-def jumps(problem: Problem, letters: Letters, faces: Letters, t: int) -> list[Jump]:
-    """Return what is asked of outputs from time t - 1 to t, so that no region is jumped over."""
+def jumps(problem: Problem, letters: Whole, faces: Whole, t: int) -> list[Demand]:
+    """Return what is asked of *differences* of outputs from time t - 1 to t, so that no region is jumped over."""
     asked = []
-    for p, region in enumerate(problem.regions):
-        if letters[t, p] == SOMETIME and not is_first(letters, faces, t, p):
-            k, from_above = divmod(int(faces[t, p]), 2)
+    for region, k, from_above, first, _ in _in_windows(problem, letters, faces, t):
+        if not first:
             # from outside of the face to beyond the far one; rounded inward
             most = float(np.nextafter(region.high[t, k] - region.low[t - 1, k], -np.inf))
             least = float(np.nextafter(region.low[t, k] - region.high[t - 1, k], np.inf))
             ends = (least, np.inf) if from_above else (-np.inf, most)
-            asked.append(Jump(region.agent, k, *ends, f"no jump over `{region.name}` at time {t}"))
+            asked.append(Demand(((region.agent, k, 1.0),), *ends, f"no jump over `{region.name}` at time {t}"))
     return asked
 
 
-Met = frozenset[int]
-
-
-def check_words(problem: Problem, letters: Letters, faces: Letters) -> None:
+def check_words(problem: Problem, letters: Whole, faces: Whole) -> None:
     """Raise ``Refused`` unless every word that agrees with the letters is accepted."""
     automaton, start = problem.automaton, known_at_start(problem)
     windows = letters[1:] == SOMETIME
@@ -113,7 +92,7 @@ def check_words(problem: Problem, letters: Letters, faces: Letters) -> None:
     # States by what was met in windows that are still open.
     reached: dict[Met, set[int]] = {frozenset(): followed(automaton, {automaton.initial}, start)}
     for t in range(1, len(letters)):
-        ends = {p for p in np.flatnonzero(letters[t] == SOMETIME).tolist() if is_last(letters, faces, t, p)}
+        ends = {p for p in np.flatnonzero(letters[t] == SOMETIME).tolist() if not _one_window(letters, faces, t, p)}
         after: dict[Met, set[int]] = {}
         for met, states in reached.items():
             for known, now in _readings(problem, letters, t, met):
@@ -124,7 +103,7 @@ def check_words(problem: Problem, letters: Letters, faces: Letters) -> None:
         raise Refused("a word that agrees with the letters of the trajectory is not accepted")
 
 
-def _readings(problem: Problem, letters: Letters, t: int, met: Met) -> Iterator[tuple[Known, Met]]:
+def _readings(problem: Problem, letters: Whole, t: int, met: Met) -> Iterator[tuple[Known, Met]]:
     """Yield what the letter of a time may say, and what was met by then: open regions hold at the time, or not yet."""
     is_open = np.flatnonzero(letters[t] == SOMETIME).tolist()
     waiting = [p for p in is_open if p not in met]

@@ -25,29 +25,20 @@ import importlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from . import fields
-from .fields import Unreadable
+from .fields import Entry, Unreadable
 from .tables import normal_table
 
+# What is known of tails, the heavier ones last: normal; normal, of a size that depends on the past; sub-Gaussian;
+# sub-exponential. A sum of several kinds is of the last one of them.
 NORMAL, STOPPED, LIGHT, LONG = range(4)
-"""What is known of tails, the heavier ones last: normal; normal, of a size that depends on the past; sub-Gaussian;
-sub-exponential. A sum of several kinds is of the last one of them."""
-
-OUTWARD = 1.0 + 1e-12
-"""Factor on deviations: more than some square roots and products are rounded by."""
-
-ROUNDED = 1e-12
-"""Share of the size of a distribution by which its mean may be off as it is computed."""
-
+OUTWARD = 1.0 + 1e-12  # factor on deviations: more than some square roots and products are rounded by
+ROUNDED = 1e-12  # share of the size of a distribution by which its mean may be off as it is computed
+# Probability, about, of a component's noise that is given up in a step; what a tail of ``scipy`` may be off by.
 GIVEN_UP, TAILS_OFF = 1e-7, 1e-12
-"""Probability, about, of a component's noise that is given up in a step; what a tail of ``scipy`` may be off by."""
-
-ORDERS = 40
-"""Half the orders up to which moments are compared one by one; from there on (S/b^2)^(1/j) counts as 1."""
+ORDERS = 40  # half the orders up to which moments are compared one by one; from there on (S/b^2)^(1/j) counts as 1
 
 
 @dataclass(frozen=True)
@@ -61,38 +52,31 @@ class Envelope:
     lost: float = 0.0
 
 
-def read_distribution(value: Any, place: str) -> Envelope:
-    """Return the envelope of a distribution in the header of a file."""
-    if not isinstance(value, dict) or not isinstance(value.get("law"), str) or value["law"] not in LAWS:
-        raise fields.expected(f"{place}.law", f"one of {', '.join(LAWS)}", value)
+def read_distribution(entry: Entry, more: tuple[str, ...] = ()) -> Envelope:
+    """Return the envelope of a distribution in the header of a file; ``more`` are keys that its table has besides."""
+    named = entry.entries_by_name().get("law")
+    if named is None:
+        raise entry.wrong("`law` is missing")
     # Tables have the keys of their distribution and no other.
-    keys, make = LAWS[value["law"]]
-    own = fields.table(value, place, ("law", *keys))
-    if value["law"] == "mixture":
-        return _mixture(own["parts"], f"{place}.parts")
-    return make(*(fields.number(own[key], f"{place}.{key}") for key in keys))
+    keys, make = LAWS[named.one_of([*LAWS])]
+    own = entry.table(("law", *keys, *more))
+    return _mixture(own["parts"]) if make is None else make(*(own[key].number() for key in keys))
 
 
-def _positive(value: float, name: str) -> float:
-    if not value > 0.0:
+def _positive(value: float, name: str, least: float = 5e-324) -> float:
+    if not value >= least:
         raise Unreadable(f"a distribution has {name} = {value}, which is not above 0")
     return value
+
+
+def _long(deviation: float, lost: float = 0.0) -> Envelope:
+    return Envelope(0.0, 0.0, deviation * OUTWARD, LONG, lost)
 
 
 def _bounded(low: float, high: float, mean: float, deviation: float) -> Envelope:
     if not low < high:
         raise Unreadable(f"a distribution lies between {low} and {high}")
     return Envelope(mean, ROUNDED * (abs(low) + abs(high)), deviation * OUTWARD, LIGHT)
-
-
-def _normal(std: float) -> Envelope:
-    if not std >= 0.0:
-        raise Unreadable(f"a normal distribution has the deviation {std}")
-    return Envelope(0.0, 0.0, std, NORMAL)
-
-
-def _uniform(low: float, high: float) -> Envelope:
-    return _bounded(low, high, 0.5 * low + 0.5 * high, 0.5 * (high - low) / math.sqrt(3.0))
 
 
 def _triangular(low: float, mode: float, high: float) -> Envelope:
@@ -117,14 +101,6 @@ def _cut_normal(spread: float, low: float, high: float) -> Envelope:
     return replace(found, off=float(found.off + half * (most - least) * OUTWARD))
 
 
-def _laplace(scale: float) -> Envelope:
-    return Envelope(0.0, 0.0, math.sqrt(2.0) * _positive(scale, "scale") * OUTWARD, LONG)
-
-
-def _logistic(scale: float) -> Envelope:
-    return Envelope(0.0, 0.0, math.pi / math.sqrt(3.0) * _positive(scale, "scale") * OUTWARD, LONG)
-
-
 def _student(scale: float, df: float) -> Envelope:
     if not df > 2.0:
         raise Unreadable(f"Student's distribution with {df} degrees of freedom has no variance")
@@ -136,40 +112,34 @@ def _student(scale: float, df: float) -> Envelope:
     for j in range(1, ORDERS + 1):
         share = square / (cut * cut) if j < ORDERS else 1.0
         most = max(most, (share / math.factorial(2 * j)) ** (1.0 / j))
-    return Envelope(0.0, 0.0, cut * math.sqrt(2.0 * most) * OUTWARD, LONG, lost)
+    return _long(cut * math.sqrt(2.0 * most), lost)
 
 
-def _mixture(value: Any, place: str) -> Envelope:
+def _mixture(entry: Entry) -> Envelope:
     """Return the envelope of a mixture: the mean of its part is a number in a bounded range, drawn first."""
-
-    def part(own: Any, at: str) -> tuple[float, float, Envelope]:
-        if not isinstance(own, dict) or not {"weight", "mean"} <= own.keys():
-            raise fields.expected(at, "a distribution with `weight` and `mean`", own)
-        rest = {key: entry for key, entry in own.items() if key not in ("weight", "mean")}
-        weight = _positive(fields.number(own["weight"], f"{at}.weight"), "weight")
-        return weight, fields.number(own["mean"], f"{at}.mean"), read_distribution(rest, at)
-
-    parts = fields.each(value, place, part)
-    if not parts or any(own.lost for _, _, own in parts):
-        raise Unreadable(f"{place}: a mixture has no parts, or one of Student's distribution")
-    means = [mean + own.mean for _, mean, own in parts]
-    total = sum(weight for weight, _, _ in parts)
-    mean = sum(weight / total * own for (weight, _, _), own in zip(parts, means, strict=True))
-    off = max(own.off for _, _, own in parts)
+    parts = [read_distribution(own, ("weight", "mean")) for own in entry.entries()]
+    if not parts or any(part.lost for part in parts):
+        raise entry.wrong("a mixture has no parts, or one of Student's distribution")
+    tables = [own.entries_by_name() for own in entry.entries()]
+    weights = [_positive(own["weight"].number(), "weight") for own in tables]
+    means = [own["mean"].number() + part.mean for own, part in zip(tables, parts, strict=True)]
+    mean = sum(weight / sum(weights) * own for weight, own in zip(weights, means, strict=True))
+    # half the range of means, and what each part deviates from its own
+    off = max(part.off for part in parts)
     half = 0.5 * (max(means) - min(means)) + off
-    deviation = math.hypot(half, max(own.deviation for _, _, own in parts)) * OUTWARD
-    tail = max(LIGHT, *(own.tail for _, _, own in parts))
+    deviation = math.hypot(half, max(part.deviation for part in parts)) * OUTWARD
+    tail = max(LIGHT, *(part.tail for part in parts))
     return Envelope(mean, off + ROUNDED * max(map(abs, means)), deviation, tail)
 
 
-LAWS: dict[str, tuple[tuple[str, ...], Callable[..., Envelope]]] = {
-    "gaussian": (("std",), _normal),
-    "uniform": (("low", "high"), _uniform),
+LAWS: dict[str, tuple[tuple[str, ...], Callable[..., Envelope] | None]] = {
+    "gaussian": (("std",), lambda std: Envelope(0.0, 0.0, _positive(std, "std", 0.0), NORMAL)),
+    "uniform": (("low", "high"), lambda a, b: _bounded(a, b, 0.5 * a + 0.5 * b, 0.5 * (b - a) / math.sqrt(3.0))),
     "triangular": (("low", "mode", "high"), _triangular),
     "truncated-gaussian": (("spread", "low", "high"), _cut_normal),
-    "laplace": (("scale",), _laplace),
-    "logistic": (("scale",), _logistic),
+    "laplace": (("scale",), lambda scale: _long(_positive(scale, "scale") * math.sqrt(2.0))),
+    "logistic": (("scale",), lambda scale: _long(_positive(scale, "scale") * math.pi / math.sqrt(3.0))),
     "student-t": (("scale", "df"), _student),
-    "mixture": (("parts",), _normal),
+    "mixture": (("parts",), None),
 }
-"""Distributions by their names: the keys of their tables, and their envelopes (mixtures have their own)."""
+"""Distributions by their names: the keys of their tables, and their envelopes (a mixture is made of others)."""

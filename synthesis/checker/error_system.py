@@ -16,10 +16,9 @@ is linear in c. A row ``c e_t + b e_(t-1)`` is the same with y_(t-1) moved by b.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .constraints import Forms
-from .rigorous import Array, U
+from .rigorous import Array, Truth, U
 
 
 class ErrorSystem:
@@ -27,29 +26,22 @@ class ErrorSystem:
 
     def __init__(self, spread: Array, n_sources: int) -> None:
         self.spread, self.n_sources = spread, n_sources
-        self.products = np.eye(len(spread))[None]  # of all F from each time on: (t + 1, D, D)
-        self.matrices: list[Array] = []
-        self.pushed: list[Array] = []
-        self.reach: list[Array] = []
-        self.noises: list[Array] = []
-        self.before = self.products
+        self.products = self.before = np.eye(len(spread))[None]  # of all F from each time on: (t + 1, D, D)
+        self.steps: list[tuple[Array, Array, Array, Array]] = []
 
     def step(self, matrix: Array, pushed: Array, reach: Array, noise: Array) -> None:
         """Add a step: ``e' = matrix e + pushed + noise w`` for all |e| <= reach."""
+        self.steps.append((matrix, pushed, reach, noise))
         self.before = self.products
         # Products F_t-1 .. F_s of all earlier times, made longer by one factor.
         self.products = np.concatenate([np.matmul(matrix, self.products), np.eye(len(matrix))[None]])
-        self.matrices.append(matrix)
-        self.pushed.append(pushed)
-        self.reach.append(reach)
-        self.noises.append(noise)
 
     def rows(self, c: Array, earlier: Array | None = None) -> tuple[Array, Forms]:
         """Return ends (2, J) of what rows c (J, D) of e are besides g, and g.
 
         With ``earlier`` (J, D) the rows are ``c e_t + earlier e_(t-1)``. Forms are linear in c, to the last bit.
         """
-        t, d = len(self.matrices), c.shape[1]
+        t, d = len(self.steps), c.shape[1]
         y, most = self._pulled(c, earlier)
         # sums of so many numbers of one sign are rounded by less
         counted = 1.0 + 4.0 * U * (len(y) * d + 64.0)
@@ -60,11 +52,11 @@ class ErrorSystem:
         before, after, size = y[:-1].copy(), y[1:], most[1:]
         if earlier is not None:
             before[-1] -= earlier
-        matrices, pushed = np.array(self.matrices), np.array(self.pushed)
+        matrices, pushed, reach = (np.array(own) for own in [*zip(*self.steps)][:3])
         # what y misses: the difference, its rounding, and underflow
         missed = np.abs(np.matmul(after, matrices) - before)
         missed += (2.0 * d + 8.0) * U * (np.matmul(size, np.abs(matrices)) + np.abs(before) + most[:-1]) + 1e-290
-        spare = spare + np.einsum("sjd,sd->j", missed, np.array(self.reach)) * counted
+        spare = spare + np.einsum("sjd,sd->j", missed, reach) * counted
         # Boxes b: what their middles add up to is a shift, and their half widths add up.
         middle, half = 0.5 * (pushed[:, 0] + pushed[:, 1]), 0.5 * (pushed[:, 1] - pushed[:, 0])
         shift, shifted = np.einsum("sjd,sd->j", after, middle), np.einsum("sjd,sd->j", size, np.abs(middle))
@@ -76,15 +68,13 @@ class ErrorSystem:
         # What each step adds to the variance; the largest one matters for long tails.
         each = np.einsum("sjw,sjw->sj", moved, moved)
         more = counted + 4.0 * U * t * moved.shape[2]
-        sources: NDArray[np.bool_] = np.any(moved > 0.0, axis=0)
+        sources: Truth = np.any(moved > 0.0, axis=0)
         forms = Forms(each.sum(axis=0) * more, each.max(axis=0) * more, sources)
         return np.stack([shift - spare, shift + spare]), forms
 
     def covariance(self, c: Array) -> tuple[Array, Array]:
         """Return the covariance (J, J) of the forms of rows c, and what its entries are off by."""
         y, most = self._pulled(c, None)
-        if not self.matrices:
-            return np.zeros((len(c), len(c))), np.zeros((len(c), len(c)))
         moved, off = self._moved(y[1:], most[1:])
         size, count = np.abs(moved) + off, moved.shape[0] * moved.shape[2]
         found, inner, outer = (np.einsum("siw,sjw->ij", part, part) for part in (moved, np.abs(moved), size))
@@ -94,12 +84,12 @@ class ErrorSystem:
         """Return all ``y_s = c F_(t-1) .. F_s`` (t + 1, J, D) as they are rounded, and sizes of their roundings."""
         y, most = np.matmul(c[None], self.products), np.matmul(np.abs(c)[None], np.abs(self.products))
         if earlier is not None:
-            y[: len(self.matrices)] += np.matmul(earlier[None], self.before)
-            most[: len(self.matrices)] += np.matmul(np.abs(earlier)[None], np.abs(self.before))
+            y[:-1] += np.matmul(earlier[None], self.before)
+            most[:-1] += np.matmul(np.abs(earlier)[None], np.abs(self.before))
         return y, most
 
     def _moved(self, after: Array, size: Array) -> tuple[Array, Array]:
         """Return ``y L`` (t, J, W) as it is rounded, and what it is off by; its square enters the variance."""
-        noises, d = np.array(self.noises), after.shape[2]
+        noises, d = np.array([noise for *_, noise in self.steps]), after.shape[2]
         moved = np.matmul(after, noises)
         return moved, (2.0 * d + 6.0) * U * np.matmul(size, np.abs(noises)) + np.where(moved != 0.0, 1e-160, 0.0)

@@ -12,36 +12,24 @@ every simulator does it.
 from __future__ import annotations
 
 import ast
+import math
 from collections.abc import Iterable, Mapping, Sequence
+from functools import reduce
 from typing import Any, TypeAlias
 
 Tree: TypeAlias = "float | str | tuple[Any, ...]"
 
 FUNCTIONS = frozenset(("abs", "atan", "cos", "exp", "log", "sin", "sqrt", "tan", "tanh"))
 BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
-
+# Characters and levels that are read: recursion over a tree stays far from Python's limit of 1000 calls.
 LONGEST, DEEPEST = 20_000, 200
-"""Characters and levels that are read: recursion over a tree stays far from Python's limit of 1000 calls."""
-
-LARGEST = 1e300
-"""Numbers of this size and more are not read: their products overflow."""
+LARGEST = 1e300  # numbers of this size and more are not read: their products overflow
 
 
 def read_expression(text: Any, names: Iterable[str], numbers: Mapping[str, float]) -> Tree:
-    """Return the tree of a text.
+    """Return the tree of a text in names of variables, and of parameters, whose ``numbers`` are put in.
 
-    Parameters
-    ----------
-    text : str
-    names : iterable of str
-        Variables; they go before numbers of the same name.
-    numbers : mapping from str to float
-        Parameters, which are put in.
-
-    Raises
-    ------
-    ValueError
-        If the text is no expression in these names.
+    Variables go before parameters of the same name. Raises ``ValueError`` if the text is no such expression.
     """
     if not isinstance(text, str) or len(text) > LONGEST:
         raise ValueError(f"an expression is no text of at most {LONGEST} characters")
@@ -56,10 +44,10 @@ def _read(node: ast.AST, names: frozenset[str], numbers: Mapping[str, float], de
     if depth > DEEPEST:
         raise ValueError(f"an expression is nested deeper than {DEEPEST} levels")
     if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
-        if not abs(node.value) < LARGEST:
-            raise ValueError(f"an expression holds a number of {LARGEST:g} or more")
-        return float(node.value)
-    name = _dotted(node)
+        return _small(node.value)
+    name = node.id if isinstance(node, ast.Name) else ""
+    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+        name = f"{node.value.id}.{node.attr}"  # a variable of another agent
     if name in names:
         return name
     if name in numbers:
@@ -75,21 +63,11 @@ def _read(node: ast.AST, names: frozenset[str], numbers: Mapping[str, float], de
     raise ValueError(f"an expression holds what cannot be read: {name or ast.dump(node)[:80]}")
 
 
-def _dotted(node: ast.AST) -> str:
-    """Return a name, also that of another agent's variable; an empty text for anything else."""
-    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-        return f"{node.value.id}.{node.attr}"
-    return node.id if isinstance(node, ast.Name) else ""
-
-
 def _call(function: str, arguments: Sequence[Tree]) -> Tree:
     if function == "clip" and len(arguments) == 3:
         return ("min", ("max", arguments[0], arguments[1]), arguments[2])
     if function in ("min", "max") and len(arguments) >= 2:
-        tree = arguments[0]
-        for argument in arguments[1:]:
-            tree = (function, tree, argument)
-        return tree
+        return reduce(lambda tree, argument: (function, tree, argument), arguments)
     if function in FUNCTIONS and len(arguments) == 1:
         return (function, arguments[0])
     raise ValueError(f"an expression calls `{function}` with {len(arguments)} arguments")
@@ -101,13 +79,15 @@ def folded(operation: str, *arguments: Tree) -> Tree:
     if len(numbers) < len(arguments) or operation == "**":
         return (operation, *arguments)
     a, b = numbers[0], numbers[-1]
-    if operation == "/" and b == 0.0:
-        raise ValueError("an expression divides a number by 0")
-    result = {"negative": -a, "+": a + b, "-": a - b, "*": a * b}.get(operation)
-    result = a / b if result is None else result
-    if not abs(result) < LARGEST:
-        raise ValueError(f"an expression holds a number of {LARGEST:g} or more")
-    return result
+    # a quotient by 0 is no number, and refused as one that is too large
+    quotient = a / b if b else math.inf
+    return _small({"negative": -a, "+": a + b, "-": a - b, "*": a * b, "/": quotient}[operation])
+
+
+def _small(number: float) -> float:
+    if not abs(number) < LARGEST:
+        raise ValueError(f"an expression holds a number of {LARGEST:g} or more, or a quotient by 0")
+    return float(number)
 
 
 def affine(row: Sequence[float], names: Sequence[str], constant: float) -> Tree:
@@ -142,11 +122,5 @@ def plain_sum(tree: Tree) -> tuple[tuple[float, str], ...] | None:
 
 def names_in(trees: Sequence[Tree]) -> set[str]:
     """Return the names in trees."""
-    names, waiting = set[str](), list(trees)
-    while waiting:
-        tree = waiting.pop()
-        if isinstance(tree, str):
-            names.add(tree)
-        elif isinstance(tree, tuple):
-            waiting += tree[1:]
-    return names
+    names = {tree for tree in trees if isinstance(tree, str)}
+    return names.union(*(names_in(tree[1:]) for tree in trees if isinstance(tree, tuple)))

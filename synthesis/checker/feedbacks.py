@@ -1,7 +1,7 @@
 """Feedbacks that are written as expressions of states and the time, and cut off at the box of inputs.
 
 **Theorem** (``enclosed_feedback``). The input is within ``u + J e + rho`` for every error e of the tube. *Proof.* An
-expression is a row, and something between ends, on the tube (``linearization.expanded``); what is cut off, inside of it
+expression is a row, and something between ends, on the tube (``jets.expanded``); what is cut off, inside of it
 or last of all, leaves a line by no more than ``networks._line`` says. QED
 
 The claim is for every controller within ``OFF * (1 + |u|)`` of the expressions, before it is cut off.
@@ -11,20 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
 
-from . import fields
 from .expressions import Tree, read_expression
+from .fields import Entry
 from .intervals import add, interval, mul, neg, up
-from .linearization import expanded
+from .jets import expanded
 from .networks import _Forms
 from .problem import Agent
 from .rigorous import Array, U
 
-OFF = 1e-9
-"""Share of inputs, and one, that controllers may be off by: far above what numpy's functions round by."""
+OFF = 1e-9  # share of inputs, and one, that controllers may be off by: far above what numpy's functions round by
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,17 +34,10 @@ class Feedback:
     ends: Array
 
 
-def read_feedback(value: Any, place: str, agent: Agent) -> Feedback:
+def read_feedback(entry: Entry, agent: Agent) -> Feedback:
     """Return the feedback of an agent in a file; raise ``Unreadable`` if it does not fit."""
-    names = (*agent.states, *(() if "t" in agent.states else ("t",)))
-
-    def read(text: Any, at: str) -> Tree:
-        try:
-            return read_expression(text, names, {})
-        except ValueError as error:
-            raise fields.Unreadable(f"{at}: {error}") from error
-
-    trees = fields.each(value, place, read, len(agent.inputs))
+    names, entries = (*agent.states, *(() if "t" in agent.states else ("t",))), entry.entries(len(agent.inputs))
+    trees = [own.made(partial(read_expression, own.value, names, {})) for own in entries]
     ends = agent.input_box.copy()
     for k, tree in enumerate(trees):
         # what is cut off at numbers, last of all, is cut off once, at the narrower ends
@@ -107,7 +99,7 @@ class _Tube:
             case ("tanh", inner):
                 return self.form(inner).through("tanh", np.zeros(1), np.zeros(1), self.reach)
         places = {name: k for k, name in enumerate(self.agent.states)}
-        matrix, rest = expanded((tree,), self.at, places, self.ends, self.t)
+        matrix, rest = expanded((tree,), self.at, places, self.ends, self.t, len(places))
         middle = 0.5 * (rest[0] + rest[1])
         return self._made(middle, matrix, add(rest, neg(interval(middle))))
 

@@ -23,18 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import fields
-from .fields import Unreadable
-from .rigorous import Array
+from .fields import Entry, Unreadable
 
 FORMAT, VERSION = "certigym-certificate", 3
-
-MOST_BYTES = 2**30
-"""Largest file that is read unless the user allows more; arrays are views of its bytes."""
-
-MOST_HEADER = 2**26
-"""Largest header: reading text takes some thirty times its size."""
-
+MOST_BYTES = 2**30  # largest file that is read unless the user allows more; arrays are views of its bytes
+MOST_HEADER = 2**26  # largest header: reading text takes some thirty times its size
 LOCAL, CENTRAL, END = b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06"
 NPY = b"\x93NUMPY\x01\x00"
 NPY_HEADER = re.compile(
@@ -51,40 +44,9 @@ class Contents:
     arrays: tuple[NDArray[Any], ...]
     used: set[int]
 
-    def _array(self, number: Any, place: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
-        number = fields.whole(number, place, 0, len(self.arrays))
-        self.used.add(number)
-        array = self.arrays[number]
-        if array.ndim != len(shape) or any(b is not None and a != b for a, b in zip(array.shape, shape)):
-            raise Unreadable(f"{place}: expected an array of shape {shape}, got {array.shape}")
-        return array
-
-    def floats(self, number: Any, place: str, shape: tuple[int | None, ...], infinite: bool = False) -> Array:
-        """Return an array of floats of this shape (None: any length), all of them finite unless told otherwise."""
-        array = self._array(number, place, shape)
-        if array.dtype != np.float64:
-            raise Unreadable(f"{place}: expected floats, got {array.dtype}")
-        if np.isnan(array).any() or (not infinite and not np.all(np.abs(array) <= fields.LARGEST)):
-            raise Unreadable(f"{place}: it holds what is no number, or one beyond {fields.LARGEST:g}")
-        return array
-
-    def integers(
-        self, number: Any, place: str, shape: tuple[int | None, ...], least: int, below: int
-    ) -> NDArray[np.int64]:
-        """Return an array of whole numbers of this shape, all of them in ``least .. below - 1``."""
-        array = self._array(number, place, shape)
-        if array.dtype.kind != "i":
-            raise Unreadable(f"{place}: expected whole numbers, got {array.dtype}")
-        if array.size and not (least <= int(array.min()) and int(array.max()) < below):
-            raise Unreadable(f"{place}: it holds a number that is not in {least} .. {below - 1}")
-        return array.astype(np.int64)
-
-    def truths(self, number: Any, place: str, shape: tuple[int | None, ...]) -> NDArray[np.bool_]:
-        """Return an array of truth values of this shape; their bytes are 0 or 1."""
-        array = self._array(number, place, shape)
-        if array.dtype != np.bool_ or np.any(array.view(np.uint8) > 1):
-            raise Unreadable(f"{place}: expected truth values")
-        return array
+    def entry(self, key: str) -> Entry:
+        """Return an entry of the header, which may name arrays."""
+        return Entry(self.header[key], key, self.arrays, self.used)
 
     def everything_was_used(self) -> None:
         """Raise ``Unreadable`` if an array is there that nobody asked for."""
@@ -93,15 +55,7 @@ class Contents:
 
 
 def read_file(path: str | Path, most_bytes: int = MOST_BYTES) -> Contents:
-    """Return header and arrays of a file.
-
-    Raises
-    ------
-    Unreadable
-        If it is larger than ``most_bytes``, or not a certificate of this format.
-    OSError
-        If it cannot be read.
-    """
+    """Return header and arrays of a file; ``Unreadable`` if it is larger than allowed, or of another format."""
     size = Path(path).stat().st_size
     if size > most_bytes:
         raise Unreadable(f"the file has {size} bytes, more than {most_bytes}; allow more with --most-bytes")
@@ -201,10 +155,9 @@ def _header(raw: bytes) -> dict[str, Any]:
         raise Unreadable(f"its header does not say that it is a {FORMAT}")
     if header.get("version") != VERSION:
         raise Unreadable(f"its version is {str(header.get('version'))[:20]}, and version {VERSION} is read here")
-    data = fields.table(header, "header", ("format", "version", "name", "problem", "claim", "proof"), ("notes",))
-    if not isinstance(data["name"], str):
-        raise fields.expected("name", "a text", data["name"])
-    return data
+    own = Entry(header, "header").table(("format", "version", "name", "problem", "claim", "proof"), ("notes",))
+    own["name"].text()
+    return header
 
 
 def _array(name: str, data: memoryview) -> NDArray[Any]:

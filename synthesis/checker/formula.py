@@ -21,6 +21,7 @@ translation is trusted. Reference: Bacchus and Kabanza, Annals of Mathematics an
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from .automaton import Automaton
@@ -31,11 +32,10 @@ Formula: TypeAlias = Any
 TOKEN = re.compile(r"\s*(<->|->|[()!&|,\[\]]|[A-Za-z_][A-Za-z0-9_]*|[0-9]+)")
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 WORDS = frozenset(("true", "false", "X", "N", "F", "G", "U", "R", "W", "M"))
+# How tightly operators bind; ``->`` and the temporal ones bind to the right.
 POWER = {"<->": 1, "->": 2, "|": 3, "&": 4, "U": 5, "R": 5, "W": 5, "M": 5}
-"""How tightly operators bind; ``->`` and the temporal ones bind to the right."""
-
+# Steps in a window, characters, levels of brackets, and nodes or pairs that are visited at most.
 LARGEST_BOUND, LONGEST, DEEPEST, MOST = 10_000, 200_000, 200, 200_000
-"""Steps in a window, characters, levels of brackets, and nodes or pairs that are visited at most."""
 
 
 class _Parser:
@@ -44,81 +44,70 @@ class _Parser:
     def __init__(self, text: str) -> None:
         if len(text) > LONGEST:
             raise ValueError(f"the formula has more than {LONGEST} characters")
-        self.tokens, self.at, self.depth = [*TOKEN.findall(text), ""], 0, 0
+        self.tokens, self.at = [*TOKEN.findall(text), ""], 0
         if "".join(self.tokens) != re.sub(r"\s", "", text):
             raise ValueError("the formula holds a character that no formula has")
 
     def take(self, wanted: str = "") -> str:
+        """Return the next token, which is the one that is wanted."""
         token = self.tokens[self.at]
         if not token or (wanted and token != wanted):
             raise ValueError(f"the formula has {token or 'its end'!r} where {wanted or 'more'!r} is expected")
         self.at += 1
         return token
 
-    def whole(self) -> Formula:
-        formula = self.binary(1)
-        if self.tokens[self.at]:
-            raise ValueError(f"the formula has {self.tokens[self.at]!r} after its end")
-        return formula
-
-    def binary(self, power: int) -> Formula:
-        left = self.unary()
+    def binary(self, power: int, depth: int) -> Formula:
+        """Return a formula whose operators bind at least so tightly."""
+        left = self.unary(depth)
         while (own := POWER.get(self.tokens[self.at], 0)) >= power:
             token = self.take()
-            right = self.binary(own if own in (2, 5) else own + 1)
-            left = (token, left, right)
+            left = (token, left, self.binary(*((own, depth + 1) if own in (2, 5) else (own + 1, depth))))
         return left
 
-    def unary(self) -> Formula:
-        self.depth += 1
-        if self.depth > DEEPEST:
+    def unary(self, depth: int) -> Formula:
+        """Return a name, a formula in brackets, or one after a sign or a temporal operator."""
+        if depth > DEEPEST:
             raise ValueError(f"the formula is nested deeper than {DEEPEST} levels")
-        formula = self._unary(self.take())
-        self.depth -= 1
-        return formula
-
-    def _unary(self, token: str) -> Formula:
+        token = self.take()
         if token == "(":
-            inner = self.binary(1)
+            inner = self.binary(1, depth + 1)
             self.take(")")
             return inner
-        if token == "!":
-            return ("!", self.unary())
-        if token in ("X", "N", "F", "G"):
-            return self._temporal(token, self._bounds(token))
+        if token in ("!", "X", "N", "F", "G"):
+            bounds = self.bounds(token)
+            inner = self.unary(depth + 1)
+            if token != "X" or not bounds:
+                return (token, inner, *bounds)
+            for _ in range(bounds[0]):  # X[k] f is X .. X f
+                inner = ("X", inner)
+            return inner
         if not NAME.fullmatch(token) or token in WORDS - {"true", "false"}:
             raise ValueError(f"the formula has {token!r} where a name is expected")
         return {"true": True, "false": False}.get(token, token)
 
-    def _bounds(self, token: str) -> tuple[int, ...]:
+    def bounds(self, token: str) -> tuple[int, ...]:
+        """Return the window of an operator, if there is one: [k] of F and G is [0, k]."""
         if self.tokens[self.at] != "[":
             return ()
         self.take("[")
         bounds = [int(self.take())]
-        if self.tokens[self.at] == ",":
+        while self.tokens[self.at] == ",":
             self.take(",")
             bounds.append(int(self.take()))
         self.take("]")
-        if max(bounds) > LARGEST_BOUND or sorted(bounds) != bounds or len(bounds) > (2 if token in "FG" else 1):
+        most = {"X": 1, "F": 2, "G": 2}.get(token, 0)
+        if max(bounds) > LARGEST_BOUND or sorted(bounds) != bounds or len(bounds) > most:
             raise ValueError(f"the formula has a window {bounds} that no operator {token} has")
-        return tuple(bounds)
-
-    def _temporal(self, token: str, bounds: tuple[int, ...]) -> Formula:
-        inner = self.unary()
-        if not bounds:
-            return (token, inner)
-        if token == "N":
-            raise ValueError("the formula has a window after N, which has none")
-        if token == "X":
-            for _ in range(bounds[0]):
-                inner = ("X", inner)
-            return inner
-        return (token, inner, *((0, *bounds) if len(bounds) == 1 else bounds))
+        return tuple(bounds) if len(bounds) == most else (0, *bounds)
 
 
 def parse(text: str) -> Formula:
     """Return the formula of a text: a Boolean, a name, or a tuple (operator, operands .., bounds ..)."""
-    return _Parser(text).whole()
+    parser = _Parser(text)
+    formula = parser.binary(1, 0)
+    if parser.tokens[parser.at]:
+        raise ValueError(f"the formula has {parser.tokens[parser.at]!r} after its end")
+    return formula
 
 
 class _Diagrams:
@@ -163,82 +152,79 @@ class _Diagrams:
         return self.nodes[f][side] if f > 1 and self.nodes[f][0] == v else f
 
 
-class _Progression:
+SHORT: dict[str, Callable[..., Formula]] = {
+    "F": lambda a: ("U", True, a),
+    "G": lambda a, *window: ("!", ("F", ("!", a), *window)),
+    "M": lambda a, b: ("U", b, ("&", a, b)),
+    "R": lambda a, b: ("!", ("U", ("!", a), ("!", b))),
+    "W": lambda a, b: ("!", ("U", ("!", b), ("&", ("!", a), ("!", b)))),
+}
+"""What operators are short for; F with a window is not."""
+
+
+class _Progression(_Diagrams):
     """What formulas ask of the rest of a word, letter by letter."""
 
     def __init__(self, propositions: tuple[str, ...]) -> None:
-        self.diagrams, self.P = _Diagrams(), len(propositions)
+        super().__init__()
+        self.P, self.asked = len(propositions), dict[Formula, int]()
         for name in propositions:  # propositions come first in the order of variables
-            self.diagrams.variable(name)
-        self.memo: dict[Formula, int] = {}
+            self.variable(name)
         self.after: dict[int, int] = {}
 
     def now(self, f: Formula) -> int:
         """Return what a formula asks from a letter on, over propositions there and formulas at the next letter."""
-        if f not in self.memo:
-            self.memo[f] = self._now(f)
-        return self.memo[f]
+        if f not in self.asked:
+            self.asked[f] = self._now(f)
+        return self.asked[f]
 
     def _now(self, f: Formula) -> int:
-        d = self.diagrams
         if isinstance(f, bool):
             return int(f)
         if isinstance(f, str):
-            if f not in d.variables:
+            if f not in self.variables:
                 raise Refused(f"the formula names {f!r}, which is no proposition")
-            return d.variable(f)
+            return self.variable(f)
         operator, a, *rest = f
         # Promises are variables: what holds from the next letter on.
         if operator == "X":
-            return d.variable(f)
+            return self.variable(f)
         if operator == "N":
-            return d.ite(d.variable(("X", ("!", a))), 0, 1)
+            return self.ite(self.variable(("X", ("!", a))), 0, 1)
         if operator == "!":
-            return d.ite(self.now(a), 0, 1)
+            return self.ite(self.now(a), 0, 1)
         if operator == "F" and rest:
-            return self._window(a, *rest)
+            # F[a,b] f: later, while a > 0; then f holds now, or within what is left of the window
+            low, high = rest
+            if low or high:
+                later = self.variable(("X", ("F", a, max(low - 1, 0), high - 1)))
+                return later if low else self.ite(self.now(a), 1, later)
+            return self.now(a)
         # f U g holds if g does, or f does and it holds from the next letter on.
         if operator == "U":
-            return d.ite(self.now(rest[0]), 1, d.ite(self.now(a), d.variable(("X", f)), 0))
-        if operator == "F":
-            return self.now(("U", True, a))
+            return self.ite(self.now(rest[0]), 1, self.ite(self.now(a), self.variable(("X", f)), 0))
         # The others are short for these.
-        if operator == "G":
-            return self.now(("!", ("F", ("!", a), *rest)))
-        b = rest[0]
-        if operator == "M":
-            return self.now(("U", b, ("&", a, b)))
-        if operator == "R":
-            return self.now(("!", ("U", ("!", a), ("!", b))))
-        if operator == "W":
-            return self.now(("!", ("U", ("!", b), ("&", ("!", a), ("!", b)))))
-        x, y = self.now(a), self.now(b)
+        if operator in SHORT:
+            return self.now(SHORT[operator](a, *rest))
+        x, y = self.now(a), self.now(rest[0])
         # f holds and what then; f fails and what then
-        then, otherwise = {"&": (y, 0), "|": (1, y), "->": (y, 1), "<->": (y, d.ite(y, 0, 1))}[operator]
-        return d.ite(x, then, otherwise)
-
-    def _window(self, a: Formula, low: int, high: int) -> int:
-        """Return what F[low,high] a asks."""
-        if low:
-            return self.diagrams.variable(("X", ("F", a, low - 1, high - 1)))
-        if not high:
-            return self.now(a)
-        return self.diagrams.ite(self.now(a), 1, self.diagrams.variable(("X", ("F", a, 0, high - 1))))
+        then, otherwise = {"&": (y, 0), "|": (1, y), "->": (y, 1), "<->": (y, self.ite(y, 0, 1))}[operator]
+        return self.ite(x, then, otherwise)
 
     def stepped(self, f: int) -> int:
         """Return a function over formulas at the next letter as one over the propositions of that letter."""
         if f < 2:
             return f
         if f not in self.after:
-            v, low, high = self.diagrams.nodes[f]
-            promised = self.now(self.diagrams.meanings[v][1])  # the f of X f
-            self.after[f] = self.diagrams.ite(promised, self.stepped(high), self.stepped(low))
+            v, low, high = self.nodes[f]
+            promised = self.now(self.meanings[v][1])  # the f of X f
+            self.after[f] = self.ite(promised, self.stepped(high), self.stepped(low))
         return self.after[f]
 
     def holds_at_end(self, f: int) -> bool:
         """Return whether a function is true where no next letter exists: every X is false there."""
         while f > 1:
-            f = self.diagrams.nodes[f][1]
+            f = self.nodes[f][1]
         return bool(f)
 
 
@@ -246,7 +232,7 @@ def wrong_automaton(automaton: Automaton, formula: Formula) -> str:
     """Return which state accepts a word that the formula does not; an empty text if none does."""
     progression, dead = _Progression(automaton.propositions), automaton.dead()
     # The word of no letter: a co-safe automaton that accepts it accepts every word.
-    before = progression.diagrams.variable(("X", formula))
+    before = progression.variable(("X", formula))
     if automaton.is_co_safe and automaton.accepting[automaton.initial] and progression.now(formula) != 1:
         return f"state {automaton.initial} accepts before any letter, and the formula is not always true"
     # Every pair of a state and of what the formula still asks, that some word leads to.
@@ -269,7 +255,7 @@ def wrong_automaton(automaton: Automaton, formula: Formula) -> str:
 
 def _letters(progression: _Progression, automaton: Automaton, q: int, f: int) -> list[tuple[int, int]]:
     """Return the states and functions that letters lead to: the two diagrams over propositions, side by side."""
-    d, pairs = progression.diagrams, []
+    d, pairs = progression, []
     stack, seen = [(automaton.root[q], f)], set[tuple[int, int]]()
     while stack:
         entry, f = place = stack.pop()

@@ -16,12 +16,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import rigorous
-from .rigorous import LARGEST_ANGLE, Array, Ends, U
-
-Truth = NDArray[np.bool_]
+from .rigorous import LARGEST_ANGLE, Array, Ends, Truth, U
 
 
 def interval(low: Any, high: Any = None) -> Array:
@@ -120,8 +117,7 @@ def log(a: Array) -> Array:
     return _rising(rigorous.log)(np.where(a[0] > 0, a, np.nan))
 
 
-LARGEST_POWER = 32
-"""Whole powers up to it are products, of any number; others are exp(p log x), of positive numbers."""
+LARGEST_POWER = 32  # whole powers up to it are products, of any number; others are exp(p log x), of positive numbers
 
 
 def power(a: Array, p: float) -> Array:
@@ -136,9 +132,9 @@ def power(a: Array, p: float) -> Array:
     return exp(mul(interval(np.full_like(a[0], p)), log(np.where(a[0] > 0, a, np.nan))))
 
 
+# How near, in turns, an end may be to a top of the sine for the top to count as reached: more than turns are off by
+# below 10^4; beyond, a top that is missed by rounding is less above the end than ``SIN_ERROR``.
 NEAR_TOP = 1e-12
-"""How near, in turns, an end may be to a top of the sine for the top to count as reached: more than turns are off by
-below 10^4; beyond, a top that is missed by rounding is less above the end than ``SIN_ERROR``."""
 
 
 def sine(a: Array, quarters: int = 0) -> Array:

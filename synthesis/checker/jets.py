@@ -18,38 +18,29 @@ lies in the hull of the slopes on both sides, which is what is returned there.
 3. the same with W replaced by T z + offset, |offset| <= off: products of what follows one z are squares of z.
 
 The narrowest one that is known is returned. Form 1 needs no second derivatives, so it holds at kinks, too.
+
+So an expression on a box around a point is a matrix, the middle of its slopes there, and what that leaves out between
+ends (``on_boxes``). Sums of multiples of names are their own linear part (``expanded``): nothing is left out but what
+they are rounded by.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from .expressions import Tree
-from .intervals import (
-    add,
-    atan,
-    exp,
-    interval,
-    known,
-    log,
-    mul,
-    neg,
-    power,
-    recip,
-    root,
-    sine,
-    square,
-    tangent,
-    tanh,
-    total,
-)  # fmt: skip
-from .rigorous import Array
+from . import intervals
+from .expressions import Tree, plain_sum
+from .fields import Refused
+from .intervals import add, interval, known, mul, neg, power, recip, sine, square, total
+from .rigorous import Array, U
 
+Places = dict[str, int]
+Around = tuple[Array, Array, Array]
+# T (v, k), the places (k,) of z among the directions, and bounds (v,) on the offsets.
 Follow = tuple[Array, list[int], Array]
-"""T (v, k), the places (k,) of z among the directions, and bounds (v,) on the offsets."""
 
 
 @dataclass(eq=False)
@@ -117,45 +108,39 @@ def _power(a: Array, p: float) -> tuple[Array, Array, Array]:
     return raised(p), first if (p - 1.0) + 1.0 == p else unknown, second if (p - 2.0) + 2.0 == p else unknown
 
 
-def _function(name: str, a: Array) -> tuple[Array, Array, Array]:
-    """Return a function of one argument and its first two derivatives on intervals (2, n)."""
-    if name == "sin":
-        s = sine(a)
-        return s, sine(a, 1), neg(s)
-    if name == "cos":
-        c = sine(a, 1)
-        return c, neg(sine(a)), neg(c)
-    if name == "exp":
-        e = exp(a)
-        return e, e, e
-    if name == "tan":
-        t = tangent(a)
-        first = add(_number(1.0), square(t))
-        return t, first, mul(mul(_number(2.0), t), first)
-    if name == "tanh":
-        t = tanh(a)
-        first = add(_number(1.0), neg(square(t)))
-        return t, first, mul(mul(_number(-2.0), t), first)
-    if name == "log":
-        r = recip(np.where(a[0] > 0, a, np.nan))
-        return log(a), r, neg(square(r))
-    if name == "sqrt":
-        r = root(a)
-        first = recip(add(r, r))
-        return r, first, neg(mul(first, recip(add(a, a))))
-    if name == "atan":
-        r = recip(add(_number(1.0), square(a)))
-        return atan(a), r, mul(mul(_number(-2.0), a), square(r))
-    if name == "recip":
-        r = recip(a)
-        return r, neg(square(r)), mul(_number(2.0), power(r, 3.0))
-    assert name == "abs"
-    # abs: one slope on each side, and both at a kink.
+def _abs(a: Array) -> Array:
+    return np.stack([np.maximum(np.maximum(a[0], -a[1]), 0.0), np.maximum(-a[0], a[1])])
+
+
+def _sign(a: Array) -> Array:
+    # one slope on each side, and both at a kink; at 0 itself both count
     right, left = a[0] >= 0, a[1] <= 0
-    value = np.stack([np.maximum(np.maximum(a[0], -a[1]), 0.0), np.maximum(-a[0], a[1])])
-    # at 0 itself both slopes count
-    slope = np.stack([np.where(right & ~left, 1.0, -1.0), np.where(left & ~right, -1.0, 1.0)]) + 0 * a
-    return value, slope, np.where(right ^ left, 0.0, np.nan) + 0 * a
+    return np.stack([np.where(right & ~left, 1.0, -1.0), np.where(left & ~right, -1.0, 1.0)]) + 0 * a
+
+
+ONE, TWO = _number(1.0), _number(2.0)
+
+CALCULUS: dict[str, tuple[Callable[[Array], Array], Callable[..., Array], Callable[..., Array]]] = {
+    "sin": (sine, lambda a, f: sine(a, 1), lambda a, f, d: neg(f)),
+    "cos": (lambda a: sine(a, 1), lambda a, f: neg(sine(a)), lambda a, f, d: neg(f)),
+    "tan": (intervals.tangent, lambda a, f: add(ONE, square(f)), lambda a, f, d: mul(mul(TWO, f), d)),
+    "exp": (intervals.exp, lambda a, f: f, lambda a, f, d: f),
+    "tanh": (intervals.tanh, lambda a, f: add(ONE, neg(square(f))), lambda a, f, d: mul(mul(-TWO, f), d)),
+    "log": (intervals.log, lambda a, f: recip(np.where(a[0] > 0, a, np.nan)), lambda a, f, d: neg(square(d))),
+    "sqrt": (intervals.root, lambda a, f: recip(add(f, f)), lambda a, f, d: neg(mul(d, recip(add(a, a))))),
+    "atan": (intervals.atan, lambda a, f: recip(add(ONE, square(a))), lambda a, f, d: mul(mul(-TWO, a), square(d))),
+    "recip": (recip, lambda a, f: neg(square(f)), lambda a, f, d: mul(TWO, power(f, 3.0))),
+    "abs": (_abs, lambda a, f: _sign(a), lambda a, f, d: np.where(d[0] == d[1], 0.0, np.nan) + 0 * a),
+}
+"""Functions f of one argument a: value, first derivative d, and second derivative, on intervals (2, n)."""
+
+
+def _function(name: str, a: Array) -> tuple[Array, Array, Array]:
+    """Return a function and its first two derivatives on intervals."""
+    value, first, second = CALCULUS[name]
+    f = value(a)
+    d = first(a, f)
+    return f, d, second(a, f, d)
 
 
 def _maximum(a: Jet, b: Jet) -> Jet:
@@ -169,8 +154,7 @@ def _maximum(a: Jet, b: Jet) -> Jet:
     return Jet(np.maximum(a.value, b.value) + 0 * (a.value + b.value), slope, bend)
 
 
-Memory = dict[Tree, Jet]
-"""Jets of subtrees that were computed; for one set of leaves."""
+Memory = dict[Tree, Jet]  # jets of subtrees that were computed; for one set of leaves
 
 
 def jet(tree: Tree, leaves: Mapping[str, Jet], memory: Memory) -> Jet:
@@ -214,13 +198,7 @@ def _operation(tree: tuple[Tree, ...], leaves: Mapping[str, Jet], memory: Memory
 def off_linear(centre: Jet, around: Jet, box: Array, matrix: Array, follow: Follow | None = None) -> Array:
     """Return intervals (2, n) around f(e) - f(0) - matrix e for e in a box (2, v, n), by the theorem above.
 
-    Parameters
-    ----------
-    centre, around : Jet
-        At e = 0, and on the box.
-    matrix : (v, n) array
-    follow : (T, places, off), optional
-        e is ``T @ z`` up to ``off`` (v,), z its own entries at ``places``.
+    Jets are those at e = 0, and on the box; with ``follow`` e is ``T @ z`` up to offsets, z its own entries at places.
     """
     # Taylor at the centre, the mean value theorem on the box, and Taylor along what directions follow.
     row = interval(matrix)
@@ -257,3 +235,79 @@ def value_on(tree: Tree, names: Mapping[str, Array]) -> Array:
     """Return intervals (2, n) around a tree where its names lie between ends (2, n): values alone."""
     leaves = {name: Jet.variable(ends, np.zeros((0, ends.shape[1]))) for name, ends in names.items()}
     return jet(tree, leaves, {}).value
+
+
+def expanded(
+    trees: Sequence[Tree], point: Array, places: Places, box: Array, t: int, free: int, follow: Follow | None = None
+) -> tuple[Array, Array]:
+    """Return a matrix (p, v), and ends (2, p) of what trees are besides it, for deviations in a box (2, v) of a point.
+
+    ``places`` says which of the v variables a name is, ``t`` the time, unless a variable is called so. The matrix has
+    zeros beyond the first ``free`` variables; ``follow`` is how variables follow one another (``off_linear``).
+    ``Refused`` if an expression is not defined on the box.
+    """
+    matrix, ends = np.zeros((len(trees), len(point))), np.zeros((2, len(trees)))
+    sums = [plain_sum(tree) for tree in trees]
+    bent = [p for p, terms in enumerate(sums) if terms is None]
+    for p, terms in enumerate(sums):
+        if terms is not None:
+            matrix[p], ends[:, p] = _of_sum(terms, point, places, box, t, free)
+    if bent:
+        some, still = [trees[p] for p in bent], {"t": interval(np.full(1, float(t)))}
+        ranges = add(interval(point), box)[..., None]
+        found = on_boxes(some, places, still, (point[:, None], box[..., None], ranges), free, follow)
+        matrix[bent], ends[:, bent] = found[0][..., 0], found[1][..., 0]
+    for tree, row, own in zip(trees, matrix, ends.T):
+        if not np.all(np.isfinite(row)) or not np.all(np.isfinite(own)):
+            raise Refused(f"an expression has no slope, or is not known on the tube, at time {t}: {str(tree)[:60]}")
+    return matrix, ends
+
+
+def _of_sum(
+    terms: Sequence[tuple[float, str]], point: Array, places: Places, box: Array, t: int, free: int
+) -> tuple[Array, Array]:
+    """Return the row of a sum of multiples of names, which leaves out nothing but what is not among the free ones."""
+    row, values, exact = np.zeros(len(point)), [], len(terms) == 1
+    for factor, name in terms:
+        if name in places:
+            row[places[name]] = factor
+        at = point[places[name]] if name in places else float(t) if name else 1.0
+        values.append(factor * at)
+        exact &= abs(factor) == 1.0 or not name
+    # sums of n products are rounded by at most n + 1 units of their sizes
+    spare = 0.0 if exact else (len(terms) + 3.0) * U * float(np.abs(values).sum()) + 1e-290
+    value, rest, row = float(np.sum(values)), row[free:], np.append(row[:free], np.zeros(len(point) - free))
+    reach = np.where(rest > 0.0, rest * box[:, free:], rest * box[::-1, free:]).sum(axis=1)
+    spare += (len(rest) + 3.0) * U * float((np.abs(rest) * np.abs(box[:, free:])).sum()) + 1e-290 * bool(rest.any())
+    total = value + reach
+    spare += 2.0 * U * float(np.abs(total).max()) if spare else 0.0
+    return row, np.array([total[0] - spare, total[1] + spare])
+
+
+def on_boxes(
+    trees: Sequence[Tree],
+    places: Places,
+    still: dict[str, Array],
+    around: Around,
+    free: int,
+    follow: Follow | None = None,
+) -> tuple[Array, Array]:
+    """Return matrices (p, v, n) and ends (2, p, n) of any expressions on n boxes, by their jets at points and on boxes.
+
+    ``around`` are points (v, n), boxes (2, v, n) of deviations from them, and ends (2, v, n) of what moves; ``still``
+    are ends (2, n) of names that do not. What is not defined on a box is nan.
+    """
+    point, box, ranges = around
+    v, n = point.shape
+    leaves = [{name: Jet.variable(ends, np.zeros((v, n))) for name, ends in still.items()} for _ in range(2)]
+    for named, ends in zip(leaves, (interval(point), ranges)):
+        for name, k in places.items():
+            named[name] = Jet.variable(ends[:, k], np.repeat(np.eye(v)[k][:, None], n, axis=1))
+    matrix, rest = np.zeros((len(trees), v, n)), np.zeros((2, len(trees), n))
+    memories: tuple[Memory, Memory] = {}, {}
+    for p, tree in enumerate(trees):
+        centre, on_box = (jet(tree, own, memory) for own, memory in zip(leaves, memories))
+        matrix[p] = 0.5 * (centre.slope[0] + centre.slope[1])
+        matrix[p, free:] = 0.0
+        rest[:, p] = add(centre.value, off_linear(centre, on_box, box, matrix[p], follow))
+    return matrix, rest

@@ -18,16 +18,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .expressions import Tree
 from .fields import Refused
-from .jets import value_on
-from .problem import Agent, Pair, Problem
-from .rigorous import Array, U
+from .motions import labels_at_start, outputs_on
+from .problem import Pair, Problem
+from .rigorous import Array, U, Whole
 
+# Factor on limits that lie within a ball: more than faces of a unit octagon are rounded by, which is 4 U.
 INSIDE = 1.0 - 1e-12
-"""Factor on limits that lie within a ball: more than faces of a unit octagon are rounded by, which is 4 U."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,47 +42,35 @@ class Demand:
     avoided: tuple[float, float] | None = None
 
 
-def known_at(problem: Problem, letters: NDArray[np.int64], t: int) -> dict[int, bool]:
+def known_at(problem: Problem, letters: Whole, t: int) -> dict[int, bool]:
     """Return what is known of the letter of a time t >= 1, by number of the proposition."""
     known = {p: value > 0 for p, value in enumerate(letters[t].tolist()) if value}
     for p, region in enumerate(problem.regions):
         if p in known:
             continue
-        apart = [
-            np.any(region.high[t] <= other.low[t]) or np.any(other.high[t] <= region.low[t])
-            for other, value in zip(problem.regions, letters[t].tolist())
-            if value > 0 and other.agent == region.agent
-        ]
-        if np.any(region.low[t] >= region.high[t]) or any(apart):
+        # Regions of the same agent that hold, and have no point in common with this one.
+        hold = [o for o, value in zip(problem.regions, letters[t]) if value > 0 and o.agent == region.agent]
+        apart = any(np.any((region.high[t] <= o.low[t]) | (o.high[t] <= region.low[t])) for o in hold)
+        if np.any(region.low[t] >= region.high[t]) or apart:
             known[p] = False
     return known
 
 
 def known_at_start(problem: Problem) -> dict[int, bool]:
     """Return what is known of the letter of time 0, for all starts in the box."""
-    # Outputs on the box of starts; those that are states are exact.
+    # Outputs on the closed box of starts, which is one cell; those that are states are exact.
     outputs = [
-        np.concatenate([_output(agent, tree) for tree in agent.outputs], axis=1) if agent.outputs else np.zeros((2, 0))
-        for agent in problem.agents
+        outputs_on(own, own.start[:1], own.start[1:], np.ones((1, len(own.states)), bool)) for own in problem.agents
     ]
-    known = {}
-    for p, region in enumerate(problem.regions):
-        low, high = outputs[region.agent]
-        if np.all((region.low[0] <= low) & (high < region.high[0])):
-            known[p] = True
-        elif np.any((high < region.low[0]) | (region.high[0] <= low)) or np.any(region.low[0] >= region.high[0]):
-            known[p] = False
+    labels = [labels_at_start(region, *outputs[region.agent])[0] for region in problem.regions]
+    known = {p: bool(label > 0) for p, label in enumerate(labels) if label}
     for p, pair in enumerate(problem.pairs, start=len(problem.regions)):
-        sides = [outputs[i][:, list(axes)] for i, axes in zip(pair.agents, pair.outputs, strict=True)]
+        ends = [np.stack(outputs[i][:2])[:, :, 0] for i in pair.agents]
+        sides = [own[:, list(axes)] for own, axes in zip(ends, pair.outputs, strict=True)]
         held = _held(pair, *sides) if all(np.all(np.isfinite(side)) for side in sides) else None
         if held is not None:
             known[p] = held
     return known
-
-
-def _output(agent: Agent, tree: Tree) -> Array:
-    """Return ends (2, 1) of an output on the box of starts; of a state they are exact."""
-    return value_on(tree, {name: agent.start[:, k : k + 1] for k, name in enumerate(agent.states)})
 
 
 def _held(pair: Pair, first: Array, second: Array) -> bool | None:
@@ -112,35 +98,31 @@ def _held(pair: Pair, first: Array, second: Array) -> bool | None:
     return True if most * spare < radius * radius else None
 
 
-def demands(
-    problem: Problem, letters: NDArray[np.int64], faces: NDArray[np.int64], normals: Array, t: int
-) -> list[Demand]:
+def demands(problem: Problem, letters: Whole, faces: Whole, normals: Array, t: int) -> list[Demand]:
     """Return what the letter of a time t >= 1 asks of outputs; raise ``Refused`` if a side that is named is none."""
     asked: list[Demand] = []
     for p, region in enumerate(problem.regions):
         value, face, label = int(letters[t, p]), int(faces[t, p]), f"`{region.name}` at time {t}"
-        low, high = region.low[t], region.high[t]
+        limits = list(zip(region.low[t].tolist(), region.high[t].tolist(), strict=True))
         if value == 1:
-            limits = zip(range(len(low)), low.tolist(), high.tolist())
-            asked += [Demand(((region.agent, k, 1.0),), a, b, label) for k, a, b in limits if a > -np.inf or b < np.inf]
+            limited = [(k, low, high) for k, (low, high) in enumerate(limits) if low > -np.inf or high < np.inf]
+            asked += [Demand(((region.agent, k, 1.0),), low, high, label) for k, low, high in limited]
         # A region that is empty at this time does not hold, and nothing has to be avoided.
-        elif value < 0 and not np.any(low >= high):
+        elif value < 0 and all(low < high for low, high in limits):
             k, above = divmod(face, 2)
-            if not 0 <= k < len(low) or not np.isfinite((high if above else low)[k]):
+            if not 0 <= k < len(limits) or not np.isfinite(limits[k][above]):
                 raise Refused(f"{label}: the side {face} that is kept away from has no limit")
-            ends = (float(high[k]), np.inf) if above else (-np.inf, float(low[k]))
-            avoided = float(low[k]), float(high[k])
-            asked.append(Demand(((region.agent, k, 1.0),), *ends, f"not {label}", avoided))
+            low, high = (limits[k][1], np.inf) if above else (-np.inf, limits[k][0])
+            asked.append(Demand(((region.agent, k, 1.0),), low, high, f"not {label}", limits[k]))
     # Pairs come after regions, and their normals stand one after the other.
     first = 0
     for p, pair in enumerate(problem.pairs, start=len(problem.regions)):
-        count = len(pair.outputs[0])
-        normal = normals[t, first : first + count]
-        first += count
+        last = first + len(pair.outputs[0])
         if letters[t, p] == 1:
             asked += _near(pair, t)
         elif letters[t, p] < 0:
-            asked += _apart(pair, normal, t)
+            asked += _apart(pair, normals[t, first:last], t)
+        first = last
     return asked
 
 
@@ -154,17 +136,15 @@ def _between(pair: Pair, factors: Array, low: float, high: float, label: str) ->
 def _near(pair: Pair, t: int) -> list[Demand]:
     """Return limits which together hold in points of a pair alone."""
     label, count = f"`{pair.name}` at time {t}", len(pair.outputs[0])
-    if pair.radius is None:
-        limits = zip(np.eye(count), pair.low[t].tolist(), pair.high[t].tolist())
-        return [_between(pair, axis, a, b, label) for axis, a, b in limits if a > -np.inf or b < np.inf]
-    radius = float(pair.radius[t])
-    if count == 2:
-        # a regular octagon in the disc: its corners are at the radius, its faces at radius times cos(pi / 8)
+    faces, low, high = np.eye(count), pair.low[t], pair.high[t]
+    if pair.radius is not None:
+        # in a disc a regular octagon: its corners are at the radius, its faces at radius times cos(pi / 8)
         turns = 0.25 * np.pi * np.arange(4)
-        faces, limit = np.column_stack([np.cos(turns), np.sin(turns)]), 0.9238795325112867 * radius * INSIDE
-    else:
-        faces, limit = np.eye(count), radius / float(np.sqrt(count)) * INSIDE
-    return [_between(pair, face, -limit, limit, label) for face in faces]
+        faces = np.column_stack([np.cos(turns), np.sin(turns)]) if count == 2 else faces
+        limit = float(pair.radius[t]) * INSIDE * (0.9238795325112867 if count == 2 else 1.0 / float(np.sqrt(count)))
+        low, high = np.full(len(faces), -limit), np.full(len(faces), limit)
+    limits = zip(faces, low.tolist(), high.tolist(), strict=True)
+    return [_between(pair, face, a, b, label) for face, a, b in limits if a > -np.inf or b < np.inf]
 
 
 def _apart(pair: Pair, normal: Array, t: int) -> list[Demand]:

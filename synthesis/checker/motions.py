@@ -1,19 +1,24 @@
-"""Where cells lead: the mean of the next state as an affine map of the state in each cell, and a box around the rest.
+"""Cells: where they lead, and what holds in them.
 
-For every x of a closed cell with the middle c, under the input of a choice and whatever disturbances and other agents
-do, the mean of the next state is ``z + G (x - c) + r`` with ``|r_k| <= rho_k``.
+**Theorem.** For every x of a closed cell with the middle c, under the input of a choice and whatever disturbances and
+other agents do, the mean of the next state is ``z + G (x - c) + r`` with ``|r_k| <= rho_k``.
 
-* An *input* h, the same in all of the cell: z, G and rho are computed by jets (``jets.off_linear``).
+* An *input* h, the same in all of the cell: z, G and rho are computed by ``jets``.
 * A *target* z, for agents with the dynamics ``A x + B u + b``: the input is ``u = P (z - A x - b)`` with a matrix P of
   the file, and must lie in its box for all x of the cell. Then the mean is z, G = 0, and
 
       rho = |B P - I| (|z| + |A| |x| + |b|) + |B| (rounding of the input).
+
+Regions hold everywhere in a box of states, nowhere, or neither is known. A cell is half-open, ``low <= x < high``, and
+the last one along an axis holds its upper face. Labels of outputs that are states are exact; of other outputs they come
+from intervals on the closed cell.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,87 +26,59 @@ from numpy.typing import NDArray
 from .expressions import names_in, plain_sum
 from .fields import Refused
 from .intervals import down, interval, up
-from .jets import Jet, Memory, jet, off_linear
-from .labels import cell_boxes
-from .problem import Agent
-from .rigorous import Array, U
+from .jets import on_boxes, value_on
+from .problem import Agent, Problem, Region
+from .rigorous import Array, Truth, U, Whole
+
+Labels = NDArray[
+    np.int8
+]  # by cell and proposition of the agent: 1 holds in all of the cell, -1 nowhere in it, 0 not known
 
 
 @dataclass(frozen=True, eq=False)
 class Maps:
     """By increasing numbers ``cell * A + input`` (K,): z (K, d), G (K, d, d) and rho (K, d)."""
 
-    numbers: NDArray[np.int64]
+    numbers: Whole
     z: Array
     G: Array
     rho: Array
 
 
 def maps_of_inputs(
-    agent: Agent, others: Sequence[Agent], edges: Sequence[Array], inputs: Array, numbers: NDArray[np.int64]
+    agent: Agent, others: Sequence[Agent], edges: Sequence[Array], inputs: Array, numbers: Whole
 ) -> Maps:
     """Return the maps of pairs of a cell and an input (A, m), by their numbers.
 
     ``others`` are all agents of the problem: states and inputs of theirs are anywhere in their boxes.
     """
-    _refuse_time(agent)
+    if "t" in names_in(agent.dynamics) - {*agent.states, *agent.inputs, *agent.disturbances}:
+        raise Refused(f"the dynamics of `{agent.name}` name the time, and cells know no time")
     if np.any(inputs < agent.input_box[0]) or np.any(inputs > agent.input_box[1]):
         raise Refused(f"an input that `{agent.name}` may choose is outside its box")
     cell, choice = np.divmod(numbers, max(1, len(inputs)))
     low, high = (corner[cell] for corner in cell_boxes(edges))
-    unknown = _unknown(agent, others)
-    n, d, v = len(numbers), low.shape[1], low.shape[1] + len(unknown)
+    named, unknown, (n, d) = names_in(agent.dynamics), dict[str, Any](agent.disturbances), low.shape
+    for at, boxes in ((agent.states_of_others, "state_box"), (agent.inputs_of_others, "input_box")):
+        found = {name: getattr(others[j], boxes)[:, k] for name, (j, k) in at.items() if name in named}
+        unknown |= found
     # Variables of a cell: its states, and everything that is unknown, around the middles of their ranges.
-    ranges = np.array(list(unknown.values())).reshape(-1, 2)
-    middle = np.concatenate([0.5 * low + 0.5 * high, np.repeat(ranges.mean(axis=1)[None], n, axis=0)], axis=1).T
-    first = np.concatenate([low, np.repeat(ranges[None, :, 0], n, axis=0)], axis=1).T
-    last = np.concatenate([high, np.repeat(ranges[None, :, 1], n, axis=0)], axis=1).T
-    box = np.stack([down(first - middle), up(last - middle)])
-    leaves = []
-    for around in (np.zeros_like(box), box):
-        ends = interval(middle) + around if not around.any() else np.stack([first, last])
-        named = {
-            name: Jet.variable(ends[:, k], np.repeat(np.eye(v)[k][:, None], n, 1))
-            for k, name in enumerate((*agent.states, *unknown))
-        }
-        still = np.zeros((v, n))
-        named |= {name: Jet.variable(interval(inputs[choice, j]), still) for j, name in enumerate(agent.inputs)}
-        leaves.append(named)
-    z, G, rho = np.empty((n, d)), np.empty((n, d, d)), np.empty((n, d))
-    memories: tuple[Memory, Memory] = {}, {}
-    # One output after the other: z and G at the middle, rho by what the jet leaves out.
-    for k, tree in enumerate(agent.dynamics):
-        centre, around_jet = (jet(tree, own, memory) for own, memory in zip(leaves, memories))
-        row = np.broadcast_to(0.5 * (centre.slope[0] + centre.slope[1]), (v, n)).copy()
-        row[d:] = 0.0
-        rest = off_linear(centre, around_jet, box, row)
-        ends = np.stack([centre.value[0] + rest[0], centre.value[1] + rest[1]])
-        z[:, k], G[:, k] = 0.5 * ends[0] + 0.5 * ends[1], row[:d].T
-        rho[:, k] = up(np.maximum(ends[1] - z[:, k], z[:, k] - ends[0])) + 4 * U * np.abs(ends).max(axis=0)
-        # images are read around the middle of a cell, which is rounded here
-        rho[:, k] += 2 * U * np.einsum("nj,nj->n", np.abs(G[:, k]), np.maximum(np.abs(low), np.abs(high)))
-    return Maps(numbers, z, G, rho)
+    more = np.repeat(np.array(list(unknown.values())).reshape(-1, 2).T[:, :, None], n, axis=2)
+    ranges = np.concatenate([np.stack([low.T, high.T]), more], axis=1)
+    middle = 0.5 * ranges[0] + 0.5 * ranges[1]
+    box = np.stack([down(ranges[0] - middle), up(ranges[1] - middle)])
+    columns = {name: k for k, name in enumerate((*agent.states, *unknown))}
+    still = {name: interval(inputs[choice, j]) for j, name in enumerate(agent.inputs)}
+    # z and G at the middle, rho by what the jets leave out.
+    matrix, ends = on_boxes(agent.dynamics, columns, still, (middle, box, ranges), d)
+    z, G = 0.5 * ends[0] + 0.5 * ends[1], matrix[:, :d]
+    rho = up(np.maximum(ends[1] - z, z - ends[0])) + 4 * U * np.abs(ends).max(axis=0)
+    # images are read around the middle of a cell, which is rounded here
+    rho += 2 * U * np.einsum("kjn,nj->kn", np.abs(G), np.maximum(np.abs(low), np.abs(high)))
+    return Maps(numbers, z.T, G.transpose(2, 0, 1), rho.T)
 
 
-def _unknown(agent: Agent, others: Sequence[Agent]) -> dict[str, tuple[float, float]]:
-    """Return ends of everything that moves the mean besides state and input."""
-    named, unknown = names_in(agent.dynamics), dict(agent.disturbances)
-    for places, boxes in ((agent.states_of_others, "state_box"), (agent.inputs_of_others, "input_box")):
-        for name, (j, k) in places.items():
-            if name in named:
-                low, high = getattr(others[j], boxes)[:, k].tolist()
-                unknown[name] = low, high
-    return unknown
-
-
-def _refuse_time(agent: Agent) -> None:
-    if "t" in names_in(agent.dynamics) - {*agent.states, *agent.inputs, *agent.disturbances}:
-        raise Refused(f"the dynamics of `{agent.name}` name the time, and cells know no time")
-
-
-def check_targets(
-    agent: Agent, edges: Sequence[Array], inverse: Array, cells: NDArray[np.int64], targets: Array
-) -> Array:
+def check_targets(agent: Agent, edges: Sequence[Array], inverse: Array, cells: Whole, targets: Array) -> Array:
     """Return rho (d,) of targets (n, d) from cells (n,); ``Refused`` where an input would leave its box."""
     A, B, b = affine_dynamics(agent)
     low, high = (corner[cells] for corner in cell_boxes(edges))
@@ -124,17 +101,54 @@ def check_targets(
 
 def affine_dynamics(agent: Agent) -> tuple[Array, Array, Array]:
     """Return A, B and b of dynamics ``A x + B u + b``; ``Refused`` unless they are sums of multiples, as they stand."""
-    names = (*agent.states, *agent.inputs)
-    rows, b = np.zeros((len(agent.states), len(names))), np.zeros(len(agent.states))
+    names = {name: k for k, name in enumerate((*agent.states, *agent.inputs, ""))}  # no name: a number
+    rows = np.zeros((len(agent.states), len(names)))
     for k, tree in enumerate(agent.dynamics):
         terms = plain_sum(tree)
         if terms is None or [name for _, name in terms].count("") > 1:
             raise Refused(f"`{agent.name}` has targets, and its dynamics are no sums of multiples")
         for factor, name in terms:
-            if name and name not in names:
+            if name not in names:
                 raise Refused(f"`{agent.name}` has targets, and its mean depends on more than its state and its input")
-            if name:
-                rows[k, names.index(name)] = factor
-            else:
-                b[k] = factor
-    return rows[:, : len(agent.states)], rows[:, len(agent.states) :], b
+            rows[k, names[name]] = factor
+    return rows[:, : len(agent.states)], rows[:, len(agent.states) : -1], rows[:, -1]
+
+
+def cell_boxes(edges: Sequence[Array]) -> tuple[Array, Array]:
+    """Return lower and upper corners (S, d) of all cells, the last axis running fastest."""
+    sides = ([axis[:-1] for axis in edges], [axis[1:] for axis in edges])
+    low, high = (np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(edges)) for axes in sides)
+    return low, high
+
+
+def cell_labels(problem: Problem, i: int, edges: Sequence[Array]) -> tuple[list[int], Labels]:
+    """Return the propositions of agent i and their labels (S, .) in its cells; ``Refused`` where regions move."""
+    low, high = cell_boxes(edges)
+    last = high == np.array([axis[-1] for axis in edges])  # cells that hold their upper face
+    mine = [p for p, region in enumerate(problem.regions) if region.agent == i]
+    labels, outputs = np.zeros((len(low), len(mine)), dtype=np.int8), outputs_on(problem.agents[i], low, high, last)
+    for column, p in enumerate(mine):
+        region = problem.regions[p]
+        if np.any(region.low != region.low[0]) or np.any(region.high != region.high[0]):
+            raise Refused(f"`{region.name}` moves with the time, and cells know no time")
+        labels[:, column] = labels_at_start(region, *outputs)
+    return mine, labels
+
+
+def labels_at_start(region: Region, least: Array, most: Array, reached: Truth) -> Labels:
+    """Return the labels (S,) of a region at time 0, for ends (p, S) of outputs, and whether upper ones are reached."""
+    low, high = region.low[0][:, None], region.high[0][:, None]
+    holds = (low <= least) & np.where(reached, most < high, most <= high)
+    never = np.where(reached, most < low, most <= low) | (high <= least) | (low >= high)
+    return np.where(never.any(axis=0), -1, np.where(holds.all(axis=0), 1, 0)).astype(np.int8)
+
+
+def outputs_on(agent: Agent, low: Array, high: Array, last: Truth) -> tuple[Array, Array, Truth]:
+    """Return ends (p, S) of outputs on boxes (S, d), and whether upper ones are reached; ``last``: those of states."""
+    names = {name: np.stack([low[:, k], high[:, k]]) for k, name in enumerate(agent.states)}
+    ends, reached = np.zeros((2, len(agent.outputs), len(low))), np.ones((len(agent.outputs), len(low)), bool)
+    for k, tree in enumerate(agent.outputs):
+        ends[:, k] = value_on(tree, names)
+        if isinstance(tree, str):
+            reached[k] = last[:, agent.states.index(tree)]
+    return ends[0], ends[1], reached

@@ -13,6 +13,16 @@ rounds, and what activations leave out of a line. Where z0 + d is in the interva
 ``h + s d + q``; for fixed s these q are largest and least at ends of the interval, at kinks, and where the slope is s
 (``_line``). QED
 
+Errors keep in *ellipsoids*, which are narrower for many rows at once than a strip for each.
+
+**Theorem** (``Ellipsoid``). Let g be the form of the errors of one agent (``error_system``), W any matrix, and V the
+covariance of W g. Then ``P(|W g| > R) <= P(chi2_d > R^2 / v)``, where v is at least the largest eigenvalue of V; and
+where ``|W g| <= R`` every row c satisfies ``|c g| <= R |a| + |c - a W| |g|``, for any a.
+
+*Proof.* W g has the distribution of V^(1/2) z with z standard normal, no longer than sqrt(v) |z|. And
+``c g = a W g + (c - a W) g``. QED Eigenvalues are bounded by absolute sums of rows (Gershgorin); W is about the inverse
+of a root of the covariance of g, so that v is 1 up to rounding, and a is c times that root.
+
 By hand: an activation of ``tanh`` is off by 2^-21 at most. Reference: docs/theory/paths.md, "Networks".
 """
 
@@ -20,27 +30,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from . import fields
+from . import rigorous
 from .automaton import followed
-from .fields import Refused
-from .file import Contents
-from .intervals import add, down, interval, log, mul, neg, recip, root, tanh, up
+from .error_system import ErrorSystem
+from .fields import Entry, Refused
+from .intervals import add, down, exp, interval, log, mul, neg, recip, root, tanh, up
 from .letters import known_at, known_at_start
 from .problem import Agent, Problem
-from .rigorous import Array, U
+from .rigorous import Array, U, Whole
 
 ACTIVATIONS, OUTPUTS, SEES = ("tanh", "relu"), ("clip", "tanh", "box"), ("scaled", "raw")
-SINGLE = 2.0**-24
-"""Relative rounding of one operation in single precision."""
-
-TANH_OFF = 2.0**-21
-"""What an activation of ``tanh`` may be off by."""
-
+SINGLE = 2.0**-24  # relative rounding of one operation in single precision
+TANH_OFF = 2.0**-21  # what an activation of ``tanh`` may be off by
 MOST_UNITS = 4096
 
 
@@ -58,31 +62,28 @@ class Network:
     number: int
 
 
-def read_network(contents: Contents, value: Any, place: str, agent: Agent, states: int) -> Network:
+def read_network(entry: Entry, agent: Agent, states: int) -> Network:
     """Return the network of an agent in a file; raise ``Unreadable`` if it does not fit."""
-    keys = "weights", "biases", "activation", "output", "sees", "width", "agents", "number"
-    own = fields.table(value, place, keys)
-    chosen = [(own[key], key, some) for key, some in zip(keys[2:5], (ACTIVATIONS, OUTPUTS, SEES), strict=True)]
-    for word, key, some in chosen:
-        if word not in some:
-            raise fields.expected(f"{place}.{key}", " or ".join(some), word)
-    width, agents = (fields.whole(own[key], f"{place}.{key}", 0, MOST_UNITS) for key in ("width", "agents"))
-    number = fields.whole(own["number"], f"{place}.number", 0, max(1, agents))
+    own = entry.table(("weights", "biases", "activation", "output", "sees", "width", "agents", "number"))
+    activation, output = own["activation"].one_of(ACTIVATIONS), own["output"].one_of(OUTPUTS)
+    sees = own["sees"].one_of(SEES)
+    width, agents = (own[key].whole(0, MOST_UNITS) for key in ("width", "agents"))
+    number = own["number"].whole(0, max(1, agents))
     if width < len(agent.states):
-        raise fields.Unreadable(f"{place}.width: the row has no room for the state of `{agent.name}`")
+        raise own["width"].wrong(f"the row has no room for the state of `{agent.name}`")
+    # Each layer takes what the one before answers, the first one the row.
     weights, biases, count = [], [], width + states + 1 + agents
-    layers = [fields.each(own[key], f"{place}.{key}", lambda number, _: number) for key in ("weights", "biases")]
-    for k, (weight, bias) in enumerate(zip(*layers, strict=False)):
-        biases.append(contents.floats(bias, f"{place}.biases[{k}]", (None,)))
-        weights.append(contents.floats(weight, f"{place}.weights[{k}]", (len(biases[-1]), count)))
+    layers = [own[key].entries() for key in ("weights", "biases")]
+    for weight, bias in zip(*layers, strict=False):
+        biases.append(bias.floats((None,)))
+        weights.append(weight.floats((len(biases[-1]), count)))
         count = len(biases[-1])
     if not weights or len(layers[0]) != len(layers[1]) or count < len(agent.inputs):
-        raise fields.Unreadable(f"{place}: its layers do not answer with the inputs of `{agent.name}`")
-    act, output, sees = (word for word, _, _ in chosen)
-    return Network(tuple(weights), tuple(biases), act, output, sees, width, agents, number)
+        raise entry.wrong(f"its layers do not answer with the inputs of `{agent.name}`")
+    return Network(tuple(weights), tuple(biases), activation, output, sees, width, agents, number)
 
 
-def automaton_states(problem: Problem, letters: NDArray[np.int64]) -> list[int]:
+def automaton_states(problem: Problem, letters: Whole) -> list[int]:
     """Return the automaton state that a network sees at each time; -1 where every run has been accepted.
 
     ``Refused`` if runs that agree with the letters may be in two states, and are not accepted.
@@ -101,34 +102,27 @@ def automaton_states(problem: Problem, letters: NDArray[np.int64]) -> list[int]:
 
 
 def enclosed(
-    network: Network,
-    agent: Agent,
-    at: Array,
-    row: tuple[int, int, float],
-    reach: Callable[[Array], Array],
-    far: Array,
+    network: Network, agent: Agent, at: Array, row: tuple[int, int, float], reach: Callable[[Array], Array], far: Array
 ) -> tuple[Array, Array, Array]:
     """Return u (m,), J (m, d) and ends (2, m) of rho, for the errors around a state ``at`` (d,).
 
     ``row`` are the automaton state, how many there are, and the share of time left; ``reach`` takes rows C (n, d) to
     ends (2, n) of C e, and ``far`` (d,) is above |e|.
     """
-    forms = _first(network, agent, at, row, far)
+    forms, m, (low, high) = _first(network, agent, at, row, far), len(agent.inputs), agent.input_box
     for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
         forms = _after(forms, weight, bias).through(network.activation, np.zeros(0), np.zeros(0), reach)
-    m = len(agent.inputs)
-    last = _after(forms, network.weights[-1][:m], network.biases[-1][:m])
-    low, high = agent.input_box
+    last, ones = _after(forms, network.weights[-1][:m], network.biases[-1][:m]), np.ones(m)
+    # Outputs are inputs, cut off at their box, or stand for it between -1 and 1.
     if network.output == "box":
-        forms, middle, half = last.through("clip", low, high, reach), np.zeros(m), np.ones(m)
+        forms, middle, half = last.through("clip", low, high, reach), 0.0 * ones, ones
     else:
-        forms = last.through("tanh" if network.output == "tanh" else "clip", -np.ones(m), np.ones(m), reach)
+        forms = last.through("tanh" if network.output == "tanh" else "clip", -ones, ones, reach)
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    rest = forms.rest()
     # the move onto the box of inputs, as floating point computes it
     spare = 16.0 * U * (np.abs(low) + np.abs(high) + np.abs(middle) + half * (1.0 + np.abs(forms.C) @ far)) + 1e-290
     u, J = middle + half * forms.h, half[:, None] * forms.C
-    return u, J, mul(interval(half), rest) + np.stack([-spare, spare])
+    return u, J, mul(interval(half), forms.rest()) + np.stack([-spare, spare])
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,14 +139,13 @@ class _Forms:
         """Return ends (2, n) of the sum of all parts."""
         total = np.zeros((2, len(self.h)))
         for matrix, ends in self.parts:
-            if matrix is None:
-                total = add(total, ends)
-                continue
-            middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
-            spread = (np.abs(matrix) @ (half + 4.0 * U * np.abs(ends).max(axis=0))) * (1.0 + 4.0 * U * len(half))
-            shift = matrix @ middle
-            spread += (len(half) + 4.0) * U * (np.abs(matrix) @ np.abs(middle)) + 1e-290
-            total = add(total, np.stack([shift - spread, shift + spread]))
+            if matrix is not None:
+                middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
+                most = half + 4.0 * U * np.abs(ends).max(axis=0)
+                spread = (np.abs(matrix) @ most) * (1.0 + 4.0 * U * len(half))
+                spread += (len(half) + 4.0) * U * (np.abs(matrix) @ np.abs(middle)) + 1e-290
+                ends = matrix @ middle + np.stack([-spread, spread])
+            total = add(total, ends)
         return total
 
     def through(self, activation: str, low: Array, high: Array, reach: Callable[[Array], Array]) -> _Forms:
@@ -170,23 +163,20 @@ class _Forms:
 
 def _first(network: Network, agent: Agent, at: Array, row: tuple[int, int, float], far: Array) -> _Forms:
     """Return the row that a network sees, as forms of the error."""
-    (q, states, left), d = row, len(at)
-    low, high = agent.state_box
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    if network.sees == "raw":
-        middle, half = np.zeros(d), np.ones(d)
+    (q, states, left), d, (low, high) = row, len(at), agent.state_box
+    scaled = network.sees != "raw"
+    middle, half = (0.5 * (low + high), 0.5 * (high - low)) if scaled else (np.zeros(d), np.ones(d))
+    # After the state: the automaton state, the share of time left, and which agent it is.
     told = np.zeros(states + 1 + network.agents)
     told[max(q, 0)], told[states] = 1.0, left
-    if network.agents:
-        told[states + 1 + network.number] = 1.0
-    count = network.width + len(told)
-    h, C, size = np.zeros(count), np.zeros((count, d)), np.zeros(count)
-    h[:d], C[:d], h[network.width :] = (at - middle) / half, np.diag(1.0 / half), told
-    size[:d] = np.abs(h[:d]) + far / half
+    told[states + 1 :][network.number : network.number + 1] = 1.0
+    h = np.concatenate([(at - middle) / half, np.zeros(network.width - d), told])
+    C, size = np.eye(len(h))[:, :d] / half, np.abs(h)
+    size[:d] += far / half
     # the row is scaled in double precision, and rounded to single
     off = SINGLE * size[:d] * 1.01 + 32.0 * U * (np.abs(at) + far + np.abs(low) + np.abs(high)) / half + 1e-45
-    size[:d], size[network.width :] = size[:d] + off, np.abs(told)
-    return _Forms(h, C, ((np.eye(count)[:, :d], np.stack([-off, off])),), size, far)
+    size[:d] += off
+    return _Forms(h, C, ((np.eye(len(h))[:, :d], np.stack([-off, off])),), size, far)
 
 
 def _after(forms: _Forms, weight: Array, bias: Array) -> _Forms:
@@ -206,42 +196,107 @@ def _line(activation: str, z: Array, ends: Array, low: Array, high: Array) -> tu
     """Return s, h and ends of q (n,) with ``f(z + d) = h + s d + q`` for all d between ends (2, n), which hold 0."""
     first, last = down(z + ends[0]), up(z + ends[1])
     width = np.maximum(last - first, 1e-300)
+    # The activation at both ends and at z; s is the slope of the chord, and any one would do.
     if activation == "tanh":
-        a, b, mid = tanh(interval(first)), tanh(interval(last)), tanh(interval(z))
+        a, b, mid = (tanh(interval(end)) for end in (first, last, z))
         value = 0.5 * (mid[0] + mid[1])
         slope = np.where(last - first > 1e-7, (b[0] - a[1]) / width, 1.0 - value * value)
     else:
         low, high = (np.zeros(len(z)), np.full(len(z), np.inf)) if activation == "relu" else (low, high)
-        a, b = (interval(np.clip(end, low, high)) for end in (first, last))
-        value = np.clip(z, low, high)
-        slope = np.where(last > first, (b[0] - a[0]) / width, 1.0)
+        a, b, value = interval(np.clip(first, low, high)), interval(np.clip(last, low, high)), np.clip(z, low, high)
+        # inside of both kinks a neuron is what it gets
+        inside = (first >= low) & (last <= high)
+        slope = np.where((last > first) & ~inside, (b[0] - a[0]) / width, 1.0)
     slope = np.clip(slope, 0.0, 1.0)
-    # inside of both kinks a neuron is what it gets
-    if activation != "tanh":
-        slope = np.where((first >= low) & (last <= high), 1.0, slope)
 
     def rest(at: Array, value_there: Array) -> Array:
+        """What a point leaves of the line."""
         return add(add(value_there, neg(interval(value))), neg(mul(interval(slope), add(at, neg(interval(z))))))
 
-    found = [rest(interval(first), a), rest(interval(last), b)]
-    q = np.stack([np.minimum(found[0][0], found[1][0]), np.maximum(found[0][1], found[1][1])])
+    at_first, at_last = rest(interval(first), a), rest(interval(last), b)
+    q = np.stack([np.minimum(at_first[0], at_last[0]), np.maximum(at_first[1], at_last[1])])
     if activation == "tanh":
         # where the slope is s, tanh is +-r with r^2 = 1 - s: the largest rest on the right, the least on the left
-        r = root(np.maximum(add(interval(np.ones(len(z))), neg(interval(slope))), 0.0))
-        with np.errstate(all="ignore"):
-            beyond = r[1] >= 1.0 - 1e-15
-            safe = np.where(beyond, 0.5, r)
-            one = interval(np.ones(len(z)))
-            at = 0.5 * log(mul(add(one, safe), recip(add(one, neg(safe)))))
-        at = np.where(beyond, np.array([[18.0], [np.inf]]), at)
-        right = ~((at[0] > last) | (at[1] < first))
-        left = ~((-at[1] > last) | (-at[0] < first))
-        most = rest(np.stack([at[0], np.where(beyond, 1e3, at[1])]), r)[1]
-        least = rest(np.stack([np.where(beyond, -1e3, -at[1]), -at[0]]), neg(r))[0]
+        one = interval(np.ones(len(z)))
+        r = root(np.maximum(add(one, neg(interval(slope))), 0.0))
+        beyond = r[1] >= 1.0 - 1e-15
+        safe = np.where(beyond, 0.5, r)
+        at = 0.5 * log(mul(add(one, safe), recip(add(one, neg(safe)))))
+        at = np.where(beyond, np.array([[18.0], [1e3]]), at)
+        most, least = rest(at, r)[1], rest(neg(at), neg(r))[0]
+        right, left = (at[0] <= last) & (at[1] >= first), (-at[1] <= last) & (-at[0] >= first)
         q = np.stack([np.where(left, np.minimum(q[0], least), q[0]), np.where(right, np.maximum(q[1], most), q[1])])
         return slope, value, q + np.array([[-TANH_OFF], [TANH_OFF]])
     for kink in (low, high):
         met = np.isfinite(kink) & (first < kink) & (kink < last)
-        there = rest(interval(np.where(met, kink, z)), interval(np.where(met, kink, value)))
-        q = np.stack([np.where(met, np.minimum(q[0], there[0]), q[0]), np.where(met, np.maximum(q[1], there[1]), q[1])])
+        there = np.where(met, rest(interval(np.where(met, kink, z)), interval(np.where(met, kink, value))), q)
+        q = np.stack([np.minimum(q[0], there[0]), np.maximum(q[1], there[1])])
     return slope, value, q
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """``|W g| <= radius`` for the errors of one agent; ``root`` is about the inverse of W."""
+
+    root: Array
+    white: Array
+    radius: float
+    lost: float
+
+    @classmethod
+    def of(cls, errors: ErrorSystem, places: slice, radius: float) -> Ellipsoid:
+        """Return the ellipsoid of an agent now, and the probability that its errors are outside."""
+        D = len(errors.spread)
+        covariance = errors.covariance(np.eye(D)[places])[0]
+        # Any root will do: states that no noise has reached get a little of their own.
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+        d = len(scale)
+        root = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-10 * np.eye(d)) * scale[:, None]
+        rows = np.zeros((d, D))
+        rows[:, places] = np.linalg.inv(root)
+        found, off = errors.covariance(rows)
+        largest = float(np.max(np.sum(np.abs(found) + off, axis=1))) * (1.0 + 4.0 * U * d)
+        return cls(root, rows[:, places], radius, chi_tail(radius, d, largest))
+
+    @property
+    def widths(self) -> Array:
+        """Upper bounds (d,) on |g|."""
+        # g = root h + (1 - root W) g: what the root misses is small, and g is at most twice root h
+        d = len(self.root)
+        off = np.abs(np.eye(d) - self.root @ self.white) + (d + 4.0) * U * np.abs(self.root) @ np.abs(self.white)
+        plain = self.radius * np.sqrt(np.sum(self.root**2, axis=1)) * (1.0 + (d + 8.0) * U)
+        if not np.max(off.sum(axis=1)) <= 1e-3:
+            return np.full(d, np.inf)
+        return np.asarray(up(plain + 1.01 * off @ np.full(d, plain.max()) * (1.0 + 4.0 * d * U)))
+
+    def reach(self, rows: Array, most: Array) -> Array:
+        """Return upper bounds (n,) on ``|c g|`` for rows (n, d), where ``|g| <= most`` (d,)."""
+        a = rows @ self.root
+        size, d = np.abs(a), len(most)
+        missed = np.abs(rows - a @ self.white) + (d + 4.0) * U * (np.abs(rows) + size @ np.abs(self.white))
+        length = np.sqrt(np.sum(a * a, axis=1)) * (1.0 + (d + 8.0) * U)
+        return np.asarray(up(self.radius * length) + (missed @ most) * (1.0 + (d + 4.0) * U) + 1e-290)
+
+
+def chi_tail(radius: float, d: int, largest: float) -> float:
+    """Return an upper bound on ``P(chi2_d > radius^2 / largest)``.
+
+    With x = radius^2 / (2 largest) it is, for even d, ``exp(-x)`` times the sum of ``x^k / k!`` for k < d / 2; for odd
+    d, twice the normal tail at sqrt(2 x), and ``exp(-x)`` times the sum of ``x^(k + 1/2) / Gamma(k + 3/2)``.
+    """
+    if not (radius > 0.0 and 0.0 < largest < np.inf):
+        return 1.0
+    x = down(np.full(1, radius * radius / (2.0 * largest)) * (1.0 - 4.0 * U))
+    if not x[0] < 700.0:
+        return chi_tail(37.0, d, 1.0)
+    # The first term, and what each is more than the one before: half-odd powers if d is odd.
+    half, one, root = 0.5 * (d % 2), interval(np.ones(1)), np.sqrt(x)
+    term, total = exp(-interval(x)[::-1]), np.zeros((2, 1))
+    if half:
+        factor = np.array([[1.1283791670955125], [1.1283791670955128]])  # 1 / Gamma(3/2) = 2 / sqrt(pi)
+        term = mul(mul(term, np.stack([down(root), up(root)])), factor)
+        total = 2.0 * np.stack(rigorous.tail(np.minimum(down(np.sqrt(2.0 * x)), 37.0)))
+    for k in range(d // 2):
+        total = add(total, term)
+        term = mul(term, mul(interval(x), recip((k + 1.0 + half) * one)))
+    return min(1.0, float(total[1, 0]))

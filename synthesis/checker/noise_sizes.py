@@ -17,19 +17,19 @@ Sources all of whose components keep in strips at all times are normal.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .constraints import Constraints, Forms
 from .distributions import NORMAL, STOPPED
-from .expressions import Tree
 from .fields import Refused
 from .intervals import add, down, interval, mul, up
 from .jets import value_on
 from .problem import Agent, Problem
-from .rigorous import Array, U
+from .rigorous import Array, Ends, U, Whole
+
+Leaves = tuple[dict[str, Array], dict[str, Array]]  # ends (2, 1) of names on the nominal trajectory, and on the tube
 
 
-def kinds_of(problem: Problem, widths: list[Array]) -> NDArray[np.int64]:
+def kinds_of(problem: Problem, widths: list[Array]) -> Whole:
     """Return what is known of the tails of each source (W,), for widths (S, d) of strips of each agent."""
     kinds, first = problem.kinds, 0
     for agent, width in zip(problem.agents, widths, strict=True):
@@ -41,21 +41,13 @@ def kinds_of(problem: Problem, widths: list[Array]) -> NDArray[np.int64]:
     return kinds
 
 
-def sized(
-    agent: Agent,
-    factor: Array,
-    width: Array,
-    leaves: tuple[dict[str, Array], dict[str, Array]],
-    constraints: Constraints,
-    t: int,
-) -> tuple[Array, Array]:
+def sized(agent: Agent, factor: Array, width: Array, leaves: Leaves, constraints: Constraints, t: int) -> Ends:
     """Return factors (d, W) of the noise of a step, and ends (2, d) of what else it adds; ask for its strips.
 
     ``factor`` (d, W) is that of the noise before it is scaled, in deviations of its sources, ``width`` (d,) of strips,
-    infinite for none; ``leaves`` are ends of names on the nominal trajectory, and on the tube. ``Refused`` if a size is
-    not known, or if a source may cancel where sizes are not.
+    infinite for none. ``Refused`` if a size is not known, or if a source may cancel where sizes are not.
     """
-    nominal, ends = (_sizes(agent.scale, names) for names in leaves)
+    nominal, ends = (np.concatenate([value_on(tree, own) for tree in agent.scale], axis=1) for own in leaves)
     if not np.all(np.isfinite(ends)):
         raise Refused(f"the size of the noise of `{agent.name}` is not known on the tube at time {t}")
     own = factor[:, : factor.shape[1] - agent.shared_noise.shape[1]]
@@ -69,21 +61,14 @@ def sized(
     away = np.where(strip, np.maximum(up(ends[1] - middle), up(middle - ends[0])), 0.0)
     more = up(away * np.where(strip, width, 0.0)) + np.where(strip, 1e-290, 0.0)
     variance = np.sum(own * own, axis=1) * (1.0 + 4.0 * U * (own.shape[1] + 4.0))
-    sources = np.zeros((int(strip.sum()), factor.shape[1]), dtype=bool)
-    sources[:, : own.shape[1]] = own[strip] != 0.0
-    if np.any(strip):
-        nothing = np.full(int(strip.sum()), np.inf)
-        labels = [f"noise of `{agent.states[k]}` of `{agent.name}` at time {t}" for k in np.flatnonzero(strip)]
-        forms = Forms(variance[strip], variance[strip], sources)
-        constraints.add(nothing, nothing, width[strip], forms, labels)
-    scaled = factor.copy()
+    scaled, sources = factor.copy(), np.zeros(factor.shape, dtype=bool)
     scaled[:, : own.shape[1]] *= middle[:, None]
+    sources[:, : own.shape[1]] = own != 0.0
+    # Strips are constraints on the noise of this step, and rest on nothing else.
+    if labels := [f"noise of `{agent.states[k]}` of `{agent.name}` at time {t}" for k in np.flatnonzero(strip)]:
+        nothing = np.full(len(labels), np.inf)
+        constraints.add(nothing, nothing, width[strip], Forms(variance, variance, sources).at(strip), labels)
     return scaled, add(np.stack([-more, more]), mul(ends, mean_of(agent)))
-
-
-def _sizes(trees: tuple[Tree, ...], leaves: dict[str, Array]) -> Array:
-    """Return ends (2, d) of sizes, for ends (2, 1) of names."""
-    return np.concatenate([np.broadcast_to(value_on(tree, leaves), (2, 1)) for tree in trees], axis=1)
 
 
 def mean_of(agent: Agent) -> Array:

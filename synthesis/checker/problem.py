@@ -19,21 +19,22 @@ here. Families, shapes, units and moving corners are written out before the file
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from . import fields
 from .automaton import Automaton
 from .distributions import NORMAL, STOPPED, Envelope, read_distribution
 from .expressions import Tree, affine, names_in, read_expression
-from .fields import Unreadable
+from .fields import Entry, box, distinct
 from .formula import Formula, parse
-from .rigorous import Array
+from .rigorous import Array, Whole
 
-MOST_STATES, MOST_STEPS = 5000, 100_000
-"""States of all agents together, and control steps."""
+Trees = tuple[Tree, ...]
+
+MOST_STATES, MOST_STEPS = 5000, 100_000  # states of all agents together, and control steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +49,14 @@ class Agent:
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     disturbances: dict[str, tuple[float, float]]
-    dynamics: tuple[Tree, ...]
-    outputs: tuple[Tree, ...]
+    dynamics: Trees
+    outputs: Trees
     state_box: Array
     input_box: Array
     start: Array
     noise: Array
     envelopes: tuple[Envelope, ...]
-    scale: tuple[Tree, ...]
+    scale: Trees
     shared_noise: Array
     angles: tuple[str, ...]
     states_of_others: dict[str, tuple[int, int]]
@@ -96,11 +97,15 @@ class Problem:
     formula: Formula | None
     """None where the automaton itself is the task."""
 
-    @property
+    @cached_property
     def slices(self) -> list[slice]:
         """Where the states of each agent are in the joint state."""
-        first = np.concatenate([[0], np.cumsum([len(agent.states) for agent in self.agents])])
-        return [slice(int(a), int(b)) for a, b in zip(first, first[1:])]
+        return _one_after_the_other([len(agent.states) for agent in self.agents])
+
+    @cached_property
+    def input_slices(self) -> list[slice]:
+        """Where the inputs of each agent are in the joint input."""
+        return _one_after_the_other([len(agent.inputs) for agent in self.agents])
 
     @property
     def noise(self) -> Array:
@@ -108,54 +113,52 @@ class Problem:
 
         Sources stand agent by agent, in deviations of what is above them, then come the shared ones.
         """
-        own = sum(agent.noise.shape[1] for agent in self.agents)
-        factor = np.zeros((self.slices[-1].stop, own + self.agents[0].shared_noise.shape[1]))
-        column = 0
-        for agent, here in zip(self.agents, self.slices, strict=True):
-            last = column + agent.noise.shape[1]
-            factor[here, column:last] = agent.noise * np.array([own.deviation for own in agent.envelopes])
-            factor[here, own:] = agent.shared_noise
-            column = last
+        sources = _one_after_the_other([agent.noise.shape[1] for agent in self.agents])
+        shared = sources[-1].stop
+        factor = np.zeros((self.slices[-1].stop, shared + self.agents[0].shared_noise.shape[1]))
+        for agent, here, own in zip(self.agents, self.slices, sources, strict=True):
+            factor[here, own] = agent.noise * np.array([envelope.deviation for envelope in agent.envelopes])
+            factor[here, shared:] = agent.shared_noise
         return factor
 
     @property
-    def kinds(self) -> NDArray[np.int64]:
+    def kinds(self) -> Whole:
         """What is known of the tails of each source (W,) of noise."""
-        own = [_kind(agent, envelope) for agent in self.agents for envelope in agent.envelopes]
-        return np.array([*own, *[NORMAL] * self.agents[0].shared_noise.shape[1]], dtype=np.int64)
+        tails = []
+        for agent in self.agents:
+            # a scale that names the time only is a number at each step
+            depends = names_in(agent.scale) & {*agent.states, *agent.inputs, *agent.disturbances}
+            own = [envelope.tail for envelope in agent.envelopes]
+            tails += [STOPPED if depends and tail == NORMAL else tail for tail in own]
+        return np.array([*tails, *[NORMAL] * self.agents[0].shared_noise.shape[1]], dtype=np.int64)
 
 
-def _kind(agent: Agent, envelope: Envelope) -> int:
-    """Return what is known of a source's tails; a scale that names the time only is a number at each step."""
-    depends = names_in(agent.scale) & {*agent.states, *agent.inputs, *agent.disturbances}
-    return STOPPED if depends and envelope.tail == NORMAL else envelope.tail
+def _one_after_the_other(counts: list[int]) -> list[slice]:
+    first = [0, *accumulate(counts)]
+    return [slice(a, b) for a, b in zip(first, first[1:])]
 
 
 def read_problem(header: dict[str, Any]) -> Problem:
     """Return the problem in the header of a file; raise ``Unreadable`` if it is not in canonical form."""
-    data = fields.table(header["problem"], "problem", ("horizon", "agents", "regions", "pairs", "task"))
-    horizon = fields.whole(data["horizon"], "problem.horizon", 1, MOST_STEPS)
-    agents = _read_agents(data["agents"])
-    regions = tuple(fields.each(data["regions"], "problem.regions", lambda r, at: _region(r, at, agents, horizon)))
-    pairs = tuple(fields.each(data["pairs"], "problem.pairs", lambda r, at: _pair(r, at, agents, horizon)))
+    own = Entry(header["problem"], "problem").table(("horizon", "agents", "regions", "pairs", "task"))
+    horizon = own["horizon"].whole(1, MOST_STEPS)
+    agents = _read_agents(own["agents"])
+    regions = tuple(_region(entry, agents, horizon) for entry in own["regions"].entries())
+    pairs = tuple(_pair(entry, agents, horizon) for entry in own["pairs"].entries())
+    # Propositions are numbered: regions first, then pairs.
     names = (*(region.name for region in regions), *(pair.name for pair in pairs))
-    fields.distinct([names], "problem.regions")
-    task = fields.table(data["task"], "problem.task", ("semantics", "automaton"), ("formula",))
-    automaton = _automaton(task, names)
-    formula = None
+    distinct(names, "problem.regions")
+    task = own["task"].table(("semantics", "automaton"), ("formula",))
+    automaton, formula = _automaton(task, names), None
     if "formula" in task:
-        try:
-            formula = parse(fields.text(task["formula"], "problem.task.formula"))
-        except ValueError as error:
-            raise Unreadable(f"problem.task.formula: {error}") from error
+        text = task["formula"].text()
+        formula = task["formula"].made(partial(parse, text))
     return Problem(horizon, agents, regions, pairs, automaton, formula)
 
 
 # Agents.
 
-TURN = 6.283185307179586
-"""The double below a turn."""
-
+TURN = 6.283185307179586  # the double below a turn
 REQUIRED = (
     "name", "states", "inputs", "outputs", "state_low", "state_high", "input_low", "input_high", "start_low",
     "start_high", "noise",
@@ -163,200 +166,142 @@ REQUIRED = (
 OPTIONAL = (
     "dynamics", "A", "B", "c", "disturbances", "parameters", "shared_noise", "distributions", "noise_scale", "angles",
 )  # fmt: skip
-STANDARD = Envelope(0.0, 0.0, 1.0, NORMAL)
-"""Noise is standard normal unless a file says otherwise."""
+STANDARD = Envelope(0.0, 0.0, 1.0, NORMAL)  # noise is standard normal unless a file says otherwise
 
 
-def _read_agents(value: Any) -> tuple[Agent, ...]:
-    tables = fields.each(value, "problem.agents", lambda own, at: fields.table(own, at, REQUIRED, OPTIONAL))
-    if not tables:
-        raise Unreadable("problem.agents: there is no agent")
-    names = fields.names([own["name"] for own in tables], "problem.agents.name")
+def _read_agents(entry: Entry) -> tuple[Agent, ...]:
+    tables = [own.table(REQUIRED, OPTIONAL) for own in entry.entries()]
     # Names of all states and inputs come first: dynamics may name those of agents that follow.
-    variables = [
-        (fields.names(own["states"], f"{name}.states"), fields.names(own["inputs"], f"{name}.inputs"))
-        for name, own in zip(names, tables, strict=True)
-    ]
-    if not 0 < sum(len(states) for states, _ in variables) <= MOST_STATES or not all(s for s, _ in variables):
-        raise Unreadable(f"problem.agents: every agent has a state, and all together at most {MOST_STATES}")
+    names = tuple(own["name"].name() for own in tables)
+    distinct(names, entry.place)
+    variables = [(own["states"].names(), own["inputs"].names()) for own in tables]
+    counts = [len(states) for states, _ in variables]
+    if not 0 < sum(counts) <= MOST_STATES or not all(counts):
+        raise entry.wrong(f"there is an agent, every one has a state, and all together at most {MOST_STATES}")
     agents = tuple(_agent(i, own, names, variables) for i, own in enumerate(tables))
     if len({agent.shared_noise.shape[1] for agent in agents}) > 1:
-        raise Unreadable("problem.agents: `shared_noise` has different numbers of columns")
+        raise entry.wrong("`shared_noise` has different numbers of columns")
     return agents
 
 
-def _agent(i: int, own: dict[str, Any], names: tuple[str, ...], variables: list[Any]) -> Agent:
-    name, (states, inputs) = names[i], variables[i]
-    d, m = len(states), len(inputs)
-    disturbances = _numbers(own.get("disturbances", {}), f"{name}.disturbances", _ends)
-    parameters = _numbers(own.get("parameters", {}), f"{name}.parameters", fields.number)
-    fields.distinct([states, inputs, tuple(disturbances)], name)
-    # Dotted names: which state or input of which agent they are.
-    others = [
-        {f"{names[j]}.{key}": (j, k) for j in range(len(names)) if j != i for k, key in enumerate(variables[j][kind])}
-        for kind in (0, 1)
-    ]
-    if others[0].keys() & others[1].keys():
-        raise Unreadable(f"{name}: a name of another agent stands for two things")
-    # `t` is the time unless the agent has something of this name.
+def _agent(i: int, own: dict[str, Entry], names: tuple[str, ...], variables: list[Any]) -> Agent:
+    states, inputs = variables[i]
+    d = len(states)
+    disturbances = {key: _ends(entry) for key, entry in _numbers(own, "disturbances").items()}
+    parameters = {key: entry.number() for key, entry in _numbers(own, "parameters").items()}
     local = (*states, *inputs, *disturbances)
-    readable = (*local, *others[0], *others[1], *(() if "t" in (*local, *parameters) else ("t",)))
+    distinct(local, own["name"].place)
+    # Dotted names: which state or input of which agent they are.
+    others: tuple[dict[str, tuple[int, int]], ...] = {}, {}
+    for j, name in enumerate(names):
+        for found, own_names in zip(others, variables[j] if j != i else ()):
+            found.update({f"{name}.{key}": (j, k) for k, key in enumerate(own_names)})
+    if others[0].keys() & others[1].keys():
+        raise own["name"].wrong("a name of another agent stands for two things")
+    # `t` is the time unless the agent has something of this name.
+    timed = local if "t" in (*local, *parameters) else (*local, "t")
     # Noise: factors, distributions of what they multiply, and scales.
-    shared, noise = own.get("shared_noise"), fields.matrix(own["noise"], f"{name}.noise", d)
-    envelopes = [STANDARD] * noise.shape[1]
+    noise, shared = own["noise"].matrix(d), np.zeros((d, 0))
+    if "shared_noise" in own:
+        shared = own["shared_noise"].matrix(d)
+    envelopes, scale = [STANDARD] * noise.shape[1], Trees()
     if "distributions" in own:
-        envelopes = fields.each(own["distributions"], f"{name}.distributions", read_distribution, len(envelopes))
-    timed = (*local, *(() if "t" in (*local, *parameters) else ("t",)))
-    scale = _trees(own.get("noise_scale", []), f"{name}.noise_scale", timed, parameters)
-    if len(scale) not in (0, d):
-        raise Unreadable(f"{name}.noise_scale: expected {d} expressions, got {len(scale)}")
+        envelopes = [read_distribution(entry) for entry in own["distributions"].entries(len(envelopes))]
+    if "noise_scale" in own and own["noise_scale"].value != []:
+        scale = _trees(own["noise_scale"], timed, parameters, d)
+    workspace = box(own, "state_low", "state_high", d)
+    if np.any(workspace[0] >= workspace[1]):
+        raise own["state_low"].wrong("the workspace is flat")
+    dynamics = _dynamics(own, (*states, *inputs), (*timed, *others[0], *others[1]), parameters, d)
+    outputs, angles = _trees(own["outputs"], states, parameters), _angles(own, states, workspace)
+    input_box, start = box(own, "input_low", "input_high", len(inputs)), box(own, "start_low", "start_high", d)
     return Agent(
-        name,
-        states,
-        inputs,
-        disturbances,
-        _dynamics(own, name, states, inputs, readable, parameters),
-        _trees(own["outputs"], f"{name}.outputs", states, parameters),
-        _workspace(own, name, d),
-        fields.box(own, name, "input_low", "input_high", m),
-        fields.box(own, name, "start_low", "start_high", d),
-        noise,
-        tuple(envelopes),
-        scale,
-        np.zeros((d, 0)) if shared is None else fields.matrix(shared, f"{name}.shared_noise", d),
-        _angles(own, name, states),
-        *others,
-    )
+        names[i], states, inputs, disturbances, dynamics, outputs, workspace, input_box, start,
+        noise, tuple(envelopes), scale, shared, angles, *others,
+    )  # fmt: skip
 
 
-def _angles(own: dict[str, Any], name: str, states: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the states that wrap, whose workspaces are one turn."""
-    angles = fields.names(own.get("angles", []), f"{name}.angles")
-    for angle in angles:
-        if angle not in states:
-            raise Unreadable(f"{name}.angles: `{angle}` is no state")
-        low, high = (own[key][states.index(angle)] for key in ("state_low", "state_high"))
-        if not TURN - 1e-13 <= high - low <= TURN or abs(low) > 7.0:
-            raise Unreadable(f"{name}: the workspace of the angle `{angle}` is not one turn")
-    return angles
+def _numbers(own: dict[str, Entry], key: str) -> dict[str, Entry]:
+    """Return the entries of a table from names, if there is one."""
+    found = own[key].entries_by_name() if key in own else {}
+    return {Entry(name, own[key].place).name(): entry for name, entry in found.items()}
 
 
-def _numbers(value: Any, place: str, read: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise fields.expected(place, "a table", value)
-    return {fields.name(key, place): read(entry, f"{place}.{key}") for key, entry in value.items()}
-
-
-def _ends(value: Any, place: str) -> tuple[float, float]:
-    low, high = fields.vector(value, place, 2).tolist()
+def _ends(entry: Entry) -> tuple[float, float]:
+    low, high = entry.vector(2).tolist()
     if low > high:
-        raise Unreadable(f"{place}: its lower end is above its upper end")
+        raise entry.wrong("its lower end is above its upper end")
     return low, high
 
 
-def _workspace(own: dict[str, Any], name: str, d: int) -> Array:
-    ends = fields.box(own, name, "state_low", "state_high", d)
-    if np.any(ends[0] >= ends[1]):
-        raise Unreadable(f"{name}: its workspace is flat")
-    return ends
+def _angles(own: dict[str, Entry], states: tuple[str, ...], workspace: Array) -> tuple[str, ...]:
+    """Return the states that wrap, whose workspaces are one turn."""
+    angles = own["angles"].names() if "angles" in own else ()
+    for angle in angles:
+        if angle not in states:
+            raise own["angles"].wrong(f"`{angle}` is no state")
+        low, high = workspace[:, states.index(angle)].tolist()
+        if not TURN - 1e-13 <= high - low <= TURN or abs(low) > 7.0:
+            raise own["angles"].wrong(f"the workspace of `{angle}` is not one turn")
+    return angles
 
 
-def _trees(value: Any, place: str, names: tuple[str, ...], parameters: dict[str, float]) -> tuple[Tree, ...]:
-    def read(text: Any, at: str) -> Tree:
-        try:
-            return read_expression(text, names, parameters)
-        except ValueError as error:
-            raise Unreadable(f"{at}: {error}") from error
-
-    return tuple(fields.each(value, place, read))
+def _trees(entry: Entry, names: tuple[str, ...], numbers: dict[str, float], count: int | None = None) -> Trees:
+    """Return the trees of a list of texts in these names."""
+    return tuple(own.made(partial(read_expression, own.value, names, numbers)) for own in entry.entries(count))
 
 
 def _dynamics(
-    own: dict[str, Any],
-    name: str,
-    states: tuple[str, ...],
-    inputs: tuple[str, ...],
-    readable: tuple[str, ...],
-    parameters: dict[str, float],
-) -> tuple[Tree, ...]:
+    own: dict[str, Entry], moved: tuple[str, ...], readable: tuple[str, ...], numbers: dict[str, float], d: int
+) -> Trees:
     """Return the means of the next state as trees: texts as they are, or the rows of A x + B u + c."""
-    d = len(states)
-    if "dynamics" in own and not {"A", "B", "c"} & set(own):
-        trees = _trees(own["dynamics"], f"{name}.dynamics", readable, parameters)
-        if len(trees) != d:
-            raise Unreadable(f"{name}.dynamics: expected {d} expressions, got {len(trees)}")
-        return trees
-    if "dynamics" in own or not {"A", "B", "c"} <= set(own):
-        raise Unreadable(f"{name}: expected either `dynamics`, or `A`, `B` and `c`")
-    A = fields.matrix(own["A"], f"{name}.A", d, d)
-    B = fields.matrix(own["B"], f"{name}.B", d, len(inputs))
-    c = fields.vector(own["c"], f"{name}.c", d)
-    return tuple(affine((*A[k], *B[k]), (*states, *inputs), c[k]) for k in range(d))
+    given = {"dynamics", "A", "B", "c"} & own.keys()
+    if given == {"dynamics"}:
+        return _trees(own["dynamics"], readable, numbers, d)
+    if given != {"A", "B", "c"}:
+        raise own["name"].wrong("expected either `dynamics`, or `A`, `B` and `c`")
+    A, B, c = own["A"].matrix(d, d), own["B"].matrix(d, len(moved) - d), own["c"].vector(d)
+    return tuple(affine((*A[k], *B[k]), moved, c[k]) for k in range(d))
 
 
 # Propositions and the task.
 
 
-def _region(value: Any, place: str, agents: tuple[Agent, ...], horizon: int) -> Region:
-    own = fields.table(value, place, ("name", "agent", "low", "high"))
-    agent = fields.whole(own["agent"], f"{place}.agent", 0, len(agents))
-    low, high = _corners(own, place, horizon, len(agents[agent].outputs))
-    return Region(fields.name(own["name"], f"{place}.name"), agent, low, high)
+def _region(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Region:
+    own = entry.table(("name", "agent", "low", "high"))
+    agent = own["agent"].whole(0, len(agents))
+    return Region(own["name"].name(), agent, *_corners(own, horizon, len(agents[agent].outputs)))
 
 
-def _corners(own: dict[str, Any], place: str, horizon: int, count: int) -> tuple[Array, Array]:
-    low = fields.over_time(own["low"], f"{place}.low", horizon, count, -np.inf)
-    return low, fields.over_time(own["high"], f"{place}.high", horizon, count, np.inf)
+def _corners(own: dict[str, Entry], horizon: int, count: int) -> tuple[Array, Array]:
+    return own["low"].over_time(horizon, count, -np.inf), own["high"].over_time(horizon, count, np.inf)
 
 
-def _pair(value: Any, place: str, agents: tuple[Agent, ...], horizon: int) -> Pair:
-    own = fields.table(value, place, ("name", "agents", "outputs"), ("low", "high", "radius"))
-    first, second = fields.each(own["agents"], f"{place}.agents", lambda i, at: fields.whole(i, at, 0, len(agents)), 2)
+def _pair(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Pair:
+    own = entry.table(("name", "agents", "outputs"), ("low", "high", "radius"))
+    first, second = own["agents"].wholes(0, len(agents), 2)
     if first == second:
-        raise Unreadable(f"{place}.agents: one agent stands there twice")
+        raise own["agents"].wrong("one agent stands there twice")
     # Outputs are compared in order, as many of either agent.
-    axes = fields.each(own["outputs"], f"{place}.outputs", lambda numbers, _: numbers, 2)
-    outputs = _axes(axes[0], place, agents[first]), _axes(axes[1], place, agents[second])
+    a, b = own["outputs"].entries(2)
+    outputs = a.wholes(0, len(agents[first].outputs)), b.wholes(0, len(agents[second].outputs))
     count = len(outputs[0])
     if not count or len(outputs[1]) != count:
-        raise Unreadable(f"{place}.outputs: expected as many outputs of either agent")
-    name = fields.name(own["name"], f"{place}.name")
+        raise own["outputs"].wrong("expected as many outputs of either agent")
     if ("radius" in own) == ("low" in own) or ("low" in own) != ("high" in own):
-        raise Unreadable(f"{place}: expected either `radius`, or `low` and `high`")
-    if "radius" in own:
-        radius = own["radius"] if isinstance(own["radius"], list) else [own["radius"]] * (horizon + 1)
-        radii = fields.vector(radius, f"{place}.radius", horizon + 1)
-        unlimited = np.full((horizon + 1, count), np.inf)
-        return Pair(name, (first, second), outputs, -unlimited, unlimited, radii)
-    return Pair(name, (first, second), outputs, *_corners(own, place, horizon, count), None)
+        raise entry.wrong("expected either `radius`, or `low` and `high`")
+    name, pair = own["name"].name(), (first, second)
+    if "radius" not in own:
+        return Pair(name, pair, outputs, *_corners(own, horizon, count), None)
+    # A radius for all times, or one for each.
+    radius, unlimited = own["radius"], np.full((horizon + 1, count), np.inf)
+    radii = radius.vector(horizon + 1) if isinstance(radius.value, list) else np.full(horizon + 1, radius.number())
+    return Pair(name, pair, outputs, -unlimited, unlimited, radii)
 
 
-def _axes(value: Any, place: str, agent: Agent) -> tuple[int, ...]:
-    return tuple(fields.each(value, place, lambda k, at: fields.whole(k, at, 0, len(agent.outputs))))
-
-
-def _automaton(task: dict[str, Any], names: tuple[str, ...]) -> Automaton:
-    place = "problem.task.automaton"
-    keys = "initial", "accepting", "root", "variable", "low", "high"
-    own = fields.table(task["automaton"], place, keys)
-
-    def entries(key: str) -> tuple[int, ...]:
-        return tuple(fields.each(own[key], f"{place}.{key}", lambda k, at: fields.whole(k, at, -(2**31), 2**31)))
-
-    def truth(value: Any, at: str) -> bool:
-        if type(value) is not bool:
-            raise fields.expected(at, "true or false", value)
-        return value
-
-    try:
-        return Automaton(
-            names,
-            fields.text(task["semantics"], "problem.task.semantics"),
-            fields.whole(own["initial"], f"{place}.initial", 0, 2**31),
-            tuple(fields.each(own["accepting"], f"{place}.accepting", truth)),
-            *(entries(key) for key in keys[2:]),
-        )
-    except Unreadable:
-        raise
-    except ValueError as error:
-        raise Unreadable(f"{place}: {error}") from error
+def _automaton(task: dict[str, Entry], names: tuple[str, ...]) -> Automaton:
+    own = task["automaton"].table(("initial", "accepting", "root", "variable", "low", "high"))
+    semantics, initial = task["semantics"].text(), own["initial"].whole(0, 2**31)
+    accepting = tuple(entry.truth() for entry in own["accepting"].entries())
+    diagrams = [own[key].wholes(-(2**31), 2**31) for key in ("root", "variable", "low", "high")]
+    return task["automaton"].made(partial(Automaton, names, semantics, initial, accepting, *diagrams))

@@ -17,35 +17,25 @@ Abramowitz and Stegun 26.2.14 for the continued fraction.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Ends = tuple[Array, Array]
-"""Lower and upper ends, arrays of one shape."""
-
-U = 2.0**-53
-"""Largest relative error of one rounded operation."""
-
-TINY = 2.0**-1060
-"""More than all underflow in a function can add: no operation here loses more than 2^-1074."""
-
+Truth = NDArray[np.bool_]
+Whole = NDArray[np.int64]
+Ends = tuple[Array, Array]  # lower and upper ends, arrays of one shape
+U = 2.0**-53  # largest relative error of one rounded operation
+TINY = 2.0**-1060  # more than all underflow in a function can add: no operation here loses more than 2^-1074
+# ln 2 in two parts; the first ends in 21 zeros, so that whole multiples up to 2^20 are exact.
 LN2 = (0.693147180369123816490, 1.90821492927058770002e-10)
-"""ln 2 in two parts; the first ends in 21 zeros, so that whole multiples up to 2^20 are exact."""
-
+# pi / 2 in three parts, the first two with room for whole multiples up to 2^20.
 HALF_PI = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
-"""pi / 2 in three parts, the first two with room for whole multiples up to 2^20."""
-
-EXP_ERROR, SIN_ERROR = 32 * U, 24 * U
-"""Counted errors of exp (relative) and of sin and cos (absolute)."""
-
-LARGEST_ANGLE = 1e6
-"""Angles beyond it are not reduced: sin and cos are between -1 and 1 there."""
-
-PHI_0 = (0.39894228040143267, 0.39894228040143271)
-"""1 / sqrt(2 pi), from below and from above."""
+EXP_ERROR, SIN_ERROR = 32 * U, 24 * U  # counted errors of exp (relative) and of sin and cos (absolute)
+LARGEST_ANGLE = 1e6  # angles beyond it are not reduced: sin and cos are between -1 and 1 there
+PHI_0 = (0.39894228040143267, 0.39894228040143271)  # 1 / sqrt(2 pi), from below and from above
 
 
 def _widened(value: Array, error: Any, low: float = -np.inf, high: float = np.inf) -> Ends:
@@ -92,14 +82,7 @@ def _circular(x: Array, turned: int) -> Ends:
         return np.where(known, low, -beyond), np.where(known, high, beyond)
 
 
-def sin(x: Array) -> Ends:
-    """Return ends of sin x."""
-    return _circular(x, 0)
-
-
-def cos(x: Array) -> Ends:
-    """Return ends of cos x."""
-    return _circular(x, 1)
+sin, cos = partial(_circular, turned=0), partial(_circular, turned=1)  # ends of sin x, and of cos x
 
 
 def _proved_inverse(guess: Array, rising: Callable[[Array], Ends], x: Array, radius: Array) -> Ends:
@@ -128,10 +111,8 @@ def atan(x: Array) -> Ends:
     with np.errstate(all="ignore"):
         low, high = _proved_inverse(np.arctan(x), _tan, x, 2.0**-44 * (1.0 + 0 * x))
         # beyond 10^6 the arc tangent is within 10^-6 of a quarter turn: 1.5707 < pi/2 - 10^-6 < pi/2 < 1.5708
-        far_low = np.where(x > 0, 1.5707, np.where(x < 0, -1.5708, np.nan))
-        far_high = np.where(x > 0, 1.5708, np.where(x < 0, -1.5707, np.nan))
-        near = np.abs(x) < 1e6
-        return np.where(near, low, far_low), np.where(near, high, far_high)
+        near, sign = np.abs(x) < 1e6, np.where(np.isnan(x), np.nan, np.sign(x))
+        return np.where(near, low, sign * 1.57075 - 5e-5), np.where(near, high, sign * 1.57075 + 5e-5)
 
 
 def tanh(x: Array) -> Ends:
@@ -139,17 +120,12 @@ def tanh(x: Array) -> Ends:
     with np.errstate(all="ignore"):
         # (e - 1) / (e + 1) rises with e = exp(2 x); three operations on numbers of at most 1 in size
         low, high = exp(2.0 * np.clip(x, -300.0, 300.0))
-        return (
-            np.maximum((low - 1) / (low + 1) - 4 * U, -1.0),
-            np.minimum((high - 1) / (high + 1) + 4 * U, 1.0),
-        )
+        return (np.maximum((low - 1) / (low + 1) - 4 * U, -1.0), np.minimum((high - 1) / (high + 1) + 4 * U, 1.0))
 
 
-SERIES_END = 1.5
-"""Below it the tail is 1/2 less a series of positive terms, of which 31 leave less than U."""
-
+SERIES_END = 1.5  # below it the tail is 1/2 less a series of positive terms, of which 31 leave less than U
+# From where to where, and how many terms of the continued fraction make both convergents agree to a few U.
 FRACTIONS = ((SERIES_END, 3.0, 100), (3.0, 6.0, 40), (6.0, np.inf, 16))
-"""From where to where, and how many terms of the continued fraction make both convergents agree to a few U."""
 
 
 def tail(z: Any) -> Ends:
@@ -159,35 +135,29 @@ def tail(z: Any) -> Ends:
         square = z * z  # off by U of itself, so that its exponential is off by U z^2 of itself
         low, high = exp(-0.5 * square)
         spare = (square + 8.0) * U
-        density = low * (1 - spare) * PHI_0[0], high * (1 + spare) * PHI_0[1]
+        density = np.stack([low * (1 - spare) * PHI_0[0], high * (1 + spare) * PHI_0[1]])
         ends = np.full((2, *z.shape), np.nan)
-        _near_tail(z, density, ends)
+        # P(N > z) = 1/2 - phi(z) sum of z^(2n+1) / (1 3 5 .. (2n+1))
+        near = z < SERIES_END
+        term = series = x = z[near]
+        for n in range(1, 32):
+            term = term * x * x / (2 * n + 1)
+            series = series + term
+        # positive terms: the sum is off by less than 130 U of itself, and what is left is less than the last term
+        ends[0, near] = 0.5 - density[1][near] * series * (1 + 200 * U) - U
+        ends[1, near] = 0.5 - density[0][near] * series * (1 - 200 * U) + U
+        # phi(z) / (z + 1/(z + 2/(z + 3/..))), between two convergents in a row
         for first, last, count in FRACTIONS:
-            _far_tail(z, (z >= first) & (z < last), count, density, ends)
+            at = (z >= first) & (z < last)
+            convergents = _convergent(z[at], count), _convergent(z[at], count + 1)
+            # errors are damped at each step; 16 U covers what is left of them, the product and the quotient
+            ends[0, at] = density[0][at] * np.minimum(*convergents) * (1 - 16 * U)
+            ends[1, at] = density[1][at] * np.maximum(*convergents) * (1 + 16 * U) + 2.0**-1000
         return np.maximum(ends[0], 0.0), ends[1]
 
 
-def _near_tail(z: Array, density: Ends, ends: Array) -> None:
-    """Write the tail where z < 3/2: P(N > z) = 1/2 - phi(z) sum of z^(2n+1) / (1 3 5 .. (2n+1))."""
-    at = z < SERIES_END
-    x = z[at]
-    term = series = x
-    for n in range(1, 32):
-        term = term * x * x / (2 * n + 1)
-        series = series + term
-    # positive terms: the sum is off by less than 130 U of itself, and what is left is less than the last term
-    ends[0, at] = 0.5 - density[1][at] * series * (1 + 200 * U) - U
-    ends[1, at] = 0.5 - density[0][at] * series * (1 - 200 * U) + U
-
-
-def _far_tail(z: Array, at: NDArray[np.bool_], count: int, density: Ends, ends: Array) -> None:
-    """Write the tail where ``at`` says: phi(z) / (z + 1/(z + 2/(z + 3/..))), between two convergents in a row."""
-    x, convergents = z[at], []
-    for terms in (count, count + 1):
-        fraction = x
-        for n in range(terms, 0, -1):
-            fraction = x + n / fraction
-        convergents.append(1.0 / fraction)
-    # errors of the fraction are damped at each step; 16 U covers what is left of them, the product and the quotient
-    ends[0, at] = density[0][at] * np.minimum(*convergents) * (1 - 16 * U)
-    ends[1, at] = density[1][at] * np.maximum(*convergents) * (1 + 16 * U) + 2.0**-1000
+def _convergent(x: Array, count: int) -> Array:
+    fraction = x
+    for n in range(count, 0, -1):
+        fraction = x + n / fraction
+    return 1.0 / fraction

@@ -25,29 +25,22 @@ def wrong_arithmetic() -> str:
     if (np.array([2.0**-1022]) * 0.5)[0] != 2.0**-1023 or np.nextafter(0.0, 1.0) != 5e-324:
         return "numbers below 2^-1022 are taken for 0"
     for a, b in QUOTIENTS:
-        if not _is_nearest(Fraction(a) / Fraction(b), float((np.array([a]) / b)[0])):
+        exact, got = Fraction(a) / Fraction(b), float((np.array([a]) / b)[0])
+        near = float(np.nextafter(got, -np.inf)), float(np.nextafter(got, np.inf))
+        if any(abs(exact - Fraction(got)) > abs(exact - Fraction(neighbour)) for neighbour in near):
             return f"the quotient {a!r} / {b!r} is not rounded to nearest"
     for a in ROOTS:
         root = float(np.sqrt(np.array([a]))[0])
         low, high = (Fraction(root) + Fraction(float(np.spacing(root))) * half / 2 for half in (-1, 1))
         if not low * low <= Fraction(a) <= high * high:
             return f"the root of {a!r} is not rounded to nearest"
-    return _wrong_products()
-
-
-def _is_nearest(exact: Fraction, got: float) -> bool:
-    neighbours = (Fraction(float(np.nextafter(got, end))) for end in (-np.inf, np.inf))
-    return all(abs(exact - Fraction(got)) <= abs(exact - neighbour) for neighbour in neighbours)
-
-
-def _wrong_products() -> str:
-    """Compare products of matrices with rational numbers."""
+    # Products of matrices against rational numbers.
     n = 48
     k = np.arange(n * n, dtype=float).reshape(n, n)
-    a, b = np.sin(k) * 2.0 ** (k % 7), np.cos(k * 1.7)
-    for product in (a @ b, np.matmul(a[None], b[None])[0], np.einsum("ij,jk->ik", a, b)):
+    left, right = np.sin(k) * 2.0 ** (k % 7), np.cos(k * 1.7)
+    for product in (left @ right, np.matmul(left[None], right[None])[0], np.einsum("ij,jk->ik", left, right)):
         for i, j in ((0, 0), (n - 1, 3), (17, n - 1)):
-            terms = [Fraction(x) * Fraction(y) for x, y in zip(a[i].tolist(), b[:, j].tolist())]
+            terms = [Fraction(x) * Fraction(y) for x, y in zip(left[i].tolist(), right[:, j].tolist())]
             if abs(sum(terms) - Fraction(float(product[i, j]))) > n * Fraction(U) * sum(map(abs, terms)):
                 return "products of matrices are rounded by more than their number of terms explains"
     return ""

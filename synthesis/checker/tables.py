@@ -14,15 +14,14 @@ that is linear on cells is a sum of hats, so its mean is a sum of these numbers.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import rigorous
 from .fields import Refused
 from .intervals import add, down, mul, up
-from .rigorous import PHI_0, Array, U
+from .rigorous import PHI_0, Array, Truth, U
 
+# Beyond ten deviations a tail is between 0 and 1e-23, and a density between 0 and 1e-21.
 FAR, FAR_TAIL, FAR_DENSITY = 10.0, 1e-23, 1e-21
-"""Beyond ten deviations a tail is between 0 and 1e-23, and a density between 0 and 1e-21."""
 
 
 def normal_table(points: Array, edges: Array, deviation: float, hats: bool) -> tuple[Array, float]:
@@ -51,7 +50,7 @@ def normal_table(points: Array, edges: Array, deviation: float, hats: bool) -> t
     return mass[0], float(np.max(np.sum(mass[1] - mass[0], axis=1))) * 1.001
 
 
-def _hats(x: Array, near: NDArray[np.bool_], mass: Array, width: Array) -> Array:
+def _hats(x: Array, near: Truth, mass: Array, width: Array) -> Array:
     """Return ends (2, Z, 2 S) of the means of both hats of every cell."""
     density = np.zeros((2, *x.shape))
     density[1] = FAR_DENSITY

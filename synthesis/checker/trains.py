@@ -24,17 +24,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .automaton import Automaton
 from .cells import DENSITY, Cells
 from .fields import Refused
 from .rigorous import Array, U
-from .tree import Guards, finished
+from .tree import Team, finished
 
-SUMS = 8
-"""Sums of rows, for each column, from which the directions of a cut are taken."""
-
-MORE = 1.0 + 1e-9
-"""Factor on bounds that are sums of products of fewer than a million numbers."""
+SUMS = 8  # sums of rows, for each column, from which the directions of a cut are taken
+MORE = 1.0 + 1e-9  # factor on bounds that are sums of products of fewer than a million numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,59 +41,48 @@ class Train:
     error: float
 
 
-def value_at_start(
-    automaton: Automaton, horizon: int, agents: Sequence[Cells], guards: Guards, start: Guards, tolerance: float
-) -> float:
+def value_at_start(team: Team, tolerance: float) -> float:
     """Return a lower bound on the probability that the task is satisfied; cuts may cost ``tolerance``."""
-    value, total = trains_at_start(automaton, horizon, agents, guards, tolerance), 0.0
-    for g, target in enumerate(start.target.tolist()):
-        train = value[target]
-        if train is not None:
-            total += _mean(train, [cells.start_shares(start.sets[g, i]) for i, cells in enumerate(agents)])
-    return min(1.0, max(0.0, total * (1.0 - 8.0 * U * (len(start.target) + 4.0))))
+    value, total = trains_at_start(team, tolerance), 0.0
+    for target, sets in zip(team.start.target.tolist(), team.start.sets, strict=True):
+        if (train := value[target]) is not None:
+            total += _mean(train, [cells.start[own] for cells, own in zip(team.agents, sets, strict=True)])
+    return min(1.0, max(0.0, total * (1.0 - 8.0 * U * (len(team.start.target) + 4.0))))
 
 
-def trains_at_start(
-    automaton: Automaton, horizon: int, agents: Sequence[Cells], guards: Guards, tolerance: float
-) -> list[Train | None]:
+def trains_at_start(team: Team, tolerance: float) -> list[Train | None]:
     """Return the value at time 0 by automaton state, at every joint cell; None where it is 0."""
-    if any(cells.kernel.moves or cells.kernel.corners for cells in agents):
+    if any(cells.kernel.inputs or cells.kernel.corners for cells in team.agents):
         raise Refused("tensor trains are for cells with targets")
-    done, ones = finished(automaton), Train(tuple(np.ones((1, cells.places, 1)) for cells in agents), 0.0)
-    value = [ones if accepts else None for accepts in automaton.accepting]
-    for t in range(horizon - 1, -1, -1):
-        summed = [
-            None if end else _masked_sum(agents, guards, value, q, tolerance / horizon) for q, end in enumerate(done)
-        ]
-        value = [
-            ones if end else None if own is None else _taken_back(own, agents, t, q)
-            for q, (end, own) in enumerate(zip(done, summed, strict=True))
-        ]
+    ones = Train(tuple(np.ones((1, cells.kernel.places, 1)) for cells in team.agents), 0.0)
+    done, value = finished(team.automaton), [ones if accepts else None for accepts in team.automaton.accepting]
+    for t in range(team.horizon - 1, -1, -1):
+        # All sums first: each of them reads the values of several states.
+        summed = [None if end else _masked_sum(team, value, q, tolerance / team.horizon) for q, end in enumerate(done)]
+        back = [None if own is None else _taken_back(own, team.agents, t, q) for q, own in enumerate(summed)]
+        value = [ones if end else own for end, own in zip(done, back, strict=True)]
     return value
 
 
-def _masked_sum(
-    agents: Sequence[Cells], guards: Guards, value: Sequence[Train | None], q: int, tolerance: float
-) -> Train | None:
+def _masked_sum(team: Team, value: Sequence[Train | None], q: int, tolerance: float) -> Train | None:
     """Return W_q with few columns; None if no guard leads to a state with a value."""
-    rows = [g for g in np.flatnonzero(guards.source == q).tolist() if value[guards.target[g]] is not None]
-    terms = [(g, train) for g in rows if (train := value[guards.target[g]]) is not None]
+    rows, target = np.flatnonzero(team.guards.source == q).tolist(), team.guards.target
+    terms = [(g, train) for g in rows if (train := value[target[g]]) is not None]
     if not terms:
         return None
-    cores, error = _cut_backward(agents, guards, terms, tolerance)
+    cores, error = _cut_backward(team, terms, tolerance)
     cores, more = _cut_forward(cores, tolerance)
     return Train(tuple(cores), (error + more + max(train.error for _, train in terms)) * MORE)
 
 
+# Target of a guard, and its sets from some agent on: guards that agree in them share what is computed from there.
 Suffix = tuple[int, ...]
-"""Target of a guard, and its sets from some agent on: guards that agree in them share what is computed from there."""
 
 
-def _cut_backward(
-    agents: Sequence[Cells], guards: Guards, terms: Sequence[tuple[int, Train]], tolerance: float
-) -> tuple[list[Array], float]:
+def _cut_backward(team: Team, terms: Sequence[tuple[int, Train]], tolerance: float) -> tuple[list[Array], float]:
     """Return the sum of terms, cut to the sets of their guards, from the last agent to the first; and the change."""
-    share, last = tolerance / max(1, 2 * (len(agents) - 1)), len(agents) - 1
+    guards, agents, last = team.guards, team.agents, len(team.agents) - 1
+    share = tolerance / max(1, 2 * last)
     trains = {int(guards.target[g]): train for g, train in terms}
     heads = {target: _entries(train.cores) for target, train in trains.items()}
     behind: dict[Suffix, Array] = {(target,): np.ones((1, 1)) for target in trains}
@@ -172,10 +157,8 @@ def _taken_back(train: Train, agents: Sequence[Cells], t: int, q: int) -> Train:
     cores, operations, off = [], 4, 0.0
     for core, cells in zip(train.cores, agents, strict=True):
         kernel, policy = cells.kernel, cells.policy_at(t, q)
-        rows = core.transpose(0, 2, 1).reshape(core.shape[0] * core.shape[2], *kernel.shape)
-        for k, table in enumerate(kernel.tables, start=1):
-            rows = np.moveaxis(np.tensordot(rows, table, axes=(k, 1)), -1, k)
-            operations += table.shape[1] + 4
+        rows = kernel.means(core.transpose(0, 2, 1).reshape(-1, core.shape[1]))
+        operations += sum(table.shape[1] + 4 for table in kernel.tables)
         moved = rows.reshape(len(rows), -1)[:, np.maximum(policy, 0)] * (policy >= 0)
         cores.append(moved.reshape(core.shape[0], core.shape[2], -1).transpose(0, 2, 1))
         operations += core.shape[2]

@@ -20,21 +20,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .automaton import Automaton
-from .cells import Cells, Kernel
+from .cells import Cells, Kernel, spread
 from .fields import Refused
-from .labels import Labels
-from .rigorous import Array, U
+from .motions import Labels
+from .rigorous import Array, Truth, U, Whole
 
-Whole = NDArray[np.int64]
-
+# Share of a factor from which a remainder is taken where steps are not additive: the difference of nearly equal
+# factors has no digits left, and is larger in its second differences than it is.
 KEPT = 1.0 - 1e-9
-"""Share of a factor from which a remainder is taken where steps are not additive: the difference of nearly equal
-factors has no digits left, and is larger in its second differences than it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,23 +53,20 @@ class Tree:
     unions: Whole
     kept: Whole
 
+    @cached_property
+    def keys(self) -> list[Whole]:
+        """Time and state of each row, in one number; ``Refused`` unless rows stand in their order."""
+        keys = [rows[:, 0] * 2**31 + rows[:, 1] for rows in (self.vertices, self.unions, self.kept)]
+        if any(np.any(np.diff(key) < 0) for key in keys):
+            raise Refused("the rows of the tree are not in the order of times and states")
+        return keys
+
     def at(self, t: int, q: int) -> tuple[Whole, Whole, Whole]:
         """Return guards and children (n, 2), unions (m, 4) and kept vertices (k,) of a time and a state."""
-        vertices, unions, kept = (rows[_between(rows, t, q)] for rows in (self.vertices, self.unions, self.kept))
-        return vertices[:, 2:], unions[:, 2:], kept[:, 2]
-
-
-def _between(rows: Whole, t: int, q: int) -> slice:
-    """Return where the rows of a time and a state are; they are sorted, which ``check_order`` asked."""
-    key = rows[:, 0] * 2**31 + rows[:, 1]
-    return slice(*np.searchsorted(key, [t * 2**31 + q, t * 2**31 + q + 1]).tolist())
-
-
-def check_order(tree: Tree) -> None:
-    """Raise ``Refused`` unless rows stand in the order of times and states."""
-    for rows in (tree.vertices, tree.unions, tree.kept):
-        if np.any(np.diff(rows[:, 0] * 2**31 + rows[:, 1]) < 0):
-            raise Refused("the rows of the tree are not in the order of times and states")
+        first, last = zip(*(np.searchsorted(key, t * 2**31 + np.array([q, q + 1])).tolist() for key in self.keys))
+        tables = self.vertices[:, 2:], self.unions[:, 2:], self.kept[:, 2]
+        vertices, unions, kept = (rows[a:b] for rows, a, b in zip(tables, first, last))
+        return vertices, unions, kept
 
 
 def finished(automaton: Automaton) -> list[bool]:
@@ -80,7 +75,7 @@ def finished(automaton: Automaton) -> list[bool]:
 
 
 def check_guards(
-    automaton: Automaton, guards: Guards, sets: Sequence[NDArray[np.bool_]], known: Sequence[tuple[list[int], Labels]]
+    automaton: Automaton, guards: Guards, sets: Sequence[Truth], known: Sequence[tuple[list[int], Labels]]
 ) -> None:
     """Raise ``Refused`` unless guards out of one state are disjoint and lead where they say.
 
@@ -117,6 +112,17 @@ def _led(automaton: Automaton, entry: int, propositions: list[int], row: list[in
     return high | (_led(automaton, automaton.low[entry], propositions, row) if label <= 0 else set())
 
 
+@dataclass(frozen=True, eq=False)
+class Team:
+    """Agents on cells, and the task: guards of all steps, and those of the letter of time 0."""
+
+    automaton: Automaton
+    horizon: int
+    agents: Sequence[Cells]
+    guards: Guards
+    start: Guards
+
+
 @dataclass(eq=False)
 class _Values:
     """The value function at a time: distinct factors (n, places) of each agent, and terms (n, I) of each state."""
@@ -125,54 +131,50 @@ class _Values:
     terms: list[Whole]
 
 
-def value_at_start(
-    automaton: Automaton,
-    horizon: int,
-    agents: Sequence[Cells],
-    guards: Guards,
-    start: Guards,
-    tree: Tree,
-) -> float:
+def value_at_start(team: Team, tree: Tree) -> float:
     """Return a lower bound on the probability that the task is satisfied from the start."""
-    check_order(tree)
     # At the end: 1 where the automaton accepts, and nothing elsewhere.
-    ones = [np.ones((1, cells.places)) for cells in agents]
-    terms = [np.zeros((int(accepts), len(agents)), dtype=np.int64) for accepts in automaton.accepting]
+    ones = [np.ones((1, cells.kernel.places)) for cells in team.agents]
+    terms = [np.zeros((int(accepts), len(team.agents)), dtype=np.int64) for accepts in team.automaton.accepting]
     later, size = _Values(ones, terms), 0
-    for t in range(horizon - 1, -1, -1):
-        later = _one_step_earlier(automaton, agents, guards, tree, later, t)
+    for t in range(team.horizon - 1, -1, -1):
+        later = _one_step_earlier(team, tree, later, t)
         size += sum(len(rows) for rows in later.terms)
     # Read the value where runs start: over products of sets of cells that the letter of time 0 leads from.
     total = 0.0
-    for g in range(len(start.source)):
-        rows = later.terms[start.target[g]]
-        read = [
-            (cells.start_shares(start.sets[g, i]) @ later.factors[i].T)[rows[:, i]] for i, cells in enumerate(agents)
-        ]
-        total += float(np.prod(read, axis=0).sum()) if len(rows) else 0.0
+    for target, sets in zip(team.start.target.tolist(), team.start.sets.tolist(), strict=True):
+        each = zip(team.agents, sets, later.factors, later.terms[target].T, strict=True)
+        read = [(cells.start[own] @ factors.T)[term] for cells, own, factors, term in each]
+        total += float(np.prod(read, axis=0).sum())
     # all numbers are at least 0: sums and products of so many are off by less than this share of themselves
-    count = size + len(tree.unions) + sum(cells.places for cells in agents) + 8 * horizon * len(agents) + 64
+    count = (
+        size
+        + len(tree.unions)
+        + sum(cells.kernel.places for cells in team.agents)
+        + 8 * team.horizon * len(team.agents)
+        + 64
+    )
     return min(1.0, max(0.0, total * (1.0 - 4.0 * U * count)))
 
 
-def _one_step_earlier(
-    automaton: Automaton, agents: Sequence[Cells], guards: Guards, tree: Tree, later: _Values, t: int
-) -> _Values:
+def _one_step_earlier(team: Team, tree: Tree, later: _Values, t: int) -> _Values:
     """Return the value function at time t from that of time t + 1."""
-    stacks = [[np.ones((1, cells.places))] for cells in agents]
+    stacks = [[np.ones((1, cells.kernel.places))] for cells in team.agents]
     terms, memory = [], _Memory()
-    for q, is_done in enumerate(finished(automaton)):
+    for q, is_done in enumerate(finished(team.automaton)):
         if is_done:
-            terms.append(np.zeros((1, len(agents)), dtype=np.int64))
+            terms.append(np.zeros((1, len(team.agents)), dtype=np.int64))
             continue
         # Vertices of this state, united, and cut down to those that are kept.
         vertices, unions, kept = tree.at(t, q)
-        below = _children(guards, later, vertices, q)
-        _check_unions(unions, kept, len(vertices), len(agents))
-        terms.append(np.zeros((len(kept), len(agents)), dtype=np.int64))
-        for i, cells in enumerate(agents):
-            vertex = cells.spread(guards.sets[vertices[:, 0], i]) * later.factors[i][below[:, i]]
-            _unite(vertex, unions, i, KEPT if cells.kernel.moves else 1.0)
+        below = _children(team.guards, later, vertices, q)
+        _check_unions(unions, kept, len(vertices), len(team.agents))
+        terms.append(np.zeros((len(kept), len(team.agents)), dtype=np.int64))
+        for i, cells in enumerate(team.agents):
+            vertex = (
+                spread(cells.sets[team.guards.sets[vertices[:, 0], i]], cells.kernel) * later.factors[i][below[:, i]]
+            )
+            _unite(vertex, unions, i, KEPT if cells.kernel.inputs else 1.0)
             backed, where = memory.backup(cells.kernel, vertex[kept], cells.policy_at(t, q))
             terms[-1][:, i] = where + sum(len(own) for own in stacks[i])
             stacks[i].append(backed)
@@ -205,17 +207,16 @@ class _Memory:
 
 def _children(guards: Guards, later: _Values, vertices: Whole, q: int) -> Whole:
     """Return the factors (n, I) of the children of vertices (n, 2)."""
-    guard, child = vertices[:, 0], vertices[:, 1]
+    guard, child = vertices.T
     if np.any(guards.source[guard] != q):
         raise Refused("the tree uses a guard of another automaton state")
     if len(np.unique(vertices, axis=0)) != len(vertices):
         raise Refused("the tree counts a vertex twice")
-    below = np.zeros((len(vertices), guards.sets.shape[1]), dtype=np.int64)
-    for k, target in enumerate(guards.target[guard].tolist()):
-        if child[k] >= len(later.terms[target]):
-            raise Refused("the tree names a vertex that does not exist")
-        below[k] = later.terms[target][child[k]]
-    return below
+    # Terms of all states, one after the other.
+    counts = np.array([len(terms) for terms in later.terms])
+    if np.any(child >= counts[guards.target[guard]]):
+        raise Refused("the tree names a vertex that does not exist")
+    return np.concatenate(later.terms)[(np.cumsum(counts) - counts)[guards.target[guard]] + child]
 
 
 def _check_unions(unions: Whole, kept: Whole, n: int, n_agents: int) -> None:
@@ -227,12 +228,11 @@ def _check_unions(unions: Whole, kept: Whole, n: int, n_agents: int) -> None:
         raise Refused("the tree keeps a remainder of no agent, or of the one whose factors are added")
     # A vertex that was absorbed is gone, unless a remainder took its place.
     gone: set[int] = set()
+    twice = len(np.unique(kept)) != len(kept)
     for a, b, remains in zip(into.tolist(), absorbed.tolist(), rest.tolist(), strict=True):
-        if a == b or a in gone or b in gone:
-            raise Refused("the tree counts a vertex twice")
-        if not remains:
-            gone.add(b)
-    if len(np.unique(kept)) != len(kept) or gone & set(kept.tolist()):
+        twice |= a == b or a in gone or b in gone
+        gone |= set() if remains else {b}
+    if twice or gone & set(kept.tolist()):
         raise Refused("the tree counts a vertex twice")
 
 

@@ -7,41 +7,34 @@ by the module of its kind. A claim is proved if the bound that is recomputed is 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from . import cell_proofs, fields, trajectories
-from .fields import Refused
+from . import cell_proofs, trajectories
+from .fields import Entry, Refused
 from .file import MOST_BYTES, Contents, read_file
 from .formula import wrong_automaton
-from .problem import Problem, read_problem
+from .problem import read_problem
 from .selftest import wrong_arithmetic
 
-KINDS = {
-    "trajectory": ("trajectories", "letters", "constraints"),
-    "cells": ("cells", "motions", "tables", "labels", "tree"),
+KINDS: dict[str, tuple[tuple[str, ...], Callable[..., Any], Callable[..., tuple[float, str]]]] = {
+    "trajectory": (("trajectories", "letters", "constraints"), trajectories.read_proof, trajectories.failure_of),
+    "cells": (("cells", "motions", "tables", "tree"), cell_proofs.read_proof, cell_proofs.failure_of),
 }
-"""Kinds of proofs, and the modules of the checker that prove them."""
+"""Kinds of proofs: the modules of the checker that prove them, how they are read, and what follows from them."""
 
 
 @dataclass(frozen=True)
 class Verdict:
     """What became of a claim; truthy if it is proved.
 
-    Parameters
-    ----------
-    proved : bool
-    claimed : float
-        Upper bound on the probability that the task fails, as the file claims it.
-    recomputed : float
-        Upper bound on it that was proved here, 1 if none was.
-    modules : tuple of str
-        Modules of the checker for this kind of proof.
-    reason : str
-        Why the claim is refused, or in which sense it is proved.
+    ``claimed`` is the upper bound on the probability that the task fails, as the file claims it, ``recomputed`` the one
+    that was proved here (1 if none was), by ``modules`` of the checker. The ``reason`` says why the claim is refused,
+    or in which sense it is proved.
     """
 
     proved: bool
@@ -66,15 +59,7 @@ class Verdict:
 
 
 def check(path: str | Path, most_bytes: int = MOST_BYTES) -> Verdict:
-    """Prove the claim of a certificate file again, from the file alone.
-
-    Raises
-    ------
-    Unreadable
-        If the file holds no certificate of this format.
-    OSError
-        If it cannot be read.
-    """
+    """Prove the claim of a certificate file again, from the file alone; ``Unreadable`` if it holds none."""
     return check_contents(read_file(path, most_bytes))
 
 
@@ -84,18 +69,21 @@ def check_contents(contents: Contents) -> Verdict:
     if wrong := wrong_arithmetic():
         raise ArithmeticError(f"nothing can be proved on this machine: {wrong}")
     problem = read_problem(contents.header)
-    claim = fields.table(contents.header["claim"], "claim", ("failure",))
-    claimed = fields.number(claim["failure"], "claim.failure")
+    failure_claimed = contents.entry("claim").table(("failure",))["failure"]
+    claimed = failure_claimed.number()
     if not 0.0 <= claimed <= 1.0:
-        raise fields.expected("claim.failure", "a probability", claimed)
-    kind = contents.header["proof"].get("kind") if isinstance(contents.header["proof"], dict) else None
-    if not isinstance(kind, str) or kind not in KINDS:
-        raise fields.expected("proof.kind", " or ".join(map(repr, KINDS)), kind)
-    modules = KINDS[kind] + _more_modules(contents.header["proof"])
+        raise failure_claimed.expected("a probability")
+    kind = contents.entry("proof").entries_by_name().get("kind", Entry(None, "proof.kind")).one_of([*KINDS])
+    modules, read, failure_of = KINDS[kind]
     try:
         # What overflows becomes infinite or nan, and neither is ever better than a limit.
         with np.errstate(all="ignore"):
-            failure, worst = _failure_of(contents, problem, kind)
+            proof = read(contents, problem)
+            contents.everything_was_used()
+            modules += proof.more
+            if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
+                raise Refused(f"the automaton is not that of the formula: {wrong}")
+            failure, worst = failure_of(problem, proof)
     except Refused as refused:
         return Verdict(False, claimed, 1.0, modules, str(refused))
     except RecursionError:
@@ -105,28 +93,6 @@ def check_contents(contents: Contents) -> Verdict:
         return Verdict(False, claimed, failure, modules, reason)
     given = "" if problem.formula is not None else "; the task is the automaton in the file, which has no formula"
     return Verdict(True, claimed, failure, modules, given)
-
-
-def _more_modules(proof: dict[str, Any]) -> tuple[str, ...]:
-    """Return the modules that a proof of its kind uses besides."""
-    agents = proof.get("agents")
-    entries = [own for own in agents if isinstance(own, dict)] if isinstance(agents, list) else []
-    more = {"network": "networks", "feedback": "feedbacks", "radius": "ellipsoids"}
-    acts = tuple(name for key, name in more.items() if any(key in own for own in entries))
-    return (("trains",) if "tolerance" in proof else ()) + acts
-
-
-def _failure_of(contents: Contents, problem: Problem, kind: str) -> tuple[float, str]:
-    """Return an upper bound on the probability that the task fails, and what fails most, in words."""
-    along = kind == "trajectory"
-    proof = trajectories.read_proof(contents, problem) if along else cell_proofs.read_proof(contents, problem)
-    contents.everything_was_used()
-    if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
-        raise Refused(f"the automaton is not that of the formula: {wrong}")
-    if isinstance(proof, trajectories.TrajectoryProof):
-        failure, constraints = trajectories.failure_of(problem, proof)
-        return failure, f"; most probable: {constraints.likeliest()}"
-    return cell_proofs.failure_of(problem, proof), ""
 
 
 def bound_of(failure: float) -> float:

@@ -28,10 +28,10 @@ from ..certificates import (
 )
 from ..checker import (
     CheckedProblem,
+    Joint,
     Refused,
     automaton_states,
     check_words,
-    constraints_of,
     demands,
     failure_of,
     linear_forms,
@@ -112,7 +112,7 @@ def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | WrittenP
         elif best.proof.failure < 1e3 * lost:
             return _widest(problem, policies, run, margins, best, (before, lost))
     if best is None or best.proof.failure >= 1.0:
-        why = why if best is None else f"most probable is that {_likeliest(best, known)} fails"
+        why = why if best is None else _likeliest(best, known)
         raise RelationRefused(
             f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy, "
             "or cells (`cells=`)"
@@ -156,7 +156,8 @@ def _widest(
 
 def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
     """Return what fails most probably, in words."""
-    return failure_of(known, read_trajectories(contents_of(certificate), known))[1].likeliest()
+    worst = failure_of(known, read_trajectories(contents_of(certificate), known))[1]
+    return f"most probable is that {worst.removeprefix('; most probable: ')} fails"
 
 
 def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkPolicy | WrittenPolicy]) -> _Run:
@@ -239,22 +240,23 @@ def _margins(
 ) -> _Margins:
     """Return how far all literals of the run are away, in deviations, on the tube of some radii."""
     certificate = _certificate(problem, policies, run, run.letters, None, lost)
-    joint, errors, constraints = constraints_of(known, read_trajectories(contents_of(certificate), known))
+    read = read_trajectories(contents_of(certificate), known)
+    joint = Joint.of(known, read.trajectories, read.letters)
     shape, size = run.letters.shape, sum(pair.size for pair in problem.labeling.pairs)
     found = _Margins(np.full(shape, np.inf), np.full(shape, -1), np.zeros((shape[0], size)))
-    for t, around, _ in walk(known, joint, errors, constraints):
-        if t == 0:
+    for tube in walk(joint):
+        if (t := tube.t) == 0:
             continue
         literals = [literal for p in range(shape[1]) for literal in _literals(problem, run, t, p)]
         asked = [(p, face, normal, part) for p, face, normal in literals
                  for part in _demands(known, run, t, p, face, normal, size)]  # fmt: skip
         if not asked:
             continue
-        forms = linear_forms(joint, around.ends, [part for *_, part in asked], t)
-        drift, spread = errors.rows(np.array([row for row, _ in forms]))
+        rows, values = linear_forms(joint, tube, [part for *_, part in asked])
+        drift, spread = joint.errors.rows(rows)
         each = dict[tuple[int, int], tuple[float, int, FloatArray | None]]()
         for k, (p, face, normal, part) in enumerate(asked):
-            value = forms[k][1][:, 0] + drift[:, k]
+            value = values[:, k] + drift[:, k]
             room = min(value[0] - part.low, part.high - value[1])
             sigma = float(np.sqrt(spread.variance[k]))
             far = room / sigma if sigma > 0.0 else np.inf if room > 0.0 else -np.inf

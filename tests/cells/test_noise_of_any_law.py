@@ -17,6 +17,7 @@ from certigym.envs.agents.noise import KINDS, laws_of
 from certigym.synthesis.cells import grid_laws
 from certigym.synthesis.certificates.canonical import checker_text
 from certigym.synthesis.checker.distributions import read_distribution
+from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.masses import lost_to_rounding
 from certigym.synthesis.masses.checked_laws import (
     law_charge,
@@ -167,7 +168,9 @@ def test_means_of_cut_normal_laws_have_their_digits(spread: float, low: float, h
     with mpmath.workdps(60):
         a, b = (mpmath.mpf(end) / mpmath.mpf(spread) for end in (low, high))
         truth = spread * (mpmath.npdf(a) - mpmath.npdf(b)) / (mpmath.ncdf(b) - mpmath.ncdf(a))
-        found = read_distribution({"law": "truncated-gaussian", "spread": spread, "low": low, "high": high}, "law")
+        found = read_distribution(
+            Entry({"law": "truncated-gaussian", "spread": spread, "low": low, "high": high}, "law")
+        )
         assert abs(found.mean - truth) <= found.off
 
 

@@ -21,8 +21,7 @@ from canonical_simulator import FUNCTIONS
 from certigym.synthesis.checker import cells, read_problem
 from certigym.synthesis.checker.cells import Kernel, start_weights
 from certigym.synthesis.checker.fields import Refused
-from certigym.synthesis.checker.labels import cell_labels
-from certigym.synthesis.checker.motions import check_targets, maps_of_inputs
+from certigym.synthesis.checker.motions import cell_labels, check_targets, maps_of_inputs
 from certigym.synthesis.checker.problem import Agent, Problem
 from certigym.synthesis.checker.tables import normal_table
 from kinds import mostly_thorough

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, read_distribution
-from certigym.synthesis.checker.fields import Unreadable
+from certigym.synthesis.checker.fields import Entry, Unreadable
 from kinds import mostly_thorough
 
 Moment = Any
@@ -103,7 +103,7 @@ def test_exponential_moments_are_below_those_of_the_envelope(kind: str) -> None:
     with mpmath.workdps(16):
         for _ in range(4):
             law = random_law(rng, kind)
-            own = read_distribution(law, "it")
+            own = read_distribution(Entry(law, "it"))
             mean = mean_of(law, lambda x: x)
             assert abs(mean - own.mean) <= own.off + 1e-9, law
             assert own.tail == (
@@ -124,7 +124,7 @@ def test_exponential_moments_are_below_those_of_the_envelope(kind: str) -> None:
 
 def test_students_distribution_is_below_its_envelope_where_it_is_not_given_up() -> None:
     for scale, df in ((1.0, 3.0), (0.5, 5.0), (2.0, 12.0)):
-        own = read_distribution({"law": "student-t", "scale": scale, "df": df}, "it")
+        own = read_distribution(Entry({"law": "student-t", "scale": scale, "df": df}, "it"))
         assert own.tail == LONG and 0.0 < own.lost < 2e-7
         with mpmath.workdps(16):
             factor = mpmath.gamma((df + 1) / 2) / (mpmath.sqrt(df * mpmath.pi) * mpmath.gamma(df / 2) * scale)
@@ -158,10 +158,10 @@ def test_students_distribution_is_below_its_envelope_where_it_is_not_given_up() 
 )  # fmt: skip
 def test_what_is_no_distribution_is_unreadable(law: Any) -> None:
     with pytest.raises(Unreadable):
-        read_distribution(law, "it")
+        read_distribution(Entry(law, "it"))
 
 
 @pytest.mark.parametrize("name", [[], {}])
 def test_a_law_whose_name_is_no_text_is_unreadable(name: Any) -> None:
     with pytest.raises(Unreadable):
-        read_distribution({"law": name}, "it")
+        read_distribution(Entry({"law": name}, "it"))

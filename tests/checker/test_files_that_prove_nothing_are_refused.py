@@ -17,6 +17,7 @@ from canonical_simulator import Simulator
 from certificate_files import file_of, one_crane, two_carts, two_tanks
 from certigym.synthesis.checker import Unreadable, check_contents, parse_file, read_problem
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED, read_distribution
+from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.intervals import mul
 from certigym.synthesis.checker.noise_sizes import mean_of
 from certigym.synthesis.checker.verdict import Verdict
@@ -284,7 +285,7 @@ def test_agents_without_inputs_have_proofs() -> None:
 def test_noise_of_students_law_that_is_given_up_is_claimed_by_nobody() -> None:
     """Each step of each source counts what its envelope gives up, also where nothing else can fail."""
     law = {"law": "student-t", "scale": 1e-6, "df": 4.0}
-    lost = read_distribution(law, "it").lost
+    lost = read_distribution(Entry(law, "it")).lost
 
     def change(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
         agent(header).update(distributions=[{"law": "uniform", "low": -1e-6, "high": 1e-6}, law])

@@ -11,11 +11,11 @@ from scipy.stats import chi2
 
 import certigym as cg
 from certigym.synthesis.certificates import canonical, canonical_problem, contents_of
-from certigym.synthesis.checker import constraints_of, networks, read_problem, read_trajectories, trajectories, walk
-from certigym.synthesis.checker.ellipsoids import Ellipsoid, chi_tail
+from certigym.synthesis.checker import Joint, networks, read_problem, read_trajectories, steps, walk
 from certigym.synthesis.checker.error_system import ErrorSystem
 from certigym.synthesis.checker.feedbacks import enclosed_feedback, read_feedback
-from certigym.synthesis.checker.networks import Network, automaton_states, enclosed
+from certigym.synthesis.checker.fields import Entry
+from certigym.synthesis.checker.networks import Ellipsoid, Network, automaton_states, chi_tail, enclosed
 from certigym.synthesis.nominal_paths import networks_along
 from certigym.synthesis.relations import Network as Layers
 from certigym.synthesis.relations import NetworkPolicy, OwnView, WrittenPolicy
@@ -163,16 +163,15 @@ def test_runs_stay_in_tubes_wherever_forms_keep_in_ellipsoids() -> None:
     known = read_problem({"problem": canonical_problem(problem)})
     radius = 2.5  # so that many runs are near the edge
     proof = replace(certificate.proof, radii=(radius,))
-    joint, errors, constraints = constraints_of(
-        known, read_trajectories(contents_of(replace(certificate, proof=proof)), known)
-    )
+    read = read_trajectories(contents_of(replace(certificate, proof=proof)), known)
+    joint = Joint.of(known, read.trajectories, read.letters)
     rng, n = np.random.default_rng(0), 20_000
     x, g, kept = np.tile(joint.states[0][:, None], n), np.zeros((3, n)), np.ones(n, dtype=bool)
     noise = np.zeros((3, n))
     seen = automaton_states(known, certificate.proof.letters.astype(np.int64))
-    for t, around, _ in walk(known, joint, errors, constraints):
-        if t:  # the step that was taken last
-            g = errors.matrices[-1] @ g + noise
+    for around in walk(joint):
+        if t := around.t:  # the step that was taken last
+            g = joint.errors.steps[-1][0] @ g + noise
             kept &= np.linalg.norm(around.ellipsoids[0].white @ g, axis=0) <= radius  # type: ignore[union-attr]
         e = x - joint.states[t][:, None]
         kept &= np.all((x >= joint.box[0][:, None]) & (x <= joint.box[1][:, None]), axis=0)
@@ -215,9 +214,9 @@ def test_files_hold_networks_and_forgeries_are_refused(tmp_path: Any) -> None:
 
 
 SABOTAGE: dict[str, tuple[Any, str, Any]] = {
-    "radius of a dimension less": (trajectories.Ellipsoid, "of", None),
+    "radius of a dimension less": (steps.Ellipsoid, "of", None),
     "what rounds and bends is dropped": (networks._Forms, "rest", None),
-    "the automaton state of another step": (trajectories, "automaton_states", None),
+    "the automaton state of another step": (steps, "automaton_states", None),
 }
 
 
@@ -265,7 +264,7 @@ def test_expressions_are_enclosed(text: str) -> None:
     problem = cg.Problem(name="p", horizon=5, agents=[agent], specification=cg.Specification("F b"),
                          propositions={"b": cg.Proposition("a", [0, 0], [1, 1])})  # fmt: skip
     own = read_problem({"problem": canonical_problem(problem)}).agents[0]
-    feedback, policy = read_feedback([text], "feedback", own), WrittenPolicy.of(agent, [text])
+    feedback, policy = read_feedback(Entry([text], "feedback"), own), WrittenPolicy.of(agent, [text])
     for _ in range(20):
         at, t = rng.uniform(-1.0, 1.0, 2), int(rng.integers(5))
         ends = np.stack([-rng.uniform(0.0, 0.4, 2), rng.uniform(0.0, 0.4, 2)])

@@ -183,7 +183,7 @@ def test_a_window_that_is_crossed_is_met_at_some_time() -> None:
             for demand in crossed(problem, letters, faces, t):
                 kept &= keeps(demand, [y[t]])
             for jump in jumps(problem, letters, faces, t):
-                moved = y[t, jump.output].astype(np.longdouble) - y[t - 1, jump.output]
+                moved = y[t, k].astype(np.longdouble) - y[t - 1, k]
                 kept &= (jump.low < moved) & (moved < jump.high)
         times = slice(first, last + 1)
         inside = np.all((low[times, :, None] <= y[times]) & (y[times] < high[times, :, None]), axis=1)

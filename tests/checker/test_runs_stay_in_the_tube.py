@@ -353,18 +353,18 @@ def bound_of(header: Header, arrays: Arrays, monkeypatch: pytest.MonkeyPatch) ->
     contents = parse_file(file_of(header, arrays))
     problem = read_problem(contents.header)
     proof = trajectories.read_proof(contents, problem)
-    advance, step = trajectories._advance, ErrorSystem.step
+    advance, step = trajectories.advance, ErrorSystem.step
 
-    def seen(joint: Any, errors: Any, constraints: Any, tube: Any, t: int) -> None:
+    def seen(joint: Any, tube: Any) -> None:
         spied.tubes.append(tube.ends.copy())
-        advance(joint, errors, constraints, tube, t)
+        advance(joint, tube)
 
     def stepped(self: ErrorSystem, *own: np.ndarray) -> None:
         spied.steps.append(tuple(array.copy() for array in own))
         step(self, *own)
 
     with monkeypatch.context() as patch, np.errstate(all="ignore"):
-        patch.setattr(trajectories, "_advance", seen)
+        patch.setattr(trajectories, "advance", seen)
         patch.setattr(ErrorSystem, "step", stepped)
         try:
             return trajectories.failure_of(problem, proof)[0], spied

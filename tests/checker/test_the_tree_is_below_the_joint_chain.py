@@ -19,7 +19,7 @@ import pytest
 from certigym.synthesis.checker import tree
 from certigym.synthesis.checker.automaton import CO_SAFE, FINITE_TRACE, Automaton
 from certigym.synthesis.checker.fields import Refused
-from certigym.synthesis.checker.tree import Guards, Tree, check_guards, value_at_start
+from certigym.synthesis.checker.tree import Guards, Team, Tree, check_guards, value_at_start
 
 NONE = np.zeros(0, dtype=np.int64)
 
@@ -30,11 +30,11 @@ class Chain:
 
     P: np.ndarray
     corners: bool = False
-    moves: bool = False
+    inputs: int = 0
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        return (self.P.shape[1],)
+    def places(self) -> int:
+        return int(self.P.shape[1])
 
     def values(self, factors: np.ndarray) -> np.ndarray:
         return factors
@@ -54,18 +54,8 @@ class Cells:
     policy: np.ndarray
     start: np.ndarray
 
-    @property
-    def places(self) -> int:
-        return self.kernel.shape[0]
-
     def policy_at(self, t: int, q: int) -> np.ndarray:
         return np.asarray(self.policy[min(t, len(self.policy) - 1), q])
-
-    def spread(self, numbers: np.ndarray) -> np.ndarray:
-        return np.asarray(self.sets[numbers])
-
-    def start_shares(self, number: int) -> np.ndarray:
-        return np.asarray(self.start[number])
 
 
 class World:
@@ -290,7 +280,7 @@ def test_the_value_is_at_most_that_of_the_joint_chain() -> None:
         world = World(rng, complete=False)
         own = random_tree(world, complete=False)
         shares, start, exact = from_one_start(world)
-        got = value_at_start(world.automaton, world.T, world.cells(shares), world.guards, start, own)
+        got = value_at_start(Team(world.automaton, world.T, world.cells(shares), world.guards, start), own)
         assert Fraction(got) <= exact, (float(got - exact), world.automaton)
         positive += 0 < got < 1
         united += len(own.unions)
@@ -306,7 +296,7 @@ def test_a_tree_with_all_vertices_is_worth_what_the_joint_chain_says() -> None:
         if len(own.vertices) > 3000:
             continue
         shares, start, exact = from_one_start(world)
-        got = value_at_start(world.automaton, world.T, world.cells(shares), world.guards, start, own)
+        got = value_at_start(Team(world.automaton, world.T, world.cells(shares), world.guards, start), own)
         assert exact * (1 - Fraction(1, 10**9)) <= Fraction(got) <= exact
         positive += got > 0
         # half of the runs of the first agent start in its first cell, half in its last one
@@ -317,7 +307,7 @@ def test_a_tree_with_all_vertices_is_worth_what_the_joint_chain_says() -> None:
         half[1, ends[1]] += 0.5
         targets = [world.step(0, (c, *others)) for c in ends]
         both = as_guards([0, 0], targets, [[k] + [0] * len(others) for k in (0, 1)])
-        got = value_at_start(world.automaton, world.T, world.cells([half, *shares[1:]]), world.guards, both, own)
+        got = value_at_start(Team(world.automaton, world.T, world.cells([half, *shares[1:]]), world.guards, both), own)
         mean = sum(world.truth_at(q, (c, *others)) for q, c in zip(targets, ends, strict=True)) / 2
         assert mean * (1 - Fraction(1, 10**9)) <= Fraction(got) <= mean
     assert positive > 20
@@ -398,7 +388,7 @@ def test_trees_that_count_a_vertex_twice_are_refused(small: Any) -> None:
     cells = world.cells(shares)
 
     def value(forged: Tree) -> float:
-        return value_at_start(world.automaton, world.T, cells, world.guards, start, forged)
+        return value_at_start(Team(world.automaton, world.T, cells, world.guards, start), forged)
 
     assert value(own) > 0.0
     g = first[2]
@@ -446,7 +436,7 @@ def test_rows_out_of_order_are_refused(small: Any) -> None:
         tables = {key: getattr(own, key) for key in ("vertices", "unions", "kept")}
         tables[name] = tables[name][::-1]
         with pytest.raises(Refused, match="order"):
-            value_at_start(world.automaton, world.T, world.cells(shares), world.guards, start, Tree(**tables))
+            value_at_start(Team(world.automaton, world.T, world.cells(shares), world.guards, start), Tree(**tables))
 
 
 def test_equal_factors_of_other_agents_are_not_taken_for_one_another() -> None:
@@ -457,7 +447,7 @@ def test_equal_factors_of_other_agents_are_not_taken_for_one_another() -> None:
     cells: Any = [Cells(own, sets, policy, np.eye(2)[[0]]) for own in (first, second, first)]
     guards, start = as_guards([0], [0], [[0, 0, 0]]), as_guards([0], [0], [[0, 0, 0]])
     own = Tree(np.array([[0, 0, 0, 0]]), np.zeros((0, 6), np.int64), np.array([[0, 0, 0]]))
-    got = value_at_start(automaton, 1, cells, guards, start, own)
+    got = value_at_start(Team(automaton, 1, cells, guards, start), own)
     assert 0.28 < got <= 0.75 * 0.5 * 0.75
 
 

@@ -17,6 +17,7 @@ from certigym.synthesis.certificates import canonical, changed, verdict_of
 from certigym.synthesis.certificates.canonical import TRAINS
 from certigym.synthesis.checker import cell_proofs, trains
 from certigym.synthesis.checker.trains import Train
+from certigym.synthesis.checker.tree import Team
 from certigym.synthesis.checking import train_check
 from certigym.synthesis.checking.train_check import ErrorBoundedTrain, regrown_trains, train_start_value
 from certigym.synthesis.models.abstraction import abstract
@@ -150,11 +151,12 @@ def test_trains_of_the_small_checker_lie_within_their_error(
 ) -> None:
     seen: list[list[Train | None]] = []
 
-    def noted(automaton: Any, horizon: int, agents: Any, guards: Any, start: Any, tolerance: float) -> float:
-        seen.append(trains.trains_at_start(automaton, horizon, agents, guards, tolerance))
+    def noted(team: Team, tolerance: float) -> float:
+        seen.append(trains.trains_at_start(team, tolerance))
         # what was off a step later is off a step earlier, too
-        off = [Train(tuple(np.ones((1, own.places, 1)) for own in agents), 0.25) for _ in automaton.accepting]
-        sums = [trains._masked_sum(agents, guards, off, q, tolerance) for q in range(len(off))]
+        ones = tuple(np.ones((1, own.kernel.places, 1)) for own in team.agents)
+        off = [Train(ones, 0.25) for _ in team.automaton.accepting]
+        sums = [trains._masked_sum(team, off, q, tolerance) for q in range(len(off))]
         assert min(own.error for own in sums if own is not None) >= 0.25
         return 0.0
 

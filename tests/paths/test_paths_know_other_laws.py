@@ -13,6 +13,7 @@ import certigym as cg
 from certigym.envs.agents import Law, Tail
 from certigym.synthesis.certificates import PathProof, changed
 from certigym.synthesis.checker.distributions import Envelope, read_distribution
+from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.path_bounds.nonlinear_model import NonlinearModel
 from kinds import mostly_thorough
 
@@ -63,7 +64,7 @@ def law_of(data: dict[str, Any]) -> Law:
 
 def moments_of(law: Law) -> Envelope:
     """Return what the checker puts above a law."""
-    return read_distribution(law.to_dict(), "law")
+    return read_distribution(Entry(law.to_dict(), "law"))
 
 
 @mostly_thorough("name", LAWS, first=2)
