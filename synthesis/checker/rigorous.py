@@ -17,7 +17,6 @@ Abramowitz and Stegun 26.2.14 for the continued fraction.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -82,7 +81,14 @@ def _circular(x: Array, turned: int) -> Ends:
         return np.where(known, low, -beyond), np.where(known, high, beyond)
 
 
-sin, cos = partial(_circular, turned=0), partial(_circular, turned=1)  # ends of sin x, and of cos x
+def sin(x: Array) -> Ends:
+    """Return ends of sin x."""
+    return _circular(x, 0)
+
+
+def cos(x: Array) -> Ends:
+    """Return ends of cos x."""
+    return _circular(x, 1)
 
 
 def _proved_inverse(guess: Array, rising: Callable[[Array], Ends], x: Array, radius: Array) -> Ends:
