@@ -22,7 +22,8 @@ HEAD = """# What learners reach with the defaults
 `certigym train ID` with no options: decentralised PPO with the information of certified policies, **without help**
 from any certificate (seed 0, one core). "Certified" are the rollouts of the certified controllers of the defaults; both
 columns are shares of 20,000 episodes on common random numbers. The aim is .8 of the certified share within ten minutes;
-the pages of the environments say why a learner misses it.
+the pages of the environments say why a learner misses it. Rows are of the reward of 0.3; what the reward of today
+reaches is in [learned policies](how-to/learned_policies.md).
 
 Made by `python benchmarks/learners.py`.
 

@@ -43,6 +43,7 @@ OPTIONS = (
     ("dtype", '"float64"', 'of observations; or "float32"'),
     ("actions", '"input"; Gymnasium "unit"', '"input": the input box; "unit": scaled to [-1, 1], float32'),
     ("infos", '"numbers"', '"words": also the names of the propositions that hold (`letter`)'),
+    ("credit", '"team"', 'batches only: with "own", `own_rewards` (n, M) says what every agent has earned itself'),
     ("spread", "0", "batches only: share of the episodes that begin anywhere, for learners"),
 )
 _DELIVERY = (
@@ -55,10 +56,6 @@ WHY_NOT = {
     "meet in the corridor, and the one that would have to wait first has to unlearn what it was paid for. If they may "
     "meet, or if there are no walls, every episode succeeds within 40 seconds; four times the time, or one learner for "
     "both, changes nothing (tested).",
-    "rendezvous-v0": "it stays at 0 within a minute, also with a central critic: every follower has to stay within "
-    "reach of a leader that it does not see, so an exploring leader that turns early or late loses all of them.",
-    "swarm-v0": "it stays at 0 within a minute, also with a central critic: all robots are paid for going straight "
-    "across, where they meet, and a way around pays only if all of them have agreed on it.",
     "cyclic-delivery-v0": "it stays at 0: a load counts only if all four robots pick it up at the same time, and one "
     "robot that strays makes all begin again.",
     "invariance-b-100-v0": "a hundred agents that share one policy fail together as soon as one of them leaves, so an "
@@ -195,7 +192,7 @@ def _page(id: str, problem: cg.Problem, measured: dict[str, Any] | None) -> str:
             "1 to every agent when the task is satisfied, once, and 0 otherwise: the undiscounted return is "
             'satisfaction, and its mean the satisfaction probability. With `reward="shaped"` differences of a '
             "potential between 0 and 1 are added, so that rewards lie in [-1, 2]; "
-            '`reward="progress"` adds those of a level that lost tasks keep.',
+            '`reward="progress"` adds those of a level that is kept at the end, and takes 1 for a lost task.',
             "## Start",
             _start(problem),
             "## Episode ends",

@@ -15,7 +15,6 @@ and observations are arrays on the device, and no number is fetched. Random numb
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -122,9 +121,7 @@ class DeviceTeamEnv:
         self._dynamics = Dynamics.of(self.problem, disturbance, put)
         self._views = TeamViews(self._dynamics, observation, neighbours, scale, automaton, actions)
         self._reward, self._discount = checked_option(reward, "reward", REWARDS), checked_discount(discount)
-        self._potential = None
-        if reward != "sparse":  # what is read off the automaton is read with numpy
-            self._potential = replace(Potential.of(Dynamics.of(self.problem)), dynamics=self._dynamics)
+        self._potential = None if reward == "sparse" else Potential.of(self._dynamics)
         deviations = checked_noise(self.problem, sensor_noise)
         self._deviations = [put(deviations[np.asarray(c)][..., None]) for c in _columns(self.problem, self._dynamics)]
         self._is_exact = not deviations.any()
@@ -182,7 +179,7 @@ class DeviceTeamEnv:
         worlds = core.begin(self._dynamics, states)
         zero = 0.0 * namespace(self._zero).zeros_like(states[0][0, 0])
         state = TeamState(states, worlds.q, 0 * worlds.q, worlds.failed, worlds.accepted, zero)
-        return state._replace(levels=self._first_levels(state.worlds, zero))
+        return state if self._potential is None else state._replace(levels=self._leveled(state.worlds, zero))
 
     def advance(self, state: TeamState, actions: Mapping[str, Any], drawn: Drawn) -> tuple[TeamState, TeamStep]:
         """Return the worlds one control step later, and what is seen of them (pure)."""
@@ -213,20 +210,16 @@ class DeviceTeamEnv:
         rewards = 0.0 * before + satisfied
         if self._potential is None:
             return rewards, before
-        # Both pay the difference of levels; "shaped" forgets that of an ended world, "progress" keeps it.
+        # Both pay differences of potentials; that of "shaped" is 0 in ended worlds.
+        after = levels = self._leveled(worlds, before)
         if self._reward == "shaped":
-            levels = self._potential.at(worlds)
             after = namespace(levels).where(ended, 0.0, levels)
-        else:
-            after = levels = self._potential.kept(worlds, before)
         return rewards + self._discount * after - before, levels
 
-    def _first_levels(self, worlds: Worlds, zero: Array) -> Array:
-        """Return the potentials of worlds that have just begun."""
-        if self._potential is None:
-            return zero
-        at_start = self._potential.at(worlds)
-        return at_start if self._reward == "shaped" else self._potential.kept(worlds, at_start)
+    def _leveled(self, worlds: Worlds, before: Array) -> Array:
+        """Return the potentials of worlds, (M,)."""
+        assert self._potential is not None
+        return self._potential.at(worlds) if self._reward == "shaped" else self._potential.progress(worlds, before)
 
     def _told(self, state: TeamState, drawn: Drawn, rewards: Array, ends: tuple[Array, Array, Array]) -> TeamStep:
         """Return the record of a step."""

@@ -82,9 +82,7 @@ class Episode:
         self._world = self.one_world.begin(worlds)
         self._track = [self._world]
         if self._potential is not None:
-            self.level = float(self._potential.at(worlds)[0])
-            if self._reward == "progress":
-                self.level = float(self._potential.kept(worlds, np.array([self.level]))[0])
+            self.level = self._level(worlds)
         self._show()
 
     def step(self, inputs: Any, rng: np.random.Generator) -> tuple[float, bool, bool]:
@@ -99,13 +97,10 @@ class Episode:
         terminated = self.one_world.settled(world)
         truncated = not terminated and world.time >= self.problem.horizon
         reward = float(self.one_world.satisfied(world))
-        # Both pay the difference of levels; "shaped" forgets that of an ended episode, "progress" keeps it.
+        # Both pay differences of potentials; that of "shaped" is 0 in ended episodes.
         if self._potential is not None:
-            before = self.level
-            if self._reward == "progress":
-                self.level = float(self._potential.kept(self._batch(), np.array([before]))[0])
-            else:
-                self.level = 0.0 if terminated or truncated else float(self._potential.at(self._batch())[0])
+            before, forgets = self.level, self._reward == "shaped" and (terminated or truncated)
+            self.level = 0.0 if forgets else self._level(self._batch(), before)
             reward += self.discount * self.level - before
         self._show()
         return reward, terminated, truncated
@@ -137,6 +132,13 @@ class Episode:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_picture": None}  # pictures hold fonts and windows; they are made again
+
+    def _level(self, worlds: core.Worlds, before: float = 0.0) -> float:
+        """Return the potential of a batch of one."""
+        assert self._potential is not None
+        if self._reward == "shaped":
+            return float(self._potential.at(worlds)[0])
+        return float(self._potential.progress(worlds, before)[0])
 
     def _batch(self) -> core.Worlds:
         """Return the current world as a batch of one."""

@@ -1,133 +1,210 @@
-"""Shaped rewards: a potential read off the task automaton; every step pays the difference of the potential.
+"""Shaped rewards: levels of the agents, read off the task automaton; every step pays their differences.
 
-**"shaped"** pays what no policy can influence in the end. With the potential Phi of a state, a step from s to s' pays
-`r + discount Phi(s') - Phi(s)`, and Phi is 0 once the episode has ended. The discounted sum over an episode of T steps
-is then
+The **level** of an agent lies in [0, 1]. It is 1 in accepting states of the automaton and 0 where acceptance is out of
+reach or an agent has left its workspace. Elsewhere it counts the automaton steps that are still needed; between two of
+them it rises as the agent comes closer to what *one* letter asks of it, the one nearest to the start of the problem.
+Where two letters are equally good (two rooms to meet in), agents that see only themselves would else be drawn to both.
+A letter is a conjunction over agents, so each of them has a level of its own; one of which a letter asks nothing has
+done its part. The level of a team is the mean of those of its agents. No guarantee rests on levels.
 
-    sum_t discount^t r_t  -  Phi(s_0).
+**"shaped"** pays what no policy can influence in the end. With the level Phi of a state, a step from s to s' pays
+`r + discount Phi(s') - Phi(s)`, and Phi is 0 once the episode has ended, at the horizon as well. The discounted sum
+over an episode is the sparse one less Phi(s_0), so the same policies are optimal (Ng, Harada and Russell 1999). All
+failing episodes have the same return: a learner that has never succeeded learns nothing from it.
 
-This is the sparse return less a number that no policy influences, so the same policies are optimal (Ng, Harada and
-Russell 1999). Termination and truncation both count as an end: the observation holds the time left, so the decision
-problem ends at the horizon as well.
-
-Phi lies in [0, 1]. It is 1 in accepting states, and 0 where acceptance is out of reach or an agent has left its
-workspace. Elsewhere it counts the automaton steps that are still needed; between two of them it rises as agents come
-closer to the regions of a letter that takes the next step. It estimates progress; no guarantee rests on it.
-
-A consequence of the zero at the end: **all failing episodes have the same return**, -Phi(s_0). A learner that has never
-succeeded learns nothing from it.
-
-**"progress"** tells a good failure from a bad one. It pays the differences of a level that is kept to the end: when a
-task is lost, the level stays what it was. The undiscounted return is satisfaction plus the progress made, so the
-optimal policies may differ from those of the task; learn with it first and with "sparse" afterwards.
-
-- Co-safe tasks: the level counts automaton steps as Phi does, but between two of them it rises along *one* letter, the
-  one nearest to the start of the problem. Where two letters are equally good (two rooms to meet in), agents that see
-  only themselves would else be drawn to both.
-- Tasks judged at the horizon: half of the level is the share of time survived, a quarter is Phi, and a quarter says how
-  *easily* the automaton state is carried to acceptance by letters at random. That rewards what keeps options open, such
-  as a battery that was just charged.
+**"progress"** tells a good failure from a bad one. Every automaton step of the level is worth `APPROACH`; in tasks that
+are judged at the horizon time survived is worth something, too; and a task that is lost keeps what it was worth, less
+`LOSS`. What is gained stays, so optimal policies may differ from those of the task; by how much is proved in
+docs/how-to/learned_policies.md, "What the rewards keep".
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
-from itertools import islice
+from operator import add
 from typing import Any
 
 import numpy as np
 
-from ..arrays import concatenated, double, is_host, namespace
+from ..arrays import double, namespace, to_host
 from ..dynamics import Dynamics, Worlds
 from ..dynamics import worlds as core
 from ..logic import Automaton
 
+Weights = list[tuple[list[int], Any]]
+"""Places of gaps, and what these take off a level in each automaton state, floats (Q,)."""
+
 REWARDS = ("sparse", "shaped", "progress")
+
+APPROACH = 8.0
+"""What "progress" pays for an automaton step. Half of the way is worth more than what is lost with a lost task: else
+agents learn to stay where they are."""
+
+LOSS = 1.0
+"""What "progress" takes for a lost task."""
+
+SURVIVAL = 0.5
+"""What "progress" pays for surviving to the horizon, in tasks that are judged there."""
+
+EASE = 0.25
+"""What it pays for the automaton state that is most easily carried to acceptance, if the task is to survive alone."""
+
 # Limits that keep the potential cheap to evaluate; a shorter list makes the guess coarser, and nothing else.
-_STATE_PATHS = 2000  # paths of a state's diagram that are read
+_STATE_PATHS = 2000  # paths of a state's diagram that are used: those that do not lose the task
+_READ_PATHS = 10_000  # paths that are read
 _STATE_LETTERS = 32  # letters of a state that are used: those that ask for the fewest propositions
 
 
 @dataclass(frozen=True, eq=False)
 class Potential:
-    """The potential of a problem.
+    """The levels of a problem.
 
     Attributes
     ----------
     dynamics : Dynamics
     steps : np.ndarray of float, shape (Q,)
         Fewest automaton steps to acceptance; infinite if there is no way.
-    wanted : tuple of tuple of np.ndarray of int
-        Per automaton state: the propositions of the letters that take a step forward, one array per letter.
+    route : tuple of np.ndarray of int
+        Per automaton state: the propositions of the letter to pursue; empty if it asks for nothing.
     """
 
     dynamics: Dynamics
     steps: np.ndarray
-    wanted: tuple[tuple[np.ndarray, ...], ...]
+    route: tuple[np.ndarray, ...]
 
     @classmethod
     def of(cls, dynamics: Dynamics) -> Potential:
-        """Return the potential of a problem, read off its automaton."""
+        """Return the levels of a problem, read off its automaton."""
+        if not dynamics.is_host:  # what is read off the automaton is read with numpy
+            return replace(cls.of(Dynamics.of(dynamics.problem)), dynamics=dynamics)
         automaton = dynamics.problem.automaton
         manager, roots = automaton.diagrams()
+        lost = automaton.dead
+        listed = [_letters(manager, root, lost) for root in roots]
         # Letters that no state of the agents has would be short cuts: the regions of one agent may lie apart.
-        listed = [list(_letters(manager, root)) for root in roots]
-        moves = [[move for move in following if _possible(dynamics, move[0])] for following in listed]
+        moves = [[move for move in following if _possible(dynamics, move[0])] for following, _ in listed]
         targets = [{target for _, target in following} for following in moves]
-        for q, following in enumerate(listed):
-            if len(following) == _STATE_PATHS:  # there may be more letters than were read
+        for q, (_, is_all) in enumerate(listed):
+            if not is_all:
                 targets[q].update(manager.leaves(roots[q]))
         steps = _steps(automaton.accepting, targets)
-        wanted = []
+        # What no state can do without holds wherever the task is not lost: it is nothing to come near to.
+        needs = [letter for q in np.flatnonzero(~automaton.absorbing) for letter, _ in listed[q][0]]
+        always = frozenset.intersection(*needs) if needs else frozenset()
+        gaps, route = _at_start(dynamics), []
         for q, following in enumerate(moves):
-            forward = {letter for letter, target in following if steps[target] < steps[q]}
+            forward = {letter - always for letter, target in following if steps[target] < steps[q]}
             simplest = sorted(forward, key=lambda letter: (len(letter), sorted(letter)))[:_STATE_LETTERS]
-            wanted.append(tuple(np.array(sorted(letter), dtype=int) for letter in simplest))
-        return cls(dynamics, steps, tuple(wanted))
+            letters = [np.array(sorted(letter), dtype=int) for letter in simplest]
+            nearest = min(letters, key=lambda p: gaps[p].mean() if p.size else 0.0, default=np.zeros(0, dtype=int))
+            route.append(nearest)
+        return cls(dynamics, steps, tuple(route))
 
-    def at(self, worlds: Worlds) -> np.ndarray:
-        """Return the potential of each world, float (M,), between 0 and 1."""
-        finite = self.steps[np.isfinite(self.steps)]
-        most = finite.max() if finite.size else 0.0
-        levels = self._by_state(
-            worlds, self._gaps(worlds), lambda q, gaps: (most - self.steps[q] + self._closeness(q, gaps)) / (most + 1.0)
-        )
-        result: np.ndarray = namespace(levels).where(worlds.failed, 0.0, levels)
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("dynamics", "steps", "route")}  # functions are made again
+
+    def at(self, worlds: Worlds, own: bool = False) -> np.ndarray:
+        """Return the level of every team, float (M,) in [0, 1]; with `own` those of its agents, (n, M)."""
+        levels, failed = self._undecided(worlds, own), worlds.failed
+        result: np.ndarray = namespace(levels).where(failed, 0.0, levels)
         return result
 
-    def _by_state(self, worlds: Worlds, gaps: np.ndarray, level: Callable[[int, np.ndarray], np.ndarray]) -> np.ndarray:
-        """Return the levels (M,) that `level` gives worlds of a state from gaps (P, M); 0 in hopeless states."""
-        if is_host(worlds.q):
-            result = np.zeros(worlds.n_worlds)
-            for q in np.unique(worlds.q):
-                here = np.flatnonzero(worlds.q == q)
-                if np.isfinite(self.steps[q]):
-                    result[here] = level(int(q), gaps[:, here])
-            return result
-        # On a device nobody asks which states there are: that would fetch numbers.
-        xp = namespace(worlds.q)
-        result = xp.zeros_like(worlds.states[0][0, 0])
-        for q in np.flatnonzero(np.isfinite(self.steps)).tolist():
-            result = xp.where(worlds.q == q, level(q, gaps), result)
+    def _undecided(self, worlds: Worlds, own: bool) -> np.ndarray:
+        """Return the levels that worlds have if no agent has left its workspace, (M,) or (n, M)."""
+        gaps, q, rows = self._gaps(worlds), worlds.q, []
+        for weights in self._weights[own]:
+            row = self._placed("counted")[q]
+            for places, weight in weights:
+                row = row - weight[q] * reduce(add, (gaps[k] for k in places))
+            rows.append(row)
+        result: np.ndarray = namespace(q).stack(rows) if own else rows[0]
         return result
 
-    def kept(self, worlds: Worlds, before: np.ndarray) -> np.ndarray:
-        """Return the level of the reward "progress", float (M,) in [0, 1]; lost tasks keep the level `before`."""
-        problem = self.dynamics.problem
-        if problem.automaton.is_co_safe:
-            levels = self._along(worlds)
-        else:
-            ease, time = self._placed("ease"), worlds.time
-            levels = 0.25 * self.at(worlds) + 0.25 * ease[time, worlds.q] + 0.5 * double(time) / problem.horizon
-        result: np.ndarray = namespace(levels).where(worlds.failed | self._placed("dead")[worlds.q], before, levels)
+    def progress(self, worlds: Worlds, before: Any = 0.0, own: bool = False) -> np.ndarray:
+        """Return what the reward "progress" has paid for worlds, float (M,); with `own` for their agents, (n, M).
+
+        Tasks that are lost keep what they had `before`, less `LOSS`.
+        """
+        problem, xp = self.dynamics.problem, namespace(worlds.q)
+        worth = APPROACH * self.parts * self._undecided(worlds, own)
+        if self._has_ease:
+            worth = worth + self._placed("clock")[worlds.time, worlds.q]
+        elif not problem.automaton.is_co_safe:
+            worth = worth + SURVIVAL / problem.horizon * double(worlds.time)
+        result: np.ndarray = xp.where(worlds.failed | self._placed("dead")[worlds.q], before - LOSS, worth)
         return result
+
+    @property
+    def parts(self) -> float:
+        """Into how many parts levels are divided: the most automaton steps that are needed, and acceptance."""
+        return float(self.steps[np.isfinite(self.steps)].max(initial=0.0)) + 1.0
+
+    @cached_property
+    def counted(self) -> np.ndarray:
+        """Level of each automaton state where no gap is left, float (Q,)."""
+        return np.where(np.isfinite(self.steps), 1.0 - np.minimum(self.steps, self.parts) / self.parts, 0.0)
 
     @cached_property
     def dead(self) -> np.ndarray:
         """Automaton states from which the task is lost, bool (Q,)."""
         return self.dynamics.problem.automaton.dead
+
+    @cached_property
+    def _pursued(self) -> np.ndarray:
+        """Propositions that letters of the route ask for, int (K,)."""
+        return np.unique(np.concatenate([np.zeros(0, dtype=int), *self.route]))
+
+    @cached_property
+    def _asked(self) -> np.ndarray:
+        """Of which agent each automaton state asks which of these propositions, bool (n, Q, K)."""
+        asks = np.array([np.isin(self._pursued, letter) for letter in self.route])
+        return np.asarray(_owned(self.dynamics)[:, None, self._pursued] & asks)
+
+    @cached_property
+    def _weights(self) -> tuple[list[Weights], list[Weights]]:
+        """What gaps take off the level of the team, and of each agent."""
+        counts = np.maximum(self._asked.sum(axis=2, keepdims=True), 1)
+        each = self._asked / (self.parts * counts)
+
+        def entries(table: np.ndarray) -> Weights:
+            # Gaps of equal weights are added before they are weighed.
+            columns: dict[bytes, list[int]] = {}
+            for k in np.flatnonzero(table.any(axis=0)).tolist():
+                columns.setdefault(table[:, k].tobytes(), []).append(k)
+            return [(places, self.dynamics.put(table[:, places[0]].copy())) for places in columns.values()]
+
+        return [entries(each.mean(axis=0))], [entries(table) for table in each]
+
+    @cached_property
+    def _gaps(self) -> Callable[[Worlds], list[Any]]:
+        # Gaps are measured by twice the way that their owners have to go from the start of the problem.
+        first = _at_start(self.dynamics)[self._pursued]
+        ways = np.where(self._asked.any(axis=1), first, 0.0).max(axis=1, initial=0.0)
+        longest = np.where(self._asked.any(axis=1), ways[:, None], 0.0).max(axis=0, initial=0.0)
+        units = np.where(longest > 0.0, 2.0 * longest, 1.0)
+        return _gaps_of(self.dynamics, self._pursued, units)
+
+    @cached_property
+    def _has_ease(self) -> bool:
+        """Whether all automaton states that are not lost accept, and some are safer than others."""
+        automaton = self.dynamics.problem.automaton
+        if automaton.is_co_safe or self.parts > 1.0:
+            return False
+        ease = self.ease[:, ~automaton.dead]
+        return bool((ease != ease[:, :1]).any())
+
+    @cached_property
+    def clock(self) -> np.ndarray:
+        """What "progress" pays beside levels if states are of different ease, float (T + 1, Q)."""
+        horizon = self.dynamics.problem.horizon
+        return np.asarray(SURVIVAL * np.arange(horizon + 1.0)[:, None] / horizon + EASE * self.ease)
+
+    @cached_property
+    def ease(self) -> np.ndarray:
+        """How easily each automaton state is carried to acceptance, float (T + 1, Q), from 0 to 1 at every time."""
+        return _ease(self.dynamics.problem.automaton, self.dynamics.problem.horizon)
 
     def _placed(self, name: str) -> Any:
         """Return a table of this record where the worlds live; it is copied once."""
@@ -139,114 +216,117 @@ class Potential:
     def _copies(self) -> dict[str, Any]:
         return {}
 
-    @cached_property
-    def ease(self) -> np.ndarray:
-        """How easily each automaton state is carried to acceptance, float (T + 1, Q), from 0 to 1 at every time."""
-        return _ease(self.dynamics.problem.automaton, self.dynamics.problem.horizon)
 
-    @cached_property
-    def route(self) -> tuple[np.ndarray, ...]:
-        """Per automaton state: the one letter to pursue, as its propositions; empty if there is none."""
-        if not self.dynamics.is_host:
-            return Potential(Dynamics.of(self.dynamics.problem), self.steps, self.wanted).route
-        start = core.begin(self.dynamics, tuple(0.5 * (b.initial_low + b.initial_high) for b in self.dynamics.blocks))
-        gaps = self._offsets(start)[:, 0]
-        empty = np.zeros(0, dtype=int)
-        return tuple(
-            min(letters, key=lambda p: gaps[p].mean() if p.size else 0.0, default=empty) for letters in self.wanted
-        )
+def _owned(dynamics: Dynamics) -> np.ndarray:
+    """Return which agent owns which proposition, bool (n, P); pairs have two owners."""
+    automaton = dynamics.problem.automaton
+    owns = np.zeros((dynamics.problem.n_agents, len(automaton.propositions)), dtype=bool)
+    for block in dynamics.blocks:
+        owns[to_host(block.agents)[to_host(block.owners)], to_host(block.propositions)] = True
+    for pairs in dynamics.pairs:
+        for b, places in zip(pairs.blocks, pairs.places):
+            owns[to_host(dynamics.blocks[b].agents)[to_host(places)], to_host(pairs.propositions)] = True
+    return owns
 
-    def _along(self, worlds: Worlds) -> np.ndarray:
-        """Return how far the worlds have come along the route, float (M,), between 0 and 1."""
-        most = self.steps[np.isfinite(self.steps)].max(initial=0.0)
-        return self._by_state(
-            worlds,
-            self._offsets(worlds),
-            lambda q, offsets: (most - self.steps[q] + _near(self.route[q], offsets)) / (most + 1.0),
-        )
 
-    def _offsets(self, worlds: Worlds) -> np.ndarray:
-        """Return the mean gap of all axes to the region of each proposition, in workspace widths: (P, M) in [0, 1]."""
-        return self._gaps(worlds, "mean")
+def _at_start(dynamics: Dynamics) -> np.ndarray:
+    """Return the gaps (P,) of all propositions in the middle of the start, in widths."""
+    if not dynamics.is_host:
+        return _at_start(Dynamics.of(dynamics.problem))
+    start = core.begin(dynamics, tuple(0.5 * (b.initial_low + b.initial_high) for b in dynamics.blocks))
+    count = len(dynamics.problem.automaton.propositions)
+    return np.array([row[0] for row in _gaps_of(dynamics, np.arange(count), np.ones(count))(start)])
 
-    def _closeness(self, q: int, gaps: np.ndarray) -> Any:
-        """Return how close the agents are to a letter that takes a step forward: float (M,), or one number for all."""
-        if self.steps[q] == 0 or not self.wanted[q]:
-            return 1.0 if self.steps[q] == 0 else 0.0
-        return reduce(namespace(gaps).maximum, (_near(letter, gaps) for letter in self.wanted[q]))
 
-    def _gaps(self, worlds: Worlds, joined: str = "max") -> np.ndarray:
-        """Return how far the owners of each proposition are from its region, in workspace widths: (P, M) in [0, 1].
+def _gaps_of(dynamics: Dynamics, wanted: np.ndarray, units: np.ndarray) -> Callable[[Worlds], list[Any]]:
+    """Return what tells how far the owners of propositions (K,) are from their regions: K rows (M,) in [0, 1].
 
-        `joined` says what of all axes counts: their "max" or their "mean".
-        """
-        rows = []
-        for block, x in zip(self.dynamics.blocks, worlds.states):
-            if len(block.propositions):
-                with np.errstate(over="ignore", invalid="ignore"):
-                    y = block.outputs(x)[:, block.owners]
-                    # The width is that of the outputs of the workspace.
-                    width = block.output_width[:, block.owners]
-                    rows.append(_joined(y, *block.regions(worlds.time), width, joined))
-        rows += self._gaps_of_pairs(worlds, joined)
-        if not rows:
-            return self.dynamics.put(np.zeros((0, worlds.n_worlds)))
-        return concatenated(rows)[self.dynamics.proposition_rows]
+    The mean gap of all axes, in workspace widths (of pairs: in widths of both), divided by units (K,).
+    """
+    makers: list[tuple[Any, Any]] = [(_block_gaps, dynamics.blocks), (_pair_gaps, dynamics.pairs)]
+    parts, found = [], []
+    for make, number, stack in ((make, k, stack) for make, stacks in makers for k, stack in enumerate(stacks)):
+        propositions = to_host(stack.propositions)
+        held = np.flatnonzero(np.isin(propositions, wanted))
+        if held.size:
+            places = np.searchsorted(wanted, propositions[held])
+            parts.append(make(dynamics, number, held, dynamics.put(1.0 / units[places][:, None])))
+            found.append(places)
+    order = np.argsort(np.concatenate(found)).tolist() if found else []
 
-    def _gaps_of_pairs(self, worlds: Worlds, joined: str) -> list[np.ndarray]:
-        """Return the same of pairs of agents: how far their difference is from its box, in widths of both."""
-        blocks, rows = self.dynamics.blocks, []
-        if not self.dynamics.pairs:
-            return []
+    def gaps(worlds: Worlds) -> list[Any]:
         with np.errstate(over="ignore", invalid="ignore"):
-            outputs = {b: block.outputs(x) for b, (block, x) in enumerate(zip(blocks, worlds.states))}
-            widths = {b: block.output_width for b, block in enumerate(blocks)}
-            for pairs in self.dynamics.pairs:
-                first, second = (
-                    widths[b][axes[:, None], places[None]]
-                    for b, axes, places in zip(pairs.blocks, pairs.outputs, pairs.places)
-                )
-                width = first + second  # how far a difference can be from another
-                d = core.difference(pairs, outputs)
-                low, high, radius = pairs.regions(worlds.time)
-                rows.append(_joined(d, low, high, width, joined, radius))
-        return rows
+            rows = [row for part in parts for row in part(worlds)]
+        return [rows[k] for k in order]
+
+    return gaps
 
 
-def _joined(
-    y: np.ndarray, low: np.ndarray, high: np.ndarray, width: np.ndarray, joined: str, radius: Any = None
-) -> np.ndarray:
-    """Return how far points (p, k, M) are from boxes, in widths, joined over the axes: (k, M) in [0, 1].
+def _block_gaps(dynamics: Dynamics, number: int, held: np.ndarray, rates: Any) -> Callable[[Worlds], np.ndarray]:
+    """Return what tells the gaps (k, M) of some propositions of a block, times rates (k, 1)."""
+    block = dynamics.blocks[number]
+    owners = to_host(block.owners)[held]
+    agents, places = dynamics.put(owners), dynamics.put(held)
+    # The width is that of the outputs of the workspace.
+    scales = rates / (block.output_width[:, agents] * len(block.output_width))
+    is_each_once = owners.tolist() == list(range(len(block.agents)))
+
+    def gaps(worlds: Worlds) -> np.ndarray:
+        y = block.outputs(worlds.states[number])
+        low, high = block.regions(worlds.time)
+        return _joined(y if is_each_once else y[:, agents], low[:, places], high[:, places], scales)
+
+    return gaps
+
+
+def _pair_gaps(dynamics: Dynamics, number: int, held: np.ndarray, rates: Any) -> Callable[[Worlds], np.ndarray]:
+    """Return what tells the gaps (k, M) of some pairs, times rates (k, 1)."""
+    pairs, places = dynamics.pairs[number], dynamics.put(held)
+    first, second = (
+        dynamics.blocks[b].output_width[axes[:, None], agents[None]]
+        for b, axes, agents in zip(pairs.blocks, pairs.outputs, pairs.places)
+    )
+    width = (first + second)[:, places]  # how far a difference can be from another
+    scales = rates / (width * len(width))
+
+    def gaps(worlds: Worlds) -> np.ndarray:
+        outputs = {b: dynamics.blocks[b].outputs(worlds.states[b]) for b in pairs.blocks}
+        low, high, radius = pairs.regions(worlds.time)
+        d = core.difference(pairs, outputs)[:, places]
+        return _joined(d, low[:, places], high[:, places], scales, radius[places])
+
+    return gaps
+
+
+def _joined(y: np.ndarray, low: np.ndarray, high: np.ndarray, scales: np.ndarray, radius: Any = None) -> np.ndarray:
+    """Return how far points (p, k, M) are from boxes, the sum of all axes times scales (p, k, 1): (k, M) in [0, 1].
 
     Balls of a radius (k, 1) have one gap, along the way to their centre, whose parts are its shares.
     """
     xp = namespace(y)
-    gap = xp.maximum(low - y, y - high) / width
+    gap = xp.maximum(low - y, y - high)
     if radius is not None:
         length = xp.sqrt((y * y).sum(axis=0))
         outside = xp.abs(y) * xp.where(length > radius, 1.0 - radius / xp.where(length > 0.0, length, 1.0), 0.0)
-        gap = xp.where(radius < np.inf, outside / width, gap)
-    # What is no number is as far away as can be, and so is what is beyond a width.
-    gap = xp.where(gap < 1.0, xp.where(gap > 0.0, gap, 0.0), 1.0)
-    result: np.ndarray = getattr(xp, joined)(gap, axis=0)
+        gap = xp.where(radius < np.inf, outside, gap)
+    total = (xp.where(gap <= 0.0, 0.0, gap) * scales).sum(axis=0)
+    # What is no number is as far away as can be.
+    result: np.ndarray = xp.where(total < 1.0, total, 1.0)
     return result
 
 
-def _near(letter: np.ndarray, gaps: np.ndarray) -> Any:
-    """Return how near worlds are to a letter, from gaps (P, M): (M,), or 1 if it asks for nothing."""
-    if not letter.size:
-        return 1.0
-    # Row by row, in the order in which numpy adds rows: no positions have to be sent to a device.
-    return 1.0 - sum(gaps[p] for p in letter.tolist()) / float(letter.size)
-
-
-def _letters(manager: Any, root: int) -> Iterator[tuple[frozenset[int], int]]:
-    """Yield the letters of a state, each with the state it leads to.
+def _letters(manager: Any, root: int, lost: np.ndarray) -> tuple[list[tuple[frozenset[int], int]], bool]:
+    """Return the letters of a state that do not lose the task, each with where it leads, and whether these are all.
 
     A letter is named by the propositions that have to hold; those that must not hold are ignored.
     """
-    for assignment, target in islice(manager.paths(root), _STATE_PATHS):
-        yield frozenset(p for p, holds in assignment.items() if holds), target
+    found: list[tuple[frozenset[int], int]] = []
+    for number, (assignment, target) in enumerate(manager.paths(root)):
+        if len(found) == _STATE_PATHS or number == _READ_PATHS:
+            return found, False
+        if not lost[target]:
+            found.append((frozenset(p for p, holds in assignment.items() if holds), target))
+    return found, True
 
 
 def _possible(dynamics: Dynamics, letter: frozenset[int]) -> bool:

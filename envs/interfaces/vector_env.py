@@ -45,6 +45,8 @@ from .scattering import checked_share, scattered
 from .sensors import READING, Sensors
 from .shaping import REWARDS, Potential
 
+CREDITS = ("team", "own")
+
 MOST_WORLDS = 10_000_000
 """Most worlds: gigabytes of states; a larger number is a slip of the keyboard."""
 
@@ -94,6 +96,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         sensor_noise: Any = 0.0,
         spread: float = 0.0,
         disturbance: Behaviour = "zero",
+        credit: str = "team",
     ) -> None:
         self.problem = checked_problem(problem)
         self.num_envs = checked_count(num_envs, "num_envs", most=MOST_WORLDS)
@@ -112,6 +115,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "sensor_noise": sensor_noise,
             "spread": spread,
             "disturbance": disturbance,
+            "credit": credit,
         }
         self._form = Form(scale, automaton, dtype)
         self.sensors = Sensors(self.problem, sensor_noise)
@@ -120,6 +124,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._absorbing = self.problem.automaton.absorbing
         self._reward = checked_option(reward, "reward", REWARDS)
         self._potential = None if reward == "sparse" else Potential.of(self._dynamics)
+        self._has_own = checked_option(credit, "credit", CREDITS) == "own"
         self._spread = checked_share(spread)
         self._scattered = np.zeros(self.num_envs, dtype=bool)
         # Scattered starts and disturbances that look at the worlds need them cut out one from the other. Whoever has
@@ -136,7 +141,9 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         # True joint states and what is read of them, (M, D): new arrays in each step, so infos may hold them.
         self._joint = self.readings = np.zeros((self.num_envs, self.problem.n_states))
         self._everywhere, self._ended = np.ones(self.num_envs, dtype=bool), np.zeros(self.num_envs, dtype=bool)
-        self._levels = np.zeros(self.num_envs)
+        self._levels = np.zeros((self.problem.n_agents, self.num_envs) if self._has_own else self.num_envs)
+        self._first_level: np.ndarray | None = None
+        self.own_rewards = np.zeros((self.problem.n_agents, self.num_envs))
         # States at all times are stored only if pictures may be asked for.
         self._track = np.zeros((0, self.num_envs, self.problem.n_states))
         if self.render_mode is not None:
@@ -228,7 +235,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         ended = self._ended
         self._worlds = self._begun(core.restart(self._dynamics, self._present(), ended, self.np_random), ended)
         self._ended = np.zeros(self.num_envs, dtype=bool)
-        self._relevel(ended)
+        self._relevel(ended, begun=True)
 
     @property
     def worlds(self) -> core.Worlds:
@@ -255,13 +262,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if moving.all():
             return core.transition(self._dynamics, worlds, inputs, self._noise(moving))
         # Cut the moving worlds out, move them, and put them back.
-        before = core.Worlds(
-            tuple(x[..., moving] for x in worlds.states),
-            worlds.q[moving],
-            worlds.time[moving],
-            worlds.failed[moving],
-            worlds.accepted[moving],
-        )
+        before = _cut(worlds, moving)
         after = core.transition(self._dynamics, before, tuple(u[..., moving] for u in inputs), self._noise(moving))
         states = tuple(x.copy() for x in worlds.states)
         for x, new in zip(states, after.states):
@@ -282,20 +283,30 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return self._judged[1]
 
     def _rewards(self, fresh: np.ndarray, ended: np.ndarray) -> np.ndarray:
-        """Return the rewards of a step, 0 in fresh worlds, and note the potentials."""
+        """Return the rewards of a step, 0 in fresh worlds, and note the levels."""
         worlds = self._present()
         rewards = (core.satisfied(self._dynamics, worlds) > fresh).astype(np.float64)
-        if self._potential is None:
-            return rewards
-        # Both pay the difference of levels; "shaped" forgets that of an ended world, "progress" keeps it.
-        if self._reward == "shaped":
-            levels = self._potential.at(worlds)
-            after = np.where(ended, 0.0, levels)
-        else:
-            after = levels = self._potential.kept(worlds, self._levels)
-        rewards = rewards + np.where(fresh, 0.0, self.discount * after - self._levels)
-        self._levels = np.where(fresh, self._first_levels(worlds), levels)
+        if self._potential is not None:
+            # Both pay differences of levels; that of "shaped" is 0 in ended worlds.
+            before, levels = self._levels, self._leveled(worlds, self._levels)
+            after = np.where(ended, 0.0, levels) if self._reward == "shaped" else levels
+            self._levels = levels
+            paid = self.discount * after - before
+            if fresh.any():
+                paid = np.where(fresh, 0.0, paid)
+                self._relevel(fresh, begun=True)
+            rewards = rewards + paid
+        if self._has_own:
+            self.own_rewards = np.broadcast_to(rewards, self.own_rewards.shape)
+            rewards = self.own_rewards.mean(axis=0)
         return rewards
+
+    def _leveled(self, worlds: core.Worlds, before: Any) -> np.ndarray:
+        """Return the levels of worlds, (M,), or those of their agents, (n, M)."""
+        assert self._potential is not None
+        if self._reward == "shaped":
+            return self._potential.at(worlds, self._has_own)
+        return self._potential.progress(worlds, before, self._has_own)
 
     def _last(self, ended: np.ndarray, last: np.ndarray, infos: dict[str, Any]) -> dict[str, Any]:
         """Return the entries of infos that hold the last observations and infos of ended worlds."""
@@ -322,16 +333,19 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Return the observations of all worlds, from new readings."""
         return joint_observations(self.problem, self._present(), self.read(), self._form)
 
-    def _relevel(self, which: np.ndarray) -> None:
-        """Note the potentials of worlds that have just started."""
-        if self._potential is not None:
-            self._levels = np.where(which, self._first_levels(self._present()), self._levels)
-
-    def _first_levels(self, worlds: core.Worlds) -> np.ndarray:
-        """Return the levels of worlds that have just started."""
-        assert self._potential is not None
-        at_start = self._potential.at(worlds)
-        return at_start if self._reward == "shaped" else self._potential.kept(worlds, at_start)
+    def _relevel(self, which: np.ndarray, begun: bool = False) -> None:
+        """Note the levels of worlds that have just started; if they have `begun` by themselves, from the problem."""
+        if self._potential is None:
+            return
+        worlds, places = self._present(), np.flatnonzero(which)
+        if begun and self._spread == 0.0 and self._dynamics.points is not None:  # all starts are one
+            if self._first_level is None:
+                self._first_level = self._leveled(_cut(worlds, places[:1]), 0.0)
+            first = self._first_level
+        else:
+            first = self._leveled(_cut(worlds, places), 0.0)
+        self._levels = self._levels.copy()
+        self._levels[..., places] = first
 
     def _begun(self, worlds: core.Worlds, which: np.ndarray) -> core.Worlds:
         """Return the worlds, with a share of those of `which` put anywhere."""
@@ -374,3 +388,9 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise ValueError(f"`reset_mask`: expected {self.num_envs} Booleans, one of them true, got {value!r}")
         return mask
+
+
+def _cut(worlds: core.Worlds, which: np.ndarray) -> core.Worlds:
+    """Return some of the worlds, which have times of their own."""
+    states = tuple(x[..., which] for x in worlds.states)
+    return core.Worlds(states, *(getattr(worlds, name)[which] for name in ("q", "time", "failed", "accepted")))

@@ -39,7 +39,17 @@ OPTIONS = (
 CENTRAL_OPTIONS = (*SIGHT, "reward", "discount", "dtype", "actions", "infos", "disturbance")
 """The same of `central_env`."""
 
-VECTOR_OPTIONS = (*SIGHT, "autoreset_mode", "reward", "discount", "dtype", "actions", "spread", "disturbance")
+VECTOR_OPTIONS = (
+    *SIGHT,
+    "autoreset_mode",
+    "reward",
+    "credit",
+    "discount",
+    "dtype",
+    "actions",
+    "spread",
+    "disturbance",
+)
 """The same of `vector_env`."""
 
 TEAM_OPTIONS = ("device", "observation", "neighbours", *SIGHT, "actions", "reward", "discount", "spread", "disturbance")

@@ -10,7 +10,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.dynamics import worlds as core
-from certigym.envs.interfaces.shaping import Potential
+from certigym.envs.interfaces.shaping import APPROACH, EASE, LOSS, SURVIVAL, Potential
 from kinds import mostly_thorough
 
 IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "building-automation-v0"]
@@ -101,7 +101,8 @@ def test_progress_pays_satisfaction_and_a_bounded_rest(id: str) -> None:
     shape = envs.action_space.shape
     total, satisfied, _ = returns(envs, lambda _: rng.uniform(-1.0, 1.0, shape), 0)
     rest = total - satisfied
-    assert (rest > -1.0 - 1e-9).all() and (rest < 1.0 + 1e-9).all()
+    most = APPROACH * Potential.of(core.Dynamics.of(envs.problem)).parts + SURVIVAL + EASE
+    assert (rest > -most - LOSS - 1e-9).all() and (rest < most + 1e-9).all()
 
 
 def test_a_lost_task_keeps_its_level() -> None:
@@ -118,8 +119,32 @@ def test_a_lost_task_keeps_its_level() -> None:
         over |= terminated | truncated
     lost = ~infos["satisfied"]
     assert lost.any()
-    # Every step survived pays half of a share of the horizon; the step that loses pays nothing.
-    assert total[lost] == pytest.approx(0.5 * (times[lost] - 1) / problem.horizon)
+    # Every step survived pays a share of the horizon; the step that loses costs, wherever it is.
+    assert total[lost] == pytest.approx(SURVIVAL * (times[lost] - 1) / problem.horizon - LOSS)
+
+
+def test_agents_earn_what_they_do_themselves() -> None:
+    """What one of four robots does changes what it earns, and nothing of what the others earn."""
+    own, team = [], []
+    for action in (-0.2, 0.2):
+        joint = np.tile([action, *np.zeros(7)], (50, 1))
+        envs = cg.vector_env("swarm-v0", 50, reward="progress", credit="own")
+        envs.reset(seed=0)
+        rewards = envs.step(joint)[1]
+        own.append(envs.own_rewards)
+        assert rewards == pytest.approx(envs.own_rewards.mean(axis=0))
+        plain = cg.vector_env("swarm-v0", 50, reward="progress")
+        plain.reset(seed=0)
+        team.append(plain.step(joint)[1])
+        assert team[-1] == pytest.approx(rewards, abs=1e-12)
+    assert (np.abs(own[0][0] - own[1][0]) > 0.01).all() and np.array_equal(own[0][1:], own[1][1:])
+    with pytest.raises(ValueError, match="`credit`"):
+        cg.vector_env("swarm-v0", 5, credit="all")
+
+
+def test_half_of_the_way_is_worth_more_than_a_lost_task() -> None:
+    """Else agents learn to stay where they are. No way is shorter than half of an automaton step (start to region)."""
+    assert 0.5 * 0.5 * APPROACH > LOSS + SURVIVAL
 
 
 def potential(id: str) -> Potential:

@@ -291,9 +291,7 @@ def test_outputs_that_are_compared_go_by_name() -> None:
 
 def test_rewards_know_how_far_is_left() -> None:
     """The share of the way grows as agents come nearer in the plane, and not only along one axis."""
-    low, high, width = (np.array([[[value]], [[value]]]) for value in (-1.0, 1.0, 10.0))
-    gaps = [
-        (_joined(np.array([[[x]], [[x]]]), low, high, width, "max", np.array([[1.0]]))).item() for x in (0.6, 0.9, 3.0)
-    ]
+    low, high, scales = (np.array([[[value]], [[value]]]) for value in (-1.0, 1.0, 0.05))
+    gaps = [_joined(np.array([[[x]], [[x]]]), low, high, scales, np.array([[1.0]])).item() for x in (0.6, 0.9, 3.0)]
     assert gaps[0] == 0.0 and 0.0 < gaps[1] < gaps[2]
     assert gaps[1] == pytest.approx((0.9 * math.sqrt(2) - 1.0) / math.sqrt(2) / 10.0)

@@ -110,7 +110,8 @@ def test_the_potential_lies_between_0_and_1_and_knows_the_ends(id: str) -> None:
     joint = low + (high - low) * rng.uniform(-0.1, 1.1, (300, low.size))
     worlds = core.initial_at(dynamics, joint)
     values = potential.at(worlds)
-    assert ((0.0 <= values) & (values <= 1.0)).all()
+    assert ((-1e-12 < values) & (values <= 1.0)).all()
+    assert np.allclose(potential.at(worlds, own=True).mean(axis=0), values, rtol=0.0, atol=1e-12)
     assert not values[worlds.failed | problem.automaton.dead[worlds.q]].any()
     assert (values[~worlds.failed & problem.automaton.accepting[worlds.q]] == 1.0).all()
 
@@ -120,4 +121,6 @@ def test_the_potential_rises_towards_the_goal() -> None:
     states = np.column_stack([np.array([-20.0, -15.0, -10.0, -1.0, 1.0]), np.full(5, -4.0)])
     values = Potential.of(dynamics).at(core.initial_at(dynamics, states))
     assert (np.diff(values) > 0.0).all() and values[-1] == 1.0
-    assert values[0] == (1.0 - 20.0 / 25.0) / 2.0  # one automaton step to go of at most one, 20 of 25 away
+    # One automaton step to go of at most one. The second agent has done its part, half of its level; the first is 20
+    # and 10 away, of twice the 10 that the start is away.
+    assert values[0] == np.mean([0.0, 0.5]) and values[2] == np.mean([0.25, 0.5])

@@ -164,7 +164,7 @@ def test_random_problems_move_and_pay_alike(seed: int, device: str) -> None:
     behaviour = ("zero", "random", "periodic")[seed % 3]
     here, there = Dynamics.of(problem, behaviour), Dynamics.of(problem, behaviour, put)
     mine = Potential.of(here)
-    other = Potential(there, mine.steps, mine.wanted)
+    other = Potential.of(there)
     ours = core.initial(here, rng, M)
     theirs = core.begin(there, tuple(map(put, ours.states)))
     same_worlds(theirs, ours)
@@ -178,7 +178,8 @@ def test_random_problems_move_and_pay_alike(seed: int, device: str) -> None:
         theirs = core.moved_on(there, before, tuple(map(put, inputs)), tuple(map(put, normals)))
         same_worlds(theirs, ours)
         close(other.at(theirs), mine.at(ours))
-        close(other.kept(theirs, put(levels)), mine.kept(ours, levels))
+        close(other.at(theirs, own=True), mine.at(ours, own=True))
+        close(other.progress(theirs, put(levels)), mine.progress(ours, levels))
         np.testing.assert_array_equal(to_host(core.satisfied(there, theirs)), core.satisfied(here, ours))
     assert ours.failed.any() or ours.accepted.any() or (np.ptp(ours.q) > 0), "the problem decides nothing"
 

@@ -1,8 +1,8 @@
 """Worlds of a problem as a ``VecEnv`` of Stable-Baselines3 (the extra ``rl``).
 
 All worlds move in one batch (``envs.interfaces.ProblemVectorEnv``). A view turns them into rows: one row per world and
-agent for a shared decentralised policy, or one row per world. The rows of a world share its reward and its end. The
-contract with Stable-Baselines3:
+agent for a shared decentralised policy, or one row per world. The rows of a world share its end; an agent earns
+satisfaction and the differences of its own level. The contract with Stable-Baselines3:
 
 - a row that ends is reset in the same step; its last observation is in ``infos[row]["terminal_observation"]``;
 - ``infos[row]["TimeLimit.truncated"]`` says whether the row ended undecided at the horizon;
@@ -77,6 +77,9 @@ class WorldsVecEnv(VecEnv):
         self.render_mode = render_mode
         options: dict[str, Any] = {"reward": reward, "discount": discount, "actions": "unit", "spread": spread}
         options |= {"autoreset_mode": "SameStep", "render_mode": render_mode}
+        # Agents whose rows they are earn what they have done themselves.
+        self._has_own = view.rows > 1
+        options |= {"credit": "own" if self._has_own else "team"}
         if shield is None:
             self.worlds = ProblemVectorEnv(view.problem, worlds, **options)
         else:
@@ -117,9 +120,10 @@ class WorldsVecEnv(VecEnv):
         if ended.any():
             self._fill(rows, ended, truncated, infos["final_info"])
             self._returns[ended], self._lengths[ended] = 0.0, 0
-        # All rows of a world share its reward and its end.
+        # All rows of a world share its end, and its reward unless they are agents.
         per = self.view.rows
-        return self._observed(infos), np.repeat(rewards, per).astype(np.float32), np.repeat(ended, per), rows
+        each = self.worlds.own_rewards.T.ravel() if self._has_own else rewards
+        return self._observed(infos), each.astype(np.float32), np.repeat(ended, per), rows
 
     def close(self) -> None:
         """Do nothing: no resource is held."""

@@ -248,9 +248,9 @@ def mean_progress(problem: Problem, controller: Batchable, seed: int, episodes: 
     for number, frame in enumerate(frames(loop, dynamics, policy, 0)):
         worlds = frame.worlds
         if number == 0:
-            first = levels = potential.kept(worlds, potential.at(worlds))
+            first = levels = potential.progress(worlds)
         # An episode that has ended keeps its last level, while its world still moves beside the others.
-        levels = np.where(ended, levels, potential.kept(worlds, levels))
+        levels = np.where(ended, levels, potential.progress(worlds, levels))
         ended = ended | worlds.failed | problem.automaton.absorbing[worlds.q]
         last = worlds
     return float(np.mean(core.satisfied(dynamics, last) + levels - first))
