@@ -114,16 +114,23 @@ def certify(
     return synthesis_above(found) if above else found
 
 
+def is_certified_as_given(policy: Any, cells: CellCounts) -> bool:
+    """Return whether the claim about a policy is about itself, by default, and not about what it becomes on cells.
+
+    Networks are certified as they are along their run and on cells, expressions along their run alone.
+    """
+    reason: str = getattr(policy, "why_not_as_it_is", "")
+    is_known = hasattr(policy, "agent_policy") and not reason
+    return is_known and (cells is None or not isinstance(policy, WrittenPolicies))
+
+
 def _found(
     problem: Any, policy: Any, cells: CellCounts, relation: Relations, wrap: bool, settings: dict[str, Any]
 ) -> Synthesis:
     """Certify a policy from below, as it is or wrapped on cells."""
     problem = as_problem(problem)
     policy = certifiable(problem, policy)
-    is_network = hasattr(policy, "agent_policy") and not getattr(policy, "why_not_as_it_is", "")
-    if is_network and not wrap and cells is not None and isinstance(policy, WrittenPolicies):
-        is_network = False  # cells are for what expressions become on them
-    if is_network and not wrap and isinstance(relation, str) and relation in OF_NETWORKS:
+    if is_certified_as_given(policy, cells) and not wrap and isinstance(relation, str) and relation in OF_NETWORKS:
         return certified_as_it_is(problem, policy, cells, "auto" if relation == "quick" else relation, settings)
     if problem.labeling.pairs:
         return _about_pairs(problem, policy, cells, relation, settings)

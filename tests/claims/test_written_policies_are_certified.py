@@ -105,3 +105,12 @@ def test_the_command_line_takes_the_file(brake: Path, tmp_path: Path, capsys: py
     assert "holds for the deployed policy" in capsys.readouterr().out
     assert main(["certify", "reach-avoid-v0"]) == 2
     assert "[policy]" in capsys.readouterr().err
+
+
+def test_on_cells_the_claim_is_not_said_to_be_about_what_acts(brake: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Cells certify what expressions become on them, which acts otherwise."""
+    assert main(["certify", str(brake), "--episodes", "500"]) == 0
+    assert "holds for the deployed policy" in capsys.readouterr().out
+    main(["certify", str(brake), "--episodes", "500", "--cells", "10"])
+    told = capsys.readouterr().out
+    assert "not for the raw one" in told and "holds for the deployed policy" not in told

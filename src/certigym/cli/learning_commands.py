@@ -17,6 +17,7 @@ from ..synthesis.bridges import save_policy as save_for_others
 from ..synthesis.certificates import save_certificate
 from ..synthesis.certify import certify as certify_policy
 from ..synthesis.certify import improve as improve_policy
+from ..synthesis.certify import is_certified_as_given
 from ..synthesis.checking import standing
 from ..synthesis.shielding import shield_of
 from ..validation.figures import draw_comparison, draw_curves
@@ -38,7 +39,7 @@ from ..validation.policies import probe as probe_certificate
 from ..validation.policies import record as record_episodes
 from ..validation.simulation import planned
 from .given import cells_of, problem_of, relation_of, say, show
-from .network_commands import UNCERTIFIED, certify_raw, is_actor, is_network, is_wrapping, problem_of_actor
+from .network_commands import UNCERTIFIED, certify_raw, is_actor, is_wrapping, problem_of_actor
 from .policy_words import policy_of_file, policy_of_word
 from .work import trained, trials
 
@@ -214,7 +215,7 @@ def certify(options: Namespace) -> int:
         problem, file = problem_of(options), options.policy
     policy = policy_of_file(problem, file, options.trust) if file else as_policy(written, problem)
     wraps = options.wrap or options.improve or is_wrapping(options)
-    if options.repair is not None or (is_network(policy) and not wraps):
+    if options.repair is not None or (is_certified_as_given(policy, cells_of(options)) and not wraps):
         return certify_raw(options, problem, policy)
     cells = cells_of(options)
     # All forms of the policy are simulated beside each other; the last one is saved.

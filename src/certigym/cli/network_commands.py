@@ -42,11 +42,6 @@ def is_actor(options: Namespace) -> bool:
     return options.policy is None and options.problem.endswith(".npz") and Path(options.problem).is_file()
 
 
-def is_network(policy: Any) -> bool:
-    """Return whether a policy is of networks that are certified as they are."""
-    return hasattr(policy, "agent_policy") and not getattr(policy, "why_not_as_it_is", "")
-
-
 def is_wrapping(options: Namespace) -> bool:
     """Return whether what is asked of the relation is about policies that are wrapped on cells."""
     return options.delta is not None or len(options.relation) > 1 or options.relation[0] not in OF_NETWORKS
