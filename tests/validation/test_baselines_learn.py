@@ -167,7 +167,7 @@ def test_ppo_learns_the_two_agent_task_and_its_certificate_holds() -> None:
     rates = [point["success"] for point in training.curve]
     assert np.mean(rates[:5]) < 0.5 < np.mean(rates[-5:])
     actor: Any = training.actor
-    certified, improved = (make(RA2, actor, 100) for make in (cg.certify, cg.improve))
+    certified, improved = cg.certify(RA2, actor, 100, wrap=True), cg.improve(RA2, actor, 100)
     assert cg.check(certified.certificate, RA2)
     assert cg.validate(certified, 20_000, confidence=1 - 1e-6).verdict != "refuted"
     assert improved.certificate.lower_bound >= certified.certificate.lower_bound > 0.7
