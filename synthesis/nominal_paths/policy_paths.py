@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtr
 
 from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
@@ -208,7 +208,7 @@ def _moved(known: CheckedProblem, x: Sequence[FloatArray], u: Sequence[FloatArra
 def _radii(problem: Problem, steps: int, lost: float) -> tuple[float, ...]:
     """Return radii of the ellipsoids of all agents, which errors leave with about this probability in all."""
     share = lost / (steps * problem.n_agents)
-    return tuple(float(np.sqrt(chi2.isf(share, agent.n_states))) for agent in problem.agents)
+    return tuple(float(np.sqrt(chdtri(agent.n_states, share))) for agent in problem.agents)
 
 
 def _certificate(
@@ -331,7 +331,7 @@ def _words(problem: Problem, known: CheckedProblem, run: _Run, margins: _Margins
                 if not _is_accepted(known, letters, margins.faces):
                     letters[t, p] = kept
         asked = margins.deviations[: last + 1][letters != 0]
-        found.append((float(np.sum(2.0 * norm.sf(np.minimum(asked, FAR)))), last, letters))
+        found.append((float(np.sum(2.0 * ndtr(-np.minimum(asked, FAR)))), last, letters))
     return [letters for _, _, letters in sorted(found, key=lambda one: one[:2])]
 
 

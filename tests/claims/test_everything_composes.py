@@ -100,6 +100,9 @@ CANNOT: dict[str, dict[str, Reason]] = {
 """Refusals by mathematics: column, row, and why. The page of limits lists them (``docs/limits_table.py``)."""
 
 SAME_END = "where something is lost, the opposite task is asked by the column `own upper end`"
+ROUNDED_OUTWARD = (
+    "along a path the checker rounds every operation outward, which `tests/checker` compares with 300 bits"
+)
 OTHER_ROWS = "cells are chosen by the relation, the noise and the neighbours, of which other rows have each"
 
 NOTHING_LOST = ["exact matrices", "exact Laplace", "exact expressions", "exact in time", "subtraction", "train"]
@@ -107,6 +110,7 @@ NOTHING_LOST = ["exact matrices", "exact Laplace", "exact expressions", "exact i
 
 ELSEWHERE: dict[str, dict[str, str]] = {
     "opposite end": {row: SAME_END for row in ROWS if row not in [*NOTHING_LOST, *PATHS]},
+    "rigorous": dict.fromkeys(PATHS, ROUNDED_OUTWARD),
 }
 """Cells that other tests imply: column, row, which."""
 

@@ -1,9 +1,9 @@
 """What is proved from other starts for the controllers of a certificate that speaks of its own.
 
 A path certificate is about one start, but its controllers can begin anywhere, and the check can be asked what it proves
-of them there: along a nonlinear path as it is, of a linear agent along the nominal path to which ``u = ubar + K (x -
-xbar)`` leads from there (the same inputs, written about another path). Nothing is taken over from the certificate's own
-claim. What cannot be asked, or not for long, is not known (NaN).
+of them there: along a nonlinear path for a box of starts around its own, of a linear agent along the nominal path to
+which ``u = ubar + K (x - xbar)`` leads from there (the same inputs, written about another path). Nothing is taken over
+from the certificate's own claim. What cannot be asked, or not for long, is not known (NaN).
 """
 
 from __future__ import annotations
@@ -90,9 +90,22 @@ def reach(certificate: Any, axes: tuple[int, ...]) -> tuple[NDArray[Any], NDArra
 
 def _proved(certificate: Any, start: NDArray[Any]) -> float:
     """Return the lower bound that the check proves from a start (D,); 0 if it proves nothing."""
-    moved: Certificate = begun_at(path_under(certificate), start)
+    path = begun_at(path_under(certificate), start)
+    # A nominal trajectory that is stored begins where it does: it is asked about a box of starts around that place.
+    first = np.concatenate(
+        [
+            start[columns] if own.states is None else own.states[0]
+            for own, columns in zip(path.proof.paths, path.problem.columns, strict=True)
+        ]
+    )
+    off = np.abs(start - first)
+    box = {
+        "initial_low": np.minimum(first - off, start).tolist(),
+        "initial_high": np.maximum(first + off, start).tolist(),
+    }
+    moved: Certificate = replace(path, problem=path.problem.replace(**box)) if off.any() else path
     if path_under(certificate) is not certificate:
-        problem = certificate.problem.replace(initial_state=start.tolist())
+        problem = certificate.problem.replace(**box if off.any() else {"initial_state": start.tolist()})
         moved = changed(replace(certificate, problem=problem), base=moved)
     report = check(moved)
     # What it computes is rounded to the nearest number: the one below it is no more.
