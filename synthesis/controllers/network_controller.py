@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.dynamics import Dynamics, Worlds
 from ..cells import FloatArray
 from ..relations import NetworkPolicy, WrittenPolicy
 from .path_controller import PathController
@@ -42,30 +41,3 @@ class NetworkController(PathController):
     def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
         """Return the inputs (m, M) of an agent at states (d, M), automaton states (M,) and a time."""
         return self.networks[agent].inputs(states, q, min(time, self.problem.horizon - 1))
-
-    def batch(self, dynamics: Dynamics) -> BatchNetworks:  # type: ignore[override]
-        """Return the same controllers for batched rollouts of ``dynamics``."""
-        return BatchNetworks(self, tuple(block.agents for block in dynamics.blocks))
-
-
-@dataclass(frozen=True, eq=False)
-class BatchNetworks:
-    """Networks arranged for batches; nothing is remembered."""
-
-    controller: NetworkController
-    blocks: tuple[NDArray[np.int64], ...]
-
-    def begin(self, worlds: Worlds, rng: Any) -> None:
-        """Nothing is remembered."""
-
-    def selected(self, memory: None, which: NDArray[Any]) -> None:
-        """Nothing is remembered of any world."""
-
-    def act(self, worlds: Worlds, memory: None) -> tuple[tuple[FloatArray, ...], None]:
-        """Return inputs (m, n, M) per block."""
-        time = worlds.time if isinstance(worlds.time, int) else int(np.max(worlds.time))
-        blocks = []
-        for members, states in zip(self.blocks, worlds.states, strict=True):
-            each = [self.controller.inputs(int(i), states[:, k], worlds.q, time) for k, i in enumerate(members)]
-            blocks.append(np.stack(each, axis=1))
-        return tuple(blocks), None

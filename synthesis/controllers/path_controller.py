@@ -73,20 +73,20 @@ class PathController(Predicting):
             else:
                 own = np.asarray(observation, dtype=float)
                 state, time = own[:d], round((1.0 - float(own[-1])) * self.problem.horizon)
-            actions[name] = self._inputs(i, state[:, None], time)[:, 0]
+            actions[name] = self.inputs(i, state[:, None], np.zeros(1, dtype=int), time)[:, 0]
         return actions
 
-    def _inputs(self, i: int, states: FloatArray, time: int) -> FloatArray:
-        """Return the inputs (m, M) of agent i at states (d, M), within its input box."""
-        agent, (inputs, gain, _) = self.problem.agents[i], self.paths[i]
+    def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
+        """Return the inputs (m, M) of an agent at states (d, M), within its box, whatever the automaton states are."""
+        own, (inputs, gain, _) = self.problem.agents[agent], self.paths[agent]
         t = min(time, len(inputs) - 1)
         feedback = gain[t] if gain.ndim == 3 else gain
-        deviation = states - self.nominal[i][t][:, None]
-        if agent.angles:
+        deviation = states - self.nominal[agent][t][:, None]
+        if own.angles:
             # Nominal angles may be turns away: what counts is the nearest of all that the angle stands for.
-            deviation[agent.wrapped_axes] = wrapped(deviation[agent.wrapped_axes], -np.pi)
+            deviation[own.wrapped_axes] = wrapped(deviation[own.wrapped_axes], -np.pi)
         wanted = inputs[t][:, None] + feedback @ deviation
-        return np.clip(wanted, agent.input_low[:, None], agent.input_high[:, None])
+        return np.clip(wanted, own.input_low[:, None], own.input_high[:, None])
 
     def batch(self, dynamics: Dynamics) -> BatchPaths:
         """Return the same controllers for batched rollouts of ``dynamics``."""
@@ -95,7 +95,7 @@ class PathController(Predicting):
 
 @dataclass(frozen=True, eq=False)
 class BatchPaths:
-    """Path controllers arranged for batches."""
+    """Path controllers, or networks in their place, arranged for batches."""
 
     controller: PathController
     blocks: tuple[NDArray[np.int64], ...]
@@ -111,7 +111,7 @@ class BatchPaths:
         time = worlds.time if isinstance(worlds.time, int) else int(np.max(worlds.time))
         blocks = []
         for members, states in zip(self.blocks, worlds.states, strict=True):
-            each = [self.controller._inputs(int(i), states[:, k], time) for k, i in enumerate(members)]
+            each = [self.controller.inputs(int(i), states[:, k], worlds.q, time) for k, i in enumerate(members)]
             blocks.append(np.stack(each, axis=1))
         return tuple(blocks), None
 
