@@ -1,7 +1,7 @@
 """Agents, their boxes, and which propositions hold at a point."""
 
 from .agent import LinearAgent, with_matrices
-from .angles import wrapped
+from .angles import TURN, wrapped
 from .any_agent import AnyAgent, checked_name
 from .box import Box
 from .checks import (
@@ -15,7 +15,7 @@ from .checks import (
     slices_of,
     unknown_argument,
 )
-from .declared_names import MOST_OUTPUTS, MOST_STATES
+from .declared_names import MOST_OUTPUTS, MOST_STATES, TIME
 from .expression_agent import Agent, with_expressions
 from .headings import heading_of
 from .labeling import MOVING_REFUSAL, Labeling, contains, inside, of_hint
@@ -24,13 +24,13 @@ from .majorants import Majorant, Tail
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
 from .noise import is_own_law, laws_by_author
 from .pair import FLAT, REFUSAL, Pair, PairRegion, ball_box, holds
-from .pieces import TURN, Combined, Form, Frame, Limit, Piece
+from .pieces import Combined, Form, Frame, Limit, Piece
 from .printing import box_text, counted, matrix_text, names_text, shortened, tree_text, vector_text
 from .products import linear, row_times
 from .proposition import Proposition
 from .saving import write_bytes, write_json, write_text
 from .shapes import SHAPES
-from .timed_corners import DECIMALS, TIME, values_over
+from .timed_corners import DECIMALS, values_over
 
 __all__ = [
     "Agent",

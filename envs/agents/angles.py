@@ -15,7 +15,9 @@ from ..arrays import namespace
 from ..expressions import Name, turns
 from .checks import shown
 from .declared_names import checked_names
-from .pieces import TURN
+
+TURN = 2.0 * math.pi
+"""A turn, rounded."""
 
 WORKSPACES = ((-math.pi, math.pi), (0.0, TURN))
 """Workspaces of angles: one turn, whose length as a double is not more than a true turn."""

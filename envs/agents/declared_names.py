@@ -8,6 +8,9 @@ from typing import Any
 from ..expressions import checked_variable
 from .checks import float_array, read_only, shown
 
+TIME = "t"
+"""Name of the time in expressions, unless a state, input, parameter or disturbance has this name."""
+
 MOST_STATES = 30
 """Most states, inputs, outputs, parameters or disturbances: more would be a slip."""
 

@@ -24,17 +24,15 @@ import numpy as np
 
 from ..arrays import double, is_host, namespace
 from ..expressions import Affine, Name, Number, Tree, computed, enclosed, names_in, read_expression, substituted
-from .angles import checked_angles, refuse_uneven
+from .angles import TURN, checked_angles, refuse_uneven
 from .any_agent import IDLE, AnyAgent, checked_added, is_passive, shared_fields, summary_rows
 from .checks import read_only, shown
 from .composed_laws import ScipyLaw
-from .declared_names import MOST_OUTPUTS, checked_names, checked_numbers, checked_ranges, checked_texts
+from .declared_names import MOST_OUTPUTS, TIME, checked_names, checked_numbers, checked_ranges, checked_texts
 from .laws import Law
 from .neighbours import neighbour, states_of_others, with_numbers
 from .noise import laws_of
-from .pieces import TURN
 from .printing import counted, names_text, shortened, tree_text
-from .timed_corners import TIME
 
 MOST_TIMES = 4096
 """Steps for which the agent is remembered as it moves then: beyond them the memory starts afresh."""

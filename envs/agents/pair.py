@@ -19,10 +19,11 @@ import numpy as np
 from ..expressions import Tree, computed, names_in, read_expression
 from .any_agent import AnyAgent
 from .checks import checked_states, float_array, read_only, shown
+from .declared_names import TIME
 from .pieces import Frame
 from .printing import box_text
 from .shapes import Shape, read_shape
-from .timed_corners import TIME, Corner, read_corners, values_over
+from .timed_corners import Corner, read_corners, values_over
 
 PAIRS = ("all", "neighbours")
 """Which pairs of the agents that a pattern matches: each with each later one, or each with the next one."""

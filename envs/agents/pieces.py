@@ -5,7 +5,6 @@ A shape is a combination of pieces by and, or, not (docs/theory/regions.md, "Sha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -15,9 +14,6 @@ import numpy as np
 
 from ..expressions import computed, read_expression
 from .checks import shown
-
-TURN = 2.0 * math.pi
-"""A turn, rounded."""
 
 End = float | str
 """A number, or an expression in the time `t`."""

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from ..expressions import Number, computed, names_in, read_expression
+from .angles import TURN
 from .checks import checked_states, float_array, shown
-from .pieces import TURN, Combined, End, Form, Frame, Limit, all_of, either, face, face_through, moving_piece, piece_of
+from .pieces import Combined, End, Form, Frame, Limit, all_of, either, face, face_through, moving_piece, piece_of
 
 MOST_FACES = 60
 """Most faces of a polytope: each may be an output of its agent."""

@@ -14,9 +14,7 @@ import numpy as np
 from ..expressions import Number, Tree, computed, names_in, read_expression
 from .box import Box
 from .checks import float_array, shown
-
-TIME = "t"
-"""Name of the time in expressions, unless a state, input, parameter or disturbance has this name."""
+from .declared_names import TIME
 
 DECIMALS = 12
 """Decimals to which corners that move are rounded."""
