@@ -24,7 +24,7 @@ import numpy as np
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.certificates import ProductProof, delta_of, is_exact
+from certigym.synthesis.certificates.proofs import ProductProof, delta_of, is_exact
 from deployed import Deployed, problem_of
 from forgeries import Forgery, forgeries, opened, written
 from hostile import CASES, limited

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.controllers import PathController
-from certigym.validation.simulation import TrialPlan
-from certigym.validation.statistics import clopper_pearson
+from certigym.synthesis.certificates.controllers import PathController
+from certigym.validation.statistical_tests import TrialPlan, clopper_pearson
 
 SHARES, TRIED, EPISODES, CONFIDENCE, STEP = (0.1, 0.5, 1.0), 2_000, 20_000, 0.999, 1e-5
 

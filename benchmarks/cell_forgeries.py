@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.certificates import PathProof, changed
-from certigym.synthesis.values import Terms
+from certigym.synthesis.certificates.proofs import PathProof, changed
+from certigym.synthesis.certificates.value_functions import Terms
 
 Forged = tuple[str, Any]
 """What was changed, and the changed claim."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import certigym as cg
-from certigym.synthesis.certificates import rounded_down, rounded_up
+from certigym.synthesis.certificates.proofs import rounded_down, rounded_up
 
 BEFORE = {
     "building-automation-v0": 0.2597,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.certificates import ProductProof
+from certigym.synthesis.certificates.proofs import ProductProof
 from random_problems import Spec
 
 

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from certigym import load, rollout, synthesize
-from certigym.envs.expressions import Affine, enclosed
-from certigym.envs.problem import problem_from_dict
+from certigym.envs.systems.expressions import Affine, enclosed
+from certigym.envs.tasks.problem import problem_from_dict
 
 ROWS = Path("benchmarks/arch")
 EPISODES = 20_000

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.certificates import CheckReport
+from certigym.synthesis.certificates.proofs import CheckReport
 from forgeries import opened, written
 
 SECONDS, BYTES = 20.0, 3 * 2**30

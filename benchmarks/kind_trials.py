@@ -15,10 +15,10 @@ from scipy.stats import binom
 
 import certigym as cg
 from cell_forgeries import forgeries_of
-from certigym.synthesis.certificates import GridProof, PathProof, ProductProof, changed
-from certigym.synthesis.raw_networks import certify_network, differences
-from certigym.synthesis.relations import Network
-from certigym.synthesis.upper_ends import bound_above
+from certigym.synthesis.certificates.proofs import GridProof, PathProof, ProductProof, changed
+from certigym.synthesis.relations.kinds import Network
+from certigym.synthesis.verbs.raw_networks import certify_network, differences
+from certigym.synthesis.verbs.upper_ends import bound_above
 from certigym.validation.policies.actors import SharedActor
 from deployed import Deployed, Followed, Networked, problem_of
 from independent import successes

@@ -15,8 +15,8 @@ from typing import Any
 
 import certigym as cg
 from by_hand import by_hand
-from certigym.envs.agents import write_json, write_text
-from certigym.synthesis.certificates import significant_down
+from certigym.envs.systems.arguments import write_json, write_text
+from certigym.synthesis.certificates.proofs import significant_down
 
 ROOT = Path(__file__).parent.parent
 FOLDER, PAGE, NUMBERS = ROOT / "examples" / "own", ROOT / "docs" / "own_models.md", ROOT / "docs" / "own_models.json"

@@ -22,14 +22,14 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.envs.dynamics import worlds as core
-from certigym.synthesis.controllers.controller import Controller
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.guards import compile_guards
-from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.search.ascent import resting_policies, sweep
-from certigym.synthesis.search.limits import Limits
-from certigym.validation.simulation.loop import CHUNK, BatchPolicy
+from certigym.envs.simulation import worlds as core
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.abstraction.models.guards import compile_guards
+from certigym.synthesis.abstraction.models.joint import join, start_of
+from certigym.synthesis.certificates.controllers.controller import Controller
+from certigym.synthesis.policy_search.ascent.coordinate_ascent import resting_policies, sweep
+from certigym.synthesis.policy_search.ascent.limits import Limits
+from certigym.validation.statistical_tests.loop import CHUNK, BatchPolicy
 from measuring import Row, Rows, cpu, options, save, show
 
 DELIVERY_START = [-17.8375, 3.2875, -16.8625, 3.2875, 1.4125, 3.2875, 3.3625, 3.2875]

@@ -15,10 +15,10 @@ from matplotlib.patches import Rectangle
 from PIL import Image
 
 import certigym as cg
-from certigym.envs.pictures import LOOKS, Panel, Region, agent_color, panels
-from certigym.synthesis.certificates import certificate_from
-from certigym.validation.figures.figure_style import FAILURE, INK, SOFT, new_figure
-from certigym.validation.simulation import Loop, paths
+from certigym.envs.interfaces import LOOKS, Panel, Region, agent_color, panels
+from certigym.synthesis.certificates.proofs import certificate_from
+from certigym.validation.presentation.figures.figure_style import FAILURE, INK, SOFT, new_figure
+from certigym.validation.statistical_tests import Loop, paths
 from draw_gallery import certificate
 from environment_pages import FOLDER
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import certigym as cg
 import environment_pages
-from certigym.envs.pictures import AGENTS
-from certigym.validation.figures import certificate_figures as figures
-from certigym.validation.figures import figure_scenes
-from certigym.validation.figures.figure_style import SOFT, new_figure
+from certigym.envs.interfaces import AGENTS
 from certigym.validation.policies.tier_rule import ALONE
+from certigym.validation.presentation.figures import certificate_figures as figures
+from certigym.validation.presentation.figures import figure_scenes
+from certigym.validation.presentation.figures.figure_style import SOFT, new_figure
 
 FOLDER = Path(__file__).parent / "figures"
 

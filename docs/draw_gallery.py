@@ -14,7 +14,7 @@ from PIL import Image
 
 import certigym as cg
 from certigym.cli.moving_pictures import Player, film
-from certigym.envs.pictures.rendering import SIDE, WIDTH
+from certigym.envs.interfaces.rendering import SIDE, WIDTH
 from environment_pages import FOLDER
 from measure_environments import CERTIFICATES
 

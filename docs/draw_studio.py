@@ -13,9 +13,11 @@ ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "docs" / "figures" / "studio.png"
 
 
-def main(file: str = "validation/studio/template_first.toml", width: int = 1400, height: int = 900) -> bytes:
+def main(
+    file: str = "validation/presentation/studio/template_first.toml", width: int = 1400, height: int = 900
+) -> bytes:
     """Open a file in the studio, certify it, play its episodes, and return the page as PNG."""
-    from certigym.validation.studio import Studio
+    from certigym.validation.presentation.studio import Studio
 
     with TemporaryDirectory() as folder:
         (Path(folder) / "task.toml").write_text((ROOT / file).read_text(encoding="utf-8"), encoding="utf-8")

@@ -17,8 +17,8 @@ from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Polygon,
 from scipy.special import ndtr
 from scipy.stats import beta
 
-from certigym.envs.pictures import AGENTS, LOOKS
-from certigym.validation.figures.figure_style import BOUND, ESTIMATE, FAILURE, INK, PALE, SOFT, new_figure
+from certigym.envs.interfaces import AGENTS, LOOKS
+from certigym.validation.presentation.figures.figure_style import BOUND, ESTIMATE, FAILURE, INK, PALE, SOFT, new_figure
 
 PAGES = Path(__file__).parent / "theory"
 FOLDER = PAGES / "pictures"

@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.envs.agents import AnyAgent, LinearAgent, Pair, counted
-from certigym.envs.pictures import edges
-from certigym.envs.pictures.automaton_drawing import svg
+from certigym.envs.interfaces import edges
+from certigym.envs.interfaces.automaton_drawing import svg
 from certigym.envs.suite import made_by, tier_of_id
 from certigym.envs.suite.ids import MODULES, gymnasium_id
-from certigym.synthesis.certificates.digits import shown_bound
+from certigym.envs.systems.agents import AnyAgent, LinearAgent
+from certigym.envs.systems.arguments import counted
+from certigym.envs.tasks.regions import Pair
+from certigym.synthesis.certificates.proofs.digits import shown_bound
 
 FOLDER = Path(__file__).parent / "environments"
 MEASURED = FOLDER / "measured.json"

@@ -17,10 +17,10 @@ import time
 from typing import Any
 
 import certigym as cg
-from certigym.synthesis.certificates import is_exact, start_of_claim
+from certigym.synthesis.certificates.proofs import is_exact, start_of_claim
 from certigym.validation.policies.rollout_policies import RandomController
-from certigym.validation.simulation.rollouts import rollout
-from certigym.validation.statistics.binomial import clopper_pearson
+from certigym.validation.statistical_tests.binomial import clopper_pearson
+from certigym.validation.statistical_tests.rollouts import rollout
 from environment_pages import FOLDER, MEASURED
 
 EPISODES, SEED, CONFIDENCE = 100_000, 0, 0.999

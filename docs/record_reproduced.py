@@ -9,9 +9,9 @@ import json
 import sys
 from pathlib import Path
 
-from certigym.envs.agents import write_json
-from certigym.synthesis.certificates import significant_down
-from certigym.validation.paper import RECORDED, TARGETS
+from certigym.envs.systems.arguments import write_json
+from certigym.synthesis.certificates.proofs import significant_down
+from certigym.validation.presentation.paper import RECORDED, TARGETS
 
 
 def recorded(folder: Path) -> dict[str, dict[str, list[object]]]:

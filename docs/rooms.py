@@ -9,22 +9,48 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "design.md"
 ORDER = {
-    "envs": "arrays expressions agents logic problem dynamics pictures interfaces solo teams suite",
-    "synthesis": "checker cells relations values readings models search bounds choosing path_bounds path_words "
-    "nominal_paths pairs controllers masses certificates bridges path_checking step_checking checking shielding",
-    "validation": "statistics simulation verdicts audits shields policies figures reports studio paper",
+    "envs": {
+        "systems": "backends arguments distributions expressions agents",
+        "tasks": "regions automata problem",
+        "simulation": "",
+        "interfaces": "",
+        "suite": "single_agent multi_agent",
+    },
+    "synthesis": {
+        "checker": "",
+        "relations": "grids kinds",
+        "certificates": "value_functions cell_probabilities controllers proofs",
+        "abstraction": "kernels models",
+        "extended_check": "steps claims shields",
+        "interop": "",
+        "trajectories": "chance_constraints words planning",
+        "policy_search": "ascent bounds portfolio cell_certificates",
+        "composition": "",
+        "verbs": "",
+    },
+    "validation": {"statistical_tests": "", "policies": "", "presentation": "paper reports figures studio"},
 }
-"""The rooms of each wing, in the order in which a problem passes through them."""
+"""The rooms of each wing and the chapters of each room, each above all that it imports."""
 WIDTH = 80
 """Columns of the drawing: as many as pages show without wrapping."""
 BEGIN, END = "<!-- rooms -->\n", "<!-- end of rooms -->"
 
 
-def rooms(wing: str) -> list[Path]:
-    """Folders of a wing that hold modules, in their order; one that the order does not name comes last."""
-    found = {path.parent.name: path.parent for path in (ROOT / wing).glob("*/__init__.py")}
-    named = [name for name in ORDER[wing].split() if name in found]
+def folders(place: Path, order: list[str]) -> list[Path]:
+    """Folders of a place that hold modules, in their order; one that the order does not name comes last."""
+    found = {path.parent.name: path.parent for path in place.glob("*/__init__.py")}
+    named = [name for name in order if name in found]
     return [found[name] for name in [*named, *sorted({*found} - {*named})]]
+
+
+def rooms(wing: str) -> list[Path]:
+    """Rooms of a wing, lowest first."""
+    return folders(ROOT / wing, [*ORDER[wing]])
+
+
+def chapters(room: Path) -> list[Path]:
+    """Chapters of a room, lowest first; none where its files are in one folder."""
+    return folders(room, ORDER[room.parent.name].get(room.name, "").split())
 
 
 def sentence(room: Path) -> str:
@@ -33,9 +59,21 @@ def sentence(room: Path) -> str:
     return " ".join(text.split("\n\n")[0].split())
 
 
-def files(room: Path) -> list[str]:
-    """Modules of a room; of the suite without the files of single problems."""
-    return [path.stem for path in sorted(room.glob("*.py")) if path.stem != "__init__" and not path.stem[-1].isdigit()]
+def neighbours(room: Path) -> list[str]:
+    """Rooms of its wing that the files of a room import, in their order."""
+    names = set[str]()
+    for path in room.rglob("*.py"):
+        depth = len(path.relative_to(room.parent).parts)  # so many dots lead from a file of the room to the wing
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.level == depth:
+                names |= {node.module.split(".")[0]} if node.module else {alias.name for alias in node.names}
+    return [other.name for other in rooms(room.parent.name) if other.name in names]
+
+
+def entry(name: str, what: str, column: int) -> list[str]:
+    """Lines of one name and what is said of it, from a column on."""
+    first, *more = textwrap.wrap(what, WIDTH - column)
+    return [f"{name:<{column}}{first}", *(f"{'':<{column}}{line}" for line in more)]
 
 
 def drawing() -> str:
@@ -43,15 +81,12 @@ def drawing() -> str:
     lines = []
     for wing in ORDER:
         lines.append(f"{wing}/")
-        hall = [path.stem for path in sorted((ROOT / wing).glob("*.py")) if path.stem != "__init__"]
-        entries = [(f"{room.name}/", sentence(room), files(room)) for room in rooms(wing)]
-        if hall:
-            entries.append(("(hall)", "The verbs.", hall))
-        for name, what, modules in entries:
-            first, *more = textwrap.wrap(what, WIDTH - 18)
-            lines.append(f"    {name:<14}{first}")
-            lines += [f"    {'':<14}{line}" for line in more]
-            lines += [f"    {'':<14}    {line}" for line in textwrap.wrap(" ".join(modules), WIDTH - 22)]
+        for room in rooms(wing):
+            lines += entry(f"  {room.name}/", sentence(room), 21)
+            others = neighbours(room)
+            lines += [f"{'':<21}{line}" for line in textwrap.wrap(f"[on {', '.join(others)}]", WIDTH - 21) if others]
+            for chapter in chapters(room):
+                lines += entry(f"    {chapter.name}/", sentence(chapter), 25)
         lines.append("")
     return "```text\n" + "\n".join(lines).rstrip() + "\n```\n"
 

@@ -6,10 +6,9 @@ import tempfile
 from pathlib import Path
 
 import certigym as cg
-from certigym.synthesis.certificates.canonical import save_canonical
-from certigym.synthesis.controllers import AgentController, Controller
-from certigym.validation.simulation import Rollouts
-from certigym.validation.verdicts import ValidationReport
+from certigym.synthesis.certificates.controllers import AgentController, Controller
+from certigym.synthesis.certificates.proofs.canonical import save_canonical
+from certigym.validation.statistical_tests import Rollouts, ValidationReport
 
 problem = cg.make_problem("reach-avoid-v0", horizon=6)
 result: cg.Synthesis = cg.synthesize(problem, cells=400)

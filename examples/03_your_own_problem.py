@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import certigym as cg
-from certigym.envs.agents import Box
+from certigym.envs.systems.agents import Box
 
 cart = cg.LinearAgent(
     name="cart",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import certigym as cg
-from certigym.envs.pictures import automaton_to_dot
+from certigym.envs.interfaces import automaton_to_dot
 
 automaton: cg.Automaton = cg.translate("F (load & F goal)", ["load", "goal"], "co-safe")
 print(automaton)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import certigym as cg
-from certigym.synthesis.cells import Grid
-from certigym.validation.verdicts import synthesize_best
+from certigym.synthesis.relations.grids import Grid
+from certigym.validation.statistical_tests import synthesize_best
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
 

@@ -8,8 +8,8 @@ import numpy as np
 
 import certigym as cg
 from certigym.baselines import IdleController, RandomController
-from certigym.synthesis.cells import Grid
-from certigym.synthesis.controllers import InputTable, vectorized
+from certigym.synthesis.certificates.controllers import InputTable, vectorized
+from certigym.synthesis.relations.grids import Grid
 from certigym.validation.policies import Comparison
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import certigym as cg
-from certigym.validation.audits import AuditReport
-from certigym.validation.verdicts import FieldReport, StressReport, find_weakest
+from certigym.validation.statistical_tests import AuditReport, FieldReport, StressReport, find_weakest
 
 problem = cg.make_problem("reach-avoid-v0", horizon=6, initial_state=[-20.0, -3.0])
 certificate = cg.synthesize(problem, cells=200).certificate

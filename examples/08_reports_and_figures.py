@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import certigym as cg
-from certigym.validation.figures import (
+from certigym.validation.presentation.figures import (
     automaton_figure,
     horizon_figure,
     rank_figure,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import certigym as cg
 from certigym.baselines import Training, load_actor
-from certigym.synthesis.controllers import Decentralised
+from certigym.synthesis.certificates.controllers import Decentralised
 from certigym.validation.policies import Probe
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)

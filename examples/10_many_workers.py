@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ProcessPoolExecutor
 
 import certigym as cg
-from certigym.validation.simulation import DaskExecutor, TrialPlan
+from certigym.validation.statistical_tests import DaskExecutor, TrialPlan
 
 
 def main() -> None:

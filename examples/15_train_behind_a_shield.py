@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import certigym as cg
 from certigym.baselines import RandomController
-from certigym.synthesis.shielding import shield_of
+from certigym.synthesis.extended_check.shields import shield_of
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
 certificate = cg.synthesize(problem, 100, relation="exact").certificate

@@ -23,11 +23,11 @@ from scipy.special import ndtri
 import certigym as cg
 from balls import check_rigorous
 from certigym.baselines import RandomController
-from certigym.envs.agents import LinearAgent
-from certigym.synthesis import horizons
-from certigym.synthesis.certificates import certificate_from, changed, with_claims
-from certigym.synthesis.relations import Network
-from certigym.synthesis.upper_ends import bound_above
+from certigym.envs.systems.agents import LinearAgent
+from certigym.synthesis.certificates.proofs import certificate_from, changed, with_claims
+from certigym.synthesis.composition import horizons
+from certigym.synthesis.relations.kinds import Network
+from certigym.synthesis.verbs.upper_ends import bound_above
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 

@@ -16,13 +16,13 @@ import pytest
 from hypothesis import settings
 
 import certigym as cg
-from certigym.synthesis import agreement
-from certigym.synthesis.cells import in_grid_coordinates
-from certigym.synthesis.choosing import effort
-from certigym.synthesis.models import box_model, common_choices, ellipsoid_program, ellipsoid_search
-from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team
+from certigym.synthesis.abstraction.models import box_model, common_choices, ellipsoid_program, ellipsoid_search
+from certigym.synthesis.policy_search.cell_certificates import agreement
+from certigym.synthesis.policy_search.portfolio import effort
+from certigym.synthesis.relations.grids import in_grid_coordinates
+from certigym.synthesis.trajectories.planning import nonlinear_search, nonlinear_team
 from certigym.validation.policies import imitation, probing
-from certigym.validation.reports import explorer
+from certigym.validation.presentation.reports import explorer
 from network_problems import RNG
 
 # A suite that draws anew fails by luck; `pytest --hypothesis-profile=anew` explores.

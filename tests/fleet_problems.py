@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.certificates import AlongPath, PathProof
-from certigym.synthesis.certificates.canonical import verdict_of
+from certigym.synthesis.certificates.proofs import AlongPath, PathProof
+from certigym.synthesis.certificates.proofs.canonical import verdict_of
 
 
 def path_of(problem: cg.Problem) -> AlongPath:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.envs.agents import LinearAgent
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.relations import Network
+from certigym.envs.systems.agents import LinearAgent
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.relations.kinds import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from certigym import LinearAgent, Problem, Proposition, Specification
-from certigym.envs.agents import AnyAgent
-from certigym.synthesis.cells.grid import Grid
-from certigym.synthesis.cells.labels import CellLabels
-from certigym.synthesis.models.abstraction import AgentModel
-from certigym.synthesis.models.target_windows import TargetWindows
-from certigym.synthesis.readings.kernel import AxisTable, Kernel
-from certigym.synthesis.relations.exact import exact_relation
+from certigym.envs.systems.agents import AnyAgent
+from certigym.synthesis.abstraction.kernels.kernel import AxisTable, Kernel
+from certigym.synthesis.abstraction.models.finite_models import AgentModel
+from certigym.synthesis.abstraction.models.target_windows import TargetWindows
+from certigym.synthesis.relations.grids.grid import Grid
+from certigym.synthesis.relations.grids.labels import CellLabels
+from certigym.synthesis.relations.kinds.exact import exact_relation
 
 
 def linear(agent: AnyAgent) -> LinearAgent:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from certigym.envs.dynamics import Dynamics
-from certigym.envs.dynamics import worlds as core
-from certigym.synthesis.shielding import Shield
+from certigym.envs.simulation import Dynamics
+from certigym.envs.simulation import worlds as core
+from certigym.synthesis.extended_check.shields import Shield
 
 Array = NDArray[Any]
 Proposer = Callable[[Shield, tuple[Array, ...], Array, Array, np.random.Generator], tuple[Array, ...]]

@@ -1,34 +1,66 @@
-"""The PettingZoo and Gymnasium shells of a Problem. They know no ids."""
+"""Problems as PettingZoo and Gymnasium environments, and their rendering: scenes, frames, a window, automata."""
 
+from .automaton_drawing import automaton_to_dot, places
 from .central_env import CentralEnv
 from .device_team_env import DeviceTeamEnv, TeamState
+from .guard_texts import edges
 from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
 from .observation import AUTOMATON, SCALES, SCOPES, Bounds, checked_option, joint_bounds, relative_bounds
+from .outlines import Drawer
+from .palette import AGENTS, AGENTS_ON_DARK, LOOKS, Look, agent_color
 from .problem_env import ProblemEnv
+from .rendering import Picture, checked_render_mode, verdict_text
+from .scene import MOST_STRETCHED, Curve, Panel, Region, coordinate_name, have_one_scale, panels
 from .shaping import Potential
+from .task_roles import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
 from .tasks_env import TasksEnv
 from .team_env import TeamEnv, TeamStep
 from .vector_env import ProblemVectorEnv
 
 __all__ = [
+    "AGENTS",
+    "AGENTS_ON_DARK",
     "AUTOMATON",
+    "AVOIDED",
     "Bounds",
     "CentralEnv",
+    "Curve",
     "DeviceTeamEnv",
+    "Drawer",
+    "FREE",
+    "KEPT",
+    "LOOKS",
+    "Look",
+    "MIXED",
+    "MOST_STRETCHED",
+    "Panel",
+    "Picture",
     "Potential",
     "ProblemEnv",
     "ProblemVectorEnv",
+    "REACHED",
+    "Region",
     "SCALES",
     "SCOPES",
     "TasksEnv",
     "TeamEnv",
     "TeamState",
     "TeamStep",
+    "agent_color",
+    "automaton_to_dot",
     "checked_neighbours",
     "checked_option",
+    "checked_render_mode",
     "common_sizes",
+    "coordinate_name",
+    "edges",
+    "have_one_scale",
     "joint_bounds",
     "nearest_bounds",
     "nearest_seen",
+    "panels",
+    "places",
     "relative_bounds",
+    "roles",
+    "verdict_text",
 ]

@@ -18,8 +18,8 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
-from ..dynamics import Behaviour
-from ..problem import Problem, checked_problem
+from ..simulation import Behaviour
+from ..tasks.problem import Problem, checked_problem
 from .episode import RENDER_MODES, Episode
 from .observation import (
     ACTIONS,

@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..agents import checked_count
-from ..arrays import LIBRARIES, Array, Numbers, device_put, namespace, numbers_beside
-from ..dynamics import Behaviour, Dynamics, Worlds
-from ..dynamics import worlds as core
-from ..problem import Problem, checked_problem
+from ..simulation import Behaviour, Dynamics, Worlds
+from ..simulation import worlds as core
+from ..systems.arguments import checked_count
+from ..systems.backends import LIBRARIES, Array, Numbers, device_put, namespace, numbers_beside
+from ..tasks.problem import Problem, checked_problem
 from .episode import checked_discount
 from .observation import checked_option
 from .sensors import checked_noise

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics import Behaviour, OneWorld, World
-from ..dynamics import worlds as core
-from ..pictures import Picture, checked_render_mode, verdict_text
-from ..problem import Problem
+from ..simulation import Behaviour, OneWorld, World
+from ..simulation import worlds as core
+from ..tasks.problem import Problem
 from .observation import INFOS, checked_option, checked_reset
+from .rendering import Picture, checked_render_mode, verdict_text
 from .shaping import REWARDS, Potential
 
 RENDER_MODES = ("ansi", "rgb_array", "human")

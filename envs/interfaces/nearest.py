@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import AnyAgent, checked_count
-from ..arrays import concatenated, namespace
-from ..problem import Problem
+from ..systems.agents import AnyAgent
+from ..systems.arguments import checked_count
+from ..systems.backends import concatenated, namespace
+from ..tasks.problem import Problem
 from .observation import Bounds
 
 NEIGHBOURS = 2

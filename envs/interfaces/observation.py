@@ -29,10 +29,11 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from ..agents import AnyAgent, read_only, shown
-from ..arrays import double, is_host, namespace
-from ..dynamics import Dynamics, Worlds
-from ..problem import Problem
+from ..simulation import Dynamics, Worlds
+from ..systems.agents import AnyAgent
+from ..systems.arguments import read_only, shown
+from ..systems.backends import double, is_host, namespace
+from ..tasks.problem import Problem
 
 SCOPES = ("local", "full", "relative", "neighbours")
 SCALES = ("raw", "unit")

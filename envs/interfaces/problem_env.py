@@ -25,9 +25,9 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from ..agents import AnyAgent
-from ..dynamics import Behaviour
-from ..problem import Problem
+from ..simulation import Behaviour
+from ..systems.agents import AnyAgent
+from ..tasks.problem import Problem
 from .episode import RENDER_MODES, Episode
 from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
 from .observation import (

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics import Dynamics, Worlds
-from ..dynamics import worlds as core
+from ..simulation import Dynamics, Worlds
+from ..simulation import worlds as core
 
 TRIES = 10
 """How often a start is drawn again that loses or settles the task at once; most tasks need one or two draws."""

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..problem import Problem
+from ..tasks.problem import Problem
 
 READING = "reading"
 """Key of infos that only environments with noisy sensors have: what was read in place of the state."""

@@ -28,10 +28,10 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import double, namespace, to_host
-from ..dynamics import Dynamics, Worlds
-from ..dynamics import worlds as core
-from ..logic import Automaton
+from ..simulation import Dynamics, Worlds
+from ..simulation import worlds as core
+from ..systems.backends import double, namespace, to_host
+from ..tasks.automata import Automaton
 
 Weights = list[tuple[list[int], Any]]
 """Places of gaps, and what these take off a level in each automaton state, floats (Q,)."""

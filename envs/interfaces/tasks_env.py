@@ -21,7 +21,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from ..problem import Problem
+from ..tasks.problem import Problem
 from .observation import checked_reset
 from .problem_env import Infos, Observations, ProblemEnv
 from .sensors import checked_noise

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics import Dynamics
-from ..dynamics import worlds as core
-from ..problem import Problem
+from ..simulation import Dynamics
+from ..simulation import worlds as core
+from ..tasks.problem import Problem
 from .team_views import TeamViews
 from .vector_env import ProblemVectorEnv
 

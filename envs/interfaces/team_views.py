@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Array, concatenated, is_host, namespace, single
-from ..dynamics import Dynamics, Worlds
+from ..simulation import Dynamics, Worlds
+from ..systems.backends import Array, concatenated, is_host, namespace, single
 from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
 from .observation import (
     ACTIONS,

@@ -23,11 +23,10 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from ..agents import checked_count
-from ..dynamics import Behaviour
-from ..dynamics import worlds as core
-from ..pictures import Picture, checked_render_mode, verdict_text
-from ..problem import Problem, checked_problem
+from ..simulation import Behaviour
+from ..simulation import worlds as core
+from ..systems.arguments import checked_count
+from ..tasks.problem import Problem, checked_problem
 from .episode import checked_discount
 from .observation import (
     ACTIONS,
@@ -41,6 +40,7 @@ from .observation import (
     joint_observations,
     observation_space,
 )
+from .rendering import Picture, checked_render_mode, verdict_text
 from .scattering import checked_share, scattered
 from .sensors import READING, Sensors
 from .shaping import REWARDS, Potential

@@ -9,8 +9,8 @@ from importlib import import_module
 from inspect import signature
 from typing import Any
 
-from ..agents import shown, unknown_argument
-from ..problem import Problem
+from ..systems.arguments import shown, unknown_argument
+from ..tasks.problem import Problem
 from .ids import MODULES, NAMESPACE, ROOMS, VARIANTS, gymnasium_id
 from .tiers import NAMES, TIERS
 
@@ -95,7 +95,7 @@ def made_by(id: str) -> tuple[Callable[..., Problem], str]:
     """Return the function that makes the problem of an id, with its arguments as parameters, and what is said of it."""
     if id not in VARIANTS:
         room = next(room for room, ids in ROOMS.items() if id in ids)
-        module = import_module(f"...{room}.{MODULES[id]}", __name__)
+        module = import_module(f"..{room}.{MODULES[id]}", __name__)
         return module.problem, module.__doc__ or ""
     variant = VARIANTS[id]
     of, _ = made_by(variant.of)

@@ -12,10 +12,10 @@ from typing import Any
 from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
-from ..agents import UnknownArgument
-from ..arrays import HOST
 from ..interfaces import CentralEnv, DeviceTeamEnv, ProblemEnv, ProblemVectorEnv, TasksEnv, TeamEnv
-from ..problem import Problem, load_problem
+from ..systems.arguments import UnknownArgument
+from ..systems.backends import HOST
+from ..tasks.problem import Problem, load_problem
 from .catalogue import made_by, problem_of_id
 from .ids import MODULES
 

@@ -10,7 +10,7 @@ NAMESPACE = "certigym"
 """Prefix of all ids in the registries of PettingZoo and Gymnasium."""
 
 ROOMS = {
-    "solo": (
+    "single_agent": (
         "car-park-planar-v0",
         "car-park-v0",
         "car-slalom-v0",
@@ -22,7 +22,7 @@ ROOMS = {
         "quadrotor-v0",
         "van-der-pol-v0",
     ),
-    "teams": (
+    "multi_agent": (
         "building-automation-v0",
         "corridor-v0",
         "cyclic-delivery-v0",
@@ -113,7 +113,7 @@ VARIANTS = {
 }
 """Ids without a file."""
 
-IDS = tuple(sorted([*ROOMS["solo"], *ROOMS["teams"], *VARIANTS]))
+IDS = tuple(sorted([*ROOMS["single_agent"], *ROOMS["multi_agent"], *VARIANTS]))
 
 MODULES = {id: id.replace("-", "_") for id in IDS}
 """Names under which problems can be imported, as in other environment packages."""

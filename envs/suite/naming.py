@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ..problem import Problem, checked_problem, load_problem
+from ..tasks.problem import Problem, checked_problem, load_problem
 from .catalogue import make_problem
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.input_menu import InputMenu
-from certigym.synthesis.models.target_windows import TargetWindows
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.abstraction.models.input_menu import InputMenu
+from certigym.synthesis.abstraction.models.target_windows import TargetWindows
 from problems import scalar_agent
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from certigym.synthesis.cells.grid import Grid, aligned_edges
-from certigym.synthesis.cells.lookup import MOST_BUCKETS_PER_CELL, buckets, cell_finder
+from certigym.synthesis.relations.grids.grid import Grid, aligned_edges
+from certigym.synthesis.relations.grids.lookup import MOST_BUCKETS_PER_CELL, buckets, cell_finder
 
 AXES = {
     "uniform": np.linspace(-20.0, 5.0, 1001),

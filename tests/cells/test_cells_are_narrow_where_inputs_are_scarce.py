@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.choosing.scarce_inputs import LEAST_SHARE, MOST_UNEVEN, cells_where_scarce, left_of_inputs
+from certigym.synthesis.policy_search.portfolio.scarce_inputs import (
+    LEAST_SHARE,
+    MOST_UNEVEN,
+    cells_where_scarce,
+    left_of_inputs,
+)
 
 
 def problem(middle: list[float], A: float = 0.9) -> cg.Problem:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.choosing.cell_numbers import MOST_COMBINATIONS, cells_at
-from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.policy_search.portfolio.cell_numbers import MOST_COMBINATIONS, cells_at
 from problems import two_agents
 
 pytestmark = pytest.mark.thorough
@@ -52,7 +52,7 @@ def test_many_axes_are_not_compared_in_all_combinations(monkeypatch: pytest.Monk
         compared.append(tuple(shape.tolist()))
         return (1,) * len(shape)
 
-    monkeypatch.setattr("certigym.synthesis.choosing.cell_numbers._points_per_cell", counted)
+    monkeypatch.setattr("certigym.synthesis.policy_search.portfolio.cell_numbers._points_per_cell", counted)
     chain = cg.LinearAgent(
         name="chain", A=np.eye(12), B=np.eye(12)[:, :1], noise_covariance=0.01 * np.eye(12), state_low=[-5] * 12,
         state_high=[5] * 12, input_low=[-1], input_high=[1], initial_state=[0] * 12,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from certigym.synthesis.step_checking import reading_of
+from certigym.synthesis.extended_check.steps import reading_of
 from composing import certificate_of
 
 KINDS = [

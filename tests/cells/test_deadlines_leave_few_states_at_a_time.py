@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.logic import translate, translation
-from certigym.synthesis.choosing.levels import work_of
-from certigym.synthesis.models import joint as joint_module
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.joint import count_of_decisions, join
+from certigym.envs.tasks.automata import translate, translation
+from certigym.synthesis.abstraction.models import joint as joint_module
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.abstraction.models.joint import count_of_decisions, join
+from certigym.synthesis.policy_search.portfolio.levels import work_of
 from kinds import mostly_thorough
 from problems import two_agents
 from written_problems import oscillator_reach

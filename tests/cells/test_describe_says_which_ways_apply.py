@@ -8,10 +8,10 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.choosing import first_cells, levels, linear_work
-from certigym.synthesis.models import Settings
-from certigym.synthesis.synthesize import ways_ahead
+from certigym.synthesis.abstraction.models import Settings
+from certigym.synthesis.policy_search.portfolio import first_cells, levels, linear_work
+from certigym.synthesis.relations.grids import RelationRefused
+from certigym.synthesis.verbs.synthesize import ways_ahead
 
 OWN = Path(__file__).parents[2] / "examples" / "own"
 

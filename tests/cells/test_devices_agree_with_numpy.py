@@ -15,22 +15,16 @@ from hypothesis import strategies as st
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.envs.arrays import beside, device_put, libraries, to_host
-from certigym.synthesis.bounds.certified import robust_loss
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.choices import Policies
-from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.readings.kernel import AxisTable, Kernel, gaussian_table
-from certigym.synthesis.search.ascent import Sweep, resting_policies, sweep
-from certigym.synthesis.search.limits import Limits
-from certigym.synthesis.search.occupancy import forward
-from certigym.synthesis.values.devices import (
-    Residents,
-    add_rows,
-    add_runs,
-    concatenate,
-    take,
-)
+from certigym.envs.systems.backends import beside, device_put, libraries, to_host
+from certigym.synthesis.abstraction.kernels.kernel import AxisTable, Kernel, gaussian_table
+from certigym.synthesis.abstraction.models.choices import Policies
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.abstraction.models.joint import join, start_of
+from certigym.synthesis.certificates.value_functions.devices import Residents, add_rows, add_runs, concatenate, take
+from certigym.synthesis.policy_search.ascent.coordinate_ascent import Sweep, resting_policies, sweep
+from certigym.synthesis.policy_search.ascent.limits import Limits
+from certigym.synthesis.policy_search.ascent.occupancy import forward
+from certigym.synthesis.policy_search.bounds.certified import robust_loss
 from kinds import mostly_thorough
 
 DEVICE = os.environ.get("CERTIGYM_DEVICE", "torch:cpu")

@@ -15,21 +15,21 @@ from scipy.stats import binomtest, kstest, norm
 
 import certigym as cg
 import problems
-from certigym.synthesis.cells.grid import Grid
-from certigym.synthesis.controllers.abstract_state import Memory, Tracker
-from certigym.synthesis.masses.part import AgentPart
-from certigym.synthesis.models.agent_models import ellipsoid_model
-from certigym.synthesis.models.ellipsoid_search import find_ellipsoid
-from certigym.synthesis.models.input_menu import InputMenu
-from certigym.synthesis.relations import ellipsoid as relation_ellipsoid
-from certigym.synthesis.relations.coupled import CoupledRelation, couple
-from certigym.synthesis.relations.description import check_description, describe_relation, relation_from
-from certigym.synthesis.relations.ellipsoid import Ellipsoid, ellipsoid_relation
-from certigym.synthesis.relations.ellipsoid_facts import ellipsoid_failure, ellipsoid_is_invariant
-from certigym.synthesis.relations.tube import disturbance_of
-from certigym.synthesis.step_checking.execution import execution_of
-from certigym.synthesis.step_checking.relation_check import verify_relation
-from certigym.validation.statistics.binomial import clopper_pearson
+from certigym.synthesis.abstraction.models.agent_models import ellipsoid_model
+from certigym.synthesis.abstraction.models.ellipsoid_search import find_ellipsoid
+from certigym.synthesis.abstraction.models.input_menu import InputMenu
+from certigym.synthesis.certificates.cell_probabilities.part import AgentPart
+from certigym.synthesis.certificates.controllers.abstract_state import Memory, Tracker
+from certigym.synthesis.extended_check.steps.execution import execution_of
+from certigym.synthesis.extended_check.steps.relation_check import verify_relation
+from certigym.synthesis.relations.grids.grid import Grid
+from certigym.synthesis.relations.kinds import ellipsoid as relation_ellipsoid
+from certigym.synthesis.relations.kinds.coupled import CoupledRelation, couple
+from certigym.synthesis.relations.kinds.description import check_description, describe_relation, relation_from
+from certigym.synthesis.relations.kinds.ellipsoid import Ellipsoid, ellipsoid_relation
+from certigym.synthesis.relations.kinds.ellipsoid_facts import ellipsoid_failure, ellipsoid_is_invariant
+from certigym.synthesis.relations.kinds.tube import disturbance_of
+from certigym.validation.statistical_tests.binomial import clopper_pearson
 from kinds import mostly_thorough
 from problems import scalar_agent
 

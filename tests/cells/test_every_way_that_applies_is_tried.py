@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.choosing import Effort, Results, Way, best_of, leading
-from certigym.synthesis.nominal_paths import CountedWork, path_certificate
+from certigym.synthesis.policy_search.portfolio import Effort, Results, Way, best_of, leading
+from certigym.synthesis.relations.grids import RelationRefused
+from certigym.synthesis.trajectories.planning import CountedWork, path_certificate
 from test_the_clock_decides_nothing import robots
 
 
@@ -27,7 +27,7 @@ class Table:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.run: list[str] = []
-        monkeypatch.setattr("certigym.synthesis.choosing.ways.with_settings", lambda found, more: found)
+        monkeypatch.setattr("certigym.synthesis.policy_search.portfolio.ways.with_settings", lambda found, more: found)
 
     def way(self, name: str, outcome: float | str, work: float = 0.0, **options: Any) -> Way:
         """Return a way that certifies a bound, or is refused with a text."""

@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 
 import certigym as cg
-from certigym.synthesis import task_ways
-from certigym.synthesis.choosing import Effort
-from certigym.synthesis.models import Settings
-from certigym.synthesis.on_cells import Plan
-from certigym.synthesis.search import Search
-from certigym.synthesis.synthesize import ways_ahead
-from certigym.synthesis.task_ways import _finer
+from certigym.synthesis.abstraction.models import Settings
+from certigym.synthesis.policy_search.ascent import Search
+from certigym.synthesis.policy_search.cell_certificates.on_cells import Plan
+from certigym.synthesis.policy_search.portfolio import Effort
+from certigym.synthesis.verbs import task_ways
+from certigym.synthesis.verbs.synthesize import ways_ahead
+from certigym.synthesis.verbs.task_ways import _finer
 
 
 def ferry() -> cg.Problem:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.agents import Agent
-from certigym.envs.expressions import Number, Operation
-from certigym.synthesis.relations import WrittenTargets, written_targets
-from certigym.synthesis.step_checking.carrying_out import wrong_actions
-from certigym.synthesis.step_checking.execution import execution_of
+from certigym.envs.systems.agents import Agent
+from certigym.envs.systems.expressions import Number, Operation
+from certigym.synthesis.extended_check.steps.carrying_out import wrong_actions
+from certigym.synthesis.extended_check.steps.execution import execution_of
+from certigym.synthesis.relations.kinds import WrittenTargets, written_targets
 from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis import task_ways
-from certigym.synthesis.choosing import Effort
-from certigym.synthesis.choosing.carrying import carried_over
-from certigym.synthesis.models import BoxChoices, Settings, abstraction_of
-from certigym.synthesis.on_cells import Plan
-from certigym.synthesis.relations import BoxRelation, CoupledRelation
-from certigym.synthesis.search import Search
+from certigym.synthesis.abstraction.models import BoxChoices, Settings, abstraction_of
+from certigym.synthesis.policy_search.ascent import Search
+from certigym.synthesis.policy_search.cell_certificates.on_cells import Plan
+from certigym.synthesis.policy_search.portfolio import Effort
+from certigym.synthesis.policy_search.portfolio.carrying import carried_over
+from certigym.synthesis.relations.kinds import BoxRelation, CoupledRelation
+from certigym.synthesis.verbs import task_ways
 
 
 def coordinate(name: str) -> cg.LinearAgent:

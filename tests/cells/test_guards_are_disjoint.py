@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.synthesis.models.guards import compile_guards
-from certigym.synthesis.values.terms import Guards
+from certigym.synthesis.abstraction.models.guards import compile_guards
+from certigym.synthesis.certificates.value_functions.terms import Guards
 from problems import scalar_agent, two_agents
 
 
@@ -98,7 +98,7 @@ def test_true_letters_lose_nothing(formula: str, semantics: str) -> None:
 
 
 def test_greedy_trees_are_disjoint_and_complete_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("certigym.synthesis.models.guards.OPTIMAL_LIMIT", 0)
+    monkeypatch.setattr("certigym.synthesis.abstraction.models.guards.OPTIMAL_LIMIT", 0)
     for formula, semantics in FORMULAS:
         problem = three_agents(formula, semantics)
         sets = [np.eye(len(classes), dtype=bool) for classes in problem.labeling.classes]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.expressions import Affine, Number, Operation, Tree, computed, read_expression, roundings
-from certigym.synthesis.relations import solved_means, written_means
-from certigym.synthesis.step_checking import aim_spans, mean_spans
-from certigym.synthesis.step_checking.own_intervals import Span, computed_off
+from certigym.envs.systems.expressions import Affine, Number, Operation, Tree, computed, read_expression, roundings
+from certigym.synthesis.extended_check.steps import aim_spans, mean_spans
+from certigym.synthesis.extended_check.steps.own_intervals import Span, computed_off
+from certigym.synthesis.relations.kinds import solved_means, written_means
 
 NAMES = ("x", "y")
 

@@ -15,14 +15,14 @@ from scipy.special import ndtr
 
 import certigym as cg
 from boiler_problems import boiler, boiler_problem, room
-from certigym.envs.dynamics import Dynamics, worlds
-from certigym.envs.problem.problem_file import problem_from_toml
-from certigym.synthesis.certificates import GridProof, OnGrid, changed
-from certigym.synthesis.models import JointModel, abstract, join, start_of
-from certigym.synthesis.relations import CommonInputs
-from certigym.synthesis.search import Search, find_policies
-from certigym.synthesis.search.relaxation import relax
-from certigym.synthesis.shielding import shield_of
+from certigym.envs.simulation import Dynamics, worlds
+from certigym.envs.tasks.problem.problem_file import problem_from_toml
+from certigym.synthesis.abstraction.models import JointModel, abstract, join, start_of
+from certigym.synthesis.certificates.proofs import GridProof, OnGrid, changed
+from certigym.synthesis.extended_check.shields import shield_of
+from certigym.synthesis.policy_search.ascent import Search, find_policies
+from certigym.synthesis.policy_search.ascent.relaxation import relax
+from certigym.synthesis.relations.kinds import CommonInputs
 from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
@@ -122,7 +122,7 @@ def test_the_search_finds_the_best_sequence_of_numbers(monkeypatch: pytest.Monke
 
     The ascent answers time by time, and may stay where no change at a single time helps.
     """
-    monkeypatch.setattr("certigym.synthesis.models.common_choices.INPUT_LEVELS", {1: 4})
+    monkeypatch.setattr("certigym.synthesis.abstraction.models.common_choices.INPUT_LEVELS", {1: 4})
     solved = 0
     for seed in range(4):
         rng = np.random.default_rng(seed)
@@ -455,8 +455,11 @@ def _not_agreed(groups: Any, offered: Any, policies: Any) -> Any:
 
 KNOWN = CommonInputs.known
 BROKEN: dict[str, tuple[str, Callable[..., Any]]] = {
-    "boxes of other numbers": ("certigym.synthesis.relations.common_means.CommonInputs.known", _other_number),
-    "numbers by cell": ("certigym.synthesis.search.ascent.Stage._choose_number", lambda stage, group: None),
+    "boxes of other numbers": ("certigym.synthesis.relations.kinds.common_means.CommonInputs.known", _other_number),
+    "numbers by cell": (
+        "certigym.synthesis.policy_search.ascent.coordinate_ascent.Stage._choose_number",
+        lambda stage, group: None,
+    ),
 }
 
 
@@ -466,8 +469,11 @@ def test_broken_searches_are_caught(name: str, monkeypatch: pytest.MonkeyPatch) 
     with monkeypatch.context() as patch:
         patch.setattr(*BROKEN[name])
         if name == "numbers by cell":
-            patch.setattr("certigym.synthesis.models.joint.agreed", _not_agreed)
-            patch.setattr("certigym.synthesis.search.ascent.Stage._with_number", lambda stage, *_: stage.offered)
+            patch.setattr("certigym.synthesis.abstraction.models.joint.agreed", _not_agreed)
+            patch.setattr(
+                "certigym.synthesis.policy_search.ascent.coordinate_ascent.Stage._with_number",
+                lambda stage, *_: stage.offered,
+            )
         certificate = certified(problem)
         # By the broken rule itself nothing is wrong with the bound: it is the check's own code that refuses it.
     assert not cg.check(certificate)

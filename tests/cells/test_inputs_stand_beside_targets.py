@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.models import corner_model
-from certigym.synthesis.readings import CornerReading
-from certigym.synthesis.relations import ExactRelation
-from certigym.synthesis.step_checking.written_linear import MatrixMaps
+from certigym.synthesis.abstraction.kernels import CornerReading
+from certigym.synthesis.abstraction.models import corner_model
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.extended_check.steps.written_linear import MatrixMaps
+from certigym.synthesis.relations.kinds import ExactRelation
 from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6

@@ -4,7 +4,13 @@ import mpmath
 import numpy as np
 import pytest
 
-from certigym.synthesis.readings.kernel import MANY_PRODUCTS, AxisTable, Kernel, gaussian_masses, gaussian_table
+from certigym.synthesis.abstraction.kernels.kernel import (
+    MANY_PRODUCTS,
+    AxisTable,
+    Kernel,
+    gaussian_masses,
+    gaussian_table,
+)
 
 mpmath.mp.dps = 50
 

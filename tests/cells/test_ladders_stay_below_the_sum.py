@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.synthesis.search.ladder import apply_rest, ladders
+from certigym.synthesis.policy_search.ascent.ladder import apply_rest, ladders
 
 
 def total(terms: list[NDArray], joint: tuple[int, ...]) -> Fraction:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.models.guards import compile_guards
-from certigym.synthesis.readings import kernel as kernel_module
-from certigym.synthesis.relations import exact as relation_exact
-from certigym.synthesis.values.terms import Guards
+from certigym.synthesis.abstraction.kernels import kernel as kernel_module
+from certigym.synthesis.abstraction.models.guards import compile_guards
+from certigym.synthesis.certificates.value_functions.terms import Guards
+from certigym.synthesis.relations.kinds import exact as relation_exact
 from problems import scalar_agent, two_agents
 
 LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}
@@ -112,7 +112,7 @@ def test_overlapping_guards_are_noticed(problem: cg.Problem, monkeypatch: pytest
         twice = (np.concatenate([own, own]) for own in (guards.source, guards.target, guards.mask))
         return Guards(guards.masks, *twice)
 
-    monkeypatch.setattr("certigym.synthesis.models.joint.compile_guards", doubled)
+    monkeypatch.setattr("certigym.synthesis.abstraction.models.joint.compile_guards", doubled)
     result = cg.synthesize(problem, 60)
     assert not cg.check(result.certificate)
     assert "overlap" in str(cg.check(result.certificate))

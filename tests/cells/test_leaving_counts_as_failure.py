@@ -13,15 +13,15 @@ from scipy.stats import binom, norm
 
 import certigym as cg
 from certigym.baselines import RandomController
-from certigym.envs.logic import Automaton
-from certigym.envs.problem import opposite_inside, opposite_of
-from certigym.synthesis.cells import CellLabels
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.certification import certificate_of
-from certigym.synthesis.checking import wrong_opposite
-from certigym.synthesis.models import JointModel, join, start_of, surrounded
-from certigym.synthesis.search import FINAL, sweep
-from certigym.synthesis.upper_ends import abstraction_again, bound_above, evaluated
+from certigym.envs.tasks.automata import Automaton
+from certigym.envs.tasks.problem import opposite_inside, opposite_of
+from certigym.synthesis.abstraction.models import JointModel, join, start_of, surrounded
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.extended_check.claims import wrong_opposite
+from certigym.synthesis.policy_search.ascent import FINAL, sweep
+from certigym.synthesis.policy_search.cell_certificates.certification import certificate_of
+from certigym.synthesis.relations.grids import CellLabels
+from certigym.synthesis.verbs.upper_ends import abstraction_again, bound_above, evaluated
 from kinds import mostly_thorough
 from problems import two_agents
 

@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.synthesis.cells import Grid
-from certigym.synthesis.readings import bends
-from certigym.synthesis.readings.kernel import Kernel
-from certigym.synthesis.readings.linear_kernel import hat_masses, hat_table
-from certigym.synthesis.step_checking import linear_tables
+from certigym.synthesis.abstraction.kernels import bends
+from certigym.synthesis.abstraction.kernels.kernel import Kernel
+from certigym.synthesis.abstraction.kernels.linear_kernel import hat_masses, hat_table
+from certigym.synthesis.extended_check.steps import linear_tables
+from certigym.synthesis.relations.grids import Grid
 from kinds import mostly_thorough
 from problems import linear
 

@@ -11,15 +11,13 @@ import pytest
 import scipy.stats
 
 import certigym as cg
-from certigym.envs.agents.composed_laws import Mixture, ScipyLaw
-from certigym.envs.agents.laws import Gaussian, Law, Logistic
-from certigym.envs.agents.noise import KINDS, laws_of
-from certigym.synthesis.cells import grid_laws
-from certigym.synthesis.certificates.canonical import checker_text
-from certigym.synthesis.checker.distributions import read_distribution
-from certigym.synthesis.checker.fields import Entry
-from certigym.synthesis.masses import lost_to_rounding
-from certigym.synthesis.masses.checked_laws import (
+from certigym.envs.systems.distributions.composed_laws import Mixture, ScipyLaw
+from certigym.envs.systems.distributions.laws import Gaussian, Law, Logistic
+from certigym.envs.systems.distributions.noise import KINDS, laws_of
+from certigym.synthesis.abstraction.kernels.box_kernel import BoxKernel
+from certigym.synthesis.abstraction.kernels.kernel import Kernel, law_table
+from certigym.synthesis.certificates.cell_probabilities import lost_to_rounding
+from certigym.synthesis.certificates.cell_probabilities.checked_laws import (
     law_charge,
     law_error,
     law_height,
@@ -27,8 +25,10 @@ from certigym.synthesis.masses.checked_laws import (
     probability_below,
     scale_charge,
 )
-from certigym.synthesis.readings.box_kernel import BoxKernel
-from certigym.synthesis.readings.kernel import Kernel, law_table
+from certigym.synthesis.certificates.proofs.canonical import checker_text
+from certigym.synthesis.checker.distributions import read_distribution
+from certigym.synthesis.checker.fields import Entry
+from certigym.synthesis.relations.grids import grid_laws
 from kinds import mostly_thorough
 
 DECLARED: list[dict[str, Any]] = [
@@ -270,7 +270,7 @@ def test_exact_values_are_those_of_dense_programming() -> None:
 
 def test_a_sharper_law_than_the_real_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search believes in noise that is smaller by one per cent."""
-    from certigym.synthesis.models import agent_models
+    from certigym.synthesis.abstraction.models import agent_models
 
     problem, truth = reach([DECLARED[1]]), agent_models.law_table
     with monkeypatch.context() as patch:

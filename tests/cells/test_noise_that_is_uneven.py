@@ -13,20 +13,20 @@ import scipy.stats
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.envs.agents import Law
-from certigym.envs.agents.noise import laws_of
-from certigym.envs.dynamics import Dynamics, OneWorld
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.problem import problem_from_dict
-from certigym.synthesis.cells import CellAxis, MeanAxis, RelationRefused, ScaleAxis, lattice_axes
-from certigym.synthesis.certificates import changed, value_of
-from certigym.synthesis.checking.regrown_tree import regrow
-from certigym.synthesis.masses import scale_charge
-from certigym.synthesis.models import box_choices
-from certigym.synthesis.readings import box_kernel
-from certigym.synthesis.relations import BoxRelation, MeanBoxes
-from certigym.synthesis.step_checking import boxes_check
-from certigym.synthesis.values import Terms
+from certigym.envs.simulation import Dynamics, OneWorld
+from certigym.envs.simulation import worlds as core
+from certigym.envs.systems.distributions import Law
+from certigym.envs.systems.distributions.noise import laws_of
+from certigym.envs.tasks.problem import problem_from_dict
+from certigym.synthesis.abstraction.kernels import box_kernel
+from certigym.synthesis.abstraction.models import box_choices
+from certigym.synthesis.certificates.cell_probabilities import scale_charge
+from certigym.synthesis.certificates.proofs import changed, value_of
+from certigym.synthesis.certificates.value_functions import Terms
+from certigym.synthesis.extended_check.claims.regrown_tree import regrow
+from certigym.synthesis.extended_check.steps import boxes_check
+from certigym.synthesis.relations.grids import CellAxis, MeanAxis, RelationRefused, ScaleAxis, lattice_axes
+from certigym.synthesis.relations.kinds import BoxRelation, MeanBoxes
 from kinds import mostly_thorough
 
 GAUSSIAN = {"law": "gaussian", "std": 1.0}

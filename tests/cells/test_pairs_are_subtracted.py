@@ -12,14 +12,14 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.certificates import Certificate, SubtractionProof, changed
-from certigym.synthesis.checking.pairs_check import wrong_pairs
-from certigym.synthesis.models import Settings, abstraction_of, join
-from certigym.synthesis.pairs import NearMass, relevant_pairs, usual_values, without_pairs
-from certigym.synthesis.pairs import near_mass as near_module
-from certigym.synthesis.upper_ends import bound_above
-from certigym.validation.statistics.binomial import clopper_pearson
+from certigym.synthesis.abstraction.models import Settings, abstraction_of, join
+from certigym.synthesis.certificates.proofs import Certificate, SubtractionProof, changed
+from certigym.synthesis.composition import NearMass, relevant_pairs, usual_values, without_pairs
+from certigym.synthesis.composition import near_mass as near_module
+from certigym.synthesis.extended_check.claims.pairs_check import wrong_pairs
+from certigym.synthesis.relations.grids import RelationRefused
+from certigym.synthesis.verbs.upper_ends import bound_above
+from certigym.validation.statistical_tests.binomial import clopper_pearson
 from kinds import mostly_thorough
 from pair_problems import followers, mover, random_pairs, simulated
 

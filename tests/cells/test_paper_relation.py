@@ -11,21 +11,21 @@ import pytest
 from scipy.stats import binomtest, kstest, norm
 
 import certigym as cg
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.dynamics.worlds import Dynamics
-from certigym.synthesis.bounds.certified import plain_loss, robust_loss, undecided_steps
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.controllers.abstract_state import Memory, Tracker
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.input_menu import InputMenu
-from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.relations.coupled import CoupledRelation, couple, coupling_failure, joint_delta
-from certigym.synthesis.relations.scalar import paper_relation
-from certigym.synthesis.search.ascent import resting_policies, start_value, sweep
-from certigym.synthesis.search.limits import Limits
-from certigym.synthesis.search.occupancy import forward
-from certigym.validation.paper.heuristics import paper_policies, paper_steps
-from certigym.validation.statistics.binomial import CONFIRMED, REFUTED, clopper_pearson
+from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation.worlds import Dynamics
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.abstraction.models.input_menu import InputMenu
+from certigym.synthesis.abstraction.models.joint import join, start_of
+from certigym.synthesis.certificates.controllers.abstract_state import Memory, Tracker
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.policy_search.ascent.coordinate_ascent import resting_policies, start_value, sweep
+from certigym.synthesis.policy_search.ascent.limits import Limits
+from certigym.synthesis.policy_search.ascent.occupancy import forward
+from certigym.synthesis.policy_search.bounds.certified import plain_loss, robust_loss, undecided_steps
+from certigym.synthesis.relations.kinds.coupled import CoupledRelation, couple, coupling_failure, joint_delta
+from certigym.synthesis.relations.kinds.scalar import paper_relation
+from certigym.validation.presentation.paper.heuristics import paper_policies, paper_steps
+from certigym.validation.statistical_tests.binomial import CONFIRMED, REFUTED, clopper_pearson
 from problems import scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.envs.agents import Agent
-from certigym.synthesis.relations import Turn, WrittenTargets, sectors, solved_means, written_targets
-from certigym.synthesis.step_checking.aim_spans import turned_there
+from certigym.envs.systems.agents import Agent
+from certigym.synthesis.extended_check.steps.aim_spans import turned_there
+from certigym.synthesis.relations.kinds import Turn, WrittenTargets, sectors, solved_means, written_targets
 from kinds import mostly_thorough
 from test_expressions_have_exact_targets import avoiding, robot
 

@@ -11,15 +11,15 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.envs.problem import groups as independent
-from certigym.synthesis import task_ways
-from certigym.synthesis.cells.agent_grids import DEFAULT_CELLS
-from certigym.synthesis.choosing import relation_choice
-from certigym.synthesis.models import ellipsoid_search
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.search.relaxation import relax, upper_bound
-from certigym.validation.statistics.binomial import REFUTED
+from certigym.envs.tasks.problem import groups as independent
+from certigym.synthesis.abstraction.models import ellipsoid_search
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.abstraction.models.joint import join, start_of
+from certigym.synthesis.policy_search.ascent.relaxation import relax, upper_bound
+from certigym.synthesis.policy_search.portfolio import relation_choice
+from certigym.synthesis.relations.grids.agent_grids import DEFAULT_CELLS
+from certigym.synthesis.verbs import task_ways
+from certigym.validation.statistical_tests.binomial import REFUTED
 from problems import cart, cart_reach, scalar_agent
 
 NEEDS_SOLVER = "cvxpy"

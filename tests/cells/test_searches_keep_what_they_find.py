@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis import horizons
-from certigym.synthesis.bounds.dense import dense_optimum, dense_value
-from certigym.synthesis.cells import start_share
-from certigym.synthesis.certificates import lasting_bound
-from certigym.synthesis.choosing.given_start import policies_from
-from certigym.synthesis.models import TIE
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.choices import Policies
-from certigym.synthesis.models.joint import JointModel, join, start_of
-from certigym.synthesis.search.ascent import sweep
-from certigym.synthesis.search.paths import perturbed
-from certigym.synthesis.search.policy_search import FINAL, find_policies
-from certigym.synthesis.search.relaxation import relax
-from certigym.synthesis.search.search_settings import Search
-from certigym.synthesis.values.devices import UNIT
-from certigym.validation.statistics.binomial import REFUTED
+from certigym.synthesis.abstraction.models import TIE
+from certigym.synthesis.abstraction.models.choices import Policies
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.abstraction.models.joint import JointModel, join, start_of
+from certigym.synthesis.certificates.proofs import lasting_bound
+from certigym.synthesis.certificates.value_functions.devices import UNIT
+from certigym.synthesis.composition import horizons
+from certigym.synthesis.policy_search.ascent.coordinate_ascent import sweep
+from certigym.synthesis.policy_search.ascent.multistart import FINAL, find_policies
+from certigym.synthesis.policy_search.ascent.paths import perturbed
+from certigym.synthesis.policy_search.ascent.relaxation import relax
+from certigym.synthesis.policy_search.ascent.search_settings import Search
+from certigym.synthesis.policy_search.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.policy_search.portfolio.given_start import policies_from
+from certigym.synthesis.relations.grids import start_share
+from certigym.validation.statistical_tests.binomial import REFUTED
 from kinds import mostly_thorough
 from problems import cart, cart_reach, two_agents
 
@@ -212,7 +212,9 @@ def test_bounds_for_continuous_policies_say_nothing_where_relations_can_be_lost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Abstract policies may then attain more than any policy of the continuous system."""
-    monkeypatch.setattr("certigym.synthesis.certification.continuous_upper_bound", lambda *_: 1e-3)
+    monkeypatch.setattr(
+        "certigym.synthesis.policy_search.cell_certificates.certification.continuous_upper_bound", lambda *_: 1e-3
+    )
     problem = two_agents(horizon=3)
     exact, paper = (cg.synthesize(problem, 40, relation=relation).stats for relation in ("exact", "paper"))
     assert exact["abstract_upper_bound"] == exact["continuous_upper_bound"] == 1e-3

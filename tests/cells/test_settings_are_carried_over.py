@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.upper_ends import bound_above
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.verbs.upper_ends import bound_above
 from kinds import mostly_thorough
 from problems import scalar_agent
 

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 import certigym as cg
-from certigym.envs.logic import may_accept, parse_formula, translate
-from certigym.envs.logic.windows import ahead, fitting
-from certigym.envs.problem import cut_by_the_end, why_never
+from certigym.envs.tasks.automata import may_accept, parse_formula, translate
+from certigym.envs.tasks.automata.windows import ahead, fitting
+from certigym.envs.tasks.problem import cut_by_the_end, why_never
 
 
 def walker(formula: str, horizon: int = 12, **changes: Any) -> cg.Problem:

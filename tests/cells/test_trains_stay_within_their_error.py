@@ -9,19 +9,19 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.bounds.dense import dense_optimum, dense_value
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.choices import Policies
-from certigym.synthesis.models.joint import JointModel, join, start_of
-from certigym.synthesis.search import policy_search
-from certigym.synthesis.search.ascent import resting_policies, sweep
-from certigym.synthesis.search.policy_search import FINAL
-from certigym.synthesis.search.relaxation import relax, relaxed_policies, upper_bound
-from certigym.synthesis.search.train_ascent import TrainLimits, sweep_trains
-from certigym.synthesis.search.train_backward import evaluate
-from certigym.synthesis.values.tensor_train import Diagram, Train, added, diagram, rounded
-from certigym.synthesis.values.train_values import Rounding
+from certigym.synthesis.abstraction.models.choices import Policies
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.abstraction.models.joint import JointModel, join, start_of
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.certificates.value_functions.tensor_train import Diagram, Train, added, diagram, rounded
+from certigym.synthesis.certificates.value_functions.train_values import Rounding
+from certigym.synthesis.policy_search.ascent import multistart as policy_search
+from certigym.synthesis.policy_search.ascent.coordinate_ascent import resting_policies, sweep
+from certigym.synthesis.policy_search.ascent.multistart import FINAL
+from certigym.synthesis.policy_search.ascent.relaxation import relax, relaxed_policies, upper_bound
+from certigym.synthesis.policy_search.ascent.train_ascent import TrainLimits, sweep_trains
+from certigym.synthesis.policy_search.ascent.train_backward import evaluate
+from certigym.synthesis.policy_search.bounds.dense import dense_optimum, dense_value
 from kinds import mostly_thorough
 from test_tree_equals_dense_programming import FORMULAS, problem_of
 

@@ -11,19 +11,19 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from certigym import LinearAgent, Problem, Proposition, Specification
-from certigym.synthesis.bounds.dense import dense_optimum, dense_value
-from certigym.synthesis.models import gather
-from certigym.synthesis.models.abstraction import AgentModel, abstract
-from certigym.synthesis.models.guards import compile_guards
-from certigym.synthesis.models.joint import cell_masks, join, start_of
-from certigym.synthesis.models.target_windows import TargetWindows
-from certigym.synthesis.readings import kernel
-from certigym.synthesis.readings.kernel import AxisTable, Kernel
-from certigym.synthesis.search.ascent import resting_policies, sweep
-from certigym.synthesis.search.limits import Limits
-from certigym.synthesis.search.occupancy import forward
-from certigym.synthesis.search.tree import assemble, candidates, terminal_terms
-from certigym.synthesis.values.terms import Terms
+from certigym.synthesis.abstraction.kernels import kernel
+from certigym.synthesis.abstraction.kernels.kernel import AxisTable, Kernel
+from certigym.synthesis.abstraction.models import gather
+from certigym.synthesis.abstraction.models.finite_models import AgentModel, abstract
+from certigym.synthesis.abstraction.models.guards import compile_guards
+from certigym.synthesis.abstraction.models.joint import cell_masks, join, start_of
+from certigym.synthesis.abstraction.models.target_windows import TargetWindows
+from certigym.synthesis.certificates.value_functions.terms import Terms
+from certigym.synthesis.policy_search.ascent.coordinate_ascent import resting_policies, sweep
+from certigym.synthesis.policy_search.ascent.limits import Limits
+from certigym.synthesis.policy_search.ascent.occupancy import forward
+from certigym.synthesis.policy_search.ascent.tree import assemble, candidates, terminal_terms
+from certigym.synthesis.policy_search.bounds.dense import dense_optimum, dense_value
 from problems import exact_model, fractions, scalar_agent
 
 FORMULAS = [

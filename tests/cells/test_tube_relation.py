@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.dynamics.worlds import Dynamics
-from certigym.synthesis.certificates import changed, is_exact
-from certigym.synthesis.controllers.controller import BatchMemory
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.relations.coupled import CoupledRelation
-from certigym.synthesis.relations.tube import tube_generators, tube_relation
-from certigym.validation.statistics.binomial import REFUTED
+from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation.worlds import Dynamics
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.certificates.controllers.controller import BatchMemory
+from certigym.synthesis.certificates.proofs import changed, is_exact
+from certigym.synthesis.relations.kinds.coupled import CoupledRelation
+from certigym.synthesis.relations.kinds.tube import tube_generators, tube_relation
+from certigym.validation.statistical_tests.binomial import REFUTED
 from kinds import mostly_thorough
 from problems import cart, cart_reach
 
@@ -132,8 +132,8 @@ def test_the_relation_of_every_agent_is_verified_even_if_agents_are_alike() -> N
 
 
 def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    from certigym.synthesis.cells.labels import cell_labels
-    from certigym.synthesis.models import abstraction
+    from certigym.synthesis.abstraction.models import finite_models as abstraction
+    from certigym.synthesis.relations.grids.labels import cell_labels
 
     monkeypatch.setattr(abstraction, "error_labels", lambda p, i, g, c, reach: cell_labels(p, i, g, c))
     certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate

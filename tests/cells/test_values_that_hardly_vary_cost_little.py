@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.agents.composed_laws import Mixture
-from certigym.envs.agents.laws import Gaussian, Laplace, Law, Uniform
-from certigym.synthesis.cells import Grid, MeanAxis, ScaleAxis
-from certigym.synthesis.readings import near_charge
-from certigym.synthesis.readings.box_kernel import box_kernel_of
-from certigym.synthesis.readings.near_charge import over_windows
-from certigym.synthesis.step_checking import near_slack
+from certigym.envs.systems.distributions.composed_laws import Mixture
+from certigym.envs.systems.distributions.laws import Gaussian, Laplace, Law, Uniform
+from certigym.synthesis.abstraction.kernels import near_charge
+from certigym.synthesis.abstraction.kernels.box_kernel import box_kernel_of
+from certigym.synthesis.abstraction.kernels.near_charge import over_windows
+from certigym.synthesis.extended_check.steps import near_slack
+from certigym.synthesis.relations.grids import Grid, MeanAxis, ScaleAxis
 
 LAWS: list[Law] = [
     Gaussian(0.3),

@@ -13,13 +13,13 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym import Agent, Problem, Proposition, Specification
-from certigym.synthesis.cells import Grid, hats
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.models.corner_model import corner_model
-from certigym.synthesis.readings import CornerReading
-from certigym.synthesis.readings.lattice_kernel import bend_of
-from certigym.synthesis.relations import AffineBoxes, AffineMeans
-from certigym.synthesis.step_checking.map_spans import map_spans
+from certigym.synthesis.abstraction.kernels import CornerReading
+from certigym.synthesis.abstraction.kernels.lattice_kernel import bend_of
+from certigym.synthesis.abstraction.models.corner_model import corner_model
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.extended_check.steps.map_spans import map_spans
+from certigym.synthesis.relations.grids import Grid, hats
+from certigym.synthesis.relations.kinds import AffineBoxes, AffineMeans
 from kinds import mostly_thorough
 from written_problems import oscillator, oscillator_reach
 

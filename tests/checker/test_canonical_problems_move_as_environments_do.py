@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from canonical_simulator import Simulator
-from certigym.envs.agents import Agent
-from certigym.envs.problem import Problem, load_problem
 from certigym.envs.suite import make_problem, problem_ids
-from certigym.synthesis.certificates.canonical import NotCanonicalError, canonical_problem
+from certigym.envs.systems.agents import Agent
+from certigym.envs.tasks.problem import Problem, load_problem
+from certigym.synthesis.certificates.proofs.canonical import NotCanonicalError, canonical_problem
 from certigym.synthesis.checker import read_problem
 from kinds import mostly_thorough
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.certificates.canonical import canonical_bytes
+from certigym.synthesis.certificates.proofs.canonical import canonical_bytes
 from certigym.synthesis.checker import cell_proofs, parse_file, read_problem, trajectories
 from certigym.synthesis.checker.controller import along_trajectory, on_cells, rounding
 from kinds import mostly_thorough

@@ -10,15 +10,15 @@ import pytest
 from scipy.stats import chi2
 
 import certigym as cg
-from certigym.synthesis.certificates import canonical, canonical_problem, contents_of
+from certigym.synthesis.certificates.proofs import canonical, canonical_problem, contents_of
 from certigym.synthesis.checker import Joint, networks, read_problem, read_trajectories, steps, walk
 from certigym.synthesis.checker.error_system import ErrorSystem
 from certigym.synthesis.checker.feedbacks import enclosed_feedback, read_feedback
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.networks import Ellipsoid, Network, automaton_states, chi_tail, enclosed
-from certigym.synthesis.nominal_paths import networks_along
-from certigym.synthesis.relations import Network as Layers
-from certigym.synthesis.relations import NetworkPolicy, OwnView, WrittenPolicy
+from certigym.synthesis.relations.kinds import Network as Layers
+from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, WrittenPolicy
+from certigym.synthesis.trajectories.planning import networks_along
 
 KINDS = [
     (act, output, sees) for act in ("tanh", "relu") for output in ("clip", "tanh", "box") for sees in ("scaled", "raw")

@@ -105,12 +105,12 @@ def test_the_command_loads_no_simulation_for_a_file_of_its_form(tmp_path: Path) 
 import sys
 from certigym.cli.main import main
 main(["check", {str(path)!r}])
-rest = "certigym.validation", "certigym.synthesis.certificates", "scipy"
+rest = "certigym.validation", "certigym.synthesis.certificates.proofs", "scipy"
 wrong = [name for name in sys.modules if name.startswith(rest)]
 assert not wrong, wrong
 """
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     from certigym.cli.terminal import LABEL_WIDTH
-    from certigym.validation import simulation
+    from certigym.validation import statistical_tests as simulation
 
     assert LABEL_WIDTH == simulation.LABEL_WIDTH

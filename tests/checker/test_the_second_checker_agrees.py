@@ -23,9 +23,9 @@ import pytest
 
 import certigym as cg
 from certificate_files import archive, changed, file_of, members_of, npy, two_carts, two_tanks
-from certigym.envs.problem import load_problem
 from certigym.envs.suite import make_problem
-from certigym.synthesis.certificates.canonical import canonical_bytes
+from certigym.envs.tasks.problem import load_problem
+from certigym.synthesis.certificates.proofs.canonical import canonical_bytes
 from certigym.synthesis.checker import Unreadable, check_contents, parse_file
 from kinds import mostly_thorough
 from test_forged_files_are_refused import array_changes, header_changes

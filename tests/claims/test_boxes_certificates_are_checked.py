@@ -13,12 +13,12 @@ import pytest
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.models import box_choices
-from certigym.synthesis.readings.box_kernel import BoxKernel
-from certigym.synthesis.readings.kernel import Kernel
-from certigym.synthesis.relations import BoxRelation, MeanBoxes, box_relation
-from certigym.synthesis.values import Terms
+from certigym.synthesis.abstraction.kernels.box_kernel import BoxKernel
+from certigym.synthesis.abstraction.kernels.kernel import Kernel
+from certigym.synthesis.abstraction.models import box_choices
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.certificates.value_functions import Terms
+from certigym.synthesis.relations.kinds import BoxRelation, MeanBoxes, box_relation
 from kinds import mostly_thorough
 from problems import cart, cart_reach, scalar_agent, two_agents
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.cells import Grid
-from certigym.synthesis.certificates import OnGrid, changed, delta_of
-from certigym.synthesis.checking.grid_check import _is_inverted
-from certigym.synthesis.values.terms import Terms
+from certigym.synthesis.certificates.proofs import OnGrid, changed, delta_of
+from certigym.synthesis.certificates.value_functions.terms import Terms
+from certigym.synthesis.extended_check.claims.grid_check import _is_inverted
+from certigym.synthesis.relations.grids import Grid
 from kinds import mostly_thorough
 from problems import scalar_agent, two_agents
 
@@ -59,8 +59,8 @@ def test_certificates_check_and_survive_the_disk(problem: cg.Problem, tmp_path: 
 
 
 def test_the_bound_elsewhere_is_that_of_the_dense_value(certificate: OnGrid) -> None:
-    from certigym.synthesis.bounds.dense import dense_value
-    from certigym.synthesis.models.abstraction import abstract
+    from certigym.synthesis.abstraction.models.finite_models import abstract
+    from certigym.synthesis.policy_search.bounds.dense import dense_value
 
     problem = certificate.problem
     models = abstract(problem, 64).models

@@ -11,10 +11,10 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.envs.problem import opposite_of
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.choosing import effort
-from certigym.synthesis.upper_ends import bound_above
+from certigym.envs.tasks.problem import opposite_of
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.policy_search.portfolio import effort
+from certigym.synthesis.verbs.upper_ends import bound_above
 from problems import two_agents
 from written_problems import oscillator_reach
 

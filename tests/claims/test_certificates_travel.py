@@ -20,10 +20,10 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.synthesis.cells import Grid
-from certigym.synthesis.certificates import OnGrid
-from certigym.synthesis.certificates.archive import _digest
-from certigym.synthesis.checking.regrown_tree import regrow
+from certigym.synthesis.certificates.proofs import OnGrid
+from certigym.synthesis.certificates.proofs.archive import _digest
+from certigym.synthesis.extended_check.claims.regrown_tree import regrow
+from certigym.synthesis.relations.grids import Grid
 from problems import two_agents
 from test_rollouts_agree_with_certificates import changed, correlated
 

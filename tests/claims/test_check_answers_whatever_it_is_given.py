@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import OnGrid
+from certigym.synthesis.certificates.proofs import OnGrid
 from kinds import mostly_thorough
 
 Path = tuple[Any, ...]

@@ -19,8 +19,8 @@ import pytest
 
 import certigym as cg
 from adversary import problem_of
-from certigym.synthesis.certificates import changed, delta_of
-from certigym.synthesis.checking import regrow
+from certigym.synthesis.certificates.proofs import changed, delta_of
+from certigym.synthesis.extended_check.claims import regrow
 from independent import FALSE, GoodPrefixes, membership
 from kinds import mostly_thorough
 

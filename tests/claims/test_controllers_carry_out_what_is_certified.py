@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.step_checking.carrying_out import wrong_actions
-from certigym.synthesis.step_checking.execution import execution_of
-from certigym.synthesis.values import Skeleton
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.certificates.value_functions import Skeleton
+from certigym.synthesis.extended_check.steps.carrying_out import wrong_actions
+from certigym.synthesis.extended_check.steps.execution import execution_of
 from problems import linear
 
 EPISODES = 40_000

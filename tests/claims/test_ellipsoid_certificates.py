@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.dynamics.worlds import Dynamics
-from certigym.synthesis.cells.labels import cell_labels
-from certigym.synthesis.certificates import changed, delta_of, is_exact
-from certigym.synthesis.controllers.controller import BatchMemory
-from certigym.synthesis.models import abstraction
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.relations.coupled import CoupledRelation
-from certigym.validation.statistics.binomial import REFUTED
+from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation.worlds import Dynamics
+from certigym.synthesis.abstraction.models import finite_models as abstraction
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.certificates.controllers.controller import BatchMemory
+from certigym.synthesis.certificates.proofs import changed, delta_of, is_exact
+from certigym.synthesis.relations.grids.labels import cell_labels
+from certigym.synthesis.relations.kinds.coupled import CoupledRelation
+from certigym.validation.statistical_tests.binomial import REFUTED
 from kinds import mostly_thorough
 from problems import cart, cart_reach
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.cells import Grid
-from certigym.synthesis.cells.grid import aligned_edges
-from certigym.synthesis.certificates import is_exact
-from certigym.synthesis.certify import wrap
-from certigym.synthesis.controllers import InputTable, vectorized
-from certigym.synthesis.controllers.given_policies import decentralised
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.target_windows import TargetWindows
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.abstraction.models.target_windows import TargetWindows
+from certigym.synthesis.certificates.controllers import InputTable, vectorized
+from certigym.synthesis.certificates.controllers.given_policies import decentralised
+from certigym.synthesis.certificates.proofs import is_exact
+from certigym.synthesis.relations.grids import Grid
+from certigym.synthesis.relations.grids.grid import aligned_edges
+from certigym.synthesis.verbs.certify import wrap
 from problems import scalar_agent, two_agents
 
 LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.checking import lasting_safety, standing
-from certigym.synthesis.shielding import shield_of
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.extended_check.claims import lasting_safety, standing
+from certigym.synthesis.extended_check.shields import shield_of
 from problems import scalar_agent
 
 

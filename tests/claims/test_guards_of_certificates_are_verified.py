@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
+from certigym.synthesis.certificates.proofs import changed
 from test_controllers_carry_out_what_is_certified import ordinary
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import changed, value_of
-from certigym.synthesis.masses import AgentPart
-from certigym.synthesis.values import Terms
+from certigym.synthesis.certificates.cell_probabilities import AgentPart
+from certigym.synthesis.certificates.proofs import changed, value_of
+from certigym.synthesis.certificates.value_functions import Terms
 from kinds import mostly_thorough
 from problems import cart, cart_reach, scalar_agent, two_agents
 

@@ -13,13 +13,13 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.models import network_abstraction
-from certigym.synthesis.models.network_model import NetworkChoices
-from certigym.synthesis.raw_networks import certify_network, differences, repair_network
-from certigym.synthesis.relations import Network, boxes
-from certigym.synthesis.relations.network_bounds import line_around, mean_bounds
-from certigym.synthesis.step_checking.network_enclosures import network_spans
+from certigym.synthesis.abstraction.models import network_abstraction
+from certigym.synthesis.abstraction.models.network_model import NetworkChoices
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.extended_check.steps.network_enclosures import network_spans
+from certigym.synthesis.relations.kinds import Network, boxes
+from certigym.synthesis.relations.kinds.network_bounds import line_around, mean_bounds
+from certigym.synthesis.verbs.raw_networks import certify_network, differences, repair_network
 from certigym.validation.policies.actors import CentralActor, SharedActor, load_actor, save_actor
 from certigym.validation.policies.views import CentralView, SharedView
 from kinds import mostly_thorough

@@ -10,8 +10,8 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.raw_networks import certify_network, differences
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.verbs.raw_networks import certify_network, differences
 from network_problems import RNG, proportional, reach, with_network
 from problems import scalar_agent
 

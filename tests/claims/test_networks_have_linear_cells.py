@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.agents import LinearAgent
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.models.network_model import network_abstraction
-from certigym.synthesis.raw_networks import certify_network
-from certigym.synthesis.relations import AffineBoxes, MapRelation, NetworkMaps, NetworkPolicy, check_description
-from certigym.synthesis.relations.boxes import linear_means
-from certigym.synthesis.step_checking.network_enclosures import network_maps
+from certigym.envs.systems.agents import LinearAgent
+from certigym.synthesis.abstraction.models.network_model import network_abstraction
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.extended_check.steps.network_enclosures import network_maps
+from certigym.synthesis.relations.kinds import AffineBoxes, MapRelation, NetworkMaps, NetworkPolicy, check_description
+from certigym.synthesis.relations.kinds.boxes import linear_means
+from certigym.synthesis.verbs.raw_networks import certify_network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from kinds import mostly_thorough

@@ -12,12 +12,12 @@ import pytest
 from scipy.stats import binom, norm
 
 import certigym as cg
-from certigym.envs.agents import LinearAgent
-from certigym.synthesis.certificates import SubtractionProof, certificate_from
-from certigym.synthesis.checking.pairs_check import wrong_pairs
-from certigym.synthesis.pairs.lattice_moves import NearPoints
-from certigym.synthesis.raw_networks import _less_nearness, _policies, differences, repair_network
-from certigym.synthesis.relations import Network
+from certigym.envs.systems.agents import LinearAgent
+from certigym.synthesis.certificates.proofs import SubtractionProof, certificate_from
+from certigym.synthesis.composition.lattice_moves import NearPoints
+from certigym.synthesis.extended_check.claims.pairs_check import wrong_pairs
+from certigym.synthesis.relations.kinds import Network
+from certigym.synthesis.verbs.raw_networks import _less_nearness, _policies, differences, repair_network
 from certigym.validation.policies.actors import TeamActor
 from certigym.validation.policies.views import SharedView
 from composing import expressions, matrices

@@ -11,11 +11,11 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.models import network_model
-from certigym.synthesis.relations import Network, network_maps
-from certigym.synthesis.step_checking.map_spans import networked_maps
-from certigym.synthesis.step_checking.network_enclosures import _inputs_between, driven_spans
+from certigym.synthesis.abstraction.models import network_model
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.extended_check.steps.map_spans import networked_maps
+from certigym.synthesis.extended_check.steps.network_enclosures import _inputs_between, driven_spans
+from certigym.synthesis.relations.kinds import Network, network_maps
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from kinds import mostly_thorough
@@ -205,7 +205,7 @@ def test_other_networks_and_larger_claims_are_refused() -> None:
 
 def test_a_check_that_forgets_what_inputs_may_be_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sabotage of the search: inputs at the middle of what the network may answer. The check refuses the claim."""
-    from certigym.synthesis.relations import driven_means
+    from certigym.synthesis.relations.kinds import driven_means
 
     honest = driven_means.mean_bounds
 

@@ -11,10 +11,10 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.certificates import Certificate, TimedProof, changed
-from certigym.synthesis.raw_networks import _policies, _written, certify_network, differences, repair_network
-from certigym.synthesis.relations import Network
-from certigym.synthesis.relations.driven_means import DrivenMeans
+from certigym.synthesis.certificates.proofs import Certificate, TimedProof, changed
+from certigym.synthesis.relations.kinds import Network
+from certigym.synthesis.relations.kinds.driven_means import DrivenMeans
+from certigym.synthesis.verbs.raw_networks import _policies, _written, certify_network, differences, repair_network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from composing import expressions, matrices, timed

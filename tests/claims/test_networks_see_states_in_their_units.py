@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.models import network_abstraction
-from certigym.synthesis.raw_networks import certify_network, differences
-from certigym.synthesis.relations import Network
-from certigym.synthesis.step_checking.network_enclosures import network_maps, network_spans
+from certigym.synthesis.abstraction.models import network_abstraction
+from certigym.synthesis.extended_check.steps.network_enclosures import network_maps, network_spans
+from certigym.synthesis.relations.kinds import Network
+from certigym.synthesis.verbs.raw_networks import certify_network, differences
 from kinds import mostly_thorough
 from network_problems import RNG, means_at, reach, with_network
 from problems import cart, scalar_agent

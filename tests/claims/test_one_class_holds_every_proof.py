@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import certificate_from, changed, on_cells
-from certigym.synthesis.certificates.archive import _digest
+from certigym.synthesis.certificates.proofs import certificate_from, changed, on_cells
+from certigym.synthesis.certificates.proofs.archive import _digest
 
 FOLDER = Path(__file__).parents[1] / "data" / "kinds"
 """One small certificate of each kind."""

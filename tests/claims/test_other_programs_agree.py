@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.bounds.dense import dense_optimum, dense_value
-from certigym.synthesis.models.abstraction import AgentModel, abstract
-from certigym.synthesis.models.choices import Policies
-from certigym.synthesis.models.joint import join
-from certigym.synthesis.search.ascent import resting_policies, sweep
-from certigym.synthesis.search.limits import Limits
+from certigym.synthesis.abstraction.models.choices import Policies
+from certigym.synthesis.abstraction.models.finite_models import AgentModel, abstract
+from certigym.synthesis.abstraction.models.joint import join
+from certigym.synthesis.policy_search.ascent.coordinate_ascent import resting_policies, sweep
+from certigym.synthesis.policy_search.ascent.limits import Limits
+from certigym.synthesis.policy_search.bounds.dense import dense_optimum, dense_value
 from explicit_product import chain_under, decision_process
 
 TOLERANCE = 1e-9

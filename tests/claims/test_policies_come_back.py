@@ -15,9 +15,9 @@ import pytest
 import certigym as cg
 from certigym.baselines import central_vec_env, load_actor, shared_vec_env
 from certigym.cli.main import main
-from certigym.envs.dynamics import Dynamics, Worlds
-from certigym.synthesis.raw_networks import repair_network
-from certigym.synthesis.relations import Network
+from certigym.envs.simulation import Dynamics, Worlds
+from certigym.synthesis.relations.kinds import Network
+from certigym.synthesis.verbs.raw_networks import repair_network
 from certigym.validation.policies.actors import SharedActor, save_actor
 from certigym.validation.policies.entrants import given
 from kinds import mostly_thorough
@@ -551,7 +551,7 @@ def test_networks_go_out_and_come_back_as_onnx(problem: cg.Problem, tmp_path: Pa
         tuple(module[k].weight.detach().numpy() for k in (0, 2)),
         tuple(module[k].bias.detach().numpy() for k in (0, 2)), "tanh", True,
     )  # fmt: skip
-    from certigym.synthesis.bridges.onnx_files import written
+    from certigym.synthesis.interop.onnx_files import written
 
     (tmp_path / "o.onnx").write_bytes(written(network, {}))
     graph = __import__("onnx").load(tmp_path / "o.onnx")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from certigym.synthesis.certificates.digits import (
+from certigym.synthesis.certificates.proofs.digits import (
     rounded_down,
     rounded_up,
     shown_bound,

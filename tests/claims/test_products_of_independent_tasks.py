@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.dynamics.worlds import Dynamics
-from certigym.envs.problem import groups as independent
-from certigym.synthesis.bounds.dense import dense_optimum
-from certigym.synthesis.certificates import ProductProof, changed, is_exact, product_certificate
-from certigym.synthesis.controllers.product_controller import ProductController
-from certigym.synthesis.models.abstraction import abstract
-from certigym.validation.simulation.chunks import chunk_results, frames
-from certigym.validation.simulation.cluster import executor_for
-from certigym.validation.simulation.loop import Loop
-from certigym.validation.simulation.rollouts import rollout
-from certigym.validation.statistics.binomial import REFUTED
+from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation.worlds import Dynamics
+from certigym.envs.tasks.problem import groups as independent
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.certificates.controllers.product_controller import ProductController
+from certigym.synthesis.certificates.proofs import ProductProof, changed, is_exact, product_certificate
+from certigym.synthesis.policy_search.bounds.dense import dense_optimum
+from certigym.validation.statistical_tests.binomial import REFUTED
+from certigym.validation.statistical_tests.chunks import chunk_results, frames
+from certigym.validation.statistical_tests.cluster import executor_for
+from certigym.validation.statistical_tests.loop import Loop
+from certigym.validation.statistical_tests.rollouts import rollout
 from team_problems import pairs
 
 FALSE_ALARM = 1e-6
@@ -271,7 +271,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         arrays = {name: archive[name] for name in archive.files}
     header = json.loads(bytes(arrays["header"]).decode())
     assert sorted(set(header["proof"]["parts"])) == [0, 1]
-    from certigym.synthesis.certificates.archive import _digest
+    from certigym.synthesis.certificates.proofs.archive import _digest
 
     def written(**changes: object) -> Path:
         new = {**header, **changes}

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof
-from certigym.synthesis.nominal_paths import path_search
+from certigym.synthesis.certificates.proofs import AgentPath, AlongPath, PathProof
+from certigym.synthesis.trajectories.planning import path_search
 
 
 def robot(name: str, start: Any, **changes: Any) -> cg.LinearAgent:
@@ -73,9 +73,9 @@ def test_paths_from_outside_are_refused_by_the_search() -> None:
 @pytest.mark.usefixtures("search_alone")
 def test_teams_and_products_from_outside_are_refused_by_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search is made to forget the start, and claims nearly 1; the check of what it made is not fooled."""
-    monkeypatch.setattr("certigym.synthesis.synthesize._refuse_outside", lambda problem: None)
+    monkeypatch.setattr("certigym.synthesis.verbs.synthesize._refuse_outside", lambda problem: None)
     monkeypatch.setattr(path_search, "refuse_without_path", lambda problem: None)
-    monkeypatch.setattr("certigym.envs.problem.Problem.starts_outside", ())
+    monkeypatch.setattr("certigym.envs.tasks.problem.Problem.starts_outside", ())
     agents = robot("left", OUTSIDE), robot("right", [-1.0, 1.0, 0.0, 0.0])
     forged = [
         cg.synthesize(returns(*agents), relation="path").certificate,

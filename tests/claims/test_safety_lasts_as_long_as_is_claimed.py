@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.synthesis.checking import lasting_safety
-from certigym.validation.statistics import clopper_pearson
+from certigym.synthesis.extended_check.claims import lasting_safety
+from certigym.validation.statistical_tests import clopper_pearson
 from kinds import mostly_thorough
 from problems import scalar_agent
 

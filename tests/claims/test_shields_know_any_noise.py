@@ -10,10 +10,10 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.envs.agents.noise import laws_of
-from certigym.synthesis.shielding import Shield, noise_masses, shield_of, unknown_means
-from certigym.synthesis.shielding.noise_masses import LawAxis, NoiseAxis, StillAxis
-from certigym.synthesis.shielding.unknown_means import MeanBox
+from certigym.envs.systems.distributions.noise import laws_of
+from certigym.synthesis.extended_check.shields import Shield, noise_masses, shield_of, unknown_means
+from certigym.synthesis.extended_check.shields.noise_masses import LawAxis, NoiseAxis, StillAxis
+from certigym.synthesis.extended_check.shields.unknown_means import MeanBox
 from composing import expressions, lawful, matrices, task
 from kinds import mostly_thorough
 from shield_trials import anything, episodes, the_worst

@@ -10,11 +10,11 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.checking import greedy_disturbance
-from certigym.synthesis.raw_networks import certify_network
-from certigym.synthesis.shielding import Shield, shield_of, unknown_means
-from certigym.synthesis.shielding.noise_masses import NoiseAxis
-from certigym.synthesis.shielding.unknown_means import MeanBox
+from certigym.synthesis.extended_check.claims import greedy_disturbance
+from certigym.synthesis.extended_check.shields import Shield, shield_of, unknown_means
+from certigym.synthesis.extended_check.shields.noise_masses import NoiseAxis
+from certigym.synthesis.extended_check.shields.unknown_means import MeanBox
+from certigym.synthesis.verbs.raw_networks import certify_network
 from kinds import mostly_thorough
 from network_problems import proportional, reach
 from problems import scalar_agent

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.bounds.certified import SECOND_EVALUATION
-from certigym.synthesis.bounds.dense import dense_value
-from certigym.synthesis.certificates import canonical, changed, verdict_of
-from certigym.synthesis.certificates.canonical import TRAINS
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.certificates.proofs import canonical, changed, verdict_of
+from certigym.synthesis.certificates.proofs.canonical import TRAINS
+from certigym.synthesis.certificates.value_functions import Rounding
 from certigym.synthesis.checker import cell_proofs, trains
 from certigym.synthesis.checker.trains import Train
 from certigym.synthesis.checker.tree import Team
-from certigym.synthesis.checking import train_check
-from certigym.synthesis.checking.train_check import ErrorBoundedTrain, regrown_trains, train_start_value
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.search import train_backward
-from certigym.synthesis.values import Rounding
+from certigym.synthesis.extended_check.claims import train_check
+from certigym.synthesis.extended_check.claims.train_check import ErrorBoundedTrain, regrown_trains, train_start_value
+from certigym.synthesis.policy_search.ascent import train_backward
+from certigym.synthesis.policy_search.bounds.certified import SECOND_EVALUATION
+from certigym.synthesis.policy_search.bounds.dense import dense_value
 from problems import two_agents
 
 WEAK: dict[str, Any] = {"input_low": [-0.2], "input_high": [0.2]}

@@ -12,21 +12,21 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.bounds.above import evaluate_above
-from certigym.synthesis.bounds.certified import nominal_bound, stranded_mass, train_bound
-from certigym.synthesis.bounds.dense import dense_value
-from certigym.synthesis.cells.grid import Grid
-from certigym.synthesis.certificates import OnGrid, changed, start_of_claim
-from certigym.synthesis.certificates.digits import shown_bound
-from certigym.synthesis.checking.forward_mass import TooManyProducts, masses
-from certigym.synthesis.checking.upper_end import MOST, attained, inexact
-from certigym.synthesis.masses.checked_kernel import lost_to_rounding
-from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.joint import JointModel, join, start_of
-from certigym.synthesis.search.relaxation import upper_bound
-from certigym.synthesis.search.train_backward import evaluate
-from certigym.synthesis.values.terms import Occupancy, Terms
-from certigym.synthesis.values.train_values import Rounding, Trains, start_above, start_value
+from certigym.synthesis.abstraction.models.finite_models import abstract
+from certigym.synthesis.abstraction.models.joint import JointModel, join, start_of
+from certigym.synthesis.certificates.cell_probabilities.checked_kernel import lost_to_rounding
+from certigym.synthesis.certificates.proofs import OnGrid, changed, start_of_claim
+from certigym.synthesis.certificates.proofs.digits import shown_bound
+from certigym.synthesis.certificates.value_functions.terms import Occupancy, Terms
+from certigym.synthesis.certificates.value_functions.train_values import Rounding, Trains, start_above, start_value
+from certigym.synthesis.extended_check.claims.forward_mass import TooManyProducts, masses
+from certigym.synthesis.extended_check.claims.upper_end import MOST, attained, inexact
+from certigym.synthesis.policy_search.ascent.relaxation import upper_bound
+from certigym.synthesis.policy_search.ascent.train_backward import evaluate
+from certigym.synthesis.policy_search.bounds.above import evaluate_above
+from certigym.synthesis.policy_search.bounds.certified import nominal_bound, stranded_mass, train_bound
+from certigym.synthesis.policy_search.bounds.dense import dense_value
+from certigym.synthesis.relations.grids.grid import Grid
 from kinds import mostly_thorough
 from problems import scalar_agent, two_agents
 
@@ -223,7 +223,7 @@ def test_what_the_check_loses_to_rounding_is_counted(certificate: OnGrid, monkey
         *_, last = masses(certificate, 0.0, MOST)
         accepted = last.accepted + last.totals[problem.automaton.accepting[last.states]].sum()
         assert usual >= accepted * (1.0 + 1e-11)
-    monkeypatch.setattr("certigym.synthesis.checking.upper_end.lost_to_rounding", lambda *_: 1e-4)
+    monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_end.lost_to_rounding", lambda *_: 1e-4)
     assert attained(certificate) == pytest.approx(usual + 1e-4 * problem.horizon * problem.n_agents, abs=1e-9)
 
 
@@ -304,7 +304,7 @@ def test_uncertain_cells_have_no_upper_end() -> None:
 def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree", relation="exact").certificate
     exactly = attained(certificate)
-    monkeypatch.setattr("certigym.synthesis.checking.upper_end.SPARED", 1e9)
+    monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_end.SPARED", 1e9)
     coarse = attained(certificate)
     assert exactly is not None and coarse is not None and coarse > exactly + 1e-4
 
@@ -312,7 +312,7 @@ def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_large_masses_are_left_unverified(certificate: OnGrid, monkeypatch: pytest.MonkeyPatch) -> None:
     if certificate.proof.rounding is not None:
         return
-    monkeypatch.setattr("certigym.synthesis.checking.upper_end.MOST", 1)
+    monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_end.MOST", 1)
     report = cg.check(certificate)
     assert report and report.above is None and "at most" not in str(report)
 

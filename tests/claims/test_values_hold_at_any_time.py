@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.checking import ValueInTime
+from certigym.synthesis.extended_check.claims import ValueInTime
 
 FALSE_ALARM = 1e-6
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.masses import AgentPart, axis_tables, kernel_key
+from certigym.synthesis.certificates.cell_probabilities import AgentPart, axis_tables, kernel_key
+from certigym.synthesis.certificates.proofs import changed
 
 
 def walker(name: str, scales: list[str]) -> cg.Agent:

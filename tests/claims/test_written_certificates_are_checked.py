@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.envs.agents import Agent
-from certigym.envs.expressions import Number, Operation
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.relations import MeanBoxes, WrittenMeans
-from certigym.synthesis.step_checking.carrying_out import wrong_actions
-from certigym.synthesis.step_checking.execution import execution_of
+from certigym.envs.systems.agents import Agent
+from certigym.envs.systems.expressions import Number, Operation
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.extended_check.steps.carrying_out import wrong_actions
+from certigym.synthesis.extended_check.steps.execution import execution_of
+from certigym.synthesis.relations.kinds import MeanBoxes, WrittenMeans
 from kinds import mostly_thorough
 from written_problems import bent_team, oscillator, oscillator_reach
 
@@ -186,7 +186,7 @@ def test_certificates_of_wrong_enclosures_are_refused(name: str, monkeypatch: py
 
 def test_a_variance_taken_for_a_deviation_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search believes in less noise than there is."""
-    from certigym.synthesis.models import box_model
+    from certigym.synthesis.abstraction.models import box_model
 
     problem = oscillator_reach(12)
     truth = box_model.grid_laws

@@ -11,7 +11,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.synthesis.relations import WrittenPolicy
+from certigym.synthesis.relations.kinds import WrittenPolicy
 
 TEXT = """
 name = "brake"

@@ -12,9 +12,9 @@ import pytest
 
 import certigym as cg
 from certigym.baselines import RandomController
-from certigym.envs.dynamics import Dynamics, OneWorld, worlds
-from certigym.envs.pictures import panels
-from certigym.envs.problem import problem_from_dict
+from certigym.envs.interfaces import panels
+from certigym.envs.simulation import Dynamics, OneWorld, worlds
+from certigym.envs.tasks.problem import problem_from_dict
 from written_problems import bent, bent_team, oscillator, oscillator_reach
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pendulum_and_cart.toml"

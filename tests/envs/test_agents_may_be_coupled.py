@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.dynamics import Dynamics, OneWorld, worlds
-from certigym.envs.problem import problem_from_dict
-from certigym.synthesis.relations import commands_of
+from certigym.envs.simulation import Dynamics, OneWorld, worlds
+from certigym.envs.tasks.problem import problem_from_dict
+from certigym.synthesis.relations.kinds import commands_of
 from team_problems import ring, room
 
 FALSE_ALARM = 1e-6

@@ -10,8 +10,8 @@ import pytest
 
 import certigym as cg
 from boiler_problems import boiler, boiler_problem, room
-from certigym.envs.dynamics import Dynamics, OneWorld, worlds
-from certigym.envs.problem import problem_from_dict, split_axes
+from certigym.envs.simulation import Dynamics, OneWorld, worlds
+from certigym.envs.tasks.problem import problem_from_dict, split_axes
 
 FALSE_ALARM = 1e-6
 """Probability that a true claim is refuted here; the seeds are fixed."""

@@ -10,14 +10,14 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.envs.agents import expression_agent, wrapped
-from certigym.envs.expressions import read_expression, turns
-from certigym.envs.pictures import edges
-from certigym.envs.problem import problem_from_dict
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.controllers import path_controller
-from certigym.synthesis.readings import box_kernel
-from certigym.synthesis.shielding import shield_of
+from certigym.envs.interfaces import edges
+from certigym.envs.systems.agents import expression_agent, wrapped
+from certigym.envs.systems.expressions import read_expression, turns
+from certigym.envs.tasks.problem import problem_from_dict
+from certigym.synthesis.abstraction.kernels import box_kernel
+from certigym.synthesis.certificates.controllers import path_controller
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.extended_check.shields import shield_of
 from kinds import mostly_thorough
 
 ROTOR: dict[str, Any] = {

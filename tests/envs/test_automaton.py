@@ -12,14 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from certigym.envs.logic.automaton import Automaton
-from certigym.envs.logic.by_hand import automaton_from_transitions
-from certigym.envs.logic.decision_diagram import DecisionDiagrams, DiagramSizeError
-from certigym.envs.logic.minimal import minimise
-from certigym.envs.logic.parser import FormulaError
-from certigym.envs.logic.rebuilt import over_propositions
-from certigym.envs.logic.translation import translate
-from certigym.envs.pictures import automaton_to_dot
+from certigym.envs.interfaces import automaton_to_dot
+from certigym.envs.tasks.automata.automaton import Automaton
+from certigym.envs.tasks.automata.by_hand import automaton_from_transitions
+from certigym.envs.tasks.automata.decision_diagram import DecisionDiagrams, DiagramSizeError
+from certigym.envs.tasks.automata.minimal import minimise
+from certigym.envs.tasks.automata.parser import FormulaError
+from certigym.envs.tasks.automata.rebuilt import over_propositions
+from certigym.envs.tasks.automata.translation import translate
 from temporal_oracle import all_words, random_formula, text
 
 ABC = ("a", "b", "c")

@@ -11,8 +11,8 @@ import pettingzoo
 import pytest
 
 import certigym as cg
-from certigym.envs.agents import UnknownArgument
 from certigym.envs.suite.ids import gymnasium_id
+from certigym.envs.systems.arguments import UnknownArgument
 from kinds import ALL_IDS, IDS_OF_KINDS
 
 FORMS = ("parallel", "aec", "central", "vector")

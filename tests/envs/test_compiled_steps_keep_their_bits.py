@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.dynamics import Dynamics, OneWorld
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.expressions import Compiled, Name, Number, Operation, Tree, computed
-from certigym.envs.expressions.expression_tree import FUNCTIONS
+from certigym.envs.simulation import Dynamics, OneWorld
+from certigym.envs.simulation import worlds as core
+from certigym.envs.systems.expressions import Compiled, Name, Number, Operation, Tree, computed
+from certigym.envs.systems.expressions.expression_tree import FUNCTIONS
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, 3.0, np.inf, -np.inf, np.nan, 1e308, 5e-324, 0.1]
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.dynamics.worlds import Dynamics
-from certigym.synthesis.controllers.controller import Controller
-from certigym.synthesis.relations.coupled import CoupledRelation, couple
-from certigym.validation.simulation.chunks import chunk_results, frames
-from certigym.validation.simulation.loop import Loop
-from certigym.validation.simulation.rollouts import NUMBERS_SIDE_BY_SIDE, rollout, stream
-from certigym.validation.simulation.streams import Streams
+from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation.worlds import Dynamics
+from certigym.synthesis.certificates.controllers.controller import Controller
+from certigym.synthesis.relations.kinds.coupled import CoupledRelation, couple
+from certigym.validation.statistical_tests.chunks import chunk_results, frames
+from certigym.validation.statistical_tests.loop import Loop
+from certigym.validation.statistical_tests.rollouts import NUMBERS_SIDE_BY_SIDE, rollout, stream
+from certigym.validation.statistical_tests.streams import Streams
 from kinds import mostly_thorough
 from problems import cart, cart_reach, linear, two_agents
 

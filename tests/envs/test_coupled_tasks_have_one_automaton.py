@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 import certigym as cg
-from certigym.envs.logic import AutomatonSizeError, translate
-from certigym.envs.problem import groups
-from certigym.validation.statistics import clopper_pearson
+from certigym.envs.tasks.automata import AutomatonSizeError, translate
+from certigym.envs.tasks.problem import groups
+from certigym.validation.statistical_tests import clopper_pearson
 from kinds import mostly_thorough
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "eight_zones.toml"
@@ -31,7 +31,7 @@ def data(formula: str) -> dict[str, Any]:
 
 
 def made(formula: str) -> cg.Problem:
-    from certigym.envs.problem import problem_from_dict
+    from certigym.envs.tasks.problem import problem_from_dict
 
     return problem_from_dict(data(formula))
 

@@ -12,9 +12,9 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.envs.dynamics import BEHAVIOURS, Dynamics, OneWorld, worlds
-from certigym.synthesis.checking import greedy_disturbance
-from certigym.synthesis.relations import WrittenMeans
+from certigym.envs.simulation import BEHAVIOURS, Dynamics, OneWorld, worlds
+from certigym.synthesis.extended_check.claims import greedy_disturbance
+from certigym.synthesis.relations.kinds import WrittenMeans
 from kinds import mostly_thorough
 from team_problems import windy_team
 from written_problems import bent

@@ -9,8 +9,8 @@ import pytest
 
 import certigym as cg
 import environment_pages
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.pictures import edges
+from certigym.envs.interfaces import edges
+from certigym.envs.simulation import worlds as core
 
 
 @pytest.fixture(scope="module")

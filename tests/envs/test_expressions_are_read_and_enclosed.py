@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from certigym.envs.agents import Agent
-from certigym.envs.expressions import Affine, ExpressionError, computed, enclosed, read_expression
-from certigym.envs.expressions.expression_tree import Name, Number, Tree, whole_exponent
-from certigym.synthesis.relations import WrittenMeans
-from certigym.synthesis.step_checking.mean_spans import enclosed_means
+from certigym.envs.systems.agents import Agent
+from certigym.envs.systems.expressions import Affine, ExpressionError, computed, enclosed, read_expression
+from certigym.envs.systems.expressions.expression_tree import Name, Number, Tree, whole_exponent
+from certigym.synthesis.extended_check.steps.mean_spans import enclosed_means
+from certigym.synthesis.relations.kinds import WrittenMeans
 
 TEXTS = (
     "x + 0.1*y",

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from certigym.envs.logic.parser import Formula, FormulaError, is_proposition_name, parse_formula
+from certigym.envs.tasks.automata.parser import Formula, FormulaError, is_proposition_name, parse_formula
 from temporal_oracle import random_formula, text
 
 PRECEDENCE = [

@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from certigym.envs.logic import DecisionDiagrams, cover
-from certigym.envs.pictures.guard_texts import guard_text
+from certigym.envs.interfaces.guard_texts import guard_text
+from certigym.envs.tasks.automata import DecisionDiagrams, cover
 
 
 def _function(diagrams: DecisionDiagrams, table: np.ndarray, variables: int) -> int:

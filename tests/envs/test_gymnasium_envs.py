@@ -21,12 +21,12 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import certigym as cg
 import fake_pygame
-from certigym.envs.agents import place_of
-from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces.central_env import CentralEnv
 from certigym.envs.interfaces.observation import batch_inputs
 from certigym.envs.interfaces.vector_env import ProblemVectorEnv
+from certigym.envs.simulation import worlds as core
 from certigym.envs.suite.ids import gymnasium_id
+from certigym.envs.systems.agents import place_of
 from kinds import ALL_IDS, IDS_OF_KINDS
 from problems import linear
 from sample_problems import mixed_problem

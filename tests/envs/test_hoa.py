@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from certigym.envs.logic.hoa import automaton_from_hoa, automaton_to_hoa
-from certigym.envs.logic.translation import translate
+from certigym.envs.tasks.automata.hoa import automaton_from_hoa, automaton_to_hoa
+from certigym.envs.tasks.automata.translation import translate
 from temporal_oracle import random_co_safe, text
 
 AB = ("a", "b")

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.envs.logic.translation import translate
-from certigym.envs.problem import groups as independent
-from certigym.envs.problem.groups import independent_groups
+from certigym.envs.tasks.automata.translation import translate
+from certigym.envs.tasks.problem import groups as independent
+from certigym.envs.tasks.problem.groups import independent_groups
 
 NAMES = ("a", "b", "c", "d", "e", "f")
 OWNERS = tuple(frozenset([i]) for i in (0, 0, 1, 1, 2, 2))

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.envs.agents.labeling import Labeling, Proposition
-from certigym.envs.dynamics import worlds as core
+from certigym.envs.simulation import worlds as core
+from certigym.envs.tasks.regions.labeling import Labeling, Proposition
 from kinds import ALL_IDS
 from sample_problems import planar, scalar
 

@@ -13,8 +13,8 @@ import pytest
 
 import certigym as cg
 from adversary import problem_of
-from certigym.envs.logic import translate, translation, within
-from certigym.validation.paper import reproduce
+from certigym.envs.tasks.automata import translate, translation, within
+from certigym.validation.presentation.paper import reproduce
 from hostile import limited, outcome, problem, scalar
 from kinds import mostly_thorough
 from random_problems import random_spec
@@ -123,7 +123,7 @@ def test_a_full_disk_leaves_the_old_file(name: str, tmp_path: Path, monkeypatch:
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("certigym.envs.agents.saving.os.fsync", full)
+    monkeypatch.setattr("certigym.envs.systems.arguments.saving.os.fsync", full)
     with pytest.raises(OSError, match="No space"):
         write(file)
     assert file.read_bytes() == b"old"

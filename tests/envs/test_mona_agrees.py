@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import mona
-from certigym.envs.logic.parser import FormulaError
-from certigym.envs.logic.translation import translate
+from certigym.envs.tasks.automata.parser import FormulaError
+from certigym.envs.tasks.automata.translation import translate
 from temporal_oracle import random_co_safe, random_formula, text
 
 ABC = ("a", "b", "c")

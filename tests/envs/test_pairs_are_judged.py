@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.agents import REFUSAL
-from certigym.envs.dynamics import OneWorld
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.problem.problem_file import problem_from_dict, problem_from_toml
+from certigym.envs.simulation import OneWorld
+from certigym.envs.simulation import worlds as core
+from certigym.envs.tasks.problem.problem_file import problem_from_dict, problem_from_toml
+from certigym.envs.tasks.regions import REFUSAL
 from pair_problems import followers, mover
 
 FILE = """

@@ -12,10 +12,10 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.envs.agents.pair import PairRegion, pair_region
 from certigym.envs.interfaces.shaping import _joined
-from certigym.envs.problem.problem_file import problem_from_toml
-from certigym.synthesis.certificates import AlongPath, changed
+from certigym.envs.tasks.problem.problem_file import problem_from_toml
+from certigym.envs.tasks.regions.pair import PairRegion, pair_region
+from certigym.synthesis.certificates.proofs import AlongPath, changed
 from fleet_problems import path_of, unicycle
 from kinds import mostly_thorough
 from pair_problems import mover

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.problem import problem_from_dict
+from certigym.envs.tasks.problem import problem_from_dict
 from kinds import mostly_thorough
 from pair_problems import judged_by_hand
 
@@ -90,7 +90,7 @@ def test_a_difference_is_in_a_shape_where_geometry_says(name: str, kind: Any) ->
 @mostly_thorough("formula", ["!near U there", "F (near & there)"])
 @mostly_thorough("name", SHAPES)
 def test_what_is_certified_is_checked_and_met(name: str, formula: str) -> None:
-    from certigym.validation.simulation import Loop, paths
+    from certigym.validation.statistical_tests import Loop, paths
 
     near, wanted = SHAPES[name]
     problem = problem_of(formula, near)

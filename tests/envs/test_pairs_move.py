@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.dynamics import Dynamics, OneWorld
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.problem import problem_from_dict
+from certigym.envs.simulation import Dynamics, OneWorld
+from certigym.envs.simulation import worlds as core
+from certigym.envs.tasks.problem import problem_from_dict
 from kinds import mostly_thorough
 from pair_problems import judged_by_hand
 
@@ -91,7 +91,7 @@ def test_pairs_are_saved_as_they_are_written(name: str) -> None:
 @mostly_thorough("formula", ["!near U there", "F (near & there)"])
 @mostly_thorough("name", MOVING)
 def test_what_is_certified_is_checked_and_met(name: str, formula: str) -> None:
-    from certigym.validation.simulation import Loop, paths
+    from certigym.validation.statistical_tests import Loop, paths
 
     near, wanted = MOVING[name]
     problem = problem_of(formula, near)

@@ -15,8 +15,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.envs.problem import load_problem
-from certigym.envs.problem.problem_file import problem_from_dict, problem_from_toml
+from certigym.envs.tasks.problem import load_problem
+from certigym.envs.tasks.problem.problem_file import problem_from_dict, problem_from_toml
 from kinds import ALL_IDS
 from problems import linear
 from sample_problems import TOML, mixed_problem

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.problem.problem_file import problem_from_dict, problem_from_toml
+from certigym.envs.tasks.problem.problem_file import problem_from_dict, problem_from_toml
 from kinds import mostly_thorough
 
 FILE = """

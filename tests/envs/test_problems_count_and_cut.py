@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.agents import checked_count, slices_of
+from certigym.envs.systems.arguments import checked_count, slices_of
 from problems import scalar_agent
 
 

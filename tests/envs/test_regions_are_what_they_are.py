@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.agents import SHAPES
-from certigym.envs.dynamics import Dynamics, OneWorld
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.pictures import Drawer, Picture
-from certigym.envs.problem import problem_from_dict
-from certigym.synthesis.step_checking.geometry import classes_in_boxes
+from certigym.envs.interfaces import Drawer, Picture
+from certigym.envs.simulation import Dynamics, OneWorld
+from certigym.envs.simulation import worlds as core
+from certigym.envs.tasks.problem import problem_from_dict
+from certigym.envs.tasks.regions import SHAPES
+from certigym.synthesis.extended_check.steps.geometry import classes_in_boxes
 from kinds import mostly_thorough
 
 Point = np.ndarray
@@ -295,7 +295,7 @@ def certified(problem: cg.Problem, at_least: float, **options: Any) -> Any:
 
 def judged(problem: cg.Problem, result: Any, verdict: Callable[[np.ndarray], bool]) -> None:
     """Simulate, judge the runs by a verdict of one's own, and compare with the simulator's, run by run."""
-    from certigym.validation.simulation import Loop, paths
+    from certigym.validation.statistical_tests import Loop, paths
 
     states, success = paths(Loop(problem, result.controller, 5, 300), 300)
     for k in range(300):

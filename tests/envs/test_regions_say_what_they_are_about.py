@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.problem import problem_from_dict, problem_from_toml
+from certigym.envs.tasks.problem import problem_from_dict, problem_from_toml
 
 NAMES = ["x", "y", "vx", "vy", "heading", "fuel"]
 LOW, HIGH = [-9.0, -9.0, -3.0, -3.0, -4.0, 0.0], [9.0, 9.0, 3.0, 3.0, 4.0, 1.0]

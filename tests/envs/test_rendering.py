@@ -14,10 +14,10 @@ import pytest
 import certigym as cg
 import fake_pygame
 from certigym.cli.main import main
-from certigym.envs.pictures import AGENTS
-from certigym.envs.pictures.palette import rgb
-from certigym.envs.pictures.scene import panels
-from certigym.envs.problem import problem_from_toml
+from certigym.envs.interfaces import AGENTS
+from certigym.envs.interfaces.palette import rgb
+from certigym.envs.interfaces.scene import panels
+from certigym.envs.tasks.problem import problem_from_toml
 from kinds import ALL_IDS, mostly_thorough
 from sample_problems import mixed_problem
 

@@ -16,10 +16,10 @@ import certigym as cg
 from certigym.envs.interfaces.nearest import nearest_seen
 from certigym.envs.interfaces.problem_env import ProblemEnv
 from certigym.envs.interfaces.sensors import READING
-from certigym.envs.problem import groups as independent
-from certigym.synthesis.controllers import told
-from certigym.synthesis.controllers.path_controller import PathController
-from certigym.synthesis.controllers.product_controller import ProductController
+from certigym.envs.tasks.problem import groups as independent
+from certigym.synthesis.certificates.controllers import told
+from certigym.synthesis.certificates.controllers.path_controller import PathController
+from certigym.synthesis.certificates.controllers.product_controller import ProductController
 from sample_problems import mixed_problem
 from team_problems import pairs
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.agents import pieces
-from certigym.envs.dynamics import Dynamics
-from certigym.envs.dynamics.worlds import letters
+from certigym.envs.simulation import Dynamics
+from certigym.envs.simulation.worlds import letters
+from certigym.envs.tasks.regions import pieces
 
 HORIZON = 6
 TRIANGLE = {"corners": [["0.5*t - 2", 0], ["0.5*t", "0.1*t"], ["0.5*t - 1", 2]]}

@@ -10,9 +10,9 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.problem.split import axis_order, split_axes
-from certigym.validation.statistics.binomial import REFUTED
+from certigym.envs.simulation import worlds as core
+from certigym.envs.tasks.problem.split import axis_order, split_axes
+from certigym.validation.statistical_tests.binomial import REFUTED
 from problems import linear
 
 FORMULAS = (

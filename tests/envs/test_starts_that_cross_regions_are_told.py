@@ -10,8 +10,8 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.envs.problem import crossed_starts, problem_from_toml
-from certigym.envs.problem.start_boxes import _pieces, _share
+from certigym.envs.tasks.problem import crossed_starts, problem_from_toml
+from certigym.envs.tasks.problem.start_boxes import _pieces, _share
 
 CROSSED = """
 name = "crossed"

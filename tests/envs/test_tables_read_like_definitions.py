@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.dynamics import tables as reading
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.dynamics.worlds import Dynamics, Worlds
 from certigym.envs.interfaces.observation import joint_bounds
+from certigym.envs.simulation import tables as reading
+from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation.worlds import Dynamics, Worlds
 from certigym.envs.suite.catalogue import problem_ids
-from certigym.validation.simulation.chunks import frames
-from certigym.validation.simulation.loop import Loop
-from certigym.validation.simulation.mismatch import Mismatch
-from certigym.validation.simulation.rollouts import stream
+from certigym.validation.statistical_tests.chunks import frames
+from certigym.validation.statistical_tests.loop import Loop
+from certigym.validation.statistical_tests.mismatch import Mismatch
+from certigym.validation.statistical_tests.rollouts import stream
 from kinds import mostly_thorough
 from problems import two_agents
 from sample_problems import mixed_problem, planar

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from certigym.envs.expressions import Program, read_expression
+from certigym.envs.systems.expressions import Program, read_expression
 
 NAMES = ("x", "y", "z")
 SMOOTH = [

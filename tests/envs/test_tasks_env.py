@@ -13,7 +13,7 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.envs.interfaces.problem_env import ProblemEnv
 from certigym.envs.interfaces.tasks_env import TasksEnv
-from certigym.envs.problem import groups as independent
+from certigym.envs.tasks.problem import groups as independent
 from kinds import mostly_thorough
 from team_problems import pairs
 

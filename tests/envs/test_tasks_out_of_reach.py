@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.problem import out_of_reach, problem_from_toml
+from certigym.envs.tasks.problem import out_of_reach, problem_from_toml
 from kinds import mostly_thorough
 
 NOISE = {"law": "gaussian", "std": 0.05}

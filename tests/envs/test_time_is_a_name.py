@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.agents import Labeling
-from certigym.envs.dynamics import Dynamics, OneWorld, split_joint
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.pictures import panels
-from certigym.envs.problem import states_in_time, written_out
+from certigym.envs.interfaces import panels
+from certigym.envs.simulation import Dynamics, OneWorld, split_joint
+from certigym.envs.simulation import worlds as core
+from certigym.envs.tasks.problem import states_in_time, written_out
+from certigym.envs.tasks.regions import Labeling
 from timed_problems import band, follow, robot, still
 
 
@@ -89,7 +89,7 @@ def test_worlds_at_times_of_their_own_read_regions_and_dynamics_of_these() -> No
 
 @pytest.mark.parametrize("device", ["torch:cpu", "jax:cpu"])
 def test_worlds_on_devices_mean_the_same(device: str) -> None:
-    from certigym.envs.arrays import device_put, to_host
+    from certigym.envs.systems.backends import device_put, to_host
 
     pytest.importorskip(device.split(":")[0])
     problem, rng, count = written(), np.random.default_rng(2), 30

@@ -7,14 +7,14 @@ import random
 import numpy as np
 import pytest
 
-from certigym.envs.logic import translation as translate_module
-from certigym.envs.logic.automaton import Automaton
-from certigym.envs.logic.decision_diagram import FALSE, TRUE
-from certigym.envs.logic.normal_form import NormalForm, Term
-from certigym.envs.logic.obligations import Obligations
-from certigym.envs.logic.parser import FormulaError
-from certigym.envs.logic.rebuilt import over_propositions
-from certigym.envs.logic.translation import translate
+from certigym.envs.tasks.automata import translation as translate_module
+from certigym.envs.tasks.automata.automaton import Automaton
+from certigym.envs.tasks.automata.decision_diagram import FALSE, TRUE
+from certigym.envs.tasks.automata.normal_form import NormalForm, Term
+from certigym.envs.tasks.automata.obligations import Obligations
+from certigym.envs.tasks.automata.parser import FormulaError
+from certigym.envs.tasks.automata.rebuilt import over_propositions
+from certigym.envs.tasks.automata.translation import translate
 from kinds import mostly_thorough
 from temporal_oracle import Tree, all_words, holds, random_co_safe, random_formula, text
 

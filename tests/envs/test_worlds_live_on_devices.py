@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.arrays import LIBRARIES, device_put, numbers_beside, to_host
-from certigym.envs.dynamics import Dynamics, Worlds
-from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces import DeviceTeamEnv, Potential, TeamEnv
-from certigym.validation.statistics import clopper_pearson
+from certigym.envs.simulation import Dynamics, Worlds
+from certigym.envs.simulation import worlds as core
+from certigym.envs.systems.backends import LIBRARIES, device_put, numbers_beside, to_host
+from certigym.validation.statistical_tests import clopper_pearson
 from kinds import mostly_thorough
 
 CLOSE = 1e-12

@@ -12,7 +12,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.synthesis.certificates import changed
+from certigym.synthesis.certificates.proofs import changed
 
 TASK = """
 name = "hop"
@@ -92,7 +92,7 @@ def test_a_refuted_certificate_gives_status_1(task: str, tmp_path: Path, monkeyp
     cert = str(tmp_path / "c.npz")
     assert main(["synthesize", task, "--cells", "40", "--out", cert]) == 0
     import certigym.cli.validation_commands as commands
-    from certigym.synthesis.certificates.certificate_file import load_certificate
+    from certigym.synthesis.certificates.proofs.certificate_file import load_certificate
 
     def boastful(path: str, max_bytes: int) -> object:
         return changed(load_certificate(path, max_bytes), lower_bound=0.9999)

@@ -16,7 +16,7 @@ from certigym.cli.given import plain
 from certigym.cli.main import main
 from certigym.cli.parser import MODULES, build_parser
 from certigym.validation.policies import Probe
-from certigym.validation.studio import Studio
+from certigym.validation.presentation.studio import Studio
 
 PAGE = Path(__file__).parents[2] / "docs" / "command_line.md"
 

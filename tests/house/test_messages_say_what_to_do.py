@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.logic import automaton_from_hoa
+from certigym.envs.tasks.automata import automaton_from_hoa
 
 PROBLEM = cg.make_problem("reach-avoid-v0", horizon=3)
 PLANAR: dict[str, Any] = {

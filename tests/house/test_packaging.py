@@ -89,7 +89,7 @@ def sources() -> dict[str, Path]:
 def packed() -> dict[str, Path]:
     """Problems and numbers of the field's benchmarks, which wheels hold, too."""
     folder = ROOT / "benchmarks" / "arch"
-    return {f"certigym/validation/paper/field/{path.name}": path for path in folder.glob("*.[jt]*")}
+    return {f"certigym/validation/presentation/paper/field/{path.name}": path for path in folder.glob("*.[jt]*")}
 
 
 def test_the_wheel_holds_exactly_the_folders(wheel: Path) -> None:

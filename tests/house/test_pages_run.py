@@ -18,10 +18,10 @@ import pytest
 import certigym as cg
 import draw_figures
 from certigym.cli.main import build_parser, main
-from certigym.envs.problem.problem_file import problem_from_toml
-from certigym.synthesis.choosing import effort
-from certigym.validation.figures import certificate_figures as figures
-from certigym.validation.figures import figure_scenes
+from certigym.envs.tasks.problem.problem_file import problem_from_toml
+from certigym.synthesis.policy_search.portfolio import effort
+from certigym.validation.presentation.figures import certificate_figures as figures
+from certigym.validation.presentation.figures import figure_scenes
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

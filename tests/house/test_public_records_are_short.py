@@ -11,10 +11,13 @@ import pytest
 
 import certigym as cg
 from certigym.baselines import IdleController
-from certigym.synthesis import controllers
-from certigym.synthesis.cells import Grid
-from certigym.synthesis.shielding import shield_of
-from certigym.validation import audits, policies, simulation, verdicts
+from certigym.synthesis.certificates import controllers
+from certigym.synthesis.extended_check.shields import shield_of
+from certigym.synthesis.relations.grids import Grid
+from certigym.validation import policies
+from certigym.validation import statistical_tests as audits
+from certigym.validation import statistical_tests as simulation
+from certigym.validation import statistical_tests as verdicts
 from certigym.validation.policies import Attempt, Probe
 from kinds import mostly_thorough
 

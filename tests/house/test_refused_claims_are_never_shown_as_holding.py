@@ -11,9 +11,9 @@ import pytest
 import certigym as cg
 from certigym.baselines import Sources
 from certigym.cli.main import main
-from certigym.synthesis import agreement, certification
-from certigym.synthesis.bounds.certified import Bound, nominal_bound
-from certigym.synthesis.certificates import OnGrid, changed
+from certigym.synthesis.certificates.proofs import OnGrid, changed
+from certigym.synthesis.policy_search.bounds.certified import Bound, nominal_bound
+from certigym.synthesis.policy_search.cell_certificates import agreement, certification
 from certigym.validation.policies import page_of
 from certigym.validation.policies.actors import save_actor
 from certigym.validation.policies.tier_rule import known_of

@@ -18,67 +18,81 @@ import rooms as drawn
 ROOT = Path(__file__).parents[2]
 WINGS = tuple(drawn.ORDER)
 
-ENVS = "envs.arrays envs.expressions envs.agents envs.logic envs.problem envs.dynamics"
-CERTIFICATES = (
-    "synthesis.values synthesis.cells synthesis.relations synthesis.controllers synthesis.masses synthesis.certificates"
-)
-EVIDENCE = f"{ENVS} {CERTIFICATES} validation.statistics validation.simulation"
+ENVS = "envs.systems envs.tasks envs.simulation"
+CERTIFICATES = "synthesis.relations synthesis.certificates"
+EVIDENCE = f"{ENVS} {CERTIFICATES}"
 
 MAY_IMPORT = {
-    "envs.arrays": "",
-    "envs.expressions": "envs.arrays",
-    "envs.agents": "envs.arrays envs.expressions",
-    "envs.logic": "",
-    "envs.problem": "envs.expressions envs.agents envs.logic",
-    "envs.dynamics": "envs.arrays envs.expressions envs.agents envs.logic envs.problem",
-    "envs.pictures": "envs.agents envs.logic envs.problem",
-    "envs.interfaces": f"{ENVS} envs.pictures",
-    "envs.solo": ENVS,
-    "envs.teams": ENVS,
+    "envs.systems.backends": "",
+    "envs.systems.arguments": "",
+    "envs.systems.distributions": "envs.systems.backends envs.systems.arguments",
+    "envs.systems.expressions": "envs.systems.backends",
+    "envs.systems.agents": "envs.systems.backends envs.systems.arguments envs.systems.distributions "
+    "envs.systems.expressions",
+    "envs.tasks.regions": "envs.systems",
+    "envs.tasks.automata": "",
+    "envs.tasks.problem": "envs.systems envs.tasks.regions envs.tasks.automata",
+    "envs.simulation": "envs.systems envs.tasks",
+    "envs.interfaces": ENVS,
     "envs.suite": f"{ENVS} envs.interfaces",
+    "envs.suite.single_agent": "envs.systems envs.tasks",
+    "envs.suite.multi_agent": "envs.systems envs.tasks",
     "synthesis.checker": "",
-    "synthesis.values": "envs.arrays",
-    "synthesis.cells": ENVS,
-    "synthesis.relations": f"{ENVS} synthesis.cells",
-    "synthesis.readings": f"{ENVS} synthesis.values synthesis.cells synthesis.relations",
-    "synthesis.models": f"{ENVS} envs.suite synthesis.values synthesis.cells synthesis.relations synthesis.readings",
-    "synthesis.search": f"{ENVS} synthesis.values synthesis.cells synthesis.models",
-    "synthesis.bounds": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.readings "
-    "synthesis.models synthesis.search",
-    "synthesis.controllers": f"{ENVS} synthesis.cells synthesis.relations",
-    "synthesis.masses": f"{ENVS} synthesis.values synthesis.cells synthesis.relations",
-    "synthesis.certificates": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.controllers "
-    "synthesis.masses synthesis.checker",
-    "synthesis.bridges": f"{ENVS} envs.interfaces envs.suite synthesis.relations synthesis.controllers "
-    "synthesis.certificates",
-    "synthesis.step_checking": f"{ENVS} {CERTIFICATES}",
-    "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES} synthesis.checker synthesis.step_checking",
-    "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.step_checking synthesis.checking",
-    "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.readings synthesis.models synthesis.search",
-    "synthesis.path_bounds": f"{ENVS} {CERTIFICATES}",
-    "synthesis.path_words": f"{ENVS} {CERTIFICATES} synthesis.path_bounds",
-    "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES} synthesis.checker synthesis.path_bounds synthesis.path_words",
-    "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
-    "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.checker synthesis.models synthesis.search "
-    "synthesis.bounds synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking synthesis.bridges",
-    "validation.statistics": "",
-    "validation.simulation": f"{ENVS} envs.suite synthesis.bridges",
-    "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",
-    "validation.audits": f"{EVIDENCE} synthesis.checking",
-    "validation.shields": f"{EVIDENCE} envs.interfaces envs.suite synthesis.bridges synthesis.shielding",
-    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis synthesis.bridges synthesis.checking "
-    "synthesis.shielding validation.shields",
-    "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.checking "
-    "validation.verdicts validation.audits validation.policies",
-    "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
-    "validation.studio": f"{EVIDENCE} envs.pictures synthesis validation.reports",
-    "validation.paper": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.models "
-    "synthesis.search synthesis.bounds validation.verdicts",
+    "synthesis.relations.grids": ENVS,
+    "synthesis.relations.kinds": f"{ENVS} synthesis.relations.grids",
+    "synthesis.certificates.value_functions": "envs.systems.backends",
+    "synthesis.certificates.cell_probabilities": f"{ENVS} synthesis.relations synthesis.certificates.value_functions",
+    "synthesis.certificates.controllers": f"{ENVS} synthesis.relations",
+    "synthesis.certificates.proofs": f"{ENVS} synthesis.checker synthesis.relations "
+    "synthesis.certificates.value_functions synthesis.certificates.cell_probabilities "
+    "synthesis.certificates.controllers",
+    "synthesis.abstraction.kernels": f"{ENVS} synthesis.relations synthesis.certificates.value_functions",
+    "synthesis.abstraction.models": f"{ENVS} envs.suite synthesis.relations synthesis.certificates.value_functions "
+    "synthesis.abstraction.kernels",
+    "synthesis.extended_check.steps": f"{ENVS} {CERTIFICATES}",
+    "synthesis.extended_check.claims": f"{ENVS} envs.suite {CERTIFICATES} synthesis.checker "
+    "synthesis.extended_check.steps",
+    "synthesis.extended_check.shields": f"{ENVS} {CERTIFICATES} synthesis.extended_check.steps "
+    "synthesis.extended_check.claims",
+    "synthesis.interop": f"{ENVS} envs.interfaces envs.suite {CERTIFICATES}",
+    "synthesis.trajectories.chance_constraints": f"{ENVS} {CERTIFICATES}",
+    "synthesis.trajectories.words": f"{ENVS} {CERTIFICATES} synthesis.trajectories.chance_constraints",
+    "synthesis.trajectories.planning": f"{ENVS} {CERTIFICATES} synthesis.checker "
+    "synthesis.trajectories.chance_constraints synthesis.trajectories.words",
+    "synthesis.policy_search.ascent": f"{ENVS} synthesis.relations synthesis.certificates.value_functions "
+    "synthesis.abstraction.models",
+    "synthesis.policy_search.bounds": f"{ENVS} synthesis.relations synthesis.certificates.value_functions "
+    "synthesis.abstraction synthesis.policy_search.ascent",
+    "synthesis.policy_search.portfolio": f"{ENVS} {CERTIFICATES} synthesis.abstraction synthesis.policy_search.ascent",
+    "synthesis.policy_search.cell_certificates": f"{ENVS} {CERTIFICATES} synthesis.abstraction.models "
+    "synthesis.extended_check.claims synthesis.trajectories.planning synthesis.policy_search.ascent "
+    "synthesis.policy_search.bounds synthesis.policy_search.portfolio",
+    "synthesis.composition": f"{ENVS} {CERTIFICATES} synthesis.abstraction.models synthesis.extended_check.claims "
+    "synthesis.trajectories.planning synthesis.policy_search.ascent synthesis.policy_search.portfolio "
+    "synthesis.policy_search.cell_certificates",
+    "synthesis.verbs": f"{ENVS} envs.suite {CERTIFICATES} synthesis.checker synthesis.abstraction.models "
+    "synthesis.extended_check.claims synthesis.interop synthesis.trajectories.planning synthesis.policy_search.ascent "
+    "synthesis.policy_search.portfolio synthesis.policy_search.cell_certificates synthesis.composition",
+    "validation.statistical_tests": f"{EVIDENCE} envs.suite synthesis.extended_check.claims synthesis.interop "
+    "synthesis.composition synthesis.verbs",
+    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis.extended_check.claims "
+    "synthesis.extended_check.shields synthesis.interop synthesis.verbs validation.statistical_tests",
+    "validation.presentation.paper": f"{EVIDENCE} envs.interfaces envs.suite synthesis.abstraction.models "
+    "synthesis.policy_search.ascent synthesis.policy_search.bounds synthesis.verbs validation.statistical_tests",
+    "validation.presentation.reports": f"{EVIDENCE} envs.interfaces synthesis.extended_check.claims "
+    "validation.statistical_tests",
+    "validation.presentation.figures": f"{EVIDENCE} envs.interfaces envs.suite synthesis.extended_check.claims "
+    "synthesis.verbs validation.statistical_tests validation.policies",
+    "validation.presentation.studio": f"{EVIDENCE} envs.interfaces synthesis.verbs validation.statistical_tests "
+    "validation.presentation.reports",
 }
-"""Rooms that the files of a room may import, lazily or for types alone, too; ``synthesis`` is its hall, the verbs."""
+"""Rooms and chapters that files of one may import, lazily or for types, too; a room stands for its chapters."""
 
-SEARCH = ("search", "readings", "models", "bounds", "choosing", "path_bounds", "path_words", "nominal_paths", "pairs")
+SEARCH = ("abstraction", "trajectories", "policy_search", "composition", "verbs")
 """Rooms that the check must not reach."""
+
+OPEN = ("synthesis.verbs",)
+"""Rooms whose files are entered directly: a verb is a file, which loads what it needs."""
 
 
 @cache
@@ -93,8 +107,28 @@ def modules() -> dict[str, Path]:
 
 
 def room_of(module: str) -> str:
-    """The room that a module is in; a package is its own door."""
+    """The folder that a module is in: a chapter, or a room without chapters; a package is its own door."""
     return module if modules()[module].stem == "__init__" else module.rpartition(".")[0]
+
+
+def whole(room: str) -> str:
+    """The room that a chapter belongs to."""
+    return ".".join(room.split(".")[:2])
+
+
+def listed(room: str, names: str) -> bool:
+    """Whether a room or chapter is among names, by itself or with its room."""
+    return room in names.split() or whole(room) in names.split()
+
+
+def arrows(wing: str) -> dict[str, set[str]]:
+    """Rooms of a wing, and the rooms of the same wing that each one imports."""
+    found: dict[str, set[str]] = {f"{wing}.{room.name}": set() for room in drawn.rooms(wing)}
+    for module in modules():
+        if whole(module) in found:
+            targets = {whole(target) for target, _ in imports(module) if target}
+            found[whole(module)] |= (targets & {*found}) - {whole(module)}
+    return found
 
 
 @cache
@@ -123,10 +157,34 @@ def imports(module: str) -> Iterator[tuple[str, str]]:
 
 
 def test_every_file_is_in_a_room_of_the_table() -> None:
-    doors = {name for name, path in modules().items() if path.stem == "__init__"} - {"envs", "validation"}
-    assert doors == set(MAY_IMPORT)
-    loose = [name for name in modules() if room_of(name) not in MAY_IMPORT and name not in ("envs", "validation")]
+    doors = {name for name, path in modules().items() if path.stem == "__init__"} - {*WINGS}
+    rooms_of_chapters = {whole(room) for room in MAY_IMPORT} - {*MAY_IMPORT}
+    assert doors == {*MAY_IMPORT} | rooms_of_chapters
+    loose = [name for name in modules() if room_of(name) not in {*MAY_IMPORT, *rooms_of_chapters, *WINGS}]
     assert loose == []
+    for room in rooms_of_chapters:  # all their files are in chapters, which are entered one by one
+        assert [*imports(room)] == [] and not [*modules()[room].parent.glob("[!_]*.py")], room
+
+
+def test_the_house_is_small() -> None:
+    """Ten rooms on six floors at most, at most forty arrows, and no folder of more than 24 files."""
+    for wing, most_rooms, most_floors, most_arrows in (
+        ("envs", 5, 5, 10),
+        ("synthesis", 10, 6, 40),
+        ("validation", 3, 3, 3),
+    ):
+        graph = arrows(wing)
+        assert len(graph) <= most_rooms and sum(map(len, graph.values())) <= most_arrows, wing
+        floors, left = 0, {*graph}
+        while left:
+            ground = {room for room in left if not graph[room] & left}
+            assert ground, f"rooms import one another in a circle: {sorted(left)}"
+            left -= ground
+            floors += 1
+        assert floors <= most_floors, wing
+        assert len([*(ROOT / wing).glob("*.py")]) <= 5, wing
+    for room in {room_of(module) for module in modules()} - {"synthesis.checker"}:  # which is counted in lines
+        assert sum(room_of(module) == room for module in modules()) <= 24, room
 
 
 def test_imports_go_down_the_table() -> None:
@@ -138,7 +196,7 @@ def test_imports_go_down_the_table() -> None:
         for target, name in imports(module):
             if target == "" and name == "__version__":
                 continue
-            if room_of(target) not in (room, *MAY_IMPORT[room].split()):
+            if room_of(target) != room and not listed(room_of(target), MAY_IMPORT[room]):
                 wrong.append(f"{module} imports {target}")
     assert wrong == []
 
@@ -148,8 +206,8 @@ def test_the_table_says_no_more_than_the_code_needs() -> None:
     for module in modules():
         for target, _ in imports(module):
             if target and room_of(module) in used:
-                used[room_of(module)].add(room_of(target))
-    shared = {*ENVS.split(), *EVIDENCE.split()}  # named together, for brevity
+                used[room_of(module)] |= {room_of(target), whole(target)}
+    shared = {*EVIDENCE.split()}  # named together, for brevity
     spare = {room: {*text.split()} - used[room] - shared for room, text in MAY_IMPORT.items()}
     assert {room: left for room, left in spare.items() if left} == {}
 
@@ -161,11 +219,10 @@ def test_other_rooms_are_entered_by_their_doors() -> None:
             own = room_of(module)
             if target in ("", own) or room_of(target) == own or module == "envs":
                 continue
-            hall = room_of(target) == "synthesis"  # the verbs stand open
             if (
                 modules()[target].stem != "__init__"
-                and not hall
-                and not (target == "envs.dynamics.worlds" and not name)
+                and room_of(target) not in OPEN
+                and not (target == "envs.simulation.worlds" and not name)
             ):
                 wrong.append(f"{module} imports {name or 'the file'} from {target}")
     assert wrong == []
@@ -213,23 +270,26 @@ def test_doors_offer_nothing_under_the_name_of_a_file() -> None:
 
 
 def test_the_check_reaches_nothing_of_the_search() -> None:
-    program = "import sys, certigym.synthesis.checking; print(*(name for name in sys.modules if 'certigym.' in name))"
+    check = "certigym.synthesis.extended_check.claims"
+    program = f"import sys, {check}; print(*(name for name in sys.modules if 'certigym.' in name))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT / "src")
     loaded = done.stdout.split()
-    assert "certigym.synthesis.checking" in loaded
+    assert check in loaded
     rooms = tuple(f"certigym.synthesis.{room}" for room in SEARCH)
     assert [name for name in loaded if name.startswith(rooms)] == []
     hall = [name for name in loaded if name.startswith("certigym.synthesis.") and name.count(".") == 2]
     assert {name.rpartition(".")[2] for name in hall} <= {room.name for room in drawn.rooms("synthesis")}
 
 
-@pytest.mark.parametrize("statement", ["from ..search import sweep", "from ...validation.verdicts import validate"])
+@pytest.mark.parametrize(
+    "statement", ["from ...policy_search.ascent import sweep", "from ....validation.statistical_tests import validate"]
+)
 def test_the_table_would_refuse_the_search_in_the_check(
     statement: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "spy.py"
     path.write_text(f"def lazily():\n    {statement}\n")
-    monkeypatch.setitem(modules(), "synthesis.checking.spy", path)
+    monkeypatch.setitem(modules(), "synthesis.extended_check.claims.spy", path)
     with pytest.raises(AssertionError, match="spy"):
         test_imports_go_down_the_table()
 

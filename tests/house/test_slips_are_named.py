@@ -9,7 +9,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.envs.problem import doubts, problem_from_toml
+from certigym.envs.tasks.problem import doubts, problem_from_toml
 
 FILE = """
 specification = "F goal"

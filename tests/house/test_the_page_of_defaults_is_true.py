@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import rounded_down
+from certigym.synthesis.certificates.proofs import rounded_down
 
 ROOT = Path(__file__).parents[2]
 KEPT = json.loads((ROOT / "docs" / "defaults.json").read_text(encoding="utf-8"))

@@ -13,7 +13,7 @@ import certigym as cg
 from certigym.cli.colors import colored, wants_colors
 from certigym.cli.main import main
 from certigym.cli.parser import build_parser
-from certigym.synthesis.search import BAR, shown_on
+from certigym.synthesis.policy_search.ascent import BAR, shown_on
 from problems import scalar_agent
 
 CODES = re.compile(r"\033\[\d+m")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import certigym
-from certigym.synthesis.models import box_model, common_choices
+from certigym.synthesis.abstraction.models import box_model, common_choices
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted((DOCS / "theory").glob("*.md"))

@@ -16,10 +16,10 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from certigym import Problem
-from certigym.synthesis.bounds.dense import joint_outcomes
-from certigym.synthesis.models.abstraction import AgentModel
-from certigym.synthesis.models.choices import Policies
-from certigym.synthesis.models.target_windows import TargetWindows
+from certigym.synthesis.abstraction.models.choices import Policies
+from certigym.synthesis.abstraction.models.finite_models import AgentModel
+from certigym.synthesis.abstraction.models.target_windows import TargetWindows
+from certigym.synthesis.policy_search.bounds.dense import joint_outcomes
 
 
 @dataclass(frozen=True, eq=False)

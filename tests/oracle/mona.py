@@ -21,13 +21,13 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from certigym.envs.logic.automaton import Automaton
-from certigym.envs.logic.decision_diagram import DecisionDiagrams
-from certigym.envs.logic.formula import FormulaError
-from certigym.envs.logic.guard_diagrams import CONFLICT, MISSING, joined_guards
-from certigym.envs.logic.minimal import StateGraph, minimal_automaton, saturated
-from certigym.envs.logic.normal_form import NormalForm, Term
-from certigym.envs.logic.parser import parse_formula
+from certigym.envs.tasks.automata.automaton import Automaton
+from certigym.envs.tasks.automata.decision_diagram import DecisionDiagrams
+from certigym.envs.tasks.automata.formula import FormulaError
+from certigym.envs.tasks.automata.guard_diagrams import CONFLICT, MISSING, joined_guards
+from certigym.envs.tasks.automata.minimal import StateGraph, minimal_automaton, saturated
+from certigym.envs.tasks.automata.normal_form import NormalForm, Term
+from certigym.envs.tasks.automata.parser import parse_formula
 
 _TIMEOUT = 120.0
 """Seconds that MONA may take; sentences of the sizes met here take well below one."""

@@ -14,11 +14,11 @@ from scipy.stats import multivariate_normal, norm
 
 import certigym as cg
 from certigym import Agent, LinearAgent, Pair, Problem, Proposition, Specification, check
-from certigym.envs.agents import AnyAgent
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.dynamics.one_world import OneWorld
-from certigym.envs.problem import problem_from_dict
-from certigym.synthesis.certificates import PathProof, changed
+from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation.one_world import OneWorld
+from certigym.envs.systems.agents import AnyAgent
+from certigym.envs.tasks.problem import problem_from_dict
+from certigym.synthesis.certificates.proofs import PathProof, changed
 
 SEED = 20261124
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from certigym.cli.main import main
-from certigym.validation.paper import arch
+from certigym.validation.presentation.paper import arch
 from kinds import mostly_thorough
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "arch"

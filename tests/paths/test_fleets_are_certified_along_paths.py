@@ -12,14 +12,14 @@ import pytest
 from scipy.stats import binom, norm
 
 import certigym as cg
-from certigym.synthesis.cells import RelationRefused
-from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed, start_of_claim
-from certigym.synthesis.nominal_paths import CountedWork
-from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
-from certigym.synthesis.path_bounds.limit_rows import Worth
-from certigym.synthesis.path_bounds.pair_inequalities import PairRows
-from certigym.synthesis.path_words.accepted_words import is_accepted
-from certigym.synthesis.path_words.words import Way, ways_of
+from certigym.synthesis.certificates.proofs import AgentPath, AlongPath, PathProof, changed, start_of_claim
+from certigym.synthesis.relations.grids import RelationRefused
+from certigym.synthesis.trajectories.chance_constraints.limit_rows import Worth
+from certigym.synthesis.trajectories.chance_constraints.pair_inequalities import PairRows
+from certigym.synthesis.trajectories.planning import CountedWork
+from certigym.synthesis.trajectories.planning.nonlinear_team import _Apart
+from certigym.synthesis.trajectories.words.accepted_words import is_accepted
+from certigym.synthesis.trajectories.words.automaton_paths import Way, ways_of
 from fleet_problems import mixed, path_of, problem_of, swap, walker
 from kinds import mostly_thorough
 

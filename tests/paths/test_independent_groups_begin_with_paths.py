@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import certigym as cg
-from certigym.synthesis.synthesize import ways_ahead
+from certigym.synthesis.verbs.synthesize import ways_ahead
 
 
 def couples(number: int) -> cg.Problem:

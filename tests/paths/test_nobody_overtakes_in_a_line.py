@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.nominal_paths import CountedWork, in_line, path_search, team_search
-from certigym.synthesis.path_words.words import letters_of
+from certigym.synthesis.trajectories.planning import CountedWork, in_line, path_search, team_search
+from certigym.synthesis.trajectories.words.automaton_paths import letters_of
 
 
 def carts(number: int, order: bool = True) -> cg.Problem:

@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
+from certigym.synthesis.certificates.proofs import changed
 
 
 @cache

@@ -12,11 +12,11 @@ import pytest
 from scipy.stats import binom, norm
 
 import certigym as cg
-from certigym.synthesis.agreement import agreed, agreed_path
-from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed, start_of_claim
-from certigym.synthesis.nominal_paths.counted_work import CountedWork
-from certigym.synthesis.nominal_paths.nonlinear_search import Found, NonlinearSearch
-from certigym.synthesis.path_bounds import feedback_bounds
+from certigym.synthesis.certificates.proofs import AgentPath, AlongPath, PathProof, changed, start_of_claim
+from certigym.synthesis.policy_search.cell_certificates.agreement import agreed, agreed_path
+from certigym.synthesis.trajectories.chance_constraints import feedback_bounds
+from certigym.synthesis.trajectories.planning.counted_work import CountedWork
+from certigym.synthesis.trajectories.planning.nonlinear_search import Found, NonlinearSearch
 from fleet_problems import path_of
 from kinds import mostly_thorough
 

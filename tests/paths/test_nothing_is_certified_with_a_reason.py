@@ -12,9 +12,9 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.envs.problem.problem_file import problem_from_toml
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.path_bounds.calm_runs import most_missed, satisfies
+from certigym.envs.tasks.problem.problem_file import problem_from_toml
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.trajectories.chance_constraints.calm_runs import most_missed, satisfies
 
 FILE = """
 name = "{name}"

@@ -16,7 +16,15 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.synthesis.certificates import SOMETIME, AgentPath, AlongPath, Certificate, PathProof, canonical, changed
+from certigym.synthesis.certificates.proofs import (
+    SOMETIME,
+    AgentPath,
+    AlongPath,
+    Certificate,
+    PathProof,
+    canonical,
+    changed,
+)
 from certigym.synthesis.checker import problem as checked_problem
 from certigym.synthesis.checker import trajectories
 from certigym.synthesis.checker.constraints import Constraints

@@ -12,10 +12,10 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.synthesis.certificates import AgentPath, AlongPath, PathProof, changed
-from certigym.synthesis.nominal_paths import CountedWork, path_search
-from certigym.synthesis.nominal_paths.path_search import linear_certificate
-from certigym.synthesis.path_bounds import slabs
+from certigym.synthesis.certificates.proofs import AgentPath, AlongPath, PathProof, changed
+from certigym.synthesis.trajectories.chance_constraints import slabs
+from certigym.synthesis.trajectories.planning import CountedWork, path_search
+from certigym.synthesis.trajectories.planning.path_search import linear_certificate
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""

@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.choosing import first_cells
-from certigym.synthesis.nominal_paths import CountedWork, path_certificate
-from certigym.synthesis.nominal_paths.nominal_planner import Aim, Planner, rolled
-from certigym.synthesis.nominal_paths.nonlinear_team import _Apart
-from certigym.synthesis.nominal_paths.team_search import TeamSearch
-from certigym.synthesis.nominal_paths.tried_runs import tried_run
-from certigym.synthesis.nominal_paths.turns import plans_of_runs, runs_in_turn
-from certigym.synthesis.path_bounds.nonlinear_model import NonlinearModel
-from certigym.synthesis.path_bounds.path_limits import farthest_sides, limits_along
-from certigym.synthesis.path_words.accepted_words import is_accepted
-from certigym.synthesis.path_words.words import letters_of
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.policy_search.portfolio import first_cells
+from certigym.synthesis.trajectories.chance_constraints.nonlinear_model import NonlinearModel
+from certigym.synthesis.trajectories.chance_constraints.path_limits import farthest_sides, limits_along
+from certigym.synthesis.trajectories.planning import CountedWork, path_certificate
+from certigym.synthesis.trajectories.planning.nominal_planner import Aim, Planner, rolled
+from certigym.synthesis.trajectories.planning.nonlinear_team import _Apart
+from certigym.synthesis.trajectories.planning.team_search import TeamSearch
+from certigym.synthesis.trajectories.planning.tried_runs import tried_run
+from certigym.synthesis.trajectories.planning.turns import plans_of_runs, runs_in_turn
+from certigym.synthesis.trajectories.words.accepted_words import is_accepted
+from certigym.synthesis.trajectories.words.automaton_paths import letters_of
 
 ROOT = Path(__file__).parents[2]
 PLANE: dict[str, Any] = {"states": ["x", "y"], "state_low": [-6, -6], "state_high": [6, 6]}

@@ -12,8 +12,8 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.synthesis.certificates import KEPT, AlongPath, tube_along
-from certigym.validation.simulation import Loop, paths
+from certigym.synthesis.certificates.proofs import KEPT, AlongPath, tube_along
+from certigym.validation.statistical_tests import Loop, paths
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "arch"
 

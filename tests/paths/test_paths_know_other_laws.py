@@ -10,11 +10,11 @@ import pytest
 from scipy.special import ndtri
 
 import certigym as cg
-from certigym.envs.agents import Law, Tail
-from certigym.synthesis.certificates import PathProof, changed
+from certigym.envs.systems.distributions import Law, Tail
+from certigym.synthesis.certificates.proofs import PathProof, changed
 from certigym.synthesis.checker.distributions import Envelope, read_distribution
 from certigym.synthesis.checker.fields import Entry
-from certigym.synthesis.path_bounds.nonlinear_model import NonlinearModel
+from certigym.synthesis.trajectories.chance_constraints.nonlinear_model import NonlinearModel
 from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6

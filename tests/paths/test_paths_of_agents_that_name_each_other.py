@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import beta, norm
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
+from certigym.synthesis.certificates.proofs import changed
 
 OWN = Path(__file__).parents[2] / "examples" / "own"
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.nominal_paths.coarse_ways import guesses
-from certigym.synthesis.path_words.exclusions import exclusions
-from certigym.synthesis.path_words.words import ways_of
+from certigym.synthesis.trajectories.planning.coarse_ways import guesses
+from certigym.synthesis.trajectories.words.automaton_paths import ways_of
+from certigym.synthesis.trajectories.words.exclusions import exclusions
 
 
 def rover(regions: dict[str, Any], formula: str, horizon: int = 12, **changes: Any) -> cg.Problem:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import certigym as cg
-from certigym.synthesis.nominal_paths import CountedWork, path_search
+from certigym.synthesis.trajectories.planning import CountedWork, path_search
 
 
 class SoftLimits(Exception):

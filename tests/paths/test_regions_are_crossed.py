@@ -9,9 +9,9 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.synthesis.certificates import SOMETIME, AgentPath, AlongPath, Certificate, PathProof, changed
-from certigym.synthesis.path_words.accepted_words import is_accepted
-from certigym.synthesis.path_words.visits import visits_of, with_windows
+from certigym.synthesis.certificates.proofs import SOMETIME, AgentPath, AlongPath, Certificate, PathProof, changed
+from certigym.synthesis.trajectories.words.accepted_words import is_accepted
+from certigym.synthesis.trajectories.words.visits import visits_of, with_windows
 from fleet_problems import wrong_paths
 from kinds import mostly_thorough
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import changed
-from certigym.synthesis.nominal_paths import CountedWork
-from certigym.synthesis.nominal_paths.path_search import linear_certificate
-from certigym.synthesis.raw_networks import certify_network
-from certigym.synthesis.relations import Network
+from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.relations.kinds import Network
+from certigym.synthesis.trajectories.planning import CountedWork
+from certigym.synthesis.trajectories.planning.path_search import linear_certificate
+from certigym.synthesis.verbs.raw_networks import certify_network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 from kinds import mostly_thorough

@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.nominal_paths import CountedWork
-from certigym.synthesis.nominal_paths.team_search import TeamFound, TeamSearch
-from certigym.synthesis.path_bounds.pair_costs import pair_limits
+from certigym.synthesis.trajectories.chance_constraints.pair_costs import pair_limits
+from certigym.synthesis.trajectories.planning import CountedWork
+from certigym.synthesis.trajectories.planning.team_search import TeamFound, TeamSearch
 from fleet_problems import mixed, path_of, swap
 
 pytestmark = pytest.mark.thorough

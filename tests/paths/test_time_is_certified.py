@@ -14,10 +14,10 @@ from scipy.stats import binom
 
 import certigym as cg
 from balls import check_rigorous
-from certigym.envs.problem import groups, written_out
-from certigym.synthesis.certificates import PathProof, TimedProof, changed, timed_certificate
-from certigym.synthesis.models import AgentModel
-from certigym.synthesis.step_checking import RegionSpan
+from certigym.envs.tasks.problem import groups, written_out
+from certigym.synthesis.abstraction.models import AgentModel
+from certigym.synthesis.certificates.proofs import PathProof, TimedProof, changed, timed_certificate
+from certigym.synthesis.extended_check.steps import RegionSpan
 from kinds import mostly_thorough
 from timed_problems import band, best_probability, follow, robot, still
 
@@ -112,8 +112,8 @@ def test_controllers_act_alike_in_loops_and_in_batches(way: str) -> None:
     controller, env = certificate.controller, cg.parallel_env(certificate.problem)
     observations, infos = env.reset(seed=5)
     controller.reset(observations, infos, seed=0)
-    from certigym.envs.dynamics import Dynamics
-    from certigym.envs.dynamics import worlds as core
+    from certigym.envs.simulation import Dynamics
+    from certigym.envs.simulation import worlds as core
 
     dynamics = Dynamics.of(certificate.problem)
     batch, rng = controller.batch(dynamics), np.random.default_rng(0)

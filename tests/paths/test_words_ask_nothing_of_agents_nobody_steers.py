@@ -7,7 +7,7 @@ from itertools import product
 import pytest
 
 import certigym as cg
-from certigym.synthesis.path_words.safe_reach import whatever_others_do
+from certigym.synthesis.trajectories.words.safe_reach import whatever_others_do
 
 HORIZON = 24
 

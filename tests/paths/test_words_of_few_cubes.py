@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import SOMETIME, changed
-from certigym.synthesis.path_bounds.drifts import Drifts
-from certigym.synthesis.path_words import words
-from certigym.synthesis.path_words.accepted_words import is_accepted, without_needless
-from certigym.synthesis.path_words.segments import segmented_ways
-from certigym.synthesis.path_words.timed_words import timed_ways
-from certigym.synthesis.path_words.words import ways_of
+from certigym.synthesis.certificates.proofs import SOMETIME, changed
+from certigym.synthesis.trajectories.chance_constraints.drifts import Drifts
+from certigym.synthesis.trajectories.words import automaton_paths as words
+from certigym.synthesis.trajectories.words.accepted_words import is_accepted, without_needless
+from certigym.synthesis.trajectories.words.automaton_paths import ways_of
+from certigym.synthesis.trajectories.words.segments import segmented_ways
+from certigym.synthesis.trajectories.words.timed_words import timed_ways
 from fleet_problems import wrong_paths
 from kinds import mostly_thorough
 

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import OnGrid, changed
-from certigym.synthesis.checking import claimed_values
-from certigym.synthesis.relations.exact import ExactRelation
-from certigym.validation.audits.audit_report import AuditReport
-from certigym.validation.audits.ledger import STAKES, Ledger
-from certigym.validation.audits.step_tests import audit
-from certigym.validation.audits.value_at import bound_by_steps_left, charge_of
+from certigym.synthesis.certificates.proofs import OnGrid, changed
+from certigym.synthesis.extended_check.claims import claimed_values
+from certigym.synthesis.relations.kinds.exact import ExactRelation
+from certigym.validation.statistical_tests.audit_report import AuditReport
+from certigym.validation.statistical_tests.ledger import STAKES, Ledger
+from certigym.validation.statistical_tests.step_tests import audit
+from certigym.validation.statistical_tests.value_at import bound_by_steps_left, charge_of
 from kinds import mostly_thorough
 from problems import scalar_agent, two_agents
 
@@ -155,7 +155,7 @@ def test_a_finding_names_time_state_agent_and_region() -> None:
 
 def test_bets_never_ruin_and_are_fair_at_the_boundary() -> None:
     """Wealth stays positive at the largest increment, and has mean at most 1 where the mean increment is 0."""
-    from certigym.validation.audits.step_tests import _wealth
+    from certigym.validation.statistical_tests.step_tests import _wealth
 
     for level in (0.0, 0.3, 0.9, 0.9999, 1.0):
         up, down = np.exp(_wealth(np.array([1.0 - level, -level]), np.full(2, 1.0 - level)))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.relations import inputs_of
+from certigym.synthesis.relations.kinds import inputs_of
 from certigym.validation.policies import imitation
 from certigym.validation.policies.actors import Network, SharedActor, load_actor, networks_of, save_actor
 from certigym.validation.policies.views import CentralView, SharedView

@@ -11,9 +11,8 @@ import pytest
 import certigym as cg
 from certigym.cli.colors import colored
 from certigym.cli.main import main
-from certigym.synthesis.certificates import CheckReport, OnGrid, changed
-from certigym.validation.statistics import CONFIRMED, REFUTED, VACUOUS, verdict
-from certigym.validation.verdicts import stress, validate_field
+from certigym.synthesis.certificates.proofs import CheckReport, OnGrid, changed
+from certigym.validation.statistical_tests import CONFIRMED, REFUTED, VACUOUS, stress, validate_field, verdict
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +99,7 @@ def test_commands_fail_with_the_check(
         asked.append(certificate)
         return CheckReport(False, certificate.lower_bound, 0.0, ("sabotage",))
 
-    monkeypatch.setattr("certigym.synthesis.checking.checked_first.check", refuse)
+    monkeypatch.setattr("certigym.synthesis.extended_check.claims.checked_first.check", refuse)
     assert main([*words, "--json", str(tmp_path / "r.json")]) == 1
     assert len(asked) == 1  # once
     assert "nothing is certified: sabotage" in capsys.readouterr().out

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.logic import translate
-from certigym.envs.pictures import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
-from certigym.envs.pictures.palette import rgb
-from certigym.envs.pictures.scene import panels
-from certigym.envs.pictures.task_roles import proposition_roles
+from certigym.envs.interfaces import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
+from certigym.envs.interfaces.palette import rgb
+from certigym.envs.interfaces.scene import panels
+from certigym.envs.interfaces.task_roles import proposition_roles
+from certigym.envs.tasks.automata import translate
 from kinds import mostly_thorough
 
 CASES = [

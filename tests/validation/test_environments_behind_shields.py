@@ -13,7 +13,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.baselines import RandomController
-from certigym.synthesis.shielding import Shield, shield_of
+from certigym.synthesis.extended_check.shields import Shield, shield_of
 from kinds import mostly_thorough
 from team_problems import pairs
 

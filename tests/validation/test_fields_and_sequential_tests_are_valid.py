@@ -12,17 +12,31 @@ from scipy.integrate import quad
 from scipy.stats import beta, binom
 
 import certigym as cg
-from certigym.synthesis.certificates import OnGrid, changed
-from certigym.synthesis.values.terms import Terms
-from certigym.validation.statistics.binomial import CONFIRMED, CONSISTENT, REFUTED, VACUOUS, holm, p_at_least, p_at_most
-from certigym.validation.statistics.sequential import (
+from certigym.synthesis.certificates.proofs import OnGrid, changed
+from certigym.synthesis.certificates.value_functions.terms import Terms
+from certigym.validation.statistical_tests.binomial import (
+    CONFIRMED,
+    CONSISTENT,
+    REFUTED,
+    VACUOUS,
+    holm,
+    p_at_least,
+    p_at_most,
+)
+from certigym.validation.statistical_tests.fields import FieldReport, find_weakest, validate_field
+from certigym.validation.statistical_tests.sequential import (
     SequentialState,
     confidence_sequence,
     log_e_at_least,
     log_e_at_most,
 )
-from certigym.validation.verdicts.fields import FieldReport, find_weakest, validate_field
-from certigym.validation.verdicts.starts import corner_starts, neighbours, random_starts, slice_starts, workspace_box
+from certigym.validation.statistical_tests.starts import (
+    corner_starts,
+    neighbours,
+    random_starts,
+    slice_starts,
+    workspace_box,
+)
 from problems import two_agents
 
 CONFIDENCE = 1 - 1e-6

@@ -12,9 +12,9 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.validation.figures import certificate_figures as figures
-from certigym.validation.figures import figure_scenes as scenes
-from certigym.validation.figures.figure_style import new_figure, save_figure
+from certigym.validation.presentation.figures import certificate_figures as figures
+from certigym.validation.presentation.figures import figure_scenes as scenes
+from certigym.validation.presentation.figures.figure_style import new_figure, save_figure
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +64,8 @@ def test_rollouts_mark_failures() -> None:
 def test_drawing_leaves_pyplot_alone(tmp_path: Path) -> None:
     program = (
         "import sys, certigym as cg\n"
-        "from certigym.validation.figures.figure_scenes import automaton_figure\n"
-        "from certigym.validation.figures.figure_style import save_figure\n"
+        "from certigym.validation.presentation.figures.figure_scenes import automaton_figure\n"
+        "from certigym.validation.presentation.figures.figure_style import save_figure\n"
         "assert 'matplotlib' not in sys.modules\n"
         f"save_figure(automaton_figure(cg.make_problem('reach-avoid-v0')), {str(tmp_path / 'a.svg')!r})\n"
         "assert 'matplotlib.pyplot' not in sys.modules"

@@ -6,7 +6,7 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.shielding import Shield, shield_of
+from certigym.synthesis.extended_check.shields import Shield, shield_of
 
 pytest.importorskip("stable_baselines3")
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.dynamics import worlds as core
-from certigym.envs.dynamics.worlds import Dynamics
-from certigym.synthesis.certificates import OnGrid, is_exact
-from certigym.validation.simulation.chunks import frames
-from certigym.validation.simulation.loop import Loop
-from certigym.validation.simulation.mismatch import FAMILIES, Mismatch, as_family, degraded, disturbed
-from certigym.validation.verdicts.stress_test import stress
+from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation.worlds import Dynamics
+from certigym.synthesis.certificates.proofs import OnGrid, is_exact
+from certigym.validation.statistical_tests.chunks import frames
+from certigym.validation.statistical_tests.loop import Loop
+from certigym.validation.statistical_tests.mismatch import FAMILIES, Mismatch, as_family, degraded, disturbed
+from certigym.validation.statistical_tests.stress_test import stress
 from problems import two_agents
 
 LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}

@@ -17,7 +17,7 @@ from certigym.cli.main import main
 from certigym.validation.policies import Probe, imitation
 from certigym.validation.policies.imitation import Demonstrations, demonstrate
 from certigym.validation.policies.views import CentralView, SharedView
-from certigym.validation.statistics import clopper_pearson, paired_difference
+from certigym.validation.statistical_tests import clopper_pearson, paired_difference
 
 RA2 = cg.make_problem("reach-avoid-v0")
 

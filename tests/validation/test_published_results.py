@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from certigym.validation.paper import lines_of, reproduce
-from certigym.validation.paper.published import published_curve
-from certigym.validation.paper.refutation import refute_published
-from certigym.validation.paper.reproduce import FIGURE_3, fig4
+from certigym.validation.presentation.paper import lines_of, reproduce
+from certigym.validation.presentation.paper.published import published_curve
+from certigym.validation.presentation.paper.refutation import refute_published
+from certigym.validation.presentation.paper.reproduce import FIGURE_3, fig4
 
 RIGHT_NOISE = (0.127645, 0.271779, 0.436494, 0.616145, 0.811906, 0.933270, 0.934675)
 """Independent recomputation of the robust tree at the stated noise, T = 1 .. 7."""

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from certigym.validation.paper import Reproduction, computed, lines_text
-from certigym.validation.paper.judged_lines import Bound, Line, judged_lines
-from certigym.validation.paper.reproduction import Found
-from certigym.validation.simulation import processes
+from certigym.validation.presentation.paper import Reproduction, computed, lines_text
+from certigym.validation.presentation.paper.judged_lines import Bound, Line, judged_lines
+from certigym.validation.presentation.paper.reproduction import Found
+from certigym.validation.statistical_tests import processes
 
 
 @pytest.fixture

@@ -18,17 +18,17 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import OnGrid
-from certigym.validation.audits.step_tests import audit
-from certigym.validation.reports.gathering import report
-from certigym.validation.simulation import TrialPlan
-from certigym.validation.simulation.cluster import dask_cluster, executor_for, processes
-from certigym.validation.simulation.loop import Loop
-from certigym.validation.simulation.rollouts import NUMBERS_SIDE_BY_SIDE, stream
-from certigym.validation.simulation.spread import in_order
-from certigym.validation.verdicts.fields import find_weakest, validate_field
-from certigym.validation.verdicts.stress_test import stress
-from certigym.validation.verdicts.sweeps import each_report, synthesize_best
+from certigym.synthesis.certificates.proofs import OnGrid
+from certigym.validation.presentation.reports.gathering import report
+from certigym.validation.statistical_tests import TrialPlan
+from certigym.validation.statistical_tests.cluster import dask_cluster, executor_for, processes
+from certigym.validation.statistical_tests.fields import find_weakest, validate_field
+from certigym.validation.statistical_tests.loop import Loop
+from certigym.validation.statistical_tests.rollouts import NUMBERS_SIDE_BY_SIDE, stream
+from certigym.validation.statistical_tests.spread import in_order
+from certigym.validation.statistical_tests.step_tests import audit
+from certigym.validation.statistical_tests.stress_test import stress
+from certigym.validation.statistical_tests.sweeps import each_report, synthesize_best
 from problems import two_agents
 
 EPISODES, CHUNK = 21_300, 500

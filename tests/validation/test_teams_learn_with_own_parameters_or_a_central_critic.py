@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.dynamics import Dynamics, joint
-from certigym.envs.dynamics.worlds import initial
+from certigym.envs.simulation import Dynamics, joint
+from certigym.envs.simulation.worlds import initial
 from certigym.validation.policies import imitation
 from certigym.validation.policies.actors import TeamActor, load_actor, networks_of
 from certigym.validation.policies.learning import new_learner
 from certigym.validation.policies.settings import settings_for
 from certigym.validation.policies.views import SharedView, TeamView
-from certigym.validation.statistics import mean_limits
+from certigym.validation.statistical_tests import mean_limits
 
 pytestmark = pytest.mark.thorough
 

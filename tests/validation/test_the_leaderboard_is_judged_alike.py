@@ -15,8 +15,7 @@ from certigym.baselines import Leaderboard, RandomController, Sources
 from certigym.cli.main import main
 from certigym.validation.policies import imitation, page_of, probing
 from certigym.validation.policies.standings import judging_plan, mean_progress
-from certigym.validation.simulation import planned
-from certigym.validation.statistics import clopper_pearson
+from certigym.validation.statistical_tests import clopper_pearson, planned
 
 RA2 = cg.make_problem("reach-avoid-v0")
 POLICY = """

@@ -15,13 +15,13 @@ from typing import Any
 import pytest
 
 import certigym as cg
-from certigym.validation.studio import certifying, work
-from certigym.validation.studio.carets import mark
-from certigym.validation.studio.folder import place
-from certigym.validation.studio.looking import _MOVED, look
-from certigym.validation.studio.server import MOST_BYTES, Studio
-from certigym.validation.studio.toml_edits import edited
-from certigym.validation.studio.toml_spans import places
+from certigym.validation.presentation.studio import certifying, work
+from certigym.validation.presentation.studio.carets import mark
+from certigym.validation.presentation.studio.folder import place
+from certigym.validation.presentation.studio.looking import _MOVED, look
+from certigym.validation.presentation.studio.server import MOST_BYTES, Studio
+from certigym.validation.presentation.studio.toml_edits import edited
+from certigym.validation.presentation.studio.toml_spans import places
 from chromium_pages import CHROMIUM, Chromium, Tab
 from kinds import mostly_thorough
 
@@ -483,7 +483,8 @@ def test_what_was_certified_outlives_its_process(tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_texts_are_read_before_the_rest_is_loaded() -> None:
     """What a process that reads texts imports is small: neither searches nor reports."""
-    code = "import sys, certigym.validation.studio.work; print([n for n in sys.modules if 'certigym.synthesis' in n])"
+    work = "certigym.validation.presentation.studio.work"
+    code = f"import sys, {work}; print([n for n in sys.modules if 'certigym.synthesis' in n])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates import CheckReport
-from certigym.validation.reports.explorer import EPISODES, UNIT, _down, explored
-from certigym.validation.reports.other_starts import begun_at, bounds_from
-from certigym.validation.simulation import task_tracks
+from certigym.synthesis.certificates.proofs import CheckReport
+from certigym.validation.presentation.reports.explorer import EPISODES, UNIT, _down, explored
+from certigym.validation.presentation.reports.other_starts import begun_at, bounds_from
+from certigym.validation.statistical_tests import task_tracks
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 

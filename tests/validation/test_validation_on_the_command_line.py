@@ -15,10 +15,10 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.synthesis.certificates import OnGrid, changed
-from certigym.validation.reports.svg import ticks
-from certigym.validation.verdicts.success_rate import ValidationReport
-from certigym.validation.verdicts.sweeps import each_report
+from certigym.synthesis.certificates.proofs import OnGrid, changed
+from certigym.validation.presentation.reports.svg import ticks
+from certigym.validation.statistical_tests.success_rate import ValidationReport
+from certigym.validation.statistical_tests.sweeps import each_report
 from problems import two_agents
 
 

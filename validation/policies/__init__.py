@@ -1,11 +1,15 @@
-"""Policies of any origin: given, learned, compared."""
+"""Policies of any origin, trained, compared and run behind shields."""
 
 from .actors import NotAnActor, load_actor
+from .behind import shield
 from .comparison import Comparison, compare
 from .entrants import LEARNERS, Sources, given, label_of
 from .probing import Attempt, Probe, probe
 from .recording import Recording, record
 from .rollout_policies import IdleController, RandomController, as_controller
+from .shielded_batches import ShieldedTeamEnv, ShieldedVectorEnv
+from .shielded_envs import ShieldedCentralEnv, ShieldedEnv, ShieldedTasksEnv
+from .shielded_policy import ShieldedController
 from .standings import Leaderboard, Standing, judged, judging_plan, leaderboard
 from .standings_page import page_of
 from .tier_rule import tier_of
@@ -22,6 +26,12 @@ __all__ = [
     "Probe",
     "RandomController",
     "Recording",
+    "ShieldedCentralEnv",
+    "ShieldedController",
+    "ShieldedEnv",
+    "ShieldedTasksEnv",
+    "ShieldedTeamEnv",
+    "ShieldedVectorEnv",
     "Sources",
     "Standing",
     "Training",
@@ -37,6 +47,7 @@ __all__ = [
     "page_of",
     "probe",
     "record",
+    "shield",
     "tier_of",
     "train",
 ]

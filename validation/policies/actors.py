@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import write_bytes
-from ...envs.dynamics import Dynamics, Worlds, joint
-from ...envs.problem import Problem
+from ...envs.simulation import Dynamics, Worlds, joint
 from ...envs.suite import as_problem
-from ...synthesis.bridges import LocalBatch, NotAnActor, stored
-from ...synthesis.relations import Network, NetworkPolicy, OwnView, inputs_of
-from ..simulation import BatchPolicy
+from ...envs.systems.arguments import write_bytes
+from ...envs.tasks.problem import Problem
+from ...synthesis.interop import LocalBatch, NotAnActor, stored
+from ...synthesis.relations.kinds import Network, NetworkPolicy, OwnView, inputs_of
+from ..statistical_tests import BatchPolicy
 from .views import CentralView, SharedView, View
 
 Array = NDArray[Any]

@@ -20,17 +20,30 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ...envs.agents import counted, shortened, tree_text
-from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ...synthesis.bridges import is_model
-from ...synthesis.certificates import Certificate, Synthesis, certificate_from, shown_bound, told_claim
-from ...synthesis.checking import checked_once
-from ...synthesis.controllers import LOCAL, Controller
-from ..shields import ShieldedController
-from ..simulation import Batchable, Rollouts, Saved, TrialOptions, TrialPlan, html_table, planned, rollout
-from ..statistics import VACUOUS, clopper_pearson, holm, mean_limits, p_at_least
+from ...envs.systems.arguments import counted, shortened, tree_text
+from ...envs.tasks.problem import Problem
+from ...synthesis.certificates.controllers import LOCAL, Controller
+from ...synthesis.certificates.proofs import Certificate, Synthesis, certificate_from, shown_bound, told_claim
+from ...synthesis.extended_check.claims import checked_once
+from ...synthesis.interop import is_model
+from ..statistical_tests import (
+    VACUOUS,
+    Batchable,
+    Rollouts,
+    Saved,
+    TrialOptions,
+    TrialPlan,
+    clopper_pearson,
+    holm,
+    html_table,
+    mean_limits,
+    p_at_least,
+    planned,
+    rollout,
+)
 from .rollout_policies import as_controller
+from .shielded_policy import ShieldedController
 from .training import Training
 
 ENTRIES_SHOWN = 8

@@ -8,17 +8,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ...envs.agents import write_json
-from ...envs.problem import Problem
 from ...envs.suite import as_problem, problem_ids
-from ...synthesis.certificates import Certificate, Synthesis, load_certificate, save_certificate
-from ...synthesis.shielding import Shield, shield_of
-from ...synthesis.synthesize import synthesize
-from ..shields import ShieldedController
+from ...envs.systems.arguments import write_json
+from ...envs.tasks.problem import Problem
+from ...synthesis.certificates.proofs import Certificate, Synthesis, load_certificate, save_certificate
+from ...synthesis.extended_check.shields import Shield, shield_of
+from ...synthesis.verbs.synthesize import synthesize
 from .actors import load_actor
 from .comparison import Contestant, contestants_of
 from .probing import Probe, probe
 from .rollout_policies import RandomController
+from .shielded_policy import ShieldedController
 from .training import CLONED, Training, certificate_of, train
 
 CLONE, SHIELD = "clone", "shield"
@@ -38,7 +38,7 @@ is judged, behind their shield."""
 KEPT = 0.5
 """Share of the certified bound that the shield of a shielded learner keeps: more leaves a learner little to decide."""
 
-POLICIES = ("certified", "probe", "ppo", "warm-ppo", "sac", "random")
+POLICIES: tuple[str, ...] = ("certified", "probe", "ppo", "warm-ppo", "sac", "random")
 """The columns that are filled by default."""
 
 SECONDS = 60.0

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import counted, tree_text
-from ...envs.dynamics import Dynamics, joint
-from ...envs.dynamics import worlds as core
-from ..simulation import Batchable
+from ...envs.simulation import Dynamics, joint
+from ...envs.simulation import worlds as core
+from ...envs.systems.arguments import counted, tree_text
+from ..statistical_tests import Batchable
 from .views import View
 
 Array = NDArray[Any]

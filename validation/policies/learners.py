@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from ...envs.interfaces import ProblemVectorEnv, checked_option
-from ...envs.problem import Problem
-from ...synthesis.shielding import Shield
-from ..shields import ShieldedVectorEnv
+from ...envs.tasks.problem import Problem
+from ...synthesis.extended_check.shields import Shield
+from .shielded_batches import ShieldedVectorEnv
 from .views import CentralView, SharedView, View
 
 HORIZON_ENDS = ("truncated", "terminated")

@@ -24,15 +24,23 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ...envs.agents import checked_count, counted, tree_text
-from ...envs.arrays import on_one_thread
-from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ...synthesis.certificates import Certificate, shown_bound
-from ...synthesis.checking import standing
-from ...synthesis.controllers import LOCAL
-from ..simulation import Plan, Saved, TrialOptions, TrialPlan, planned, rollout
-from ..statistics import clopper_pearson, paired_difference
+from ...envs.systems.arguments import checked_count, counted, tree_text
+from ...envs.systems.backends import on_one_thread
+from ...envs.tasks.problem import Problem
+from ...synthesis.certificates.controllers import LOCAL
+from ...synthesis.certificates.proofs import Certificate, shown_bound
+from ...synthesis.extended_check.claims import standing
+from ..statistical_tests import (
+    Plan,
+    Saved,
+    TrialOptions,
+    TrialPlan,
+    clopper_pearson,
+    paired_difference,
+    planned,
+    rollout,
+)
 from .actors import Actor, save_actor
 from .imitation import clone, demonstrate
 from .learning import Progress, actor_now, enter, learn, new_learner, new_watcher, numbers_of

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import counted, tree_text, write_bytes
-from ...envs.dynamics import Dynamics, Worlds, joint
-from ...envs.dynamics import worlds as core
 from ...envs.interfaces import CentralEnv
-from ...envs.problem import Problem
+from ...envs.simulation import Dynamics, Worlds, joint
+from ...envs.simulation import worlds as core
 from ...envs.suite import as_problem
-from ..simulation import CHUNK, BatchPolicy, Loop, chunks_of, frames
+from ...envs.systems.arguments import counted, tree_text, write_bytes
+from ...envs.tasks.problem import Problem
+from ..statistical_tests import CHUNK, BatchPolicy, Loop, chunks_of, frames
 from .comparison import contestants_of
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.dynamics import Dynamics, Worlds
+from ...envs.simulation import Dynamics, Worlds
 from ...envs.suite import as_problem
-from ...synthesis.bridges import batchable
+from ...synthesis.interop import batchable
 
 Array = NDArray[Any]
 

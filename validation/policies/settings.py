@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ...synthesis.shielding import Shield
+from ...synthesis.extended_check.shields import Shield
 from .views import View
 
 FILE = Path(__file__).with_name("settings.toml")

@@ -21,13 +21,22 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ...envs.agents import counted, tree_text
-from ...envs.dynamics import worlds as core
 from ...envs.interfaces import Potential
-from ...envs.problem import Problem
+from ...envs.simulation import worlds as core
 from ...envs.suite import as_problem, problem_ids
-from ..simulation import Batchable, Loop, Plan, TrialOptions, TrialPlan, frames, planned, rollout
-from ..statistics import clopper_pearson
+from ...envs.systems.arguments import counted, tree_text
+from ...envs.tasks.problem import Problem
+from ..statistical_tests import (
+    Batchable,
+    Loop,
+    Plan,
+    TrialOptions,
+    TrialPlan,
+    clopper_pearson,
+    frames,
+    planned,
+    rollout,
+)
 from .entrants import LEARNERS, POLICIES, Entrant, Entrants, Sources, label_of
 
 RETURNS = 2000

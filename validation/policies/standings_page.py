@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...synthesis.certificates import rounded_down, rounded_up
+from ...synthesis.certificates.proofs import rounded_down, rounded_up
 from .standings import Leaderboard, Standing
 from .tier_rule import ALONE, left_of, tier_of
 

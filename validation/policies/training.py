@@ -26,13 +26,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...envs.agents import checked_count, counted, tree_text, write_bytes, write_json, write_text
-from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ...synthesis.certificates import Certificate, certificate_from
-from ...synthesis.shielding import Shield
-from ...synthesis.synthesize import synthesize
-from ..simulation import rollout
+from ...envs.systems.arguments import checked_count, counted, tree_text, write_bytes, write_json, write_text
+from ...envs.tasks.problem import Problem
+from ...synthesis.certificates.proofs import Certificate, certificate_from
+from ...synthesis.extended_check.shields import Shield
+from ...synthesis.verbs.synthesize import synthesize
+from ..statistical_tests import rollout
 from .actors import Actor, networks_of, save_actor
 from .imitation import clone, demonstrate
 from .learning import Progress, actor_now, enter, learn, new_learner, new_watcher, numbers_of

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.problem import Problem
-from ...synthesis.controllers import LOCAL
-from ...synthesis.relations import OwnView, scaled, write_task
+from ...envs.tasks.problem import Problem
+from ...synthesis.certificates.controllers import LOCAL
+from ...synthesis.relations.kinds import OwnView, scaled, write_task
 
 Array = NDArray[Any]
 

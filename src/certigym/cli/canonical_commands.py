@@ -47,7 +47,7 @@ def _verdict(options: Namespace) -> Verdict:
     """Return the verdict; the rest of the package is loaded only where a problem has to be compared."""
     if options.problem is None:
         return check_contents(read_file(options.certificate, _most_bytes(options)))
-    from ..synthesis.certificates.canonical import check_file
+    from ..synthesis.certificates.proofs.canonical import check_file
     from .given import named_problem
 
     return check_file(options.certificate, named_problem(options.problem, options.horizon), _most_bytes(options))
@@ -63,9 +63,9 @@ def canonical(options: Namespace) -> int:
         return 0
     if not is_archive:
         raise ValueError(f"`--out`: expected with a certificate file (.npz), got {options.source!r}; leave `--out` out")
-    from ..envs.agents import write_bytes
-    from ..synthesis.certificates import load_certificate
-    from ..synthesis.certificates.canonical import canonical_bytes
+    from ..envs.systems.arguments import write_bytes
+    from ..synthesis.certificates.proofs import load_certificate
+    from ..synthesis.certificates.proofs.canonical import canonical_bytes
 
     certificate = load_certificate(source)
     write_bytes(options.out, canonical_bytes(certificate))
@@ -77,8 +77,8 @@ def canonical(options: Namespace) -> int:
 
 def _problem(options: Namespace) -> dict[str, Any]:
     """Return the canonical form of a suite problem, a problem file, or the problem of a certificate of 0.3."""
-    from ..synthesis.certificates import load_certificate
-    from ..synthesis.certificates.canonical import canonical_problem
+    from ..synthesis.certificates.proofs import load_certificate
+    from ..synthesis.certificates.proofs.canonical import canonical_problem
     from .given import named_problem
 
     if Path(options.source).suffix == ".npz":

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import write_json as save_json
-from ..envs.problem import Problem, load_problem, split_axes
 from ..envs.suite import make_problem, problem_ids
+from ..envs.systems.arguments import write_json as save_json
+from ..envs.tasks.problem import Problem, load_problem, split_axes
 from .terminal import on_terminal
 
 SIZE = re.compile(r"([0-9]+(?:\.[0-9]*)?)([KMGkmg]?)(?:i?[Bb])?")

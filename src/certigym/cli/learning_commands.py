@@ -9,18 +9,17 @@ from typing import Any
 
 from tqdm import tqdm
 
-from ..envs.agents import counted, write_json, write_text
-from ..envs.problem import policy_in_file
 from ..envs.suite import as_problem
-from ..synthesis.bridges import as_policy
-from ..synthesis.bridges import save_policy as save_for_others
-from ..synthesis.certificates import save_certificate
-from ..synthesis.certify import certify as certify_policy
-from ..synthesis.certify import improve as improve_policy
-from ..synthesis.certify import is_certified_as_given
-from ..synthesis.checking import standing
-from ..synthesis.shielding import shield_of
-from ..validation.figures import draw_comparison, draw_curves
+from ..envs.systems.arguments import counted, write_json, write_text
+from ..envs.tasks.problem import policy_in_file
+from ..synthesis.certificates.proofs import save_certificate
+from ..synthesis.extended_check.claims import standing
+from ..synthesis.extended_check.shields import shield_of
+from ..synthesis.interop import as_policy
+from ..synthesis.interop import save_policy as save_for_others
+from ..synthesis.verbs.certify import certify as certify_policy
+from ..synthesis.verbs.certify import improve as improve_policy
+from ..synthesis.verbs.certify import is_certified_as_given
 from ..validation.policies import (
     LEARNERS,
     Leaderboard,
@@ -37,7 +36,8 @@ from ..validation.policies import compare as compare_policies
 from ..validation.policies import leaderboard as fill_leaderboard
 from ..validation.policies import probe as probe_certificate
 from ..validation.policies import record as record_episodes
-from ..validation.simulation import planned
+from ..validation.presentation.figures import draw_comparison, draw_curves
+from ..validation.statistical_tests import planned
 from .given import cells_of, problem_of, relation_of, say, show
 from .network_commands import UNCERTIFIED, certify_raw, is_actor, is_wrapping, problem_of_actor
 from .policy_words import policy_of_file, policy_of_word

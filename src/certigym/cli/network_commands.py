@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.problem import Problem
-from ..synthesis.certificates import rounded_up, save_certificate
-from ..synthesis.certify import OF_NETWORKS
-from ..synthesis.certify import certify as certify_policy
-from ..synthesis.certify import improve as improve_policy
-from ..synthesis.raw_networks import WeakPlaces
-from ..validation.figures import network_figure, save_figure
+from ..envs.tasks.problem import Problem
+from ..synthesis.certificates.proofs import rounded_up, save_certificate
+from ..synthesis.verbs.certify import OF_NETWORKS
+from ..synthesis.verbs.certify import certify as certify_policy
+from ..synthesis.verbs.certify import improve as improve_policy
+from ..synthesis.verbs.raw_networks import WeakPlaces
 from ..validation.policies import compare as compare_policies
+from ..validation.presentation.figures import network_figure, save_figure
 from .given import cells_of, named_problem, show
 from .work import trials
 

@@ -6,13 +6,12 @@ from argparse import Namespace
 from collections.abc import Callable
 from typing import Any
 
-from ..envs.agents import counted
-from ..synthesis.certificates import load_certificate
-from ..synthesis.synthesize import synthesize
-from ..validation import figures
-from ..validation.figures import check_format
-from ..validation.simulation import TrialPlan
-from ..validation.verdicts import each_report
+from ..envs.systems.arguments import counted
+from ..synthesis.certificates.proofs import load_certificate
+from ..synthesis.verbs.synthesize import synthesize
+from ..validation.presentation import figures
+from ..validation.presentation.figures import check_format
+from ..validation.statistical_tests import TrialPlan, each_report
 from .given import cells_of, problem_of, relation_of, show
 from .moving_pictures import Player, check_film, render_episode
 from .policy_words import policy_of_word

@@ -8,10 +8,10 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
-from ..envs.problem import Problem
-from ..synthesis.bridges import RUN, as_policy
-from ..synthesis.certificates import load_certificate
-from ..synthesis.synthesize import synthesize
+from ..envs.tasks.problem import Problem
+from ..synthesis.certificates.proofs import load_certificate
+from ..synthesis.interop import RUN, as_policy
+from ..synthesis.verbs.synthesize import synthesize
 from ..validation.policies import ALGORITHMS, IdleController, NotAnActor, RandomController, load_actor
 from .given import cells_of, relation_of
 from .work import trained

@@ -12,9 +12,17 @@ from typing import Any
 
 from tqdm import tqdm
 
-from ..envs.agents import checked_count
-from ..envs.agents import write_json as save_json
-from ..validation.paper import TARGETS, Reproduction, computed, lines_of, lines_text, summary_text, target_of
+from ..envs.systems.arguments import checked_count
+from ..envs.systems.arguments import write_json as save_json
+from ..validation.presentation.paper import (
+    TARGETS,
+    Reproduction,
+    computed,
+    lines_of,
+    lines_text,
+    summary_text,
+    target_of,
+)
 from .given import say, write_json
 
 SILENCE = 15.0

@@ -7,7 +7,7 @@ import webbrowser
 from argparse import Namespace
 from pathlib import Path
 
-from ..validation.studio import Studio, open_studio
+from ..validation.presentation.studio import Studio, open_studio
 from .given import show
 
 

@@ -11,17 +11,19 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from ..envs.agents import AnyAgent, Pair, Proposition, counted, matrix_text, vector_text
-from ..envs.problem import Problem, cut_by_the_end, doubts, out_of_reach, why_never
 from ..envs.suite import make_problem, problem_ids, tier_of_id
-from ..synthesis.certificates import is_exact, lasting_bound, save_certificate, start_of_claim
-from ..synthesis.certificates.canonical import checker_text
-from ..synthesis.checking import safety_rate
-from ..synthesis.in_files import check as check_claim
-from ..synthesis.in_files import load
-from ..synthesis.search import BAR
-from ..synthesis.synthesize import ways_ahead
-from ..validation.verdicts import told_of
+from ..envs.systems.agents import AnyAgent
+from ..envs.systems.arguments import counted, matrix_text, vector_text
+from ..envs.tasks.problem import Problem, cut_by_the_end, doubts, out_of_reach, why_never
+from ..envs.tasks.regions import Pair, Proposition
+from ..synthesis.certificates.proofs import is_exact, lasting_bound, save_certificate, start_of_claim
+from ..synthesis.certificates.proofs.canonical import checker_text
+from ..synthesis.extended_check.claims import safety_rate
+from ..synthesis.policy_search.ascent import BAR
+from ..synthesis.verbs.in_files import check as check_claim
+from ..synthesis.verbs.in_files import load
+from ..synthesis.verbs.synthesize import ways_ahead
+from ..validation.statistical_tests import told_of
 from .given import is_endless, limit_of, named_problem, problem_of, say, several_horizons, show, write_json
 from .validation_commands import print_horizons, validate_result
 from .work import synthesized, ticking, within

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.problem import Problem
-from ..synthesis.certificates import Certificate, CheckReport, load_certificate, rounded_down, shown_bound
-from ..validation.audits import audit as audit_certificate
-from ..validation.reports import report as write_report
-from ..validation.simulation import LABEL_WIDTH, Mismatch
-from ..validation.verdicts import (
+from ..envs.tasks.problem import Problem
+from ..synthesis.certificates.proofs import Certificate, CheckReport, load_certificate, rounded_down, shown_bound
+from ..validation.presentation.reports import report as write_report
+from ..validation.statistical_tests import (
+    LABEL_WIDTH,
     LADDERS,
     NOT_CERTIFIED,
+    Mismatch,
     ValidationReport,
     corner_starts,
     each_report,
@@ -25,9 +25,10 @@ from ..validation.verdicts import (
     told_of,
     workspace_box,
 )
-from ..validation.verdicts import stress as stress_certificate
-from ..validation.verdicts import validate as validate_certificate
-from ..validation.verdicts import validate_field as field_of
+from ..validation.statistical_tests import audit as audit_certificate
+from ..validation.statistical_tests import stress as stress_certificate
+from ..validation.statistical_tests import validate as validate_certificate
+from ..validation.statistical_tests import validate_field as field_of
 from .given import budget_of, cells_of, limit_of, problem_of, relation_of, say, search_of, show, state_of, write_json
 from .work import checked_again, trials
 

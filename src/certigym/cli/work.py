@@ -13,14 +13,14 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from ..envs.problem import Problem, crossed_starts, doubts
-from ..synthesis.certificates import CheckReport, Synthesis, rounded_down
-from ..synthesis.checking import checked_once
-from ..synthesis.search import BAR, shown_on
-from ..synthesis.synthesize import synthesize
+from ..envs.tasks.problem import Problem, crossed_starts, doubts
+from ..synthesis.certificates.proofs import CheckReport, Synthesis, rounded_down
+from ..synthesis.extended_check.claims import checked_once
+from ..synthesis.policy_search.ascent import BAR, shown_on
+from ..synthesis.verbs.synthesize import synthesize
 from ..validation.policies import Training
 from ..validation.policies import train as train_baseline
-from ..validation.simulation import TrialPlan, executor_for
+from ..validation.statistical_tests import TrialPlan, executor_for
 from .given import budget_of, cells_of, is_endless, problem_of, relation_of, search_of
 
 Part = TypeVar("Part")

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from certigym.envs.agents.composed_laws import Mixture, TruncatedGaussian
-from certigym.envs.agents.laws import Law
+from certigym.envs.systems.distributions.composed_laws import Mixture, TruncatedGaussian
+from certigym.envs.systems.distributions.laws import Law
 
 
 @dataclass(frozen=True)

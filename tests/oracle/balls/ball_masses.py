@@ -11,9 +11,9 @@ import numpy as np
 from flint import arb, arb_mat
 from numpy.typing import NDArray
 
-from certigym.envs.agents import AnyAgent
-from certigym.synthesis.cells import CellAxis, FloatArray, MeanAxis, ScaleAxis, points_by_axis
-from certigym.synthesis.masses import AgentPart, axis_tables, kernel_key
+from certigym.envs.systems.agents import AnyAgent
+from certigym.synthesis.certificates.cell_probabilities import AgentPart, axis_tables, kernel_key
+from certigym.synthesis.relations.grids import CellAxis, FloatArray, MeanAxis, ScaleAxis, points_by_axis
 
 from .ball_laws import ExactLaw
 from .ball_memory import Memory, Proof

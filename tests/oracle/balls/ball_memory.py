@@ -6,8 +6,8 @@ from typing import Any
 
 from flint import arb
 
-from certigym.envs.agents import AnyAgent
-from certigym.synthesis.masses import AgentPart, kernel_key
+from certigym.envs.systems.agents import AnyAgent
+from certigym.synthesis.certificates.cell_probabilities import AgentPart, kernel_key
 
 UNIT = 2.0**-53
 

@@ -10,8 +10,8 @@ import numpy as np
 from flint import arb, arb_mat
 from numpy.typing import NDArray
 
-from certigym.synthesis.cells import FloatArray
-from certigym.synthesis.masses import AgentPart
+from certigym.synthesis.certificates.cell_probabilities import AgentPart
+from certigym.synthesis.relations.grids import FloatArray
 
 from .ball_memory import Memory, Proof
 from .ball_spans import balls, unproved

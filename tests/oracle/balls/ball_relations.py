@@ -10,11 +10,11 @@ import numpy as np
 from flint import arb, arb_mat
 from scipy.optimize import minimize_scalar
 
-from certigym.envs.agents import LinearAgent
-from certigym.synthesis.cells import FloatArray
-from certigym.synthesis.masses import AgentPart
-from certigym.synthesis.relations import CoupledRelation, ExactRelation
-from certigym.synthesis.step_checking import MOST_TERMS, cell_boxes
+from certigym.envs.systems.agents import LinearAgent
+from certigym.synthesis.certificates.cell_probabilities import AgentPart
+from certigym.synthesis.extended_check.steps import MOST_TERMS, cell_boxes
+from certigym.synthesis.relations.grids import FloatArray
+from certigym.synthesis.relations.kinds import CoupledRelation, ExactRelation
 
 from .ball_memory import UNIT, Balls, Memory, Proof
 from .ball_spans import balls

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from flint import arb, arb_mat
 
-from certigym.envs.agents import with_matrices
-from certigym.envs.expressions import Name, Number, Tree, whole_exponent
-from certigym.synthesis.step_checking import Enclosed
+from certigym.envs.systems.agents import with_matrices
+from certigym.envs.systems.expressions import Name, Number, Tree, whole_exponent
+from certigym.synthesis.extended_check.steps import Enclosed
 
 Ends = tuple[Any, Any]
 """Least and largest value: balls of radius 0, not numbers where nothing is known."""

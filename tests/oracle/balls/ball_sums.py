@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from flint import arb
 
-from certigym.synthesis.certificates import OnGrid
-from certigym.synthesis.masses import AgentPart
-from certigym.synthesis.step_checking import places_of
+from certigym.synthesis.certificates.cell_probabilities import AgentPart
+from certigym.synthesis.certificates.proofs import OnGrid
+from certigym.synthesis.extended_check.steps import places_of
 
 from .ball_memory import UNIT, Memory, Proof
 

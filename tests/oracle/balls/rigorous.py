@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from certigym.envs.suite import as_problem
-from certigym.synthesis.certificates import certificate_from, members_of, told_assumed
-from certigym.synthesis.checking import check
-from certigym.synthesis.masses import Statement, noted
+from certigym.synthesis.certificates.cell_probabilities import Statement, noted
+from certigym.synthesis.certificates.proofs import certificate_from, members_of, told_assumed
+from certigym.synthesis.extended_check.claims import check
 
 BITS = 106
 """Precision of the balls: twice that of doubles."""

@@ -1,0 +1,1 @@
+"""Systems: stochastic dynamics of agents, with their distributions and expressions, on numpy or accelerators."""

@@ -1,0 +1,32 @@
+"""Agents: linear systems and systems of expressions with noise, angles, and states that depend on neighbours."""
+
+from .agent import LinearAgent, with_matrices
+from .angles import TURN, wrapped
+from .any_agent import AnyAgent, checked_name
+from .box import Box
+from .declared_names import MOST_OUTPUTS, MOST_STATES, TIME
+from .expression_agent import Agent, with_expressions
+from .neighbours import Place, neighbour, place_of, states_of_others, tied
+from .products import linear, row_times
+
+__all__ = [
+    "Agent",
+    "AnyAgent",
+    "Box",
+    "LinearAgent",
+    "MOST_OUTPUTS",
+    "MOST_STATES",
+    "Place",
+    "TIME",
+    "TURN",
+    "checked_name",
+    "linear",
+    "neighbour",
+    "place_of",
+    "row_times",
+    "states_of_others",
+    "tied",
+    "with_expressions",
+    "with_matrices",
+    "wrapped",
+]

@@ -1,0 +1,33 @@
+"""Regions and atomic propositions: shapes, pairs of agents, and the labeling of points."""
+
+from .headings import heading_of
+from .labeling import MOVING_REFUSAL, Labeling, contains, inside, of_hint
+from .pair import FLAT, REFUSAL, Pair, PairRegion, ball_box, holds
+from .pieces import Combined, Form, Frame, Limit, Piece
+from .proposition import Proposition
+from .shapes import SHAPES
+from .timed_corners import DECIMALS, values_over
+
+__all__ = [
+    "Combined",
+    "DECIMALS",
+    "FLAT",
+    "Form",
+    "Frame",
+    "Labeling",
+    "Limit",
+    "MOVING_REFUSAL",
+    "Pair",
+    "PairRegion",
+    "Piece",
+    "Proposition",
+    "REFUSAL",
+    "SHAPES",
+    "ball_box",
+    "contains",
+    "heading_of",
+    "holds",
+    "inside",
+    "of_hint",
+    "values_over",
+]

@@ -1,0 +1,1 @@
+"""Abstraction: a finite Markov model of each agent, and the product automaton of models and task."""

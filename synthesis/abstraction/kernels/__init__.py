@@ -1,0 +1,35 @@
+"""One-step Bellman backups, from below: at points, over boxes, at the corners of cells."""
+
+from .bends import Bends
+from .box_kernel import MOST_SCALED, MOST_SCALES, BoxKernel, box_kernel_of, box_lattice, points_per_cell, scale_levels
+from .box_minima import each_window_minima, least_over_boxes
+from .corner_reading import BESIDE, FAR, CornerReading, Images, in_chunks
+from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel, gaussian_table, law_table
+from .lattice_kernel import LatticeKernel, lattice_kernel_of
+from .linear_kernel import hat_table
+
+__all__ = [
+    "BESIDE",
+    "FAR",
+    "Bends",
+    "BoxKernel",
+    "CornerReading",
+    "Images",
+    "Kernel",
+    "LATTICE_BLOCK",
+    "LatticeKernel",
+    "MOST_SCALED",
+    "MOST_SCALES",
+    "REACH_DEVIATIONS",
+    "box_kernel_of",
+    "box_lattice",
+    "each_window_minima",
+    "gaussian_table",
+    "hat_table",
+    "in_chunks",
+    "lattice_kernel_of",
+    "law_table",
+    "least_over_boxes",
+    "points_per_cell",
+    "scale_levels",
+]

@@ -1,0 +1,69 @@
+"""The finite model of each agent, the guards of the task, and both joined."""
+
+from .agent_models import SNAPPED_POINTS, reaches_every_mean
+from .box_choices import BoxChoices
+from .box_model import INPUT_LEVELS
+from .choices import TIE, Choices, Policies, StepPolicy, best_offered, gather, shifted
+from .common_choices import CommonGroup, common_inputs_of
+from .corner_choices import CornerChoices
+from .finite_models import (
+    COUPLED,
+    KINDS_WITH,
+    RELATIONS,
+    Abstraction,
+    AgentModel,
+    Relations,
+    Settings,
+    abstract,
+    abstraction_of,
+    check_names,
+    check_settings,
+    models_of,
+    relations_of,
+)
+from .input_menu import InputMenu
+from .joint import JointModel, count_of_decisions, join, spread_start, start_of
+from .network_model import network_abstraction, network_tables
+from .surroundings import surrounded
+from .target_windows import BAND_BYTES, TargetWindows
+
+__all__ = [
+    "Abstraction",
+    "AgentModel",
+    "BAND_BYTES",
+    "BoxChoices",
+    "Choices",
+    "CornerChoices",
+    "CommonGroup",
+    "INPUT_LEVELS",
+    "InputMenu",
+    "COUPLED",
+    "KINDS_WITH",
+    "RELATIONS",
+    "JointModel",
+    "Policies",
+    "Relations",
+    "SNAPPED_POINTS",
+    "Settings",
+    "StepPolicy",
+    "TIE",
+    "TargetWindows",
+    "abstract",
+    "abstraction_of",
+    "best_offered",
+    "check_names",
+    "check_settings",
+    "common_inputs_of",
+    "count_of_decisions",
+    "gather",
+    "reaches_every_mean",
+    "join",
+    "models_of",
+    "network_abstraction",
+    "network_tables",
+    "relations_of",
+    "shifted",
+    "spread_start",
+    "start_of",
+    "surrounded",
+]

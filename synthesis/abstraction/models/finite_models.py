@@ -1,0 +1,478 @@
+"""Finite model of every agent: grid, relation, kernel, choices and labels of the cells.
+
+``abstract`` turns a problem into one ``AgentModel`` per agent. Agents with the same dynamics and the same grid share
+kernel and choices; those with the same labels, too, share the model object itself.
+
+Grid coordinates: the kernel is separable when the noise covariance is diagonal. An agent with a full covariance is
+gridded in coordinates ``x = L x_grid`` with ``Sigma = L D L'`` (L unit lower triangular), where the noise is diagonal;
+its cells are then parallelepipeds, labels and workspace are judged on their bounding boxes, and the result is a lower
+bound instead of an exact value (docs/theory/relations.md, "The exact relation").
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....envs.suite import as_problem
+from ....envs.systems.agents import AnyAgent, with_expressions
+from ....envs.systems.arguments import checked_count, counted, tree_text
+from ....envs.systems.backends import on_one_thread
+from ....envs.tasks.problem import Problem
+from ...certificates.value_functions import Residents
+from ...relations.grids import (
+    DEFAULT_TARGETS,
+    CellCounts,
+    CellLabels,
+    FloatArray,
+    Grid,
+    RelationRefused,
+    agent_grid,
+    alike_text,
+    cell_labels,
+    cells_of_agent,
+    error_labels,
+    hat_share_of,
+    label_room,
+    linear_agent,
+    of_cells,
+    refuse_angles,
+    refuse_shared_noise,
+    refuse_uneven_noise,
+    shape_text,
+    spread,
+    start_share,
+)
+from ...relations.kinds import CommonInputs, Relation
+from ..kernels import Kernel
+from .agent_models import (
+    STRANDED_CELLS,
+    SharedModel,
+    cheapest_model,
+    ellipsoid_model,
+    exact_model,
+    paper_model,
+    reaches_every_mean,
+    tube_model,
+)
+from .box_model import box_model
+from .choices import Choices, shifted
+from .common_choices import common_inputs_of, common_relation
+from .corner_model import corner_model
+
+Relations = str | Mapping[str, str]
+"""Relation of all agents, or of each by its name."""
+
+COUPLED = ("tube", "ellipsoid", "paper")
+"""Ways to make the set of a coupled relation: the state stays near that of a finite model which moves by itself."""
+
+RELATIONS = ("auto", "boxes", "coupled", "exact", "ellipsoid", "linear", "paper", "quick", "tube")
+"""Relations that can be asked for."""
+
+KINDS_WITH = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
+"""Settings that only these relations have; refused with all others."""
+
+
+TIME_REFUSAL = (
+    "`problem`: expected one that is the same at every step, got one whose dynamics or regions name the time `t`, of "
+    "which finite models know nothing; `synthesize`, `check`, `validate`, `rollout` and `report` know it"
+)
+"""What is said where only problems without the time have finite models."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AgentModel:
+    """Finite model of one agent: S cells, Z lattice points (means), a kernel between them.
+
+    Parameters
+    ----------
+    grid : Grid
+        Cells in grid coordinates.
+    lattice : tuple of (Z_k,) arrays
+        Means per axis, in grid coordinates; a point is numbered in C order.
+    relation : Relation
+        How the continuous agent follows the finite one, and how surely.
+    kernel : Kernel
+        Lower bounds on the cell masses around every lattice point.
+    choices : Choices
+        What can be chosen in each cell.
+    labels : CellLabels
+        Label set of each cell, for arriving in it.
+    start_labels : CellLabels
+        Label set of the points of each cell, for starting in it.
+    residents : Residents
+        Masks of its cells on devices.
+    """
+
+    grid: Grid
+    lattice: tuple[FloatArray, ...]
+    relation: Relation
+    kernel: Kernel
+    choices: Choices
+    labels: CellLabels
+    start_labels: CellLabels
+    residents: Residents = field(default_factory=Residents, repr=False)
+
+    def __repr__(self) -> str:
+        rows = [
+            ("grid", self.grid),
+            ("delta", f"at most {self.delta:.3g} per step"),
+            ("kernel", self.kernel),
+            ("choices", self.choices),
+            ("labels", self.labels),
+        ]
+        return tree_text(f"AgentModel: {self.relation.kind} relation", rows)
+
+    @property
+    def n_cells(self) -> int:
+        """Number of places at which factors have values: the cells S, or their 2^d S corners (``linear``)."""
+        return math.prod(self.kernel.shape)
+
+    def offered(self, time: int) -> tuple[Choices, int]:
+        """Return what may be chosen at a step, and the number of the first of these choices."""
+        if self.choices.n_times == 1:
+            return self.choices, 0
+        now = self.choices.at_times[time]
+        return now, time * now.n_choices
+
+    def resting_at(self, time: int) -> NDArray[np.int32]:
+        """Return the choices (S,) that stay nearest to each cell at a step; -1 where there are none."""
+        choices, first = self.offered(time)
+        return shifted(choices.resting_choice, first)
+
+    def resting_policy(self, horizon: int) -> NDArray[np.int32]:
+        """Return these choices (T, S) for every step."""
+        return np.array([self.resting_at(time) for time in range(horizon)])
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether factors are multilinear in every cell, with values at its corners."""
+        return self.choices.has_corners
+
+    @property
+    def is_additive(self) -> bool:
+        """Whether a step takes a sum of factors to the sum of what it takes each to.
+
+        Where it takes least values (``boxes``) or what bends (``linear``), a sum is worth more than its terms: these
+        are lower bounds one by one, for nonnegative factors alone.
+        """
+        return self.choices.is_additive
+
+    def spread(self, numbers: NDArray[Any]) -> NDArray[Any]:
+        """Return numbers of cells (.., S) at all places of factors."""
+        return spread(numbers, self.grid.shape) if self.is_linear else numbers
+
+    def of_cells(self, numbers: NDArray[Any]) -> NDArray[Any]:
+        """Return numbers of cells (.., S) that were spread to all places."""
+        return of_cells(numbers, self.grid.shape)[..., 0] if self.is_linear else numbers
+
+    def summed(self, masses: NDArray[Any]) -> NDArray[Any]:
+        """Return the masses (.., S) of cells from those of all places."""
+        return of_cells(masses, self.grid.shape).sum(axis=-1) if self.is_linear else masses
+
+    def share(self, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Return the weight of every place under a start that is uniform on a box, or a point, of states."""
+        if not self.is_linear:
+            return start_share(self.grid, self.relation.coordinates, low, high)
+        return hat_share_of(self.grid, self.relation.coordinates, low, high)
+
+    @property
+    def delta(self) -> float:
+        """Upper bound on the probability, per step, that the relation is lost."""
+        return self.relation.delta
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether nothing is lost: exact relation, and one certain class per cell."""
+        return self.relation.kind == "exact" and self.labels.is_certain
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Abstraction:
+    """Finite models of all agents of a problem, in the order of its agents, and the settings they were made with."""
+
+    models: tuple[AgentModel, ...]
+    settings: Mapping[str, object]
+
+    def __repr__(self) -> str:
+        different = {id(model): model for model in self.models}
+        exact = all(model.is_exact for model in different.values())
+        rows: list[tuple[str, object]] = [
+            ("relation", alike_text(model.relation.kind for model in self.models)),
+            ("cells", alike_text(shape_text(model.grid.shape) for model in self.models)),
+            ("lattice", alike_text(shape_text(model.kernel.lattice_shape) for model in self.models)),
+            ("delta", f"at most {max(model.delta for model in self.models):.3g} per step and agent"),
+            ("values", "exact" if exact else "lower bounds"),
+            ("distinct", counted(len(different), "model")),
+        ]
+        return tree_text(f"Abstraction: {counted(len(self.models), 'agent')}", rows)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether values of this abstraction are probabilities of the continuous system, not only lower bounds."""
+        return all(model.is_exact for model in self.models)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of relations.
+
+    Parameters
+    ----------
+    targets_per_cell : int, optional
+        ``exact``: lattice points per cell and axis; with more of them rounding wastes fewer of the admissible inputs.
+        Default: 2 for agents of one or two states, 1 for others. ``linear``, ``boxes``: points at which values are
+        read; by default 4, and as many as noise and cells ask for.
+    epsilon, feedback, inputs
+        ``paper``: half width of the relation, K of the interface, number of abstract inputs.
+    delta : float, optional
+        ``paper``: a failure probability to be used in place of the (smaller) closed form. ``ellipsoid``: the largest
+        failure probability per step and agent, in [0, 1), default 0; a larger one makes labels and inputs lose less.
+    share : float, optional
+        ``ellipsoid``: share of the inputs that the feedback may use, in [0, 1); default: chosen (``ellipsoid_search``).
+    common : bool, optional
+        ``boxes``: whether inputs that expressions of other agents name are chosen in common, by automaton state and
+        time alone, and known to these agents; otherwise such inputs may be anything in their boxes. By default a
+        synthesis tries both.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    """
+
+    targets_per_cell: int | None = None
+    epsilon: float = 0.1
+    feedback: float = 0.0
+    inputs: int = 10
+    delta: float | None = None
+    share: float | None = None
+    common: bool | None = None
+
+    def __post_init__(self) -> None:
+        if self.common is not None and not isinstance(self.common, bool):
+            raise ValueError(f"`common`: expected True or False, got {self.common!r}")
+        if self.targets_per_cell is not None:
+            object.__setattr__(self, "targets_per_cell", checked_count(self.targets_per_cell, "targets_per_cell"))
+        for name in ("delta", "share"):
+            value = getattr(self, name)
+            if value is not None and (
+                isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1
+            ):
+                raise ValueError(f"`{name}`: expected a number of at least 0 and below 1, got {value!r}")
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the given settings that only some relations have."""
+        return tuple(name for name in KINDS_WITH if getattr(self, name) is not None)
+
+    def of_kinds(self, kinds: Sequence[str]) -> Settings:
+        """Return the settings without those that no relation of these kinds has."""
+        unused: dict[str, Any] = {name: None for name in self.given if not KINDS_WITH[name] & {*kinds}}
+        return replace(self, **unused)
+
+    def used_by(self, models: Sequence[AgentModel]) -> dict[str, object]:
+        """Return relations and cells of the models, and the settings that some of them depend on, as plain values."""
+        kinds = sorted({model.relation.kind for model in models})
+        used: dict[str, object] = {"relation": "/".join(kinds), "cells": [list(model.grid.shape) for model in models]}
+        names = {"paper": ("epsilon", "feedback", "inputs", "delta"), "ellipsoid": ("delta", "share")}
+        for kind in kinds:
+            used |= {name: getattr(self, name) for name in names.get(kind, ("targets_per_cell",))}
+        if any(model.relation.common for model in models):
+            used["common"] = True
+        return used
+
+
+@on_one_thread
+def abstract(
+    problem: Problem | str | Path, cells: CellCounts = None, *, relation: Relations = "auto", **settings: Any
+) -> Abstraction:
+    """Return finite models of the agents of ``problem``.
+
+    Parameters
+    ----------
+    problem : Problem, id or path
+    cells : int, sequence of int, or mapping from agent name to one of these, optional
+        Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
+    relation : str, or mapping from agent name to str
+        ``"exact"``: inputs reach every mean (B of full row rank, or expressions like it), delta = 0. ``"tube"``:
+        stabilisable agents, delta = 0. ``"ellipsoid"``: any agent for which an ellipsoid is found, delta >= 0 (needs
+        the extra ``lmi``). ``"paper"``: scalar agents, delta >= 0 in closed form. ``"linear"``: any agent, delta = 0,
+        losses of second order. ``"boxes"``: any agent, delta = 0, nothing but boxes around means is used. ``"quick"``:
+        for each agent ``exact`` where it applies and the inputs are strong enough for the cells, else ``tube``; agents
+        that a mapping leaves out get this, too. ``"auto"`` is the same here: only a synthesis can tell which relation
+        certifies most (see ``synthesize``).
+    **settings
+        Settings of the relations, see ``Settings``.
+
+    Raises
+    ------
+    ValueError
+        If the relation does not apply to an agent, or a number is out of range.
+    """
+    problem = as_problem(problem)
+    check_names("cells", cells, problem)
+    check_settings(settings)
+    return abstraction_of(problem, cells, relations_of(problem, relation), Settings(**settings))
+
+
+def abstraction_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], settings: Settings) -> Abstraction:
+    """Return finite models under one kind of relation per agent; settings that no agent uses are refused."""
+    refuse_shared_noise(problem)
+    if problem.names_time:
+        raise RelationRefused(TIME_REFUSAL)
+    foreign = set(settings.given) - set(settings.of_kinds(kinds).given)
+    for name in sorted(foreign):
+        asked, value = "/".join(sorted({*kinds})), getattr(settings, name)
+        raise ValueError(f"`{name}`: expected none with relation `{asked}`, got {value!r}; ask for `ellipsoid`")
+    models = models_of(problem, cells, dict(enumerate(kinds)), settings)
+    ordered = tuple(models[i] for i in range(problem.n_agents))
+    lossy = sorted({model.relation.kind for model in ordered if model.delta > 0})
+    beside = sorted({model.relation.kind for model in ordered if not model.is_additive})
+    if lossy and beside:
+        raise ValueError(
+            f"`relation`: expected relations that are never lost beside `{beside[0]}`, got `{lossy[0]}`; ask for "
+            "`exact` or `tube`, or for `ellipsoid` with `delta=0`"
+        )
+    return Abstraction(ordered, settings.used_by(ordered))
+
+
+def relations_of(problem: Problem, relation: Relations) -> list[str]:
+    """Return the relation that is asked for of each agent; ``"auto"`` where a mapping leaves one out.
+
+    Raises
+    ------
+    ValueError
+        If an agent or a relation is not known.
+    """
+    check_names("relation", relation, problem)
+    asked = relation if isinstance(relation, Mapping) else dict.fromkeys(problem.agent_names, relation)
+    for name in asked.values():
+        if name not in RELATIONS:
+            raise ValueError(f"`relation`: expected one of {', '.join(RELATIONS)}, got {name!r}")
+    return [asked.get(name, "auto") for name in problem.agent_names]
+
+
+def models_of(
+    problem: Problem, cells: CellCounts, kinds: Mapping[int, str], settings: Settings
+) -> dict[int, AgentModel]:
+    """Return finite models of some agents, by their number, each under the relation that ``kinds`` asks for."""
+    by_wish: dict[object, SharedModel] = {}
+    by_relation: dict[object, SharedModel] = {}
+    by_labels: dict[object, AgentModel] = {}
+    models = {}
+    common = common_inputs_of(problem) if settings.common else {}
+    for i, kind in kinds.items():
+        agent = problem.agents[i]
+        grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, cells))
+        room = label_room(problem, i)
+        # Agents with equal dynamics, grids and wishes share a model. The room of their labels matters only where a
+        # feedback is chosen by it.
+        alike = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
+        depends_on_room = kind in ("tube", "ellipsoid") or not agent.has_full_rank
+        known = common.get(i)
+        # Numbers go by names, which agents with equal dynamics may have in other places.
+        numbers_known = b"" if known is None else repr((known.description, getattr(agent, "others", ()))).encode()
+        wish = (*alike, room.tobytes() if depends_on_room else b"", numbers_known)
+        if wish not in by_wish:
+            if known is not None and agent.has_clock:
+                raise RelationRefused(f"agent `{agent.name}`: inputs in common beside the time `t` are not certified")
+            if known is None:
+                model = _shared_model(agent, kind, grid, coordinates, room, settings, problem.n_agents == 1)
+            else:
+                model = _common_model(agent, kind, grid, coordinates, settings.targets_per_cell, known)
+            numbers = (*alike, *(a.tobytes() for a in model[0].arrays))
+            by_wish[wish] = by_relation.setdefault(numbers, model)  # different rooms often lead to the same relation
+        relation, lattice, kernel, choices = by_wish[wish]
+        # Arriving in a cell an agent may be anywhere within E of its centre; at the start it is in the cell itself.
+        start_labels = cell_labels(problem, i, grid, coordinates)
+        labels = start_labels
+        if not relation.is_cell:
+            labels = error_labels(problem, i, grid, coordinates, relation.state_reach)  # type: ignore[union-attr]
+        # With equal labels, too, agents share the whole model: searches recognise it by its identity.
+        key = (id(by_wish[wish]), labels.key, start_labels.key)
+        if key not in by_labels:
+            by_labels[key] = AgentModel(grid, lattice, relation, kernel, choices, labels, start_labels)
+        models[i] = by_labels[key]
+    return models
+
+
+def _shared_model(
+    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, room: FloatArray, settings: Settings, alone: bool
+) -> SharedModel:
+    """Return relation, lattice, kernel and choices of one agent, which may have no team."""
+    per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
+    # Agents whose dynamics are expressions are enclosed in boxes unless their inputs reach every mean in most cells.
+    is_any = kind in ("auto", "quick")
+    if agent.has_clock and kind not in ("boxes", "linear") and not is_any:
+        raise RelationRefused(
+            f"agent `{agent.name}`: the relation `{kind}` is for dynamics that are the same at every step, got some "
+            "that name the time `t`; ask for `linear`, `boxes` or `path`"
+        )
+    if kind != "boxes" and not is_any:
+        refuse_angles(agent, kind)
+    if is_any and (agent.has_clock or agent.angles or not agent.has_plain_noise):
+        kind = "boxes"
+    elif kind != "boxes":
+        refuse_uneven_noise(agent, kind)
+    if kind == "boxes":
+        return box_model(agent, grid, coordinates, settings.targets_per_cell)
+    if is_any and not agent.is_affine:
+        if reaches_every_mean(agent):
+            exact = exact_model(agent, grid, coordinates, per_cell)
+            if np.mean(exact[3].resting_choice < 0) <= STRANDED_CELLS:
+                return exact
+        return box_model(agent, grid, coordinates, settings.targets_per_cell)
+    if is_any and agent.laws is not None:
+        kind = "exact" if agent.has_full_rank else "boxes"
+        return _shared_model(agent, kind, grid, coordinates, room, settings, alone)
+    if kind == "linear":
+        return corner_model(agent, grid, coordinates, settings.targets_per_cell, alone)
+    if kind == "exact":
+        return exact_model(agent, grid, coordinates, per_cell)
+    agent = linear_agent(agent, kind)
+    if kind in ("tube", "coupled"):
+        return tube_model(agent, grid, coordinates, room)
+    if kind == "ellipsoid":
+        delta = 0.0 if settings.delta is None else settings.delta
+        return ellipsoid_model(agent, grid, coordinates, room, delta, settings.share)
+    if kind == "paper":
+        names = ("epsilon", "feedback", "inputs", "delta")
+        return paper_model(agent, grid, {name: getattr(settings, name) for name in names})
+    return cheapest_model(agent, grid, coordinates, per_cell, room)
+
+
+def _common_model(
+    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, per_cell: int | None, common: CommonInputs
+) -> SharedModel:
+    """Return the model of an agent that names or owns inputs that are chosen in common."""
+    if kind not in ("auto", "quick", "best", "boxes"):
+        raise RelationRefused(f"agent `{agent.name}`: inputs are chosen in common under the relation `boxes` alone")
+    # Agents with matrices have no names for inputs.
+    relation = common_relation(with_expressions(agent), grid, coordinates, common)
+    return box_model(agent, grid, coordinates, per_cell, relation)
+
+
+def check_names(argument: str, value: object, problem: Problem) -> None:
+    """Raise ValueError if a mapping has keys that are no agents; agents that are left out get the default."""
+    for name in value if isinstance(value, Mapping) else ():
+        if name not in problem.agent_names:
+            known = ", ".join(problem.agent_names[:8])
+            raise ValueError(f"`{argument}`: expected names of agents among {known}, got {name!r}; correct the name")
+
+
+def check_settings(settings: Mapping[str, object]) -> None:
+    """Raise ValueError at a setting that ``abstract`` does not have, and name the nearest one that it has."""
+    known = ["relation", *(field.name for field in fields(Settings))]
+    for name in settings:
+        if name not in known:
+            close = get_close_matches(name, ["cells", *known, "max_sweeps", "limits", "progress"], n=1)
+            remedy = f"did you mean `{close[0]}`?" if close else f"settings are {', '.join(known)}"
+            raise ValueError(f"`{name}`: expected a setting of the relation, got an unknown one; {remedy}")

@@ -1,0 +1,26 @@
+"""What a certificate holds of each agent, and its cell probabilities once more, for checks."""
+
+from .checked_kernel import axis_tables, grid_noise, kernel_key, lost_to_rounding, smooth
+from .checked_laws import law_charge, law_error, law_height, probability_below, scale_charge
+from .part import AgentPart
+from .regrown_trains import BrokenTrainError, regrow_trains
+from .stated import Statement, noted, state
+
+__all__ = [
+    "AgentPart",
+    "BrokenTrainError",
+    "Statement",
+    "axis_tables",
+    "grid_noise",
+    "kernel_key",
+    "law_charge",
+    "law_error",
+    "law_height",
+    "lost_to_rounding",
+    "noted",
+    "probability_below",
+    "regrow_trains",
+    "scale_charge",
+    "smooth",
+    "state",
+]

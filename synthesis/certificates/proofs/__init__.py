@@ -1,0 +1,125 @@
+"""What a claim rests on, one kind of proof a file, and certificates in files."""
+
+from .archive import MAX_BYTES, check_sizes, packed
+from .canonical import (
+    NotCanonicalError,
+    canonical_bytes,
+    canonical_problem,
+    check_file,
+    checker_text,
+    contents_of,
+    save_canonical,
+    verdict_of,
+    wrong_angles,
+)
+from .certificate import (
+    Certificate,
+    alike_members,
+    changed,
+    is_exact,
+    lasting_bound,
+    member_agents,
+    members_of,
+    nameless,
+    on_cells,
+    path_under,
+    relations_tried,
+    require,
+    seen_by,
+    start_of_claim,
+    why_nothing,
+    with_claims,
+)
+from .certificate_file import UNREADABLE, load_certificate, save_certificate
+from .check_report import CheckReport, told_assumed, told_claim
+from .claim import Claim, joint_states
+from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
+from .given_certificate import (
+    as_certificate,
+    certificate_from,
+    certificate_on_grids,
+    checked_certificate,
+    of_one_task,
+    speaks_of_one_start,
+)
+from .grid_proof import GridProof, OnGrid, delta_of, value_of
+from .path_proof import SOMETIME, AgentPath, AlongPath, PathProof
+from .path_tube import KEPT, Tube, tube_along
+from .product_proof import ProductProof, product_certificate, split
+from .proof import Offer, Proof
+from .result import Synthesis
+from .seen import Seen
+from .subtraction_proof import SubtractionProof
+from .timed_proof import TimedProof, timed_certificate
+
+__all__ = [
+    "NotCanonicalError",
+    "canonical_bytes",
+    "canonical_problem",
+    "check_file",
+    "checker_text",
+    "contents_of",
+    "save_canonical",
+    "verdict_of",
+    "wrong_angles",
+    "AgentPath",
+    "AlongPath",
+    "Certificate",
+    "CheckReport",
+    "Claim",
+    "EXACT_GAP",
+    "GridProof",
+    "KEPT",
+    "MAX_BYTES",
+    "Offer",
+    "OnGrid",
+    "PathProof",
+    "ProductProof",
+    "Proof",
+    "SOMETIME",
+    "Seen",
+    "SubtractionProof",
+    "Synthesis",
+    "TimedProof",
+    "Tube",
+    "UNREADABLE",
+    "alike_members",
+    "path_under",
+    "as_certificate",
+    "certificate_on_grids",
+    "changed",
+    "check_sizes",
+    "checked_certificate",
+    "delta_of",
+    "certificate_from",
+    "is_exact",
+    "joint_states",
+    "lasting_bound",
+    "load_certificate",
+    "member_agents",
+    "members_of",
+    "nameless",
+    "of_one_task",
+    "on_cells",
+    "packed",
+    "product_certificate",
+    "relations_tried",
+    "require",
+    "rounded_down",
+    "rounded_up",
+    "save_certificate",
+    "seen_by",
+    "shown_bound",
+    "significant_down",
+    "significant_up",
+    "speaks_of_one_start",
+    "split",
+    "start_of_claim",
+    "timed_certificate",
+    "told_assumed",
+    "told_claim",
+    "tube_along",
+    "value_of",
+    "why_nothing",
+    "with_claims",
+]

@@ -1,0 +1,260 @@
+"""Proofs along a path: no grid, any number of states, noise that need not reach all of them.
+
+Agents with Gaussian noise start from a point and apply ``u_t = ubar_t + K (x_t - xbar_t)``, where xbar is the
+nominal path under the nominal inputs ubar. Then all deviations of linear agents are jointly Gaussian with mean 0; those
+of others, along a *nonlinear path*, are so up to a drift. At every time the certificate says which propositions are to
+hold and which are not; as long as they do, no agent leaves its workspace and no input its box, the automaton reads a
+word that it accepts. The certified bound is that of these linear inequalities (docs/theory/paths.md): everything else
+is computed from the problem.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....envs.systems.backends import is_whole
+from ....envs.tasks.problem import Problem
+from ...relations.grids import FloatArray
+from ...relations.kinds import NetworkPolicy, WrittenPolicy, check_network, network_policy
+from ..controllers import NetworkController, PathController
+from .archive import Pool, Stored
+from .certificate import Certificate
+from .digits import significant_up
+from .proof import Offer, Proof
+
+GivenPolicy = NetworkPolicy | WrittenPolicy
+"""What acts where a policy was given."""
+
+SOMETIME = 2
+"""A letter over a window of times: the proposition is to hold at one of them at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class AgentPath:
+    """Nominal inputs of one agent and its feedback; along a *nonlinear path* nominal states and slabs, too.
+
+    Parameters
+    ----------
+    inputs : (S, m) array
+        Nominal inputs at times 0 to S - 1.
+    gain : (m, d) or (S, m, d) array
+        Feedback K on the deviation from the nominal path, one for all times or one for each; 0 for none.
+    states : (S + 1, d) array, optional
+        Nominal states of a nonlinear path. Without, they are those that the inputs lead a linear agent to.
+    slabs : (S + 1, 2 d + m) array, optional
+        Of a nonlinear path: what the linear deviation of each state is kept within, that of each input (in the last row
+        they say nothing), and the noise of each state in its standard deviations; infinite where nothing is asked.
+    """
+
+    inputs: FloatArray
+    gain: FloatArray
+    states: FloatArray | None = None
+    slabs: FloatArray | None = None
+
+    @property
+    def arrays(self) -> list[FloatArray]:
+        """Inputs and gain, and along a nonlinear path states and slabs."""
+        return [array for array in (self.inputs, self.gain, self.states, self.slabs) if array is not None]
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps S."""
+        return len(self.inputs)
+
+    @property
+    def gains(self) -> FloatArray:
+        """Feedbacks (S, m, d) of all times."""
+        return self.gain if self.gain.ndim == 3 else np.broadcast_to(self.gain, (self.n_steps, *self.gain.shape))
+
+
+OTHER_STARTS = (
+    "one along a path, which says nothing of other starts; synthesize the problem with another `initial_state`, or "
+    "with a box of starts (`initial_low`, `initial_high`)"
+)
+"""What certificates along paths answer to whoever asks for other starts."""
+
+ONE_RUN = (
+    "one along a path, which says nothing of other states and times; it can be checked, validated, stressed, "
+    "simulated, compared and reported"
+)
+"""What certificates along paths answer to whoever asks for values."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PathProof(Proof):
+    """A bound from a start that is known, along a nominal path.
+
+    Parameters
+    ----------
+    paths : tuple of AgentPath
+        One for each agent, for S steps; S is the horizon unless the task is satisfied earlier.
+    letters : (S + 1, P) int8 array
+        Of each proposition of the automaton at times 0 to S: 1 if it is to hold, -1 if not, 0 if that does not matter;
+        ``SOMETIME`` at times in a row at one of which it is to hold.
+    faces : (S + 1, P) int array
+        Where a proposition is not to hold: the side of its region that is kept away from, ``2 k`` for below the lower
+        limit of output k, ``2 k + 1`` for above the upper one. Where it is to hold at some time: the side that the path
+        comes from. -1 elsewhere.
+    failure : float
+        Upper bound on the probability that the task is not satisfied.
+    normals : (S + 1, sum of p) array, optional
+        Of a task about pairs of agents, pair after pair: where one is not to hold, the direction (p,) of the half-space
+        ``n.(y_a - y_b) > max over the box of n.z`` in which its difference stays; elsewhere they say nothing.
+    networks : tuple of NetworkPolicy or WrittenPolicy, optional
+        Of given policies: they act, and the inputs of paths are what they answer without noise.
+    radii : tuple of float
+        With networks: radii of the ellipsoids in which the errors of each agent keep.
+    """
+
+    paths: tuple[AgentPath, ...]
+    letters: NDArray[np.int8]
+    faces: NDArray[np.int64]
+    failure: float
+    normals: FloatArray | None = None
+    networks: tuple[GivenPolicy, ...] | None = None
+    radii: tuple[float, ...] = ()
+
+    kind = "path"
+    lacks = MappingProxyType({Offer.VALUES: ONE_RUN, Offer.OTHER_STARTS: OTHER_STARTS})
+    bound = "path"
+    gap = None
+    rank = 1
+    parts = ()
+
+    @property
+    def about(self) -> dict[str, str]:  # type: ignore[override]
+        """What summaries say of it besides: how it may fail."""
+        return {"failure": f"at most {significant_up(self.failure, 3)}"}
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps S of the path."""
+        return len(self.letters) - 1
+
+    @property
+    def lower_bound(self) -> float:
+        """Certified lower bound on the probability that the task is satisfied, rounded down."""
+        return max(0.0, math.nextafter(1.0 - self.failure, 0.0))
+
+    @property
+    def method(self) -> str:
+        """How the bound was found, in words."""
+        if self.networks is not None:
+            return f"{'networks' if self.acts_by_networks else 'policies'} as they are, along {self.n_steps} steps"
+        gains = any(np.any(path.gain) for path in self.paths)
+        return f"nominal path of {self.n_steps} steps, {'with feedback' if gains else 'open loop'}"
+
+    @property
+    def acts_by_networks(self) -> bool:
+        """Whether networks act, and not nominal inputs or expressions."""
+        return any(isinstance(own, NetworkPolicy) for own in self.networks or ())
+
+    def along(self, certificate: Certificate) -> Certificate:
+        """Return the certificate itself."""
+        return certificate
+
+    def controller(self, problem: Problem) -> PathController:
+        """Return the controllers the bound belongs to."""
+        paths = tuple((path.inputs, path.gain, path.states) for path in self.paths)
+        return (
+            PathController(problem, paths)
+            if self.networks is None
+            else NetworkController(problem, paths, self.networks)
+        )
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        return {
+            "failure": float(self.failure),
+            "letters": pool.put(self.letters),
+            "faces": pool.put(self.faces),
+            "agents": [[pool.put(array) for array in path.arrays] for path in self.paths],
+            **({} if self.normals is None else {"normals": pool.put(self.normals)}),
+            **({} if self.networks is None else {"networks": [own.description for own in self.networks]}),
+            **({} if self.networks is None else {"radii": list(self.radii)}),
+        }
+
+    @classmethod
+    def read(cls, problem: Problem, stored: Stored) -> Self:
+        """Return the proof in a file; raise ValueError if there is none."""
+        failure, letters, faces = kept_in(problem, stored)
+        entries = stored.entry["agents"]
+        if len(entries) != problem.n_agents:
+            raise ValueError("its agents are not those of a path")
+        paths = []
+        for agent, numbers in zip(problem.agents, entries, strict=True):
+            steps, d, m = len(letters) - 1, agent.n_states, agent.n_inputs
+            shapes = [(steps, m), (m, d)] if len(numbers) == 2 else [(steps, m), (steps, m, d)]
+            shapes += [] if len(numbers) == 2 else [(steps + 1, d), (steps + 1, 2 * d + m)]
+            arrays = [stored.numbers(number) for number in numbers]
+            if [array.shape for array in arrays] != shapes or not all(np.all(np.isfinite(a)) for a in arrays[:3]):
+                raise ValueError(f"the inputs of agent {agent.name!r} do not fit")
+            if len(numbers) == 4 and not np.all(arrays[3] >= 0.0):
+                raise ValueError(f"the slabs of agent {agent.name!r} are none")
+            paths.append(AgentPath(*arrays))
+        normals = _normals(problem, stored, len(letters))
+        return cls(tuple(paths), letters, faces, failure, normals, *_networks(problem, stored))
+
+
+AlongPath = Certificate[PathProof]
+"""A certificate along a path."""
+
+
+def kept_in(problem: Problem, stored: Stored) -> tuple[float, NDArray[Any], NDArray[Any]]:
+    """Return the probability of failing, letters and faces (S + 1, P) in a file."""
+    failure = probability(stored.entry["failure"])
+    letters, faces = (stored.array(stored.entry[name]) for name in ("letters", "faces"))
+    if (
+        not (is_whole(letters, signed=True) and is_whole(faces, signed=True))
+        or letters.ndim != 2
+        or letters.shape != faces.shape
+    ):
+        raise ValueError("its letters are no whole numbers")
+    if not 2 <= len(letters) <= problem.horizon + 1:
+        raise ValueError("its letters do not fit the horizon")
+    return failure, letters, faces
+
+
+def probability(value: Any) -> float:
+    """Return a number of a file if it is a probability; raise ValueError otherwise."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+        raise ValueError("what it says is a probability is none")
+    return float(value)
+
+
+def _networks(problem: Problem, stored: Stored) -> tuple[tuple[GivenPolicy, ...] | None, tuple[float, ...]]:
+    """Return the networks in a file and the radii of their ellipsoids; None where nominal inputs act."""
+    if "networks" not in stored.entry:
+        return None, ()
+    networks, radii = stored.entry["networks"], stored.entry["radii"]
+    if len(networks) != problem.n_agents or len(radii) != problem.n_agents:
+        raise ValueError("its networks are not those of its agents")
+    if any(isinstance(radius, bool) or not isinstance(radius, int | float) or not radius > 0.0 for radius in radii):
+        raise ValueError("the radii of its ellipsoids are none")
+    made = list[GivenPolicy]()
+    for description, agent in zip(networks, problem.agents, strict=True):
+        if isinstance(description, dict) and "expressions" in description:
+            made.append(WrittenPolicy.of(agent, [str(text) for text in description["expressions"]]))
+            continue
+        check_network(description, agent, 2**31)
+        made.append(network_policy(description, agent))
+    return tuple(made), tuple(float(radius) for radius in radii)
+
+
+def _normals(problem: Problem, stored: Stored, times: int) -> NDArray[np.float64] | None:
+    """Return the directions of pairs (S + 1, sum of p); None for tasks that are about none."""
+    pairs = problem.labeling.pairs
+    if ("normals" in stored.entry) != bool(pairs):
+        raise ValueError("it has directions of pairs and its problem has no pairs, or the other way round")
+    if not pairs:
+        return None
+    normals = stored.numbers(stored.entry["normals"])
+    if normals.shape != (times, sum(pair.size for pair in pairs)) or not np.all(np.isfinite(normals)):
+        raise ValueError("its directions of pairs do not fit")
+    return normals

@@ -1,0 +1,1 @@
+"""The extended check: certificates on cells proved again, by code that no search reaches, and shields."""

@@ -1,0 +1,60 @@
+"""What networks of a certificate are said to see and to do: what their problem shows them, each mode at its time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ....envs.systems.agents import AnyAgent
+from ...certificates.proofs import OnGrid
+
+
+def _has_known_form(agent: AnyAgent, network: dict[str, Any]) -> bool:
+    """Whether states are seen as shares or in units, and outputs are actions, or inputs of a box that is not flat."""
+    box = agent.chosen_box
+    if network.get("outputs", "unit") == "box" and (network["squashed"] or np.any(box.low >= box.high)):
+        return False
+    return network.get("scale", "unit") in ("unit", "raw") and network.get("outputs", "unit") in ("unit", "box")
+
+
+def wrong_networks(certificate: OnGrid) -> list[str]:
+    """What networks of a certificate see or do otherwise than its problem and its policies say.
+
+    Of a problem that is written in another way a network may be told of other automaton states, one for each: that is
+    how its controller asks it. Whether these are those that the agents of the problem see, ``wrong_in_time`` says.
+    """
+    problem, failures = certificate.problem, []
+    width = max(agent.n_states for agent in problem.agents)
+    # Of an opposite task networks are told all states but the last, in which nothing is left to decide.
+    n_q, horizon = problem.automaton.n_states - problem.automaton.reads_exits, problem.horizon
+    expected: dict[str, Any] = {"agents": problem.n_agents, "width": width, "horizon": horizon}
+
+    def alone(network: dict[str, Any]) -> dict[str, Any]:
+        # A single agent need not be told which one it is.
+        return {"agents": 0} if problem.n_agents == 1 and network["agents"] == 0 else {}
+
+    for i, (agent, part) in enumerate(zip(problem.agents, certificate.proof.agents, strict=True)):
+        network = part.relation.get("network")
+        if network is None:
+            continue
+        told = np.array(network.get("told") or np.arange(network["states"]))
+        asked = expected | {"agent": i} | alone(network)
+        if part.relation["kind"] not in ("boxes", "linear"):
+            failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
+        elif not _has_known_form(agent, network):
+            failures.append(f"the network of agent `{agent.name}` sees states, or answers, in a form that is not known")
+        elif len(network["weights"][-1]) < agent.chosen_box.dimension:
+            failures.append(f"the network of agent `{agent.name}` has fewer outputs than its agent has inputs")
+        elif len(told) != n_q or any(network[name] != value for name, value in asked.items()):
+            failures.append(f"the network of agent `{agent.name}` sees another problem, or another agent")
+        elif len(part.policy) != horizon:
+            failures.append(f"the policy of agent `{agent.name}` does not say what its network does at each time")
+        else:
+            # In every cell a mode may be chosen only at its own time and in its own automaton state.
+            mode = np.arange(horizon)[:, None, None] * network["states"] + told[None, :, None]
+            mode[:, told < 0] = -1
+            modes = (part.policy >= 0) & (part.policy < horizon * network["states"])
+            if np.any(modes[:, n_q:]) or np.any(modes[:, :n_q] & (part.policy[:, :n_q] != mode)):
+                failures.append(f"the network of agent `{agent.name}` is used at another time or automaton state")
+    return failures

@@ -1,0 +1,286 @@
+"""Controllers of certificates, run: whether they do what the check has derived that they may be off by at most.
+
+Controllers without memory are run at random points of the workspace, those with a memory along episodes; their inputs
+and means are compared with the lattice points, maps or boxes that the certificate rests on.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from ....envs.systems.agents import Agent, AnyAgent, LinearAgent, with_expressions
+from ...certificates.cell_probabilities import AgentPart
+from ...certificates.controllers import AgentController
+from ...relations.grids import FloatArray, linear_agent
+from ...relations.kinds import CoupledRelation, commands_of
+from .common_check import by_number, known_inputs
+from .execution import Execution
+from .geometry import cell_boxes, is_identity
+from .mean_spans import steered_spans
+from .network_enclosures import driven_spans, network_maps, network_modes, network_spans
+
+PROBES = 20_000
+"""Points at which a controller without memory is run, over all times."""
+
+NETWORKED = 64
+"""Points of each time and automaton state at which a network is run: enclosures take longer than networks."""
+
+EPISODES, MOST_STEPS = 256, 25
+"""Episodes, and steps of each, in which the memory of a coupled controller is followed."""
+
+STEERED = 1e-9
+"""Share of their size by which means may be seen to miss targets: far more than rounding, far less than a cell."""
+
+NEAR = 1e-9
+"""Points are passed over that are nearer than this, in cells, to an edge that decides, or draws to what they decide."""
+
+
+def wrong_actions(agent: AnyAgent, part: AgentPart, controller: AgentController, execution: Execution) -> list[str]:
+    """What a controller is seen to do otherwise than its certificate says, on points of every kind.
+
+    Parameters
+    ----------
+    agent : LinearAgent
+    part : AgentPart
+    controller : AgentController
+        The very object that is deployed.
+    execution : Execution
+        What it may be off by.
+    """
+    rng, relation = np.random.default_rng(0), controller.relation
+    if relation.has_memory:
+        return _wrong_memory(agent, part, controller, relation, execution, rng)  # type: ignore[arg-type]
+    for t in range(len(part.policy)):
+        failures = _wrong_means(agent, part, controller, execution, t, rng)
+        if failures:
+            return failures
+    return []
+
+
+def _wrong_means(
+    agent: AnyAgent, part: AgentPart, controller: AgentController, execution: Execution, t: int, rng: Generator
+) -> list[str]:
+    """Inputs at time t outside their box, or means of the next state off the lattice point of the policy."""
+    count = max(64, PROBES // len(part.policy))
+    cells, q = rng.integers(part.grid.n_cells, size=count), rng.integers(part.policy.shape[1], size=count)
+    # inside the cells; a quarter of the coordinates on their lower faces where these can be told
+    share = NEAR + rng.random((len(part.grid.shape), count)) * (1.0 - 2.0 * NEAR)
+    if is_identity(part.coordinates):
+        share[rng.random(share.shape) < 0.25] = 0.0
+    index = np.unravel_index(cells, part.grid.shape)
+    axes = zip(part.grid.edges, index, share, strict=True)
+    # Where a cell is a few units of rounding wide, its highest point is the one below the next edge.
+    points = [np.minimum(e[k] + r * (e[k + 1] - e[k]), np.nextafter(e[k + 1], e[k])) for e, k, r in axes]
+    states = part.coordinates @ np.stack(points)
+    beside = _anywhere(agent, count, rng)
+    inputs = controller.act(states[:, None], q, t, None, None, None if beside is None else beside[:, None])[0][:, 0]
+    if not np.all((agent.input_box.low[:, None] <= inputs) & (inputs <= agent.input_box.high[:, None])):
+        return ["its controller was seen to ask for inputs beyond its input box"]
+    # Where cells are so narrow that they cannot be told apart, all that is claimed is charged for misread cells.
+    if execution.loss >= 1.0:
+        return []
+    choice = part.policy[t, q, cells]
+    if not agent.is_affine:
+        agent = with_expressions(agent)
+        aims = choice - first_target(part)
+        if np.any(aims >= 0):
+            off = np.abs(agent.mean(states, inputs, None, beside) - _lattice_points(part, np.maximum(aims, 0)))
+            if np.any(~(off <= execution.mean[:, None]) & (aims >= 0)):
+                return ["its controller was seen to steer elsewhere than its policy says"]
+        if part.relation["kind"] == "exact":
+            return []
+        networked = choice < network_modes(part)
+        for mode in np.unique(choice[networked & (choice >= 0)]):
+            here = np.flatnonzero(choice == mode)[:NETWORKED]
+            low, high = driven_spans(agent, part, cells[here], int(mode))
+            told = None if beside is None else beside[:, here]
+            mean = np.linalg.solve(part.coordinates, agent.mean(states[:, here], inputs[:, here], None, told))
+            if np.any((mean < low.T - execution.mean[:, None]) | (mean > high.T + execution.mean[:, None])):
+                return ["its network was seen to lead beyond the means that it can lead to"]
+        fixed = (choice >= 0) & (aims < 0) & ~networked
+        chosen = np.where(fixed, cells, -1), np.where(fixed, choice, 0)
+        return _wrong_written(agent, part, states, inputs, *chosen, beside)
+    agent = linear_agent(agent, part.relation["kind"])
+    mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
+    networked = choice < network_modes(part)
+    # Cells in other coordinates reach beyond the workspace, where networks see what they were not enclosed for; such
+    # states have failed, so that nothing is claimed of the step from there.
+    inside = np.all((agent.workspace.low[:, None] <= states) & (states <= agent.workspace.high[:, None]), axis=0)
+    for mode in np.unique(choice[networked & inside & (choice >= 0)]):
+        here = np.flatnonzero((choice == mode) & inside)[:NETWORKED]
+        low, high = _network_means(agent, part, cells[here], int(mode), states[:, here])
+        beyond = (mean[:, here] < low.T - execution.mean[:, None]) | (mean[:, here] > high.T + execution.mean[:, None])
+        if np.any(beyond):
+            return ["its network was seen to lead beyond the means that it can lead to"]
+    off = np.abs(mean - _asked_means(agent, part, np.maximum(choice, 0), cells, states))
+    if np.any((off > execution.mean[:, None]) & (choice >= 0) & ~networked):
+        return ["its controller was seen to steer elsewhere than its policy says"]
+    return []
+
+
+def first_target(part: AgentPart) -> int:
+    """The first choice that is a target, less its lattice point; beyond all choices where there are none."""
+    if part.relation["kind"] == "exact":
+        return 0
+    return len(part.relation["menu"]) if "aims" in part.relation else int(np.iinfo(np.int32).max)
+
+
+def _network_means(
+    agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], mode: int, states: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (C, d) between which a network may lead, in grid coordinates, from states (d, C) in cells."""
+    if part.relation["kind"] == "boxes":
+        return network_spans(agent, part, cells, mode)
+    z, gain, rho = network_maps(agent, part, cells, mode)
+    low, high = cell_boxes(part)
+    offsets = np.linalg.solve(part.coordinates, states).T - 0.5 * (low + high)[cells]
+    at = z + np.einsum("ckj,cj->ck", gain, offsets)
+    return at - rho, at + rho
+
+
+def _anywhere(agent: AnyAgent, count: int, rng: Generator) -> FloatArray | None:
+    """States of others (l, count) that dynamics name, anywhere in their workspaces; None if there are none."""
+    if not agent.others:
+        return None
+    low, high = np.array(list(agent.unknowns.values())[len(agent.disturbances) :]).T[..., None]
+    return np.asarray(low + (high - low) * rng.random((len(low), count)))
+
+
+def _wrong_written(
+    agent: Agent,
+    part: AgentPart,
+    states: FloatArray,
+    inputs: FloatArray,
+    cells: NDArray[np.int64],
+    choice: NDArray[Any],
+    beside: FloatArray | None,
+) -> list[str]:
+    """Inputs of agents with expressions that are not those of the menu, or steer elsewhere than to their targets.
+
+    Cells are -1 where there is no choice.
+    """
+    menu = np.array(part.relation["menu"], dtype=float)
+    steer = np.array(part.relation.get("steer", [False] * len(menu)), dtype=bool)[choice]
+    if np.any((inputs != menu[choice].T) & (cells >= 0) & ~steer):
+        return ["its controller was seen to do something else than its policy says"]
+    low, high = cell_boxes(part)
+    steered = np.flatnonzero(steer & (cells >= 0))
+    for group, knowing in by_number(agent, part, choice[steered]):
+        which = steered[group]
+        centre = (0.5 * (low + high))[cells[which]].T
+        targets = knowing.mean(centre, menu[choice[which]].T)
+        others = None if beside is None else beside[:, which]
+        for place, numbers in known_inputs(agent, part, choice[which]).items():
+            assert others is not None  # they are among what the dynamics name
+            others[place] = numbers
+        means = agent.mean(states[:, which], inputs[:, which], None, others)
+        commands = commands_of(knowing)
+        # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate. Many points share a cell.
+        pairs, place_of = np.unique(cells[which] * np.int64(len(menu)) + choice[which], return_inverse=True)
+        cell, chosen = np.divmod(pairs, len(menu))
+        first, _ = steered_spans(knowing, low[cell], high[cell], menu[chosen], commands, 1)
+        known = np.all(~np.isnan(first), axis=1)[place_of]
+        for command in commands:
+            off = np.abs(means[command.axis] - targets[command.axis])
+            size = np.abs(agent.workspace.low[command.axis]) + np.abs(agent.workspace.high[command.axis])
+            if np.any(known & ~(off <= STEERED * (np.abs(targets[command.axis]) + size))):
+                return ["its controller was seen to steer elsewhere than its policy says"]
+    return []
+
+
+def _asked_means(
+    agent: LinearAgent, part: AgentPart, choice: NDArray[Any], cells: NDArray[np.int64], states: FloatArray
+) -> FloatArray:
+    """Means (d, M) that choices in cells ask for at states (d, M), in grid coordinates."""
+    if part.relation["kind"] not in ("boxes", "linear"):
+        return _lattice_points(part, choice)
+    low, high = cell_boxes(part)
+    offsets = np.linalg.solve(part.coordinates, states) - 0.5 * (low + high)[cells].T
+    menu = np.array(part.relation["menu"], dtype=float)
+    if part.relation["kind"] == "boxes":
+        fed = np.einsum("nij,jn->in", np.array(part.relation["gains"], dtype=float)[choice], offsets)
+        asked = agent.A @ states + agent.B @ (menu[choice].T + fed) + agent.offset[:, None]
+        return np.asarray(np.linalg.solve(part.coordinates, asked))
+    if len(menu):
+        first = first_target(part)
+        inputs = menu[np.minimum(choice, len(menu) - 1)].T
+        means = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
+        return np.where(choice >= first, _lattice_points(part, np.maximum(choice - first, 0)), means)
+    gain, point = np.divmod(choice, int(np.prod([len(axis) for axis in part.lattice])))
+    return _lattice_points(part, point) + gain * offsets
+
+
+def _wrong_memory(
+    agent: LinearAgent,
+    part: AgentPart,
+    controller: AgentController,
+    relation: CoupledRelation,
+    execution: Execution,
+    rng: Generator,
+) -> list[str]:
+    """Inputs, abstract states or errors that differ from those of episodes that are followed here."""
+    assert part.menu is not None
+    C, K, F = part.coordinates, relation.feedback, relation.coupling
+    A, B, c = (np.linalg.solve(C, own) for own in (agent.A @ C, agent.B, agent.offset[:, None]))
+    deviations = np.sqrt(np.diag(np.linalg.solve(C, np.linalg.solve(C, agent.noise_covariance).T)))[:, None]
+    low, high = (np.array([edges[k] for edges in part.grid.edges])[:, None] for k in (0, -1))
+    points = low + rng.random((len(low), EPISODES)) * (high - low)
+    cells, error, sure = _placed(part, points, points)
+    mean = target = points
+    memory, alive, lost = controller.begin((C @ points)[:, None]), np.ones(EPISODES, dtype=bool), ~sure
+    for t in range(MOST_STEPS if len(part.policy) == 1 else min(MOST_STEPS, len(part.policy))):
+        q, uniform = rng.integers(part.policy.shape[1], size=EPISODES), rng.random(EPISODES)
+        if t > 0:
+            noise = (points - mean) / deviations
+            move = F @ error / deviations
+            ratio = np.exp(-np.sum((noise + 0.5 * move) * move, axis=0))
+            length = np.where(np.any(move, axis=0), np.sum(move**2, axis=0), 1.0)
+            mirrored = noise - 2.0 * move * np.sum(move * noise, axis=0) / length
+            landed = target + deviations * np.where(uniform <= ratio, noise + move, mirrored)
+            cells, error, sure = _placed(part, landed, points)
+            sure &= np.abs(uniform - ratio) > NEAR
+        inputs, memory = controller.act((C @ points)[:, None], q, t, memory, uniform[None])
+        assert memory is not None
+        # what is outside, or was not told from the next cell, is not followed any more
+        alive &= np.all((points > low) & (points < high), axis=0) & ~lost
+        told = alive & sure & ~memory.lost[0]
+        chosen = part.policy[min(t, len(part.policy) - 1), q, cells]
+        choice = np.maximum(chosen, 0)
+        asked = relation.inputs[choice].T + K @ error
+        box = (agent.input_box.low[:, None] <= inputs[:, 0]) & (inputs[:, 0] <= agent.input_box.high[:, None])
+        if np.any(alive & ~memory.lost[0] & ~np.all(box, axis=0)):
+            return ["its controller was seen to ask for inputs beyond its input box"]
+        wrong = np.any(np.abs(inputs[:, 0] - asked) > 2.0 * execution.inputs[:, None] + 1e-300, axis=0)
+        if np.any(told & ((memory.cells[0] != cells) | wrong)):
+            return ["its controller was seen to remember or to do something else than its relation says"]
+        if relation.delta == 0.0 and np.any(alive & sure & memory.lost[0]):
+            return ["its controller was seen to lose a relation that is never lost"]
+        alive &= told & (chosen >= 0)  # where nothing is chosen nothing is promised
+        target = _lattice_points(part, np.take_along_axis(part.menu[cells], choice[:, None], axis=1)[:, 0])
+        mean = A @ points + B @ inputs[:, 0] + c
+        points = mean + deviations * rng.standard_normal(points.shape)
+    return []
+
+
+def _lattice_points(part: AgentPart, flat: NDArray[np.integer]) -> FloatArray:
+    """Lattice points (d, n) by their numbers (n,)."""
+    index = np.unravel_index(flat, tuple(len(axis) for axis in part.lattice))
+    return np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)])
+
+
+def _placed(
+    part: AgentPart, landed: FloatArray, points: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.bool_]]:
+    """Cells (n,) of abstract states that land on points (d, n), ``x - xhat`` (d, n), and where no rounding decides."""
+    cells, error, sure = np.zeros(landed.shape[1], dtype=np.int64), [], np.ones(landed.shape[1], dtype=bool)
+    for edges, to, x in zip(part.grid.edges, landed, points, strict=True):
+        place = np.clip(np.searchsorted(edges, to, side="right") - 1, 0, len(edges) - 2)
+        width = edges[place + 1] - edges[place]
+        sure &= (edges[place] + NEAR * width < to) & (to < edges[place + 1] - NEAR * width)
+        error.append(x - 0.5 * (edges[place] + edges[place + 1]))
+        cells = cells * (len(edges) - 1) + place
+    return cells, np.stack(error), sure

@@ -1,0 +1,236 @@
+"""What a controller does, against what was evaluated: its own matrices, floating point included.
+
+The kernel says where the mean of the next state is, or the finite model's. The controller of the certificate computes
+an input from numbers of its own, and a coupled one its abstract state. Here its numbers are compared with those of the
+agent: entry by entry, over the whole workspace, with the rounding of every operation. What they may be off by becomes a
+probability: a mean that is off by ``dev`` costs at most ``2 Phi(|Sigma^(-1/2) dev| / 2) - 1`` per step (total variation
+of two normal laws), a cell that is read off by ``rho`` at most the mass within ``rho`` of any cell edge. Both are added
+over steps and agents, whatever relation, units and coordinates there are.
+
+The very code that acts is run in ``carrying_out``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import erf
+
+from ....envs.systems.agents import AnyAgent, with_matrices
+from ...certificates.cell_probabilities import AgentPart, law_height, state
+from ...relations.grids import FloatArray
+from ...relations.kinds import BoxRelation, CoupledRelation, ExactRelation, MapRelation, Relation, WrittenTargets
+from .aim_spans import aim_losses
+
+UNIT = 2.0**-53
+
+DENSITY = 0.39895
+"""Upper bound on the density of the standard normal law."""
+
+WRAPPED = 1e-13
+"""Upper bound on what an angle is off by where it wraps, up to a hundred turns away."""
+
+COUPLING = 1e-12
+"""Upper bound on what rounding changes in the law of noise that is drawn by a coupling, in total variation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Execution:
+    """How far a controller may be off, at every point of the workspace; upper bounds, in grid coordinates.
+
+    Parameters
+    ----------
+    mean : (d,) array
+        Of the mean of the next state (``exact``), or of where the abstract state lands.
+    disturbance : (d,) array
+        What is added to the error of a coupled relation per step; 0 for ``exact``.
+    inputs : (m,) array
+        Rounding of an input.
+    loss : float
+        Probability, per step, that it is told from what was evaluated.
+    """
+
+    mean: FloatArray
+    disturbance: FloatArray
+    inputs: FloatArray
+    loss: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Setting:
+    """The agent in grid coordinates, with what computing them may be off by, and the sizes of everything.
+
+    ``A``, ``B``, ``c``, each with ``*_off`` (same shape); ``x``, ``u`` largest states and inputs; ``read`` what the
+    coordinates of a state are read off by; ``deviations``, ``narrow`` noise and narrowest cell per axis; ``law`` what
+    the noise is away, in total variation, from one that is independent along the axes; ``lawful`` whether it has other
+    laws than the normal one.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    c: FloatArray
+    A_off: FloatArray
+    B_off: FloatArray
+    c_off: FloatArray
+    x: FloatArray
+    u: FloatArray
+    read: FloatArray
+    deviations: FloatArray
+    narrow: FloatArray
+    law: float
+    unit: float
+    lawful: bool
+
+
+def execution_of(agent: AnyAgent, part: AgentPart, relation: Relation) -> Execution:
+    """How far the controller with this relation may be off."""
+    setting = _setting(agent, part)
+    if agent.angles:
+        # An angle that wraps is rounded once more, and may be read in the cell beside its own.
+        plain = execution_of_numbers(setting, agent, part, relation)
+        return replace(plain, loss=plain.loss + _misread(setting, np.where(agent.wrapped_axes, WRAPPED, 0.0)))
+    return execution_of_numbers(setting, agent, part, relation)
+
+
+def execution_of_numbers(setting: _Setting, agent: AnyAgent, part: AgentPart, relation: Relation) -> Execution:
+    """How far the controller may be off, apart from what wraps."""
+    return CARRIED_OUT[type(relation)](setting, agent, part, relation)
+
+
+def _setting(agent: AnyAgent, part: AgentPart) -> _Setting:
+    d, m = agent.n_states, agent.n_inputs
+    # Means of expressions are enclosed where they are used: here counts only how states are read.
+    moves = np.zeros((d, d)), np.zeros((d, m)), np.zeros(d)
+    if agent.is_affine:
+        linear = with_matrices(agent)
+        moves = linear.A, linear.B, linear.offset
+    unit = (4.0 * (d + m) + 16.0) * UNIT
+    x = np.array([max(abs(edges[0]), abs(edges[-1])) for edges in part.grid.edges])
+    u = np.maximum(np.abs(agent.input_box.low), np.abs(agent.input_box.high))
+    C = part.coordinates
+    if np.array_equal(C, np.eye(d)):
+        inverse, wrong = np.eye(d), np.zeros((d, d))
+        read, (A, B, c) = np.zeros(d), moves
+    else:
+        inverse = np.linalg.inv(C)
+        # |C^-1 - inverse| <= 2 |inverse| |C inverse - I|, as long as the last is small
+        wrong = np.abs(inverse) @ (np.abs(C @ inverse - np.eye(d)) + unit * np.abs(C) @ np.abs(inverse)) * 2.0
+        read = (wrong + unit * np.abs(inverse)) @ np.abs(C) @ x
+        A, B, c = inverse @ moves[0] @ C, inverse @ moves[1], inverse @ moves[2]
+    off = wrong + (unit * np.abs(inverse) if np.any(wrong) else 0.0)
+    noise = inverse @ agent.noise_covariance @ inverse.T
+    noise_off = 2.0 * off @ np.abs(agent.noise_covariance) @ (np.abs(inverse) + off).T
+    deviations = np.sqrt(np.diag(noise))
+    noise_off += np.abs(noise - np.diag(np.diag(noise)))
+    if agent.laws is not None:
+        # Along their own axes components are independent; shifted by off, a density of this height changes by
+        # off times it, and d of them by the sum of all.
+        noise_off = np.full((d, d), 0.0 if np.array_equal(C, agent.noise_axes) else np.inf)
+        deviations = np.array([0.39 / (law_height(law) * np.sqrt(d)) for law in agent.laws])
+    return _Setting(
+        A=A, B=B, c=c,
+        A_off=off @ np.abs(moves[0]) @ np.abs(C), B_off=off @ np.abs(moves[1]), c_off=off @ np.abs(moves[2]),
+        x=x, u=u, read=read,
+        deviations=deviations * (1.0 - 1e-9),
+        law=_not_independent(noise_off, deviations),
+        narrow=np.array([np.min(np.diff(edges)) for edges in part.grid.edges]),
+        unit=unit,
+        lawful=agent.laws is not None,
+    )  # fmt: skip
+
+
+def _exact(s: _Setting, agent: AnyAgent, part: AgentPart, relation: ExactRelation) -> Execution:
+    """The mean of the next state is ``A x + B (R (z - d - A_r x) + mid) + c``; it is to be z."""
+    z = np.array([np.max(np.abs(axis)) for axis in part.lattice])
+    A, R, drift, middle = relation.A, relation.right_inverse, relation.drift, relation.input_centre
+    asked = np.abs(R) @ (z + np.abs(drift) + np.abs(A) @ s.x) + np.abs(middle)
+    moved = s.B @ R
+    size = np.abs(s.A) @ s.x + np.abs(s.B) @ asked + np.abs(s.c) + z
+    off = np.abs(s.A - moved @ A) @ s.x + np.abs(moved - np.eye(len(A))) @ z
+    off += np.abs(s.c + s.B @ middle - moved @ drift)
+    off += s.A_off @ s.x + s.B_off @ asked + s.c_off + np.abs(moved) @ np.abs(A) @ s.read + s.unit * size
+    distance = float(np.sqrt(np.sum((off / s.deviations) ** 2)))
+    loss = float(erf(distance / (2.0 * np.sqrt(2.0)))) * (1.0 + 1e-12)
+    state("erf", distance / (2.0 * np.sqrt(2.0)), loss)
+    if s.lawful:  # the difference of tails is that of Gaussian noise; its slope at 0 bounds all
+        loss = min(1.0, DENSITY * distance)
+    inputs = s.unit * asked + np.abs(R) @ np.abs(A) @ s.read
+    state("aims", agent, part, relation, off)
+    return Execution(off, np.zeros(len(A)), inputs, loss + _misread(s, s.read) + s.law)
+
+
+def _aimed(s: _Setting, part: AgentPart, relation: WrittenTargets) -> Execution:
+    """Expressions are solved for the inputs, and what these are off by moves the mean."""
+    off = aim_losses(part, relation)
+    shift = min(1.0, DENSITY * float(np.sqrt(np.sum((off / s.deviations) ** 2))))
+    return Execution(off, np.zeros(len(off)), np.zeros(len(s.u)), shift + _misread(s, s.read) + s.law)
+
+
+def targets_alone(part: AgentPart) -> AgentPart:
+    """The targets of policies that have inputs as well, as lattice points; -1 where they choose something else."""
+    first = len(part.relation["menu"])
+    return replace(part, policy=np.where(part.policy >= first, part.policy - first, -1).astype(part.policy.dtype))
+
+
+def _mapped(s: _Setting, agent: AnyAgent, part: AgentPart, relation: MapRelation) -> Execution:
+    """Inputs of a menu, whose means are off by what goes into their maps; targets miss theirs with some probability."""
+    inputs = _boxed(s, np.zeros((1, len(s.u), len(s.x))))
+    if relation.aims is None:
+        return inputs
+    part = targets_alone(part)
+    aims = relation.aims
+    aimed = CARRIED_OUT[type(aims)](s, agent, part, aims)
+    return Execution(np.maximum(inputs.mean, aimed.mean), aimed.disturbance, aimed.inputs, max(inputs.loss, aimed.loss))
+
+
+def _boxed(s: _Setting, gains: FloatArray) -> Execution:
+    """Inputs of a menu, and what is fed back inside a cell (A, m, d); what means are off by goes into their boxes."""
+    fed = np.abs(gains).max(axis=0)
+    # Grid coordinates are read by the controller, and once more where its means are compared.
+    inputs = 2.0 * fed @ (s.read + s.unit * s.x) + s.unit * np.any(fed, axis=1) * (s.u + fed @ s.x)
+    off = s.A_off @ s.x + s.B_off @ s.u + s.c_off + np.abs(s.B) @ inputs + s.read
+    off += s.unit * (np.abs(s.A) @ s.x + np.abs(s.B) @ s.u + np.abs(s.c))
+    return Execution(off, np.zeros(len(s.x)), inputs, _misread(s, s.read) + s.law)
+
+
+def _coupled(s: _Setting, part: AgentPart, relation: CoupledRelation) -> Execution:
+    """The abstract state lands on ``z + (x' - A_r x - B_r u - d) + F e``, with what is read and computed."""
+    A, B, K, F = relation.A, relation.B, relation.feedback, relation.coupling
+    z = np.array([np.max(np.abs(axis)) for axis in part.lattice])
+    size = s.x + np.abs(A) @ s.x + np.abs(B) @ s.u + np.abs(relation.drift) + z
+    landed = (np.abs(s.A - A) + s.A_off) @ s.x + (np.abs(s.B - B) + s.B_off) @ s.u + np.abs(s.c - relation.drift)
+    landed += s.c_off + np.abs(A) @ s.read + s.read + s.unit * size
+    error = s.read + s.unit * s.x  # of ``x - xhat`` as it is computed
+    if relation.is_cell:  # what is left of the error when both land in one cell
+        landed += np.abs(s.A + s.B @ K - F) @ relation.reach
+    disturbance = landed + (np.abs(s.B) @ np.abs(K) + np.abs(F)) @ error
+    inputs = np.abs(K) @ error + s.unit * s.u * np.any(K, axis=1)  # without feedback it is a number of the relation
+    return Execution(landed, disturbance, inputs, _misread(s, disturbance) + s.law + (COUPLING if np.any(F) else 0.0))
+
+
+def _misread(s: _Setting, off: FloatArray) -> float:
+    """Upper bound on the mass of a normal law within ``off`` of any cell edge.
+
+    Along an axis the densities at edges a cell apart sum to at most ``1 / width + largest density``.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):  # a state without noise must be read without an error
+        return float(np.sum(np.where(off == 0.0, 0.0, 2.0 * off * (1.0 / s.narrow + DENSITY / s.deviations))))
+
+
+def _not_independent(noise_off: FloatArray, deviations: FloatArray) -> float:
+    """Upper bound on what noise lacks, in total variation, to be independent; infinite beside states without noise."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.linalg.norm(np.where(noise_off == 0.0, 0.0, noise_off / np.outer(deviations, deviations))))
+
+
+CARRIED_OUT: dict[type, Callable[[_Setting, AnyAgent, AgentPart, Any], Execution]] = {
+    ExactRelation: _exact,
+    MapRelation: _mapped,
+    BoxRelation: lambda setting, agent, part, relation: _boxed(setting, relation.gains),
+    WrittenTargets: lambda setting, agent, part, relation: _aimed(setting, part, relation),
+    CoupledRelation: lambda setting, agent, part, relation: _coupled(setting, part, relation),
+}
+"""How far controllers may be off, by relation."""

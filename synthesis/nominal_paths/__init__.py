@@ -1,7 +1,0 @@
-"""Certificates along a nominal path: the search for the path and its feedback, for one agent and for teams."""
-
-from .counted_work import CountedWork
-from .path_search import path_certificate, refuse_without_path
-from .policy_paths import networks_along
-
-__all__ = ["CountedWork", "networks_along", "path_certificate", "refuse_without_path"]

@@ -1,0 +1,44 @@
+"""Value iteration of one agent at a time, weighted by occupancy: starts, coordinate ascent, relaxations."""
+
+from .coordinate_ascent import Stage, Sweep, start_value, sweep
+from .limits import Limits
+from .multistart import FINAL, MANY_TERMS, RELAXED, Found, find_policies
+from .occupancy import forward
+from .relaxation import Relaxation, favourable_successors, relax, relax_one, relaxed_policies, upper_bound
+from .search_settings import BAR, BEGINS, Search, shown_on, sweep_bar
+from .stationary import stationary_best
+from .train_ascent import TrainSweep
+from .train_backward import backward
+from .tree import Candidates, assemble, candidates, terminal_terms
+
+__all__ = [
+    "Candidates",
+    "FINAL",
+    "Found",
+    "Limits",
+    "MANY_TERMS",
+    "RELAXED",
+    "Relaxation",
+    "Search",
+    "Stage",
+    "Sweep",
+    "TrainSweep",
+    "assemble",
+    "backward",
+    "candidates",
+    "favourable_successors",
+    "find_policies",
+    "forward",
+    "relax",
+    "relax_one",
+    "relaxed_policies",
+    "start_value",
+    "stationary_best",
+    "BAR",
+    "BEGINS",
+    "shown_on",
+    "sweep_bar",
+    "sweep",
+    "terminal_terms",
+    "upper_bound",
+]

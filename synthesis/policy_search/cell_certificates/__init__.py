@@ -1,0 +1,16 @@
+"""From policies on cells to certificates: bounds collected, and what the check says of them."""
+
+from .agreement import along_path, judged
+from .certification import certificate_of
+from .on_cells import Plan, compared, continued, plain, searched
+
+__all__ = [
+    "Plan",
+    "along_path",
+    "certificate_of",
+    "compared",
+    "continued",
+    "judged",
+    "plain",
+    "searched",
+]

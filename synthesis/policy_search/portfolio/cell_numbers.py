@@ -1,0 +1,205 @@
+"""Numbers of cells that fit together.
+
+A *resolution* is a number of cells per standard deviation of the noise, the same for all axes of all agents: what cells
+lose depends on their width against the noise. Near the number that a resolution asks for on an axis, those numbers are
+preferred
+
+- for which the region boundaries cut the axis into whole numbers of equal cells (no slivers, which would cost inputs
+  and labels as much as a wide cell, and more lattice points);
+- under relations with a menu of inputs, for which the means fall on few lattice points per cell: with equal cells of
+  widths h the means of axis k lie on the multiples of ``h_k / q`` where ``A_kj h_j / h_k`` has the denominator q. For
+  position and velocity, ``p' = p + s v``, cells of width ``h_v = h_p / s`` (or twice that) have q = 1 (or 2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from ....envs.systems.agents import AnyAgent, LinearAgent, with_expressions
+from ....envs.tasks.problem import Problem
+from ...abstraction.models import SNAPPED_POINTS
+from ...relations.grids import DEFAULT_TARGETS, FloatArray, deviations_of, region_boundaries
+from ...relations.kinds import commands_of
+
+Shape = tuple[int, ...]
+
+NEAR_FACTOR = 1.25
+"""Numbers of cells up to this factor from what is asked for are considered."""
+
+MOST_CELLS_PER_AXIS = 4000
+"""Most cells per axis of one agent that are considered."""
+
+MOST_NUMBERS = 24
+"""Most numbers of cells per axis that are compared: for three axes they make some ten thousand combinations."""
+
+MOST_COMBINATIONS = MOST_NUMBERS**3
+"""Combinations of numbers of cells that are compared: all of three axes; of more axes fewer numbers each."""
+
+POINTS_OF_BOXES = 4
+"""Lattice points per cell and axis under the relation ``boxes``, about."""
+
+WEIGHING_STATES, DIFFERENCE = 64, 1e-5
+"""States at which Jacobians are taken, and the step for it, as a share of the workspace."""
+
+LEAST_WEIGHT = 0.15
+"""Least weight of an axis: wider cells on commanded axes would cost inputs and labels too much."""
+
+
+def cells_at(problem: Problem, resolution: float, kinds: Sequence[str]) -> dict[str, Shape]:
+    """Return cells per axis of every agent at about ``resolution`` cells per standard deviation of noise.
+
+    Parameters
+    ----------
+    problem : Problem
+    resolution : float
+        Cells per standard deviation of the noise (dimensionless), positive.
+    kinds : sequence of str
+        Relation of each agent.
+    """
+    alike: dict[tuple[Any, ...], list[int]] = {}
+    for i, agent in enumerate(problem.agents):
+        corners = (agent.state_low, agent.state_high, agent.input_low, agent.input_high)
+        key = (kinds[i], *agent.motion_key, *agent.noise_key, *(a.tobytes() for a in corners))
+        alike.setdefault(key, []).append(i)
+    cells_of: dict[int, Shape] = {}
+    for (kind, *_), members in alike.items():
+        first = problem.agents[members[0]]
+        # The boundaries of all members, so that they share edges, and with them kernels.
+        axes = [{b for i in members for b in region_boundaries(problem, i, k)} for k in range(first.n_states)]
+        cells = _agent_cells(first, [sorted(axis) for axis in axes], resolution, kind)
+        cells_of |= dict.fromkeys(members, cells)
+    return {agent.name: cells_of[i] for i, agent in enumerate(problem.agents)}
+
+
+def axis_weights(agent: AnyAgent) -> FloatArray:
+    """Return how fine the cells of each axis should be against the noise, relative to the axis that matters most.
+
+    Under mean boxes a cell costs as much as it widens the boxes along axes without targets, in deviations of the noise:
+    ``sum_k |J_kj| h_j / sigma_k``. For a given number of cells the sum over the axes j is least if all of them cost the
+    same. The Jacobian J is averaged over the workspace, by differences. Linear agents have equal weights.
+    """
+    if agent.is_affine:
+        return np.ones(agent.n_states)
+    agent = with_expressions(agent)
+    # An even sample of states, at the middle of the inputs: weights need one digit.
+    d, middle = agent.n_states, agent.input_box.center
+    shares = (np.arange(WEIGHING_STATES) + 0.5)[:, None] * np.sqrt(np.arange(2, 2 + d) + 0.5) % 1.0
+    span = agent.state_high - agent.state_low
+    states = (agent.state_low + shares * span).T
+    inputs = np.broadcast_to(middle[:, None], (len(middle), WEIGHING_STATES))
+    deviations = np.maximum(deviations_of(agent), 1e-12 * span)
+    free = np.ones(d, dtype=bool)
+    free[[command.axis for command in commands_of(agent)]] = False
+    free = free if np.any(free) else ~free
+    cost = np.zeros(d)
+    for j in range(d):
+        step = np.zeros((d, 1))
+        step[j] = DIFFERENCE * span[j]
+        with np.errstate(all="ignore"):
+            moved = np.abs(agent.mean(states + step, inputs) - agent.mean(states, inputs)) / step[j]
+        mean = np.nan_to_num(moved, nan=0.0, posinf=0.0).mean(axis=1)
+        cost[j] = float(np.sum((mean / deviations)[free])) * deviations[j]
+    if not np.max(cost) > 0.0:
+        return np.ones(d)
+    return np.asarray(np.maximum(cost / np.max(cost), LEAST_WEIGHT))
+
+
+def _agent_cells(agent: AnyAgent, boundaries: Sequence[list[float]], resolution: float, relation: str) -> Shape:
+    """Return the cells per axis of one agent: of numbers near the resolution those with the fewest lattice points."""
+    span = agent.state_high - agent.state_low
+    deviations = deviations_of(agent)
+    fineness = resolution * axis_weights(agent)
+    wanted = [max(1.0, float(r * s / max(d, 1e-12 * s))) for r, s, d in zip(fineness, span, deviations, strict=True)]
+    options = [
+        _numbers(float(low), float(high), inside, number)
+        for low, high, inside, number in zip(agent.state_low, agent.state_high, boundaries, wanted, strict=True)
+    ]
+    if math.prod(map(len, options)) > MOST_COMBINATIONS:
+        few = max(1, int(MOST_COMBINATIONS ** (1.0 / agent.n_states)))
+        options = [_nearest(own, number)[:few] for own, number in zip(options, wanted, strict=True)]
+    automatic = ("auto", "best", "quick")
+    by_target = relation == "exact" or (relation in automatic and agent.has_full_rank)
+    # Compare all combinations: fewest lattice points first, then most axes of equal cells, then nearest to the wish.
+    scored = []
+    for choice in product(*options):
+        shape, even = tuple(n for n, _ in choice), tuple(e for _, e in choice)
+        if not isinstance(agent, LinearAgent):
+            per_cell = (POINTS_OF_BOXES,) * agent.n_states
+        elif by_target:
+            per_cell = (DEFAULT_TARGETS.get(agent.n_states, 1),) * agent.n_states
+        else:
+            per_cell = _points_per_cell(agent, np.array(shape), even)
+        axes = zip(shape, wanted, boundaries, strict=True)
+        far = sum(abs(math.log(n / max(number, len(inside) + 1))) for n, number, inside in axes)
+        scored.append((math.prod(per_cell), -sum(even), far, shape))
+    return min(scored)[-1]
+
+
+def _numbers(low: float, high: float, boundaries: Sequence[float], wanted: float) -> list[tuple[int, bool]]:
+    """Return numbers of cells to consider for one axis, and whether all cells are equal with each."""
+    inside = sorted({b for b in boundaries if low < b < high})
+    least = len(inside) + 1
+    unit = _equal_parts(low, high, inside)
+    centre = min(MOST_CELLS_PER_AXIS, max(least, round(wanted)))
+    if unit is None:
+        return [(centre, False)]
+    first, last = math.ceil(centre / NEAR_FACTOR / unit), math.floor(centre * NEAR_FACTOR / unit)
+    even = [(k * unit, True) for k in range(max(1, first), last + 1) if k * unit <= MOST_CELLS_PER_AXIS]
+    if len(even) > MOST_NUMBERS:
+        even = sorted(even, key=lambda option: (_roughness(option[0]), abs(option[0] - centre)))[:MOST_NUMBERS]
+    return even or [(centre, False)]
+
+
+def _nearest(options: list[tuple[int, bool]], wanted: float) -> list[tuple[int, bool]]:
+    """Return numbers of cells in the order of how near they are to the wish."""
+    return sorted(options, key=lambda option: abs(math.log(option[0] / wanted)))
+
+
+def _roughness(number: int) -> int:
+    """Return the largest prime factor: axes whose numbers have small ones are commensurable more often."""
+    largest, p = 1, 2
+    while p * p <= number:
+        while number % p == 0:
+            largest, number = max(largest, p), number // p
+        p += 1
+    return max(largest, number) if number > 1 else largest
+
+
+def _equal_parts(low: float, high: float, inside: Sequence[float]) -> int | None:
+    """Return the fewest equal cells that have all boundaries on their edges; None if that takes too many."""
+    n_parts = 1
+    for boundary in inside:
+        share = Fraction((boundary - low) / (high - low)).limit_denominator(MOST_CELLS_PER_AXIS)
+        if abs(float(share) * (high - low) + low - boundary) > 1e-9 * (high - low):
+            return None
+        n_parts = math.lcm(n_parts, share.denominator)
+        if n_parts > MOST_CELLS_PER_AXIS:
+            return None
+    return n_parts
+
+
+def _points_per_cell(agent: LinearAgent, shape: np.ndarray, even: Sequence[bool]) -> tuple[int, ...]:
+    """Return the lattice points per cell and axis that the means of equal cells need, ``SNAPPED_POINTS`` at most."""
+    widths = (agent.state_high - agent.state_low) / shape
+    per_cell = []
+    for k in range(agent.n_states):
+        # What moves the mean along axis k: a cell of each axis, and half a step of each input.
+        moves = [agent.A[k, j] * widths[j] for j in range(agent.n_states)]
+        for column in agent.B.T:
+            if column[k] != 0:
+                used = column != 0
+                moves.append(0.5 * column[k] * float(np.min(widths[used] / np.abs(column[used]))))
+        # The common denominator of these moves, in cells.
+        q = 1 if all(even) else SNAPPED_POINTS
+        for move in moves:
+            share = Fraction(float(move / widths[k])).limit_denominator(SNAPPED_POINTS)
+            q = math.lcm(q, share.denominator) if abs(float(share) - move / widths[k]) <= 1e-9 else SNAPPED_POINTS
+            q = min(q, SNAPPED_POINTS)
+        per_cell.append(q)
+    return tuple(per_cell)

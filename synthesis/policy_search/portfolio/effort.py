@@ -1,0 +1,213 @@
+"""How much may be spent on a task: work, which is counted and the same everywhere, or seconds of the clock.
+
+Work is estimated from sizes before anything is computed, in core seconds: what one core of 2024 does in about a second.
+No clock decides what is tried, unless the caller gives ``seconds``: the same command gives the same certificate on any
+machine.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from ...certificates.proofs import rounded_up
+from ..ascent import BEGINS
+
+EFFORT = 80.0
+"""Core seconds that a task may take by default: a minute on one core, of what pays; the rest is for comparisons."""
+
+SHARE_OF_LEVELS = 0.75
+"""Share of the effort that cells of one kind may take, however fine they become: something is left to compare with."""
+
+SHARE_ABOVE = 0.05
+"""Share of the effort that it may take to bound a certificate from above, where nobody asked for it."""
+
+LEADS = 0.85
+"""Bound from which that is not held back: other ways rarely come near, and finer cells gain surely."""
+
+
+FOR_LOST = 2.0
+"""Core seconds that are spent on tasks that are out of reach."""
+
+BROKEN_OFF = "broken off by Ctrl-C"
+"""What is said of what the user had no time for."""
+
+
+class OutOfTime(Exception):
+    """What is under way is given up: the seconds are over, and there is something to return, or it takes too much."""
+
+
+@dataclass(eq=False)
+class Effort:
+    """What a task may still take.
+
+    Parameters
+    ----------
+    work : float, optional
+        Work in all, in core seconds (see the module's text). The default is ``EFFORT``, or no limit where ``seconds``
+        are given.
+    seconds : float, optional
+        Seconds of the clock, from now on. Ways that would take longer are left out, and those that are under way are
+        given up, as soon as there is a certificate.
+    progress : callable, optional
+        Told which way or level begins, as ``"way: ..."``, with the largest bound so far.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not a positive number.
+    """
+
+    work: float | None = None
+    seconds: float | None = None
+    spent: float = 0.0
+    has_result: bool = False
+    is_interrupted: bool = False
+    """Whether the user broke off (Ctrl-C) after there was a certificate: nothing further is begun."""
+    progress: Callable[[str, float], None] | None = None
+    above: float = 1.0
+    """Upper bound on what any controller does, as far as one is known."""
+    no_run: str = ""
+    """Why no run without noise satisfies the task, if that was looked for and none was found."""
+    lost: str = ""
+    """Why the task is out of reach of any controller, if that is known: then a run that comes near has to do."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """What was not begun for want of effort, by name, and why."""
+    counted: float = 0.0
+    """Work of sweeps as it is done, in core seconds: estimates do not know how many terms trees will have."""
+    allowance: float = math.inf
+    """What ``counted`` may become before what is under way is given up."""
+    is_overdrawn: bool = False
+    """Whether what was given up last took more work than it was allowed."""
+    begun: tuple[str, float] = ("", 0.0)
+    """Which way or level was told last, and the largest bound then."""
+
+    def __post_init__(self) -> None:
+        for name, value, what in (("effort", self.work, "of core seconds"), ("seconds", self.seconds, "of the clock")):
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if value is not None and not (number and value > 0):
+                raise ValueError(f"`{name}`: expected a positive number ({what}), got {value!r}; leave it out")
+        self.began = time.perf_counter()
+        self.limit = self.work if self.work is not None else EFFORT if self.seconds is None else math.inf
+
+    def give_up(self, why: str) -> None:
+        """Leave nearly all work undone: no controller satisfies the task."""
+        self.lost, self.limit = why, min(self.limit, self.spent + FOR_LOST)
+
+    def anew(self) -> Effort:
+        """Return the effort of another task: as much work, and the seconds that are left."""
+        seconds = None if self.seconds is None else max(1e-9, self.seconds - self.elapsed)
+        return Effort(self.work, seconds, progress=self.progress)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the seconds are over; never where none were given."""
+        return self.seconds is not None and self.elapsed > self.seconds
+
+    @property
+    def given_up(self) -> str:
+        """Why what was under way was given up, in words."""
+        if self.is_overdrawn:
+            return "given up: it took far more work than was estimated"
+        return f"given up: {BROKEN_OFF if self.is_interrupted else 'the `seconds` were over'}"
+
+    def tell(self, what: str, bound: float) -> None:
+        """Say which way or level begins, what may be left to gain and to spend, beside the largest bound so far."""
+        self.begun = what, bound
+        self.tell_again(0.0)
+
+    def tell_again(self, more: float) -> None:
+        """Say once more which way is under way, when it has taken so much work that is not counted as spent yet."""
+        if self.progress is not None and self.begun[0]:
+            what, bound = self.begun
+            most = f", at most {rounded_up(self.above, 4)}" if self.above < 1.0 else ""
+            self.progress(f"{BEGINS}{what}{most}{self._in_hand(more)}", bound)
+
+    def _in_hand(self, more: float) -> str:
+        """What was spent, of how much, in words that leave 80 columns room for it; every task has as much."""
+        if self.seconds is not None:
+            return f", {self.elapsed:.0f} of {self.seconds:.0f} s"
+        return f", effort {min(self.spent + more, self.limit):.0f} of {self.limit:.0f}"
+
+    def count(self, work: float) -> None:
+        """Count work of a sweep that is about to be done; raise OutOfTime if it is not allowed."""
+        self.counted += work
+        self.is_overdrawn = self.counted > self.allowance
+        if self.is_overdrawn:
+            raise OutOfTime
+
+    @contextmanager
+    def within(self, work: float) -> Iterator[None]:
+        """Allow so much work for what is done in here, and no more than was allowed before."""
+        before = self.allowance
+        self.allowance = min(before, self.counted + work)
+        try:
+            yield
+        finally:
+            self.allowance = before
+
+    @contextmanager
+    def until_broken_off(self) -> Iterator[None]:
+        """Turn what breaks work off, after there is a certificate, into ``OutOfTime``."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            if not self.has_result:
+                raise
+            self.is_interrupted, self.is_overdrawn = True, False
+            raise OutOfTime from None
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds of the clock since the beginning; nothing asks unless seconds were given."""
+        return time.perf_counter() - self.began
+
+    @property
+    def left(self) -> float:
+        """Work that may still be begun."""
+        left = self.limit - self.spent
+        if self.seconds is None:
+            return left
+        # The pace so far says what the seconds that are left are good for.
+        pace = max(1.0, self.spent) / max(1e-3, self.elapsed)
+        return min(left, (self.seconds - self.elapsed) * pace)
+
+    def for_levels(self, bound: float, taken: float) -> float:
+        """Return the work of finer cells of one kind that have certified ``bound`` so far and taken so much."""
+        if bound >= LEADS or math.isinf(self.limit):
+            return self.left
+        return min(SHARE_OF_LEVELS * self.limit - taken, self.left)
+
+    @property
+    def for_above(self) -> float:
+        """Work that an upper end may take that nobody asked for, beside what the task took."""
+        return SHARE_ABOVE * min(EFFORT, self.limit)
+
+    def refusal(self, work: float) -> str | None:
+        """Return why work is not begun, in words; None if it may be. The first certificate is always computed."""
+        if not self.has_result or work <= self.left:
+            return None
+        return self.too_much(work, self.left)
+
+    def too_much(self, work: float, left: float) -> str:
+        """Return that work is more than is left, in words."""
+        option = "effort" if self.seconds is None else "seconds"
+        left = max(0.0, left)
+        return f"skipped: about {work:.3g} core seconds, {left:.3g} left; ask for more `{option}`"
+
+    def heeding(self, progress: Callable[[str, float], None] | None) -> Callable[[str, float], None] | None:
+        """Return what is told after each sweep: it gives up when the seconds are over and there is a certificate."""
+        if self.seconds is None:
+            return progress
+
+        def told(text: str, value: float) -> None:
+            if progress is not None:
+                progress(text, value)
+            if self.has_result and self.is_over:
+                self.is_overdrawn = False
+                raise OutOfTime
+
+        return told

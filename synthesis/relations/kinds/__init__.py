@@ -1,0 +1,95 @@
+"""What ties a state to its cell: exact maps, boxes, linear cells, the paper's (epsilon, delta), networks."""
+
+from .affine_means import AffineBoxes, AffineMeans, MapRelation, MatrixMaps, block_of, map_relation
+from .boxes import BoxRelation, LinearMeans, MeanBoxes, NetworkMeans, box_relation
+from .commands import Command, commands_of
+from .common_means import CommonInputs, CommonMeans
+from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
+from .description import Relation, check_description, describe_relation, relation_from
+from .ellipsoid import Ellipsoid, ellipsoid_relation
+from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
+from .exact import ExactOnCells, ExactRelation, aimed_relation, exact_relation
+from .input_forms import Turn
+from .network_maps import NetworkMaps, network_linear_relation
+from .networks import (
+    ACTIVATIONS,
+    Network,
+    NetworkPolicy,
+    OwnView,
+    check_network,
+    inputs_of,
+    network_policy,
+    scaled,
+    write_task,
+)
+from .rounding import mean_loss, mean_off
+from .rows import Row, product, rows_of, times
+from .scalar import paper_relation
+from .solved_means import WrittenOnCells, WrittenTargets, written_targets
+from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
+from .written_means import WrittenMeans
+from .written_policies import WrittenPolicy
+
+__all__ = [
+    "WrittenPolicy",
+    "ACTIVATIONS",
+    "AffineBoxes",
+    "AffineMeans",
+    "BoxRelation",
+    "Command",
+    "CommonInputs",
+    "CommonMeans",
+    "CoupledRelation",
+    "Ellipsoid",
+    "ExactOnCells",
+    "ExactRelation",
+    "LinearMeans",
+    "MapRelation",
+    "MatrixMaps",
+    "MeanBoxes",
+    "Network",
+    "NetworkMaps",
+    "NetworkMeans",
+    "NetworkPolicy",
+    "check_network",
+    "OwnView",
+    "Relation",
+    "Row",
+    "Turn",
+    "WrittenMeans",
+    "WrittenOnCells",
+    "WrittenTargets",
+    "aimed_relation",
+    "best_feedback",
+    "block_of",
+    "box_relation",
+    "check_description",
+    "commands_of",
+    "couple",
+    "coupling_failure",
+    "describe_relation",
+    "disturbance_of",
+    "ellipsoid_factor",
+    "ellipsoid_failure",
+    "ellipsoid_is_invariant",
+    "ellipsoid_relation",
+    "ellipsoid_support",
+    "exact_relation",
+    "inputs_of",
+    "joint_delta",
+    "map_relation",
+    "mean_loss",
+    "mean_off",
+    "network_linear_relation",
+    "network_policy",
+    "paper_relation",
+    "product",
+    "relation_from",
+    "rows_of",
+    "scaled",
+    "times",
+    "tube_generators",
+    "tube_relation",
+    "write_task",
+    "written_targets",
+]

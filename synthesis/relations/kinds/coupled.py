@@ -1,0 +1,244 @@
+"""Relations in which the controller remembers the abstract state (``paper``, ``tube`` and ``ellipsoid``).
+
+Error ``e = x - xhat`` in grid coordinates, interface ``u = uhat + K e``, noise coupling ``what = w + F e``:
+
+    e' = (A + B K - F) e + beta,      |beta| <= half a cell (+ half a lattice spacing where means are snapped).
+
+A set E with ``(A + B K - F) E + beta inside E`` gives the relation ``x - xhat in E`` (docs/theory/relations.md,
+"Errors"). The files ``scalar``, ``tube`` and ``ellipsoid`` say what bounds E, why it is invariant, and how likely the
+coupling fails.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from ....envs.systems.agents import AnyAgent
+from ....envs.systems.arguments import box_text, counted, tree_text
+from ..grids import FloatArray, linear_agent
+from .coordinates import ReadsByRows
+from .rounding import COUPLING, error_rounding, missed_cells, sizes_of
+from .rows import Row, rows_of, times
+
+FORGIVEN = 1e-12
+"""Share of the set of errors by which a computed error may lie outside: rounding.
+
+Labels and inputs allow for a set larger by ``1e-9``.
+"""
+
+
+COUPLED_NUMBERS: dict[str, tuple[str, ...]] = {
+    "paper": ("epsilon", "feedback", "inputs", "delta"),
+    "tube": (),
+    "ellipsoid": ("epsilon", "delta"),
+}
+"""Entries of descriptions that are numbers, by kind."""
+
+COUPLED_ARRAYS: dict[str, tuple[str, ...]] = {
+    "paper": (),
+    "tube": ("feedback", "inputs", "snap"),
+    "ellipsoid": ("shape", "feedback", "coupling", "inputs", "snap"),
+}
+"""Entries of descriptions that are arrays, by kind."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CoupledRelation(ReadsByRows):
+    """Interface and coupling between an agent and its finite model, in grid coordinates.
+
+    Parameters
+    ----------
+    kind : str
+        ``"paper"``, ``"tube"`` or ``"ellipsoid"``.
+    A, B : (d, d), (d, m) arrays
+    drift : (d,) array
+        Affine term.
+    covariance : (d,) array
+        Variances of the noise along the grid axes.
+    feedback, coupling : (m, d), (d, d) arrays
+        K and F.
+    reach : (d,) array
+        Half widths of the box around E.
+    state_reach : (d,) array
+        Half widths of the box around E in state coordinates, for labels.
+    delta : float
+        Upper bound on the probability, per step, that the coupling fails.
+    inputs : (A, m) array
+        Abstract inputs uhat, all in U less K E.
+    input_low, input_high : (m,) arrays
+        Input box.
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    is_cell : bool
+        Whether related states lie in the same cell.
+    snap : (d,) array
+        Half lattice spacings that means may be rounded by.
+    shape : (d, d) array or None
+        D of an ellipsoid ``E = {e'D e <= epsilon^2}``; None if E is judged by the box around it.
+    epsilon : float
+        Radius of the ellipsoid; 0 if there is none.
+    """
+
+    kind: str
+    A: FloatArray
+    B: FloatArray
+    drift: FloatArray
+    covariance: FloatArray
+    feedback: FloatArray
+    coupling: FloatArray
+    reach: FloatArray
+    state_reach: FloatArray
+    delta: float
+    inputs: FloatArray
+    input_low: FloatArray
+    input_high: FloatArray
+    coordinates: FloatArray
+    is_cell: bool = False
+    snap: FloatArray = field(default_factory=lambda: np.zeros(1))
+    shape: FloatArray | None = None
+    epsilon: float = 0.0
+
+    def __repr__(self) -> str:
+        d, m = self.B.shape
+        rows = [
+            ("errors", f"within {box_text(-self.state_reach, self.state_reach)} of a cell's centre"),
+            ("inputs", f"{len(self.inputs)} of {box_text(self.inputs.min(axis=0), self.inputs.max(axis=0))}"),
+            ("delta", f"at most {self.delta:.3g} per step"),
+        ]
+        return tree_text(f"CoupledRelation {self.kind!r}: {counted(d, 'state')}, {counted(m, 'input')}", rows)
+
+    has_memory = True
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description that files hold."""
+        if self.kind == "paper":
+            return {
+                "kind": "paper",
+                "epsilon": float(self.reach[0]),
+                "feedback": float(self.feedback[0, 0]),
+                "inputs": len(self.inputs),
+                "delta": self.delta,
+            }
+        arrays = {name: getattr(self, name).tolist() for name in COUPLED_ARRAYS[self.kind]}
+        return {"kind": self.kind, **arrays, **{name: getattr(self, name) for name in COUPLED_NUMBERS[self.kind]}}
+
+    def nearest_choices(self, other: CoupledRelation) -> NDArray[np.intp]:
+        """Return the abstract input that is nearest to each one (A',) of another relation of the agent."""
+        apart = other.inputs[:, None] - self.inputs[None]
+        return np.argmin(np.sum(apart**2, axis=2), axis=1)
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All numbers, for comparing relations."""
+        return (
+            self.A,
+            self.B,
+            self.drift,
+            self.covariance,
+            self.feedback,
+            self.coupling,
+            self.reach,
+            self.inputs,
+            self.input_low,
+            self.input_high,
+            self.coordinates,
+            np.array([self.delta, self.epsilon]),
+            np.zeros((0, 0)) if self.shape is None else self.shape,
+        )
+
+    def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
+        """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
+        sizes = sizes_of(linear_agent(agent, self.kind), self.coordinates)
+        off = error_rounding(sizes, self.feedback, self.coupling)
+        if self.is_cell:  # what is left of the error where both land in one cell
+            off = off + np.abs(self.A + self.B @ self.feedback - self.coupling) @ self.reach
+        return missed_cells(sizes, off, edges) + (COUPLING if np.any(self.coupling) else 0.0)
+
+    def means(self, centres: FloatArray) -> FloatArray:
+        """Return the means (S, A, d) of the abstract successors of each cell centre (S, d) under each input."""
+        return (centres @ self.A.T + self.drift)[:, None, :] + (self.inputs @ self.B.T)[None]
+
+    def related(self, error: FloatArray) -> NDArray[np.bool_]:
+        """Return whether errors (d, ...) lie in the ellipsoid, or in the box around E, which is E for scalar agents.
+
+        The last digits are forgiven (``FORGIVEN``).
+        """
+        # e'D e, row by row: the same bits in a batch and for one world.
+        if self.shape is not None:
+            size = error[0] * times(self._shape_rows[0], error)
+            for component, row in zip(error[1:], self._shape_rows[1:], strict=True):
+                size += component * times(row, error)
+            return np.asarray(size <= self.epsilon**2 * (1 + FORGIVEN))
+        result = np.ones(error.shape[1:], dtype=bool)
+        for component, reach in zip(error, (self.reach * (1 + FORGIVEN)).tolist(), strict=True):
+            result &= np.abs(component) <= reach
+        return result
+
+    @cached_property
+    def _shape_rows(self) -> tuple[Row, ...]:
+        """Rows of D as plain numbers."""
+        assert self.shape is not None
+        return rows_of(self.shape)
+
+
+def coupling_failure(distance: float) -> float:
+    """Return an upper bound on the total variation distance of two standard normals with means ``distance`` apart.
+
+    It is ``2 Phi(distance / 2) - 1``, rounded up.
+
+    Examples
+    --------
+    >>> round(coupling_failure(0.005), 7)
+    0.0019947
+    """
+    if distance == 0.0:
+        return 0.0
+    return min(1.0, (1.0 - 2.0 * float(ndtr(-0.5 * distance))) * (1 + 1e-12) + 1e-15)
+
+
+def couple(whitened: FloatArray, move: FloatArray, uniform: FloatArray) -> FloatArray:
+    """Return standard normal noise (d, ...) of the abstract system, equal to ``whitened + move`` as often as possible.
+
+    Maximal coupling by reflection: ``whitened + move`` is accepted with probability ``min(1, phi(whitened + move) /
+    phi(whitened))``, otherwise the noise is mirrored at 0 along ``move`` (docs/theory/relations.md, "Maximal
+    coupling").
+    """
+    # log(phi(w + v) / phi(w)) = -(w'v + v'v / 2), summed component by component.
+    along, length = whitened[0] * move[0], move[0] * move[0]
+    for noise_component, move_component in zip(whitened[1:], move[1:], strict=True):
+        along += noise_component * move_component
+        length += move_component * move_component
+    length *= 0.5
+    result, rejected = whitened + move, np.flatnonzero(~(uniform <= np.exp(-(along + length))))
+    # Reflect the rejected ones, few as a rule: w - 2 v (v'w) / (v'v).
+    if len(rejected):
+        noise, by = (array.reshape(len(array), -1).take(rejected, axis=1) for array in (whitened, move))
+        squared = 2.0 * length.take(rejected)
+        share = along.take(rejected) / np.where(squared > 0, squared, 1.0)
+        result.reshape(len(result), -1)[:, rejected] = noise - 2.0 * by * share
+    return result
+
+
+def joint_delta(deltas: Sequence[float]) -> float:
+    """Return an upper bound on the probability, per step, that any agent's relation is lost.
+
+    It is ``1 - prod(1 - delta_i)``, computed without cancellation and rounded up (docs/theory/relations.md, "Many
+    agents").
+
+    Examples
+    --------
+    >>> round(joint_delta([0.002, 0.002]), 6)
+    0.003996
+    """
+    if max(deltas) >= 1.0:
+        return 1.0
+    total = -math.expm1(sum(math.log1p(-delta) for delta in deltas))
+    return min(1.0, total * (1 + 1e-14 * (len(deltas) + 4)))

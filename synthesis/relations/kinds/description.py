@@ -1,0 +1,198 @@
+"""Relations in certificates: the few numbers from which everything else about a relation is computed anew.
+
+``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
+expressions, and ``"common"`` where inputs are chosen in common; with ``"parts"`` and ``"network"`` where networks move
+agents), ``{"kind": "linear", "menu", "parts", "cuts", "reach", "blocks"}``
+(with ``"aims"`` where targets are offered beside the menu, and ``"network"`` where networks move agents),
+``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
+"tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
+"inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them
+is trusted.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ....envs.systems.agents import AnyAgent
+from ..grids import FloatArray, Grid, linear_agent
+from .affine_means import MapRelation, map_relation
+from .boxes import BoxRelation, box_relation
+from .coupled import COUPLED_ARRAYS, COUPLED_NUMBERS, CoupledRelation
+from .ellipsoid import Ellipsoid, ellipsoid_relation
+from .exact import ExactRelation, aimed_relation
+from .network_maps import network_linear_relation
+from .networks import check_network, network_policy
+from .scalar import paper_relation
+from .solved_means import WrittenTargets
+from .tube import tube_relation
+
+Relation = BoxRelation | ExactRelation | MapRelation | CoupledRelation | WrittenTargets
+"""What ties one agent to its cells."""
+
+NUMBER_ENTRIES = {"boxes": (), "exact": (), "linear": ("parts",), **COUPLED_NUMBERS}
+"""Entries that are numbers, by kind."""
+
+LARGEST = 1e60
+"""Largest number of a description: products of a few such numbers are still numbers."""
+
+ARRAY_ENTRIES = {"boxes": ("menu", "gains"), "exact": (), "linear": ("menu",), **COUPLED_ARRAYS}
+"""Entries that are arrays, by kind."""
+
+
+MOST_BOXES_OF_A_CELL = 256
+"""Most parts of a cell whose means are enclosed one by one."""
+
+MOST_REACH = 10_000
+"""Most lattice steps within which largest differences are taken."""
+
+MOST_PARTS = 16
+"""Most parts of each side of an image: what a file may ask a check to compute."""
+
+
+def describe_relation(relation: Relation) -> dict[str, Any]:
+    """Return the description of a relation; ``relation_from`` makes the same relation from it (exact)."""
+    return relation.describe()
+
+
+def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> Relation:
+    """Return the relation of ``agent`` that is described, its margins and delta computed anew (upper bounds).
+
+    Raises
+    ------
+    ValueError
+        If there is no such relation.
+    """
+    kind = description["kind"]
+    if kind == "boxes":
+        menu, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
+        written: dict[str, Any] = {
+            name: description[name] for name in ("parts", "steer", "network", "common") if name in description
+        }
+        return box_relation(agent, coordinates, menu, gains, written)
+    if kind == "linear" and "network" not in description:
+        menu = np.array(description["menu"], dtype=float)
+        numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
+        return map_relation(agent, coordinates, menu, numbers, "aims" in description)
+    if kind == "exact":
+        return aimed_relation(agent, coordinates)
+    if kind == "linear":
+        numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
+        return network_linear_relation(agent, coordinates, network_policy(description["network"], agent), numbers)
+    agent = linear_agent(agent, kind)
+    if kind == "paper":
+        if not np.array_equal(coordinates, np.eye(len(coordinates))):
+            raise ValueError("the `paper` relation is for grids in state coordinates")
+        return paper_relation(agent, grid.edges[0], **{name: description[name] for name in NUMBER_ENTRIES["paper"]})
+    arrays = {name: np.array(description[name], dtype=float) for name in ARRAY_ENTRIES[kind]}
+    if kind == "tube":
+        return tube_relation(agent, grid, coordinates, arrays["feedback"], arrays["inputs"], arrays["snap"])
+    ellipsoid = Ellipsoid(arrays["shape"], description["epsilon"], arrays["feedback"], arrays["coupling"])
+    return ellipsoid_relation(
+        agent, grid, coordinates, ellipsoid, arrays["inputs"], arrays["snap"], description["delta"]
+    )
+
+
+def check_description(description: Any, agent: AnyAgent) -> None:
+    """Raise ValueError unless a value describes a relation of ``agent``.
+
+    Raises
+    ------
+    ValueError
+        If the kind is unknown, or if its numbers and arrays are not all there, finite and of the right shape.
+    """
+    if not isinstance(description, dict) or description.get("kind") not in NUMBER_ENTRIES:
+        raise ValueError("it has a relation of an unknown kind")
+    numbers = [description[name] for name in NUMBER_ENTRIES[description["kind"]]]
+    if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
+        raise ValueError("a relation has settings that are not numbers")
+    is_written = not agent.is_affine
+    is_linear = description["kind"] == "linear"
+    has_network = description["kind"] in ("boxes", "linear") and "network" in description
+    known = {"boxes": ("parts", "steer"), "linear": ("parts", "cuts", "reach"), "exact": () if is_written else None}
+    named = known.get(description["kind"])
+    if has_network and not (is_written or is_linear):
+        named = None
+    if (is_written or is_linear) != (named is not None and all(name in description for name in named)):
+        raise ValueError("it has a relation that is not for the dynamics of its agent")
+    if is_written and description["kind"] == "exact" and len(description) > 1:
+        raise ValueError("it has settings for a relation of exact targets, which has none")
+    in_parts = is_linear or (is_written and description["kind"] == "boxes") or has_network
+    if in_parts and description["parts"] not in range(1, MOST_PARTS + 1):
+        raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
+    if has_network:
+        check_network(description["network"], agent, len(description["menu"]))
+    if (
+        (is_written or has_network)
+        and description["kind"] == "boxes"
+        and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL
+    ):
+        raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
+    if is_linear:
+        _check_maps(description, agent)
+        _check_modes(description)
+    elif is_written and description["kind"] == "boxes":
+        steer = description["steer"]
+        if not isinstance(steer, list) or not all(isinstance(flag, bool) for flag in steer):
+            raise ValueError("a relation says of its choices neither that they steer nor that they do not")
+        if len(steer) != len(description["menu"]):
+            raise ValueError("a relation has other choices that steer than its menu")
+        _check_common(description.get("common"), len(description["menu"]))
+    elif "common" in description:
+        raise ValueError("it has inputs that are chosen in common for an agent that has no names for them")
+    d, m = agent.n_states, agent.n_inputs
+    # -1 stands for any length: the number of abstract inputs.
+    shapes = {"shape": (d, d), "feedback": (m, d), "coupling": (d, d), "inputs": (-1, m), "snap": (d,)}
+    shapes |= {"menu": (-1, m), "gains": (-1, m, d)}
+    for name in ARRAY_ENTRIES[description["kind"]]:
+        array = np.array(description[name], dtype=float)
+        if name == "menu" and description["kind"] == "linear" and array.shape == (0,):
+            continue
+        expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
+        if not array.ndim or array.shape != expected or not array.size or not np.all(np.abs(array) <= LARGEST):
+            raise ValueError(f"a relation has settings that are not matrices: `{name}` has shape {array.shape}")
+
+
+def _check_common(common: Any, n_choices: int) -> None:
+    """Raise ValueError unless a value describes inputs that are chosen in common, or is None."""
+    if common is None:
+        return
+    if not isinstance(common, dict) or {*common} != {"names", "numbers"}:
+        raise ValueError("a relation does not say which inputs are chosen in common, and among which numbers")
+    names, numbers = common["names"], common["numbers"]
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise ValueError("inputs that are chosen in common have no names")
+    if len({*names}) != len(names):
+        raise ValueError("inputs that are chosen in common are named twice")
+    if not isinstance(numbers, list) or not 0 < len(numbers) <= n_choices or n_choices % len(numbers):
+        raise ValueError("a menu has not the same choices for each of the numbers that are chosen in common")
+    rows = all(isinstance(row, list) and len(row) == len(names) for row in numbers)
+    if not rows or any(type(x) not in (int, float) or not abs(x) <= LARGEST for row in numbers for x in row):
+        raise ValueError("a relation has numbers chosen in common that are no numbers")
+
+
+def _check_modes(description: dict[str, Any]) -> None:
+    """Raise ValueError if a relation of affine maps has a network, and other choices than its modes."""
+    network = description.get("network")
+    if network is not None and len(description["menu"]) != network["horizon"] * network["states"]:
+        raise ValueError("a relation of maps has other choices than the modes of its network")
+
+
+def _check_maps(description: dict[str, Any], agent: AnyAgent) -> None:
+    """Raise ValueError unless a relation of affine maps says into what cells are cut, and how far differences reach."""
+    cuts, reach = description["cuts"], description["reach"]
+    if description.get("aims", True) is not True or ("aims" in description and "network" in description):
+        raise ValueError("a relation offers targets to a network, or does not say that it offers them")
+    if type(cuts) is not int or not 1 <= cuts**agent.n_states <= MOST_BOXES_OF_A_CELL:
+        raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
+    if not isinstance(reach, list) or len(reach) != agent.n_states:
+        raise ValueError("a relation does not say of every axis how far differences reach")
+    if any(type(n) is not int or not 0 <= n <= MOST_REACH for n in reach):
+        raise ValueError(f"a relation has differences that reach farther than {MOST_REACH} lattice steps")
+    blocks = description.get("blocks", reach)
+    if not isinstance(blocks, list) or len(blocks) != agent.n_states:
+        raise ValueError("a relation does not say of every axis how many lattice points are looked at together")
+    if "blocks" in description and any(type(n) is not int or not 1 <= n <= MOST_REACH + 1 for n in blocks):
+        raise ValueError(f"a relation looks at more than {MOST_REACH + 1} lattice points together, or at none")

@@ -1,0 +1,192 @@
+"""Means under a network as an affine map of the state in each cell, and a small box around what is left.
+
+In a mode the network lies around an affine function of the state on every cell: the linear bounds that are pulled back
+from the mean (``network_bounds``) have slopes G, which are those of the closed loop, and a radius rho. So the mean from
+x in a cell with centre c is
+
+    z + G (x - c) + r,      |r_k| <= rho_k ,
+
+which is all that linear cells of agents with expressions use (``affine_means``; docs/theory/networks.md, "Linear
+cells"). rho is 0, up to rounding, where nothing bends, and of second order in the cell where the network is smooth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from ....envs.systems.agents import AnyAgent, with_expressions
+from ....envs.systems.expressions import Affine, Interval
+from ..grids import FloatArray, linear_agent
+from .affine_means import AffineBoxes, AffineMeans, MapRelation
+from .boxes import LinearMeans, linear_means
+from .network_bounds import CELLS_AT_ONCE, OUTWARD, Form, mean_form, widening
+from .networks import NetworkPolicy
+
+OUTWARD_OF_PARTS = 1e-8
+"""Widening where cells are cut, as a share of their width: whatever single precision is off by (about 1e-7) enters the
+ends of every part, and the check, which rounds otherwise, must find its ends inside these."""
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkMaps:
+    """Affine maps of a linear agent that a network moves, in grid coordinates; choices are modes (``NetworkPolicy``).
+
+    Parameters
+    ----------
+    linear : LinearMeans
+    policy : NetworkPolicy
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    cuts : int
+        Parts into which cells are cut along each axis to enclose what the maps leave.
+    idle : tuple of int
+        Automaton states that networks are told of in which nothing is left to decide: their modes are not looked at.
+    """
+
+    linear: LinearMeans
+    policy: NetworkPolicy
+    coordinates: FloatArray
+    cuts: int
+    idle: tuple[int, ...] = ()
+
+    @property
+    def network(self) -> NetworkPolicy:
+        """The network."""
+        return self.policy
+
+    def around(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> AffineBoxes:
+        """Return the maps of the closed cells ``[low, high]``, (n, d) each, in all modes (outer bounds)."""
+        n, d, modes = *low.shape, len(menu)
+        centre, gain = np.full((n, modes, d), np.nan), np.zeros((n, modes, d, d))
+        rest = np.zeros((n, modes, d))
+        for mode in range(modes):
+            if mode % self.policy.view.states in self.idle:
+                continue
+            for start in range(0, n, CELLS_AT_ONCE):
+                block = slice(start, start + CELLS_AT_ONCE)
+                form = self._form(low[block], high[block], mode)
+                centre[block, mode], gain[block, mode], rest[block, mode] = form.centre, form.slopes, form.radius
+        return AffineBoxes(centre, gain, rest)
+
+    def _form(self, low: FloatArray, high: FloatArray, mode: int) -> Form:
+        """Return the maps of cells (n, d) in one mode as affine forms."""
+        whole = self._bounds(low, high, mode)
+        first, last = -whole.radius, whole.radius
+        if self.cuts > 1:
+            # The slopes are those of the whole cell. On a part the network is closer to a line, though to another one.
+            first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
+            middle = 0.5 * (low + high)
+            ends = [low + (high - low) * (k / self.cuts) for k in range(self.cuts)] + [high]
+            for part in product(range(self.cuts), repeat=low.shape[1]):
+                left = np.stack([ends[k][:, axis] for axis, k in enumerate(part)], axis=1)
+                right = np.stack([ends[k + 1][:, axis] for axis, k in enumerate(part)], axis=1)
+                of_part = self._bounds(left, right, mode)
+                away = np.einsum("nkj,nj->nk", whole.slopes, 0.5 * (left + right) - middle)
+                offset = of_part.centre - whole.centre - away
+                left_over = Form(of_part.slopes - whole.slopes, offset, of_part.radius).ends(_half(left, right))
+                np.minimum(first, left_over[0], out=first)
+                np.maximum(last, left_over[1], out=last)
+            # Either enclosure holds.
+            first, last = np.maximum(first, -whole.radius), np.minimum(last, whole.radius)
+        moved = 0.5 * (first + last)
+        rest = np.maximum(last - moved, moved - first) * (1.0 + OUTWARD) + widening(self.policy, self.linear.B)
+        if self.cuts > 1:
+            rest += OUTWARD_OF_PARTS * np.max(high - low, axis=1, keepdims=True)
+        return Form(whole.slopes, whole.centre + moved, rest + self.linear.rounding)
+
+    def _bounds(self, low: FloatArray, high: FloatArray, mode: int) -> Form:
+        """Return affine forms of the means from boxes (n, d) around their middles."""
+        moves = (self.linear.A, self.linear.B, self.linear.offset)
+        return mean_form(self.policy, moves, self.coordinates, (0.5 * (low + high), _half(low, high)), mode)[0]
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All that maps depend on, for comparing relations."""
+        return (*self.linear.arrays, *self.policy.arrays, np.array([self.cuts]))
+
+
+@dataclass(frozen=True, eq=False)
+class DrivenMaps(AffineMeans):
+    """The same of an agent with expressions: its inputs are affine maps of the state, up to what these leave.
+
+    Parameters
+    ----------
+    policy : NetworkPolicy
+    idle : tuple of int
+        As for ``NetworkMaps``.
+    """
+
+    policy: NetworkPolicy
+    idle: tuple[int, ...] = ()
+
+    pushes = None  # no input is the same in all of a cell
+
+    @property
+    def network(self) -> NetworkPolicy:  # type: ignore[override]
+        """The network."""
+        return self.policy
+
+    def _inputs(
+        self, low: FloatArray, high: FloatArray, inputs: FloatArray
+    ) -> tuple[dict[str, Affine], list[Interval]]:
+        """Return the names with inputs as maps of the axes, and behind them what is left of each (n, modes)."""
+        n, d, m, modes = *low.shape, self.policy.input_box.dimension, self.policy.n_modes
+        centre, half = 0.5 * (low + high), _half(low, high)
+        held, left = np.full((n, modes, m), np.nan), np.full((n, modes, m), np.nan)
+        slopes = np.zeros((n, modes, m, d))
+        moves = np.zeros((m, d)), np.eye(m), np.zeros(m)
+        for mode in (k for k in range(modes) if k % self.policy.view.states not in self.idle):
+            form = mean_form(self.policy, moves, self.coordinates, (centre, half), mode)[0]
+            held[:, mode], slopes[:, mode], left[:, mode] = form.centre, form.slopes, form.radius
+        size = np.einsum("nkmd,nd->nkm", np.abs(slopes), np.abs(centre) + half)
+        left = left * (1.0 + OUTWARD) + widening(self.policy, np.eye(m)) + OUTWARD * (np.abs(held) + size)
+        held = held - np.einsum("nkmd,nd->nkm", slopes, centre)
+        names, one = self._names(inputs), np.ones((1, 1))
+        first = d + len(self.agent.unknowns)
+        for j, name in enumerate(self.agent.inputs[:m]):
+            names[name] = Affine(held[..., j], {**{k: slopes[..., j, k] for k in range(d)}, first + j: one})
+        return names, [(-left[..., j], left[..., j]) for j in range(m)]
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All that maps depend on, for comparing relations."""
+        return (*super().arrays, *self.policy.arrays)
+
+
+def _half(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return half widths (n, d) of boxes, rounded outward."""
+    centre = 0.5 * (low + high)
+    return np.maximum(high - centre, centre - low) * (1.0 + 1e-12)
+
+
+def network_linear_relation(
+    agent: AnyAgent,
+    coordinates: FloatArray,
+    policy: NetworkPolicy,
+    numbers: tuple[int, int, Sequence[int]],
+    idle: Sequence[int] = (),
+) -> MapRelation:
+    """Return the relation ``linear`` of an agent that a network moves: affine maps in all modes.
+
+    Parameters
+    ----------
+    agent : AnyAgent
+    coordinates : (d, d) array
+    policy : NetworkPolicy
+    numbers : parts, cuts and reach
+        See ``MapRelation`` and ``NetworkMaps``.
+    idle : sequence of int
+        See ``NetworkMaps``.
+    """
+    parts, cuts, reach = numbers
+    maps: NetworkMaps | DrivenMaps
+    if agent.is_affine:
+        linear = linear_means(linear_agent(agent, "linear"), coordinates, np.zeros((1, agent.n_inputs, agent.n_states)))
+        maps = NetworkMaps(linear, policy, coordinates, cuts, tuple(idle))
+    else:
+        maps = DrivenMaps(with_expressions(agent), coordinates, cuts, policy, tuple(idle))
+    return MapRelation(maps, coordinates, policy.idle_menu, parts, tuple(int(n) for n in reach))

@@ -1,0 +1,1 @@
+"""Nominal trajectories with feedback: reachable sets, and the chance that they keep to the task."""

@@ -1,0 +1,47 @@
+"""Chance constraints along a trajectory: constraint tightening by noise and linearization errors."""
+
+from .calm_runs import most_missed, satisfies
+from .drifts import Drifts
+from .feedback_bounds import Feedback, NominalPath, Spreads, worth_of
+from .limit_rows import OUTWARD, Worth
+from .nonlinear_model import NonlinearModel
+from .pair_costs import PairAim, PairLimits, pair_limits
+from .pair_inequalities import PairRows, deviations_of, pair_rows
+from .path_limits import Limits, corners_along, farthest_sides, limits_along, sides_of, without_far_ends
+from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
+from .soft_limits import soft_costs
+from .team_model import TeamModel, Tie, key_of
+
+__all__ = [
+    "Drifts",
+    "Feedback",
+    "Limits",
+    "NominalPath",
+    "NonlinearModel",
+    "OUTWARD",
+    "PairAim",
+    "PairLimits",
+    "PairRows",
+    "Slabs",
+    "Spreads",
+    "TeamModel",
+    "Tie",
+    "Worth",
+    "corners_along",
+    "deviations_of",
+    "failure_of",
+    "farthest_sides",
+    "input_slabs",
+    "key_of",
+    "limits_along",
+    "limits_of",
+    "most_missed",
+    "pair_limits",
+    "pair_rows",
+    "satisfies",
+    "sides_of",
+    "soft_costs",
+    "state_slabs",
+    "without_far_ends",
+    "worth_of",
+]

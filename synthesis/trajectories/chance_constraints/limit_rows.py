@@ -1,0 +1,206 @@
+"""Inequalities along nominal paths, of many candidates of feedback at once, and how probably one of them fails.
+
+The mathematics is that of docs/theory/paths.md, "Agents of any dynamics", in plain floating point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erfc, log_ndtr
+
+from ....envs.systems.distributions import Tail
+from ...relations.grids import FloatArray
+
+OUTWARD = 1.0 + 1e-7
+"""Factor on drifts and failures of what is claimed: the check rounds outward, and has enclosures of its own."""
+
+INWARD = 1e-9
+"""Share of the size of a number by which distances are shortened."""
+
+SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+"""Probabilities of all slabs for which rows are chosen to be slabs or tails."""
+
+PARTS = ("low", "high", "slab", "variance", "largest", "below", "above")
+"""Lists of rows that are kept side by side."""
+
+PAIR = "pair"
+"""Beginning of the names of rows about two agents."""
+
+
+@dataclass(eq=False)
+class Worth:
+    """Rows of inequalities of N candidates: distances, slabs and variances, lists of arrays (N, J).
+
+    ``largest`` is what the step that adds most adds to each variance, or all of it where nothing is known; ``below``
+    and ``above`` are further bounds on both tails, infinite where there are none.
+    """
+
+    low: list[FloatArray] = field(default_factory=list)
+    high: list[FloatArray] = field(default_factory=list)
+    slab: list[FloatArray] = field(default_factory=list)
+    variance: list[FloatArray] = field(default_factory=list)
+    largest: list[FloatArray] = field(default_factory=list)
+    below: list[FloatArray] = field(default_factory=list)
+    above: list[FloatArray] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    shared: list[bool] = field(default_factory=list)
+    """Whether rows are about this agent and another one."""
+    stopped: NDArray[np.bool_] | None = None
+    """Of which candidates (N,) variances are upper bounds, on noise whose size depends on the past; None for none."""
+    tail: Tail = Tail.NORMAL
+    """What is known of the tails of the noise."""
+    lost: float = 0.0
+    """Probability of noise that is given up."""
+
+    @property
+    def own(self) -> Worth:
+        """The rows that are about this agent alone."""
+        kept = [rows for *rows, shared in zip(*self._parts, self.shared, strict=True) if not shared]
+        names = [name for name in self.names if not name.startswith(PAIR)]
+        parts: dict[str, Any] = dict(zip(PARTS, ([rows[k] for rows in kept] for k in range(len(PARTS))), strict=True))
+        return replace(self, **parts, names=names, shared=[False] * len(kept))
+
+    @property
+    def _parts(self) -> tuple[list[FloatArray], ...]:
+        return tuple(getattr(self, name) for name in PARTS)
+
+    def add(
+        self,
+        low: FloatArray,
+        high: FloatArray,
+        slab: FloatArray,
+        variance: FloatArray,
+        names: list[str],
+        largest: FloatArray | None = None,
+    ) -> None:
+        """Add rows (N, J)."""
+        self.shared.append(bool(names) and names[0].startswith(PAIR))
+        shape = variance.shape
+        unknown = np.full(shape, np.inf)
+        values = (low, high, slab, variance, variance if largest is None else largest, unknown, unknown)
+        for kept, new in zip(self._parts, values, strict=True):
+            kept.append(new if new.shape == shape else np.broadcast_to(new, shape))
+        self.names += names
+
+    def extend(self, other: Worth) -> None:
+        """Add the rows of another agent of a team."""
+        for name in (*PARTS, "names", "shared"):
+            getattr(self, name).extend(getattr(other, name))
+        self.tail, self.lost = max(self.tail, other.tail), self.lost + other.lost
+        if other.stopped is not None:
+            self.stop(other.stopped)
+
+    def stop(self, which: NDArray[np.bool_]) -> None:
+        """Note of which candidates (N,) variances are upper bounds."""
+        self.stopped = which if self.stopped is None else self.stopped | which
+
+    def flattened(self, owners: Sequence[str]) -> Worth:
+        """Return the rows of N agents, with their names, as those of one team (1, N J)."""
+        parts: dict[str, Any] = {
+            name: [rows.reshape(1, -1) for rows in part] for name, part in zip(PARTS, self._parts, strict=True)
+        }
+        names = self._by_rows()
+        told = [f"agent `{owner}`, {name}" for rows in names for owner in owners for name in rows]
+        stopped = None if self.stopped is None else np.array([bool(np.any(self.stopped))])
+        lost = len(owners) * self.lost
+        return replace(self, **parts, names=told, shared=[*self.shared], stopped=stopped, lost=lost)
+
+    def _by_rows(self) -> list[list[str]]:
+        """Return the names, part by part."""
+        ends = np.cumsum([rows.shape[1] for rows in self.low])
+        return [self.names[a:b] for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+    def weakest(self, candidate: int = 0) -> str:
+        """Return the row of a candidate that costs most, in words."""
+        costs = self._soft[candidate]
+        return self.names[int(np.argmax(costs))] if len(costs) else "nothing"
+
+    @cached_property
+    def _all(self) -> tuple[FloatArray, ...]:
+        return tuple(np.concatenate(part, axis=1) for part in self._parts)
+
+    def _by_moments(self) -> tuple[FloatArray, FloatArray]:
+        """Return both tails (N, J) of each row by exponential moments."""
+        low, high, slab, variance, largest, *others = self._all
+        ends = (np.minimum(side, slab) for side in (low, high))
+        each = (_by_moments(end, variance, self.tail, largest) for end in ends)
+        below, above = (np.minimum(one, other) for one, other in zip(each, others, strict=True))
+        return below, above
+
+    def scores(self) -> FloatArray:
+        """Return numbers (N,) that grow with the failure, also where that is 1: logarithms of sums of soft tails."""
+        return np.log(np.maximum(self._soft.sum(axis=1), 1e-300))
+
+    @cached_property
+    def _soft(self) -> FloatArray:
+        """What each row (N, J) adds to the failure; where the limit is broken it goes on to grow."""
+        low, high, slab, variance, _, below, above = self._all
+        if self.tail:
+            return np.add(*self._by_moments())
+        one, other, inner = (_soft(distance, variance) for distance in (low, high, slab))
+        both = 2.0 * _soft(np.minimum(np.minimum(low, high), slab), variance)
+        apart = 2.0 * inner + np.where(low < slab, one, 0.0) + np.where(high < slab, other, 0.0)
+        found = np.minimum(both, apart)
+        if self.stopped is None:
+            return found
+        sides = np.minimum(2.0 * _soft(np.minimum(low, slab), variance), below)
+        sides = sides + np.minimum(2.0 * _soft(np.minimum(high, slab), variance), above)
+        return np.where(self.stopped[:, None], sides, found)
+
+    def failures(self) -> FloatArray:
+        """Return upper bounds (N,) on the probabilities that an inequality fails, up to rounding."""
+        low, high, slab, variance, _, *others = self._all
+        if self.tail:
+            below, above = (np.sum(np.minimum(side, 1.0), axis=1) for side in self._by_moments())
+            return np.asarray(np.minimum(1.0, (below + above + self.lost) * OUTWARD))
+        both = np.minimum(2.0 * _tails(np.minimum(np.minimum(low, high), slab), variance), 1.0)
+        inner = np.minimum(2.0 * _tails(slab, variance), 1.0)
+        outer = np.where(low < slab, _tails(low, variance), 0.0) + np.where(high < slab, _tails(high, variance), 0.0)
+        best = np.ones(len(low))
+        for share in SHARES:
+            as_slab = share * both <= share * inner + outer
+            chosen = np.where(as_slab, both, inner)
+            with np.errstate(divide="ignore"):
+                kept = np.sum(np.log1p(-chosen), axis=1)
+            best = np.minimum(best, -np.expm1(kept) + np.sum(np.where(as_slab, 0.0, outer), axis=1))
+        if self.stopped is not None:
+            sides = (2.0 * _tails(np.minimum(end, slab), variance) for end in (low, high))
+            each = [np.minimum(side, other).sum(axis=1) for side, other in zip(sides, others, strict=True)]
+            best = np.where(self.stopped, np.add(*each), best)
+        return np.minimum(1.0, best * OUTWARD)
+
+
+def _quotient(distance: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return distances in deviations, between -1000 and 1000."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        z = distance / np.sqrt(np.maximum(variance, 1e-300))
+    return np.clip(np.where(distance == np.inf, np.inf, np.where(np.isnan(z), -1e3, z)), -1e3, 1e3)
+
+
+def _soft(distance: FloatArray, variance: FloatArray) -> FloatArray:
+    return np.where(distance == np.inf, 0.0, -log_ndtr(_quotient(distance, variance)))
+
+
+def _tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
+    tail = 0.5 * erfc(_quotient(distance, variance) / np.sqrt(2.0)) + 2e-300
+    return np.where(distance == np.inf, 0.0, np.where(variance > 0.0, tail, np.where(distance > 0.0, 0.0, 1.0)))
+
+
+def _by_moments(distance: FloatArray, variance: FloatArray, kind: Tail, largest: FloatArray) -> FloatArray:
+    """Return bounds on tails by exponential moments; beyond 1 where a limit is broken, so that scores go on."""
+    z = _quotient(distance, variance)
+    if kind == Tail.LONG:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.clip(np.nan_to_num(largest / variance, nan=1.0), 1e-4, 1.0)
+        more = np.sqrt(1.0 + 2.0 * share * np.square(np.minimum(z, 1e3))) - 1.0
+        inside = np.exp((np.log1p(0.5 * more) - more) / share)
+    else:
+        inside = np.exp(-0.5 * z * z)
+    tail = np.where(z > 0.0, inside + 2e-300, 1.0 + 0.5 * z * z)
+    return np.where(distance == np.inf, 0.0, np.where((variance > 0.0) | (distance <= 0.0), tail, 0.0))

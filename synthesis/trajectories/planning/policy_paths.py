@@ -1,0 +1,345 @@
+"""Given networks along the run that they take without noise: letters, sides of regions, and radii of ellipsoids.
+
+Nothing is optimised but the proof: the networks act as they are. The run says which propositions hold when; of these a
+word asks for as few, and as safe ones, as the automaton accepts. What every choice is worth is asked of the checker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri, ndtr
+
+from ....envs.tasks.problem import Problem
+from ...certificates.proofs import (
+    AgentPath,
+    AlongPath,
+    Certificate,
+    PathProof,
+    canonical_problem,
+    changed,
+    contents_of,
+    verdict_of,
+)
+from ...checker import (
+    CheckedProblem,
+    Joint,
+    Refused,
+    automaton_states,
+    check_words,
+    demands,
+    failure_of,
+    linear_forms,
+    read_problem,
+    read_trajectories,
+    value_on,
+    walk,
+)
+from ...relations.grids import FloatArray, RelationRefused
+from ...relations.kinds import NetworkPolicy, WrittenPolicy
+
+LOST = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
+"""Probabilities, of all ellipsoids of an agent together, that radii are chosen for, the widest tubes first."""
+
+MOST_TIMES = 8
+"""Times at which the task may be counted as done that are looked at."""
+
+TRIED = 2
+"""How many of these are tried with every radius."""
+
+DIRECTIONS = 16
+"""Directions of half-spaces that keep two agents apart, in a plane."""
+
+HALVINGS = 4
+"""Radii that are tried between two of these."""
+
+FAR = 40.0
+"""Deviations beyond which a demand costs nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """A run without noise: states (T + 1, d) and inputs (T, m) of all agents, letters (T + 1, P) that are 1 or -1."""
+
+    states: list[FloatArray]
+    inputs: list[FloatArray]
+    letters: NDArray[np.int8]
+    accepted: list[int]
+
+
+@dataclass(frozen=True, eq=False)
+class _Margins:
+    """How many deviations each literal is away (T + 1, P), and by which side or direction of what is kept away from."""
+
+    deviations: FloatArray
+    faces: NDArray[np.int64]
+    normals: FloatArray
+
+
+def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | WrittenPolicy]) -> AlongPath:
+    """Return the best certificate of networks as they are, along their run without noise.
+
+    Raises
+    ------
+    RelationRefused
+        If the run does not satisfy the task, or nothing is proved; the message says why, and what would help.
+    """
+    if problem.initial_q is None or problem.groups:
+        raise RelationRefused("policies along a trajectory have one start, and one task that does not fall apart")
+    known = read_problem({"problem": canonical_problem(problem)})
+    run = _run_of(problem, known, policies)
+    if not run.accepted:
+        raise RelationRefused("the run of the policies without noise does not satisfy the task: train on, or elsewhere")
+    best: AlongPath | None = None
+    why, before = "nothing is known of the policies on any tube around their run", 0.0
+    for lost in LOST:
+        try:
+            margins = _margins(problem, known, run, policies, lost)
+        except Refused as refused:
+            why, before = str(refused), lost
+            continue
+        words = _words(problem, known, run, margins)[:TRIED]
+        for letters in words:
+            found = _proved(problem, policies, run, letters, margins, lost)
+            best = found if best is None or found.proof.failure < best.proof.failure else best
+        # Narrower tubes are for policies that bend: what is proved with room is hardly proved better without.
+        if best is None or best.proof.failure >= 1.0:
+            before = lost
+        elif best.proof.failure < 1e3 * lost:
+            return _widest(problem, policies, run, margins, best, (before, lost))
+    if best is None or best.proof.failure >= 1.0:
+        why = why if best is None else _likeliest(best, known)
+        raise RelationRefused(
+            f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy, "
+            "or cells (`cells=`)"
+        )
+    return best
+
+
+def _proved(
+    problem: Problem,
+    policies: Sequence[NetworkPolicy | WrittenPolicy],
+    run: _Run,
+    letters: NDArray[np.int8],
+    margins: _Margins,
+    lost: float,
+) -> AlongPath:
+    """Return the certificate of a word, which claims what the checker proves."""
+    found = _certificate(problem, policies, run, letters, margins, lost)
+    return changed(found, failure=min(1.0, verdict_of(found).recomputed * (1.0 + 1e-9)))
+
+
+def _widest(
+    problem: Problem,
+    policies: Sequence[NetworkPolicy | WrittenPolicy],
+    run: _Run,
+    margins: _Margins,
+    best: AlongPath,
+    between: tuple[float, float],
+) -> AlongPath:
+    """Return what radii between those that were too wide and those that were not prove of the same word."""
+    low, high = between
+    if best.proof.failure >= 10.0 * high:  # rows fail more than ellipsoids: a narrower tube may help
+        found = _proved(problem, policies, run, best.proof.letters, margins, 10.0 * high)
+        return found if found.proof.failure < best.proof.failure else best
+    for _ in range(HALVINGS if low > 0.0 else 0):
+        middle = float(np.sqrt(low * high))
+        found = _proved(problem, policies, run, best.proof.letters, margins, middle)
+        low, high = (low, middle) if found.proof.failure < best.proof.failure else (middle, high)
+        best = found if found.proof.failure < best.proof.failure else best
+    return best
+
+
+def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
+    """Return what fails most probably, in words."""
+    worst = failure_of(known, read_trajectories(contents_of(certificate), known))[1]
+    return f"most probable is that {worst.removeprefix('; most probable: ')} fails"
+
+
+def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkPolicy | WrittenPolicy]) -> _Run:
+    """Return the run without noise, and the times by which it has been accepted."""
+    x = [0.5 * (agent.initial.low + agent.initial.high) for agent in problem.agents]
+    q, automaton, T = int(problem.initial_q or 0), problem.automaton, problem.horizon
+    states, letters, accepted = [[own] for own in x], [np.zeros(0)], list[int]()
+    inputs: list[list[FloatArray]] = [[] for _ in x]
+    count = len(automaton.propositions)
+    for t in range(T):
+        u = [policy.inputs(own[:, None], np.array([q]), t)[:, 0] for policy, own in zip(policies, x, strict=True)]
+        x = _moved(known, x, u, t)
+        if not all(
+            np.all((a.state_low <= own) & (own <= a.state_high)) for a, own in zip(problem.agents, x, strict=True)
+        ):
+            break
+        for own, moved, some, pushed in zip(states, x, inputs, u, strict=True):
+            own.append(moved)
+            some.append(pushed)
+        holds = problem.labeling.at(t + 1).letter(x)
+        letters.append(np.where(np.asarray(holds, dtype=bool), 1, -1))
+        if not (automaton.is_co_safe and automaton.accepting[q]):
+            q = int(automaton.next_state(q, holds))
+        if automaton.accepting[q] and (automaton.is_co_safe or t + 1 == T):
+            accepted.append(t + 1)
+    letters[0] = np.zeros(count)
+    return _Run(
+        [np.array(own) for own in states],
+        [np.array(own).reshape(-1, a.n_inputs) for own, a in zip(inputs, problem.agents, strict=True)],
+        np.array(letters, dtype=np.int8).reshape(-1, count),
+        accepted,
+    )
+
+
+def _moved(known: CheckedProblem, x: Sequence[FloatArray], u: Sequence[FloatArray], t: int) -> list[FloatArray]:
+    """Return the next states without noise, disturbances in the middle of their ranges."""
+    result = []
+    for i, agent in enumerate(known.agents):
+        names = dict(zip((*agent.states, *agent.inputs), (*x[i], *u[i]), strict=True))
+        names |= {name: 0.5 * (low + high) for name, (low, high) in agent.disturbances.items()}
+        names |= {name: x[j][k] for name, (j, k) in agent.states_of_others.items()}
+        names |= {name: u[j][k] for name, (j, k) in agent.inputs_of_others.items()}
+        leaves = {"t": np.full((2, 1), float(t))} | {name: np.full((2, 1), float(v)) for name, v in names.items()}
+        result.append(np.array([float(np.mean(value_on(tree, leaves))) for tree in agent.dynamics]))
+    return result
+
+
+def _radii(problem: Problem, steps: int, lost: float) -> tuple[float, ...]:
+    """Return radii of the ellipsoids of all agents, which errors leave with about this probability in all."""
+    share = lost / (steps * problem.n_agents)
+    return tuple(float(np.sqrt(chdtri(agent.n_states, share))) for agent in problem.agents)
+
+
+def _certificate(
+    problem: Problem,
+    policies: Sequence[NetworkPolicy | WrittenPolicy],
+    run: _Run,
+    letters: NDArray[np.int8],
+    margins: _Margins | None,
+    lost: float,
+) -> AlongPath:
+    """Return the certificate of a word along the run, which claims nothing."""
+    steps, paths = len(letters) - 1, []
+    for agent, states, inputs in zip(problem.agents, run.states, run.inputs, strict=True):
+        d, m = agent.n_states, agent.n_inputs
+        slabs = np.full((steps + 1, 2 * d + m), np.inf)
+        paths.append(AgentPath(inputs[:steps], np.zeros((steps, m, d)), states[: steps + 1], slabs))
+    faces = np.full(letters.shape, -1) if margins is None else margins.faces[: steps + 1]
+    normals = None
+    if problem.labeling.pairs:
+        size = sum(pair.size for pair in problem.labeling.pairs)
+        normals = np.zeros((steps + 1, size)) if margins is None else margins.normals[: steps + 1]
+    radii = _radii(problem, steps, lost)
+    proof = PathProof(tuple(paths), letters, faces, 1.0, normals, tuple(policies), radii)
+    return Certificate(problem, proof, {"relation": "path", "policy": "as it is"})
+
+
+def _margins(
+    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[NetworkPolicy | WrittenPolicy], lost: float
+) -> _Margins:
+    """Return how far all literals of the run are away, in deviations, on the tube of some radii."""
+    certificate = _certificate(problem, policies, run, run.letters, None, lost)
+    read = read_trajectories(contents_of(certificate), known)
+    joint = Joint.of(known, read.trajectories, read.letters)
+    shape, size = run.letters.shape, sum(pair.size for pair in problem.labeling.pairs)
+    found = _Margins(np.full(shape, np.inf), np.full(shape, -1), np.zeros((shape[0], size)))
+    for tube in walk(joint):
+        if (t := tube.t) == 0:
+            continue
+        literals = [literal for p in range(shape[1]) for literal in _literals(problem, run, t, p)]
+        asked = [(p, face, normal, part) for p, face, normal in literals
+                 for part in _demands(known, run, t, p, face, normal, size)]  # fmt: skip
+        if not asked:
+            continue
+        rows, values = linear_forms(joint, tube, [part for *_, part in asked])
+        drift, spread = joint.errors.rows(rows)
+        each = dict[tuple[int, int], tuple[float, int, FloatArray | None]]()
+        for k, (p, face, normal, part) in enumerate(asked):
+            value = values[:, k] + drift[:, k]
+            room = min(value[0] - part.low, part.high - value[1])
+            sigma = float(np.sqrt(spread.variance[k]))
+            far = room / sigma if sigma > 0.0 else np.inf if room > 0.0 else -np.inf
+            key = p, id(normal) if normal is not None else face
+            each[key] = min(each.get(key, (np.inf, face, normal)), (far, face, normal), key=lambda one: one[0])
+        for (p, _), (far, face, normal) in each.items():
+            if found.deviations[t, p] == np.inf or far > found.deviations[t, p]:
+                found.deviations[t, p], found.faces[t, p] = far, face
+                if normal is not None:
+                    found.normals[t, _columns(problem, p)] = normal
+    return found
+
+
+def _literals(problem: Problem, run: _Run, t: int, p: int) -> Iterator[tuple[int, int, FloatArray | None]]:
+    """Yield the ways in which what the run says of a proposition may be asked for: a side, or a direction."""
+    first = problem.labeling.first_pair
+    if run.letters[t, p] > 0:
+        yield p, -1, None
+    elif p < first:
+        name = problem.automaton.propositions[p]
+        for face in range(2 * len(problem.propositions[name].low)):
+            yield p, face, None
+    else:
+        pair = problem.labeling.pairs[p - first]
+        if pair.size == 1:
+            yield from ((p, -1, np.array([sign])) for sign in (-1.0, 1.0))
+            return
+        for k in range(DIRECTIONS):
+            angle = 2.0 * np.pi * k / DIRECTIONS
+            direction = np.zeros(pair.size)
+            direction[:2] = np.cos(angle), np.sin(angle)
+            yield p, -1, direction
+
+
+def _columns(problem: Problem, p: int) -> slice:
+    """Return where the direction of a pair stands."""
+    pairs, k = problem.labeling.pairs, p - problem.labeling.first_pair
+    first = sum(pair.size for pair in pairs[:k])
+    return slice(first, first + pairs[k].size)
+
+
+def _demands(
+    known: CheckedProblem, run: _Run, t: int, p: int, face: int, normal: FloatArray | None, size: int
+) -> list[Any]:
+    """Return what one literal asks for at a time, in one way; nothing if that cannot be asked."""
+    letters, faces = np.zeros(run.letters.shape, dtype=np.int64), np.full(run.letters.shape, -1)
+    normals = np.zeros((len(letters), size))
+    letters[t, p], faces[t, p] = run.letters[t, p], face
+    if normal is not None:
+        first = sum(len(pair.outputs[0]) for pair in known.pairs[: p - len(known.regions)])
+        normals[t, first : first + len(normal)] = normal
+    try:
+        return list(demands(known, letters, faces, normals, t))
+    except Refused:
+        return []
+
+
+def _words(problem: Problem, known: CheckedProblem, run: _Run, margins: _Margins) -> list[NDArray[np.int8]]:
+    """Return words of the run that are accepted and ask for little, the most probable first."""
+    held = np.where(run.letters > 0, margins.deviations, np.inf).min(axis=1, initial=np.inf)
+    # Times at which what then holds is held most surely; all of them if there are few.
+    times = sorted(run.accepted, key=lambda t: -float(np.minimum(held[t], FAR)))[:MOST_TIMES]
+    found = []
+    for last in times:
+        letters = run.letters[: last + 1].copy()
+        if not _is_accepted(known, letters, margins.faces):
+            continue
+        order = np.argsort(margins.deviations[: last + 1], axis=None, kind="stable")
+        for t, p in zip(*np.unravel_index(order, letters.shape), strict=True):
+            if letters[t, p]:
+                kept, letters[t, p] = letters[t, p], 0
+                if not _is_accepted(known, letters, margins.faces):
+                    letters[t, p] = kept
+        asked = margins.deviations[: last + 1][letters != 0]
+        found.append((float(np.sum(2.0 * ndtr(-np.minimum(asked, FAR)))), last, letters))
+    return [letters for _, _, letters in sorted(found, key=lambda one: one[:2])]
+
+
+def _is_accepted(known: CheckedProblem, letters: NDArray[np.int8], faces: NDArray[np.int64]) -> bool:
+    """Return whether every word that agrees with letters is accepted, and networks know the automaton state."""
+    try:
+        check_words(known, letters.astype(np.int64), faces[: len(letters)])
+        automaton_states(known, letters.astype(np.int64))
+    except Refused:
+        return False
+    return True

@@ -1,0 +1,27 @@
+"""Accepted words: which letters of the automaton a trajectory goes through, and when."""
+
+from .accepted_words import targets_of, without_needless
+from .automaton_paths import Cube, Plan, Way, cubes_of, letters_of, ways_of
+from .safe_reach import Reach, whatever_others_do
+from .segments import segmented_ways
+from .timed_words import fastest_moves, spans_of, timed_ways
+from .visits import HALVES, with_windows
+
+__all__ = [
+    "Cube",
+    "HALVES",
+    "Plan",
+    "Reach",
+    "Way",
+    "cubes_of",
+    "fastest_moves",
+    "letters_of",
+    "segmented_ways",
+    "spans_of",
+    "targets_of",
+    "timed_ways",
+    "ways_of",
+    "whatever_others_do",
+    "with_windows",
+    "without_needless",
+]

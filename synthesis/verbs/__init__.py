@@ -1,0 +1,1 @@
+"""The verbs, a file each: `synthesize`, `certify`, `improve`, `check`, and bounds from above."""

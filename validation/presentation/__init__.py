@@ -1,0 +1,1 @@
+"""Figures, reports, the studio, and the paper's tables."""
