@@ -180,10 +180,10 @@ def _guard_of(certificate: Any, rng: np.random.Generator, target: str, mask: str
 
 def _union(certificate: cg.Certificate, rng: np.random.Generator) -> Forged | None:
     """One more union of two rows, or one that is there in another agent's factor."""
-    if not certificate.proof.skeleton:
+    if not certificate.proof.merge_log:
         return None
-    t = int(rng.integers(len(certificate.proof.skeleton)))
-    step = certificate.proof.skeleton[t]
+    t = int(rng.integers(len(certificate.proof.merge_log)))
+    step = certificate.proof.merge_log[t]
     wide = [q for q, rows in enumerate(step.origin) if len(rows) > 1]
     if not wide:
         return None
@@ -205,16 +205,16 @@ def _union(certificate: cg.Certificate, rng: np.random.Generator) -> Forged | No
         merges=(*step.merges[:q], united, *step.merges[q + 1 :]),
         kept=(*step.kept[:q], kept, *step.kept[q + 1 :]),
     )
-    skeleton = (*certificate.proof.skeleton[:t], other, *certificate.proof.skeleton[t + 1 :])
-    return "union", changed(certificate, skeleton=skeleton)
+    merge_log = (*certificate.proof.merge_log[:t], other, *certificate.proof.merge_log[t + 1 :])
+    return "union", changed(certificate, merge_log=merge_log)
 
 
 def _kept(certificate: cg.Certificate, rng: np.random.Generator) -> Forged | None:
     """One vertex counted twice, or kept in the place of another."""
-    if not certificate.proof.skeleton:
+    if not certificate.proof.merge_log:
         return None
-    t = int(rng.integers(len(certificate.proof.skeleton)))
-    step = certificate.proof.skeleton[t]
+    t = int(rng.integers(len(certificate.proof.merge_log)))
+    step = certificate.proof.merge_log[t]
     some = [q for q, rows in enumerate(step.kept) if len(rows)]
     if not some:
         return None
@@ -222,8 +222,8 @@ def _kept(certificate: cg.Certificate, rng: np.random.Generator) -> Forged | Non
     kept = step.kept[q]
     again = np.append(kept, kept[-1]) if rng.random() < 0.5 else _put(kept, 0, rng.integers(len(step.origin[q])))
     other = replace(step, kept=(*step.kept[:q], again.astype(kept.dtype), *step.kept[q + 1 :]))
-    skeleton = (*certificate.proof.skeleton[:t], other, *certificate.proof.skeleton[t + 1 :])
-    return "kept vertex", changed(certificate, skeleton=skeleton)
+    merge_log = (*certificate.proof.merge_log[:t], other, *certificate.proof.merge_log[t + 1 :])
+    return "kept vertex", changed(certificate, merge_log=merge_log)
 
 
 def _of_path(certificate: Any, rng: np.random.Generator, name: str, share: float) -> Forged | None:

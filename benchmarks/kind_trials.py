@@ -18,7 +18,7 @@ from cell_forgeries import forgeries_of
 from certigym.synthesis.certificates.proofs import GridProof, PathProof, ProductProof, changed
 from certigym.synthesis.relations.kinds import Network
 from certigym.synthesis.verbs.raw_networks import certify_network, differences
-from certigym.synthesis.verbs.upper_ends import bound_above
+from certigym.synthesis.verbs.upper_bounds import bound_above
 from certigym.validation.policies.actors import SharedActor
 from deployed import Deployed, Followed, Networked, problem_of
 from independent import successes

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.guards import compile_guards
 from certigym.synthesis.abstraction.models.joint import join, start_of

@@ -27,7 +27,7 @@ from certigym.envs.systems.agents import LinearAgent
 from certigym.synthesis.certificates.proofs import certificate_from, changed, with_claims
 from certigym.synthesis.composition import horizons
 from certigym.synthesis.relations.kinds import Network
-from certigym.synthesis.verbs.upper_ends import bound_above
+from certigym.synthesis.verbs.upper_bounds import bound_above
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from certigym.envs.simulation import Dynamics
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 from certigym.synthesis.extended_check.shields import Shield
 
 Array = NDArray[Any]

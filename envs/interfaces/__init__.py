@@ -1,4 +1,7 @@
-"""Problems as PettingZoo and Gymnasium environments, and their rendering: scenes, frames, a window, automata."""
+"""PettingZoo and Gymnasium environments, and rendering.
+
+Problems as PettingZoo and Gymnasium environments, and their rendering: scenes, frames, a window, automata.
+"""
 
 from .automaton_drawing import automaton_to_dot, places
 from .central_env import CentralEnv

@@ -153,7 +153,7 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Return the inputs of the agents: the joint action cut into theirs, each scaled or clipped."""
         return [
             input_of(joint_action[columns], agent, self._actions, "action")
-            for columns, agent in zip(self.problem.input_columns, self._episode.one_world.agents)
+            for columns, agent in zip(self.problem.input_columns, self._episode.single_simulator.agents)
         ]
 
     def _observation(self) -> np.ndarray:

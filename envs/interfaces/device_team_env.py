@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..simulation import Behaviour, Dynamics, Worlds
-from ..simulation import worlds as core
+from ..simulation import batch_simulator as core
 from ..systems.arguments import checked_count
 from ..systems.backends import LIBRARIES, Array, Numbers, device_put, namespace, numbers_beside
 from ..tasks.problem import Problem, checked_problem

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..simulation import Behaviour, OneWorld, World
-from ..simulation import worlds as core
+from ..simulation import Behaviour, SingleSimulator, World
+from ..simulation import batch_simulator as core
 from ..tasks.problem import Problem
 from .observation import INFOS, checked_option, checked_reset
 from .rendering import Picture, checked_render_mode, verdict_text
@@ -56,7 +56,7 @@ class Episode:
         self.discount = checked_discount(discount)
         self._words = checked_option(infos, "infos", INFOS) == "words"
         self.dynamics = core.Dynamics.of(problem, disturbance)
-        self.one_world = OneWorld.of(self.dynamics)
+        self.single_simulator = SingleSimulator.of(self.dynamics)
         self._reward = checked_option(reward, "reward", REWARDS)
         self._potential = None if reward == "sparse" else Potential.of(self.dynamics)
         self.level = 0.0
@@ -79,7 +79,7 @@ class Episode:
             dynamics = core.Dynamics.of(self.problem.replace(initial_state=start), self.dynamics.disturbance)
         # The start is drawn by the batched core, so that one world and a batch of one agree.
         worlds = core.initial(dynamics, rng, 1)
-        self._world = self.one_world.begin(worlds)
+        self._world = self.single_simulator.begin(worlds)
         self._track = [self._world]
         if self._potential is not None:
             self.level = self._level(worlds)
@@ -89,14 +89,16 @@ class Episode:
         """Advance one control step; return reward, terminated and truncated."""
         # A settled world stands still: it has ended already, or the start decided.
         world = self.world
-        if not self.one_world.settled(world):
-            world = self.one_world.step(world, inputs, rng.standard_normal(self.one_world.n_draws).tolist())
+        if not self.single_simulator.settled(world):
+            world = self.single_simulator.step(
+                world, inputs, rng.standard_normal(self.single_simulator.n_draws).tolist()
+            )
             self._world = world
             if self.render_mode is not None:  # only pictures need the past
                 self._track.append(world)
-        terminated = self.one_world.settled(world)
+        terminated = self.single_simulator.settled(world)
         truncated = not terminated and world.time >= self.problem.horizon
-        reward = float(self.one_world.satisfied(world))
+        reward = float(self.single_simulator.satisfied(world))
         # Both pay differences of potentials; that of "shaped" is 0 in ended episodes.
         if self._potential is not None:
             before, forgets = self.level, self._reward == "shaped" and (terminated or truncated)
@@ -109,10 +111,10 @@ class Episode:
         """Return the entries of every info: automaton state, satisfaction, time; letter, if words are asked for."""
         world = self.world
         # Learners stack infos into arrays, so by default nothing here is text or changes its length.
-        words = {"letter": self.one_world.names(world.letter)} if self._words else {}
+        words = {"letter": self.single_simulator.names(world.letter)} if self._words else {}
         return {
             "automaton_state": world.q,
-            "satisfied": self.one_world.satisfied(world),
+            "satisfied": self.single_simulator.satisfied(world),
             "time": world.time,
             **words,
         }
@@ -154,8 +156,8 @@ class Episode:
 
     def _verdict(self) -> str:
         world = self.world
-        over = self.one_world.settled(world) or world.time >= self.problem.horizon
-        return verdict_text(self.one_world.satisfied(world), world.failed, over)
+        over = self.single_simulator.settled(world) or world.time >= self.problem.horizon
+        return verdict_text(self.single_simulator.satisfied(world), world.failed, over)
 
     def _line(self) -> str:
         """Return the current world as a line of text."""
@@ -172,7 +174,7 @@ class Episode:
             self._picture = Picture(self.problem, self.caption)
         track = [[number for x in world.states for number in x] for world in self._track]
         world = self.world
-        return self._picture.frame(np.array(track), world.q, self.one_world.names(world.letter), self._verdict())
+        return self._picture.frame(np.array(track), world.q, self.single_simulator.names(world.letter), self._verdict())
 
     def _show(self) -> None:
         """Show the current world in the window of the render mode "human"."""

@@ -200,7 +200,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     @property
     def is_settled(self) -> bool:
         """Whether the verdict is final."""
-        return self._episode.one_world.settled(self._episode.world)
+        return self._episode.single_simulator.settled(self._episode.world)
 
     @property
     def potential(self) -> float:
@@ -267,7 +267,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     def _nearest(self, states: list[list[float]]) -> list[list[float]]:
         """Return where the nearest other agents are from the place of every agent."""
         d, p = common_sizes(self.problem)
-        outputs = [agent.outputs(x)[:p] for agent, x in zip(self._episode.one_world.agents, states)]
+        outputs = [agent.outputs(x)[:p] for agent, x in zip(self._episode.single_simulator.agents, states)]
         common, places = np.array([x[:d] for x in states])[..., None], np.array(outputs)[..., None]
         return [nearest_seen(common, places, i, self._neighbours)[:, 0].tolist() for i in range(len(states))]
 
@@ -295,7 +295,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         if len(actions) > len(self.possible_agents):
             stranger = next(name for name in actions if name not in self.possible_agents)
             raise ValueError(f"`actions`: expected agents of the problem, got {stranger!r}; leave it out")
-        for name, agent in zip(self.possible_agents, self._episode.one_world.agents):
+        for name, agent in zip(self.possible_agents, self._episode.single_simulator.agents):
             if name not in actions:
                 raise ValueError(f"`actions`: expected one for every agent, got none for {name!r}")
             inputs.append(input_of(actions[name], agent, self._actions, f"actions[{name!r}]"))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..simulation import Dynamics, Worlds
-from ..simulation import worlds as core
+from ..simulation import batch_simulator as core
 
 TRIES = 10
 """How often a start is drawn again that loses or settles the task at once; most tasks need one or two draws."""

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from ..simulation import Dynamics, Worlds
-from ..simulation import worlds as core
+from ..simulation import batch_simulator as core
 from ..systems.backends import double, namespace, to_host
 from ..tasks.automata import Automaton
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..simulation import Dynamics
-from ..simulation import worlds as core
+from ..simulation import batch_simulator as core
 from ..tasks.problem import Problem
 from .team_views import TeamViews
 from .vector_env import ProblemVectorEnv

@@ -24,7 +24,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from ..simulation import Behaviour
-from ..simulation import worlds as core
+from ..simulation import batch_simulator as core
 from ..systems.arguments import checked_count
 from ..tasks.problem import Problem, checked_problem
 from .episode import checked_discount

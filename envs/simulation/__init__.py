@@ -1,8 +1,11 @@
-"""How problems move and how they are judged, with the same bits for one world and for many."""
+"""How problems move and are judged, one or many at a time.
 
+How problems move and how they are judged, with the same bits for one world and for many.
+"""
+
+from .batch_simulator import Draws, Dynamics, Worlds, joint, letters, neighbours, split_joint
 from .disturbances import BEHAVIOURS, Against, Behaviour, checked_behaviour
-from .one_world import OneWorld, World
-from .worlds import Draws, Dynamics, Worlds, joint, letters, neighbours, split_joint
+from .single_simulator import SingleSimulator, World
 
 __all__ = [
     "Against",
@@ -10,7 +13,7 @@ __all__ = [
     "Behaviour",
     "Draws",
     "Dynamics",
-    "OneWorld",
+    "SingleSimulator",
     "World",
     "Worlds",
     "checked_behaviour",

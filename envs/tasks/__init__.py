@@ -1,1 +1,4 @@
-"""Tasks: an LTL formula over regions, its DFA, and the problem that they make with systems."""
+"""Tasks: regions, an LTL formula, its DFA, the problem.
+
+Tasks: an LTL formula over regions, its DFA, and the problem that they make with systems.
+"""

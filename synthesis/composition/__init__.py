@@ -1,16 +1,19 @@
-"""Composition of tasks: independent parts multiplied, and pairs of agents subtracted by a union bound."""
+"""Independent tasks multiplied, pairs by a union bound.
+
+Composition of tasks: independent parts multiplied, and pairs of agents subtracted by a union bound.
+"""
 
 from .avoiding import Avoidance
 from .base import relevant_pairs, usual_values, without_pairs
+from .collision_avoidance import less_nearness, nearness
+from .collision_probability import CollisionProbability
 from .horizons import each_horizon, horizons_of, without_deadline
-from .keeping_apart import less_nearness, nearness
-from .near_mass import NearMass
-from .parts import synthesize_parts
-from .together import ways_together
+from .independent_tasks import synthesize_parts
+from .joint_tasks import joint_strategies
 
 __all__ = [
     "Avoidance",
-    "NearMass",
+    "CollisionProbability",
     "each_horizon",
     "horizons_of",
     "less_nearness",
@@ -18,7 +21,7 @@ __all__ = [
     "relevant_pairs",
     "synthesize_parts",
     "usual_values",
-    "ways_together",
+    "joint_strategies",
     "without_deadline",
     "without_pairs",
 ]

@@ -19,8 +19,8 @@ from ..abstraction.models import Policies
 from ..certificates.value_functions import Guards
 from ..policy_search.ascent import favourable_successors, relax_one
 from ..relations.grids import FloatArray
+from .collision_probability import CollisionProbability
 from .compared_states import compared_axes
-from .near_mass import NearMass
 
 Presence = list[NDArray[np.float64]]
 """Per time 0 .. T: the mass (S,) of an agent in its cells."""
@@ -34,7 +34,7 @@ class Avoidance:
     masses : NearMass
     """
 
-    def __init__(self, masses: NearMass) -> None:
+    def __init__(self, masses: CollisionProbability) -> None:
         self.masses, self.joint = masses, masses.joint
         self.follows = favourable_successors(masses.base)
         self._tables: dict[object, list[FloatArray]] = {}

@@ -121,8 +121,8 @@ class NearPoints:
             raise RelationRefused(f"agent `{self.agent.name}`: nothing is known of its means from some of its cells")
         index, reach = [], np.zeros(low.shape[1])
         for k, axis in enumerate(self.lattice):
-            pitch = (axis[-1] - axis[0]) / (len(axis) - 1)
-            place = np.rint(np.where(policy >= 0, (0.5 * (low[:, k] + high[:, k]) - axis[0]) / pitch, 0.0))
+            lattice_spacing = (axis[-1] - axis[0]) / (len(axis) - 1)
+            place = np.rint(np.where(policy >= 0, (0.5 * (low[:, k] + high[:, k]) - axis[0]) / lattice_spacing, 0.0))
             index.append(np.clip(place, 0, len(axis) - 1).astype(np.int64))
             beyond = np.maximum(high[:, k] - axis[index[-1]], axis[index[-1]] - low[:, k])
             reach[k] = np.max(beyond, where=policy >= 0, initial=0.0) * FARTHER

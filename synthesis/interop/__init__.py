@@ -1,26 +1,29 @@
-"""Models of other libraries as policies: ONNX, torch, Stable-Baselines3, and files for others to read."""
+"""Models of other libraries as policies: ONNX, torch, SB3.
+
+Models of other libraries as policies: ONNX, torch, Stable-Baselines3, and files for others to read.
+"""
 
 from .actor_files import NotAnActor, stored
-from .bringing import RUN, as_policy, batchable, brought, certifiable, is_model
+from .detected import Detected, Reader
 from .environments import sight_of
-from .found import Found, Reader
+from .importers import RUN, as_policy, batchable, brought, certifiable, is_model
 from .local_policies import LocalBatch, LocalController
 from .model_policies import OwnModels, TeamModels
-from .sights import Sight
+from .observation_maps import ObservationMap
 from .writing import is_written_policy, save_policy
-from .written_feedback import WrittenPolicies
+from .written_feedback import SymbolicPolicies
 
 __all__ = [
-    "Found",
+    "Detected",
     "LocalBatch",
     "LocalController",
     "NotAnActor",
     "OwnModels",
     "RUN",
     "Reader",
-    "Sight",
+    "ObservationMap",
     "TeamModels",
-    "WrittenPolicies",
+    "SymbolicPolicies",
     "as_policy",
     "batchable",
     "brought",

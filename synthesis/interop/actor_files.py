@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..relations.kinds import ACTIVATIONS, Network
-from .found import Found
+from .detected import Detected
 
 ENVS = {"shared": "shared_vec_env", "team": "shared_vec_env", "central": "central_vec_env"}
 """What actors see, by the view that their header names."""
@@ -46,9 +46,9 @@ def stored(path: str | Path, agents: int) -> tuple[dict[str, Any], tuple[Network
     return header, tuple(Network(weights[cut], biases[cut], *kind) for cut in cuts)
 
 
-def read_actor(path: Path, agents: int) -> tuple[Found, str]:
+def read_actor(path: Path, agents: int) -> tuple[Detected, str]:
     """Return what a file holds, and the environment in which it was trained."""
     header, networks = stored(path, agents)
     sizes = networks[0].weights[0].shape[1], networks[0].weights[-1].shape[0]
     act = networks[0].actions if len(networks) == 1 else None
-    return Found(f"the actor in {path.name}", *sizes, act=act, networks=networks), ENVS[header["view"]]
+    return Detected(f"the actor in {path.name}", *sizes, act=act, networks=networks), ENVS[header["view"]]

@@ -13,16 +13,17 @@ import numpy as np
 
 from ...envs.interfaces import AUTOMATON, SCALES, SCOPES
 from ...envs.tasks.problem import Problem
-from .found import Found
-from .sights import Sight
+from .detected import Detected
+from .observation_maps import ObservationMap
 
 SCOPES_OF = {"local": "own", "full": "full", "relative": "relative", "neighbours": "neighbours"}
 TEAM_SCOPES = {"own": "own", "joint": "joint", "neighbours": "neighbours"}
 
 WORLDS = {
-    "shared_vec_env": Sight("shared_vec_env", "own", "unit", actions="unit", padded=True, told=True,
+    "shared_vec_env": ObservationMap("shared_vec_env", "own", "unit", actions="unit", padded=True, told=True,
                             spaces_are_unit=True),
-    "central_vec_env": Sight("central_vec_env", "joint", "unit", actions="unit", central=True, spaces_are_unit=True),
+    "central_vec_env": ObservationMap("central_vec_env", "joint", "unit", actions="unit", central=True,
+                            spaces_are_unit=True),
 }  # fmt: skip
 """What the worlds for Stable-Baselines3 show; they have no options that matter here."""
 
@@ -54,7 +55,7 @@ MAKERS = {
 """Makers by the names of the classes of what they make."""
 
 
-def sight_of(env: Any) -> Sight:
+def sight_of(env: Any) -> ObservationMap:
     """Return what an environment shows to a model.
 
     Parameters
@@ -73,7 +74,7 @@ def sight_of(env: Any) -> Sight:
     >>> sight_of("central_env(scale=unit)").scope
     'joint'
     """
-    if isinstance(env, Sight):
+    if isinstance(env, ObservationMap):
         return env
     if isinstance(env, str):
         return _named(env)
@@ -90,7 +91,7 @@ def sight_of(env: Any) -> Sight:
     )
 
 
-def _named(text: str) -> Sight:
+def _named(text: str) -> ObservationMap:
     """Return the sight of a text such as ``team_env(scale='raw')``."""
     name, _, rest = text.strip().partition("(")
     name, options = name.strip(), {}
@@ -103,7 +104,7 @@ def _named(text: str) -> Sight:
     return _made(name, options)
 
 
-def _made(maker: str, given: dict[str, Any]) -> Sight:
+def _made(maker: str, given: dict[str, Any]) -> ObservationMap:
     """Return what an environment shows that is made in this way."""
     if maker in WORLDS:
         return WORLDS[maker]
@@ -119,10 +120,10 @@ def _made(maker: str, given: dict[str, Any]) -> Sight:
         raise ValueError(f"`env`: expected the options {', '.join(defaults)} of {maker}, got {strange[0]!r}")
     differing = [f"{name}={value!r}" for name, value in options.items() if value != defaults[name]]
     if maker == "rows":
-        return Sight(f"rows(scale={options['scale']!r}, actions={options['actions']!r})", "own", options["scale"],
-                     actions=options["actions"], padded=True, told=True)  # fmt: skip
+        name = f"rows(scale={options['scale']!r}, actions={options['actions']!r})"
+        return ObservationMap(name, "own", options["scale"], actions=options["actions"], padded=True, told=True)
     count = given.get("neighbours")
-    sight = Sight(
+    sight = ObservationMap(
         f"{maker}({', '.join(differing)})" if differing else maker,
         scopes.get(options.get("observation", ""), "joint"),
         options["scale"],
@@ -133,7 +134,7 @@ def _made(maker: str, given: dict[str, Any]) -> Sight:
     return sight if count is None else replace(sight, neighbours=int(ast.literal_eval(str(count))))
 
 
-def known_sights() -> Iterator[Sight]:
+def known_sights() -> Iterator[ObservationMap]:
     """Yield what models may have been trained with, the most usual first: each thing that can be seen once."""
     yield from WORLDS.values()
     for automaton, actions, scale in product(AUTOMATON, ("unit", "input"), SCALES):
@@ -143,7 +144,7 @@ def known_sights() -> Iterator[Sight]:
         yield _made("team_env", {"observation": "joint", **shared})
 
 
-def matched(problem: Problem, found: Found, env: Any, agents: Sequence[int]) -> Sight:
+def matched(problem: Problem, found: Detected, env: Any, agents: Sequence[int]) -> ObservationMap:
     """Return what a model was trained to see that moves these agents.
 
     Raises
@@ -170,7 +171,7 @@ def matched(problem: Problem, found: Found, env: Any, agents: Sequence[int]) -> 
     return told[0]
 
 
-def _meaning(problem: Problem, sight: Sight) -> tuple[Any, ...]:
+def _meaning(problem: Problem, sight: ObservationMap) -> tuple[Any, ...]:
     """Return what tells sights apart on a problem: rows and answers, however the environment is called."""
     first = sight.space(problem, 0)
     unit = all(np.array_equal(a.input_low, -np.ones(a.n_inputs)) and np.array_equal(a.input_high, np.ones(a.n_inputs))
@@ -180,7 +181,7 @@ def _meaning(problem: Problem, sight: Sight) -> tuple[Any, ...]:
     return scope, sight.scale, automaton, sight.told, sight.central and problem.n_agents > 1, unit or sight.actions
 
 
-def _fits(problem: Problem, found: Found, sight: Sight, agents: Sequence[int], spaces: bool) -> bool:
+def _fits(problem: Problem, found: Detected, sight: ObservationMap, agents: Sequence[int], spaces: bool) -> bool:
     """Whether a model observes and answers with as many numbers as an environment has, in its ranges if asked."""
     asked = agents[:1] if sight.central else agents
     # Agents with fewer numbers may have been filled up to the largest one.
@@ -191,7 +192,7 @@ def _fits(problem: Problem, found: Found, sight: Sight, agents: Sequence[int], s
     return _actions_fit(problem, found, sight, asked) and (not spaces or _spaces_fit(problem, found, sight, asked))
 
 
-def _spaces_fit(problem: Problem, found: Found, sight: Sight, agents: Sequence[int]) -> bool:
+def _spaces_fit(problem: Problem, found: Detected, sight: ObservationMap, agents: Sequence[int]) -> bool:
     """Whether the space of observations, where the library keeps it, is that of an environment."""
     if found.space is None:
         return True
@@ -204,7 +205,7 @@ def _spaces_fit(problem: Problem, found: Found, sight: Sight, agents: Sequence[i
     return True
 
 
-def _actions_fit(problem: Problem, found: Found, sight: Sight, agents: Sequence[int]) -> bool:
+def _actions_fit(problem: Problem, found: Detected, sight: ObservationMap, agents: Sequence[int]) -> bool:
     """Whether the space of actions, where the library keeps it, is that of an environment."""
     if found.action_space is None:
         return True
@@ -219,23 +220,23 @@ def _actions_fit(problem: Problem, found: Found, sight: Sight, agents: Sequence[
     return all(np.allclose(low[: len(a)], a) and np.allclose(high[: len(b)], b) for a, b in own)
 
 
-def _sizes(found: Found) -> str:
+def _sizes(found: Detected) -> str:
     """Return how many numbers a model observes and answers with, in words."""
     seen = "any number of" if found.observed is None else str(found.observed)
     answered = "any number of" if found.answered is None else str(found.answered)
     return f"{seen} observed numbers and {answered} actions"
 
 
-def _no_fit(problem: Problem, found: Found, sights: list[Sight], agents: Sequence[int]) -> str:
+def _no_fit(problem: Problem, found: Detected, observation_maps: list[ObservationMap], agents: Sequence[int]) -> str:
     """Return the message about a model that fits no environment of the problem: the sizes that are known."""
     sizes: dict[tuple[int, int], str] = {}
-    for sight in sights:
+    for sight in observation_maps:
         asked = agents[:1] if sight.central else agents
         key = max(sight.size(problem, i) for i in asked), max(sight.n_actions(problem, i) for i in asked)
         sizes.setdefault(key, sight.maker)
     listed = ", ".join(f"{seen} and {done} ({maker})" for (seen, done), maker in sorted(sizes.items()))
     hint = ""
-    if any(_fits(problem, found, sight, agents, spaces=False) for sight in sights):
+    if any(_fits(problem, found, sight, agents, spaces=False) for sight in observation_maps):
         hint = "; the sizes are known, but the ranges of its observations are not: give `env=` if they were changed"
     return (
         f"`model`: expected the observed numbers and actions of an environment of {problem.name!r}, got {found.name} "

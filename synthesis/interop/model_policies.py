@@ -13,9 +13,9 @@ from ...envs.simulation import Dynamics, Worlds
 from ...envs.systems.arguments import tree_text
 from ...envs.tasks.problem import Problem
 from ..relations.kinds import NetworkPolicy, OwnView, inputs_of
-from .found import Found
+from .detected import Detected
 from .local_policies import LocalBatch
-from .sights import Sight
+from .observation_maps import ObservationMap
 
 Array = NDArray[Any]
 
@@ -30,8 +30,8 @@ class Model:
     sight : Sight
     """
 
-    found: Found
-    sight: Sight
+    found: Detected
+    sight: ObservationMap
 
     def inputs(self, problem: Problem, i: int, actions: Array) -> Array:
         """Return the inputs (m, N) of agent i, within its box, for answers (N, k)."""

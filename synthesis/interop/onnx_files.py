@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..relations.kinds import Network
-from .found import Found, agreed, origins
+from .detected import Detected, agreed, origins
 
 SAYS = "ONNX (.onnx)"
 
@@ -28,14 +28,14 @@ def recognises(model: Any) -> bool:
     return "onnxruntime" in origins(model) or ("onnx" in origins(model) and hasattr(model, "graph"))
 
 
-def read(model: Any, facts: dict[str, Any]) -> Found:
+def read(model: Any, facts: dict[str, Any]) -> Detected:
     """Return what a session or a graph is."""
     if hasattr(model, "graph"):
         return _read(model.SerializeToString(), "a graph of ONNX")
     return _of_session(model, "a session of onnxruntime", None, "only files and graphs say what their layers are")
 
 
-def read_file(path: Path, facts: dict[str, Any]) -> Found:
+def read_file(path: Path, facts: dict[str, Any]) -> Detected:
     """Return what a file holds."""
     return _read(path.read_bytes(), f"the file {path.name}")
 
@@ -87,7 +87,7 @@ def written(network: Network, metadata: dict[str, Any]) -> bytes:
     return bytes(model.SerializeToString())
 
 
-def _read(content: bytes, name: str) -> Found:
+def _read(content: bytes, name: str) -> Detected:
     """Return what the bytes of a file are."""
     onnx, onnxruntime = needed()
     from google.protobuf.message import DecodeError
@@ -102,7 +102,7 @@ def _read(content: bytes, name: str) -> Found:
     return _of_session(session, name, network, why)
 
 
-def _of_session(session: Any, name: str, network: Network | None, why: str) -> Found:
+def _of_session(session: Any, name: str, network: Network | None, why: str) -> Detected:
     """Return what a session answers, and the network that it is."""
     (rows,), answers = session.get_inputs(), session.get_outputs()
     sizes = [shape[-1] if shape and isinstance(shape[-1], int) else None for shape in (rows.shape, answers[0].shape)]
@@ -112,7 +112,7 @@ def _of_session(session: Any, name: str, network: Network | None, why: str) -> F
         return session.run([answers[0].name], {rows.name: np.asarray(told, dtype=kind)})[0]
 
     networks = () if network is None else (network,)
-    return agreed(Found(name, sizes[0], sizes[1], act=act, networks=networks, why_not=why))
+    return agreed(Detected(name, sizes[0], sizes[1], act=act, networks=networks, why_not=why))
 
 
 def _chain(onnx: Any, graph: Any) -> Network | str:

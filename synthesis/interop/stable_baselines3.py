@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .found import Found, agreed, need_trust, origins
+from .detected import Detected, agreed, need_trust, origins
 from .layers import NotFeedForward, network_of
 
 SAYS = "models of Stable-Baselines3 and sb3-contrib (.zip)"
@@ -19,7 +19,7 @@ def recognises(model: Any) -> bool:
     return "stable_baselines3" in origins(model) and hasattr(model, "predict")
 
 
-def read(model: Any, facts: dict[str, Any]) -> Found:
+def read(model: Any, facts: dict[str, Any]) -> Detected:
     """Return what an algorithm or a policy is."""
     policy = getattr(model, "policy", model)
     name, spaces = type(model).__name__, (policy.observation_space, policy.action_space)
@@ -37,22 +37,22 @@ def read(model: Any, facts: dict[str, Any]) -> Found:
     spare = spaces[0].shape[0] - int(seen)
     scaled = _normalizer(model)
     if hasattr(policy, "lstm_actor"):
-        return Found(memory=_remembering(policy, scaled), why_not="it remembers earlier observations", **common)
+        return Detected(memory=_remembering(policy, scaled), why_not="it remembers earlier observations", **common)
 
     def act(rows: Any) -> Any:
         filled = np.pad(rows, ((0, 0), (0, spare)))
         return policy.predict(filled if scaled is None else scaled(filled), deterministic=True)[0]
 
     if scaled is not None:
-        return Found(act=act, why_not="its observations go through VecNormalize first", **common)
+        return Detected(act=act, why_not="its observations go through VecNormalize first", **common)
     try:
         networks = _networks(policy, "unit" if np.all(ends[1][0] == -1.0) and np.all(ends[1][1] == 1.0) else "box")
     except NotFeedForward as error:
-        return Found(act=act, why_not=str(error), **common)
-    return agreed(Found(act=act, networks=networks, **common))
+        return Detected(act=act, why_not=str(error), **common)
+    return agreed(Detected(act=act, networks=networks, **common))
 
 
-def read_file(path: Path, facts: dict[str, Any]) -> Found:
+def read_file(path: Path, facts: dict[str, Any]) -> Detected:
     """Return what a file is that ``model.save`` wrote. Such files are unpickled: read only those that you trust."""
     import torch
     from stable_baselines3.common.save_util import load_from_zip_file

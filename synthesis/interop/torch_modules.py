@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from .found import Found, agreed, need_trust, origins
+from .detected import Detected, agreed, need_trust, origins
 from .layers import NotFeedForward, network_of
 
 SAYS = "modules of torch (.pt)"
@@ -28,7 +28,7 @@ def recognises(model: Any) -> bool:
     return "torch" in origins(model) and hasattr(model, "state_dict") and callable(model)
 
 
-def read(model: Any, facts: dict[str, Any]) -> Found:
+def read(model: Any, facts: dict[str, Any]) -> Detected:
     """Return what a module is; ``facts["squashed"]`` says whether tanh follows its outputs."""
     name = f"the torch module {type(model).__name__}"
     actor, squashed = model, facts.get("squashed")
@@ -48,15 +48,15 @@ def read(model: Any, facts: dict[str, Any]) -> Found:
     try:
         network = network_of([actor], squashed=squashed)
     except NotFeedForward as error:
-        return Found(name, act=act, why_not=str(error), **sizes)
+        return Detected(name, act=act, why_not=str(error), **sizes)
     sizes = {"observed": network.weights[0].shape[1], "answered": network.weights[-1].shape[0]}
     # The environment clips what is not squashed, so that such a network is compared before it clips.
     plain = network if network.squashed else replace(network, outputs="box")
-    found = agreed(Found(name, act=act, networks=(plain,), **sizes))
-    return Found(name, act=act, networks=(network,) if found.networks else (), why_not=found.why_not, **sizes)
+    found = agreed(Detected(name, act=act, networks=(plain,), **sizes))
+    return Detected(name, act=act, networks=(network,) if found.networks else (), why_not=found.why_not, **sizes)
 
 
-def read_file(path: Path, facts: dict[str, Any]) -> Found:
+def read_file(path: Path, facts: dict[str, Any]) -> Detected:
     """Return what a file of ``torch.save(module)`` holds. Such files are unpickled: read only those that you trust."""
     import torch
 
@@ -73,7 +73,7 @@ def read_file(path: Path, facts: dict[str, Any]) -> Found:
     return read(model, facts)
 
 
-def _of_clean_rl(model: Any, name: str) -> Found:
+def _of_clean_rl(model: Any, name: str) -> Detected:
     """Return the actor of CleanRL's SAC, DDPG or TD3: two relu layers, tanh, and the scale of the input box."""
     last = model.fc_mean if hasattr(model, "fc_mean") else model.fc_mu
     first = model.fc1
@@ -88,7 +88,7 @@ def _of_clean_rl(model: Any, name: str) -> Found:
     import torch
 
     layers = [first, torch.nn.ReLU(), model.fc2, torch.nn.ReLU(), last]
-    return agreed(Found(name, act=act, networks=(network_of(layers, squashed=True),), action_space=space, **sizes))
+    return agreed(Detected(name, act=act, networks=(network_of(layers, squashed=True),), action_space=space, **sizes))
 
 
 def _asked(module: Any, rows: Any) -> Any:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ..relations.kinds import ACTIVATIONS, Network
-from .found import Found
+from .detected import Detected
 
 SAYS = "layers as arrays [(W, b), ...]"
 
@@ -33,7 +33,7 @@ def recognises(model: Any) -> bool:
     return isinstance(model, Sequence) and bool(model) and all(_is_layer(pair) for pair in model)
 
 
-def read(model: Any, facts: dict[str, Any]) -> Found:
+def read(model: Any, facts: dict[str, Any]) -> Detected:
     """Return what arrays are."""
     network = model if isinstance(model, Network) else _network(model, facts)
     shape = network.weights[0].shape[1], network.weights[-1].shape[0]
@@ -42,7 +42,7 @@ def read(model: Any, facts: dict[str, Any]) -> Found:
         why = "expected weights of single precision (float32), got others"
     # What is clipped, and to what, the environment decides.
     act = (network if network.squashed else replace(network, outputs="box")).actions
-    return Found("a network given as arrays", *shape, act=act, networks=() if why else (network,), why_not=why)
+    return Detected("a network given as arrays", *shape, act=act, networks=() if why else (network,), why_not=why)
 
 
 def _network(model: Any, facts: dict[str, Any]) -> Network:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from ...envs.simulation import Dynamics
 from ...envs.tasks.problem import Problem
-from ..relations.kinds import WrittenPolicy
+from ..relations.kinds import SymbolicPolicy
 from .local_policies import LocalBatch
 
 
 @dataclass(frozen=True, eq=False)
-class WrittenPolicies:
+class SymbolicPolicies:
     """Expressions of the own states of every agent, and the time: a decentralised policy.
 
     Parameters
@@ -27,7 +27,7 @@ class WrittenPolicies:
     """
 
     problem: Problem
-    policies: tuple[WrittenPolicy, ...]
+    policies: tuple[SymbolicPolicy, ...]
 
     information = "own state, time"
 
@@ -35,7 +35,7 @@ class WrittenPolicies:
         """Return the inputs (m, N) of one agent at states (d, N) and a time."""
         return self.policies[agent].inputs(states, np.asarray(q), time)
 
-    def agent_policy(self, agent: int) -> WrittenPolicy:
+    def agent_policy(self, agent: int) -> SymbolicPolicy:
         """Return the policy of one agent."""
         return self.policies[agent]
 
@@ -57,7 +57,7 @@ def _are_texts(value: Any) -> bool:
     return isinstance(value, list | tuple) and bool(value) and all(isinstance(text, str) for text in value)
 
 
-def written_policies(model: Mapping[str, Any], problem: Problem) -> WrittenPolicies:
+def symbolic_policies(model: Mapping[str, Any], problem: Problem) -> SymbolicPolicies:
     """Return the policies that a mapping says.
 
     Raises
@@ -81,5 +81,5 @@ def written_policies(model: Mapping[str, Any], problem: Problem) -> WrittenPolic
             f"`policy`: expected lists of expressions for each of {', '.join(problem.agent_names)}, got some for "
             f"{', '.join(by_agent)}"
         )
-    made = (WrittenPolicy.of(agent, by_agent[agent.name]) for agent in problem.agents)
-    return WrittenPolicies(problem, tuple(made))
+    made = (SymbolicPolicy.of(agent, by_agent[agent.name]) for agent in problem.agents)
+    return SymbolicPolicies(problem, tuple(made))

@@ -1,1 +1,4 @@
-"""Simulation relations between a continuous agent and a grid of cells, and how surely they hold."""
+"""Simulation relations between an agent and a grid of cells.
+
+Simulation relations between a continuous agent and a grid of cells, and how surely they hold.
+"""

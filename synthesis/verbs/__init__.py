@@ -1,1 +1,4 @@
-"""The verbs, a file each: `synthesize`, `certify`, `improve`, `check`, and bounds from above."""
+"""The verbs, a file each: synthesize, certify, check.
+
+The verbs, a file each: `synthesize`, `certify`, `improve`, `check`, and bounds from above.
+"""

@@ -41,13 +41,13 @@ from ..abstraction.models import (
 )
 from ..certificates.controllers import Decentralised, Policy, decentralised
 from ..certificates.proofs import Synthesis, timed_certificate
-from ..composition import NearMass, less_nearness, nearness, relevant_pairs, usual_values, without_pairs
-from ..interop import WrittenPolicies, certifiable
+from ..composition import CollisionProbability, less_nearness, nearness, relevant_pairs, usual_values, without_pairs
+from ..interop import SymbolicPolicies, certifiable
 from ..policy_search.ascent import FINAL, Limits, Search, Sweep, sweep
 from ..policy_search.cell_certificates import certificate_of, judged
 from ..relations.grids import CellCounts, FloatArray
 from .raw_networks import COVERED, certified_as_it_is, repair_network
-from .upper_ends import synthesis_above
+from .upper_bounds import synthesis_above
 
 OF_NETWORKS = ("auto", "quick", "path", "linear", "boxes")
 """Relations under which networks are certified as they are."""
@@ -119,7 +119,7 @@ def is_certified_as_given(policy: Any, cells: CellCounts) -> bool:
     """
     reason: str = getattr(policy, "why_not_as_it_is", "")
     is_known = hasattr(policy, "agent_policy") and not reason
-    return is_known and (cells is None or not isinstance(policy, WrittenPolicies))
+    return is_known and (cells is None or not isinstance(policy, SymbolicPolicies))
 
 
 def _found(
@@ -197,7 +197,7 @@ def _by_subtraction(problem: Problem, policy: Decentralised, cells: CellCounts, 
     base = without_pairs(problem, usual)
     found, wrapped = _of_task(base, policy, cells, "exact", settings)
     model = replace(wrapped.joint, finds_alike=True)
-    near = nearness(NearMass(problem, base, model, relevant_pairs(problem), usual), wrapped.policies)
+    near = nearness(CollisionProbability(problem, base, model, relevant_pairs(problem), usual), wrapped.policies)
     certificate = less_nearness(problem, found.certificate, usual, near, dict(found.certificate.settings))
     return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})
 

@@ -20,14 +20,14 @@ from ...envs.tasks.problem import Problem, written_out
 from ..abstraction.models import Abstraction, JointModel, Policies, join, network_abstraction, network_tables, start_of
 from ..certificates.proofs import Certificate, OnGrid, Synthesis, timed_certificate
 from ..certificates.value_functions import to_host
-from ..composition import NearMass, less_nearness, nearness, relevant_pairs, usual_values, without_pairs
-from ..interop import WrittenPolicies, certifiable
+from ..composition import CollisionProbability, less_nearness, nearness, relevant_pairs, usual_values, without_pairs
+from ..interop import SymbolicPolicies, certifiable
 from ..policy_search.ascent import FINAL, Limits, Stage, sweep
 from ..policy_search.cell_certificates import certificate_of
 from ..relations.grids import CellCounts, FloatArray, RelationRefused
 from ..relations.kinds import NetworkPolicy, network_policy
 from ..trajectories.planning import networks_along
-from .written_networks import told_in_time
+from .time_unrolled_networks import told_in_time
 
 RELATIONS = ("linear", "boxes")
 """How the means under networks are enclosed, in the order in which they are tried."""
@@ -156,7 +156,7 @@ def certified_as_it_is(
     ValueError
         If nothing is certified; the message says why along the run, and what would help.
     """
-    is_written = isinstance(actor, WrittenPolicies)
+    is_written = isinstance(actor, SymbolicPolicies)
     if (cells is not None or relation in RELATIONS) and not is_written:
         return certify_network(problem, actor, cells, relation=relation, **settings)
     policies = actor.policies if is_written else _policies(problem, actor)
@@ -220,7 +220,7 @@ def _less_nearness(
     usual = usual_values(problem)
     base = without_pairs(problem, usual)
     found, abstraction = _on_grids(base, policies, cells, relation, targets_per_cell)
-    masses = NearMass(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
+    masses = CollisionProbability(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
     near = nearness(masses, network_tables(base, abstraction))
     certificate = less_nearness(problem, found.certificate, usual, near, dict(found.certificate.settings))
     return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})

@@ -16,29 +16,29 @@ from ..abstraction.models import RELATIONS, Relations, Settings, check_names, ch
 from ..certificates.proofs import (
     Certificate,
     OnGrid,
-    SubtractionProof,
     Synthesis,
+    UnionBoundProof,
     certificate_from,
     checked_certificate,
     on_cells,
     timed_certificate,
 )
 from ..certificates.value_functions import HOST, device_put
-from ..composition import each_horizon, horizons_of, synthesize_parts, ways_together, without_deadline
+from ..composition import each_horizon, horizons_of, joint_strategies, synthesize_parts, without_deadline
 from ..policy_search.ascent import Limits, Search, sweep_bar
 from ..policy_search.cell_certificates import Plan, along_path, continued, judged
-from ..policy_search.portfolio import Effort, Way, best_of, in_order, settings_of
+from ..policy_search.portfolio import Effort, Strategy, best_of, in_order, settings_of
 from ..relations.grids import CellCounts, RelationRefused, to_who_asked_for_none
-from .task_ways import (
+from .task_strategies import (
     has_usual_search,
     names_inputs,
-    path_way,
+    path_strategy,
     still_problem,
-    ways_in_time,
-    ways_of,
-    ways_of_named_inputs,
+    strategies_in_time,
+    strategies_of,
+    strategies_of_named_inputs,
 )
-from .upper_ends import synthesis_above
+from .upper_bounds import synthesis_above
 
 OWN = "own"
 """Stands for the horizon of the problem."""
@@ -218,15 +218,15 @@ def _of_task(
         return best_of(_under_joint_noise(problem, cells, relation, plan, start), plan.effort)
     if problem.labeling.pairs:
         if start is None:
-            return best_of(ways_together(problem, cells, relation, plan), plan.effort)
-        if type(start.proof) is not SubtractionProof:
+            return best_of(joint_strategies(problem, cells, relation, plan), plan.effort)
+        if type(start.proof) is not UnionBoundProof:
             raise ValueError(
                 "`start`: expected a certificate by subtraction for a task about pairs, got one of the kind "
                 f"{start.proof.kind!r}; other ways begin anew; leave it out"
             )
         base: OnGrid = start.proof.base
         plan = replace(plan, settings=Settings(**settings_of(base, ["exact"] * problem.n_agents)))
-        return best_of(ways_together(problem, cells, relation, plan, base), plan.effort)
+        return best_of(joint_strategies(problem, cells, relation, plan, base), plan.effort)
     if relation == "path":
         if cells is not None or start is not None:
             raise ValueError("`relation`: expected no cells or start with 'path', which has no grid; leave out")
@@ -234,23 +234,25 @@ def _of_task(
     if problem.names_time:
         return _in_time(problem, cells, relation, plan, start)
     if plan.settings.common is None and start is None and names_inputs(problem):
-        ways = ways_of_named_inputs(problem, plan, lambda chosen: _of_task(problem, cells, relation, chosen))
-        return best_of(ways, plan.effort)
+        strategies = strategies_of_named_inputs(
+            problem, plan, lambda chosen: _of_task(problem, cells, relation, chosen)
+        )
+        return best_of(strategies, plan.effort)
     kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
     if start is not None:
         _refuse_beside(start, relation)
         return continued(problem, cells, kinds, plan, start)
-    return best_of(ways_of(problem, cells, kinds, plan), plan.effort)
+    return best_of(strategies_of(problem, cells, kinds, plan), plan.effort)
 
 
-def ways_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Way]]]:
+def strategies_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Strategy]]]:
     """Yield the ways that ``synthesize`` tries for a problem without options, in order, for each independent task.
 
     A way with a ``refusal`` does not apply; the others are tried while effort is left and something is to gain.
     """
     if problem.groups and not problem.labeling.pairs:
         for task in problem.tasks:
-            yield from ways_ahead(task)
+            yield from strategies_ahead(task)
         return
     plan = Plan(Settings(), Search(), Effort())
 
@@ -258,26 +260,26 @@ def ways_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Way]]]:
         raise AssertionError("a way that is looked at was taken")
 
     if problem.joint_noise:
-        ways = _under_joint_noise(problem, None, "auto", plan, None)
+        strategies = _under_joint_noise(problem, None, "auto", plan, None)
     elif problem.labeling.pairs:
-        ways = ways_together(problem, None, "auto", plan)
+        strategies = joint_strategies(problem, None, "auto", plan)
     elif problem.names_time:
-        ways = ways_in_time(problem, plan, nothing)
+        strategies = strategies_in_time(problem, plan, nothing)
     elif names_inputs(problem):
-        ways = ways_of_named_inputs(problem, plan, nothing)
+        strategies = strategies_of_named_inputs(problem, plan, nothing)
     else:
-        ways = ways_of(problem, None, ["auto"] * problem.n_agents, plan)
-    yield problem, in_order(ways)
+        strategies = strategies_of(problem, None, ["auto"] * problem.n_agents, plan)
+    yield problem, in_order(strategies)
 
 
 def _under_joint_noise(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
-) -> list[Way]:
+) -> list[Strategy]:
     """Return the ways of teams that share noise: a path. Whatever multiplies over agents takes them for independent."""
     grids = cells is not None or start is not None or not has_usual_search(plan)
     if grids or relation not in ("auto", "best", "path"):
         raise RelationRefused(JOINT_NOISE_REFUSAL)
-    return [path_way(problem, plan)]
+    return [path_strategy(problem, plan)]
 
 
 def _in_time(
@@ -298,7 +300,7 @@ def _in_time(
 
     if relation not in ("auto", "best") or cells is not None or start is not None:
         return on_grids(cells, plan)
-    return best_of(ways_in_time(problem, plan, lambda: on_grids(None, plan)), plan.effort)
+    return best_of(strategies_in_time(problem, plan, lambda: on_grids(None, plan)), plan.effort)
 
 
 def _refuse_outside(problem: Problem) -> None:

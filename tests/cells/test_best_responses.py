@@ -7,7 +7,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.abstraction.models.finite_models import abstract
-from certigym.synthesis.abstraction.models.input_menu import InputMenu
+from certigym.synthesis.abstraction.models.input_sets import InputSet
 from certigym.synthesis.abstraction.models.target_windows import TargetWindows
 from problems import scalar_agent
 
@@ -50,7 +50,7 @@ def test_best_choices_are_the_brute_force_maxima(name: str, relation: str, n_obj
         specification=cg.Specification("F g", "co-safe"),
     )
     choices = abstract(problem, 40 if name == "scalar" else [13, 11], relation=relation).models[0].choices
-    assert isinstance(choices, InputMenu | TargetWindows)
+    assert isinstance(choices, InputSet | TargetWindows)
     kernel_size = int(np.prod(choices.shape)) if isinstance(choices, TargetWindows) else int(choices.leads_to.max()) + 1
     rng = np.random.default_rng(0)
     table = rng.integers(0, 6, size=(n_objectives, kernel_size)).astype(float)
@@ -58,7 +58,7 @@ def test_best_choices_are_the_brute_force_maxima(name: str, relation: str, n_obj
     weights = rng.integers(1, 4, size=(n_cells, n_objectives)).astype(float)
     found = choices.best(weights, table, choices.resting_choice)
     for s in range(n_cells):
-        if isinstance(choices, InputMenu):
+        if isinstance(choices, InputSet):
             options = choices.leads_to[s]
             assert weights[s] @ table[:, options[found[s]]] == (weights[s] @ table[:, options]).max()
             continue
@@ -101,7 +101,7 @@ def test_cells_of_no_weight_keep_their_choice_and_do_not_disturb_others(relation
         specification=cg.Specification("F g", "co-safe"),
     )
     choices = abstract(problem, [40, 30], relation=relation).models[0].choices
-    assert isinstance(choices, InputMenu | TargetWindows)
+    assert isinstance(choices, InputSet | TargetWindows)
     points = int(np.prod(choices.shape)) if isinstance(choices, TargetWindows) else int(choices.leads_to.max()) + 1
     rng = np.random.default_rng(1)
     table, policy = rng.random((3, points)), choices.resting_choice.copy()

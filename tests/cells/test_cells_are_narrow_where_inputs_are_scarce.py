@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.policy_search.portfolio.scarce_inputs import (
+from certigym.synthesis.policy_search.portfolio.weak_inputs import (
     LEAST_SHARE,
     MOST_UNEVEN,
     cells_where_scarce,

@@ -9,9 +9,9 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.abstraction.models import Settings
-from certigym.synthesis.policy_search.portfolio import first_cells, levels, linear_work
+from certigym.synthesis.policy_search.portfolio import first_cells, linear_work, refinement_levels
 from certigym.synthesis.relations.grids import RelationRefused
-from certigym.synthesis.verbs.synthesize import ways_ahead
+from certigym.synthesis.verbs.synthesize import strategies_ahead
 
 OWN = Path(__file__).parents[2] / "examples" / "own"
 
@@ -68,15 +68,15 @@ def test_laws_without_paths_are_named(capsys: pytest.CaptureFixture[str], tmp_pa
 @pytest.mark.thorough
 def test_what_is_said_is_what_is_tried() -> None:
     problem = cg.load(OWN / "response.toml")
-    ((task, ways),) = ways_ahead(problem)
+    ((task, strategies),) = strategies_ahead(problem)
     assert task is problem
     tried = cg.synthesize(problem).stats["tried"]
     assert isinstance(tried, dict)
-    assert {way.name for way in ways} - {"others", "finer cells"} <= {*tried}
-    assert ways[0].name in tried and isinstance(tried[ways[0].name], float)
+    assert {strategy.name for strategy in strategies} - {"others", "finer cells"} <= {*tried}
+    assert strategies[0].name in tried and isinstance(tried[strategies[0].name], float)
 
 
 def test_nothing_is_counted_for_boxes_of_no_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """Decisions of automata of thousands of states take long to count."""
-    monkeypatch.setattr(levels, "count_of_decisions", lambda problem: pytest.fail("counted"))
-    assert levels.box_work(cg.make_problem("reach-avoid-v0"), {}) == 0.0
+    monkeypatch.setattr(refinement_levels, "count_of_decisions", lambda problem: pytest.fail("counted"))
+    assert refinement_levels.box_work(cg.make_problem("reach-avoid-v0"), {}) == 0.0

@@ -17,7 +17,7 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.systems.backends import beside, device_put, libraries, to_host
 from certigym.synthesis.abstraction.kernels.kernel import AxisTable, Kernel, gaussian_table
-from certigym.synthesis.abstraction.models.choices import Policies
+from certigym.synthesis.abstraction.models.action_tables import Policies
 from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.certificates.value_functions.devices import Residents, add_rows, add_runs, concatenate, take
@@ -65,7 +65,7 @@ def test_frozen_sweeps_agree_to_rounding(name: str) -> None:
     for mine, other in zip(ours.terms.factors, theirs.terms.factors, strict=True):
         assert type(other) is np.ndarray and other.dtype == np.float64
         np.testing.assert_allclose(other, mine, rtol=CLOSE, atol=1e-300)
-    for one, two in zip(ours.skeleton, theirs.skeleton, strict=True):
+    for one, two in zip(ours.merge_log, theirs.merge_log, strict=True):
         for rows, others in zip((*one.origin, *one.kept), (*two.origin, *two.kept), strict=True):
             np.testing.assert_array_equal(rows, others)
 

@@ -17,8 +17,8 @@ import certigym as cg
 import problems
 from certigym.synthesis.abstraction.models.agent_models import ellipsoid_model
 from certigym.synthesis.abstraction.models.ellipsoid_search import find_ellipsoid
-from certigym.synthesis.abstraction.models.input_menu import InputMenu
-from certigym.synthesis.certificates.cell_probabilities.part import AgentPart
+from certigym.synthesis.abstraction.models.input_sets import InputSet
+from certigym.synthesis.certificates.cell_probabilities.agent_record import AgentRecord
 from certigym.synthesis.certificates.controllers.abstract_state import Memory, Tracker
 from certigym.synthesis.extended_check.steps.execution import execution_of
 from certigym.synthesis.extended_check.steps.relation_check import verify_relation
@@ -50,22 +50,22 @@ def cells(agent: cg.LinearAgent, n: int = 48) -> Grid:
     return Grid(tuple(np.linspace(low, high, n + 1) for low, high in pairs))
 
 
-def case(name: str, delta: float) -> tuple[cg.LinearAgent, AgentPart]:
+def case(name: str, delta: float) -> tuple[cg.LinearAgent, AgentRecord]:
     """Agent of a case, and what a certificate would store of it; the policy does not matter here."""
     return CASES[name][0], _part(name, delta)
 
 
 @cache
-def _part(name: str, delta: float) -> AgentPart:
+def _part(name: str, delta: float) -> AgentRecord:
     agent, coordinates = CASES[name]
     grid, axes = cells(agent), np.eye(agent.n_states) if coordinates is None else coordinates
     relation, lattice, _, menu = ellipsoid_model(agent, grid, axes, np.full(agent.n_states, 3.0), delta)
-    assert isinstance(menu, InputMenu)
+    assert isinstance(menu, InputSet)
     masks, policy = np.zeros((1, grid.n_cells), dtype=bool), np.zeros((1, 1, grid.n_cells), dtype=np.int32)
-    return AgentPart(grid, axes, describe_relation(relation), lattice, masks, masks, policy, menu.leads_to)
+    return AgentRecord(grid, axes, describe_relation(relation), lattice, masks, masks, policy, menu.leads_to)
 
 
-def relation_of(agent: cg.LinearAgent, part: AgentPart) -> CoupledRelation:
+def relation_of(agent: cg.LinearAgent, part: AgentRecord) -> CoupledRelation:
     relation = part.relation_of(agent)
     assert isinstance(relation, CoupledRelation)
     return relation

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.policy_search.portfolio import Effort, Results, Way, best_of, leading
+from certigym.synthesis.policy_search.portfolio import Effort, Results, Strategy, best_of, leading
 from certigym.synthesis.relations.grids import RelationRefused
 from certigym.synthesis.trajectories.planning import CountedWork, path_certificate
 from test_the_clock_decides_nothing import robots
@@ -27,9 +27,11 @@ class Table:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.run: list[str] = []
-        monkeypatch.setattr("certigym.synthesis.policy_search.portfolio.ways.with_settings", lambda found, more: found)
+        monkeypatch.setattr(
+            "certigym.synthesis.policy_search.portfolio.strategies.with_settings", lambda found, more: found
+        )
 
-    def way(self, name: str, outcome: float | str, work: float = 0.0, **options: Any) -> Way:
+    def strategy(self, name: str, outcome: float | str, work: float = 0.0, **options: Any) -> Strategy:
         """Return a way that certifies a bound, or is refused with a text."""
 
         def run(results: Results) -> cg.Synthesis:
@@ -38,7 +40,7 @@ class Table:
                 raise RelationRefused(outcome)
             return result(outcome)
 
-        return Way(name, run, work, **options)
+        return Strategy(name, run, work, **options)
 
 
 @pytest.fixture
@@ -53,40 +55,49 @@ def tried_of(found: cg.Synthesis) -> dict[str, Any]:
 @pytest.mark.full_search
 def test_the_cheapest_is_first_and_the_best_is_kept(table: Table) -> None:
     found = best_of(
-        [table.way("long", 0.5, 3.0), table.way("short", 0.6, 1.0), table.way("middle", 0.4, 2.0)], Effort()
+        [table.strategy("long", 0.5, 3.0), table.strategy("short", 0.6, 1.0), table.strategy("middle", 0.4, 2.0)],
+        Effort(),
     )
     assert table.run == ["short", "middle", "long"] and found.certificate.lower_bound == 0.6
     assert tried_of(found) == {"short": 0.6, "middle": 0.4, "long": 0.5}
 
 
 def test_what_the_effort_does_not_reach_is_left_out_but_the_first_is_computed(table: Table) -> None:
-    ways = [table.way("first", 0.3, 5.0), table.way("second", 0.9, 6.0)]
-    found = best_of(ways, Effort(2.0))
+    strategies = [table.strategy("first", 0.3, 5.0), table.strategy("second", 0.9, 6.0)]
+    found = best_of(strategies, Effort(2.0))
     assert table.run == ["first"] and "ask for more `effort`" in tried_of(found)["second"]
-    assert best_of(ways, Effort(11.0)).certificate.lower_bound == 0.9
+    assert best_of(strategies, Effort(11.0)).certificate.lower_bound == 0.9
 
 
 def test_a_refusal_is_no_certificate_and_does_not_end_the_search(table: Table) -> None:
-    found = best_of([table.way("one", "it has no grid"), table.way("other", 0.2, 9.0)], Effort(1.0))
+    found = best_of([table.strategy("one", "it has no grid"), table.strategy("other", 0.2, 9.0)], Effort(1.0))
     assert tried_of(found) == {"one": "it has no grid", "other": 0.2}
     with pytest.raises(RelationRefused, match=r"^one: it has no grid; other: it has no path$"):
-        best_of([table.way("one", "it has no grid", 2.0), table.way("other", "it has no path")], Effort())
+        best_of([table.strategy("one", "it has no grid", 2.0), table.strategy("other", "it has no path")], Effort())
     with pytest.raises(RelationRefused, match=r"^too coarse$"):
-        best_of([table.way("one", "too coarse"), table.way("other", "too coarse")], Effort())
+        best_of([table.strategy("one", "too coarse"), table.strategy("other", "too coarse")], Effort())
 
 
 def test_what_leaves_nothing_to_gain_ends_the_search(table: Table) -> None:
-    ways = [table.way("path", 0.99, ends=0.99), table.way("grid", 1.0, 1.0)]
-    assert "is left to gain after `path`" in tried_of(best_of(ways, Effort()))["grid"]
-    ways = [table.way("path", 0.95, ends=0.99), table.way("rare", 1.0, 1.0, enough=0.9), table.way("grid", 0.97, 2.0)]
-    found = best_of(ways, Effort())
+    strategies = [table.strategy("path", 0.99, ends=0.99), table.strategy("grid", 1.0, 1.0)]
+    assert "is left to gain after `path`" in tried_of(best_of(strategies, Effort()))["grid"]
+    strategies = [
+        table.strategy("path", 0.95, ends=0.99),
+        table.strategy("rare", 1.0, 1.0, enough=0.9),
+        table.strategy("grid", 0.97, 2.0),
+    ]
+    found = best_of(strategies, Effort())
     assert found.certificate.lower_bound == 0.97 and "0.95 was certified already" in tried_of(found)["rare"]
 
 
 @pytest.mark.full_search
 def test_what_needs_another_way_comes_after_it(table: Table) -> None:
-    ways = [table.way("finer", 0.7, after="coarse"), table.way("coarse", 0.5, 4.0), table.way("path", 0.1, 2.0)]
-    best_of(ways, Effort())
+    strategies = [
+        table.strategy("finer", 0.7, after="coarse"),
+        table.strategy("coarse", 0.5, 4.0),
+        table.strategy("path", 0.1, 2.0),
+    ]
+    best_of(strategies, Effort())
     assert table.run == ["path", "coarse", "finer"]
 
 
@@ -123,13 +134,13 @@ def broken_off(results: Results) -> cg.Synthesis:
 
 
 def test_ctrl_c_keeps_the_best_so_far(table: Table) -> None:
-    ways = [table.way("first", 0.4), Way("second", broken_off, 1.0), table.way("third", 0.9, 2.0)]
-    found = best_of(ways, Effort())
+    strategies = [table.strategy("first", 0.4), Strategy("second", broken_off, 1.0), table.strategy("third", 0.9, 2.0)]
+    found = best_of(strategies, Effort())
     assert found.certificate.lower_bound == 0.4 and table.run == ["first"]
     assert tried_of(found)["second"] == "given up: broken off by Ctrl-C"
     assert tried_of(found)["third"] == "skipped: broken off by Ctrl-C"
     with pytest.raises(KeyboardInterrupt):
-        best_of([Way("first", broken_off)], Effort())
+        best_of([Strategy("first", broken_off)], Effort())
 
 
 @pytest.mark.thorough
@@ -180,9 +191,9 @@ def test_work_along_paths_is_counted_and_kept_to() -> None:
     assert not CountedWork(2.0, spent=1.0).allows(1.5) and CountedWork(2.0, spent=1.0).allows(1.0)
 
 
-def overdrawn(table: Table, effort: Effort, name: str, takes: float, outcome: float, work: float = 1.0) -> Way:
+def overdrawn(table: Table, effort: Effort, name: str, takes: float, outcome: float, work: float = 1.0) -> Strategy:
     """Return a way that takes more work than it said."""
-    inner = table.way(name, outcome)
+    inner = table.strategy(name, outcome)
 
     def run(results: Results) -> cg.Synthesis:
         table.run.append(f"{name} begins")
@@ -190,13 +201,13 @@ def overdrawn(table: Table, effort: Effort, name: str, takes: float, outcome: fl
             effort.count(takes / 100)
         return inner.run(results)
 
-    return Way(name, run, work)
+    return Strategy(name, run, work)
 
 
 def test_a_way_that_takes_far_more_than_it_said_is_given_up_for_others(table: Table) -> None:
     effort = Effort()
-    ways = [overdrawn(table, effort, "long", 5000.0, 0.9), table.way("path", 0.8, 2.0)]
-    found = best_of(ways, effort)
+    strategies = [overdrawn(table, effort, "long", 5000.0, 0.9), table.strategy("path", 0.8, 2.0)]
+    found = best_of(strategies, effort)
     assert table.run == ["long begins", "path"]
     assert tried_of(found)["long"] == "given up: it took far more work than was estimated"
     assert found.certificate.lower_bound == 0.8
@@ -206,6 +217,6 @@ def test_a_way_that_takes_far_more_than_it_said_is_given_up_for_others(table: Ta
 
 def test_where_nothing_else_gives_anything_it_may_take_what_it_takes(table: Table) -> None:
     effort = Effort()
-    found = best_of([overdrawn(table, effort, "long", 5000.0, 0.9), table.way("path", "no path", 2.0)], effort)
+    found = best_of([overdrawn(table, effort, "long", 5000.0, 0.9), table.strategy("path", "no path", 2.0)], effort)
     assert table.run == ["long begins", "path", "long begins", "long"]
     assert found.certificate.lower_bound == 0.9

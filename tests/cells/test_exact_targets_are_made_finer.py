@@ -11,9 +11,9 @@ from certigym.synthesis.abstraction.models import Settings
 from certigym.synthesis.policy_search.ascent import Search
 from certigym.synthesis.policy_search.cell_certificates.on_cells import Plan
 from certigym.synthesis.policy_search.portfolio import Effort
-from certigym.synthesis.verbs import task_ways
-from certigym.synthesis.verbs.synthesize import ways_ahead
-from certigym.synthesis.verbs.task_ways import _finer
+from certigym.synthesis.verbs import task_strategies
+from certigym.synthesis.verbs.synthesize import strategies_ahead
+from certigym.synthesis.verbs.task_strategies import _finer
 
 
 def ferry() -> cg.Problem:
@@ -46,7 +46,7 @@ def ferry() -> cg.Problem:
 @pytest.mark.thorough
 @pytest.mark.full_search
 def test_boxes_on_default_cells_are_counted() -> None:
-    work = {way.name: way.work for _, ways in ways_ahead(ferry()) for way in ways}
+    work = {strategy.name: strategy.work for _, strategies in strategies_ahead(ferry()) for strategy in strategies}
     assert work["others"] > 30.0  # 20 were counted, whatever they took
 
 
@@ -63,6 +63,6 @@ def test_finer_cells_begin_with_exact_targets_where_nothing_else_is_there(monkey
         begun.append(first)
         return first, []
 
-    monkeypatch.setattr(task_ways, "finer_levels", levels)
+    monkeypatch.setattr(task_strategies, "finer_levels", levels)
     assert "exact, finer cells" in str(finer.run({"exact": coarse}).stats["tried"])
     assert begun == [coarse]

@@ -14,7 +14,7 @@ from certigym.envs.systems.agents import Agent
 from certigym.envs.systems.expressions import Number, Operation
 from certigym.synthesis.extended_check.steps.carrying_out import wrong_actions
 from certigym.synthesis.extended_check.steps.execution import execution_of
-from certigym.synthesis.relations.kinds import WrittenTargets, written_targets
+from certigym.synthesis.relations.kinds import SymbolicTargets, symbolic_targets
 from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
@@ -96,7 +96,7 @@ def test_inputs_put_means_on_targets_from_everywhere_in_a_cell(name: str) -> Non
     certificate, rng = certificate_of(name), np.random.default_rng(1)
     agent, part = certificate.problem.agents[0], certificate.proof.agents[0]
     relation = certificate.controller.agents[0].relation
-    assert isinstance(relation, WrittenTargets)
+    assert isinstance(relation, SymbolicTargets)
     cells = np.flatnonzero(part.policy[0, 0] >= 0)[:: max(1, len(part.policy[0, 0]) // 100)]
     index = np.unravel_index(part.policy[0, 0, cells], part.lattice_shape)
     targets = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)])
@@ -114,7 +114,7 @@ def test_turns_fill_a_disk_and_no_more() -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, 73)
     for least, radii in ((0.0, {0.0: True, 0.97: True, 1.001: False}), (0.4, {0.39: False, 0.42: True, 1.001: False})):
         agent = robot(["x + r*cos(a)", "y + r*sin(a)"], ["r", "a"], [least, 0.0], [1.0, 6.2832])
-        relation = written_targets(agent, np.eye(2))
+        relation = symbolic_targets(agent, np.eye(2))
         asked = relation.asked(low, high)
         for radius, fits in radii.items():
             targets = 0.5 + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -148,15 +148,15 @@ def test_the_check_refuses_ranges_that_are_too_wide(monkeypatch: pytest.MonkeyPa
     agent = robot(["x + 0.3*sin(2*y) + u", "y + v"], ["u", "v"], [-0.6, -0.6], [0.6, 0.6])
     problem = avoiding(agent)
     assert cg.check(cg.synthesize(problem, 12, relation="exact").certificate)
-    fits, asked = WrittenTargets.fits, WrittenTargets.asked
+    fits, asked = SymbolicTargets.fits, SymbolicTargets.asked
     with monkeypatch.context() as patch:
-        patch.setattr(WrittenTargets, "fits", lambda self, ends, which=None: fits(self, ends / 1.01, which))
+        patch.setattr(SymbolicTargets, "fits", lambda self, ends, which=None: fits(self, ends / 1.01, which))
         forged = cg.synthesize(problem, 12, relation="exact").certificate
     assert any("beyond its input box" in text for text in cg.check(forged).failures)
     with monkeypatch.context() as patch:
         middle = lambda low, high: 0.5 * (low + high)  # noqa: E731
         patch.setattr(
-            WrittenTargets,
+            SymbolicTargets,
             "asked",
             lambda self, low, high, around=True: asked(
                 self, 0.5 * (low + middle(low, high)), 0.5 * (high + middle(low, high)), around
@@ -175,7 +175,7 @@ def test_the_check_refuses_a_wrong_sign_of_b() -> None:
         certificate.controller.agents[0],
     )
     relation = controller.relation
-    assert isinstance(relation, WrittenTargets)
+    assert isinstance(relation, SymbolicTargets)
     execution = execution_of(agent, part, relation)
     assert not wrong_actions(agent, part, controller, execution)
     negative = [[Operation("*", (Number(-1.0), entry)) if entry != Number(0.0) else entry for entry in row]

@@ -16,7 +16,7 @@ from certigym.synthesis.policy_search.cell_certificates.on_cells import Plan
 from certigym.synthesis.policy_search.portfolio import Effort
 from certigym.synthesis.policy_search.portfolio.carrying import carried_over
 from certigym.synthesis.relations.kinds import BoxRelation, CoupledRelation
-from certigym.synthesis.verbs import task_ways
+from certigym.synthesis.verbs import task_strategies
 
 
 def coordinate(name: str) -> cg.LinearAgent:
@@ -97,7 +97,7 @@ def test_a_path_that_is_better_than_coarse_cells_leaves_finer_ones_to_try() -> N
         )
 
     plan = Plan(Settings(), Search(), Effort())
-    finer = task_ways._finer(cg.make_problem("reach-avoid-v0", horizon=3), plan)
+    finer = task_strategies._finer(cg.make_problem("reach-avoid-v0", horizon=3), plan)
 
     def reason(**bounds: float) -> str | None:
         return finer.why_not({name: result(bound) for name, bound in bounds.items()})

@@ -10,9 +10,9 @@ import pytest
 
 import certigym as cg
 from certigym.envs.systems.expressions import Affine, Number, Operation, Tree, computed, read_expression, roundings
-from certigym.synthesis.extended_check.steps import aim_spans, mean_spans
-from certigym.synthesis.extended_check.steps.own_intervals import Span, computed_off
-from certigym.synthesis.relations.kinds import solved_means, written_means
+from certigym.synthesis.extended_check.steps import mean_enclosures, target_enclosures
+from certigym.synthesis.extended_check.steps.step_intervals import Span, computed_off
+from certigym.synthesis.relations.kinds import inverse_means, symbolic_means
 
 NAMES = ("x", "y")
 
@@ -112,11 +112,11 @@ def forgetful(*_: Any) -> list[np.ndarray]:
 
 def test_the_check_refuses_searches_that_forget_inner_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(solved_means, "roundings", forgetful)
+        patch.setattr(inverse_means, "roundings", forgetful)
         forged = cg.synthesize(reaches(agent(LOSSY)), 100, relation="exact").certificate
     assert forged.lower_bound > 0.999999 and not cg.check(forged)
     # Its eye for inner terms is what refuses: without it the forgery passes.
-    monkeypatch.setattr(aim_spans, "inner_losses", lambda relation, low, high: np.zeros(low.shape))
+    monkeypatch.setattr(target_enclosures, "inner_losses", lambda relation, low, high: np.zeros(low.shape))
     assert cg.check(forged)
 
 
@@ -126,11 +126,11 @@ def test_choices_that_steer_are_charged_for_inner_terms(monkeypatch: pytest.Monk
     steered = reaches(agent("5e13*(x+1) - 5e13*x - 5e13"))
     honest = cg.synthesize(steered, 60, relation="boxes").certificate
     assert cg.check(honest)
-    monkeypatch.setattr(written_means, "roundings", forgetful)
+    monkeypatch.setattr(symbolic_means, "roundings", forgetful)
     forged = cg.synthesize(steered, 60, relation="boxes").certificate
     assert isinstance(forged, cg.Certificate)
     used = np.unique(forged.proof.agents[0].policy[forged.proof.agents[0].policy >= 0])
     assert np.any(np.array(forged.proof.agents[0].relation["steer"])[used])
     assert not cg.check(forged)
-    monkeypatch.setattr(mean_spans, "computed_off", lambda tree, leaves: (None, np.zeros(1)))
+    monkeypatch.setattr(mean_enclosures, "computed_off", lambda tree, leaves: (None, np.zeros(1)))
     assert cg.check(forged)

@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 import certigym as cg
 from boiler_problems import boiler, boiler_problem, room
-from certigym.envs.simulation import Dynamics, worlds
+from certigym.envs.simulation import Dynamics, batch_simulator
 from certigym.envs.tasks.problem.problem_file import problem_from_toml
 from certigym.synthesis.abstraction.models import JointModel, abstract, join, start_of
 from certigym.synthesis.certificates.proofs import GridProof, OnGrid, changed
@@ -233,7 +233,7 @@ def test_controllers_act_alike_in_environments_and_batches(boiled: OnGrid) -> No
     for time in range(problem.horizon):
         actions = controller.act(observations, infos)
         states = np.concatenate([infos[name]["state"] for name in problem.agent_names])[None]
-        here = replace(worlds.initial_at(dynamics, states), time=time)
+        here = replace(batch_simulator.initial_at(dynamics, states), time=time)
         inputs, _ = batch.act(here, batch.begin(here, np.random.default_rng(0)))
         for i, name in enumerate(problem.agent_names):
             block, place = dynamics.position[i]

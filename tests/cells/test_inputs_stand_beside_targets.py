@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.abstraction.kernels import CornerReading
+from certigym.synthesis.abstraction.kernels import MultilinearKernel
 from certigym.synthesis.abstraction.models import corner_model
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.extended_check.steps.written_linear import MatrixMaps
+from certigym.synthesis.extended_check.steps.symbolic_linear import MatrixMaps
 from certigym.synthesis.relations.kinds import ExactRelation
 from kinds import mostly_thorough
 
@@ -133,7 +133,7 @@ def test_files_without_the_word_have_no_targets(tmp_path: Any) -> None:
 
 def test_what_is_read_between_lattice_points_is_charged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sabotage of the search alone: values without what they lack; the check refuses the claim."""
-    monkeypatch.setattr(CornerReading, "_lacking", lambda self, table, *rest: np.zeros((len(table), len(rest[0]))))
+    monkeypatch.setattr(MultilinearKernel, "_lacking", lambda self, table, *rest: np.zeros((len(table), len(rest[0]))))
     wrong = cg.synthesize(planar(False), 14, relation="linear").certificate
     monkeypatch.undo()
     assert wrong.lower_bound > certified(False).lower_bound and not cg.check(wrong)

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.synthesis.policy_search.ascent.ladder import apply_rest, ladders
+from certigym.synthesis.policy_search.ascent.pruning_schedule import apply_rest, pruning_schedules
 
 
 def total(terms: list[NDArray], joint: tuple[int, ...]) -> Fraction:
@@ -66,7 +66,9 @@ def test_whole_ladders_stay_below(n_agents: int, seed: int, spent: float) -> Non
     before = [factor.copy() for factor in factors]
     rows = np.tile(np.arange(count)[:, None], n_agents)
     masses = [rng.random(4) for _ in range(n_agents)]
-    merges = ladders(factors, rows, np.arange(count), np.zeros(count, dtype=np.int64), lambda q: masses, spent)
+    merges = pruning_schedules(
+        factors, rows, np.arange(count), np.zeros(count, dtype=np.int64), lambda q: masses, spent
+    )
     assert len(merges.into)
     after = [factor[rows[:, i]] for i, factor in enumerate(factors)]
     assert all(np.all(factor >= 0.0) for factor in after)
@@ -81,7 +83,7 @@ def test_the_edge_of_a_region_for_two_disappears() -> None:
     out = 1.0 - inside
     factors = [np.array([inside, inside * u, out * u]), np.array([inside, out * u, u])]
     rows, mass = np.tile(np.arange(3)[:, None], 2), np.array([0.1, 0.4, 0.4, 0.1])
-    ladders(factors, rows, np.arange(3), np.zeros(3, dtype=np.int64), lambda q: [mass, mass], 0.0)
+    pruning_schedules(factors, rows, np.arange(3), np.zeros(3, dtype=np.int64), lambda q: [mass, mass], 0.0)
     after = [factor[rows[:, i]] for i, factor in enumerate(factors)]
     weights = np.prod([own @ mass for own in after], axis=0)
     head = int(np.argmax(weights))

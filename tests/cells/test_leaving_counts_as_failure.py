@@ -14,14 +14,14 @@ from scipy.stats import binom, norm
 import certigym as cg
 from certigym.baselines import RandomController
 from certigym.envs.tasks.automata import Automaton
-from certigym.envs.tasks.problem import opposite_inside, opposite_of
+from certigym.envs.tasks.problem import complement_inside, complement_of
 from certigym.synthesis.abstraction.models import JointModel, join, start_of, surrounded
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.extended_check.claims import wrong_opposite
+from certigym.synthesis.extended_check.claims import wrong_complement
 from certigym.synthesis.policy_search.ascent import FINAL, sweep
 from certigym.synthesis.policy_search.cell_certificates.certification import certificate_of
 from certigym.synthesis.relations.grids import CellLabels
-from certigym.synthesis.verbs.upper_ends import abstraction_again, bound_above, evaluated
+from certigym.synthesis.verbs.upper_bounds import abstraction_again, bound_above, evaluated
 from kinds import mostly_thorough
 from problems import two_agents
 
@@ -122,8 +122,8 @@ def verdicts(automaton: Automaton, letters: NDArray[Any], ended_by: NDArray[Any]
 def test_every_run_satisfies_exactly_one_of_both(task: str) -> None:
     """2000 random walks, most of which leave at some time: exits decide as they do in runs."""
     problem = at_the_edge(task)
-    other = opposite_of(problem)
-    assert wrong_opposite(problem, other) == []
+    other = complement_of(problem)
+    assert wrong_complement(problem, other) == []
     states, outside = words(problem, 2000, 3)
     letters = np.concatenate([problem.labeling.class_at(i, states[None, :, i]) for i in range(2)]).swapaxes(0, 1)
     own = verdicts(problem.automaton, letters, np.asarray(outside.any(axis=1)))
@@ -143,13 +143,13 @@ def test_every_run_satisfies_exactly_one_of_both(task: str) -> None:
 
 def test_opposites_are_not_simulated() -> None:
     with pytest.raises(ValueError, match="simulate the task itself"):
-        cg.rollout(opposite_of(at_the_edge("reach")), RandomController(), episodes=1)
+        cg.rollout(complement_of(at_the_edge("reach")), RandomController(), episodes=1)
 
 
 def forged(certificate: Any, change: Any = lambda joint: joint, labels: Any = lambda labels: labels) -> Any:
     """An upper end, and the tree's number, from other guards or labels than those of the opposite task."""
     problem, abstraction = certificate.problem, abstraction_again(certificate)
-    other = opposite_of(problem)
+    other = complement_of(problem)
     beyond, policies = surrounded(other, abstraction, tuple(part.policy for part in certificate.proof.agents))
     models = tuple(dataclasses.replace(model, labels=labels(model.labels)) for model in beyond.models)
     beyond = dataclasses.replace(beyond, models=models)
@@ -204,7 +204,7 @@ def test_cells_that_may_be_inside_are_not_outside() -> None:
 def old_end(certificate: Any) -> Any:
     """The upper end of earlier versions, by the opposite task that reads no exits."""
     policies = tuple(part.policy for part in certificate.proof.agents)
-    other = opposite_inside(certificate.problem)
+    other = complement_inside(certificate.problem)
     found = evaluated(other, abstraction_again(certificate), policies, certificate)
     return changed(certificate, opposite=found, gap=1.0 - found.lower_bound - certificate.lower_bound + 1e-12)
 
@@ -222,10 +222,10 @@ def test_upper_ends_of_earlier_versions_hold_as_before() -> None:
 
 def test_tasks_that_are_no_opposites_are_told() -> None:
     problem = at_the_edge("co-safe")
-    other = opposite_of(problem)
-    assert wrong_opposite(problem, problem) != []
-    assert wrong_opposite(problem, opposite_inside(problem)) == []
-    assert wrong_opposite(problem, opposite_of(at_the_edge("until"))) != []
+    other = complement_of(problem)
+    assert wrong_complement(problem, problem) != []
+    assert wrong_complement(problem, complement_inside(problem)) == []
+    assert wrong_complement(problem, complement_of(at_the_edge("until"))) != []
     lost, second = other.automaton.n_states - 1, other.automaton.propositions.index("inside_two")
     changes: list[tuple[str, Any]] = [
         ("accepting", np.append(other.automaton.accepting[:-1], False)),
@@ -244,7 +244,7 @@ def test_tasks_that_are_no_opposites_are_told() -> None:
             name="wrong", horizon=problem.horizon, agents=other.written_agents, propositions=dict(other.declared),
             specification=cg.Specification(automaton=automaton),
         )  # fmt: skip
-        assert wrong_opposite(problem, wrong) != [], name
+        assert wrong_complement(problem, wrong) != [], name
 
 
 @pytest.mark.parametrize("relation, gap", [("exact", 1e-6), ("tube", 0.3)])

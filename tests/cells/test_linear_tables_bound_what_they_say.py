@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.synthesis.abstraction.kernels import bends
+from certigym.synthesis.abstraction.kernels import second_derivative_bounds
 from certigym.synthesis.abstraction.kernels.kernel import Kernel
 from certigym.synthesis.abstraction.kernels.linear_kernel import hat_masses, hat_table
 from certigym.synthesis.extended_check.steps import linear_tables
@@ -31,12 +31,18 @@ def true_hats(mean: float, low: float, high: float, std: float) -> tuple[mpmath.
 
 
 def uniform_axis(low: float, high: float, cells: int, per_cell: int, first: float, last: float) -> NDArray:
-    """Lattice points ``low + (i + 1/2) pitch`` from about ``first`` to ``last``, ``per_cell`` to a mean cell."""
-    pitch = (high - low) / (cells * per_cell)
-    return np.asarray(low + (np.arange(np.floor((first - low) / pitch), np.ceil((last - low) / pitch)) + 0.5) * pitch)
+    """Middles of intervals of equal size from about ``first`` to ``last``, ``per_cell`` to a mean cell."""
+    lattice_spacing = (high - low) / (cells * per_cell)
+    return np.asarray(
+        low
+        + (np.arange(np.floor((first - low) / lattice_spacing), np.ceil((last - low) / lattice_spacing)) + 0.5)
+        * lattice_spacing
+    )
 
 
-def smoothed(kernel: Kernel, bends_of: bends.Bends, factors: NDArray) -> tuple[NDArray, NDArray]:
+def smoothed(
+    kernel: Kernel, bends_of: second_derivative_bounds.SecondDerivativeBounds, factors: NDArray
+) -> tuple[NDArray, NDArray]:
     """Values of factors on the lattice, and their bends."""
     values = kernel.smooth(factors)
     bent = np.empty_like(values)
@@ -80,17 +86,24 @@ def test_the_norms_are_those_of_the_normal_density() -> None:
     phi, step = np.exp(-0.5 * x * x) / np.sqrt(2 * np.pi), x[1] - x[0]
     hermite = {n: np.polynomial.hermite_e.hermeval(x, [0] * n + [1]) for n in range(1, 7)}
     norm = {n: float(np.abs(values * phi).sum()) * step for n, values in hermite.items()}
-    beyond = {n: float(np.abs(values * phi)[np.abs(x) > bends.WINDOW].sum()) * step for n, values in hermite.items()}
+    beyond = {
+        n: float(np.abs(values * phi)[np.abs(x) > second_derivative_bounds.WINDOW].sum()) * step
+        for n, values in hermite.items()
+    }
     largest = (0.5 * norm[4], 0.5 * norm[3] * norm[1], 0.5 * norm[2] ** 2)
     sixth = (0.5 * norm[6], 0.5 * norm[4] * norm[2], 0.5 * norm[2] ** 3)
-    for given, true in zip((bends.FOURTH, bends.MIXED, bends.SQUARED), largest, strict=True):
+    for given, true in zip(
+        (second_derivative_bounds.FOURTH, second_derivative_bounds.MIXED, second_derivative_bounds.SQUARED),
+        largest,
+        strict=True,
+    ):
         assert true <= given <= true * (1 + 5e-5)
-    for given, true in zip(bends.SIXTH.values(), sixth, strict=True):
+    for given, true in zip(second_derivative_bounds.SIXTH.values(), sixth, strict=True):
         assert true <= given <= true * (1 + 5e-5)
-    assert 0.5 * norm[2] <= bends.SECOND <= 0.5 * norm[2] * (1 + 5e-5)
+    assert 0.5 * norm[2] <= second_derivative_bounds.SECOND <= 0.5 * norm[2] * (1 + 5e-5)
     # Beyond the window the straight derivatives have the largest norms of all that sum to the order.
-    assert beyond[4] <= bends.FOURTH_BEYOND <= 1.01 * beyond[4]
-    assert beyond[6] <= bends.SIXTH_BEYOND <= 1.01 * beyond[6]
+    assert beyond[4] <= second_derivative_bounds.FOURTH_BEYOND <= 1.01 * beyond[4]
+    assert beyond[6] <= second_derivative_bounds.SIXTH_BEYOND <= 1.01 * beyond[6]
     for order in (4, 6):
         assert all(norm.get(order - n, 1.0) * beyond[n] <= beyond[order] for n in range(1, order))
 
@@ -103,10 +116,12 @@ def test_bends_are_at_least_the_gaps_of_random_factors(d: int, width: float, ske
     rng, deviations, n, per_cell = np.random.default_rng(int(10 * width) + d), np.array([1.0, 0.5])[:d], 7, 4
     edges = tuple(np.linspace(0.0, n * width * s, n + 1) for s in deviations)
     lattice = tuple(uniform_axis(0.0, e[-1], n, per_cell, -2.0 * s, e[-1] + 2.0 * s) for e, s in zip(edges, deviations))
-    pitch = np.array([axis[1] - axis[0] for axis in lattice])
+    lattice_spacing = np.array([axis[1] - axis[0] for axis in lattice])
     moves = np.array([[2, 0], [int(skew), 2]])[:, :d] if d == 2 else np.array([[2]])
     tables, losses = zip(*(hat_table(a, e, float(s)) for a, e, s in zip(lattice, edges, deviations)), strict=True)
-    bends_of = bends.Bends(moves * pitch, lattice, edges, deviations, sum(losses))
+    bends_of = second_derivative_bounds.SecondDerivativeBounds(
+        moves * lattice_spacing, lattice, edges, deviations, sum(losses)
+    )
     assert bends_of.is_aligned == (d == 1 or not skew)
     kernel = Kernel(tables, sum(losses))
     # Some factors are 0 in most places: these bend most.
@@ -116,7 +131,7 @@ def test_bends_are_at_least_the_gaps_of_random_factors(d: int, width: float, ske
     for _ in range(300):
         base = rng.integers(0, shape - moves.sum(axis=0), size=d)
         share = rng.random(len(moves))
-        point = np.array([axis[k] for axis, k in zip(lattice, base)]) + share @ (moves * pitch)
+        point = np.array([axis[k] for axis, k in zip(lattice, base)]) + share @ (moves * lattice_spacing)
         corners = list(product((0, 1), repeat=len(moves)))
         flat = [int(np.ravel_multi_index(tuple(base + np.array(c) @ moves), tuple(shape))) for c in corners]
         weights = [np.prod(np.where(c, share, 1 - share)) for c in corners]
@@ -153,7 +168,10 @@ def test_bends_cover_directions_that_bend_most_at_different_points(seed: int) ->
     tables, losses = zip(*(hat_table(*axis) for axis in axes), strict=True)
     widths = np.array([edges[1] - edges[0] for edges in grid.edges])
     steps = np.concatenate([(linear(agent).A * widths).T / 4, np.diag([axis[1] - axis[0] for axis in lattice])])
-    bends_of, kernel = bends.Bends(steps, lattice, grid.edges, deviations, sum(losses)), Kernel(tables, sum(losses))
+    bends_of, kernel = (
+        second_derivative_bounds.SecondDerivativeBounds(steps, lattice, grid.edges, deviations, sum(losses)),
+        Kernel(tables, sum(losses)),
+    )
     factors = rng.random((4, grid.n_cells * 4)) * (rng.random((4, grid.n_cells * 4)) < 0.3)
     _, bent = smoothed(kernel, bends_of, factors)
     # The second derivatives themselves, in closed form.
@@ -175,25 +193,27 @@ def test_bends_cover_directions_that_bend_most_at_different_points(seed: int) ->
             assert seen >= suprema
 
 
-@mostly_thorough("pitch", [0.4, 0.7, 1.1])
+@mostly_thorough("lattice_spacing", [0.4, 0.7, 1.1])
 @mostly_thorough("step", [1, 2])
-def test_bends_hold_for_factors_that_bend_most_between_lattice_points(pitch: float, step: int) -> None:
+def test_bends_hold_for_factors_that_bend_most_between_lattice_points(lattice_spacing: float, step: int) -> None:
     """Factors of 0 and 1 by the sign of a derivative of the density are the worst ones for that derivative."""
     edges = np.linspace(-16.0, 16.0, 641)
     centres = np.repeat(0.5 * (edges[1:] + edges[:-1]), 2)
     shares, ratios = np.linspace(0.0, 1.0, 21)[1:-1], []
-    for offset in np.linspace(0.0, 1.0, 9) * pitch:
-        lattice = offset + pitch * np.arange(-24, 25)
+    for offset in np.linspace(0.0, 1.0, 9) * lattice_spacing:
+        lattice = offset + lattice_spacing * np.arange(-24, 25)
         lattice = lattice[np.abs(lattice) <= 12.0]
         table, loss = hat_table(lattice, edges, 1.0)
-        bends_of = bends.Bends(np.array([[step * pitch]]), (lattice,), (edges,), np.ones(1), loss)
+        bends_of = second_derivative_bounds.SecondDerivativeBounds(
+            np.array([[step * lattice_spacing]]), (lattice,), (edges,), np.ones(1), loss
+        )
         kernel = Kernel((table,), loss)
         signs = [np.polynomial.hermite_e.hermeval(centres, [0] * n + [1]) > 0 for n in (2, 4, 6)]
         factors = np.array([*signs, *(~sign for sign in signs)], dtype=float)
         values, bent = smoothed(kernel, bends_of, factors)
         for first in range(3, len(lattice) - step - 3):
             last = first + step
-            points = lattice[first] + shares * step * pitch
+            points = lattice[first] + shares * step * lattice_spacing
             truth = factors @ hat_masses(points, edges, 1.0)[0].T
             between = values[:, first, None] * (1.0 - shares) + values[:, last, None] * shares
             allowed = np.maximum(bent[:, first], bent[:, last])

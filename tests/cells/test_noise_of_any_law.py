@@ -53,7 +53,7 @@ NAMES = [f"{k}-{entry['law']}" for k, entry in enumerate(DECLARED)]
 LAWS: list[Law] = [laws_of([entry], 1)[0] for entry in DECLARED]
 
 
-def exact_below(entry: dict[str, Any], x: float) -> Any:
+def cdf_ball(entry: dict[str, Any], x: float) -> Any:
     """Return the probability of at most x to fifty digits, from definitions."""
     x = mpmath.mpf(x)
     numbers = {key: mpmath.mpf(value) for key, value in entry.items() if isinstance(value, float)}
@@ -83,7 +83,7 @@ def exact_below(entry: dict[str, Any], x: float) -> Any:
             ends = [mpmath.ncdf(numbers[key] / numbers["spread"]) for key in ("low", "high")]
             at = mpmath.ncdf(min(max(x, numbers["low"]), numbers["high"]) / numbers["spread"])
             return (at - ends[0]) / (ends[1] - ends[0])
-    return sum(mpmath.mpf(part["weight"]) * exact_below(part, x - mpmath.mpf(part["mean"])) for part in entry["parts"])
+    return sum(mpmath.mpf(part["weight"]) * cdf_ball(part, x - mpmath.mpf(part["mean"])) for part in entry["parts"])
 
 
 @pytest.mark.parametrize(("entry", "law"), list(zip(DECLARED, LAWS, strict=True)), ids=NAMES)
@@ -94,7 +94,7 @@ def test_tails_have_the_errors_they_say(entry: dict[str, Any], law: Law) -> None
     checked = probability_below(law, x)
     with mpmath.workdps(50):
         for k, at in enumerate(x.tolist()):
-            truth = exact_below(entry, at)
+            truth = cdf_ball(entry, at)
             assert abs(mpmath.mpf(float(below[k])) - truth) <= law.cdf_error
             assert abs(mpmath.mpf(float(above[k])) - (1 - truth)) <= law.cdf_error
             assert abs(mpmath.mpf(float(checked[k])) - truth) <= law_error(law)
@@ -130,7 +130,7 @@ def test_the_check_takes_nothing_of_a_law_of_the_package_from_the_search(
         parts = law.laws if hasattr(law, "laws") else (law,)
         honest = twin(law)
         with monkeypatch.context() as patch:
-            for name in ("jumps", "bend", "height", "tails", "cdf_error", "stretch", "twist"):
+            for name in ("jumps", "convexity", "height", "tails", "cdf_error", "scale_sensitivity", "scale_convexity"):
                 for part in (law, *parts):
                     patch.setattr(type(part), name, None)
             np.testing.assert_array_equal(twin(law), honest)
@@ -178,10 +178,10 @@ def test_means_of_cut_normal_laws_have_their_digits(spread: float, low: float, h
 def test_standard_normal_numbers_become_noise_of_the_law(law: Law) -> None:
     """Quantiles of quantiles, moments, and the same bits for one number and for many."""
     z = np.random.default_rng(0).standard_normal(20_000)
-    noise = law.from_normal(z)
+    noise = law.ppf_of_normal(z)
     np.testing.assert_allclose(law.tails(noise)[0], scipy.stats.norm.cdf(z), atol=1e-9)
     assert abs(float(noise.std()) - law.std) < 0.05 * law.std
-    one_by_one = [law.from_normal(np.array([number]))[0] for number in z[:50]]
+    one_by_one = [law.ppf_of_normal(np.array([number]))[0] for number in z[:50]]
     assert noise[:50].tobytes() == np.array(one_by_one).tobytes()
 
 
@@ -189,18 +189,20 @@ def test_standard_normal_numbers_become_noise_of_the_law(law: Law) -> None:
 @pytest.mark.parametrize("share", [0.1, 0.7])
 def test_interpolation_adds_no_more_than_the_charge(law: Law, share: float) -> None:
     """For step functions with values in [0, 1], and nearly as much for some: no tolerance but rounding."""
-    rng, pitch = np.random.default_rng(1), share * law.std
+    rng, lattice_spacing = np.random.default_rng(1), share * law.std
     largest = 0.0
     for _ in range(200):
         edges = np.sort(rng.uniform(-1.5, 1.5, 6))
         values = rng.integers(0, 2, 5).astype(float)
-        means = np.linspace(0.0, pitch, 21)
+        means = np.linspace(0.0, lattice_spacing, 21)
         below = law.tails(edges[None] - means[:, None])[0]
         expected = np.diff(below, axis=1) @ values
         line = np.linspace(expected[0], expected[-1], 21)
         largest = max(largest, float((line - expected).max()))
-    assert 0.05 * law.charge(pitch) < largest <= law.charge(pitch) + 1e-12
-    assert law.charge(pitch) == pytest.approx(min(1.0, law_charge(law, pitch)), rel=2e-5)
+    assert 0.05 * law.interpolation_error(lattice_spacing) < largest <= law.interpolation_error(lattice_spacing) + 1e-12
+    assert law.interpolation_error(lattice_spacing) == pytest.approx(
+        min(1.0, law_charge(law, lattice_spacing)), rel=2e-5
+    )
 
 
 @pytest.mark.parametrize("law", LAWS[1:], ids=NAMES[1:])

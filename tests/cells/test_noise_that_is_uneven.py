@@ -13,8 +13,8 @@ import scipy.stats
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.envs.simulation import Dynamics, OneWorld
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import Dynamics, SingleSimulator
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.systems.distributions import Law
 from certigym.envs.systems.distributions.noise import laws_of
 from certigym.envs.tasks.problem import problem_from_dict
@@ -146,7 +146,7 @@ def test_one_world_and_many_give_the_same_bits() -> None:
     worlds, rng = core.initial(dynamics, np.random.default_rng(1), 5), np.random.default_rng(2)
     normals, inputs = core.noise(dynamics, rng, 5), (np.linspace(-1, 1, 5).reshape(1, 1, 5),)
     after = core.transition(dynamics, worlds, inputs, normals)
-    single = OneWorld.of(dynamics)
+    single = SingleSimulator.of(dynamics)
     for k in range(5):
         one = core.initial(dynamics, np.random.default_rng(1), 1)
         drawn = [float(z) for block in normals for z in block[..., k].ravel()]

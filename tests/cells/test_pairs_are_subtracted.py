@@ -13,12 +13,12 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.synthesis.abstraction.models import Settings, abstraction_of, join
-from certigym.synthesis.certificates.proofs import Certificate, SubtractionProof, changed
-from certigym.synthesis.composition import NearMass, relevant_pairs, usual_values, without_pairs
-from certigym.synthesis.composition import near_mass as near_module
+from certigym.synthesis.certificates.proofs import Certificate, UnionBoundProof, changed
+from certigym.synthesis.composition import CollisionProbability, relevant_pairs, usual_values, without_pairs
+from certigym.synthesis.composition import collision_probability as near_module
 from certigym.synthesis.extended_check.claims.pairs_check import wrong_pairs
 from certigym.synthesis.relations.grids import RelationRefused
-from certigym.synthesis.verbs.upper_ends import bound_above
+from certigym.synthesis.verbs.upper_bounds import bound_above
 from certigym.validation.statistical_tests.binomial import clopper_pearson
 from kinds import mostly_thorough
 from pair_problems import followers, mover, random_pairs, simulated
@@ -27,7 +27,7 @@ APART = "G !any(near) & F G goal"
 PHASES = "!any(near) U (home & (!any(near) U goal))"
 
 
-def dense(problem: cg.Problem, certificate: Certificate[SubtractionProof]) -> float:
+def dense(problem: cg.Problem, certificate: Certificate[UnionBoundProof]) -> float:
     """Return the sum over steps and pairs of the probability of being near, on the product of all cells.
 
     Every joint cell, letter by letter, with normal distribution functions: nothing here knows of products or modes.
@@ -147,13 +147,15 @@ def test_bounds_are_tight_enough_to_be_used() -> None:
     assert found.stats["tried"]["exact"] == found.certificate.lower_bound  # type: ignore[index]
 
 
-def certificate_of(problem: cg.Problem) -> Certificate[SubtractionProof]:
+def certificate_of(problem: cg.Problem) -> Certificate[UnionBoundProof]:
     certificate: Any = cg.synthesize(problem, 16, relation="exact", max_sweeps=0).certificate
     return certificate
 
 
 def near_of(
-    certificate: Certificate[SubtractionProof], problem: cg.Problem, masses: type[NearMass] = NearMass
+    certificate: Certificate[UnionBoundProof],
+    problem: cg.Problem,
+    masses: type[CollisionProbability] = CollisionProbability,
 ) -> float:
     """Return what another problem's pairs, or a broken bound, say of the policies of a certificate."""
     usual = usual_values(problem)
@@ -164,7 +166,7 @@ def near_of(
     return bound.bound(tuple(part.policy for part in certificate.proof.base.proof.agents))
 
 
-class OneStepEarly(NearMass):
+class OneStepEarly(CollisionProbability):
     """Occupancy of the wrong step: the masses of the last step are not charged, those of the first one twice."""
 
     def course(self, policies: Any) -> Any:
@@ -172,21 +174,21 @@ class OneStepEarly(NearMass):
         return [terms[0], *terms[:-1]], [points[0], *points[:-1]]
 
 
-class OnlyTheFirstPair(NearMass):
+class OnlyTheFirstPair(CollisionProbability):
     """A pair is left out."""
 
     def _near(self, asked: Any, masses: Any, reach: Any) -> float:
         return super()._near(asked[:1], masses, reach)
 
 
-class Negated(NearMass):
+class Negated(CollisionProbability):
     """The difference is that of the second agent less the first."""
 
     def tables(self, pair: Any, from_below: bool = False, reach: Any = None) -> Any:
         return super().tables(replace(pair, low=-pair.high, high=-pair.low), from_below, reach)
 
 
-class Halved(NearMass):
+class Halved(CollisionProbability):
     """Only one of the two agents has noise."""
 
     def tables(self, pair: Any, from_below: bool = False, reach: Any = None) -> Any:
@@ -201,7 +203,7 @@ TRIPLE = followers("G !any(near)", near=([-1.2], [0.4]), horizon=4, starts=THREE
 
 
 @pytest.mark.parametrize("broken", [OneStepEarly, OnlyTheFirstPair, Negated, Halved])
-def test_the_check_refuses_what_a_broken_bound_claims(broken: type[NearMass]) -> None:
+def test_the_check_refuses_what_a_broken_bound_claims(broken: type[CollisionProbability]) -> None:
     certificate = certificate_of(TRIPLE)
     assert cg.check(certificate) and 1e-6 < certificate.proof.near < 1.0
     wrong = near_of(certificate, TRIPLE, broken)
@@ -210,7 +212,7 @@ def test_the_check_refuses_what_a_broken_bound_claims(broken: type[NearMass]) ->
     assert not report and "pairs spoil" in str(report)
 
 
-def with_base(change: Callable[[cg.Problem], cg.Problem]) -> Certificate[SubtractionProof]:
+def with_base(change: Callable[[cg.Problem], cg.Problem]) -> Certificate[UnionBoundProof]:
     """A certificate whose base is that of a changed problem."""
     certificate = certificate_of(TRIPLE)
     other = certificate_of(change(TRIPLE))
@@ -324,7 +326,7 @@ def test_pairs_may_compare_different_states_of_one_agent() -> None:
     task = cg.Specification("(!(far | close)) U goal", "co-safe")
     problem = cg.Problem(name="axes", horizon=3, agents=agents, propositions=regions, specification=task)
     certificate = cg.synthesize(problem, 20, relation="exact", max_sweeps=0).certificate
-    assert isinstance(certificate.proof, SubtractionProof) and 1e-4 < certificate.proof.near < 1.0
+    assert isinstance(certificate.proof, UnionBoundProof) and 1e-4 < certificate.proof.near < 1.0
     report = cg.check(certificate)
     assert report and report.recomputed - certificate.lower_bound < 1e-6
 
@@ -365,7 +367,7 @@ def test_masses_that_are_next_to_nothing_charge_next_to_nothing() -> None:
     usual = usual_values(problem)
     base = without_pairs(problem, usual)
     abstraction = abstraction_of(base, 16, ["exact"] * 2, Settings())
-    masses = NearMass(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
+    masses = CollisionProbability(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
     sizes = [len(model.lattice[0]) for model in masses.joint.models]
     tiny = [np.full(size, 1e-200) for size in sizes]
     assert masses._near(np.array([0]), tiny, (np.zeros(1), np.zeros(1))) == 0.0

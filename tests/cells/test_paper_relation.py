@@ -11,10 +11,10 @@ import pytest
 from scipy.stats import binomtest, kstest, norm
 
 import certigym as cg
-from certigym.envs.simulation import worlds as core
-from certigym.envs.simulation.worlds import Dynamics
+from certigym.envs.simulation import batch_simulator as core
+from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.synthesis.abstraction.models.finite_models import abstract
-from certigym.synthesis.abstraction.models.input_menu import InputMenu
+from certigym.synthesis.abstraction.models.input_sets import InputSet
 from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.certificates.controllers.abstract_state import Memory, Tracker
 from certigym.synthesis.certificates.proofs import changed
@@ -71,7 +71,7 @@ def test_the_abstract_state_moves_as_the_kernel_says_and_stays_related() -> None
     problem = two_agents(horizon=3)
     model = abstract(problem, 64, relation="paper", epsilon=0.1).models[0]
     relation, grid = model.relation, model.grid
-    assert isinstance(relation, CoupledRelation) and isinstance(model.choices, InputMenu)
+    assert isinstance(relation, CoupledRelation) and isinstance(model.choices, InputSet)
     rng = np.random.default_rng(3)
     n, cell, choice = 400_000, 40, 7
     centre = grid.centres[cell, 0]

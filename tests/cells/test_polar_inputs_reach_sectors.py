@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.envs.systems.agents import Agent
-from certigym.synthesis.extended_check.steps.aim_spans import turned_there
-from certigym.synthesis.relations.kinds import Turn, WrittenTargets, sectors, solved_means, written_targets
+from certigym.synthesis.extended_check.steps.target_enclosures import turned_there
+from certigym.synthesis.relations.kinds import SymbolicTargets, Turn, input_cones, inverse_means, symbolic_targets
 from kinds import mostly_thorough
 from test_expressions_have_exact_targets import avoiding, robot
 
@@ -92,7 +92,7 @@ def test_boxes_that_are_let_through_hold_nothing_that_inputs_do_not_give() -> No
         centre, width = rng.uniform(-2.0, 2.0, (2, 300)), rng.choice([1e-9, 0.01, 0.1, 0.5], 300) * rng.random((2, 300))
         east, north = (np.stack([c - w, c + w]) for c, w in zip(centre, width, strict=True))
         pair = (tuple(east), tuple(north))
-        searched = np.any([part.holds(*pair, 1e-13) for part in sectors.sectors_of(agent, turn)], axis=0)
+        searched = np.any([part.holds(*pair, 1e-13) for part in input_cones.input_cones_of(agent, turn)], axis=0)
         checked = turned_there(agent, turn, east, north)
         steps = np.stack([mesh.ravel() for mesh in np.meshgrid(*[np.linspace(0.0, 1.0, 9)] * 2)])[..., None]
         x, y = (side[0] + (side[1] - side[0]) * step for side, step in zip((east, north), steps, strict=True))
@@ -100,7 +100,7 @@ def test_boxes_that_are_let_through_hold_nothing_that_inputs_do_not_give() -> No
         assert np.all(inside[searched | checked])
         assert np.all(checked[searched])
         found, most = found + int(searched.sum()), most + int(inside.sum())
-        sizes, angles = sectors.polar_inputs(agent, turn, x, y)
+        sizes, angles = input_cones.polar_inputs(agent, turn, x, y)
         sizes, angles = np.clip(sizes, least, size), np.clip(angles, middle - half, middle + half)
         off = np.hypot(sizes * np.cos(angles) - x, sizes * np.sin(angles) - y)
         assert off[:, searched].max(initial=0.0) < 1e-13
@@ -144,7 +144,7 @@ def test_inputs_put_means_on_targets_from_everywhere_in_a_cell(name: str) -> Non
     certificate, rng = certificate_of(name), np.random.default_rng(1)
     agent, part = certificate.problem.agents[0], certificate.proof.agents[0]
     relation = certificate.controller.agents[0].relation
-    assert isinstance(relation, WrittenTargets) and isinstance(agent, Agent)
+    assert isinstance(relation, SymbolicTargets) and isinstance(agent, Agent)
     cells = np.flatnonzero(part.policy[0, 0] >= 0)
     index = np.unravel_index(part.policy[0, 0, cells], part.lattice_shape)
     targets, signs = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)]), set()
@@ -165,7 +165,7 @@ def test_no_step_is_taken_with_an_angle_of_the_interval() -> None:
     """A vector of length 0 has no direction: any angle will do, if it is in the box."""
     for low, high in ([0.0, 2.0], [1.0, 3.0]), ([-1.0, -9.0], [0.0, -8.5]), ([-1.0, 40.0], [1.0, 50.0]):
         agent = robot(["x + r*cos(a)", "y + r*sin(a)"], ["r", "a"], low, high)
-        inputs = written_targets(agent, np.eye(2)).inputs(np.zeros((2, 1)), np.zeros((2, 1)))
+        inputs = symbolic_targets(agent, np.eye(2)).inputs(np.zeros((2, 1)), np.zeros((2, 1)))
         assert inputs[0] == 0.0 and low[1] <= inputs[1] <= high[1]
 
 
@@ -180,36 +180,36 @@ def test_defaults_find_exact_targets_of_a_patrol() -> None:
 def test_a_component_alone_has_no_sector() -> None:
     agent = robot(["x + r*cos(a)", "y + u"], ["r", "a", "u"], [0.0, 0.0, -1.0], [1.0, 1.0, 1.0])
     with pytest.raises(ValueError, match="both components of polar inputs"):
-        written_targets(agent, np.eye(2))
+        symbolic_targets(agent, np.eye(2))
 
 
 # --- sabotage: searches and controllers that are wrong about one thing ----------------------------------------
 
 
-def wider(agent: Agent, turn: Turn) -> tuple[sectors.Sector, ...]:
+def wider(agent: Agent, turn: Turn) -> tuple[input_cones.InputCone, ...]:
     """Sectors that are too wide by a hundredth."""
     true = _SECTORS_OF(agent, turn)
-    return tuple(sectors.Sector(part.least, part.most, part.middle, 1.01 * part.half) for part in true)
+    return tuple(input_cones.InputCone(part.least, part.most, part.middle, 1.01 * part.half) for part in true)
 
 
-def longer(agent: Agent, turn: Turn) -> tuple[sectors.Sector, ...]:
+def longer(agent: Agent, turn: Turn) -> tuple[input_cones.InputCone, ...]:
     true = _SECTORS_OF(agent, turn)
-    return tuple(sectors.Sector(part.least, 1.01 * part.most, part.middle, part.half) for part in true)
+    return tuple(input_cones.InputCone(part.least, 1.01 * part.most, part.middle, part.half) for part in true)
 
 
-def gapless(agent: Agent, turn: Turn) -> tuple[sectors.Sector, ...]:
+def gapless(agent: Agent, turn: Turn) -> tuple[input_cones.InputCone, ...]:
     """Negative sizes that go anywhere, although some directions are missing."""
-    low, _, middle, _ = sectors._ranges(agent, turn)
-    return (sectors.Sector(0.0, -low, middle, np.inf),)
+    low, _, middle, _ = input_cones._ranges(agent, turn)
+    return (input_cones.InputCone(0.0, -low, middle, np.inf),)
 
 
-def opposite(agent: Agent, turn: Turn) -> tuple[sectors.Sector, ...]:
+def opposite(agent: Agent, turn: Turn) -> tuple[input_cones.InputCone, ...]:
     """Negative sizes that go where positive ones do."""
-    low, high, middle, half = sectors._ranges(agent, turn)
-    return sectors.Sector(0.0, max(high, -low), middle, half), sectors.Sector(0.0, -low, middle, half)
+    low, high, middle, half = input_cones._ranges(agent, turn)
+    return input_cones.InputCone(0.0, max(high, -low), middle, half), input_cones.InputCone(0.0, -low, middle, half)
 
 
-_SECTORS_OF, _POLAR_INPUTS, _TURNED = sectors.sectors_of, sectors.polar_inputs, sectors._turned
+_SECTORS_OF, _POLAR_INPUTS, _TURNED = input_cones.input_cones_of, input_cones.polar_inputs, input_cones._turned
 
 
 @mostly_thorough(
@@ -226,7 +226,7 @@ def test_the_check_refuses_sectors_that_are_too_large(name: str, wrong: Any, mon
     """The search is fooled, the check is not."""
     assert cg.check(certificate_of(name))
     with monkeypatch.context() as patch:
-        patch.setattr(solved_means, "sectors_of", wrong)
+        patch.setattr(inverse_means, "input_cones_of", wrong)
         forged = cg.synthesize(avoiding(polar(*SECTORS[name])), 40, relation="exact").certificate
     assert any("beyond its input box" in text for text in cg.check(forged).failures)
 
@@ -239,6 +239,6 @@ def test_the_check_refuses_controllers_that_turn_elsewhere(monkeypatch: pytest.M
         ("_turned", lambda angle: 0.5 * _TURNED(2.0 * np.asarray(angle))),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr(solved_means if name == "polar_inputs" else sectors, name, wrong)
+            patch.setattr(inverse_means if name == "polar_inputs" else input_cones, name, wrong)
             assert any("steer elsewhere" in text for text in cg.check(certificate).failures)
     assert cg.check(certificate)

@@ -18,13 +18,13 @@ from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.policy_search.ascent.relaxation import relax, upper_bound
 from certigym.synthesis.policy_search.portfolio import relation_choice
 from certigym.synthesis.relations.grids.agent_grids import DEFAULT_CELLS
-from certigym.synthesis.verbs import task_ways
+from certigym.synthesis.verbs import task_strategies
 from certigym.validation.statistical_tests.binomial import REFUTED
 from problems import cart, cart_reach, scalar_agent
 
 NEEDS_SOLVER = "cvxpy"
 
-MAY_BE_LINEAR = task_ways.may_be_linear
+MAY_BE_LINEAR = task_strategies.may_be_linear
 
 
 def team(n_carts: int = 1, formula: str = "F (home & {carts})", semantics: str = "co-safe") -> cg.Problem:
@@ -44,7 +44,7 @@ def team(n_carts: int = 1, formula: str = "F (home & {carts})", semantics: str =
 @pytest.fixture(autouse=True)
 def without_linear_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compare the relations with one target per cell alone, unless a test asks for more."""
-    monkeypatch.setattr(task_ways, "may_be_linear", lambda problem, plan: False)
+    monkeypatch.setattr(task_strategies, "may_be_linear", lambda problem, plan: False)
 
 
 @pytest.fixture(autouse=True)
@@ -81,7 +81,7 @@ def test_nothing_else_is_tried_where_exact_leaves_the_inputs_to_the_policy(monke
 
 @pytest.mark.thorough
 def test_linear_cells_are_tried_on_given_cells_where_much_is_left_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(task_ways, "may_be_linear", MAY_BE_LINEAR)
+    monkeypatch.setattr(task_strategies, "may_be_linear", MAY_BE_LINEAR)
     found = cg.synthesize("car-park-v0", 60)
     tried = tried_of(found)
     assert {"exact", "linear"} <= set(tried) and kinds_of(found.certificate) == ["linear"]
@@ -215,7 +215,7 @@ def test_agents_that_nothing_fits_are_refused_with_the_first_reason(monkeypatch:
     with pytest.raises(ValueError, match="no feedback stabilises"):
         cg.synthesize(cart_reach(runaway, horizon=2), 80)
     # Linear cells, which are tried where cells are left out, need no feedback; and no run without noise goes anywhere.
-    monkeypatch.setattr(task_ways, "may_be_linear", MAY_BE_LINEAR)
+    monkeypatch.setattr(task_strategies, "may_be_linear", MAY_BE_LINEAR)
     tried = tried_of(cg.synthesize(cart_reach(runaway, horizon=2), effort=1.4))
     assert "linear" in {name for name, outcome in tried.items() if isinstance(outcome, float)}
     assert "no nominal path satisfies the task" in str(tried["path"])

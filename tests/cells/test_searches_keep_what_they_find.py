@@ -9,7 +9,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.abstraction.models import TIE
-from certigym.synthesis.abstraction.models.choices import Policies
+from certigym.synthesis.abstraction.models.action_tables import Policies
 from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.joint import JointModel, join, start_of
 from certigym.synthesis.certificates.proofs import lasting_bound

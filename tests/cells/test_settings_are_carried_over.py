@@ -9,7 +9,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.verbs.upper_ends import bound_above
+from certigym.synthesis.verbs.upper_bounds import bound_above
 from kinds import mostly_thorough
 from problems import scalar_agent
 

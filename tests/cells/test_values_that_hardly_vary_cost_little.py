@@ -13,10 +13,10 @@ import pytest
 import certigym as cg
 from certigym.envs.systems.distributions.composed_laws import Mixture
 from certigym.envs.systems.distributions.laws import Gaussian, Laplace, Law, Uniform
-from certigym.synthesis.abstraction.kernels import near_charge
+from certigym.synthesis.abstraction.kernels import proximity_error
 from certigym.synthesis.abstraction.kernels.box_kernel import box_kernel_of
-from certigym.synthesis.abstraction.kernels.near_charge import over_windows
-from certigym.synthesis.extended_check.steps import near_slack
+from certigym.synthesis.abstraction.kernels.proximity_error import over_windows
+from certigym.synthesis.extended_check.steps import proximity_slack
 from certigym.synthesis.relations.grids import Grid, MeanAxis, ScaleAxis
 
 LAWS: list[Law] = [
@@ -78,12 +78,12 @@ def test_extremes_over_windows_are_those_of_a_loop() -> None:
     values = rng.random((20, 3))
     first = rng.integers(0, 20, (2, 15))
     last = np.minimum(first + rng.integers(0, 20, (2, 15)), 19)
-    window = near_charge.NearWindow.of(first, last)
+    window = proximity_error.NearWindow.of(first, last)
     pairs = list(zip(first.ravel(), last.ravel(), strict=True))
     for is_largest, extreme in ((False, np.minimum), (True, np.maximum)):
         loop = np.array([extreme.reduce(values[a : b + 1]) for a, b in pairs])
         np.testing.assert_array_equal(over_windows(values, window, 0, extreme)[window.number], loop)
-        np.testing.assert_array_equal(near_slack._ends(values, window, 0, is_largest)[window.number], loop)
+        np.testing.assert_array_equal(proximity_slack._ends(values, window, 0, is_largest)[window.number], loop)
 
 
 def chemostat(law: dict[str, Any]) -> cg.Problem:
@@ -121,7 +121,9 @@ def test_long_tasks_lose_nothing_by_their_length(law: dict[str, Any], monkeypatc
     assert certificate.lower_bound > 0.999
     assert cg.check(certificate)
     # Who forgets that noise may leave the windows, and what it meets there, claims too much.
-    monkeypatch.setattr(near_charge, "_left", lambda edges, points, own, k, window: np.full(window.first.size, -1e-6))
+    monkeypatch.setattr(
+        proximity_error, "_left", lambda edges, points, own, k, window: np.full(window.first.size, -1e-6)
+    )
     bold = cg.synthesize(problem, 100, relation="boxes").certificate
     assert bold.lower_bound > certificate.lower_bound and not cg.check(bold)
 
@@ -129,6 +131,10 @@ def test_long_tasks_lose_nothing_by_their_length(law: dict[str, Any], monkeypatc
 def test_the_check_needs_windows_of_its_own_masses(monkeypatch: pytest.MonkeyPatch) -> None:
     """A window out of which noise carries more often than the search says is found by the check."""
     problem = chemostat({"law": "gaussian", "std": 1.0})
-    monkeypatch.setattr(near_charge.NearCharge, "of_values", lambda self, values, most, charge: 0.0 * charge)
+    monkeypatch.setattr(
+        proximity_error.ProximityError,
+        "of_values",
+        lambda self, values, most, interpolation_error: 0.0 * interpolation_error,
+    )
     bold = cg.synthesize(problem, 40, relation="boxes").certificate
     assert bold.lower_bound > 0.0 and not cg.check(bold)

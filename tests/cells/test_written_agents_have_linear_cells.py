@@ -13,11 +13,11 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym import Agent, Problem, Proposition, Specification
-from certigym.synthesis.abstraction.kernels import CornerReading
+from certigym.synthesis.abstraction.kernels import MultilinearKernel
 from certigym.synthesis.abstraction.kernels.lattice_kernel import bend_of
 from certigym.synthesis.abstraction.models.corner_model import corner_model
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.extended_check.steps.map_spans import map_spans
+from certigym.synthesis.extended_check.steps.map_enclosures import map_enclosures
 from certigym.synthesis.relations.grids import Grid, hats
 from certigym.synthesis.relations.kinds import AffineBoxes, AffineMeans
 from kinds import mostly_thorough
@@ -78,7 +78,7 @@ def test_maps_hold_all_means(name: str) -> None:
     for cuts in (1, 2):
         maps = AffineMeans(agent, np.eye(2), cuts).around(low, high, menu)
         for a, inputs in enumerate(menu):
-            own = map_spans(agent, low, high, np.repeat(inputs[None], 40, axis=0), np.eye(2), cuts)
+            own = map_enclosures(agent, low, high, np.repeat(inputs[None], 40, axis=0), np.eye(2), cuts)
             gain, rest = (array[:, a if array.shape[1] > 1 else 0] for array in (maps.gain, maps.rest))
             np.testing.assert_allclose(own[0], maps.centre[:, a], atol=1e-9)
             assert np.all(own[2] <= rest * (1.0 + 1e-12) + 1e-300) and np.all(rest <= own[2] + 1e-9)
@@ -220,7 +220,7 @@ def test_other_laws_are_refused_in_words() -> None:
 
 def sabotaged(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
     """Break the search in one of several ways; the check has code of its own."""
-    around, lacking = AffineMeans.around, CornerReading._lacking
+    around, lacking = AffineMeans.around, MultilinearKernel._lacking
 
     def smaller(self: AffineMeans, *args: Any) -> AffineBoxes:
         maps = around(self, *args)
@@ -234,16 +234,16 @@ def sabotaged(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
         maps = around(self, *args)
         return replace(maps, gain=np.roll(maps.gain, 7, axis=0))
 
-    def without_slopes(self: CornerReading, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
+    def without_slopes(self: MultilinearKernel, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
         return lacking(self, table, middle, steps, np.zeros_like(rest))
 
-    def without_bends(self: CornerReading, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
+    def without_bends(self: MultilinearKernel, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
         return lacking(self, table, middle, np.zeros_like(steps), rest)
 
     if how == "slopes left out":
-        monkeypatch.setattr(CornerReading, "_lacking", without_slopes)
+        monkeypatch.setattr(MultilinearKernel, "_lacking", without_slopes)
     elif how == "bends left out":
-        monkeypatch.setattr(CornerReading, "_lacking", without_bends)
+        monkeypatch.setattr(MultilinearKernel, "_lacking", without_bends)
     else:
         changed = {"what is left 1 % too small": smaller, "a disturbance left out": calm}
         monkeypatch.setattr(AffineMeans, "around", changed.get(how, of_another_cell))

@@ -17,7 +17,7 @@ from certigym.synthesis.checker.feedbacks import enclosed_feedback, read_feedbac
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.networks import Ellipsoid, Network, automaton_states, chi_tail, enclosed
 from certigym.synthesis.relations.kinds import Network as Layers
-from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, WrittenPolicy
+from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicPolicy
 from certigym.synthesis.trajectories.planning import networks_along
 
 KINDS = [
@@ -264,7 +264,7 @@ def test_expressions_are_enclosed(text: str) -> None:
     problem = cg.Problem(name="p", horizon=5, agents=[agent], specification=cg.Specification("F b"),
                          propositions={"b": cg.Proposition("a", [0, 0], [1, 1])})  # fmt: skip
     own = read_problem({"problem": canonical_problem(problem)}).agents[0]
-    feedback, policy = read_feedback(Entry([text], "feedback"), own), WrittenPolicy.of(agent, [text])
+    feedback, policy = read_feedback(Entry([text], "feedback"), own), SymbolicPolicy.of(agent, [text])
     for _ in range(20):
         at, t = rng.uniform(-1.0, 1.0, 2), int(rng.integers(5))
         ends = np.stack([-rng.uniform(0.0, 0.4, 2), rng.uniform(0.0, 0.4, 2)])

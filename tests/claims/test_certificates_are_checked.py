@@ -107,9 +107,9 @@ def swap_targets(c: OnGrid) -> OnGrid:
 
 
 def count_a_vertex_twice(c: OnGrid) -> OnGrid:
-    first = c.proof.skeleton[0]
+    first = c.proof.merge_log[0]
     kept = tuple(np.concatenate([rows, rows[:1]]) for rows in first.kept)
-    return changed(c, skeleton=(replace(first, kept=kept), *c.proof.skeleton[1:]))
+    return changed(c, merge_log=(replace(first, kept=kept), *c.proof.merge_log[1:]))
 
 
 def inflate_the_value_elsewhere(c: OnGrid) -> OnGrid:
@@ -134,7 +134,7 @@ def list_a_larger_bound(c: OnGrid) -> OnGrid:
 
 
 def keep_no_tree(c: OnGrid) -> OnGrid:
-    return changed(c, skeleton=(), terms=replace(c.proof.tree, index=tuple(rows[:1] for rows in c.proof.tree.index)))
+    return changed(c, merge_log=(), terms=replace(c.proof.tree, index=tuple(rows[:1] for rows in c.proof.tree.index)))
 
 
 def drop_the_last_step(c: OnGrid) -> OnGrid:
@@ -314,7 +314,7 @@ def rewrite_header(path: Path, change: Callable[[dict[str, Any]], None]) -> None
         lambda h: h["proof"].pop("agents"),
         lambda h: h["proof"]["agents"][0].update(law=10**6),
         lambda h: h["proof"]["agents"][0].update(law=h["proof"]["guards"][0]),
-        lambda h: h["proof"].update(skeleton=[]),
+        lambda h: h["proof"].update(merge_log=[]),
     ],
 )
 def test_inconsistent_files_are_refused_in_one_line(certificate: OnGrid, tmp_path: Path, change: Any) -> None:

@@ -11,10 +11,10 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.envs.tasks.problem import opposite_of
+from certigym.envs.tasks.problem import complement_of
 from certigym.synthesis.certificates.proofs import changed
 from certigym.synthesis.policy_search.portfolio import effort
-from certigym.synthesis.verbs.upper_ends import bound_above
+from certigym.synthesis.verbs.upper_bounds import bound_above
 from problems import two_agents
 from written_problems import oscillator_reach
 
@@ -70,7 +70,7 @@ def test_other_controllers_are_refused() -> None:
     """The upper end of better or worse controllers says nothing about these."""
     good = parked(60)
     # Controllers made for the opposite task avoid what these reach, so that 1 - L' is far below the truth.
-    worst = cg.synthesize(opposite_of(good.problem), 60, relation="linear").certificate
+    worst = cg.synthesize(complement_of(good.problem), 60, relation="linear").certificate
     above = 1.0 - worst.lower_bound
     assert cg.check(worst) and above < good.lower_bound
     for opposite in (worst, parked(40).proof.opposite):

@@ -23,11 +23,11 @@ from certigym.synthesis.extended_check.steps import (
     boxes_check,
     execution_of,
     linear_tables,
-    map_spans,
-    mean_spans,
+    map_enclosures,
+    mean_enclosures,
     network_enclosures,
-    own_intervals,
     relation_check,
+    step_intervals,
     uniform_noise,
 )
 from certigym.synthesis.relations.kinds import Network
@@ -179,11 +179,11 @@ def test_laws_mean_their_densities(numbers: dict[str, Any]) -> None:
         for a, b in zip(places, places[1:], strict=False):
             cuts = sorted({a, b, *(x for x in (*ends, 0.0, -0.1) if a < x < b)})
             true = m.quad(lambda x: density(law, x, m), [m.mpf(x) for x in cuts])
-            for tail, sign in ((exact.exact_below, 1), (exact.exact_above, -1)):
+            for tail, sign in ((exact.cdf_ball, 1), (exact.sf_ball, -1)):
                 ball = sign * (tail(flint.arb(b)) - tail(flint.arb(a)))
                 assert abs(m.mpf(ball.mid().str(30, radius=False)) - true) < m.mpf("1e-15"), (a, b)
     for x in places:
-        assert abs(exact.exact_below(flint.arb(x)) + exact.exact_above(flint.arb(x)) - 1) < 1e-25
+        assert abs(exact.cdf_ball(flint.arb(x)) + exact.sf_ball(flint.arb(x)) - 1) < 1e-25
 
 
 @pytest.mark.parametrize("numbers", [LAWS[0], LAWS[2]], ids=name_of)
@@ -235,12 +235,12 @@ UP, DOWN = 1.0 + 1e-9, 1.0 - 1e-9
 
 def shrunk(patch: pytest.MonkeyPatch) -> None:
     """Enclosures that are narrower by a billionth of their width on either side."""
-    honest = mean_spans.bounds
+    honest = mean_enclosures.bounds
 
     def wrong(*arguments: Any) -> Any:
         return [np.stack([e[0] + 1e-9 * (e[1] - e[0]), e[1] - 1e-9 * (e[1] - e[0])]) for e in honest(*arguments)]
 
-    patch.setattr(mean_spans, "bounds", wrong)
+    patch.setattr(mean_enclosures, "bounds", wrong)
 
 
 def narrow_boxes(patch: pytest.MonkeyPatch) -> None:
@@ -266,13 +266,13 @@ def lower_charges(patch: pytest.MonkeyPatch) -> None:
 
 def flat_maps(patch: pytest.MonkeyPatch) -> None:
     """What is left of maps is less than there is."""
-    honest = map_spans.bounds
-    patch.setattr(map_spans, "bounds", lambda *arguments: [0.999 * ends for ends in honest(*arguments)])
+    honest = map_enclosures.bounds
+    patch.setattr(map_enclosures, "bounds", lambda *arguments: [0.999 * ends for ends in honest(*arguments)])
 
 
 def rounded_sines(patch: pytest.MonkeyPatch) -> None:
     """Elementary functions that are off by more than is said, and say so of none."""
-    patch.setattr(own_intervals, "OFF", -1e-9)
+    patch.setattr(step_intervals, "OFF", -1e-9)
 
 
 SABOTAGE: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None], str]] = {

@@ -10,7 +10,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.certificates.value_functions import Skeleton
+from certigym.synthesis.certificates.value_functions import MergeLog
 from certigym.synthesis.extended_check.steps.carrying_out import wrong_actions
 from certigym.synthesis.extended_check.steps.execution import execution_of
 from problems import linear
@@ -116,14 +116,14 @@ def test_vertices_that_are_listed_twice_are_refused() -> None:
     """Twice the same vertices would count their probability twice: .6093 became .9999."""
     certificate = cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=4), 100).certificate
 
-    def doubled(step: Skeleton) -> Skeleton:
+    def doubled(step: MergeLog) -> MergeLog:
         kept = tuple(np.concatenate([rows, rows + len(o)]) for rows, o in zip(step.kept, step.origin, strict=True))
         return replace(step, origin=tuple(np.concatenate([rows, rows]) for rows in step.origin), kept=kept)
 
-    for time in range(len(certificate.proof.skeleton)):
-        skeleton = list(certificate.proof.skeleton)
-        skeleton[time] = doubled(skeleton[time])
-        report = cg.check(changed(certificate, skeleton=tuple(skeleton)))
+    for time in range(len(certificate.proof.merge_log)):
+        merge_log = list(certificate.proof.merge_log)
+        merge_log[time] = doubled(merge_log[time])
+        report = cg.check(changed(certificate, merge_log=tuple(merge_log)))
         assert not report, time
 
 

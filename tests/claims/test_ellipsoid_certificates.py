@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.simulation import worlds as core
-from certigym.envs.simulation.worlds import Dynamics
+from certigym.envs.simulation import batch_simulator as core
+from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.synthesis.abstraction.models import finite_models as abstraction
 from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.certificates.controllers.controller import BatchMemory

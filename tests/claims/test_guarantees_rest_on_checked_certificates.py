@@ -12,7 +12,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.extended_check.claims import lasting_safety, standing
+from certigym.synthesis.extended_check.claims import invariance_rate, standing
 from certigym.synthesis.extended_check.shields import shield_of
 from problems import scalar_agent
 
@@ -68,7 +68,7 @@ def test_rates_of_forged_certificates_are_refused(
     for given in (forged, file):
         with pytest.raises(ValueError, match="`check` verifies, got one that it refuses"):
             cg.safety_rate(given)
-    monkeypatch.setattr(lasting_safety, "standing", lambda certificate: certificate)
+    monkeypatch.setattr(invariance_rate, "standing", lambda certificate: certificate)
     assert cg.safety_rate(forged).rate > honest.rate
 
 

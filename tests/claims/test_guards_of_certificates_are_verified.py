@@ -20,7 +20,7 @@ def certificate() -> Any:
 
 def guards_twice(certificate: Any) -> Any:
     """Every guard listed twice, and the last step back taken through both: the value at time 0 is doubled."""
-    step, count = certificate.proof.skeleton[0], len(certificate.proof.guard_source)
+    step, count = certificate.proof.merge_log[0], len(certificate.proof.guard_source)
     origin = tuple(np.concatenate([rows, rows + np.array([count, 0])]) for rows in step.origin)
     kept = tuple(np.concatenate([rows, rows + len(o)]) for rows, o in zip(step.kept, step.origin, strict=True))
     pairs = zip(certificate.proof.terms.index, step.origin, strict=True)
@@ -28,7 +28,7 @@ def guards_twice(certificate: Any) -> Any:
     guards = ("guard_source", "guard_target", "guard_mask")
     return changed(
         certificate,
-        skeleton=(replace(step, origin=origin, kept=kept), *certificate.proof.skeleton[1:]),
+        merge_log=(replace(step, origin=origin, kept=kept), *certificate.proof.merge_log[1:]),
         terms=replace(certificate.proof.terms, index=index),
         **{name: np.concatenate([getattr(certificate.proof, name)] * 2) for name in guards},
     )

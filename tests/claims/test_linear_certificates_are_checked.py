@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates.cell_probabilities import AgentPart
+from certigym.synthesis.certificates.cell_probabilities import AgentRecord
 from certigym.synthesis.certificates.proofs import changed, value_of
 from certigym.synthesis.certificates.value_functions import Terms
 from kinds import mostly_thorough
@@ -143,7 +143,7 @@ def unreachable(certificate: cg.Certificate, choice: int) -> cg.Certificate:
     return part_changed(certificate, policy=np.full_like(certificate.proof.agents[0].policy, choice))
 
 
-def shifted(part: AgentPart, share: float) -> tuple[np.ndarray, ...]:
+def shifted(part: AgentRecord, share: float) -> tuple[np.ndarray, ...]:
     return tuple(axis + share * (axis[1] - axis[0]) for axis in part.lattice)
 
 
@@ -151,9 +151,9 @@ def flipped(certificate: cg.Certificate) -> cg.Certificate:
     """Every remainder keeps the factor of the other vertex, and is subtracted from the wrong one."""
     steps = [
         replace(step, merges=tuple(replace(merges, rest=-merges.rests) for merges in step.merges))
-        for step in certificate.proof.skeleton
+        for step in certificate.proof.merge_log
     ]
-    return changed(certificate, skeleton=tuple(steps))
+    return changed(certificate, merge_log=tuple(steps))
 
 
 TARGETS: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {

@@ -13,7 +13,7 @@ from scipy.stats import binom, norm
 
 import certigym as cg
 from certigym.envs.systems.agents import LinearAgent
-from certigym.synthesis.certificates.proofs import SubtractionProof, certificate_from
+from certigym.synthesis.certificates.proofs import UnionBoundProof, certificate_from
 from certigym.synthesis.composition.lattice_moves import NearPoints
 from certigym.synthesis.extended_check.claims.pairs_check import wrong_pairs
 from certigym.synthesis.relations.kinds import Network
@@ -80,7 +80,7 @@ def test_rollouts_are_above_the_bound_and_not_far(kind: str) -> None:
     problem, actor, certificate = certified(kind)
     report = cg.check(certificate)
     assert report, report
-    assert isinstance(certificate.proof, SubtractionProof) and differences(certificate, actor) == []
+    assert isinstance(certificate.proof, UnionBoundProof) and differences(certificate, actor) == []
     assert certificate.proof.near > 1e-3 and certificate.lower_bound > 0.1
     runs = cg.rollout(problem, cg.as_controller(problem, actor), EPISODES, seed=3)
     assert binom.cdf(runs.successes, EPISODES, certificate.lower_bound) > FALSE_ALARM
@@ -207,7 +207,7 @@ def test_starts_may_be_drawn_from_boxes() -> None:
     low, high = ({a.name: a.initial.low + reach for a in problem.agents} for reach in (-0.2, 0.2))
     drawn = problem.replace(initial_low=low, initial_high=high)
     found = _less_nearness(drawn, _policies(drawn, towards(drawn, [0.5], [-0.5])), 24, "boxes", None).certificate
-    assert isinstance(found.proof, SubtractionProof) and found.lower_bound > 0.1 and cg.check(found)
+    assert isinstance(found.proof, UnionBoundProof) and found.lower_bound > 0.1 and cg.check(found)
     runs = cg.rollout(drawn, found.controller, EPISODES, seed=3)
     assert binom.cdf(runs.successes, EPISODES, found.lower_bound) > FALSE_ALARM
     # Sabotage: hardly less is charged.

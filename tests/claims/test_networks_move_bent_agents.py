@@ -13,7 +13,7 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.synthesis.abstraction.models import network_model
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.extended_check.steps.map_spans import networked_maps
+from certigym.synthesis.extended_check.steps.map_enclosures import networked_maps
 from certigym.synthesis.extended_check.steps.network_enclosures import _inputs_between, driven_spans
 from certigym.synthesis.relations.kinds import Network, network_maps
 from certigym.validation.policies.actors import SharedActor

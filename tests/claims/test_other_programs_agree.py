@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.abstraction.models.choices import Policies
+from certigym.synthesis.abstraction.models.action_tables import Policies
 from certigym.synthesis.abstraction.models.finite_models import AgentModel, abstract
 from certigym.synthesis.abstraction.models.joint import join
 from certigym.synthesis.policy_search.ascent.coordinate_ascent import resting_policies, sweep

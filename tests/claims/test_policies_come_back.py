@@ -19,7 +19,7 @@ from certigym.envs.simulation import Dynamics, Worlds
 from certigym.synthesis.relations.kinds import Network
 from certigym.synthesis.verbs.raw_networks import repair_network
 from certigym.validation.policies.actors import SharedActor, save_actor
-from certigym.validation.policies.entrants import given
+from certigym.validation.policies.competitors import given
 from kinds import mostly_thorough
 from network_problems import proportional, reach
 from problems import cart, scalar_agent

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.synthesis.extended_check.claims import lasting_safety
+from certigym.synthesis.extended_check.claims import invariance_rate
 from certigym.validation.statistical_tests import clopper_pearson
 from kinds import mostly_thorough
 from problems import scalar_agent
@@ -100,17 +100,17 @@ def test_a_larger_rate_would_be_false(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = 1.05 * float(cg.value_in_time(longer).at(start, longer.problem.initial_q, 100)[0])
 
     def contradicted() -> bool:
-        return bool(lasting_safety.safety_rate(certificate).at(100) > truth)
+        return bool(invariance_rate.safety_rate(certificate).at(100) > truth)
 
     assert not contradicted()
-    least = lasting_safety._least
+    least = invariance_rate._least
     # the quotient in the best cell in place of the worst one
-    monkeypatch.setattr(lasting_safety, "_least", lambda a, b: float(np.max(a[b > 0] / b[b > 0], initial=0.0)))
+    monkeypatch.setattr(invariance_rate, "_least", lambda a, b: float(np.max(a[b > 0] / b[b > 0], initial=0.0)))
     assert contradicted()
-    monkeypatch.setattr(lasting_safety, "_least", least)
+    monkeypatch.setattr(invariance_rate, "_least", least)
     # one agent alone
     first = "_quotient", lambda now, later, q: least(now.factors[0][0], later.factors[0][0])
-    monkeypatch.setattr(lasting_safety, *first)
+    monkeypatch.setattr(invariance_rate, *first)
     assert contradicted()
 
 

@@ -140,7 +140,7 @@ def test_budgets_are_paid_back_on_average(certificate: cg.Certificate) -> None:
     shield = shield_of(certificate, 0.9 * certificate.lower_bound)
     assert isinstance(shield, Shield)
     last = episodes(shield, the_worst, EPISODES, 7)["budget"]
-    assert last.mean() >= shield.owed - np.sqrt(np.log(1 / FALSE_ALARM) / (2 * EPISODES))
+    assert last.mean() >= shield.risk_budget - np.sqrt(np.log(1 / FALSE_ALARM) / (2 * EPISODES))
 
 
 # --- sabotage --------------------------------------------------------------------------------------------------

@@ -109,7 +109,7 @@ def test_least_values_hold_all_over_the_box(name: str, widths: tuple[float, floa
         tables = [axis.masses(place, scale) for axis, place, scale in zip(axes, places, scales, strict=True)]
         return np.einsum("abc,ma,mb,mc->m", factor, *tables)
 
-    found = np.min([value(*read) for read in box.points], axis=0) - box.charge
+    found = np.min([value(*read) for read in box.points], axis=0) - box.interpolation_error
     for _ in range(100):
         share = np.where((share := rng.random((3, count))) < 0.2, np.rint(share), share)
         means, scales = low + share * (high - low), least + rng.random((3, count)) * (most - least)

@@ -92,11 +92,11 @@ def test_charges_are_what_interpolation_may_miss() -> None:
         axes = tuple(NoiseAxis(np.linspace(-4.0, 4.0, 9), deviation, False) for deviation in (1.0, 0.7))
         box = MeanBox(low, low + width * np.array([[1.0], [0.5]]), axes)
         smooth = lambda m: np.exp(-0.5 * (m[0] ** 2 + (m[1] / 0.7) ** 2))  # noqa: E731  # E of a spike, at most 1
-        least = np.min([smooth(m) for m, _ in box.points], axis=0) - box.charge
+        least = np.min([smooth(m) for m, _ in box.points], axis=0) - box.interpolation_error
         for _ in range(200):
             share = rng.random(low.shape)
             assert np.all(least <= smooth(box.low + share * (box.high - box.low)) + 1e-15)
-        assert np.all(box.charge < 0.05)
+        assert np.all(box.interpolation_error < 0.05)
 
 
 @pytest.mark.thorough

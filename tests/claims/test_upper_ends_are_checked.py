@@ -20,11 +20,11 @@ from certigym.synthesis.certificates.proofs.digits import shown_bound
 from certigym.synthesis.certificates.value_functions.terms import Occupancy, Terms
 from certigym.synthesis.certificates.value_functions.train_values import Rounding, Trains, start_above, start_value
 from certigym.synthesis.extended_check.claims.forward_mass import TooManyProducts, masses
-from certigym.synthesis.extended_check.claims.upper_end import MOST, attained, inexact
+from certigym.synthesis.extended_check.claims.upper_bound import MOST, attained, inexact
 from certigym.synthesis.policy_search.ascent.relaxation import upper_bound
 from certigym.synthesis.policy_search.ascent.train_backward import evaluate
 from certigym.synthesis.policy_search.bounds.above import evaluate_above
-from certigym.synthesis.policy_search.bounds.certified import nominal_bound, stranded_mass, train_bound
+from certigym.synthesis.policy_search.bounds.certified import deadlocked_mass, nominal_bound, train_bound
 from certigym.synthesis.policy_search.bounds.dense import dense_value
 from certigym.synthesis.relations.grids.grid import Grid
 from kinds import mostly_thorough
@@ -69,7 +69,7 @@ def test_mass_goes_where_dense_programming_says() -> None:
     certificate = cg.synthesize(two_agents("F (a & F c) & G[0,2] !b", horizon=5), 24, relation="exact").certificate
     *_, last = masses(certificate, 0.0, 10_000)
     exactly = truth(certificate, 24)
-    assert last.dropped == last.stranded == 0.0
+    assert last.dropped == last.deadlocked == 0.0
     accepted = last.accepted + last.totals[certificate.problem.automaton.accepting[last.states]].sum()
     assert accepted == pytest.approx(exactly, rel=1e-11)
     with pytest.raises(TooManyProducts):
@@ -172,7 +172,7 @@ def test_upper_ends_count_everything_that_was_left_out() -> None:
     bound = train_bound(a_lossy_team(1e-3), trains, 0.0, 0.52)
     assert bound.gap is not None and bound.lower <= 0.5 - 1e-4 and bound.lower + bound.gap >= 0.52 + 0.01
     none = Terms((np.zeros((0, 10)), np.zeros((0, 10))), (np.zeros((0, 2), dtype=np.int64),))
-    assert stranded_mass(a_lossy_team(1e-3), (), [Occupancy(none, 0.01)] * 3) >= 0.03 + 2e-3 * (0 + 1 + 2)
+    assert deadlocked_mass(a_lossy_team(1e-3), (), [Occupancy(none, 0.01)] * 3) >= 0.03 + 2e-3 * (0 + 1 + 2)
     one = Terms((np.ones((1, 1)), np.ones((1, 1))), (np.zeros((1, 2), dtype=np.int64),))
     half: Any = SimpleNamespace(values=np.full((1, 1), 0.5))
     assert upper_bound(a_lossy_team(1e-3), Occupancy(one, 0.0), (half, half)) >= 0.25 + 0.01
@@ -223,7 +223,7 @@ def test_what_the_check_loses_to_rounding_is_counted(certificate: OnGrid, monkey
         *_, last = masses(certificate, 0.0, MOST)
         accepted = last.accepted + last.totals[problem.automaton.accepting[last.states]].sum()
         assert usual >= accepted * (1.0 + 1e-11)
-    monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_end.lost_to_rounding", lambda *_: 1e-4)
+    monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_bound.lost_to_rounding", lambda *_: 1e-4)
     assert attained(certificate) == pytest.approx(usual + 1e-4 * problem.horizon * problem.n_agents, abs=1e-9)
 
 
@@ -249,12 +249,14 @@ def test_a_pruned_tree_is_found_out() -> None:
     c = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree", relation="exact").certificate
     q = c.problem.initial_q
     assert q is not None and c.proof.terms is not None
-    first, terms = c.proof.skeleton[0], c.proof.terms
+    first, terms = c.proof.merge_log[0], c.proof.terms
     size = np.prod([own.max(axis=1)[terms.index[q][:, i]] for i, own in enumerate(terms.factors)], axis=0)
     left = np.delete(np.arange(len(size)), size.argmax())
     kept = tuple(own[left] if p == q else own for p, own in enumerate(first.kept))
     index = tuple(own[left] if p == q else own for p, own in enumerate(terms.index))
-    pruned = changed(c, skeleton=(replace(first, kept=kept), *c.proof.skeleton[1:]), terms=replace(terms, index=index))
+    pruned = changed(
+        c, merge_log=(replace(first, kept=kept), *c.proof.merge_log[1:]), terms=replace(terms, index=index)
+    )
     pruned.__dict__.pop("value", None)
     state = np.concatenate([agent.initial.low for agent in c.problem.agents])
     lower = float(pruned.at(state)[0])
@@ -304,7 +306,7 @@ def test_uncertain_cells_have_no_upper_end() -> None:
 def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree", relation="exact").certificate
     exactly = attained(certificate)
-    monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_end.SPARED", 1e9)
+    monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_bound.SPARED", 1e9)
     coarse = attained(certificate)
     assert exactly is not None and coarse is not None and coarse > exactly + 1e-4
 
@@ -312,7 +314,7 @@ def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_large_masses_are_left_unverified(certificate: OnGrid, monkeypatch: pytest.MonkeyPatch) -> None:
     if certificate.proof.rounding is not None:
         return
-    monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_end.MOST", 1)
+    monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_bound.MOST", 1)
     report = cg.check(certificate)
     assert report and report.above is None and "at most" not in str(report)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates.cell_probabilities import AgentPart, axis_tables, kernel_key
+from certigym.synthesis.certificates.cell_probabilities import AgentRecord, axis_tables, kernel_key
 from certigym.synthesis.certificates.proofs import changed
 
 
@@ -40,7 +40,7 @@ def certificate() -> cg.Certificate:
     return found
 
 
-def fresh(agent: cg.Agent, part: AgentPart) -> list[Any]:
+def fresh(agent: cg.Agent, part: AgentRecord) -> list[Any]:
     return axis_tables(agent, part, {})
 
 

@@ -19,7 +19,7 @@ from certigym.envs.systems.expressions import Number, Operation
 from certigym.synthesis.certificates.proofs import changed
 from certigym.synthesis.extended_check.steps.carrying_out import wrong_actions
 from certigym.synthesis.extended_check.steps.execution import execution_of
-from certigym.synthesis.relations.kinds import MeanBoxes, WrittenMeans
+from certigym.synthesis.relations.kinds import MeanBoxes, SymbolicMeans
 from kinds import mostly_thorough
 from written_problems import bent_team, oscillator, oscillator_reach
 
@@ -140,7 +140,7 @@ def shrunk(boxes: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
     return middle - 0.99 * half, middle + 0.99 * half
 
 
-def without_wind(means: WrittenMeans) -> WrittenMeans:
+def without_wind(means: SymbolicMeans) -> SymbolicMeans:
     calm = Agent(**{**means.agent.to_dict(), "disturbances": {name: [0.0, 0.0] for name in means.agent.disturbances}})
     return replace(means, agent=calm)
 
@@ -177,7 +177,7 @@ def test_certificates_of_wrong_enclosures_are_refused(name: str, monkeypatch: py
     honest = cg.synthesize(problem, 25, relation="boxes")
     assert cg.check(honest)
     with monkeypatch.context() as patch:
-        patch.setattr(WrittenMeans, "around", SABOTAGE[name](WrittenMeans.around))
+        patch.setattr(SymbolicMeans, "around", SABOTAGE[name](SymbolicMeans.around))
         broken = cg.synthesize(problem, 25, relation="boxes").certificate
     assert broken.lower_bound > 0.0
     report = cg.check(broken)
@@ -200,14 +200,14 @@ def test_a_variance_taken_for_a_deviation_is_refused(monkeypatch: pytest.MonkeyP
 def test_targets_that_inputs_do_not_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search believes in inputs half as large again; the controller's saturate."""
     problem = oscillator_reach(12)
-    around = WrittenMeans.around
+    around = SymbolicMeans.around
 
-    def generous(self: WrittenMeans, low: NDArray, high: NDArray, menu: NDArray, gains: NDArray) -> Any:
+    def generous(self: SymbolicMeans, low: NDArray, high: NDArray, menu: NDArray, gains: NDArray) -> Any:
         larger = self.agent.replace(input_low=[-1.5], input_high=[1.5])
         return around(replace(self, agent=larger), low, high, 1.5 * menu, gains)
 
     with monkeypatch.context() as patch:
-        patch.setattr(WrittenMeans, "around", generous)
+        patch.setattr(SymbolicMeans, "around", generous)
         broken = cg.synthesize(problem, 25, relation="boxes").certificate
     assert (
         not cg.check(broken)

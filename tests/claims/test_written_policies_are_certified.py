@@ -11,7 +11,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.synthesis.relations.kinds import WrittenPolicy
+from certigym.synthesis.relations.kinds import SymbolicPolicy
 
 TEXT = """
 name = "brake"
@@ -60,7 +60,7 @@ def test_a_file_says_what_acts_and_is_certified(brake: Path, tmp_path: Path) -> 
     wanted = np.clip(-0.6 * x[0] - 1.2 * x[1], -1.0, 1.0)
     np.testing.assert_allclose(stored.controller.inputs(0, x, np.zeros(50, dtype=int), 3)[0], wanted, rtol=1e-12)
     # Another policy, or more noise, is another claim.
-    other = WrittenPolicy.of(stored.problem.agents[0], ["-0.6*x"])
+    other = SymbolicPolicy.of(stored.problem.agents[0], ["-0.6*x"])
     assert not cg.check(replace(stored, proof=replace(stored.proof, networks=(other,))))
     windy = cg.load(brake).replace(disturbance_scale=3.0)
     assert not cg.check(replace(stored, problem=windy), windy)

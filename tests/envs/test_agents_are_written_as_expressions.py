@@ -13,7 +13,7 @@ import pytest
 import certigym as cg
 from certigym.baselines import RandomController
 from certigym.envs.interfaces import panels
-from certigym.envs.simulation import Dynamics, OneWorld, worlds
+from certigym.envs.simulation import Dynamics, SingleSimulator, batch_simulator
 from certigym.envs.tasks.problem import problem_from_dict
 from written_problems import bent, bent_team, oscillator, oscillator_reach
 
@@ -50,17 +50,18 @@ def test_simulation_is_that_of_an_independent_step() -> None:
     """200 worlds, 10 steps, against a step written by hand; then one world at a time, bit by bit."""
     problem = oscillator_reach(10)
     dynamics, rng = Dynamics.of(problem), np.random.default_rng(0)
-    many = worlds.initial(dynamics, rng, 200)
-    one_world = OneWorld.of(dynamics)
-    ones = [one_world.begin(worlds.selected(many, np.array([k]))) for k in range(5)]
+    many = batch_simulator.initial(dynamics, rng, 200)
+    single_simulator = SingleSimulator.of(dynamics)
+    ones = [single_simulator.begin(batch_simulator.selected(many, np.array([k]))) for k in range(5)]
     for _ in range(10):
-        normals, u = worlds.noise(dynamics, rng, 200), rng.uniform(-1, 1, (1, 1, 200))
-        after = worlds.transition(dynamics, many, [u], normals)
+        normals, u = batch_simulator.noise(dynamics, rng, 200), rng.uniform(-1, 1, (1, 1, 200))
+        after = batch_simulator.transition(dynamics, many, [u], normals)
         for k in range(200):
             hand = independent_step(many.states[0][:, 0, k], u[0, 0, k], normals[0][:, 0, k])
             assert np.allclose(after.states[0][:, 0, k], hand, rtol=1e-13, atol=1e-14)
         ones = [
-            one_world.step(world, [[float(u[0, 0, k])]], normals[0][:, 0, k].tolist()) for k, world in enumerate(ones)
+            single_simulator.step(world, [[float(u[0, 0, k])]], normals[0][:, 0, k].tolist())
+            for k, world in enumerate(ones)
         ]
         for k, world in enumerate(ones):
             assert list(world.states[0]) == after.states[0][:, 0, k].tolist()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.simulation import Dynamics, OneWorld, worlds
+from certigym.envs.simulation import Dynamics, SingleSimulator, batch_simulator
 from certigym.envs.tasks.problem import problem_from_dict
 from certigym.synthesis.relations.kinds import commands_of
 from team_problems import ring, room
@@ -24,17 +24,17 @@ def test_simulation_is_that_of_an_independent_step() -> None:
     problem = ring(4)
     dynamics, rng = Dynamics.of(problem), np.random.default_rng(0)
     assert len(dynamics.blocks) == 1  # equal but for the names of their neighbours
-    many = worlds.initial(dynamics, rng, 200)
-    one_world = OneWorld.of(dynamics)
-    ones = [one_world.begin(worlds.selected(many, np.array([k]))) for k in range(5)]
+    many = batch_simulator.initial(dynamics, rng, 200)
+    single_simulator = SingleSimulator.of(dynamics)
+    ones = [single_simulator.begin(batch_simulator.selected(many, np.array([k]))) for k in range(5)]
     for _ in range(4):
-        [z], u = worlds.noise(dynamics, rng, 200), rng.uniform(-0.5, 1.5, (1, 4, 200))
+        [z], u = batch_simulator.noise(dynamics, rng, 200), rng.uniform(-0.5, 1.5, (1, 4, 200))
         x = many.states[0][0]
         expected = x + 0.1 * (np.roll(x, 1, axis=0) + np.roll(x, -1, axis=0) - 2 * x) - 0.5 + u[0] + 0.2 * z[0]
-        many = worlds.transition(dynamics, many, [u], [z])
+        many = batch_simulator.transition(dynamics, many, [u], [z])
         np.testing.assert_allclose(many.states[0][0], expected, rtol=1e-13)
         for k in range(5):
-            ones[k] = one_world.step(ones[k], [[u[0, i, k]] for i in range(4)], z[0, :, k].tolist())
+            ones[k] = single_simulator.step(ones[k], [[u[0, i, k]] for i in range(4)], z[0, :, k].tolist())
             assert [s[0] for s in ones[k].states] == many.states[0][0, :, k].tolist()
 
 
@@ -100,7 +100,7 @@ def test_controllers_act_alike_in_environments_and_batches() -> None:
     for _ in range(4):
         actions = controller.act(observations, infos)
         states = np.concatenate([infos[name]["state"] for name in problem.agent_names])[None]
-        here = replace(worlds.initial_at(dynamics, states), time=int(infos["room_0"]["time"]))
+        here = replace(batch_simulator.initial_at(dynamics, states), time=int(infos["room_0"]["time"]))
         [inputs], _ = batch.act(here, batch.begin(here, np.random.default_rng(0)))
         assert inputs[0, :, 0].tolist() == [float(actions[name][0]) for name in problem.agent_names]
         observations, _, _, _, infos = env.step(actions)

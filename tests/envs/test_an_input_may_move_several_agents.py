@@ -10,7 +10,7 @@ import pytest
 
 import certigym as cg
 from boiler_problems import boiler, boiler_problem, room
-from certigym.envs.simulation import Dynamics, OneWorld, worlds
+from certigym.envs.simulation import Dynamics, SingleSimulator, batch_simulator
 from certigym.envs.tasks.problem import problem_from_dict, split_axes
 
 FALSE_ALARM = 1e-6
@@ -21,12 +21,12 @@ def test_simulation_is_that_of_an_independent_step() -> None:
     """200 worlds against a step written by hand; then one world at a time, bit by bit."""
     problem = boiler_problem(3)
     dynamics, rng = Dynamics.of(problem), np.random.default_rng(0)
-    many = worlds.initial(dynamics, rng, 200)
-    one_world = OneWorld.of(dynamics)
-    ones = [one_world.begin(worlds.selected(many, np.array([k]))) for k in range(5)]
+    many = batch_simulator.initial(dynamics, rng, 200)
+    single_simulator = SingleSimulator.of(dynamics)
+    ones = [single_simulator.begin(batch_simulator.selected(many, np.array([k]))) for k in range(5)]
     loss = np.array([0.1, 0.11, 0.12])[:, None]
     for _ in range(4):
-        z, joint = worlds.noise(dynamics, rng, 200), worlds.joint(dynamics, many)
+        z, joint = batch_simulator.noise(dynamics, rng, 200), batch_simulator.joint(dynamics, many)
         heat, trims = rng.uniform(0.0, 3.0, (1, 200)), rng.uniform(-0.2, 0.3, (3, 200))
         all_inputs = np.concatenate([heat, trims])
         u = [all_inputs[block.agents][None] for block in dynamics.blocks]
@@ -36,12 +36,16 @@ def test_simulation_is_that_of_an_independent_step() -> None:
         water = 0.6 * joint[:, 0] + 8.0 * heat[0] + 2.0 * noises[0]
         warmth = joint[:, 1:].T
         expected = warmth + loss * (12.0 - warmth) + 0.6 * heat + trims + 0.2 * noises[1:]
-        many = worlds.transition(dynamics, many, u, z)
-        np.testing.assert_allclose(worlds.joint(dynamics, many), np.stack([water, *expected], axis=1), rtol=1e-13)
+        many = batch_simulator.transition(dynamics, many, u, z)
+        np.testing.assert_allclose(
+            batch_simulator.joint(dynamics, many), np.stack([water, *expected], axis=1), rtol=1e-13
+        )
         flat = np.concatenate([normals.reshape(-1, 200) for normals in z])
         for k in range(5):
-            ones[k] = one_world.step(ones[k], [[value] for value in all_inputs[:, k].tolist()], flat[:, k].tolist())
-            assert [s[0] for s in ones[k].states] == worlds.joint(dynamics, many)[k].tolist()
+            ones[k] = single_simulator.step(
+                ones[k], [[value] for value in all_inputs[:, k].tolist()], flat[:, k].tolist()
+            )
+            assert [s[0] for s in ones[k].states] == batch_simulator.joint(dynamics, many)[k].tolist()
 
 
 def test_what_moves_the_rooms_is_the_input_that_is_applied() -> None:

@@ -238,9 +238,9 @@ def test_dynamics_that_are_not_those_of_a_circle_are_refused(
 
 def test_paths_that_may_be_half_a_turn_off_are_refused(on_path: Any) -> None:
     path = on_path.certificate.proof.paths[0]
-    slabs = path.slabs.copy()
-    slabs[2, 1] = np.inf
-    forged = changed(on_path.certificate, paths=(replace(path, slabs=slabs),))
+    strips = path.strips.copy()
+    strips[2, 1] = np.inf
+    forged = changed(on_path.certificate, paths=(replace(path, strips=strips),))
     assert not cg.check(forged, ship())
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.simulation import Dynamics, OneWorld
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import Dynamics, SingleSimulator
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.systems.expressions import Compiled, Name, Number, Operation, Tree, computed
 from certigym.envs.systems.expressions.expression_tree import FUNCTIONS
 
@@ -149,7 +149,7 @@ def test_steps_are_those_of_the_walk(seed: int, behaviour: str) -> None:
     """40 worlds, five steps, all bits; the first three worlds also one at a time."""
     problem = random_problem(seed)
     dynamics, rng = Dynamics.of(problem, behaviour), np.random.default_rng(seed)
-    worlds, alone = core.initial(dynamics, rng, 40), OneWorld.of(dynamics)
+    worlds, alone = core.initial(dynamics, rng, 40), SingleSimulator.of(dynamics)
     ones = [alone.begin(core.selected(worlds, np.array([k]))) for k in range(3)]
     for _ in range(5):
         normals = core.noise(dynamics, rng, 40)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.simulation import worlds as core
-from certigym.envs.simulation.worlds import Dynamics
+from certigym.envs.simulation import batch_simulator as core
+from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.synthesis.certificates.controllers.controller import Controller
 from certigym.synthesis.relations.kinds.coupled import CoupledRelation, couple
 from certigym.validation.statistical_tests.chunks import chunk_results, frames

@@ -12,9 +12,9 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.envs.simulation import BEHAVIOURS, Dynamics, OneWorld, worlds
+from certigym.envs.simulation import BEHAVIOURS, Dynamics, SingleSimulator, batch_simulator
 from certigym.synthesis.extended_check.claims import greedy_disturbance
-from certigym.synthesis.relations.kinds import WrittenMeans
+from certigym.synthesis.relations.kinds import SymbolicMeans
 from kinds import mostly_thorough
 from team_problems import windy_team
 from written_problems import bent
@@ -31,16 +31,16 @@ def certified() -> cg.Certificate:
 def steps(problem: cg.Problem, behaviour: Any, n_worlds: int, horizon: int) -> tuple[Any, Any]:
     """Disturbances (T, k, n, M) and worlds at the end, without inputs; one world is followed beside them."""
     dynamics, rng = Dynamics.of(problem, behaviour), np.random.default_rng(1)
-    many, found = worlds.initial(dynamics, rng, n_worlds), []
-    one_world = OneWorld.of(dynamics)
-    one = one_world.begin(worlds.selected(many, np.array([2])))
+    many, found = batch_simulator.initial(dynamics, rng, n_worlds), []
+    single_simulator = SingleSimulator.of(dynamics)
+    one = single_simulator.begin(batch_simulator.selected(many, np.array([2])))
     for _ in range(horizon):
-        inputs, normals = [np.full((1, 2, n_worlds), 0.1)], worlds.noise(dynamics, rng, n_worlds)
-        [values] = worlds.disturbances(dynamics, many, inputs, normals)
+        inputs, normals = [np.full((1, 2, n_worlds), 0.1)], batch_simulator.noise(dynamics, rng, n_worlds)
+        [values] = batch_simulator.disturbances(dynamics, many, inputs, normals)
         assert values is not None
         found.append(np.array(values))
-        many = worlds.transition(dynamics, many, inputs, normals)
-        one = one_world.step(one, [[0.1], [0.1]], normals[0][:, :, 2].ravel().tolist())
+        many = batch_simulator.transition(dynamics, many, inputs, normals)
+        one = single_simulator.step(one, [[0.1], [0.1]], normals[0][:, :, 2].ravel().tolist())
         assert [x[0] for x in one.states] == many.states[0][0, :, 2].tolist()
     return np.array(found), many
 
@@ -91,14 +91,14 @@ def test_rollouts_order_the_behaviours_and_none_refutes() -> None:
 @pytest.mark.thorough
 def test_a_claim_that_fails_under_one_behaviour_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search leaves the wind out; calm rollouts agree with it, the greedy wind does not."""
-    around = WrittenMeans.around
+    around = SymbolicMeans.around
 
-    def calm(self: WrittenMeans, *arguments: Any) -> Any:
+    def calm(self: SymbolicMeans, *arguments: Any) -> Any:
         return around(replace(self, agent=self.agent.replace(disturbances={"wind": [0.0, 0.0]})), *arguments)
 
     problem = windy_team(0.7)
     with monkeypatch.context() as patch:
-        patch.setattr(WrittenMeans, "around", calm)
+        patch.setattr(SymbolicMeans, "around", calm)
         broken = cg.synthesize(problem, 80, relation="boxes").certificate
     assert not cg.check(broken)
     assert cg.validate(broken, 20_000, seed=1, disturbance="zero").verdict == "consistent"

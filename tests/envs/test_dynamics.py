@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 from problems import linear
 from sample_problems import mixed_problem, planar, scalar
 

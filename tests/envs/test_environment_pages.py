@@ -10,7 +10,7 @@ import pytest
 import certigym as cg
 import environment_pages
 from certigym.envs.interfaces import edges
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from certigym.envs.systems.agents import Agent
 from certigym.envs.systems.expressions import Affine, ExpressionError, computed, enclosed, read_expression
 from certigym.envs.systems.expressions.expression_tree import Name, Number, Tree, whole_exponent
-from certigym.synthesis.extended_check.steps.mean_spans import enclosed_means
-from certigym.synthesis.relations.kinds import WrittenMeans
+from certigym.synthesis.extended_check.steps.mean_enclosures import enclosed_means
+from certigym.synthesis.relations.kinds import SymbolicMeans
 
 TEXTS = (
     "x + 0.1*y",
@@ -102,7 +102,7 @@ def test_true_values_lie_in_both_enclosures(text: str) -> None:
     """Fifty digits at random points and corners of 150 boxes; where the enclosure knows nothing it says so."""
     agent = agent_of(text, "y")
     tree, (low, high), rng = agent.trees[0], boxes(1), np.random.default_rng(2)
-    first, last = WrittenMeans(agent, np.eye(2), 1).around(low, high, np.zeros((1, 1)), np.zeros((1, 1, 2)))
+    first, last = SymbolicMeans(agent, np.eye(2), 1).around(low, high, np.zeros((1, 1)), np.zeros((1, 1, 2)))
     own_first, own_last = enclosed_means(agent, low, high, np.zeros((len(low), 1)), np.eye(2), 1)
     unknown = np.isnan(first[:, 0, 0])
     assert not unknown.all() and np.array_equal(unknown, np.isnan(own_first[:, 0]))
@@ -128,7 +128,7 @@ def test_enclosures_of_small_boxes_are_tight(text: str) -> None:
     high = low + 0.01
     first, last = (
         ends[:, 0, 0]
-        for ends in WrittenMeans(agent, np.eye(2), 1).around(low, high, np.zeros((1, 1)), np.zeros((1, 1, 2)))
+        for ends in SymbolicMeans(agent, np.eye(2), 1).around(low, high, np.zeros((1, 1)), np.zeros((1, 1, 2)))
     )
     share = np.stack([axis.ravel() for axis in np.meshgrid(np.linspace(0, 1, 30), np.linspace(0, 1, 30))])
     points = low[..., None] + 0.01 * share
@@ -155,7 +155,7 @@ def test_parts_and_rotations_hold_the_means() -> None:
     high, menu = low + rng.uniform(0.01, 1.0, (200, 2)), np.array([[-1.0], [0.5]])
     widths = []
     for parts in (1, 3):
-        first, last = WrittenMeans(agent, coordinates, parts).around(low, high, menu, np.zeros((2, 1, 2)))
+        first, last = SymbolicMeans(agent, coordinates, parts).around(low, high, menu, np.zeros((2, 1, 2)))
         widths.append(float((last - first).mean()))
         for choice, u in enumerate(menu[:, 0]):
             own = enclosed_means(agent, low, high, np.full((200, 1), u), coordinates, parts)

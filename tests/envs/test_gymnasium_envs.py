@@ -24,7 +24,7 @@ import fake_pygame
 from certigym.envs.interfaces.central_env import CentralEnv
 from certigym.envs.interfaces.observation import batch_inputs
 from certigym.envs.interfaces.vector_env import ProblemVectorEnv
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.suite.ids import gymnasium_id
 from certigym.envs.systems.agents import place_of
 from kinds import ALL_IDS, IDS_OF_KINDS

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.tasks.regions.labeling import Labeling, Proposition
 from kinds import ALL_IDS
 from sample_problems import planar, scalar

@@ -10,7 +10,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.interfaces.shaping import APPROACH, EASE, LOSS, SURVIVAL, Potential
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 from kinds import mostly_thorough
 
 IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "building-automation-v0"]

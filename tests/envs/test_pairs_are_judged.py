@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.simulation import OneWorld
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import SingleSimulator
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.tasks.problem.problem_file import problem_from_dict, problem_from_toml
 from certigym.envs.tasks.regions import REFUSAL
 from pair_problems import followers, mover
@@ -124,7 +124,7 @@ def mixed() -> cg.Problem:
 def test_one_world_and_many_have_the_same_letters() -> None:
     problem = mixed()
     dynamics = core.Dynamics.of(problem)
-    one, rng = OneWorld.of(dynamics), np.random.default_rng(3)
+    one, rng = SingleSimulator.of(dynamics), np.random.default_rng(3)
     worlds = core.initial(dynamics, rng, 200)
     singles = [one.begin(core.selected(worlds, np.array([m]))) for m in range(200)]
     met = set()

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.simulation import Dynamics, OneWorld
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import Dynamics, SingleSimulator
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.tasks.problem import problem_from_dict
 from kinds import mostly_thorough
 from pair_problems import judged_by_hand
@@ -58,7 +58,7 @@ def test_a_pair_holds_where_it_is_at_each_time(name: str) -> None:
     near, wanted = MOVING[name]
     problem = problem_of("F (near & there)", near)
     dynamics = Dynamics.of(problem)
-    one_world = OneWorld.of(dynamics)
+    single_simulator = SingleSimulator.of(dynamics)
     states = np.random.default_rng(3).uniform(-2.5, 2.5, (4, 400))
     blocks = core.split_joint(dynamics, states.T)
     held = 0
@@ -70,7 +70,7 @@ def test_a_pair_holds_where_it_is_at_each_time(name: str) -> None:
         for k in range(0, 400, 40):
             joint = [states[:2, k], states[2:, k]]
             assert problem.labeling.at(t).letter(joint)[1] == truth[k]
-            assert one_world._letter(tuple(tuple(x.tolist()) for x in joint), t)[0] >> 1 == truth[k]
+            assert single_simulator._letter(tuple(tuple(x.tolist()) for x in joint), t)[0] >> 1 == truth[k]
     assert 0 < held < 400 * (HORIZON + 1)
     with pytest.raises(ValueError, match="names the time"):
         problem.labeling.letter([states[:2, 0], states[2:, 0]])

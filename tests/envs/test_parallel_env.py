@@ -14,7 +14,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 import certigym as cg
 from certigym.envs import reach_avoid_v0
 from certigym.envs.interfaces.problem_env import ProblemEnv
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 from kinds import IDS_OF_KINDS
 from sample_problems import mixed_problem, scalar
 

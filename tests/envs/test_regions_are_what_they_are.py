@@ -18,8 +18,8 @@ import pytest
 
 import certigym as cg
 from certigym.envs.interfaces import Drawer, Picture
-from certigym.envs.simulation import Dynamics, OneWorld
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import Dynamics, SingleSimulator
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.tasks.problem import problem_from_dict
 from certigym.envs.tasks.regions import SHAPES
 from certigym.synthesis.extended_check.steps.geometry import classes_in_boxes
@@ -164,7 +164,7 @@ def test_runs_are_judged_by_what_is_written(name: str) -> None:
     wanted = [inside(p) for p in states]
     worlds = core.initial_at(dynamics, states)
     assert core.satisfied(dynamics, worlds).tolist() == wanted
-    single = OneWorld.of(dynamics)
+    single = SingleSimulator.of(dynamics)
     for k in range(40):
         world = single.begin(core.initial_at(dynamics, states[k : k + 1]))
         assert single.satisfied(world) == wanted[k]

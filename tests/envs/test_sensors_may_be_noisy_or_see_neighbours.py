@@ -17,7 +17,7 @@ from certigym.envs.interfaces.nearest import nearest_seen
 from certigym.envs.interfaces.problem_env import ProblemEnv
 from certigym.envs.interfaces.sensors import READING
 from certigym.envs.tasks.problem import groups as independent
-from certigym.synthesis.certificates.controllers import told
+from certigym.synthesis.certificates.controllers import communicated
 from certigym.synthesis.certificates.controllers.path_controller import PathController
 from certigym.synthesis.certificates.controllers.product_controller import ProductController
 from sample_problems import mixed_problem
@@ -163,7 +163,7 @@ def test_noisy_worlds_that_are_pickled_go_on_alike() -> None:
 
 
 def test_certified_controllers_and_shields_refuse_noisy_sensors() -> None:
-    assert told.READING == READING
+    assert communicated.READING == READING
     problem = cg.make_problem("reach-avoid-v0", horizon=4)
     result = cg.synthesize(problem, 40)
     env = cg.parallel_env(problem, sensor_noise=0.1)

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 import certigym as cg
 from certigym.envs.interfaces.central_env import CentralEnv
 from certigym.envs.interfaces.shaping import Potential
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 from kinds import ALL_IDS, mostly_thorough
 
 IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "invariance-4-v0"]

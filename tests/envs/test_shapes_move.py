@@ -10,7 +10,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.simulation import Dynamics
-from certigym.envs.simulation.worlds import letters
+from certigym.envs.simulation.batch_simulator import letters
 from certigym.envs.tasks.regions import pieces
 
 HORIZON = 6

@@ -10,7 +10,7 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.tasks.problem.split import axis_order, split_axes
 from certigym.validation.statistical_tests.binomial import REFUTED
 from problems import linear

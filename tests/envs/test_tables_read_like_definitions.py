@@ -10,9 +10,9 @@ import pytest
 
 import certigym as cg
 from certigym.envs.interfaces.observation import joint_bounds
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.simulation import tables as reading
-from certigym.envs.simulation import worlds as core
-from certigym.envs.simulation.worlds import Dynamics, Worlds
+from certigym.envs.simulation.batch_simulator import Dynamics, Worlds
 from certigym.envs.suite.catalogue import problem_ids
 from certigym.validation.statistical_tests.chunks import frames
 from certigym.validation.statistical_tests.loop import Loop

@@ -12,8 +12,8 @@ import pytest
 
 import certigym as cg
 from certigym.envs.interfaces import panels
-from certigym.envs.simulation import Dynamics, OneWorld, split_joint
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import Dynamics, SingleSimulator, split_joint
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.tasks.problem import states_in_time, written_out
 from certigym.envs.tasks.regions import Labeling
 from timed_problems import band, follow, robot, still
@@ -51,7 +51,7 @@ def test_batches_and_single_worlds_move_and_read_letters_as_it_is_written() -> N
     dynamics = Dynamics.of(problem)
     states = rng.uniform(-1, 1, (count, 3))
     worlds = core.initial_at(dynamics, states)
-    single = OneWorld.of(dynamics)
+    single = SingleSimulator.of(dynamics)
     ones = [single.begin(core.initial_at(dynamics, states[k : k + 1])) for k in range(5)]
     for t in range(problem.horizon):
         u, normals = rng.uniform(-1, 1, (3, count)), core.noise(dynamics, rng, count)

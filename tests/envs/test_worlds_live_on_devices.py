@@ -15,7 +15,7 @@ import pytest
 import certigym as cg
 from certigym.envs.interfaces import DeviceTeamEnv, Potential, TeamEnv
 from certigym.envs.simulation import Dynamics, Worlds
-from certigym.envs.simulation import worlds as core
+from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.systems.backends import LIBRARIES, device_put, numbers_beside, to_host
 from certigym.validation.statistical_tests import clopper_pearson
 from kinds import mostly_thorough

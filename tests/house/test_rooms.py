@@ -222,7 +222,7 @@ def test_other_rooms_are_entered_by_their_doors() -> None:
             if (
                 modules()[target].stem != "__init__"
                 and room_of(target) not in OPEN
-                and not (target == "envs.simulation.worlds" and not name)
+                and not (target == "envs.simulation.batch_simulator" and not name)
             ):
                 wrong.append(f"{module} imports {name or 'the file'} from {target}")
     assert wrong == []

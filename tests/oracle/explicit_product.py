@@ -16,7 +16,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from certigym import Problem
-from certigym.synthesis.abstraction.models.choices import Policies
+from certigym.synthesis.abstraction.models.action_tables import Policies
 from certigym.synthesis.abstraction.models.finite_models import AgentModel
 from certigym.synthesis.abstraction.models.target_windows import TargetWindows
 from certigym.synthesis.policy_search.bounds.dense import joint_outcomes

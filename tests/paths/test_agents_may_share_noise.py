@@ -14,8 +14,8 @@ from scipy.stats import multivariate_normal, norm
 
 import certigym as cg
 from certigym import Agent, LinearAgent, Pair, Problem, Proposition, Specification, check
-from certigym.envs.simulation import worlds as core
-from certigym.envs.simulation.one_world import OneWorld
+from certigym.envs.simulation import batch_simulator as core
+from certigym.envs.simulation.single_simulator import SingleSimulator
 from certigym.envs.systems.agents import AnyAgent
 from certigym.envs.tasks.problem import problem_from_dict
 from certigym.synthesis.certificates.proofs import PathProof, changed
@@ -77,7 +77,7 @@ def test_worlds_feel_it_together() -> None:
 
 def test_single_worlds_and_batches_have_the_same_bits() -> None:
     problem = team([drone("drone_0", 0.0), drone("drone_1", 0.5)], WIND)
-    one = OneWorld.of(core.Dynamics.of(problem))
+    one = SingleSimulator.of(core.Dynamics.of(problem))
     dynamics, rng = one.dynamics, np.random.default_rng(SEED)
     worlds = core.initial(dynamics, rng, 3)
     normals = core.noise(dynamics, rng, 3)

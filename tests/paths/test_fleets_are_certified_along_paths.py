@@ -19,7 +19,7 @@ from certigym.synthesis.trajectories.chance_constraints.pair_inequalities import
 from certigym.synthesis.trajectories.planning import CountedWork
 from certigym.synthesis.trajectories.planning.nonlinear_team import _Apart
 from certigym.synthesis.trajectories.words.accepted_words import is_accepted
-from certigym.synthesis.trajectories.words.automaton_paths import Way, ways_of
+from certigym.synthesis.trajectories.words.automaton_paths import AutomatonPath, automaton_paths_of
 from fleet_problems import mixed, path_of, problem_of, swap, walker
 from kinds import mostly_thorough
 
@@ -223,7 +223,7 @@ def test_files_keep_fleets(certificates: dict[str, AlongPath], tmp_path: Path) -
 def test_words_of_many_pairs_are_found() -> None:
     """Forty agents have 780 pairs: ways through the automaton are found in the nodes that still lead somewhere."""
     problem = swap(40, 0.01, 0.01, 3)
-    way = next(ways_of(problem))
+    way = next(automaton_paths_of(problem))
     letters = way.letters((3,), 3, len(problem.propositions))
     assert letters is not None and is_accepted(problem, letters)
     assert np.all(letters[1:3, problem.labeling.first_pair :] == -1)
@@ -304,11 +304,11 @@ def test_jumps_without_a_stay_follow_at_once() -> None:
 
 def test_ways_spread_their_jumps_evenly_and_together() -> None:
     stay: Any = ((0, False),)
-    way = Way((stay, stay, None, stay, ()), (stay, stay, stay, stay))
+    way = AutomatonPath((stay, stay, None, stay, ()), (stay, stay, stay, stay))
     assert [[*group] for group in way.groups] == [[0], [1, 2], [3]]
     assert way.spread(13) == (4, 8, 9, 13) and way.spread(4) == (1, 2, 3, 4)
     assert way.moved((4, 8, 9, 13), range(1, 3), 2) == (4, 10, 11, 13)
-    assert Way((stay,), ()).spread(5) == ()
+    assert AutomatonPath((stay,), ()).spread(5) == ()
 
 
 @pytest.mark.thorough

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import certigym as cg
-from certigym.synthesis.verbs.synthesize import ways_ahead
+from certigym.synthesis.verbs.synthesize import strategies_ahead
 
 
 def couples(number: int) -> cg.Problem:
@@ -32,6 +32,9 @@ def couples(number: int) -> cg.Problem:
 
 
 def test_paths_come_first_where_trees_have_many_terms() -> None:
-    order = {number: [way.name for _, ways in ways_ahead(couples(number)) for way in ways] for number in (2, 4)}
+    order = {
+        number: [strategy.name for _, strategies in strategies_ahead(couples(number)) for strategy in strategies]
+        for number in (2, 4)
+    }
     assert order[2].index("others") < order[2].index("path")
     assert order[4].index("path") < min(order[4].index("others"), order[4].index("linear"))

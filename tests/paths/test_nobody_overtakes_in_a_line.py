@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.trajectories.planning import CountedWork, in_line, path_search, team_search
+from certigym.synthesis.trajectories.planning import CountedWork, follow_the_leader, path_search, team_search
 from certigym.synthesis.trajectories.words.automaton_paths import letters_of
 
 
@@ -64,7 +64,7 @@ def test_plans_keep_the_order(monkeypatch: pytest.MonkeyPatch) -> None:
         return np.concatenate([one.nominal.states for one in found.found], axis=1)
 
     assert np.all(np.diff(places(), axis=1) > 0.8)
-    monkeypatch.setattr(team_search, "in_line", lambda guesses, limits: guesses)
+    monkeypatch.setattr(team_search, "follow_the_leader", lambda guesses, limits: guesses)
     assert not np.all(np.diff(places(), axis=1) > 0.8)
 
 
@@ -85,7 +85,7 @@ def test_guesses_keep_the_order_of_the_starts() -> None:
         "numbers": np.arange(2), "agents": np.array([[1, 0], [0, 2]]), "outputs": np.zeros((2, 2, 1), dtype=int),
         "low": np.full((steps + 1, 2, 1), -0.5), "high": np.full((steps + 1, 2, 1), 0.8), "asked": np.full((7, 2), -1),
     })()  # fmt: skip
-    moved = in_line.in_line(guesses, [group])
+    moved = follow_the_leader.follow_the_leader(guesses, [group])
     places = np.concatenate([moved[k] for k in (1, 0, 2)], axis=1)
     assert np.all(np.diff(places[1:], axis=1) >= 1.25 * 0.8 - 1e-12)
     np.testing.assert_array_equal(places[0], [0.0, 2.0, 4.0])

@@ -16,7 +16,7 @@ from certigym.synthesis.certificates.proofs import AgentPath, AlongPath, PathPro
 from certigym.synthesis.policy_search.cell_certificates.agreement import agreed, agreed_path
 from certigym.synthesis.trajectories.chance_constraints import feedback_bounds
 from certigym.synthesis.trajectories.planning.counted_work import CountedWork
-from certigym.synthesis.trajectories.planning.nonlinear_search import Found, NonlinearSearch
+from certigym.synthesis.trajectories.planning.nonlinear_search import Detected, NonlinearSearch
 from fleet_problems import path_of
 from kinds import mostly_thorough
 
@@ -145,14 +145,14 @@ FORGERIES = {
     "gains": lambda c: shifted(c, gain=lambda k: 1.5 * k),
     "gains of another step": lambda c: shifted(c, gain=lambda k: np.roll(k, 3, axis=0)),
     "no feedback": lambda c: shifted(c, gain=lambda k: 0.0 * k),
-    "wide slabs": lambda c: shifted(c, slabs=lambda s: 4.0 * s),
-    "no slabs": lambda c: shifted(c, slabs=lambda s: np.full_like(s, np.inf)),
-    "narrow slabs": lambda c: shifted(c, slabs=lambda s: 0.5 * s),
-    "slabs that are none": lambda c: shifted(c, slabs=lambda s: -s),
+    "wide strips": lambda c: shifted(c, strips=lambda s: 4.0 * s),
+    "no strips": lambda c: shifted(c, strips=lambda s: np.full_like(s, np.inf)),
+    "narrow strips": lambda c: shifted(c, strips=lambda s: 0.5 * s),
+    "strips that are none": lambda c: shifted(c, strips=lambda s: -s),
     "too large inputs": lambda c: shifted(c, inputs=lambda u: u + 3.0),
     "one step less": lambda c: changed(
         c, letters=c.proof.letters[1:], faces=c.proof.faces[1:],
-        paths=tuple(AgentPath(p.inputs[1:], p.gain[1:], p.states[1:], p.slabs[1:]) for p in c.proof.paths)),
+        paths=tuple(AgentPath(p.inputs[1:], p.gain[1:], p.states[1:], p.strips[1:]) for p in c.proof.paths)),
     "form": lambda c: shifted(c, states=lambda x: x[:-1]),
 }  # fmt: skip
 
@@ -197,7 +197,7 @@ def noisy() -> cg.Problem:
     return bend(noise_covariance=noise, input_low=[-1, -1], input_high=[1, 1])
 
 
-def along(problem: cg.Problem) -> tuple[Found, AlongPath]:
+def along(problem: cg.Problem) -> tuple[Detected, AlongPath]:
     """What little work finds along a path, and its certificate."""
     certificate = path_of(problem)
     found = NonlinearSearch(problem, 0, CountedWork()).quick(certificate.proof.letters)
@@ -224,8 +224,8 @@ class NoDrift(feedback_bounds._Walk):
     """Tubes, inputs and limits that only linear deviations are kept from."""
 
     def of_rows(self, t: int, rows: Any) -> Any:
-        shift, drift, variance = super().of_rows(t, rows)
-        return shift, 0.0 * drift, variance
+        shift, linearization_error, variance = super().of_rows(t, rows)
+        return shift, 0.0 * linearization_error, variance
 
 
 class NoTubeRows(feedback_bounds._Walk):
@@ -233,7 +233,7 @@ class NoTubeRows(feedback_bounds._Walk):
 
     def walked(self) -> Any:
         worth, spreads = super().walked()
-        worth.slab = [np.full(part.shape, np.inf) for part in worth.slab]
+        worth.strip = [np.full(part.shape, np.inf) for part in worth.strip]
         return worth, spreads
 
 
@@ -253,7 +253,7 @@ def bowl() -> cg.Problem:
 
 
 @cache
-def honest(bowled: bool) -> tuple[Found, AlongPath]:
+def honest(bowled: bool) -> tuple[Detected, AlongPath]:
     """What is found for the ball, or for noisy agents; the check accepts it."""
     found, certificate = along(bowl() if bowled else noisy())
     return found, agreed_path(certificate)
@@ -272,7 +272,7 @@ def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: 
         nominal.__dict__["linear"] = tuple(np.vstack([m[1:], m[-1:]]) for m in found.nominal.linear)
     feedback = found.feedback
     worth, spreads = nominal.worth(feedback)
-    path = AgentPath(found.nominal.inputs, feedback.gains[0], found.nominal.states, spreads.slabs)
+    path = AgentPath(found.nominal.inputs, feedback.gains[0], found.nominal.states, spreads.strips)
     forged = changed(certificate, paths=(path,), failure=float(worth.failures()[0]))
     assert forged.proof.failure < 0.999 * certificate.proof.failure and not cg.check(forged)
 
@@ -280,7 +280,7 @@ def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: 
 @pytest.mark.thorough
 @pytest.mark.parametrize("longest", [30.0, 3000.0])
 def test_a_clock_is_a_state_without_noise(longest: float) -> None:
-    """A reference that moves with the time: the check refused slabs that were thinner than what it rounds by."""
+    """A reference that moves with the time: the check refused strips that were thinner than what it rounds by."""
     agent = cg.Agent(
         name="one", states=["x", "clock"], inputs=["u"], dynamics=["x + u", "clock + 1"],
         outputs=["x - 2*sin(0.4*clock)"], noise=[{"law": "gaussian", "std": std} for std in (0.1, 0.0)],
@@ -293,7 +293,7 @@ def test_a_clock_is_a_state_without_noise(longest: float) -> None:
 
 @pytest.mark.thorough
 def test_noise_that_grows_with_the_state_is_certified_at_any_size() -> None:
-    """Noise of which no slab is small: the largest scale on the tube counts, and no more than the tails double."""
+    """Noise of which no strip is small: the largest scale on the tube counts, and no more than the tails double."""
     agent = cg.Agent(
         name="plant", states=["upper", "lower"], inputs=["pump"],
         dynamics=["upper + 0.5*(pump - 0.4*sqrt(max(upper, 0)))",
@@ -304,8 +304,8 @@ def test_noise_that_grows_with_the_state_is_certified_at_any_size() -> None:
     )  # fmt: skip
     regions = {"good": cg.Proposition("plant", [0.5, 1.4], [3.0, 2.2]), "full": cg.Proposition("plant", [0, 3], [4, 4])}
     certificate = path_of(problem_of([agent], regions, "(!full) U good", 25))
-    assert certificate.lower_bound > 0.97  # with slabs on the noise alone .85
-    assert cg.check(certificate) and np.any(np.isinf(certificate.proof.paths[0].slabs[1:-1, 3:]))  # type: ignore[index]
+    assert certificate.lower_bound > 0.97  # with strips on the noise alone .85
+    assert cg.check(certificate) and np.any(np.isinf(certificate.proof.paths[0].strips[1:-1, 3:]))  # type: ignore[index]
     assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
 
 

@@ -14,7 +14,7 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.tasks.problem.problem_file import problem_from_toml
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.trajectories.chance_constraints.calm_runs import most_missed, satisfies
+from certigym.synthesis.trajectories.chance_constraints.noise_free_runs import most_missed, satisfies
 
 FILE = """
 name = "{name}"

@@ -65,7 +65,7 @@ def along(
     agents: list[cg.Agent],
     regions: dict[str, Any],
     formula: str,
-    slabs: list[list[float]],
+    strips: list[list[float]],
     *,
     letter: int = 1,
     states: list[list[float]] | None = None,
@@ -73,8 +73,8 @@ def along(
     gain: float = 0.0,
     **more: Any,
 ) -> AlongPath:
-    """Return a certificate along 0, or other states: slabs of the states at each time, a letter at the last one."""
-    steps, semantics = len(slabs) - 1, "finite-trace"
+    """Return a certificate along 0, or other states: strips of the states at each time, a letter at the last one."""
+    steps, semantics = len(strips) - 1, "finite-trace"
     problem = cg.Problem(
         name="one row", horizon=steps, agents=agents, propositions=regions,
         specification=cg.Specification(formula, semantics), **more,
@@ -88,7 +88,7 @@ def along(
         np.zeros((steps, 1)) if inputs is None else np.array(inputs)[:, None],
         np.zeros((steps, 1, d)),
         np.zeros((steps + 1, d)) if states is None else np.array(states),
-        np.concatenate([np.array(slabs), np.full((steps + 1, d + 1), np.inf)], axis=1),
+        np.concatenate([np.array(strips), np.full((steps + 1, d + 1), np.inf)], axis=1),
     )
     path.gain[1:, :, 0] = gain
     normals = np.zeros((steps + 1, 1)) if problem.labeling.pairs else None
@@ -96,25 +96,25 @@ def along(
     return Certificate(problem, proof, {"relation": "path"})
 
 
-def of_drift(slab: float) -> AlongPath:
+def of_drift(strip: float) -> AlongPath:
     """A state that is the square of noise."""
     low = cg.Proposition("a", [-9.0, -9.0], [999.0, 0.25])
-    slabs = [[0.0, 0.0], [slab, np.inf], [np.inf, np.inf]]
-    return along([agent("a", ["u", "x^2"], [1.0, FAINT])], {"low": low}, "X X low", slabs)
+    strips = [[0.0, 0.0], [strip, np.inf], [np.inf, np.inf]]
+    return along([agent("a", ["u", "x^2"], [1.0, FAINT])], {"low": low}, "X X low", strips)
 
 
-def of_product(slab: float) -> AlongPath:
+def of_product(strip: float) -> AlongPath:
     """A state that is the product of two noises: it is off by as much on both sides."""
     near = cg.Proposition("a", [-9.0, -9.0, -0.25], [999.0, 999.0, 0.25])
-    slabs = [[0.0] * 3, [slab, slab, np.inf], [np.inf] * 3]
-    return along([agent("a", ["u", "0*u", "x*y"], [1.0, 1.0, FAINT])], {"near": near}, "X X near", slabs)
+    strips = [[0.0] * 3, [strip, strip, np.inf], [np.inf] * 3]
+    return along([agent("a", ["u", "0*u", "x*y"], [1.0, 1.0, FAINT])], {"near": near}, "X X near", strips)
 
 
-def of_tube(slab: float) -> AlongPath:
+def of_tube(strip: float) -> AlongPath:
     """A state that is the square of the square of noise: what the first one is off makes the tube of the second."""
     low = cg.Proposition("a", [-9.0, -9.0, -9.0], [999.0, 999.0, 0.0625])
-    slabs = [[0.0] * 3, [slab, 0.01, np.inf], [6.0, 0.01, np.inf], [np.inf] * 3]
-    return along([agent("a", ["u", "x^2", "y^2"], [1.0, FAINT, FAINT])], {"low": low}, "X X X low", slabs)
+    strips = [[0.0] * 3, [strip, 0.01, np.inf], [6.0, 0.01, np.inf], [np.inf] * 3]
+    return along([agent("a", ["u", "x^2", "y^2"], [1.0, FAINT, FAINT])], {"low": low}, "X X X low", strips)
 
 
 def of_middle() -> AlongPath:
@@ -126,9 +126,9 @@ def of_middle() -> AlongPath:
 def of_inputs() -> AlongPath:
     """A feedback that asks for more than there is."""
     near = cg.Proposition("a", [-9.0, -0.01], [999.0, 0.01])
-    slabs = [[0.0, 0.0], [np.inf, np.inf], [np.inf, np.inf]]
+    strips = [[0.0, 0.0], [np.inf, np.inf], [np.inf, np.inf]]
     agents = [agent("a", ["0*x", "x + u"], [1.0, FAINT], 0.5)]
-    return along(agents, {"near": near}, "X X near", slabs, gain=-1.0)
+    return along(agents, {"near": near}, "X X near", strips, gain=-1.0)
 
 
 def of_wind() -> AlongPath:
@@ -142,9 +142,9 @@ def of_wind() -> AlongPath:
 def of_jump() -> AlongPath:
     """A region that is narrower than a step."""
     goal = cg.Proposition("a", [1.0], [1.2])
-    agents, slabs = [agent("a", ["x + u"], [0.2])], [[0.0], [np.inf], [np.inf]]
+    agents, strips = [agent("a", ["x + u"], [0.2])], [[0.0], [np.inf], [np.inf]]
     states, inputs = [[0.0], [0.0], [2.0]], [0.0, 2.0]
-    return along(agents, {"goal": goal}, "F goal", slabs, letter=SOMETIME, states=states, inputs=inputs)
+    return along(agents, {"goal": goal}, "F goal", strips, letter=SOMETIME, states=states, inputs=inputs)
 
 
 def far_product() -> float:

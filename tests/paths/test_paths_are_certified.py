@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import AgentPath, AlongPath, PathProof, changed
-from certigym.synthesis.trajectories.chance_constraints import slabs
+from certigym.synthesis.trajectories.chance_constraints import strip_constraints
 from certigym.synthesis.trajectories.planning import CountedWork, path_search
 from certigym.synthesis.trajectories.planning.path_search import linear_certificate
 
@@ -146,7 +146,7 @@ def test_another_side_of_a_region_is_refused() -> None:
 
 
 SABOTAGES = {
-    "variance for deviation": (slabs.Slabs, "failure", None),
+    "variance for deviation": (strip_constraints.StripConstraints, "failure", None),
     "noise of one step less": (path_search, "covariances_of", lambda f: lambda a, g, s: np.roll(f(a, g, s), 1, axis=0)),
     "workspace left out": (
         path_search, "limits_of", lambda f: lambda p, i, le, fa: [x for x in f(p, i, le, fa) if x[0] > 3],
@@ -162,13 +162,13 @@ def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: 
     problem = chain(2, 5, 1.0)
     room, attribute, broken = SABOTAGES[name]
     if broken is None:
-        truth = slabs.state_slabs
+        truth = strip_constraints.state_strips
 
         def squared(limits: Any, covariances: Any) -> Any:
             honest = truth(limits, covariances)
             return replace(honest, deviations=honest.deviations**2)
 
-        monkeypatch.setattr(path_search, "state_slabs", squared)
+        monkeypatch.setattr(path_search, "state_strips", squared)
     else:
         monkeypatch.setattr(room, attribute, broken(getattr(room, attribute)))
     certificate = path_of(problem)

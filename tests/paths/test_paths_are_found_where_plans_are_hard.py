@@ -17,11 +17,11 @@ from certigym.synthesis.policy_search.portfolio import first_cells
 from certigym.synthesis.trajectories.chance_constraints.nonlinear_model import NonlinearModel
 from certigym.synthesis.trajectories.chance_constraints.path_limits import farthest_sides, limits_along
 from certigym.synthesis.trajectories.planning import CountedWork, path_certificate
+from certigym.synthesis.trajectories.planning.candidate_runs import candidate_run
 from certigym.synthesis.trajectories.planning.nominal_planner import Aim, Planner, rolled
 from certigym.synthesis.trajectories.planning.nonlinear_team import _Apart
+from certigym.synthesis.trajectories.planning.schedules import plans_of_runs, runs_in_turn
 from certigym.synthesis.trajectories.planning.team_search import TeamSearch
-from certigym.synthesis.trajectories.planning.tried_runs import tried_run
-from certigym.synthesis.trajectories.planning.turns import plans_of_runs, runs_in_turn
 from certigym.synthesis.trajectories.words.accepted_words import is_accepted
 from certigym.synthesis.trajectories.words.automaton_paths import letters_of
 
@@ -79,7 +79,7 @@ def test_teams_with_pairs_may_name_each_other(chased: cg.Synthesis) -> None:
 
 def test_less_room_for_whom_others_name_is_refused(chased: cg.Synthesis) -> None:
     hare, wolf = chased.certificate.proof.paths
-    narrow = type(hare)(hare.inputs, hare.gains, hare.states, 0.3 * hare.slabs)
+    narrow = type(hare)(hare.inputs, hare.gains, hare.states, 0.3 * hare.strips)
     assert not cg.check(changed(chased.certificate, paths=(narrow, wolf)))
 
 
@@ -114,7 +114,7 @@ def test_runs_of_tried_inputs_find_what_no_slope_leads_to() -> None:
     letters = letters_of(problem, plan)
     assert letters is not None
     model, start = NonlinearModel(problem.agents[0]), problem.agents[0].initial.low
-    inputs = tried_run(problem, model, letters, start, CountedWork())
+    inputs = candidate_run(problem, model, letters, start, CountedWork())
     assert inputs is not None
     states = rolled(model, start, inputs)
     assert states[:, 1].min() > 0.1

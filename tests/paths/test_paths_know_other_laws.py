@@ -72,11 +72,11 @@ def test_normal_laws_are_above_the_exponential_moments(name: str) -> None:
     """Against sums over a million quantiles, at arguments up to six deviations; search and check say the same."""
     law = law_of(LAWS[name])
     found = moments_of(law)
-    searched = law.majorant
+    searched = law.envelope
     assert searched is not None and searched.tail == Tail.LIGHT
     np.testing.assert_allclose(searched[:2], (found.mean, found.deviation), rtol=1e-9, atol=1e-12)
     n = 10**6
-    numbers = law.from_normal(ndtri((np.arange(n) + 0.5) / n))
+    numbers = law.ppf_of_normal(ndtri((np.arange(n) + 0.5) / n))
     assert abs(numbers.mean() - found.mean) <= 1e-6
     for share in np.linspace(-6.0, 6.0, 13):
         a = share / found.deviation
@@ -134,12 +134,12 @@ LONG: dict[str, dict[str, Any]] = {
 def test_laplace_laws_are_above_heavier_exponential_moments(name: str) -> None:
     """Against sums over a million quantiles, without the rarest noise where it is given up; search and check agree."""
     law = law_of(LONG[name])
-    found, searched = moments_of(law), law.majorant
+    found, searched = moments_of(law), law.envelope
     assert searched is not None and searched.tail == Tail.LONG
     np.testing.assert_allclose((found.mean, found.deviation), searched[:2], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(found.lost, searched.lost, rtol=1e-4)
     n = 10**6
-    numbers = law.from_normal(ndtri((np.arange(n) + 0.5) / n))
+    numbers = law.ppf_of_normal(ndtri((np.arange(n) + 0.5) / n))
     # what is given up lies in both tails
     numbers = np.sort(numbers)[int(np.ceil(0.5 * found.lost * n)) : n - int(np.ceil(0.5 * found.lost * n))]
     assert abs(numbers.mean() - found.mean) <= 1e-6

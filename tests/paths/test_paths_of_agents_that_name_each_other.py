@@ -48,9 +48,9 @@ def test_narrower_tubes_than_are_kept_are_refused() -> None:
     certificate = own_path("springs.toml")
     for share in (0.3, 0.6):
         paths = list(certificate.proof.paths)
-        paths[1] = replace(paths[1], slabs=paths[1].slabs * share)
+        paths[1] = replace(paths[1], strips=paths[1].strips * share)
         assert not cg.check(changed(certificate, paths=tuple(paths)))
-    paths[1] = replace(certificate.proof.paths[1], slabs=np.zeros_like(certificate.proof.paths[1].slabs))
+    paths[1] = replace(certificate.proof.paths[1], strips=np.zeros_like(certificate.proof.paths[1].strips))
     assert not cg.check(changed(certificate, paths=tuple(paths)))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.trajectories.planning.coarse_ways import guesses
-from certigym.synthesis.trajectories.words.automaton_paths import ways_of
+from certigym.synthesis.trajectories.planning.coarse_routes import guesses
+from certigym.synthesis.trajectories.words.automaton_paths import automaton_paths_of
 from certigym.synthesis.trajectories.words.exclusions import exclusions
 
 
@@ -76,7 +76,7 @@ def test_words_visit_discs_one_after_the_other() -> None:
     """Without that knowledge the shortest words ask for all of them at once, and no other is looked at."""
     problem = rover(DISCS, "F (a & F (b & F (wedge & F a)))", horizon=30)
     names = problem.automaton.propositions
-    ways = list(ways_of(problem))
+    ways = list(automaton_paths_of(problem))
     assert ways
     for way in ways:
         for cube in way.jumps:

@@ -74,7 +74,7 @@ def test_nominal_states_that_are_off_are_shifted() -> None:
     honest = crossing(line(0.6, 0.1))
     (path,) = honest.proof.paths
     assert path.states is not None
-    slower = AgentPath(path.inputs, path.gain, 0.5 * path.states, path.slabs)
+    slower = AgentPath(path.inputs, path.gain, 0.5 * path.states, path.strips)
     failures, failure = wrong_paths(changed(honest, paths=(slower,)))
     assert not failures and failure == pytest.approx(wrong_paths(honest)[1], rel=1e-6)
 
@@ -203,7 +203,7 @@ def crossing_robot(problem: cg.Problem, along: str) -> AlongPath:
     states = np.array([0.0, 2.0]) + 0.2 * np.concatenate([np.zeros((1, 2)), np.cumsum(u, axis=0)])
     letters, faces = np.zeros((13, 1), dtype=np.int8), np.full((13, 1), -1)
     letters[1:], faces[1:] = SOMETIME, 2 * axis
-    slabs = np.full((13, 6), np.inf)
-    slabs[:, 1] = 2.0  # an angle has to be known up to half a turn
-    path = AgentPath(u, np.zeros((12, 2, 2)), states, slabs)
+    strips = np.full((13, 6), np.inf)
+    strips[:, 1] = 2.0  # an angle has to be known up to half a turn
+    path = AgentPath(u, np.zeros((12, 2, 2)), states, strips)
     return Certificate(problem, PathProof((path,), letters, faces, 1.0), {"relation": "path"})

@@ -113,7 +113,7 @@ def test_controllers_act_alike_in_loops_and_in_batches(way: str) -> None:
     observations, infos = env.reset(seed=5)
     controller.reset(observations, infos, seed=0)
     from certigym.envs.simulation import Dynamics
-    from certigym.envs.simulation import worlds as core
+    from certigym.envs.simulation import batch_simulator as core
 
     dynamics = Dynamics.of(certificate.problem)
     batch, rng = controller.batch(dynamics), np.random.default_rng(0)

@@ -10,10 +10,10 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import SOMETIME, changed
-from certigym.synthesis.trajectories.chance_constraints.drifts import Drifts
+from certigym.synthesis.trajectories.chance_constraints.linearization_errors import LinearizationErrors
 from certigym.synthesis.trajectories.words import automaton_paths as words
 from certigym.synthesis.trajectories.words.accepted_words import is_accepted, without_needless
-from certigym.synthesis.trajectories.words.automaton_paths import ways_of
+from certigym.synthesis.trajectories.words.automaton_paths import automaton_paths_of
 from certigym.synthesis.trajectories.words.segments import segmented_ways
 from certigym.synthesis.trajectories.words.timed_words import timed_ways
 from fleet_problems import wrong_paths
@@ -77,7 +77,7 @@ def test_one_waits_until_nobody_is_in_the_lane() -> None:
         state_low=[-9.0], state_high=[9.0], initial_state=[-2.0],
     )  # fmt: skip
     problem = task("!(lane & busy) U here", 16, "co-safe", other=lift)
-    busy = Drifts(problem).letters[:, list(problem.automaton.propositions).index("busy")]
+    busy = LinearizationErrors(problem).letters[:, list(problem.automaton.propositions).index("busy")]
     positions = -2.0 + 0.4 * np.arange(17)
     np.testing.assert_array_equal(busy, np.where((positions >= -1.5) & (positions < 1.5), 1, -1))
     result = cg.synthesize(problem, relation="path")
@@ -111,7 +111,7 @@ def test_visits_again_and_again_are_timed_by_how_far_it_is() -> None:
         },
         specification=cg.Specification("G[0,20] F[0,10] east & G[0,20] F[0,10] west", semantics="finite-trace"),
     )
-    assert list(islice(ways_of(problem), 1)) == []
+    assert list(islice(automaton_paths_of(problem), 1)) == []
     (way, times), *_ = timed_ways(problem)
     letters = way.letters(times, problem.horizon, 2)
     assert letters is not None and is_accepted(problem, letters)
@@ -206,7 +206,7 @@ def _agrees(word: tuple[tuple[bool, ...], ...], letters: np.ndarray) -> bool:
 @pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
 def test_as_much_is_left_out_as_one_by_one(formula: str, semantics: str) -> None:
     problem = task(formula, 8, semantics)
-    for way in islice(ways_of(problem), 4):
+    for way in islice(automaton_paths_of(problem), 4):
         times = way.spread(8)
         letters = way.letters(times, 8, len(problem.automaton.propositions))
         if letters is None or not is_accepted(problem, letters):
@@ -243,7 +243,7 @@ def test_errands_of_several_agents_are_done_side_by_side(monkeypatch: pytest.Mon
     )
     # At the start all are at home; a and b take a jump each.
     monkeypatch.setattr(words, "MOST_SEQUENCES", 2)
-    assert len(next(ways_of(problem)).jumps) == 2
+    assert len(next(automaton_paths_of(problem)).jumps) == 2
     result = cg.synthesize(problem, relation="path")
     assert result.certificate.lower_bound > 0.9999
     assert cg.check(result.certificate, problem)

@@ -85,7 +85,9 @@ def test_the_environments_pass_their_checkers(problem: cg.Problem, shield: Shiel
     check_env(cg.shield(cg.central_env(problem), shield), skip_render_check=True)
     env = pickle.loads(pickle.dumps(cg.shield(problem, shield)))
     _, infos = env.reset(seed=0)
-    assert all(info["budget"] == pytest.approx(shield.owed) and info["overridden"] is False for info in infos.values())
+    assert all(
+        info["budget"] == pytest.approx(shield.risk_budget) and info["overridden"] is False for info in infos.values()
+    )
     assert env.observation_space("agent_0") == cg.parallel_env(problem).observation_space("agent_0")
 
 
@@ -115,8 +117,8 @@ def test_tasks_side_by_side_are_shielded_one_by_one() -> None:
     certificate = cg.synthesize(pairs(10, starts=(-2.0, -1.5)), 24, relation="exact", value="tree").certificate
     env = cg.shield(certificate.problem, certificate, probability=0.9 * certificate.lower_bound)
     _, infos = env.reset(seed=0)
-    owed = np.prod([infos[task.possible_agents[0]]["budget"] for task in env.tasks])
-    assert owed >= env.shield.probability
+    risk_budget = np.prod([infos[task.possible_agents[0]]["budget"] for task in env.tasks])
+    assert risk_budget >= env.shield.probability
     rng = np.random.default_rng(0)
     while env.agents:
         *_, infos = env.step({name: rng.uniform(-2.0, 2.0, 1) for name in env.agents})

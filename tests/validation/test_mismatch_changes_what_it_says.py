@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.simulation import worlds as core
-from certigym.envs.simulation.worlds import Dynamics
+from certigym.envs.simulation import batch_simulator as core
+from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.synthesis.certificates.proofs import OnGrid, is_exact
 from certigym.validation.statistical_tests.chunks import frames
 from certigym.validation.statistical_tests.loop import Loop
@@ -125,7 +125,7 @@ def test_stress_reports_how_far_the_bound_survives(certificate: OnGrid) -> None:
         "delay": [Mismatch(delay=3)],
         "quiet": [Mismatch(noise_scale=0.3)],
     }
-    report = stress(certificate, 4000, ladders=rungs, confidence=1 - 1e-6)
+    report = stress(certificate, 4000, pruning_schedules=rungs, confidence=1 - 1e-6)
     assert report.survives("noise scale") == Mismatch(noise_scale=1.001)
     assert report.survives("delay") is None
     assert [rung.verdict for rung in report.rungs if rung.ladder == "quiet"] == ["confirmed"]

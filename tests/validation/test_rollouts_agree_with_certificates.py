@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import binomtest
 
 import certigym as cg
-from certigym.envs.simulation.worlds import Dynamics
+from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.synthesis.certificates.proofs import OnGrid, changed, is_exact, start_of_claim
 from certigym.validation.statistical_tests.binomial import CONFIRMED, CONSISTENT, REFUTED, clopper_pearson, verdict
 from certigym.validation.statistical_tests.chunks import run_chunk
@@ -194,7 +194,7 @@ def test_batched_and_single_controllers_agree_to_the_last_bit() -> None:
     problem = correlated()
     controller = cg.synthesize(problem, {"plane": [16, 16], "line": 20}, relation="exact").controller
     dynamics = Dynamics.of(problem)
-    from certigym.envs.simulation import worlds as core
+    from certigym.envs.simulation import batch_simulator as core
 
     rng = np.random.default_rng(0)
     worlds = core.initial_at(dynamics, rng.uniform(-4, 4, size=(50, 3)))

@@ -11,7 +11,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.simulation import Dynamics, joint
-from certigym.envs.simulation.worlds import initial
+from certigym.envs.simulation.batch_simulator import initial
 from certigym.validation.policies import imitation
 from certigym.validation.policies.actors import TeamActor, load_actor, networks_of
 from certigym.validation.policies.learning import new_learner

@@ -14,7 +14,7 @@ import certigym as cg
 from certigym.baselines import Leaderboard, RandomController, Sources
 from certigym.cli.main import main
 from certigym.validation.policies import imitation, page_of, probing
-from certigym.validation.policies.standings import judging_plan, mean_progress
+from certigym.validation.policies.ranking import judging_plan, mean_progress
 from certigym.validation.statistical_tests import clopper_pearson, planned
 
 RA2 = cg.make_problem("reach-avoid-v0")

@@ -1,17 +1,20 @@
-"""Policies of any origin, trained, compared and run behind shields."""
+"""Policies trained, compared, and behind shields.
+
+Policies of any origin, trained, compared and run behind shields.
+"""
 
 from .actors import NotAnActor, load_actor
 from .behind import shield
 from .comparison import Comparison, compare
-from .entrants import LEARNERS, Sources, given, label_of
+from .competitors import LEARNERS, Sources, given, label_of
 from .probing import Attempt, Probe, probe
+from .ranking import Leaderboard, Standing, judged, judging_plan, leaderboard
+from .ranking_page import page_of
 from .recording import Recording, record
 from .rollout_policies import IdleController, RandomController, as_controller
 from .shielded_batches import ShieldedTeamEnv, ShieldedVectorEnv
 from .shielded_envs import ShieldedCentralEnv, ShieldedEnv, ShieldedTasksEnv
 from .shielded_policy import ShieldedController
-from .standings import Leaderboard, Standing, judged, judging_plan, leaderboard
-from .standings_page import page_of
 from .tier_rule import tier_of
 from .training import ALGORITHMS, Training, certificate_of, train
 

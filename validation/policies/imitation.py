@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.simulation import Dynamics, joint
-from ...envs.simulation import worlds as core
+from ...envs.simulation import batch_simulator as core
 from ...envs.systems.arguments import counted, tree_text
 from ..statistical_tests import Batchable
 from .views import View

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...envs.interfaces import CentralEnv
 from ...envs.simulation import Dynamics, Worlds, joint
-from ...envs.simulation import worlds as core
+from ...envs.simulation import batch_simulator as core
 from ...envs.suite import as_problem
 from ...envs.systems.arguments import counted, tree_text, write_bytes
 from ...envs.tasks.problem import Problem

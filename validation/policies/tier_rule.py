@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from .standings import Standing
+from .ranking import Standing
 
 ALONE = ("ppo", "ippo", "mappo", "central-ppo", "sac")
 """Learners without help from any certificate."""

@@ -1,4 +1,7 @@
-"""Monte Carlo rollouts of the continuous system, and statistical tests of certified claims."""
+"""Rollouts, and statistical tests of claims by them.
+
+Monte Carlo rollouts of the continuous system, and statistical tests of certified claims.
+"""
 
 from .audit_report import AuditReport
 from .binomial import (

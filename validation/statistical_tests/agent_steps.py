@@ -42,7 +42,7 @@ def agents_outside(dynamics: Dynamics, worlds: Worlds) -> NDArray[np.bool_]:
 
 def tree_fits(certificate: OnGrid, time: int, now: Terms, following: Terms) -> bool:
     """Return whether the terms at ``time`` and one step later have the sizes of the certificate's tree."""
-    step = certificate.proof.skeleton[time]
+    step = certificate.proof.merge_log[time]
     final = certificate.problem.automaton.finished
     for q in np.flatnonzero(~final):
         # Every kept vertex needs its term now, and every child that a vertex points to a term one step later.
@@ -82,7 +82,7 @@ def levels_by_agent(
     # Worlds in the same automaton state share their terms; pieces of at most PRODUCTS numbers bound the memory.
     for state in np.unique(q):
         here = np.flatnonzero(q == state)
-        size = max(1, len(certificate.proof.skeleton[time].origin[state]))
+        size = max(1, len(certificate.proof.merge_log[time].origin[state]))
         for rows in np.array_split(here, max(1, -(-len(here) * size // PRODUCTS))):
             claimed = _factors_now(now, int(state), cells[rows])
             met = _factors_met(certificate, time, int(state), following, next_cells[rows], outside[rows])
@@ -105,7 +105,7 @@ def _factors_met(
     outside: NDArray[np.bool_],
 ) -> list[NDArray[Any]]:
     """Return per agent (R, n) the masked factors one step later behind those terms, at the cells that were met."""
-    step = certificate.proof.skeleton[time]
+    step = certificate.proof.merge_log[time]
     origin, merges, kept_rows = step.origin[q], step.merges[q], step.kept[q]
     # Each vertex that was formed applies a guard to a child, which is a term of the guard's target state.
     guard, child = origin[:, 0], origin[:, 1]

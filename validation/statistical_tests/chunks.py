@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.simulation import Dynamics, Worlds
-from ...envs.simulation import worlds as core
+from ...envs.simulation import batch_simulator as core
 from ...envs.systems.arguments import checked_count
 from .loop import BatchPolicy, Loop
 from .mismatch import degraded, disturbed

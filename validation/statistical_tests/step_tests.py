@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.simulation import Dynamics
-from ...envs.simulation import worlds as core
+from ...envs.simulation import batch_simulator as core
 from ...envs.tasks.problem import Problem
 from ...synthesis.certificates.proofs import (
     Certificate,
@@ -42,9 +42,9 @@ from .agent_steps import agents_outside, levels_by_agent, terminal_values, tree_
 from .audit_report import AuditReport, joined_report, report_of
 from .binomial import check_confidence
 from .chunks import Frame, chunks_of, frames
-from .ledger import STAKES, Ledger
 from .loop import Batchable, Loop
 from .spread import in_order
+from .test_log import STAKES, Ledger
 from .trials import Plan, TrialOptions, TrialPlan, collect, planned
 from .value_at import Charge, charge_of, remembers, standing_cells, values_between
 

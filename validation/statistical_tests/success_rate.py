@@ -292,7 +292,7 @@ def validate(
         Simulate a system that differs from the certified model; then only the lower bound is tested.
     disturbance : "zero", "random", "periodic", "greedy" or a function, optional
         The one behaviour of bounded disturbances that is simulated. By default all that have a name, and for
-        certificates of one task the greedy one (``checking.greedy``), each with its share of ``1 - confidence``.
+        certificates of one task the greedy one (``claims.greedy``), each with its share of ``1 - confidence``.
 
     Raises
     ------

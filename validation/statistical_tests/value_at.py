@@ -1,7 +1,7 @@
 """The value functions behind a certificate at every time, read at the cells on which its controller stands.
 
-The functions themselves are those of ``synthesis.checking.later_values``, for the audit and for the curve of bounds
-against steps left.
+The functions themselves are those of ``synthesis.extended_check.claims.values_in_time``, for the audit and for the
+curve of bounds against steps left.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.simulation import Dynamics, Worlds
-from ...envs.simulation import worlds as core
+from ...envs.simulation import batch_simulator as core
 from ...synthesis.certificates.proofs import OnGrid, delta_of
 from ...synthesis.certificates.value_functions import Terms, ValueFunction, term_depths
 
@@ -92,7 +92,7 @@ def charge_of(certificate: OnGrid, values: Sequence[ValueFunction]) -> Charge | 
         return StepCharge(delta_of(certificate) * (1 + CHARGE_MARGIN), horizon)
     settled = automaton.accepting, automaton.absorbing
     depths = [
-        tuple(term_depths(certificate.proof.skeleton[t:], certificate.proof.guards, *settled)) for t in range(horizon)
+        tuple(term_depths(certificate.proof.merge_log[t:], certificate.proof.guards, *settled)) for t in range(horizon)
     ]
     worth = delta_of(certificate) * (1 + CHARGE_MARGIN)
     return DepthCharge(tuple(trees), tuple(depths), worth, horizon, automaton.is_co_safe)

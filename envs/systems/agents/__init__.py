@@ -1,4 +1,7 @@
-"""Agents: linear systems and systems of expressions with noise, angles, and states that depend on neighbours."""
+"""Linear agents, and agents of expressions.
+
+Agents: linear systems and systems of expressions with noise, angles, and states that depend on neighbours.
+"""
 
 from .agent import LinearAgent, with_matrices
 from .angles import TURN, wrapped

@@ -360,7 +360,7 @@ class AnyAgent(ABC):
         if self.laws is None:
             return z
         rows = (np.asarray(row) if is_host(row) else row for row in z)
-        found = [law.from_normal(row) for law, row in zip(self.laws, rows)]
+        found = [law.ppf_of_normal(row) for law, row in zip(self.laws, rows)]
         return namespace(found[0]).stack(found)
 
     def copies(self, n: int) -> tuple[Self, ...]:

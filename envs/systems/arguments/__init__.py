@@ -1,4 +1,7 @@
-"""Arguments checked, records printed shortly, and files written completely or not at all."""
+"""Arguments checked, records printed, files written.
+
+Arguments checked, records printed shortly, and files written completely or not at all.
+"""
 
 from .checks import (
     MOST_AGENTS,

@@ -1,4 +1,7 @@
-"""Arrays of numpy and of the libraries of accelerators. Knows nothing of agents."""
+"""Arrays of numpy and of libraries of accelerators.
+
+Arrays of numpy and of the libraries of accelerators. Knows nothing of agents.
+"""
 
 from .libraries import (
     HOST,

@@ -13,8 +13,8 @@ from scipy.special import ndtr
 
 from ..arguments import shown
 from ..backends import namespace, special
+from .envelopes import Envelope, Tail
 from .laws import BENT, Law, Tails
-from .majorants import Majorant, Tail
 
 BISECTIONS = 60
 """Halvings of the interval between the quantiles of the parts of a mixture."""
@@ -48,11 +48,11 @@ class TruncatedGaussian(Law):
         return math.sqrt(max(self.spread**2 * (1.0 + ends) - mean**2, 0.0))
 
     @property
-    def majorant(self) -> Majorant | None:
+    def envelope(self) -> Envelope | None:
         half = 0.5 * (self.high - self.low)
         if self.low == -self.high:  # what is cut evenly has smaller moments than before
-            return Majorant(0.0, min(self.spread, half), Tail.LIGHT)
-        return Majorant(self.spread**2 * (self._density(self.low) - self._density(self.high)), half, Tail.LIGHT)
+            return Envelope(0.0, min(self.spread, half), Tail.LIGHT)
+        return Envelope(self.spread**2 * (self._density(self.low) - self._density(self.high)), half, Tail.LIGHT)
 
     @property
     def top(self) -> float:
@@ -67,7 +67,7 @@ class TruncatedGaussian(Law):
         return (self._density(self.low) + self._density(self.high)) * (1.0 + 1e-9)
 
     @property
-    def bend(self) -> float:
+    def convexity(self) -> float:
         slopes = sum(abs(end) * self._density(end) for end in (self.low, self.high)) / self.spread**2
         return (BENT / (self.spread**2 * self.share) + slopes) * (1.0 + 1e-9)
 
@@ -76,7 +76,7 @@ class TruncatedGaussian(Law):
         below, above = _between(low, at) / self.share, _between(at, high) / self.share
         return np.clip(below, 0.0, 1.0), np.clip(above, 0.0, 1.0)
 
-    def from_normal(self, z: np.ndarray) -> np.ndarray:
+    def ppf_of_normal(self, z: np.ndarray) -> np.ndarray:
         low = self.low / self.spread
         below, xp = float(ndtr(low)), namespace(z)
         quantile = special(z).ndtri(xp.clip(below + self.share * special(z).ndtr(z), 0.0, 1.0))
@@ -110,45 +110,45 @@ class Mixture(Law):
         )
 
     @property
-    def majorant(self) -> Majorant | None:
-        known = [part for law in self.laws if (part := law.majorant) is not None and part.lost == 0.0]
+    def envelope(self) -> Envelope | None:
+        known = [part for law in self.laws if (part := law.envelope) is not None and part.lost == 0.0]
         if len(known) < len(self.laws):
             return None
         means = [m + part.mean for m, part in zip(self.means, known)]
         # The part is drawn first, a bounded number, and then its noise.
         half, widest = 0.5 * (max(means) - min(means)), max(part.deviation for part in known)
         mean = sum(w * m for w, m in zip(self.weights, means))
-        return Majorant(mean, math.hypot(half, widest), max(Tail.LIGHT, *(part.tail for part in known)))
+        return Envelope(mean, math.hypot(half, widest), max(Tail.LIGHT, *(part.tail for part in known)))
 
     @property
     def height(self) -> float:
         return sum(w * law.height for w, law in zip(self.weights, self.laws))
 
     @property
-    def stretch(self) -> float:
+    def scale_sensitivity(self) -> float:
         tops = [mean + law.top for mean, law in zip(self.means, self.laws)]
         return sum(w * (1.0 + abs(top) * law.height) for w, top, law in zip(self.weights, tops, self.laws))
 
-    def twist(self, mean: float = 0.0) -> float:
-        return sum(w * law.twist(mean + m) for w, m, law in zip(self.weights, self.means, self.laws))
+    def scale_convexity(self, mean: float = 0.0) -> float:
+        return sum(w * law.scale_convexity(mean + m) for w, m, law in zip(self.weights, self.means, self.laws))
 
     @property
     def jumps(self) -> float:
         return sum(w * law.jumps for w, law in zip(self.weights, self.laws))
 
     @property
-    def bend(self) -> float:
-        return sum(w * law.bend for w, law in zip(self.weights, self.laws))
+    def convexity(self) -> float:
+        return sum(w * law.convexity for w, law in zip(self.weights, self.laws))
 
     def tails(self, x: np.ndarray) -> Tails:
         parts = [law.tails(x - m) for m, law in zip(self.means, self.laws)]
         below, above = (sum(w * tail[k] for w, tail in zip(self.weights, parts)) for k in (0, 1))
         return np.asarray(below), np.asarray(above)
 
-    def from_normal(self, z: np.ndarray) -> np.ndarray:
+    def ppf_of_normal(self, z: np.ndarray) -> np.ndarray:
         z = np.asarray(z, dtype=float)
         # Quantiles of a mixture lie between those of its parts; bisection to the last bit is the same for all shapes.
-        ends = np.stack([m + law.from_normal(z) for m, law in zip(self.means, self.laws)])
+        ends = np.stack([m + law.ppf_of_normal(z) for m, law in zip(self.means, self.laws)])
         low, high = ends.min(axis=0), ends.max(axis=0)
         below, above = ndtr(z), ndtr(-z)
         for _ in range(BISECTIONS):
@@ -208,13 +208,13 @@ class ScipyLaw(Law):
         return self.variation
 
     @property
-    def bend(self) -> float:
+    def convexity(self) -> float:
         return 0.0
 
     def tails(self, x: np.ndarray) -> Tails:
         return np.asarray(self.frozen.cdf(x)), np.asarray(self.frozen.sf(x))
 
-    def from_normal(self, z: np.ndarray) -> np.ndarray:
+    def ppf_of_normal(self, z: np.ndarray) -> np.ndarray:
         lower = self.frozen.ppf(ndtr(np.minimum(z, 0.0)))
         return np.where(z < 0.0, lower, self.frozen.isf(ndtr(-np.maximum(z, 0.0))))
 

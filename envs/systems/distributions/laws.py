@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import expit, ndtr, stdtr, stdtrit
 
 from ..backends import namespace, special
-from .majorants import RARE, Majorant, Tail, cut_majorant
+from .envelopes import RARE, Envelope, Tail, cut_envelope
 
 CLOSED_FORM = 2e-15
 """Error of tails in closed form: a few units in the last place of 1, from their arguments and their functions."""
@@ -63,7 +63,7 @@ class Law(ABC):
     cdf_error : float
         Upper bound on the absolute error of both tails.
     is_portable : bool
-        Whether `from_normal` takes arrays of other libraries than numpy.
+        Whether `ppf_of_normal` takes arrays of other libraries than numpy.
     """
 
     name = ""
@@ -88,7 +88,7 @@ class Law(ABC):
 
     @property
     @abstractmethod
-    def bend(self) -> float:
+    def convexity(self) -> float:
         """Integral of the positive part of the density's second derivative, jumps of the first one included."""
 
     @abstractmethod
@@ -96,7 +96,7 @@ class Law(ABC):
         """Return the probabilities of at most x, and of more than x, each with an error of ``cdf_error`` at most."""
 
     @abstractmethod
-    def from_normal(self, z: np.ndarray) -> np.ndarray:
+    def ppf_of_normal(self, z: np.ndarray) -> np.ndarray:
         """Return the quantiles (rounded) that standard normal numbers z are quantiles of, for simulation."""
 
     @abstractmethod
@@ -108,13 +108,13 @@ class Law(ABC):
         return {"law": self.name, **{field.name: getattr(self, field.name) for field in fields(self)}}  # type: ignore[arg-type]
 
     @property
-    def majorant(self) -> Majorant | None:
+    def envelope(self) -> Envelope | None:
         """The smallest known law whose exponential moments are above those of this one (rounded); None without one."""
         return None
 
-    def charge(self, pitch: float) -> float:
-        """Return an upper bound on what interpolation between lattice points ``pitch`` apart adds to a value."""
-        straight = 0.25 * pitch * self.jumps + 0.125 * pitch * pitch * self.bend
+    def interpolation_error(self, lattice_spacing: float) -> float:
+        """Return an upper bound on what interpolation adds to a value between points ``lattice_spacing`` apart."""
+        straight = 0.25 * lattice_spacing * self.jumps + 0.125 * lattice_spacing * lattice_spacing * self.convexity
         return min(1.0, straight * (1.0 + 1e-12))
 
     @property
@@ -123,7 +123,7 @@ class Law(ABC):
         return 0.0
 
     @property
-    def stretch(self) -> float:
+    def scale_sensitivity(self) -> float:
         """Half the total variation of x times the density at x, from above.
 
         With m the top, ``(x - m) p`` varies by the integral of p and that of ``|x - m| |p'|``, which are 1 each, and
@@ -131,7 +131,7 @@ class Law(ABC):
         """
         return 1.0 + abs(self.top) * self.height
 
-    def twist(self, mean: float = 0.0) -> float:
+    def scale_convexity(self, mean: float = 0.0) -> float:
         """Return half the integral of ``|p + 3 x p' + x^2 p''|`` for ``mean`` plus the noise, from above.
 
         Infinite where the density p jumps, or nothing is known of it.
@@ -141,29 +141,37 @@ class Law(ABC):
     def scale_charge(self, step: float) -> float:
         """Return an upper bound on what interpolation adds between scales whose logarithms are ``step`` apart.
 
-        By the logarithm of the scale the slope of an expected value is at most ``stretch``, and its second derivative
-        at most ``twist``, for values up to 1 (docs/theory/boxes.md, "Noise that is larger in some places").
+        By the logarithm of the scale the slope of an expected value is at most ``scale_sensitivity``, and its second
+        derivative at most ``scale_convexity``, for values up to 1 (docs/theory/boxes.md, "Noise that is larger in some
+        places").
         """
-        return min(1.0, 0.5 * step * self.stretch * (1.0 + 1e-12), 0.125 * step * step * self.twist() * (1.0 + 1e-12))
+        return min(
+            1.0,
+            0.5 * step * self.scale_sensitivity * (1.0 + 1e-12),
+            0.125 * step * step * self.scale_convexity() * (1.0 + 1e-12),
+        )
 
-    def scale_step(self, charge: float) -> float:
+    def scale_step(self, interpolation_error: float) -> float:
         """Return about the widest step with this charge."""
-        return max(2.0 * charge / self.stretch, math.sqrt(8.0 * charge / self.twist()))
+        return max(
+            2.0 * interpolation_error / self.scale_sensitivity,
+            math.sqrt(8.0 * interpolation_error / self.scale_convexity()),
+        )
 
     def _twisted(self, mean: float, second: float) -> float:
-        """Return what ``twist`` is for a density that is symmetric, with ``second`` the integral of ``x^2 |p''|``.
+        """Return what ``scale_convexity`` is for a symmetric density, with ``second`` the integral of ``x^2 |p''|``.
 
-        ``x p'`` has the integral 1 in absolute value, and ``p''`` twice ``bend``.
+        ``x p'`` has the integral 1 in absolute value, and ``p''`` twice ``convexity``.
         """
         m, first = abs(mean), 1.0 + 2.0 * abs(mean) * self.height
-        moved = second + 2.0 * m * math.sqrt(2.0 * second * self.bend) + 2.0 * m * m * self.bend
+        moved = second + 2.0 * m * math.sqrt(2.0 * second * self.convexity) + 2.0 * m * m * self.convexity
         return 0.5 * (1.0 + 3.0 * first + moved) * (1.0 + 1e-9)
 
-    def pitch(self, charge: float) -> float:
+    def lattice_spacing(self, interpolation_error: float) -> float:
         """Return about the widest pitch with this charge."""
         # The positive root of a quadratic in the pitch.
-        a, b = 0.125 * self.bend, 0.25 * self.jumps
-        return 2.0 * charge / (b + math.sqrt(b * b + 4.0 * a * charge))
+        a, b = 0.125 * self.convexity, 0.25 * self.jumps
+        return 2.0 * interpolation_error / (b + math.sqrt(b * b + 4.0 * a * interpolation_error))
 
 
 @dataclass(frozen=True)
@@ -175,8 +183,8 @@ class Gaussian(Law):
     cdf_error = CLOSED_FORM
 
     @property
-    def majorant(self) -> Majorant | None:
-        return Majorant(0.0, self.std, Tail.NORMAL)
+    def envelope(self) -> Envelope | None:
+        return Envelope(0.0, self.std, Tail.NORMAL)
 
     @property
     def height(self) -> float:
@@ -187,16 +195,16 @@ class Gaussian(Law):
         return 0.0
 
     @property
-    def bend(self) -> float:
+    def convexity(self) -> float:
         return BENT / (self.std * self.std)
 
     def tails(self, x: np.ndarray) -> Tails:
         return ndtr(x / self.std), ndtr(-x / self.std)
 
-    def from_normal(self, z: np.ndarray) -> np.ndarray:
+    def ppf_of_normal(self, z: np.ndarray) -> np.ndarray:
         return self.std * z
 
-    def twist(self, mean: float = 0.0) -> float:
+    def scale_convexity(self, mean: float = 0.0) -> float:
         return TWISTED if mean == 0.0 else self._twisted(mean, GAUSSIAN_SECOND)
 
     def scaled(self, factor: float) -> Law:
@@ -217,8 +225,8 @@ class Uniform(Law):
         return (self.high - self.low) / math.sqrt(12.0)
 
     @property
-    def majorant(self) -> Majorant | None:
-        return Majorant(0.5 * (self.low + self.high), self.std, Tail.LIGHT)
+    def envelope(self) -> Envelope | None:
+        return Envelope(0.5 * (self.low + self.high), self.std, Tail.LIGHT)
 
     @property
     def height(self) -> float:
@@ -233,14 +241,14 @@ class Uniform(Law):
         return 2.0 / (self.high - self.low)
 
     @property
-    def bend(self) -> float:
+    def convexity(self) -> float:
         return 0.0
 
     def tails(self, x: np.ndarray) -> Tails:
         width = self.high - self.low
         return np.clip((x - self.low) / width, 0.0, 1.0), np.clip((self.high - x) / width, 0.0, 1.0)
 
-    def from_normal(self, z: np.ndarray) -> np.ndarray:
+    def ppf_of_normal(self, z: np.ndarray) -> np.ndarray:
         found: np.ndarray = namespace(z).clip(
             self.low + (self.high - self.low) * special(z).ndtr(z), self.low, self.high
         )
@@ -266,11 +274,11 @@ class Triangular(Law):
         return math.sqrt(((b - a) ** 2 - (m - a) * (b - m)) / 18.0)
 
     @property
-    def majorant(self) -> Majorant | None:
+    def envelope(self) -> Envelope | None:
         # Two uniform laws of half the range, or anything in the range.
         is_even = self.mode - self.low == self.high - self.mode
         deviation = self.std if is_even else 0.5 * (self.high - self.low)
-        return Majorant((self.low + self.mode + self.high) / 3.0, deviation, Tail.LIGHT)
+        return Envelope((self.low + self.mode + self.high) / 3.0, deviation, Tail.LIGHT)
 
     @property
     def height(self) -> float:
@@ -286,7 +294,7 @@ class Triangular(Law):
         return 2.0 / (self.high - self.low) if self.mode in (self.low, self.high) else 0.0
 
     @property
-    def bend(self) -> float:
+    def convexity(self) -> float:
         sides = [side for side in (self.mode - self.low, self.high - self.mode) if side > 0.0]
         return sum(2.0 / ((self.high - self.low) * side) for side in sides)
 
@@ -299,7 +307,7 @@ class Triangular(Law):
         first = inside <= self.mode
         return np.where(first, below, 1.0 - above), np.where(first, 1.0 - below, above)
 
-    def from_normal(self, z: np.ndarray) -> np.ndarray:
+    def ppf_of_normal(self, z: np.ndarray) -> np.ndarray:
         width, rise, fall = self.high - self.low, self.mode - self.low, self.high - self.mode
         below, above = special(z).ndtr(z), special(z).ndtr(-z)
         first, xp = below * width <= rise, namespace(z)
@@ -307,7 +315,7 @@ class Triangular(Law):
         found: np.ndarray = xp.where(first, lower, upper)
         return found
 
-    def twist(self, mean: float = 0.0) -> float:
+    def scale_convexity(self, mean: float = 0.0) -> float:
         if self.mode in (self.low, self.high):
             return math.inf
         # p'' is a mass at each corner, as large as the slope changes there.
@@ -334,8 +342,8 @@ class Laplace(Law):
         return math.sqrt(2.0) * self.scale
 
     @property
-    def majorant(self) -> Majorant | None:
-        return Majorant(0.0, self.std, Tail.LONG)
+    def envelope(self) -> Envelope | None:
+        return Envelope(0.0, self.std, Tail.LONG)
 
     @property
     def height(self) -> float:
@@ -346,7 +354,7 @@ class Laplace(Law):
         return 0.0
 
     @property
-    def bend(self) -> float:
+    def convexity(self) -> float:
         # The kink at 0 bends downwards, and counts nothing.
         return 1.0 / (self.scale * self.scale)
 
@@ -354,12 +362,12 @@ class Laplace(Law):
         small = 0.5 * np.exp(-np.abs(x) / self.scale)
         return np.where(x <= 0.0, small, 1.0 - small), np.where(x <= 0.0, 1.0 - small, small)
 
-    def from_normal(self, z: np.ndarray) -> np.ndarray:
+    def ppf_of_normal(self, z: np.ndarray) -> np.ndarray:
         xp = namespace(z)
         found: np.ndarray = -xp.sign(z) * self.scale * (math.log(2.0) + special(z).log_ndtr(-xp.abs(z)))
         return found
 
-    def twist(self, mean: float = 0.0) -> float:
+    def scale_convexity(self, mean: float = 0.0) -> float:
         return LAPLACE_TWISTED if mean == 0.0 else self._twisted(mean, 2.0)
 
     def scaled(self, factor: float) -> Law:
@@ -379,8 +387,8 @@ class Logistic(Law):
         return math.pi * self.scale / math.sqrt(3.0)
 
     @property
-    def majorant(self) -> Majorant | None:
-        return Majorant(0.0, self.std, Tail.LONG)
+    def envelope(self) -> Envelope | None:
+        return Envelope(0.0, self.std, Tail.LONG)
 
     @property
     def height(self) -> float:
@@ -391,17 +399,17 @@ class Logistic(Law):
         return 0.0
 
     @property
-    def bend(self) -> float:
+    def convexity(self) -> float:
         return LOGISTIC_BENT / (self.scale * self.scale)
 
     def tails(self, x: np.ndarray) -> Tails:
         return expit(x / self.scale), expit(-x / self.scale)
 
-    def from_normal(self, z: np.ndarray) -> np.ndarray:
+    def ppf_of_normal(self, z: np.ndarray) -> np.ndarray:
         found: np.ndarray = self.scale * (special(z).log_ndtr(z) - special(z).log_ndtr(-z))
         return found
 
-    def twist(self, mean: float = 0.0) -> float:
+    def scale_convexity(self, mean: float = 0.0) -> float:
         return self._twisted(mean, LOGISTIC_SECOND)
 
     def scaled(self, factor: float) -> Law:
@@ -423,10 +431,10 @@ class StudentT(Law):
         return self.scale * math.sqrt(self.df / (self.df - 2.0))
 
     @property
-    def majorant(self) -> Majorant | None:
+    def envelope(self) -> Envelope | None:
         # No exponential moment is finite: noise larger than this is given up.
         most = -float(stdtrit(self.df, 0.5 * RARE))
-        return cut_majorant(self.std, self.scale * most, 2.0 * float(stdtr(self.df, -most)) + 4.0 * STUDENT)
+        return cut_envelope(self.std, self.scale * most, 2.0 * float(stdtr(self.df, -most)) + 4.0 * STUDENT)
 
     @property
     def _peak(self) -> float:
@@ -443,7 +451,7 @@ class StudentT(Law):
         return 0.0
 
     @property
-    def bend(self) -> float:
+    def convexity(self) -> float:
         # Twice the steepest slope of the density, which is where its second derivative is 0: x^2 = df / (df + 2).
         nu = self.df
         slope = self._peak * (nu + 1.0) / math.sqrt(nu * (nu + 2.0)) * (1.0 + 1.0 / (nu + 2.0)) ** (-0.5 * (nu + 3.0))
@@ -452,11 +460,11 @@ class StudentT(Law):
     def tails(self, x: np.ndarray) -> Tails:
         return stdtr(self.df, x / self.scale), stdtr(self.df, -x / self.scale)
 
-    def from_normal(self, z: np.ndarray) -> np.ndarray:
+    def ppf_of_normal(self, z: np.ndarray) -> np.ndarray:
         # The lower tail has all its digits.
         return -np.sign(z) * self.scale * stdtrit(self.df, ndtr(-np.abs(z)))
 
-    def twist(self, mean: float = 0.0) -> float:
+    def scale_convexity(self, mean: float = 0.0) -> float:
         # The density of the standard law bends upward beyond c.
         nu = self.df
         c = math.sqrt(nu / (nu + 2.0))

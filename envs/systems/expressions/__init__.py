@@ -1,4 +1,7 @@
-"""Expressions of dynamics: read safely, computed on numbers, enclosed on boxes. Knows no agents."""
+"""Expressions: read, computed, enclosed on boxes.
+
+Expressions of dynamics: read safely, computed on numbers, enclosed on boxes. Knows no agents.
+"""
 
 from .affine_inputs import split_at, substituted
 from .compiled import Compiled

@@ -21,7 +21,7 @@ from .expression_tree import Name, Number, Operation, Tree, whole_exponent
 from .tapes import Tape
 
 FloatArray = NDArray[Any]
-Bends = dict[tuple[int, int], FloatArray]
+SecondDerivativeBounds = dict[tuple[int, int], FloatArray]
 """Second derivatives by two variables ``j <= k``; those that are left out are 0."""
 
 
@@ -97,12 +97,12 @@ class Program:
             matrix[i, j] = 0.5 * (slope[0] + slope[1])
         return values, matrix
 
-    def curved(self, box: FloatArray) -> list[tuple[dict[int, FloatArray], Bends]]:
+    def curved(self, box: FloatArray) -> list[tuple[dict[int, FloatArray], SecondDerivativeBounds]]:
         """Return intervals around first and second derivatives on boxes (2, v, n) of variables (rounded to nearest).
 
         Derivatives that are left out are 0.
         """
-        found: list[tuple[dict[int, FloatArray], Bends]] = [({}, {}) for _ in self.results]
+        found: list[tuple[dict[int, FloatArray], SecondDerivativeBounds]] = [({}, {}) for _ in self.results]
         intervals = iter(self._derived.bends(box))
         for i, j in self._derived.first:
             found[i][0][j] = next(intervals)

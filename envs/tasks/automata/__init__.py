@@ -1,4 +1,7 @@
-"""From LTL on finite traces, HOA text or a table of transitions to the minimal DFA. Knows no agents."""
+"""From LTL, HOA or a table to the minimal DFA.
+
+From LTL on finite traces, HOA text or a table of transitions to the minimal DFA. Knows no agents.
+"""
 
 from .automaton import OPPOSITE, SEMANTICS, Automaton, followed
 from .by_hand import automaton_from_transitions

@@ -1,16 +1,19 @@
-"""A problem: agents, propositions, specification and horizon, checked once; problem files; independent tasks."""
+"""A problem, checked once, and its file.
 
+A problem: agents, propositions, specification and horizon, checked once; problem files; independent tasks.
+"""
+
+from .complement import complement_inside, complement_of
 from .joint_noise import JOINT_NOISE_REFUSAL, refuse_joint_noise
-from .never import cut_by_the_end, doubts, why_never
-from .opposite import opposite_inside, opposite_of
 from .problem_file import load_problem, policy_in_file, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification
 from .split import split_axes
 from .start_boxes import crossed_starts
+from .time_unrolled import Places, states_in_time, written_out
 from .unreachable import OutOfReach, out_of_reach
 from .unrolling import Unrolled, unrolled
-from .writing_out import Places, states_in_time, written_out
+from .unsatisfiable import cut_by_the_end, doubts, why_never
 
 __all__ = [
     "policy_in_file",
@@ -25,8 +28,8 @@ __all__ = [
     "cut_by_the_end",
     "doubts",
     "load_problem",
-    "opposite_inside",
-    "opposite_of",
+    "complement_inside",
+    "complement_of",
     "out_of_reach",
     "problem_from_dict",
     "problem_from_toml",

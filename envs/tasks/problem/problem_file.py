@@ -40,11 +40,11 @@ from ...systems.agents import Agent, AnyAgent, LinearAgent
 from ...systems.arguments import MOST_AGENTS, checked_count, shown
 from ..automata import Automaton, FormulaError, automaton_from_hoa, automaton_from_transitions
 from ..regions import SHAPES, Pair, Proposition
+from .canonical_form import spelled_out, starts_of_copies
+from .default_horizon import default_horizon
 from .families import AnyProposition, about_pairs, checked_propositions, expand, keys_of, refuse_shape
 from .record import Problem
 from .specification import Specification
-from .spelling import spelled_out, starts_of_copies
-from .usual_horizon import usual_horizon
 
 _BY_HAND = ("states", "initial", "accepting", "transitions")
 _ALTERNATIVES = ("formula", "hoa", "states", "automaton")
@@ -185,7 +185,7 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
         data, "the problem", ("name", "agents", "propositions", "specification"), ["horizon", "joint_noise", "policy"]
     )
     horizon = data.get("horizon", "none")
-    horizon = usual_horizon(data["specification"]) if horizon == "none" else horizon
+    horizon = default_horizon(data["specification"]) if horizon == "none" else horizon
     agents = _agents(data["agents"], horizon)
     propositions = _propositions(data["propositions"])
     expand(propositions, [agent.name for agent in agents])  # errors in patterns come before those of the task

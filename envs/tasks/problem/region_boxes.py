@@ -317,7 +317,7 @@ def _with_forms(agent: AnyAgent, forms: Sequence[Form]) -> _Fitted:
     if agent.is_affine and all(form.row for form in forms):
         fitted, places = _with_rows(with_matrices(agent), forms)
     else:
-        fitted, places = _with_texts(written_linear(agent), forms)
+        fitted, places = _with_texts(symbolic_linear(agent), forms)
     low, high = (end[0] for end in fitted.output_range(fitted.state_low[None], fitted.state_high[None]))
     if not np.all(np.isfinite(low) & np.isfinite(high)):
         k = int(np.argmin(np.isfinite(low) & np.isfinite(high)))
@@ -371,7 +371,7 @@ def _with_texts(agent: Agent, forms: Sequence[Form]) -> tuple[Agent, dict[Form, 
     return agent.replace(outputs=texts, added_outputs=agent.added_outputs + len(texts) - own), places
 
 
-def written_linear(agent: AnyAgent) -> Agent:
+def symbolic_linear(agent: AnyAgent) -> Agent:
     """Return a linear agent as one with expressions: the same mean, noise, boxes and start; others as they are."""
     if not agent.is_affine:
         return with_expressions(agent)

@@ -338,7 +338,7 @@ def _largest_noise(agent: AnyAgent, rare: float) -> FloatArray:
     """
     laws = agent.laws or [Gaussian(float(np.sqrt(max(0.0, variance)))) for variance in np.diag(agent.noise_covariance)]
     if not rare:
-        means = agent.noise_axes @ [0.0 if law.majorant is None else law.majorant.mean for law in laws]
+        means = agent.noise_axes @ [0.0 if law.envelope is None else law.envelope.mean for law in laws]
         return np.array([means, means])
     axes = np.eye(agent.n_states) if agent.laws is None else np.abs(agent.noise_axes)
     most = axes @ [_reach_of(law, rare) for law in laws] * (1.0 + 1e-9)

@@ -1,4 +1,7 @@
-"""Regions and atomic propositions: shapes, pairs of agents, and the labeling of points."""
+"""Regions, propositions, pairs, and labels of points.
+
+Regions and atomic propositions: shapes, pairs of agents, and the labeling of points.
+"""
 
 from .headings import heading_of
 from .labeling import MOVING_REFUSAL, Labeling, contains, inside, of_hint

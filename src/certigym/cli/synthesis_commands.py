@@ -22,7 +22,7 @@ from ..synthesis.extended_check.claims import safety_rate
 from ..synthesis.policy_search.ascent import BAR
 from ..synthesis.verbs.in_files import check as check_claim
 from ..synthesis.verbs.in_files import load
-from ..synthesis.verbs.synthesize import ways_ahead
+from ..synthesis.verbs.synthesize import strategies_ahead
 from ..validation.statistical_tests import told_of
 from .given import is_endless, limit_of, named_problem, problem_of, say, several_horizons, show, write_json
 from .validation_commands import print_horizons, validate_result
@@ -65,11 +65,11 @@ def describe(options: Namespace) -> int:
     lines.append(f"fingerprint: {problem.fingerprint}")
     say(options, "\n".join(lines))
     # What is worth a search is looked for at last, and for so long.
-    ways, are_all = within(MOST_SECONDS, _looked_for(problem))
+    strategies, are_all = within(MOST_SECONDS, _looked_for(problem))
     if not are_all:
-        ways.append(f"not known after {MOST_SECONDS:g} s: what else a search tries; `run` tries it")
-    say(options, "\n".join(ways[:MOST_WAYS_SHOWN]))
-    write_json(options, {**problem.to_dict(), "fingerprint": problem.fingerprint, "ways": ways})
+        strategies.append(f"not known after {MOST_SECONDS:g} s: what else a search tries; `run` tries it")
+    say(options, "\n".join(strategies[:MOST_WAYS_SHOWN]))
+    write_json(options, {**problem.to_dict(), "fingerprint": problem.fingerprint, "ways": strategies})
     return 0
 
 
@@ -98,13 +98,17 @@ def _ways(problem: Problem) -> Iterator[str]:
     if problem.starts_outside:
         yield "ways: none, a start is outside its workspace"
         return
-    for task, ways in islice(ways_ahead(problem), MOST_TASKS_SHOWN):
+    for task, strategies in islice(strategies_ahead(problem), MOST_TASKS_SHOWN):
         of = "" if task is problem else f" of task {task.name}"
-        open_ways = [way for way in ways if not way.refusal]
-        for number, way in enumerate(open_ways, start=1):
-            work = f", about {way.work:.2g} core seconds at first" if way.work >= 0.1 else ""
-            yield f"way {number}{of}: {WAY_WORDS.get(way.name, way.name)}{work}"
-        yield from (f"not{of} {WAY_WORDS.get(way.name, way.name)}: {way.refusal}" for way in ways if way.refusal)
+        open_strategies = [strategy for strategy in strategies if not strategy.refusal]
+        for number, strategy in enumerate(open_strategies, start=1):
+            work = f", about {strategy.work:.2g} core seconds at first" if strategy.work >= 0.1 else ""
+            yield f"way {number}{of}: {WAY_WORDS.get(strategy.name, strategy.name)}{work}"
+        yield from (
+            f"not{of} {WAY_WORDS.get(strategy.name, strategy.name)}: {strategy.refusal}"
+            for strategy in strategies
+            if strategy.refusal
+        )
 
 
 def run(options: Namespace) -> int:

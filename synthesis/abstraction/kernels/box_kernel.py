@@ -14,9 +14,9 @@ second differences of g itself, ``D_k = g(z + eta_k) - 2 g(z) + g(z - eta_k)``. 
 where c_4 = c_kk and c_ke are half the L1 norms of phi'''' and of phi'' phi'' (docs/theory/boxes.md, "The charge"). What
 is stored at a point takes off the largest D_k of all its neighbours. So the interpolant of the stored numbers is below
 g everywhere, and so is its least value over a box. Where an axis has another law than the normal one, or its noise is
-larger in some places, what interpolation adds along each axis is bounded by the law alone (``Law.charge`` along the
-mean, ``Law.scale_charge`` along the logarithm of the scale), for factors of at most M, or by how much factors vary
-within reach of the noise (``near_charge``).
+larger in some places, what interpolation adds along each axis is bounded by the law alone (``Law.interpolation_error``
+along the mean, ``Law.scale_charge`` along the logarithm of the scale), for factors of at most M, or by how much factors
+vary within reach of the noise (``proximity_error``).
 
 Along a state without noise nothing is interpolated: its points are cells (``lattice_axes``).
 """
@@ -35,9 +35,9 @@ from ....envs.systems.agents import TURN
 from ....envs.systems.distributions import Gaussian, Law
 from ...certificates.value_functions import beside, to_host
 from ...relations.grids import CellAxis, FloatArray, Grid, LatticeAxis, MeanAxis, ScaleAxis
-from .bends import FOURTH, SQUARED
 from .kernel import AxisTable, Kernel, law_table
-from .near_charge import NearCharge
+from .proximity_error import ProximityError
+from .second_derivative_bounds import FOURTH, SQUARED
 
 ROUNDING = 3e-9
 """Share of the largest value that is taken off for rounding, per unit of ``1 + sum of pitches in deviations``: axes may
@@ -85,14 +85,14 @@ class BoxKernel(Kernel):
     bent : tuple of int
         Axes of the lattice that are interpolated; all by default.
     near : NearCharge, optional
-        Windows within which values may vary less than from 0 to their largest, beside ``charge``.
+        Windows within which values may vary less than from 0 to their largest, beside ``interpolation_error``.
     """
 
     ratios: FloatArray = field(default_factory=lambda: np.zeros(0))
-    charge: FloatArray | None = None
+    interpolation_error: FloatArray | None = None
     points: tuple[int, ...] = ()
     bent: tuple[int, ...] | None = None
-    near: NearCharge | None = None
+    near: ProximityError | None = None
 
     def smooth(self, factors: Any) -> Any:
         """Return numbers (n, Z) whose multilinear interpolant is below g, up to the border of the lattice.
@@ -105,17 +105,21 @@ class BoxKernel(Kernel):
         largest = given.max(axis=1, initial=0.0)
         for n, (row, most) in enumerate(zip(values, largest.tolist(), strict=True)):
             table = row.reshape(self.points or self.lattice_shape)
-            if self.charge is None:
+            if self.interpolation_error is None:
                 take_charge(table, most * self.slack, self.bent)
             else:
-                table -= most * self.charge if self.near is None else self.near.of_values(given[n], most, self.charge)
+                table -= (
+                    most * self.interpolation_error
+                    if self.near is None
+                    else self.near.of_values(given[n], most, self.interpolation_error)
+                )
                 table -= most * self.slack
         return beside(values, factors)
 
     @property
     def slack(self) -> float:
         """What is taken off everywhere, besides second differences or charges, for factors of at most 1."""
-        if self.charge is not None:
+        if self.interpolation_error is not None:
             return rounding_of(self.ratios) + self.loss
         return slack_of(self.ratios) + self.loss
 
@@ -136,7 +140,7 @@ def rounding_of(ratios: FloatArray) -> float:
 def take_charge(table: NDArray, slack: float, bent: tuple[int, ...] | None = None) -> None:
     """Take off slack and second differences along some axes (all by default) from values (Z_1, ..), in place."""
     along_axes = range(table.ndim) if bent is None else bent
-    charge = np.full(table.shape, slack)
+    interpolation_error = np.full(table.shape, slack)
     for k in along_axes:
         along = np.moveaxis(table, k, 0)
         second = np.zeros_like(along)
@@ -145,8 +149,8 @@ def take_charge(table: NDArray, slack: float, bent: tuple[int, ...] | None = Non
         # Every point answers for all small boxes of which it is a corner: the largest of its neighbours counts.
         for axis in along_axes:
             second = largest_of_neighbours(second, axis)
-        charge += 0.125 * second
-    table -= charge
+        interpolation_error += 0.125 * second
+    table -= interpolation_error
 
 
 def largest_of_neighbours(table: NDArray, axis: int) -> NDArray:
@@ -172,7 +176,7 @@ def points_per_cell(grid: Grid, laws: Sequence[Law], n_axes: int | None = None) 
     per_deviation = POINTS_PER_DEVIATION.get(d, FEWER_PER_DEVIATION)
     pitches = np.array(
         [
-            width if none else law.std / per_deviation if normal else law.pitch(CHARGE)
+            width if none else law.std / per_deviation if normal else law.lattice_spacing(CHARGE)
             for law, none, width in zip(laws, still, widths.tolist(), strict=True)
         ]
     )
@@ -200,11 +204,11 @@ def box_lattice(
     for k, edges in enumerate(grid.edges):
         first, last, beyond = float(edges[0]), float(edges[-1]), BEYOND_GRID * float(deviations[k])
         beyond += 0.5 * TURN if wrapped is not None and wrapped[k] else 0.0
-        pitch = (last - first) / (grid.shape[k] * per_cell[k])
+        lattice_spacing = (last - first) / (grid.shape[k] * per_cell[k])
         # The outermost points are not used; one more inside of them on either side is for rounding outward.
-        below = math.ceil((first - max(first - beyond, min(first, float(low[k])))) / pitch) + 2
-        above = math.ceil((min(last + beyond, max(last, float(high[k]))) - last) / pitch) + 2
-        axes.append(first + pitch * np.arange(-below, grid.shape[k] * per_cell[k] + above + 1))
+        below = math.ceil((first - max(first - beyond, min(first, float(low[k])))) / lattice_spacing) + 2
+        above = math.ceil((min(last + beyond, max(last, float(high[k]))) - last) / lattice_spacing) + 2
+        axes.append(first + lattice_spacing * np.arange(-below, grid.shape[k] * per_cell[k] + above + 1))
     return tuple(axes)
 
 
@@ -227,16 +231,16 @@ def box_kernel_of(
             tables.append(AxisTable.dense(_staying(grid.shape[k])))
             continue
         axis, levels = points[MeanAxis(k)], points.get(ScaleAxis(k))
-        pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
+        lattice_spacing = float(axis[-1] - axis[0]) / (len(axis) - 1)
         own = [law] if levels is None else [law.scaled(math.exp(level)) for level in levels.tolist()]
         make = wound_table if wrapped is not None and wrapped[k] else law_table
         table, missing = _stacked([make(axis, edges, each) for each in own])
         tables.append(table)
         loss += missing
-        ratios.append(max(ratio_of(each, pitch) for each in own))
+        ratios.append(max(ratio_of(each, lattice_spacing) for each in own))
         along = axes.index(MeanAxis(k) if levels is None else ScaleAxis(k))
         shape = [-1 if place == along else 1 for place in range(len(axes))]
-        costs = [each.charge(pitch * (1.0 + 1e-9)) for each in own]
+        costs = [each.interpolation_error(lattice_spacing * (1.0 + 1e-9)) for each in own]
         if levels is not None:
             step = float(levels[-1] - levels[0]) / (len(levels) - 1)
             ratios.append(step)
@@ -246,12 +250,12 @@ def box_kernel_of(
     normal = all(isinstance(law, Gaussian) for law in laws) and not any(axis.is_logarithmic for axis in axes)
     bent = tuple(place for place, axis in enumerate(axes) if axis.is_interpolated)
     shape_of = tuple(len(axis) for axis in lattice)
-    charge = np.asarray(sum(charges, np.zeros((1,) * len(axes))))
+    interpolation_error = np.asarray(sum(charges, np.zeros((1,) * len(axes))))
     if normal:
         return BoxKernel(tuple(tables), loss, np.array(ratios), None, shape_of, bent)
     winds = wrapped is not None and any(wrapped)
-    near = None if winds else NearCharge.of(grid.edges, points, laws, loss)
-    return BoxKernel(tuple(tables), loss, np.array(ratios), charge, shape_of, bent, near)
+    near = None if winds else ProximityError.of(grid.edges, points, laws, loss)
+    return BoxKernel(tuple(tables), loss, np.array(ratios), interpolation_error, shape_of, bent, near)
 
 
 def wound_table(means: FloatArray, edges: FloatArray, law: Law) -> tuple[AxisTable, float]:
@@ -312,9 +316,13 @@ def scale_levels(least: float, most: float, of_cell: float, law: Law, count: flo
     return math.log(least) + step * (np.arange(n + 4) - 1.5)
 
 
-def ratio_of(law: Law, pitch: float) -> float:
+def ratio_of(law: Law, lattice_spacing: float) -> float:
     """Return a lattice step in deviations of the noise, in smaller ones where its density is higher.
 
     What positions are off by moves g by that times the height of the density; a normal one has the height .4 / sigma.
     """
-    return pitch / law.std if isinstance(law, Gaussian) else pitch * max(1.0 / law.std, 2.6 * law.height)
+    return (
+        lattice_spacing / law.std
+        if isinstance(law, Gaussian)
+        else lattice_spacing * max(1.0 / law.std, 2.6 * law.height)
+    )

@@ -27,10 +27,10 @@ from ....envs.systems.distributions import Gaussian, Law, Uniform
 from ...certificates.value_functions import beside, take, to_host
 from ...relations.grids import FloatArray, Grid, RelationRefused
 from ...relations.kinds import block_of
-from .bends import SECOND
 from .box_kernel import rounding_of, slack_of
 from .kernel import Kernel
 from .linear_kernel import hat_table
+from .second_derivative_bounds import SECOND
 from .uniform_ends import UniformEnds, uniform_hats
 
 NUMBERS_AT_ONCE = 200_000
@@ -252,12 +252,12 @@ def lattice_kernel_of(
     """Return the kernel on a lattice."""
     tables, loss, ends, ratios = [], 0.0, None, []
     for k, (axis, edges, law) in enumerate(zip(lattice, grid.edges, laws, strict=True)):
-        pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
-        ratios.append(min(pitch / law.std, LONGEST))
+        lattice_spacing = float(axis[-1] - axis[0]) / (len(axis) - 1)
+        ratios.append(min(lattice_spacing / law.std, LONGEST))
         if isinstance(law, Uniform):
             ends = UniformEnds(k, axis, edges, law)
             table, missing = uniform_hats(axis, edges, law)
-            if pitch > float(np.min(np.diff(edges))):
+            if lattice_spacing > float(np.min(np.diff(edges))):
                 raise RelationRefused(
                     "the relation `linear` needs lattice steps no wider than cells under uniform noise"
                 )

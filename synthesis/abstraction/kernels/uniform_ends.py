@@ -52,7 +52,7 @@ class UniformEnds:
         The charge of an interval stands at its lower point; those of intervals at the ends of the lattice are 0.
         """
         shape, result = [table.shape[1] for table in tables], []
-        width, pitch = self.law.high - self.law.low, float(np.max(np.diff(self.lattice)))
+        width, lattice_spacing = self.law.high - self.law.low, float(np.max(np.diff(self.lattice)))
         for factor in factors:
             tensor = factor.reshape(shape)
             for k, table in enumerate(tables):
@@ -61,10 +61,12 @@ class UniformEnds:
             along = np.moveaxis(tensor, self.axis, 0)
             columns = along.reshape(len(along), -1)
             up, down = (_variation(operators, columns) for operators in self._operators)
-            charge = np.zeros((len(self.lattice), columns.shape[1]))
-            charge[:-1] = (np.maximum(up, 0.0).sum(axis=0) + np.maximum(-down, 0.0).sum(axis=0)) * (pitch / (4 * width))
-            charge = charge.reshape(len(self.lattice), *along.shape[1:])
-            result.append(np.moveaxis(charge, 0, self.axis) * WIDER)
+            interpolation_error = np.zeros((len(self.lattice), columns.shape[1]))
+            interpolation_error[:-1] = (np.maximum(up, 0.0).sum(axis=0) + np.maximum(-down, 0.0).sum(axis=0)) * (
+                lattice_spacing / (4 * width)
+            )
+            interpolation_error = interpolation_error.reshape(len(self.lattice), *along.shape[1:])
+            result.append(np.moveaxis(interpolation_error, 0, self.axis) * WIDER)
         return result
 
     @cached_property

@@ -1,9 +1,12 @@
-"""The finite model of each agent, the guards of the task, and both joined."""
+"""A model of each agent, guards, and both joined.
 
+The finite model of each agent, the guards of the task, and both joined.
+"""
+
+from .action_tables import TIE, ActionTable, Policies, StepPolicy, best_offered, gather, shifted
 from .agent_models import SNAPPED_POINTS, reaches_every_mean
 from .box_choices import BoxChoices
 from .box_model import INPUT_LEVELS
-from .choices import TIE, Choices, Policies, StepPolicy, best_offered, gather, shifted
 from .common_choices import CommonGroup, common_inputs_of
 from .corner_choices import CornerChoices
 from .finite_models import (
@@ -21,7 +24,7 @@ from .finite_models import (
     models_of,
     relations_of,
 )
-from .input_menu import InputMenu
+from .input_sets import InputSet
 from .joint import JointModel, count_of_decisions, join, spread_start, start_of
 from .network_model import network_abstraction, network_tables
 from .surroundings import surrounded
@@ -32,11 +35,11 @@ __all__ = [
     "AgentModel",
     "BAND_BYTES",
     "BoxChoices",
-    "Choices",
+    "ActionTable",
     "CornerChoices",
     "CommonGroup",
     "INPUT_LEVELS",
-    "InputMenu",
+    "InputSet",
     "COUPLED",
     "KINDS_WITH",
     "RELATIONS",

@@ -20,16 +20,16 @@ from ...relations.kinds import (
     best_feedback,
     ellipsoid_relation,
     paper_relation,
+    symbolic_targets,
     tube_relation,
-    written_targets,
 )
 from ..kernels import Kernel, gaussian_table, law_table
-from .choices import Choices
+from .action_tables import ActionTable
 from .ellipsoid_search import find_ellipsoid
-from .input_menu import InputMenu
+from .input_sets import InputSet
 from .target_windows import windows_of
 
-SharedModel = tuple[Relation, tuple[FloatArray, ...], Kernel, Choices]
+SharedModel = tuple[Relation, tuple[FloatArray, ...], Kernel, ActionTable]
 """Relation, lattice axes, kernel and choices: what agents share whose labels may differ."""
 
 SNAPPED_POINTS = 8
@@ -178,7 +178,7 @@ def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | Non
     _refuse_many("", "cells", math.prod(len(axis) for axis in lattice))
     leads_to = np.ravel_multi_index(index, tuple(len(axis) for axis in lattice)).astype(np.int32)
     distance = np.sum((means - grid.centres[:, None, :]) ** 2, axis=-1)
-    menu = InputMenu(grid, tuple(lattice), relation, leads_to, np.argmin(distance, axis=1).astype(np.int32))
+    menu = InputSet(grid, tuple(lattice), relation, leads_to, np.argmin(distance, axis=1).astype(np.int32))
     return relation, tuple(lattice), Kernel(tuple(tables), loss), menu
 
 
@@ -249,6 +249,6 @@ def reaches_every_mean(agent: AnyAgent) -> bool:
         return False  # only mean boxes know noise that varies, or is none
     try:
         axes = agent.noise_axes if agent.laws is not None else np.eye(agent.n_states)
-        return bool(written_targets(with_expressions(agent), axes))
+        return bool(symbolic_targets(with_expressions(agent), axes))
     except RelationRefused:
         return False

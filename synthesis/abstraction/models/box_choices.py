@@ -20,7 +20,7 @@ from ...certificates.value_functions import beside, to_host
 from ...relations.grids import FloatArray, Grid, LatticeAxis, MeanAxis, RelationRefused, grid_laws, shape_text
 from ...relations.kinds import BoxRelation, MeanBoxes
 from ..kernels import BoxKernel, box_kernel_of, each_window_minima, least_over_boxes
-from .choices import TIE, Choices, MeansAt, StepPolicy, shifted
+from .action_tables import TIE, ActionTable, MeansAt, StepPolicy, shifted
 
 MOST_IN_BOX = 100_000.0
 """Most points of a box: the check tries them one by one."""
@@ -33,7 +33,7 @@ READINGS_AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BoxChoices(Choices):
+class BoxChoices(ActionTable):
     """What can be chosen in each cell: inputs with the boxes of lattice points that hold their means.
 
     Parameters

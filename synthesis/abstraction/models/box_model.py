@@ -27,7 +27,7 @@ from ...relations.grids import (
     in_grid_coordinates,
     lattice_axes,
 )
-from ...relations.kinds import BoxRelation, CommonMeans, WrittenMeans, box_relation
+from ...relations.kinds import BoxRelation, CommonMeans, SymbolicMeans, box_relation
 from ..kernels import MOST_SCALED, MOST_SCALES, BoxKernel, box_kernel_of, box_lattice, points_per_cell, scale_levels
 from .box_choices import BoxChoices, box_choices
 
@@ -89,7 +89,7 @@ def box_model(
     points = (per_cell,) * agent.n_states if per_cell is not None else points_per_cell(grid, smallest, len(axes))
     # Means from anywhere in the grid under any input; feedback keeps inputs in their box, so it adds none.
     constant = ~np.any(gains, axis=(1, 2))
-    if isinstance(relation.means, WrittenMeans | CommonMeans) and relation.means.steer is not None:
+    if isinstance(relation.means, SymbolicMeans | CommonMeans) and relation.means.steer is not None:
         constant &= ~relation.means.steer  # targets are means of other choices
     whole = relation.mean_boxes(*(np.array([[edges[k] for edges in grid.edges]]) for k in (0, -1)))
     low, high = whole.low[:, constant].min(axis=(0, 1)), whole.high[:, constant].max(axis=(0, 1))
@@ -156,13 +156,13 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
 def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:
     """Return the relation with the choices that are offered by default."""
     if agent.is_affine:
-        menu, gains = input_menu(with_matrices(agent), grid, coordinates)
+        menu, gains = input_set(with_matrices(agent), grid, coordinates)
         return box_relation(agent, coordinates, menu, gains)
     if agent.has_clock:
         return in_fitting_parts(agent, grid, coordinates, clock_menu(agent, INPUT_LEVELS), {"steer": None})
     menu, steer = with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)), None
     # Where inputs command axes, every input is offered twice: as it is, and with targets for these axes.
-    if WrittenMeans(with_expressions(agent), coordinates, 1).commands:
+    if SymbolicMeans(with_expressions(agent), coordinates, 1).commands:
         menu, steer = np.concatenate([menu, menu]), np.arange(2 * len(menu)) >= len(menu)
     return in_fitting_parts(agent, grid, coordinates, menu, {"steer": steer})
 
@@ -210,7 +210,7 @@ def evenly_with_rest(low: float, high: float, levels: int) -> FloatArray:
     return np.unique(np.append(axis, 0.0)) if low <= 0.0 <= high else axis
 
 
-def input_menu(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
+def input_set(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return inputs (A, m) and feedbacks (A, m, d) to choose from.
 
     First inputs that do not depend on the state; then those with the feedback that makes the mean the same for the

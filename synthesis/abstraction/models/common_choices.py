@@ -21,8 +21,8 @@ from ....envs.systems.agents import Agent
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray, Grid, RelationRefused
 from ...relations.kinds import BoxRelation, CommonInputs, Relation
+from .action_tables import ActionTable, Policies, StepPolicy
 from .box_model import INPUT_LEVELS, evenly_with_rest, in_fitting_parts, with_rest
-from .choices import Choices, Policies, StepPolicy
 
 MOST_NUMBERS = 128
 """Most numbers of a group: the search answers to each of them."""
@@ -118,7 +118,7 @@ class CommonGroup:
     numbers: FloatArray
     parts: tuple[NDArray[np.int64], ...]
 
-    def number_of(self, policies: Sequence[StepPolicy], offered: Sequence[Choices]) -> int:
+    def number_of(self, policies: Sequence[StepPolicy], offered: Sequence[ActionTable]) -> int:
         """Return the number that the members' choices (S_i,) at one time and automaton state share."""
         fits = np.ones(len(self.numbers), dtype=bool)
         for policy, choices, part in zip(policies, offered, self.parts, strict=True):
@@ -166,7 +166,7 @@ def common_groups(models: Sequence[_Modelled]) -> tuple[CommonGroup, ...]:
     return tuple(groups)
 
 
-def agreed(groups: Sequence[CommonGroup], offered: Sequence[Choices], policies: Policies) -> Policies:
+def agreed(groups: Sequence[CommonGroup], offered: Sequence[ActionTable], policies: Policies) -> Policies:
     """Return policies (T, Q, S_i) whose members of each group share a number at each time and automaton state.
 
     Where they do not, the number that most cells of the members choose is taken. ``offered`` are the choices of all
@@ -192,7 +192,7 @@ def agreed(groups: Sequence[CommonGroup], offered: Sequence[Choices], policies: 
     return tuple(result)
 
 
-def _parts_chosen(choices: Choices, policy: NDArray[np.int32]) -> NDArray[np.int64]:
+def _parts_chosen(choices: ActionTable, policy: NDArray[np.int32]) -> NDArray[np.int64]:
     """Return how many cells (T, Q, L) choose from each part."""
     chosen = np.where(policy >= 0, policy // choices.part_length, -1)
     return np.stack([np.count_nonzero(chosen == part, axis=-1) for part in range(choices.n_parts)], axis=-1)

@@ -1,6 +1,6 @@
 """Choices under the relation ``linear``: constant inputs and targets, compared as they are read.
 
-Under a constant input the mean is affine in the state up to a box (``readings.corner_reading``). A target puts it on
+Under a constant input the mean is affine in the state up to a box (``kernels.multilinear_kernel``). A target puts it on
 one lattice point from the whole cell: its value is that of the point, and nothing is lost. It keeps input in reserve
 for all of the cell; constant inputs, which keep none, are better near the limits of the inputs and in wide cells.
 Choices are compared as they are certified, whatever they are.
@@ -20,8 +20,8 @@ from ....envs.systems.agents import AnyAgent
 from ...certificates.value_functions import beside, to_host
 from ...relations.grids import FloatArray, Grid, corner_sides, grid_laws, of_cells, shape_text, to_places
 from ...relations.kinds import AffineBoxes, MapRelation
-from ..kernels import FAR, CornerReading, Images, LatticeKernel, in_chunks, lattice_kernel_of
-from .choices import Choices, MeansAt, StepPolicy
+from ..kernels import FAR, Images, LatticeKernel, MultilinearKernel, in_chunks, lattice_kernel_of
+from .action_tables import ActionTable, MeansAt, StepPolicy
 from .target_windows import TargetWindows, windows_of
 
 FINALISTS = 2
@@ -45,7 +45,7 @@ PREFERENCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CornerChoices(Choices):
+class CornerChoices(ActionTable):
     """What can be chosen in each cell: inputs of a menu, by their numbers, and lattice points beyond these.
 
     Parameters
@@ -71,7 +71,7 @@ class CornerChoices(Choices):
     relation: MapRelation
     per_cell: int
     maps: AffineBoxes
-    reading: CornerReading
+    reading: MultilinearKernel
     memory: dict[str, object] = field(default_factory=dict, repr=False)
     n_times: int = 1
     handicap: float = HANDICAP
@@ -371,7 +371,9 @@ class CornerChoices(Choices):
         best, nearest = np.full(self.grid.n_cells, -1, dtype=np.int32), np.full(self.grid.n_cells, np.inf)
         cells = np.arange(self.grid.n_cells)
         for a in range(self.n_inputs):
-            away = (self._input_centres(cells, np.full(len(cells), a)) - self.grid.centres) / self.reading.pitch
+            away = (
+                self._input_centres(cells, np.full(len(cells), a)) - self.grid.centres
+            ) / self.reading.lattice_spacing
             distance = np.where(self._admissible[:, a], np.sum(away**2, axis=1), np.inf)
             closer = distance < nearest
             nearest, best = np.where(closer, distance, nearest), np.where(closer, a, best).astype(np.int32)

@@ -12,7 +12,7 @@ from ....envs.systems.agents import AnyAgent
 from ....envs.systems.distributions import Gaussian, Law, Uniform
 from ...relations.grids import FEWER, FloatArray, Grid, RelationRefused, grid_laws
 from ...relations.kinds import AffineBoxes, MapRelation, map_relation
-from ..kernels import BESIDE, CornerReading, LatticeKernel, box_lattice, lattice_kernel_of
+from ..kernels import BESIDE, LatticeKernel, MultilinearKernel, box_lattice, lattice_kernel_of
 from .agent_models import reaches_every_mean
 from .box_model import clock_menu, with_rest
 from .corner_choices import HANDICAP, HANDICAP_IN_TEAMS, CornerChoices
@@ -121,14 +121,14 @@ def lattice_model(
     half = np.einsum("sakj,sj->sak", np.abs(maps.gain), grid.half_widths)
     low, high = (_end(maps.centre, half + maps.rest, sign) for sign in (-1.0, 1.0))
     lattice = box_lattice(grid, np.array([law.std for law in laws]), points, low, high)
-    pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in lattice])
+    lattice_spacing = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in lattice])
     # How far images reach, and their sides: those few that are far wider than all others would blur what is read.
-    reach = tuple(int(n) for n in np.ceil(_most_of((half + maps.rest) / pitch, 0.999) + BESIDE))
-    steps = 2.0 * float(np.max(_most_of(half / pitch, 0.9)))
+    reach = tuple(int(n) for n in np.ceil(_most_of((half + maps.rest) / lattice_spacing, 0.999) + BESIDE))
+    steps = 2.0 * float(np.max(_most_of(half / lattice_spacing, 0.9)))
     relation = replace(relation, parts=int(np.clip(round(steps), 2, PARTS.get(d, 2))), reach=reach)
     kernel = lattice_kernel_of(grid, lattice, laws, reach)
     charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
-    reading = CornerReading(lattice, reach, charged, kernel.ends is not None, parts=relation.parts)
+    reading = MultilinearKernel(lattice, reach, charged, kernel.ends is not None, parts=relation.parts)
     return relation, lattice, kernel, CornerChoices(grid, lattice, relation, max(points), maps, reading)
 
 

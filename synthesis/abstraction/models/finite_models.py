@@ -52,6 +52,7 @@ from ...relations.grids import (
 )
 from ...relations.kinds import CommonInputs, Relation
 from ..kernels import Kernel
+from .action_tables import ActionTable, shifted
 from .agent_models import (
     STRANDED_CELLS,
     SharedModel,
@@ -63,7 +64,6 @@ from .agent_models import (
     tube_model,
 )
 from .box_model import box_model
-from .choices import Choices, shifted
 from .common_choices import common_inputs_of, common_relation
 from .corner_model import corner_model
 
@@ -115,7 +115,7 @@ class AgentModel:
     lattice: tuple[FloatArray, ...]
     relation: Relation
     kernel: Kernel
-    choices: Choices
+    choices: ActionTable
     labels: CellLabels
     start_labels: CellLabels
     residents: Residents = field(default_factory=Residents, repr=False)
@@ -135,7 +135,7 @@ class AgentModel:
         """Number of places at which factors have values: the cells S, or their 2^d S corners (``linear``)."""
         return math.prod(self.kernel.shape)
 
-    def offered(self, time: int) -> tuple[Choices, int]:
+    def offered(self, time: int) -> tuple[ActionTable, int]:
         """Return what may be chosen at a step, and the number of the first of these choices."""
         if self.choices.n_times == 1:
             return self.choices, 0

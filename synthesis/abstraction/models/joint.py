@@ -18,7 +18,7 @@ from ....envs.tasks.automata import met_in_time
 from ....envs.tasks.problem import Problem
 from ...certificates.value_functions import HOST, Array, Guards, Occupancy, Terms, device_put
 from ...relations.grids import CellLabels, FloatArray, alike_text, shape_text
-from .choices import Policies
+from .action_tables import Policies
 from .common_choices import CommonGroup, agreed, common_groups
 from .finite_models import Abstraction, AgentModel
 from .guards import compile_guards

@@ -25,9 +25,9 @@ from ...relations.grids import (
     refuse_uneven_noise,
 )
 from ...relations.kinds import BoxRelation, NetworkPolicy, box_relation, network_linear_relation
+from .action_tables import Policies, StepPolicy
 from .box_choices import BoxChoices
 from .box_model import MOST_CUTS, PARTS, box_model, relation_of
-from .choices import Policies, StepPolicy
 from .corner_model import CUTS, lattice_model
 from .finite_models import Abstraction, AgentModel
 

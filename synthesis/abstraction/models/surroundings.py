@@ -29,7 +29,7 @@ from ...relations.grids import (
     points_by_axis,
 )
 from ..kernels import Kernel
-from .choices import Choices, Policies, StepPolicy
+from .action_tables import ActionTable, Policies, StepPolicy
 from .finite_models import Abstraction, AgentModel
 
 FAR, NEAR = 12.0, 6.0
@@ -37,7 +37,7 @@ FAR, NEAR = 12.0, 6.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class InnerChoices(Choices):
+class InnerChoices(ActionTable):
     """What can be chosen in the cells of a grid that lie within another one; nothing in all others.
 
     Parameters
@@ -50,7 +50,7 @@ class InnerChoices(Choices):
         Which cells along each axis lie within.
     """
 
-    choices: Choices
+    choices: ActionTable
     grid: Grid
     within: tuple[slice, ...]
     is_additive: bool
@@ -79,7 +79,7 @@ class InnerChoices(Choices):
         return self.choices.n_parts
 
     @property
-    def parts(self) -> tuple[Choices, ...]:
+    def parts(self) -> tuple[ActionTable, ...]:
         """Those of the choices."""
         return self.choices.parts
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ....envs.systems.expressions import Number
 from ...certificates.value_functions import Array, Residents, beside, namespace, take
 from ...relations.grids import FloatArray, Grid, shape_text
-from ...relations.kinds import ExactOnCells, ExactRelation, WrittenOnCells, WrittenTargets
-from .choices import CELLS_PER_BLOCK, NUMBERS_PER_BLOCK, MeansAt, PointChoices, StepPolicy, bricks, largest
+from ...relations.kinds import ExactOnCells, ExactRelation, SymbolicOnCells, SymbolicTargets
+from .action_tables import CELLS_PER_BLOCK, NUMBERS_PER_BLOCK, MeansAt, PointChoices, StepPolicy, bricks, largest
 
 BAND_BYTES = 200_000_000
 """Memory for remembered bands of admissible targets, per agent model."""
@@ -69,7 +69,7 @@ class TargetWindows(PointChoices):
 
     grid: Grid
     lattice: tuple[FloatArray, ...]
-    relation: ExactRelation | WrittenTargets
+    relation: ExactRelation | SymbolicTargets
     low: NDArray[np.int32]
     high: NDArray[np.int32]
     memory: WindowMemory = field(default_factory=WindowMemory, repr=False)
@@ -81,7 +81,7 @@ class TargetWindows(PointChoices):
         return f"TargetWindows({self.grid.n_cells} cells, {windows}, of {shape_text(self.shape)} lattice points)"
 
     @cached_property
-    def _on_cells(self) -> ExactOnCells | WrittenOnCells:
+    def _on_cells(self) -> ExactOnCells | SymbolicOnCells:
         """What inputs reach from the cells."""
         return self.relation.on(self.grid)
 
@@ -272,9 +272,9 @@ class TargetWindows(PointChoices):
         return best
 
 
-def windows_of(aims: ExactRelation | WrittenTargets, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:
+def windows_of(aims: ExactRelation | SymbolicTargets, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:
     """Return the lattice points that each cell can choose."""
-    if isinstance(aims, WrittenTargets):
+    if isinstance(aims, SymbolicTargets):
         return written_windows(aims, grid, lattice)
     return target_windows(aims, grid, lattice)
 
@@ -301,7 +301,7 @@ def target_windows(relation: ExactRelation, grid: Grid, lattice: tuple[FloatArra
     return TargetWindows(grid, lattice, relation, low, high)
 
 
-def written_windows(relation: WrittenTargets, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:
+def written_windows(relation: SymbolicTargets, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:
     """Return the admissible targets of agents with expressions: first a box around them, then what fits in it.
 
     Where every axis has an input of its own the admissible targets are a box: its sides are found axis by axis.
@@ -320,7 +320,7 @@ def written_windows(relation: WrittenTargets, grid: Grid, lattice: tuple[FloatAr
 
 
 def _fitting(
-    relation: WrittenTargets,
+    relation: SymbolicTargets,
     grid: Grid,
     k: int,
     axis: FloatArray,

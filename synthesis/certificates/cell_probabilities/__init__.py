@@ -1,13 +1,16 @@
-"""What a certificate holds of each agent, and its cell probabilities once more, for checks."""
+"""An agent's record, and its cell probabilities.
 
+What a certificate holds of each agent, and its cell probabilities once more, for checks.
+"""
+
+from .agent_record import AgentRecord
 from .checked_kernel import axis_tables, grid_noise, kernel_key, lost_to_rounding, smooth
 from .checked_laws import law_charge, law_error, law_height, probability_below, scale_charge
-from .part import AgentPart
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .stated import Statement, noted, state
 
 __all__ = [
-    "AgentPart",
+    "AgentRecord",
     "BrokenTrainError",
     "Statement",
     "axis_tables",

@@ -22,10 +22,12 @@ FAINT = 1e-280
 
 if TYPE_CHECKING:
     from ....envs.systems.agents import AnyAgent
-    from .part import AgentPart
+    from .agent_record import AgentRecord
 
 
-def axis_tables(agent: AnyAgent, part: AgentPart, known: dict[tuple[bytes, ...], list[FloatArray]]) -> list[FloatArray]:
+def axis_tables(
+    agent: AnyAgent, part: AgentRecord, known: dict[tuple[bytes, ...], list[FloatArray]]
+) -> list[FloatArray]:
     """Cell masses around every lattice point, per state, from the complementary error function of the smaller tail.
 
     Where the noise of a state has scales, the points of all means come scale after scale.
@@ -37,7 +39,7 @@ def axis_tables(agent: AnyAgent, part: AgentPart, known: dict[tuple[bytes, ...],
     return known[key]
 
 
-def _tables(agent: AnyAgent, part: AgentPart) -> list[FloatArray]:
+def _tables(agent: AnyAgent, part: AgentRecord) -> list[FloatArray]:
     deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
     if not agent.has_plain_noise:
         return _uneven_tables(agent, part, deviations)
@@ -68,7 +70,7 @@ COPIES = tuple(6.283185307179586 * number for number in (-3, -2, -1, 0, 1, 2, 3)
 """How far copies of a cell of an angle are from it: all others hold next to nothing, and count as nothing."""
 
 
-def kernel_key(agent: AnyAgent, part: AgentPart) -> tuple[bytes, ...]:
+def kernel_key(agent: AnyAgent, part: AgentRecord) -> tuple[bytes, ...]:
     """Return all that tables are made of: noise, its axes, cells, and the lattice with what its axes stand for.
 
     Agents that differ in none of it may share what is computed from it. Arrays alone do not tell scales from means.
@@ -93,7 +95,7 @@ def _gaussian_masses(edges: FloatArray, axis: FloatArray, deviation: float) -> F
     return np.maximum(mass - off[:, :-1] - off[:, 1:] - one - FAINT, 0.0)
 
 
-def _uneven_tables(agent: AnyAgent, part: AgentPart, deviations: FloatArray) -> list[FloatArray]:
+def _uneven_tables(agent: AnyAgent, part: AgentRecord, deviations: FloatArray) -> list[FloatArray]:
     """Cell masses of an agent with scales, or with states without noise, whose next cell is that of the mean."""
     points = points_by_axis(agent, part.lattice)
     tables = []
@@ -113,7 +115,7 @@ def _uneven_tables(agent: AnyAgent, part: AgentPart, deviations: FloatArray) -> 
     return tables
 
 
-def lost_to_rounding(agent: AnyAgent, part: AgentPart) -> float:
+def lost_to_rounding(agent: AnyAgent, part: AgentRecord) -> float:
     """Upper bound on the mass per step that ``axis_tables`` take off to be lower bounds, twice over.
 
     The complementary error function is accurate to a few units in the last place of the tail it stands for.
@@ -135,7 +137,7 @@ def lost_to_rounding(agent: AnyAgent, part: AgentPart) -> float:
     return total
 
 
-def _near_copies(agent: AnyAgent, part: AgentPart) -> float:
+def _near_copies(agent: AnyAgent, part: AgentRecord) -> float:
     """Upper bound on the mass so near to edges of copies of cells that rounding may move it over them.
 
     Edges are a cell apart, but where a turn ends and the next one begins: densities at all of them sum to at most twice

@@ -110,20 +110,21 @@ def _triangular(data: dict[str, float], x: NDArray[np.float64]) -> NDArray[np.fl
     return np.asarray(left + falling * peak * (1.0 - 0.5 * slope))
 
 
-def law_charge(law: Law, pitch: float) -> float:
-    """What linear interpolation between points ``pitch`` apart may add to an expected value, for values up to 1.
+def law_charge(law: Law, lattice_spacing: float) -> float:
+    """What linear interpolation between points of a lattice may add to an expected value, for values up to 1.
 
-    ``pitch / 4`` times the jumps of the density, and ``pitch^2 / 8`` times the positive part of its second derivative.
+    A quarter of ``lattice_spacing`` times the jumps of the density, and an eighth of its square times the positive part
+    of the second derivative.
     """
-    charge = exact_charge(law, pitch, FLOATS) * OUTWARD
-    state("charge", exact_charge, law, pitch, charge)
-    return float(charge)
+    interpolation_error = exact_charge(law, lattice_spacing, FLOATS) * OUTWARD
+    state("charge", exact_charge, law, lattice_spacing, interpolation_error)
+    return float(interpolation_error)
 
 
-def exact_charge(law: Law, pitch: float, m: Any) -> Any:
+def exact_charge(law: Law, lattice_spacing: float, m: Any) -> Any:
     """The same, up to the rounding of the functions ``m``."""
-    step, (jumps, bend) = m.number(pitch), _shape(law, m)
-    return 0.25 * step * jumps + 0.125 * step * step * bend
+    step, (jumps, convexity) = m.number(lattice_spacing), _shape(law, m)
+    return 0.25 * step * jumps + 0.125 * step * step * convexity
 
 
 def scale_charge(law: Law, step: float) -> float:
@@ -132,16 +133,16 @@ def scale_charge(law: Law, step: float) -> float:
     Half a step times the slope, or an eighth of the squared step times the second derivative, whichever is less. With
     ``D p = (x p)'`` and a density p they are at most the integrals of the positive parts of D p and of D D p.
     """
-    charge = exact_scale_charge(law, step, FLOATS) * OUTWARD
-    state("charge", exact_scale_charge, law, step, charge)
-    return float(charge)
+    interpolation_error = exact_scale_charge(law, step, FLOATS) * OUTWARD
+    state("charge", exact_scale_charge, law, step, interpolation_error)
+    return float(interpolation_error)
 
 
 def exact_scale_charge(law: Law, step: float, m: Any) -> Any:
     """The same, up to the rounding of the functions ``m``."""
     width = m.number(step)
-    slope, bend = 0.5 * width * _slope_of_scale(law, 0.0, m), 0.125 * width * width * _bend_of_scale(law, 0.0, m)
-    return slope if slope < bend else bend
+    slope, convexity = 0.5 * width * _slope_of_scale(law, 0.0, m), 0.125 * width * width * _bend_of_scale(law, 0.0, m)
+    return slope if slope < convexity else convexity
 
 
 def _bend_of_scale(law: Law, mean: float, m: Any) -> Any:
@@ -192,8 +193,8 @@ def _bend_of_scale(law: Law, mean: float, m: Any) -> Any:
             height = m.exp(log) / data["scale"]
         case _:
             return math.inf  # the density jumps, or nothing is known of it
-    bend, away = _shape(law, m)[1], abs(mean)
-    moved = second + 2.0 * away * m.sqrt(2.0 * second * bend) + 2.0 * away * away * bend
+    convexity, away = _shape(law, m)[1], abs(mean)
+    moved = second + 2.0 * away * m.sqrt(2.0 * second * convexity) + 2.0 * away * away * convexity
     return 0.5 * (1.0 + 3.0 * (1.0 + 2.0 * away * height) + moved)
 
 
@@ -259,8 +260,8 @@ def _shape(law: Law, m: Any) -> tuple[Any, Any]:
         case "triangular":
             low, mode, high = data["low"], data["mode"], data["high"]
             peak = 2.0 / (high - low)
-            bend = (peak / (mode - low) if mode > low else 0.0) + (peak / (high - mode) if high > mode else 0.0)
-            return (peak if mode in (low, high) else 0.0), bend
+            convexity = (peak / (mode - low) if mode > low else 0.0) + (peak / (high - mode) if high > mode else 0.0)
+            return (peak if mode in (low, high) else 0.0), convexity
         case "laplace":
             return 0.0, 1.0 / data["scale"] ** 2
         case "logistic":
@@ -271,10 +272,10 @@ def _shape(law: Law, m: Any) -> tuple[Any, Any]:
             return _truncated(data, m)
         case "mixture":
             shapes = [_shape(part, m) for part in data["laws"]]
-            jumps, bend = (sum(w * s[k] for w, s in zip(data["weights"], shapes, strict=True)) for k in (0, 1))
-            return jumps, bend
+            jumps, convexity = (sum(w * s[k] for w, s in zip(data["weights"], shapes, strict=True)) for k in (0, 1))
+            return jumps, convexity
     own = _by_author(law)
-    return own.jumps, own.bend
+    return own.jumps, own.convexity
 
 
 def _by_author(law: Law) -> Law:
@@ -302,8 +303,8 @@ def _truncated(data: dict[str, Any], m: Any) -> tuple[Any, Any]:
     low, high, spread = data["low"], data["high"], data["spread"]
     scale = 1.0 / (m.sqrt(2.0 * m.pi) * spread * _share(data, m))
     left, right = (scale * m.exp(-0.5 * (end / spread) ** 2) for end in (low, high))
-    bend = 2.0 * m.exp(-0.5) * scale / spread + (abs(low) * left + abs(high) * right) / spread**2
-    return left + right, bend
+    convexity = 2.0 * m.exp(-0.5) * scale / spread + (abs(low) * left + abs(high) * right) / spread**2
+    return left + right, convexity
 
 
 def _numbers(law: Law, m: Any = FLOATS) -> dict[str, Any]:

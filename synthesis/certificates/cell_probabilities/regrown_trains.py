@@ -31,8 +31,8 @@ from ..value_functions import (
     routes,
     smoothed_core,
 )
+from .agent_record import AgentRecord
 from .checked_kernel import axis_tables, smooth
-from .part import AgentPart
 
 
 class BrokenTrainError(ValueError):
@@ -41,7 +41,7 @@ class BrokenTrainError(ValueError):
 
 def regrow_trains(
     problem: Problem,
-    agents: Sequence[AgentPart],
+    agents: Sequence[AgentRecord],
     guards: Guards,
     rounding: Rounding,
     each: Callable[[int, Trains], None] | None = None,

@@ -1,4 +1,7 @@
-"""Controllers that carry a policy out, and policies that come from elsewhere."""
+"""Controllers that carry a policy out.
+
+Controllers that carry a policy out, and policies that come from elsewhere.
+"""
 
 from .agent_controller import AgentController
 from .controller import Controller

@@ -18,8 +18,8 @@ from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray, alike_text, shape_text
 from .abstract_state import Memory
 from .agent_controller import AgentController
+from .communicated import told
 from .predicting import Predicting
-from .told import told
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...relations.grids import FloatArray
-from ...relations.kinds import NetworkPolicy, WrittenPolicy
+from ...relations.kinds import NetworkPolicy, SymbolicPolicy
+from .communicated import told_of_all
 from .path_controller import PathController
-from .told import told_of_all
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -27,7 +27,7 @@ class NetworkController(PathController):
 
     information = "own state, automaton state, time"
 
-    networks: tuple[NetworkPolicy | WrittenPolicy, ...]
+    networks: tuple[NetworkPolicy | SymbolicPolicy, ...]
 
     def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
         """Return the action of every agent observed: name -> (m,) float64; see ``PathController.act``."""

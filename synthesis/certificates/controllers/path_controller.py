@@ -15,8 +15,8 @@ from ....envs.systems.agents import LinearAgent, wrapped
 from ....envs.systems.arguments import tree_text
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
+from .communicated import told
 from .predicting import Predicting
-from .told import told
 
 
 @dataclass(frozen=True, eq=False, repr=False)

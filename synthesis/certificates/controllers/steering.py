@@ -25,7 +25,7 @@ from ...relations.kinds import (
     ExactRelation,
     MapRelation,
     Row,
-    WrittenTargets,
+    SymbolicTargets,
     product,
     rows_of,
 )
@@ -99,7 +99,7 @@ class TargetSteering:
     table: PolicyTable
     grid: Grid
     lattice: tuple[FloatArray, ...]
-    relation: ExactRelation | WrittenTargets
+    relation: ExactRelation | SymbolicTargets
 
     def inputs(
         self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int, beside: FloatArray | None = None

@@ -13,8 +13,8 @@ from ....envs.simulation import Dynamics, Worlds, joint, split_joint
 from ....envs.systems.arguments import tree_text
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
+from .communicated import told_of_all
 from .predicting import Predicting
-from .told import told_of_all
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,4 +1,7 @@
-"""What a claim rests on, one kind of proof a file, and certificates in files."""
+"""Proofs of claims, one kind a file, and archives.
+
+What a claim rests on, one kind of proof a file, and certificates in files.
+"""
 
 from .archive import MAX_BYTES, check_sizes, packed
 from .canonical import (
@@ -46,11 +49,11 @@ from .grid_proof import GridProof, OnGrid, delta_of, value_of
 from .path_proof import SOMETIME, AgentPath, AlongPath, PathProof
 from .path_tube import KEPT, Tube, tube_along
 from .product_proof import ProductProof, product_certificate, split
-from .proof import Offer, Proof
+from .projection import RunProjection
+from .proof import Capability, Proof
 from .result import Synthesis
-from .seen import Seen
-from .subtraction_proof import SubtractionProof
 from .timed_proof import TimedProof, timed_certificate
+from .union_bound_proof import UnionBoundProof
 
 __all__ = [
     "NotCanonicalError",
@@ -71,14 +74,14 @@ __all__ = [
     "GridProof",
     "KEPT",
     "MAX_BYTES",
-    "Offer",
+    "Capability",
     "OnGrid",
     "PathProof",
     "ProductProof",
     "Proof",
     "SOMETIME",
-    "Seen",
-    "SubtractionProof",
+    "RunProjection",
+    "UnionBoundProof",
     "Synthesis",
     "TimedProof",
     "Tube",

@@ -40,8 +40,8 @@ from ...checker import (
     shown,
 )
 from ...relations.grids import FloatArray
-from ...relations.kinds import WrittenPolicy
-from ..cell_probabilities import AgentPart
+from ...relations.kinds import SymbolicPolicy
+from ..cell_probabilities import AgentRecord
 from .certificate import Certificate
 from .grid_proof import GridProof
 from .path_proof import AgentPath, PathProof
@@ -405,7 +405,7 @@ def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndar
     }
 
 
-def _written(policy: WrittenPolicy, text: str) -> str:
+def _written(policy: SymbolicPolicy, text: str) -> str:
     """Return an expression with the parameters of its agent as numbers."""
     for name, value in policy.parameters.items():
         text = re.sub(rf"(?<![\w.]){re.escape(name)}(?![\w.])", f"({value!r})", text)
@@ -417,7 +417,7 @@ def _network_of(proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
     if proof.networks is None:
         return {}
     policy = proof.networks[i]
-    if isinstance(policy, WrittenPolicy):
+    if isinstance(policy, SymbolicPolicy):
         return {"radius": float(proof.radii[i]), "feedback": [_written(policy, text) for text in policy.expressions]}
     network, view = policy.network, policy.view
     if view.told or policy.has_clock:
@@ -440,14 +440,14 @@ def _network_of(proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
 def _trajectory(agent: AnyAgent, path: AgentPath, states: FloatArray) -> dict[str, FloatArray]:
     """Return nominal inputs, gains, states and widths of the tube of one agent."""
     steps, d, m = path.n_steps, agent.n_states, agent.n_inputs
-    widths = np.full((steps + 1, d + m), np.inf) if path.slabs is None else path.slabs[:, : d + m]
+    widths = np.full((steps + 1, d + m), np.inf) if path.strips is None else path.strips[:, : d + m]
     entry = {"inputs": path.inputs, "gains": np.array(path.gains), "states": states, "widths": widths}
-    if agent.noise_scale is not None and path.slabs is not None:
-        # slabs are in deviations of what the scale multiplies
+    if agent.noise_scale is not None and path.strips is not None:
+        # strips are in deviations of what the scale multiplies
         deviations = [law.std for law in agent.laws or ()] or np.ones(agent.noise_axes.shape[1])
         size = np.linalg.norm(agent.noise_axes * deviations, axis=1)
-        slabs = path.slabs[:-1, d + m :]
-        entry["noise_widths"] = np.where(np.isinf(slabs), np.inf, np.where(np.isinf(slabs), 0.0, slabs) * size)
+        strips = path.strips[:-1, d + m :]
+        entry["noise_widths"] = np.where(np.isinf(strips), np.inf, np.where(np.isinf(strips), 0.0, strips) * size)
     return entry
 
 
@@ -481,7 +481,7 @@ def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> d
 
 def _tree_rows(proof: GridProof) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield the rows of the tree for each time and state: vertices, unions, and what is kept."""
-    for t, step in enumerate(proof.skeleton):
+    for t, step in enumerate(proof.merge_log):
         for q, (origin, merges, kept) in enumerate(zip(step.origin, step.merges, step.kept, strict=True)):
             columns = (
                 origin,
@@ -491,7 +491,7 @@ def _tree_rows(proof: GridProof) -> Iterator[tuple[np.ndarray, np.ndarray, np.nd
             yield tuple(np.hstack([np.tile([t, q], (len(rows), 1)), rows]) for rows in columns)  # type: ignore[misc]
 
 
-def _cells_of(agent: AnyAgent, known: CheckedAgent, part: AgentPart, put: _Pool) -> dict[str, Any]:
+def _cells_of(agent: AnyAgent, known: CheckedAgent, part: AgentRecord, put: _Pool) -> dict[str, Any]:
     """Return the entry of the cells of one agent."""
     relation, kind = part.relation, part.relation["kind"]
     if kind not in ("exact", "linear", "boxes") or "network" in relation or "common" in relation:

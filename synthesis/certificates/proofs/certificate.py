@@ -20,8 +20,8 @@ from ....envs.systems.arguments import tree_text
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
 from .digits import EXACT_GAP
-from .proof import Offer, Proof
-from .seen import Seen
+from .projection import RunProjection
+from .proof import Capability, Proof
 from .summaries import certificate_facts, certificate_html
 
 P_co = TypeVar("P_co", bound=Proof, covariant=True)
@@ -37,7 +37,7 @@ class Certificate(Generic[P_co]):
     problem : Problem
         What it is about: the continuous closed loop, with its start.
     proof : Proof
-        How the bound is proved: ``GridProof``, ``PathProof``, ``SubtractionProof``, ``TimedProof`` or
+        How the bound is proved: ``GridProof``, ``PathProof``, ``UnionBoundProof``, ``TimedProof`` or
         ``ProductProof``. Certificates that it is put together of are its ``parts``.
     settings : dict
         Every setting of abstraction and search with which it was found; nothing depends on them.
@@ -88,7 +88,7 @@ class Certificate(Generic[P_co]):
         ValueError
             If the certificate speaks of the problem's start alone.
         """
-        require(self, Offer.OTHER_STARTS)
+        require(self, Capability.OTHER_STARTS)
         return self.proof.claim(self)
 
     def at(self, states: Any) -> FloatArray:
@@ -175,7 +175,7 @@ def path_under(certificate: Certificate) -> Any:
     return certificate.proof.along(certificate)
 
 
-def seen_by(certificate: Certificate) -> Seen:
+def seen_by(certificate: Certificate) -> RunProjection:
     """Return how runs of a certificate's problem are seen by the one ``on_cells``."""
     return certificate.proof.seen(certificate.problem)
 
@@ -238,12 +238,12 @@ def with_claims(certificate: Certificate, change: Callable[[Any], Any]) -> Certi
     return certificate.proof.with_claims(certificate, change)
 
 
-def require(certificate: Certificate, *offers: Offer) -> None:
+def require(certificate: Certificate, *offers: Capability) -> None:
     """Raise ValueError, with what can be done instead, unless a certificate and its members offer all of this."""
     for offer in offers:
         for member in members_of(certificate):
-            if offer in member.proof.lacks:
-                raise ValueError(f"`certificate`: expected {offer.value}, got {member.proof.lacks[offer]}")
+            if offer in member.proof.unsupported:
+                raise ValueError(f"`certificate`: expected {offer.value}, got {member.proof.unsupported[offer]}")
 
 
 def nameless(problem: Problem) -> str:

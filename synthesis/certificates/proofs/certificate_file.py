@@ -20,13 +20,13 @@ from .path_proof import PathProof
 from .product_proof import ProductProof
 from .proof import Proof
 from .result import Synthesis
-from .subtraction_proof import SubtractionProof
 from .timed_proof import TimedProof
+from .union_bound_proof import UnionBoundProof
 
 PROOFS: dict[str, type[Proof]] = {
     proof.kind: proof
     for proof in (
-        GridProof, PathProof, SubtractionProof, TimedProof, ProductProof
+        GridProof, PathProof, UnionBoundProof, TimedProof, ProductProof
     )
 }  # fmt: skip
 """Kinds of proofs, by their names in files."""

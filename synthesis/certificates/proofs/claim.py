@@ -20,8 +20,8 @@ from ....envs.tasks.automata import Automaton
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray, alike_text, hat_share_of, shape_text, start_share
 from ...relations.kinds import Relation
-from ..cell_probabilities import AgentPart
-from ..value_functions import Guards, Skeleton, Terms, Trains, Unread, ValueFunction, term_depths
+from ..cell_probabilities import AgentRecord
+from ..value_functions import Guards, MergeLog, Terms, Trains, Unread, ValueFunction, term_depths
 
 MAX_JOINT_CELLS = 20_000_000
 """Largest number of joint cells over which ``min`` is taken cell by cell."""
@@ -55,7 +55,7 @@ class Claim:
     """
 
     problem: Problem
-    agents: tuple[AgentPart, ...]
+    agents: tuple[AgentRecord, ...]
     relations: tuple[Relation, ...]
     start_target: NDArray[np.int32]
     start_mask: NDArray[np.int32]
@@ -202,14 +202,14 @@ class Claim:
 
 
 def with_early_acceptance(
-    terms: Terms, skeleton: Sequence[Skeleton], guards: Guards, automaton: Automaton, horizon: int, delta: float
+    terms: Terms, merge_log: Sequence[MergeLog], guards: Guards, automaton: Automaton, horizon: int, delta: float
 ) -> Terms:
     """Return the terms of a co-safe task, each with ``delta`` more per step that accepting early saves.
 
     Under the a-posteriori bound a run loses ``delta`` at every step that finds it undecided; the depth of a term says
     when it accepts (docs/theory/bounds.md, "A-posteriori"). ``delta`` is rounded down here, since it adds.
     """
-    depths = term_depths(skeleton, guards, automaton.accepting, automaton.absorbing)
+    depths = term_depths(merge_log, guards, automaton.accepting, automaton.absorbing)
     worth = delta * (1 - 1e-9) if automaton.is_co_safe else 0.0
     gains = [np.asarray(1.0 + worth * (horizon - depth)) for depth in depths]
     # Terms with equal factors may differ in depth: give the first agent a factor for each term.

@@ -8,7 +8,7 @@ from typing import Any
 from .certificate import Certificate, member_agents, members_of, on_cells, require
 from .certificate_file import load_certificate
 from .grid_proof import OnGrid
-from .proof import Offer
+from .proof import Capability
 from .result import Synthesis
 
 
@@ -46,7 +46,7 @@ def certificate_on_grids(value: Any) -> Certificate:
         If `value` stands for no certificate, or for one along a path or by subtraction.
     """
     certificate = certificate_from(value)
-    require(certificate, Offer.VALUES)
+    require(certificate, Capability.VALUES)
     return certificate
 
 
@@ -93,8 +93,8 @@ def checked_certificate(value: Any, argument: str = "certificate") -> OnGrid:
         raise ValueError(f"`{argument}`: expected that of one task, got {len(parts)}; give one of its `.proof.parts`")
     held: OnGrid | None = on_cells(certificate)
     if held is None:
-        lack = certificate.proof.lacks[Offer.VALUES]
-        raise ValueError(f"`{argument}`: expected {Offer.VALUES.value}, got {lack}")
+        lack = certificate.proof.unsupported[Capability.VALUES]
+        raise ValueError(f"`{argument}`: expected {Capability.VALUES.value}, got {lack}")
     return held
 
 

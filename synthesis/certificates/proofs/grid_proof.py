@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from ....envs.tasks.problem import Problem
 from ...relations.kinds import Relation, joint_delta
-from ..cell_probabilities import AgentPart, BrokenTrainError, regrow_trains
+from ..cell_probabilities import AgentRecord, BrokenTrainError, regrow_trains
 from ..controllers import AgentController, Controller
-from ..value_functions import Guards, Rounding, Skeleton, Terms, Trains
+from ..value_functions import Guards, MergeLog, Rounding, Terms, Trains
 from .archive import Pool, Stored
 from .certificate import Certificate
 from .claim import Claim, with_early_acceptance
@@ -66,7 +66,7 @@ class GridProof(Proof):
     rounding : Rounding or None
         How tensor trains were rounded; None for a value tree.
     opposite : Certificate or None
-        Of the same controllers and the opposite task, if ``gap`` rests on one (see ``upper_ends``).
+        Of the same controllers and the opposite task, if ``gap`` rests on one (see ``upper_bounds``).
     """
 
     method: str
@@ -75,13 +75,13 @@ class GridProof(Proof):
     lower_bound: float
     gap: float | None
     relative_rounding: float
-    agents: tuple[AgentPart, ...]
+    agents: tuple[AgentRecord, ...]
     guard_source: NDArray[np.int32]
     guard_target: NDArray[np.int32]
     guard_mask: NDArray[np.int32]
     start_target: NDArray[np.int32]
     start_mask: NDArray[np.int32]
-    skeleton: tuple[Skeleton, ...]
+    merge_log: tuple[MergeLog, ...]
     terms: Terms | None
     rank: int
     rounding: Rounding | None = None
@@ -123,7 +123,7 @@ class GridProof(Proof):
             )
         return self.terms
 
-    def agents_of(self, problem: Problem) -> tuple[AgentPart, ...]:
+    def agents_of(self, problem: Problem) -> tuple[AgentRecord, ...]:
         """Return what is stored of each agent."""
         return self.agents
 
@@ -158,7 +158,7 @@ class GridProof(Proof):
             "agents": [put_agent(pool, part) for part in self.agents],
             "guards": [pool.put(array) for array in guards],
             "start_guards": [pool.put(self.start_target), pool.put(self.start_mask)],
-            "skeleton": [put_skeleton(pool, step) for step in self.skeleton],
+            "skeleton": [put_skeleton(pool, step) for step in self.merge_log],
             "terms": None if self.terms is None else put_terms(pool, self.terms),
             "rounding": None if self.rounding is None else put_rounding(pool, self.rounding),
         }
@@ -202,7 +202,7 @@ def _claim(certificate: OnGrid) -> Claim:
     delta = delta_of(certificate) if proof.bound == "a-posteriori" else 0.0
     correction = delta * problem.horizon * CORRECTION_INFLATION
     if correction > 0.0 and isinstance(value, Terms):
-        value = with_early_acceptance(value, proof.skeleton, proof.guards, problem.automaton, problem.horizon, delta)
+        value = with_early_acceptance(value, proof.merge_log, proof.guards, problem.automaton, problem.horizon, delta)
     # The controllers carry out their policies up to rounding, which moves the means a little at every step.
     relations = _relations(certificate)
     triples = zip(problem.agents, relations, proof.agents, strict=True)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ....envs.tasks.problem import Problem
 from ...relations.grids import Grid, lattice_axes
 from ...relations.kinds import check_description
-from ..cell_probabilities import AgentPart
-from ..value_functions import Merges, Rounding, Skeleton, Terms
+from ..cell_probabilities import AgentRecord
+from ..value_functions import MergeLog, Merges, Rounding, Terms
 from .archive import Stored
 
 CLAIM_FIELDS = ("method", "bound", "bounds", "lower_bound", "gap", "relative_rounding", "rank")
@@ -65,7 +65,7 @@ class GridReader:
             guard_mask=mask,
             start_target=start_target,
             start_mask=start_mask,
-            skeleton=() if trains else tuple(self._each(header["skeleton"], self.problem.horizon, self._step)),
+            merge_log=() if trains else tuple(self._each(header["skeleton"], self.problem.horizon, self._step)),
             terms=None if trains else self._terms(agents),
             rounding=self._rounding(agents) if trains else None,
             **claim,
@@ -100,7 +100,7 @@ class GridReader:
             raise ValueError(f"array {number} holds indices out of range")
         return array
 
-    def _agent(self, entry: dict[str, Any]) -> AgentPart:
+    def _agent(self, entry: dict[str, Any]) -> AgentRecord:
         """Return what is stored of one agent."""
         agent = self.problem.agents[self._position]
         d = agent.n_states
@@ -126,7 +126,7 @@ class GridReader:
             choices = len(entry["relation"]["menu"])
         if kind in ("boxes", "linear") and any(len(axis) < 2 for axis in lattice):
             raise ValueError(f"the lattice of an agent under the relation {kind} has axes of a single point")
-        return AgentPart(
+        return AgentRecord(
             grid=grid,
             coordinates=self._array(entry["coordinates"], "f", (d, d)),
             lattice=lattice,
@@ -137,7 +137,7 @@ class GridReader:
             menu=menu,
         )
 
-    def _step(self, entry: Any) -> Skeleton:
+    def _step(self, entry: Any) -> MergeLog:
         """Return one time of the tree."""
         if len(entry) != self.n_states:
             raise ValueError("the tree has the wrong number of states")
@@ -157,9 +157,9 @@ class GridReader:
                     raise ValueError("a remainder differs in the agent whose factors were added")
             merges.append(Merges(into, absorbed, agent, rest))
             kept.append(self._integers(numbers[4], (None,), n).astype(np.int64))
-        return Skeleton(tuple(origins), tuple(merges), tuple(kept))
+        return MergeLog(tuple(origins), tuple(merges), tuple(kept))
 
-    def _rounding(self, agents: list[AgentPart]) -> Rounding:
+    def _rounding(self, agents: list[AgentRecord]) -> Rounding:
         """Return how trains were rounded; that the cells increase is left to whoever grows them again."""
         entry = self.header["rounding"]
         tolerance = entry["tolerance"]
@@ -176,7 +176,7 @@ class GridReader:
             visited.append(tuple(self._integers(k, (None,), a.grid.n_cells).astype(np.int64) for k, a in pairs))
         return Rounding(tolerance, tuple(visited))
 
-    def _terms(self, agents: list[AgentPart]) -> Terms:
+    def _terms(self, agents: list[AgentRecord]) -> Terms:
         """Return the value function at time 0."""
         entry = self.header["terms"]
         if len(entry["factors"]) != self.n_agents or len(entry["index"]) != self.n_states:

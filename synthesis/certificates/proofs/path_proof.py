@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 from ....envs.systems.backends import is_whole
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
-from ...relations.kinds import NetworkPolicy, WrittenPolicy, check_network, network_policy
+from ...relations.kinds import NetworkPolicy, SymbolicPolicy, check_network, network_policy
 from ..controllers import NetworkController, PathController
 from .archive import Pool, Stored
 from .certificate import Certificate
 from .digits import significant_up
-from .proof import Offer, Proof
+from .proof import Capability, Proof
 
-GivenPolicy = NetworkPolicy | WrittenPolicy
+GivenPolicy = NetworkPolicy | SymbolicPolicy
 """What acts where a policy was given."""
 
 SOMETIME = 2
@@ -37,7 +37,7 @@ SOMETIME = 2
 
 @dataclass(frozen=True, eq=False)
 class AgentPath:
-    """Nominal inputs of one agent and its feedback; along a *nonlinear path* nominal states and slabs, too.
+    """Nominal inputs of one agent and its feedback; along a *nonlinear path* nominal states and strips, too.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class AgentPath:
         Feedback K on the deviation from the nominal path, one for all times or one for each; 0 for none.
     states : (S + 1, d) array, optional
         Nominal states of a nonlinear path. Without, they are those that the inputs lead a linear agent to.
-    slabs : (S + 1, 2 d + m) array, optional
+    strips : (S + 1, 2 d + m) array, optional
         Of a nonlinear path: what the linear deviation of each state is kept within, that of each input (in the last row
         they say nothing), and the noise of each state in its standard deviations; infinite where nothing is asked.
     """
@@ -55,12 +55,12 @@ class AgentPath:
     inputs: FloatArray
     gain: FloatArray
     states: FloatArray | None = None
-    slabs: FloatArray | None = None
+    strips: FloatArray | None = None
 
     @property
     def arrays(self) -> list[FloatArray]:
-        """Inputs and gain, and along a nonlinear path states and slabs."""
-        return [array for array in (self.inputs, self.gain, self.states, self.slabs) if array is not None]
+        """Inputs and gain, and along a nonlinear path states and strips."""
+        return [array for array in (self.inputs, self.gain, self.states, self.strips) if array is not None]
 
     @property
     def n_steps(self) -> int:
@@ -121,7 +121,7 @@ class PathProof(Proof):
     radii: tuple[float, ...] = ()
 
     kind = "path"
-    lacks = MappingProxyType({Offer.VALUES: ONE_RUN, Offer.OTHER_STARTS: OTHER_STARTS})
+    unsupported = MappingProxyType({Capability.VALUES: ONE_RUN, Capability.OTHER_STARTS: OTHER_STARTS})
     bound = "path"
     gap = None
     rank = 1
@@ -196,7 +196,7 @@ class PathProof(Proof):
             if [array.shape for array in arrays] != shapes or not all(np.all(np.isfinite(a)) for a in arrays[:3]):
                 raise ValueError(f"the inputs of agent {agent.name!r} do not fit")
             if len(numbers) == 4 and not np.all(arrays[3] >= 0.0):
-                raise ValueError(f"the slabs of agent {agent.name!r} are none")
+                raise ValueError(f"the strips of agent {agent.name!r} are none")
             paths.append(AgentPath(*arrays))
         normals = _normals(problem, stored, len(letters))
         return cls(tuple(paths), letters, faces, failure, normals, *_networks(problem, stored))
@@ -240,7 +240,7 @@ def _networks(problem: Problem, stored: Stored) -> tuple[tuple[GivenPolicy, ...]
     made = list[GivenPolicy]()
     for description, agent in zip(networks, problem.agents, strict=True):
         if isinstance(description, dict) and "expressions" in description:
-            made.append(WrittenPolicy.of(agent, [str(text) for text in description["expressions"]]))
+            made.append(SymbolicPolicy.of(agent, [str(text) for text in description["expressions"]]))
             continue
         check_network(description, agent, 2**31)
         made.append(network_policy(description, agent))

@@ -18,7 +18,7 @@ import numpy as np
 
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
-from ..cell_probabilities import AgentPart
+from ..cell_probabilities import AgentRecord
 from ..controllers import ProductController
 from ..value_functions import UNIT
 from .archive import Pool, Stored
@@ -88,9 +88,9 @@ class ProductProof(Proof):
             by_text.setdefault(json.dumps(part.settings), {"settings": part.settings, "parts": []})["parts"].append(k)
         return {"parts": list(by_text.values())}
 
-    def agents_of(self, problem: Problem) -> tuple[AgentPart, ...]:
+    def agents_of(self, problem: Problem) -> tuple[AgentRecord, ...]:
         """Return what is stored of each agent, in the order of the problem's agents."""
-        stored: dict[int, AgentPart] = {}
+        stored: dict[int, AgentRecord] = {}
         for group, part in zip(problem.groups, self.parts, strict=True):
             stored |= dict(zip(group.agents, part.proof.agents_of(part.problem), strict=True))
         return tuple(stored[i] for i in range(problem.n_agents))

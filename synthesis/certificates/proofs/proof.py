@@ -14,10 +14,10 @@ from typing import Any, ClassVar, Self
 from ....envs.tasks.problem import Problem
 from .archive import Pool, Stored
 from .digits import shown_bound
-from .seen import Seen
+from .projection import RunProjection
 
 
-class Offer(Enum):
+class Capability(Enum):
     """What may be asked of a certificate; the text says what was expected where it lacks that."""
 
     VALUES = "one with values of all states"
@@ -51,7 +51,7 @@ class Proof:
     """Its name in files."""
     inside: ClassVar[frozenset[str]] = frozenset()
     """Kinds of proofs that its parts may have."""
-    lacks: Mapping[Offer, str] = MappingProxyType({})
+    unsupported: Mapping[Capability, str] = MappingProxyType({})
     """What it does not offer, and what is said to whoever asks for it."""
     about: Mapping[str, str] = MappingProxyType({})
     """What reports say of it besides."""
@@ -99,9 +99,9 @@ class Proof:
         """Return the certificate along a path that this one is or rests on; None if there is none."""
         return None
 
-    def seen(self, problem: Problem) -> Seen:
+    def seen(self, problem: Problem) -> RunProjection:
         """Return how runs of the problem are seen by the certificate on cells."""
-        return Seen(problem)
+        return RunProjection(problem)
 
     def with_claims(self, certificate: Any, change: Callable[[Any], Any]) -> Any:
         """Return the same claim, with what a function makes of the certificates on cells that it is put together of."""

@@ -12,7 +12,7 @@ from typing import Any
 from ....envs.systems.arguments import counted, names_text, shortened
 from ....envs.tasks.problem import Problem
 from ...relations.grids import alike_text, shape_text
-from ..cell_probabilities import AgentPart
+from ..cell_probabilities import AgentRecord
 from .digits import shown_bound
 
 MOST_TOLD = 3
@@ -43,7 +43,7 @@ def _start_text(certificate: Any) -> str:
     return "from the initial state" if point else "on average over the initial boxes"
 
 
-def _in_common(parts: Sequence[AgentPart]) -> list[tuple[str, str]]:
+def _in_common(parts: Sequence[AgentRecord]) -> list[tuple[str, str]]:
     """Return a row about inputs of others that agents are assumed to know; no row if there are none."""
     names = dict.fromkeys(name for part in parts for name in part.relation.get("common", {}).get("names", ()))
     if not names:

@@ -20,8 +20,8 @@ from ..controllers import TimedController
 from .archive import Pool, Stored
 from .certificate import Certificate
 from .grid_proof import OnGrid
-from .proof import Offer, Proof
-from .seen import Seen, SeenInTime
+from .projection import RunProjection, SeenInTime
+from .proof import Capability, Proof
 
 IN_TIME = (
     "one of a problem that names the time `t`, of whose steps nothing is said beyond its horizon; its `.proof.base` is "
@@ -44,7 +44,7 @@ class TimedProof(Proof):
 
     kind = "timed"
     inside = frozenset({"grid"})
-    lacks = MappingProxyType({Offer.SAME_STEPS: IN_TIME})
+    unsupported = MappingProxyType({Capability.SAME_STEPS: IN_TIME})
 
     @property
     def parts(self) -> tuple[Certificate, ...]:
@@ -116,7 +116,7 @@ class TimedProof(Proof):
         """Return the proof for a problem that differs from its own in names alone."""
         return TimedProof(replace(self.base, problem=written_out(problem)))
 
-    def seen(self, problem: Problem) -> Seen:
+    def seen(self, problem: Problem) -> RunProjection:
         """Return runs of the problem, as those of the problem written out."""
         clocks = tuple(bool(agent.has_clock) for agent in self.base.problem.agents)
         return SeenInTime(problem, self.states_in_time(problem), clocks)

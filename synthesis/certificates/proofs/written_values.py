@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cell_probabilities import AgentPart
-from ..value_functions import Merges, Rounding, Skeleton, Terms
+from ..cell_probabilities import AgentRecord
+from ..value_functions import MergeLog, Merges, Rounding, Terms
 from .archive import Pool
 
 
-def put_agent(pool: Pool, part: AgentPart) -> dict[str, Any]:
+def put_agent(pool: Pool, part: AgentRecord) -> dict[str, Any]:
     """Return the entry of an agent, its arrays put into the pool."""
     return {
         "edges": [pool.put(a) for a in part.grid.edges],
@@ -45,7 +45,7 @@ def _rests(merges: Merges) -> list[NDArray[Any]]:
     return [merges.rests] if np.any(merges.rests) else []
 
 
-def put_skeleton(pool: Pool, step: Skeleton) -> list[list[int]]:
+def put_skeleton(pool: Pool, step: MergeLog) -> list[list[int]]:
     """Return the entry of one time of the tree, its arrays put into the pool."""
     states = zip(step.origin, step.merges, step.kept, strict=True)
     small = np.int32

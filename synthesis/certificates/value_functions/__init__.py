@@ -1,4 +1,7 @@
-"""Value functions as sums of products and as tensor trains with certified error: records and algebra."""
+"""Value functions: sums of products, tensor trains.
+
+Value functions as sums of products and as tensor trains with certified error: records and algebra.
+"""
 
 from ....envs.systems.backends import HOST, Array, beside, device_put, namespace, to_host
 from .devices import UNIT, Residents, add_rows, concatenate, empty, multiply_into, take
@@ -7,9 +10,9 @@ from .terms import (
     BoolArray,
     Guards,
     IndexArray,
+    MergeLog,
     Merges,
     Occupancy,
-    Skeleton,
     Terms,
     candidate_depths,
     compress,
@@ -50,7 +53,7 @@ __all__ = [
     "Residents",
     "Rounding",
     "Routes",
-    "Skeleton",
+    "MergeLog",
     "Smooth",
     "Terms",
     "Train",

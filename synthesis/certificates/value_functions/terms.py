@@ -220,7 +220,7 @@ def distinct(numbers: IndexArray) -> tuple[IndexArray, IndexArray]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Skeleton:
+class MergeLog:
     """Which vertices the value tree kept at one time, enough to grow it again (see ``check``).
 
     Per automaton state: rows (guard, term of the next step), how rows were united, and which rows became terms.
@@ -281,14 +281,14 @@ def candidate_depths(
 
 
 def term_depths(
-    skeleton: Sequence[Skeleton], guards: Guards, accepting: NDArray[np.bool_], absorbing: NDArray[np.bool_]
+    merge_log: Sequence[MergeLog], guards: Guards, accepting: NDArray[np.bool_], absorbing: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], ...]:
     """Return upper bounds on the steps to acceptance of every term at time 0, per automaton state.
 
     United terms carry the larger depth, so that what is paid per step is never too little.
     """
     depths = [np.zeros(int(accepted), dtype=np.int64) for accepted in accepting]
-    for step in reversed(skeleton):
+    for step in reversed(merge_log):
         following = []
         for q, (origin, merges, kept) in enumerate(zip(step.origin, step.merges, step.kept, strict=True)):
             if absorbing[q]:

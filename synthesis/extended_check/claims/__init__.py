@@ -1,13 +1,16 @@
-"""The proof done again: cells, guards, trees, teams, and the claim."""
+"""Guards, trees, teams and the claim, proved again.
+
+The proof done again: cells, guards, trees, teams, and the claim.
+"""
 
 from .certificate_check import check
 from .checked_first import checked_once, claim_text, standing
+from .complement_task import other_controllers, wrong_complement
 from .greedy import Greedy, greedy_disturbance
-from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
-from .later_values import ValueInTime, claimed_values, value_in_time
-from .opposite_task import other_controllers, wrong_opposite
+from .invariance_rate import SHORTEST, SafetyRate, is_safety, safety_rate
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
 from .timed_check import wrong_in_time
+from .values_in_time import ValueInTime, claimed_values, value_in_time
 
 __all__ = [
     "BrokenTreeError",
@@ -29,5 +32,5 @@ __all__ = [
     "ValueInTime",
     "vertices_of",
     "wrong_in_time",
-    "wrong_opposite",
+    "wrong_complement",
 ]

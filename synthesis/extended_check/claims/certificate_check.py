@@ -13,7 +13,7 @@ any set of vertices of a tree is a lower bound. So a certificate is right if
    exceeds its regrown one;
 5. where it says how far above its bound the probability can be (``gap``), either nothing is lost anywhere, and its
    policies, evaluated forward in time, attain no more than that (``upper_end``); or the same policies have a
-   certificate of the opposite task, which holds (``opposite_task``).
+   certificate of the opposite task, which holds (``complement_task``).
 
 United terms are regrown by a rule that is sound for any choice: ``a x b + a' x b' >= min(a, a') x (b + b')``.
 """
@@ -30,7 +30,7 @@ import numpy as np
 from ....envs.suite import as_problem
 from ....envs.systems.backends import on_one_thread
 from ....envs.systems.distributions import laws_by_author
-from ....envs.tasks.problem import Problem, opposite_inside, opposite_of
+from ....envs.tasks.problem import Problem, complement_inside, complement_of
 from ...certificates.cell_probabilities import BrokenTrainError, noted, state
 from ...certificates.proofs import (
     AlongPath,
@@ -41,8 +41,8 @@ from ...certificates.proofs import (
     OnGrid,
     PathProof,
     ProductProof,
-    SubtractionProof,
     TimedProof,
+    UnionBoundProof,
     alike_members,
     certificate_from,
     delta_of,
@@ -53,16 +53,16 @@ from ...certificates.value_functions import UNIT, Terms
 from ...checker import bound_of
 from ...relations.grids import FloatArray, lattice_axes
 from ..steps import execution_of, label_margin, places_of, verify_relation, wrong_actions, wrong_common
+from .complement_task import other_controllers, wrong_complement
 from .forward_mass import TooManyProducts, masses
 from .grid_check import uneven_lattices, wrong_grids
 from .guard_check import wrong_guards
 from .network_check import wrong_networks
-from .opposite_task import other_controllers, wrong_opposite
 from .pairs_check import wrong_pairs
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .timed_check import wrong_in_time
 from .train_check import Value, regrown_trains, train_start_value
-from .upper_end import MOST, attained, inexact
+from .upper_bound import MOST, attained, inexact
 
 DROPPED, SPARE = 1e-12, 1e-9
 """Undecided mass that may be dropped per step, and what is added to it for rounding."""
@@ -101,7 +101,7 @@ def _checked(certificate: Any, problem: Problem) -> CheckReport:
     if problem.joint_noise and proof is not PathProof:
         failures = ("its problem has agents that share noise, which it takes for independent",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
-    if problem.names_time and proof in (GridProof, SubtractionProof):
+    if problem.names_time and proof in (GridProof, UnionBoundProof):
         failures = ("its problem names the time, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     if problem.labeling.pairs and proof is GridProof:
@@ -122,7 +122,7 @@ def _checked(certificate: Any, problem: Problem) -> CheckReport:
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
 
 
-def _check_pairs(certificate: Certificate[SubtractionProof], problem: Problem) -> CheckReport:
+def _check_pairs(certificate: Certificate[UnionBoundProof], problem: Problem) -> CheckReport:
     """Verify a certificate by subtraction: its base like any other, and then what pairs may spoil."""
     failures: list[str] = []
     if certificate.fingerprint != problem.fingerprint:
@@ -234,7 +234,7 @@ def _check_form(certificate: OnGrid) -> list[str]:
         if not tree or certificate.proof.bound != "nominal" or own_end:
             failures.append("agents whose steps are not additive have a value or a bound that is not for them")
         failures += uneven_lattices(certificate)
-    if tree and len(certificate.proof.skeleton) != certificate.problem.horizon:
+    if tree and len(certificate.proof.merge_log) != certificate.problem.horizon:
         failures.append("its tree does not cover its horizon")
     if certificate.proof.opposite is not None and certificate.gap is None:
         failures.append("it rests on the opposite task, and says nothing of an upper end")
@@ -304,12 +304,12 @@ def _check_opposite(certificate: OnGrid, opposite: OnGrid) -> tuple[float | None
     if opposite.proof.opposite is not None:
         return None, ["its upper end has an upper end again"]
     # Files of earlier versions hold opposites that read no exits: runs that leave satisfy neither task.
-    make = opposite_of if opposite.problem.automaton.reads_exits else opposite_inside
+    make = complement_of if opposite.problem.automaton.reads_exits else complement_inside
     try:
         opposite = replace(opposite, problem=make(certificate.problem))
     except ValueError as error:
         return None, [f"its upper end: {error}"]
-    failures = wrong_opposite(certificate.problem, opposite.problem) or other_controllers(certificate, opposite)
+    failures = wrong_complement(certificate.problem, opposite.problem) or other_controllers(certificate, opposite)
     report = check(opposite) if not failures else None
     if report is None or not report:
         return None, [f"its upper end: {text}" for text in (failures if report is None else report.failures)]
@@ -349,7 +349,7 @@ def _check_values(certificate: OnGrid, terms: Terms | Value, recomputed: float) 
     failures = []
     agents = certificate.proof.agents
     n = certificate.problem.horizon * sum(places_of(p) + 1 for p in agents) + len(agents)
-    counted = max((len(kept) for step in certificate.proof.skeleton for kept in step.kept), default=0)
+    counted = max((len(kept) for step in certificate.proof.merge_log for kept in step.kept), default=0)
     rounding = (n + max(certificate.proof.rank, counted) + 2) * 2.0**-53
     if not certificate.lower_bound <= recomputed * (1.0 - rounding):
         failures.append(f"the bound {certificate.lower_bound:.12g} exceeds the recomputed value {recomputed:.12g}")
@@ -381,7 +381,7 @@ def _check_values(certificate: OnGrid, terms: Terms | Value, recomputed: float) 
 CHECKS: dict[type, Callable[[Any, Problem], CheckReport]] = {
     GridProof: _check_one,
     PathProof: _check_path,
-    SubtractionProof: _check_pairs,
+    UnionBoundProof: _check_pairs,
     TimedProof: _check_timed,
 }
 """How each kind of proof is checked."""

@@ -51,7 +51,7 @@ class Mass:
     states: NDArray[np.int64]
     accepted: float = 0.0
     dropped: float = 0.0
-    stranded: float = 0.0
+    deadlocked: float = 0.0
     totals: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -104,7 +104,7 @@ def mass_at_start(certificate: OnGrid) -> Mass:
 def _step(certificate: OnGrid, kernels: list[list[FloatArray]], mass: Mass, t: int) -> Mass:
     """Mass one step later, its letter read."""
     factors: list[list[FloatArray]] = [[np.zeros((0, part.grid.n_cells))] for part in certificate.proof.agents]
-    index, states, stranded = [], [], mass.stranded
+    index, states, deadlocked = [], [], mass.deadlocked
     first, known = np.zeros(len(factors), dtype=np.int64), dict[object, FloatArray]()
     for q in np.unique(mass.states):
         own = mass.index[mass.states == q]
@@ -124,13 +124,13 @@ def _step(certificate: OnGrid, kernels: list[list[FloatArray]], mass: Mass, t: i
             columns.append(first[i] + place[:, None] * len(names) + which[None])
             factors[i].append(masked)
             first[i] += len(masked)
-        stranded += max(0.0, float(mass.totals[mass.states == q].sum() - left.sum()))
+        deadlocked += max(0.0, float(mass.totals[mass.states == q].sum() - left.sum()))
         index.append(np.stack(columns, axis=-1).reshape(-1, len(factors)))
         states.append(np.tile(certificate.proof.guard_target[guards], len(own)))
     whole = [np.concatenate(own) for own in factors]
     empty = [np.zeros((0, len(factors)), dtype=np.int64)]
     rows, targets = np.concatenate(empty + index), np.concatenate([np.zeros(0, dtype=np.int64), *states])
-    return Mass(whole, rows, targets, mass.accepted, mass.dropped, stranded)
+    return Mass(whole, rows, targets, mass.accepted, mass.dropped, deadlocked)
 
 
 def moved(rows: FloatArray, points: NDArray[np.integer], tables: list[FloatArray]) -> FloatArray:
@@ -155,7 +155,7 @@ def _settled(certificate: OnGrid, mass: Mass, share: float, most: int) -> Mass:
     kept = np.sort(order[~small])
     factors, index, states = _united(mass.factors, mass.index[kept], mass.states[kept], most)
     dropped = mass.dropped + float(mass.totals[order[small]].sum())
-    return Mass(factors, index, states, accepted, dropped, mass.stranded)
+    return Mass(factors, index, states, accepted, dropped, mass.deadlocked)
 
 
 def _united(

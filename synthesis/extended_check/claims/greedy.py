@@ -18,7 +18,7 @@ from ....envs.simulation import Dynamics, Worlds, joint, neighbours
 from ....envs.systems.agents import Agent
 from ...certificates.proofs import OnGrid, seen_by
 from ...relations.grids import FloatArray
-from .later_values import ValueInTime, claimed_values
+from .values_in_time import ValueInTime, claimed_values
 
 MOST_CORNERS = 64
 """Corners of all disturbances together up to which all are compared; beyond, disturbances are changed one at a time."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ....envs.systems.agents import AnyAgent, Box
-from ...certificates.cell_probabilities import AgentPart, grid_noise, state
+from ...certificates.cell_probabilities import AgentRecord, grid_noise, state
 from ...certificates.proofs import OnGrid
 from ...relations.grids import FloatArray
 from ..steps import UNIT, wrong_for_uneven_noise
@@ -75,7 +75,7 @@ def _tiles(workspace: Box, low: FloatArray, high: FloatArray, reads_exits: bool)
     return bool(np.array_equal(low, workspace.low) and np.array_equal(high, workspace.high))
 
 
-def _start_on_a_face(agent: AnyAgent, part: AgentPart) -> bool:
+def _start_on_a_face(agent: AnyAgent, part: AgentRecord) -> bool:
     """Whether rounding may decide in which cell a start is, in coordinates other than the states.
 
     Along axes that a start box spans hardly any start is so near to an edge, and what is comes off its shares.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ....envs.tasks.automata import followed
 from ....envs.tasks.problem import Problem
-from ...certificates.cell_probabilities import AgentPart
+from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import OnGrid
 from ...relations.grids import FloatArray
 from ..steps import box_image, cell_boxes, classes_in_boxes, is_identity
@@ -33,7 +33,7 @@ def wrong_guards(certificate: OnGrid, margins: Sequence[FloatArray | None]) -> l
 
 
 def cell_classes(
-    problem: Problem, agent: int, part: AgentPart, margin: FloatArray | None
+    problem: Problem, agent: int, part: AgentRecord, margin: FloatArray | None
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Classes (K, P), which of them (S, K) the states related to each cell may have, and which cells (S,) stay inside.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import erfc
 
 from ....envs.systems.agents import AnyAgent, with_expressions, with_matrices
-from ...certificates.cell_probabilities import AgentPart, axis_tables, lost_to_rounding
+from ...certificates.cell_probabilities import AgentRecord, axis_tables, lost_to_rounding
 from ...relations.grids import FloatArray
 from ..steps import cell_boxes, driven_spans, execution_of, network_maps, network_modes, network_spans, networked_maps
 
@@ -27,7 +27,7 @@ class ExactMoves:
     """Moves of an agent whose means are lattice points; masses are from below, and lack ``loss`` per step."""
 
     agent: AnyAgent
-    part: AgentPart
+    part: AgentRecord
     tables: list[FloatArray]
 
     @property
@@ -49,7 +49,7 @@ class NetworkMoves:
     """Moves of an agent under a network: all masses are from above."""
 
     agent: AnyAgent
-    part: AgentPart
+    part: AgentRecord
     loss = 0.0
     known: dict[tuple[int, int], tuple[NDArray[np.integer], FloatArray]] = field(default_factory=dict)
     made: dict[bytes, list[FloatArray]] = field(default_factory=dict)
@@ -115,7 +115,7 @@ def _largest(axis: FloatArray, edges: FloatArray, scale: float, reach: float) ->
 
 
 def moves_of(
-    agent: AnyAgent, part: AgentPart, known: dict[tuple[bytes, ...], list[FloatArray]]
+    agent: AnyAgent, part: AgentRecord, known: dict[tuple[bytes, ...], list[FloatArray]]
 ) -> ExactMoves | NetworkMoves:
     """How an agent moves."""
     if "network" in part.relation:
@@ -123,7 +123,7 @@ def moves_of(
     return ExactMoves(agent, part, axis_tables(agent, part, known))
 
 
-def wrong_moves(agent: AnyAgent, part: AgentPart) -> str:
+def wrong_moves(agent: AnyAgent, part: AgentRecord) -> str:
     """Why nothing is known of how an agent moves between lattice points; empty if it is."""
     if agent.angles:
         return f"agent `{agent.name}` has an angle, whose turns are not in what pairs may spoil"

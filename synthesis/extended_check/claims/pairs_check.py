@@ -37,7 +37,7 @@ from .pair_moves import ExactMoves, NetworkMoves, moves_of, wrong_moves
 
 if TYPE_CHECKING:
     from ....envs.tasks.problem import Problem
-    from ...certificates.proofs import Certificate, SubtractionProof
+    from ...certificates.proofs import Certificate, UnionBoundProof
 
 MOST_PRODUCTS = 1000
 """Products of the mass at one time that are handled."""
@@ -49,7 +49,7 @@ RELATIVE = 1.0 + 1e-9
 """Factor for the rounding of all sums of nonnegative numbers."""
 
 
-def wrong_pairs(certificate: Certificate[SubtractionProof], problem: Problem) -> tuple[list[str], float]:
+def wrong_pairs(certificate: Certificate[UnionBoundProof], problem: Problem) -> tuple[list[str], float]:
     """Return what is wrong with a certificate by subtraction, apart from its base, and what pairs may spoil at most."""
     base, usual = certificate.proof.base, np.array(certificate.proof.usual, dtype=bool)
     if usual.shape != (len(problem.labeling.pairs),):

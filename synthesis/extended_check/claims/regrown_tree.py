@@ -37,7 +37,7 @@ def regrow(certificate: OnGrid, each: Callable[[int, Terms], None] | None = None
     masks = [masks_of(part, part.masks) for part in certificate.proof.agents]
     ones = [np.ones((1, places_of(part))) for part in certificate.proof.agents]
     factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
-    for t, step in reversed(list(enumerate(certificate.proof.skeleton))):
+    for t, step in reversed(list(enumerate(certificate.proof.merge_log))):
         stacks, rows = [list(ones) for ones in zip(ones, strict=True)], []
         for q, kept in enumerate(step.kept):
             if certificate.problem.automaton.finished[q]:
@@ -82,7 +82,7 @@ def vertices_of(
     BrokenTreeError
         If the certificate's tree is not a tree of its guards.
     """
-    step = certificate.proof.skeleton[t]
+    step = certificate.proof.merge_log[t]
     origin, merges, kept = step.origin[q], step.merges[q], step.kept[q]
     guard, child = origin[:, 0], origin[:, 1]
     if np.any(guard >= len(certificate.proof.guard_source)) or np.any(certificate.proof.guard_source[guard] != q):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ....envs.systems.agents import TIME, AnyAgent
 from ....envs.tasks.problem import Places, states_in_time, written_out
 from ....envs.tasks.regions import Proposition
-from ...certificates.cell_probabilities import AgentPart
+from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import Certificate, TimedProof, on_cells
 from ..steps import RegionSpan
 
@@ -88,7 +88,7 @@ def _within(numbers: np.ndarray, ends: np.ndarray) -> bool:
     return bool(np.all((ends[0] <= numbers) & (numbers <= ends[1]) & is_known))
 
 
-def _wrong_told(base: Problem, part: AgentPart, table: NDArray[np.int64]) -> str:
+def _wrong_told(base: Problem, part: AgentRecord, table: NDArray[np.int64]) -> str:
     """Return what is wrong with what a network is told of; nothing if it is the automaton state of the problem.
 
     ``table`` (T + 1, Q) are the states of the base that go with those of the problem.
@@ -105,7 +105,7 @@ def _wrong_told(base: Problem, part: AgentPart, table: NDArray[np.int64]) -> str
     return ""
 
 
-def _wrong_clock(agent: AnyAgent, part: AgentPart, horizon: int) -> str:
+def _wrong_clock(agent: AnyAgent, part: AgentRecord, horizon: int) -> str:
     """Return what is wrong with how the policies of an agent set its clock; nothing if they set it to the time."""
     is_plain = part.relation["kind"] in ("boxes", "linear") and "common" not in part.relation
     if not is_plain or np.any(np.array(part.relation.get("steer") or False)):

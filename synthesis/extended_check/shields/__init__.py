@@ -1,8 +1,11 @@
-"""Action values under a certificate, and shields that let a learner do what keeps a probability."""
+"""Action values, and shields that go by them.
 
+Action values under a certificate, and shields that let a learner do what keeps a probability.
+"""
+
+from .q_values import ActionValues, action_values
 from .shield_record import FORMS, ProductShield, Shield, shield_of
 from .shield_rule import Case, Choice, decentralised_choice, joint_choice
-from .worth import ActionValues, action_values
 
 __all__ = [
     "ActionValues",

@@ -22,7 +22,7 @@ from scipy.special import erfc
 from ....envs.systems.agents import AnyAgent
 from ....envs.systems.distributions import Law
 from ...certificates.cell_probabilities import (
-    AgentPart,
+    AgentRecord,
     grid_noise,
     law_charge,
     law_error,
@@ -74,7 +74,7 @@ class Axis(Protocol):
     def between(self, low: FloatArray, high: FloatArray, k: int, steps: int) -> FloatArray:
         """Return the k-th place (M,) of those that are read between two."""
 
-    def charge(self, sides: FloatArray, steps: int, scales: FloatArray) -> FloatArray:
+    def interpolation_error(self, sides: FloatArray, steps: int, scales: FloatArray) -> FloatArray:
         """Return what values may be below the least that is read (M,), for noise with scales (M,) at least."""
 
     def scale_charge(self, sides: FloatArray, steps: int) -> FloatArray:
@@ -141,7 +141,7 @@ class NoiseAxis(_Unscaled, _Spread):
         """Return into how many steps of a tenth of a deviation the widest of sides (M,) is cut."""
         return even_steps(sides, self.deviation, most)
 
-    def charge(self, sides: FloatArray, steps: int, scales: FloatArray) -> FloatArray:
+    def interpolation_error(self, sides: FloatArray, steps: int, scales: FloatArray) -> FloatArray:
         """Return what values may be below the least that is read (M,)."""
         sides = sides / self.deviation
         return SLOPE * sides if steps == 0 else BEND / 8.0 * (sides / steps) ** 2
@@ -204,7 +204,7 @@ class LawAxis(_Spread):
         """Return into how many steps of a tenth of a deviation the widest of sides (M,) is cut."""
         return even_steps(sides, self.law.std, most)
 
-    def charge(self, sides: FloatArray, steps: int, scales: FloatArray) -> FloatArray:
+    def interpolation_error(self, sides: FloatArray, steps: int, scales: FloatArray) -> FloatArray:
         """Return what values may be below the least that is read (M,): that of the law, for its least scale."""
         sides = sides / scales
         if steps == 0:
@@ -258,7 +258,7 @@ class StillAxis(_Unscaled):
         """Return the k-th cell (M,) from the lowest one on, and no number where there are too many."""
         return np.where(high - low > MOST_CELLS, np.nan, np.minimum(low + k, high))
 
-    def charge(self, sides: FloatArray, steps: int, scales: FloatArray) -> FloatArray:
+    def interpolation_error(self, sides: FloatArray, steps: int, scales: FloatArray) -> FloatArray:
         """Return 0 (M,): every cell is read."""
         return np.zeros(len(sides))
 
@@ -269,7 +269,7 @@ class StillAxis(_Unscaled):
         return table
 
 
-def noise_axes(agent: AnyAgent, part: AgentPart) -> tuple[Axis, ...]:
+def noise_axes(agent: AnyAgent, part: AgentRecord) -> tuple[Axis, ...]:
     """Return the axes of an agent's grid, each with its noise."""
     axes, edges = list[Axis](), part.grid.edges
     known = lattice_axes(agent)

@@ -20,7 +20,7 @@ from ...certificates.proofs import (
     Certificate,
     OnGrid,
     ProductProof,
-    Seen,
+    RunProjection,
     alike_members,
     certificate_on_grids,
     members_of,
@@ -32,8 +32,8 @@ from ...certificates.proofs import (
 )
 from ...relations.grids import FloatArray
 from ..claims import standing
+from .q_values import ActionValues, action_values, groups
 from .shield_rule import Case, Choice, decentralised_choice, joint_choice
-from .worth import ActionValues, action_values, groups
 
 FORMS = ("joint", "decentralised")
 
@@ -59,9 +59,9 @@ class Shield:
     values: ActionValues
     probability: float
     form: str
-    owed: float
+    risk_budget: float
     mean: float | None
-    seen: Seen
+    seen: RunProjection
 
     def __repr__(self) -> str:
         rows = [
@@ -93,9 +93,9 @@ class Shield:
         the value is smaller than that, the start is not covered, and the budget is the value: what can be kept there.
         """
         value = self.value_of(states, q, np.zeros(len(q), dtype=np.int64) if time is None else time)
-        asked = np.full(len(q), self.owed)
+        asked = np.full(len(q), self.risk_budget)
         if self.mean is not None:  # rounded down twice, so that it stays below the value
-            asked = np.minimum(self.owed / self.mean, 1.0) * value
+            asked = np.minimum(self.risk_budget / self.mean, 1.0) * value
         return np.minimum(asked, value), value >= asked
 
     def choose(
@@ -200,7 +200,7 @@ class _Source:
     values: ActionValues
     mean: float | None
     most: float
-    seen: Seen
+    seen: RunProjection
 
     @classmethod
     def of(cls, whole: Certificate) -> _Source:
@@ -227,8 +227,8 @@ class _Source:
     def shield(self, p: float, form: str) -> Shield:
         """Return the shield that keeps p, at most ``most``."""
         # What rounding may take off is owed on top of p.
-        owed = (p + self.values.loss) / (1.0 - self.values.relative_loss) * (1.0 + 1e-15)
-        return Shield(self.values, p, form, owed, self.mean, self.seen)
+        risk_budget = (p + self.values.loss) / (1.0 - self.values.relative_loss) * (1.0 + 1e-15)
+        return Shield(self.values, p, form, risk_budget, self.mean, self.seen)
 
 
 def _check_certificate(certificate: OnGrid) -> None:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...relations.grids import FloatArray
-from .worth import ActionValues, pieces
+from .q_values import ActionValues, pieces
 
 ROUNDS = 2
 """Points that are tried on the line to the certified input; each costs as much as judging the proposal."""

@@ -136,13 +136,13 @@ class MeanBox:
                 yield np.array(rows), np.array(factors)
 
     @property
-    def charge(self) -> FloatArray:
+    def interpolation_error(self) -> FloatArray:
         """What g may be below its least value at the points (M,), for factors of at most 1; upper bounds."""
         least = np.ones(self.low.shape) if self.scales is None else self.scales[0]
         total = np.zeros(self.low.shape[1])
         rows = zip(self.axes, self._sides, self.steps, least, strict=True)
         for axis, side, n, scale in rows:
-            total += axis.charge(side, n, scale)
+            total += axis.interpolation_error(side, n, scale)
         low, high = self._log_scales
         for axis, side, n in zip(self.axes, high - low, self._scale_steps, strict=True):
             # Logarithms, and what they are exponentials of, are off by a few units.

@@ -1,4 +1,7 @@
-"""One step of one agent, found again: where it goes, and what values are there."""
+"""One step of one agent, found again.
+
+One step of one agent, found again: where it goes, and what values are there.
+"""
 
 from .carrying_out import wrong_actions
 from .checked_readings import Reading, reading_of, readings_of
@@ -6,11 +9,11 @@ from .common_check import wrong_common
 from .execution import UNIT, execution_of
 from .geometry import box_image, cell_boxes, classes_in_boxes, is_identity, start_shares
 from .linear_check import by_cell, hat_weights, masks_of, places_of
-from .map_spans import networked_maps
-from .mean_spans import Enclosed, enclosed_means, enclosed_scales
+from .map_enclosures import networked_maps
+from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales
 from .network_enclosures import driven_spans, network_maps, network_modes, network_spans
-from .own_regions import RegionSpan
 from .relation_check import MOST_TERMS, label_margin, verify_relation, wrong_for_uneven_noise
+from .step_regions import RegionSpan
 
 __all__ = [
     "box_image",

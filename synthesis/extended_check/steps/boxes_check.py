@@ -1,7 +1,7 @@
 """The relation ``boxes``, once more: enclosures of means, the charge of the lattice and least values over boxes.
 
 From every x of a closed cell the mean is ``A x + B (u_a + K_a (x - c)) + c_0``, affine in x; its box is the mean from
-the centre, give or take ``|A + B K_a| h`` and what is rounded. Boxes of expressions are those of ``own_intervals``. On
+the centre, give or take ``|A + B K_a| h`` and what is rounded. Boxes of expressions are those of ``step_intervals``. On
 a lattice of steps eta, with ``g(z) = E v(z + w)``, a multilinear interpolant of g is above g by at most ``sum_k eta_k^2
 / 8 sup (d_k^2 g)^+``, and the supremum over a small box is found from second differences at its corners, up to fourth
 derivatives (docs/theory/boxes.md, "The charge"). Taking both off at lattice points leaves an interpolant below g. It is
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ....envs.systems.agents import Agent, AnyAgent, LinearAgent, with_expressions, with_matrices
 from ...certificates.cell_probabilities import (
-    AgentPart,
+    AgentRecord,
     axis_tables,
     grid_noise,
     law_charge,
@@ -40,9 +40,9 @@ from ...relations.grids import FloatArray, MeanAxis, ScaleAxis, lattice_axes, po
 from ...relations.kinds import commands_of
 from .common_check import by_number, known_inputs
 from .geometry import cell_boxes
-from .mean_spans import Enclosed, enclosed_means, enclosed_scales, steered_spans
-from .near_slack import NearSlack
+from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales, steered_spans
 from .network_enclosures import driven_spans, network_modes, network_spans
+from .proximity_slack import ProximitySlack
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
 """Half the L1 norms of the fourth derivative of the normal density, and of the product of two second ones; rounded up
@@ -88,7 +88,7 @@ class BoxTables:
 
     masses: list[FloatArray]
     slack: FloatArray
-    near: NearSlack | None
+    near: ProximitySlack | None
     bent: tuple[int, ...] | None
     off: FloatArray
     written: WrittenBoxes | None
@@ -107,7 +107,7 @@ class WrittenBoxes:
     scales: tuple[FloatArray, FloatArray] | None
 
     @classmethod
-    def of(cls, agent: Agent, part: AgentPart) -> WrittenBoxes:
+    def of(cls, agent: Agent, part: AgentRecord) -> WrittenBoxes:
         """Boxes around the means of every cell under every choice that a policy makes there."""
         menu = np.array(part.relation["menu"], dtype=float)
         cells = np.broadcast_to(np.arange(part.policy.shape[-1]), part.policy.shape)
@@ -156,12 +156,12 @@ class WrittenBoxes:
 
 
 def box_tables(
-    agent: AnyAgent, part: AgentPart, off: FloatArray, known: dict[tuple[bytes, ...], list[FloatArray]]
+    agent: AnyAgent, part: AgentRecord, off: FloatArray, known: dict[tuple[bytes, ...], list[FloatArray]]
 ) -> BoxTables:
     """Compute the tables of one agent anew; ``off`` (d,) is what its means are off by."""
-    charge, r, bent = _slack_of_laws(agent, part), np.zeros(0), None
+    interpolation_error, r, bent = _slack_of_laws(agent, part), np.zeros(0), None
     slack = np.zeros(1)
-    if charge is None:
+    if interpolation_error is None:
         # All laws are normal, and the noise is the same everywhere; states without noise are not interpolated.
         bent = tuple(place for place, axis in enumerate(lattice_axes(agent)) if axis.is_interpolated)
         deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
@@ -179,8 +179,8 @@ def box_tables(
         _state_boxes(with_matrices(agent), part, off)
     written = None if agent.is_affine else WrittenBoxes.of(with_expressions(agent), part)
     masses = axis_tables(agent, part, known)
-    near = None if charge is None else NearSlack.of(agent, part, charge, masses)
-    slack = slack if near is not None or charge is None else slack + charge
+    near = None if interpolation_error is None else ProximitySlack.of(agent, part, interpolation_error, masses)
+    slack = slack if near is not None or interpolation_error is None else slack + interpolation_error
     return BoxTables(masses, slack, near, bent, off, written)
 
 
@@ -188,7 +188,7 @@ def _step(axis: FloatArray) -> float:
     return float((axis[-1] - axis[0]) / (len(axis) - 1))
 
 
-def _smallest(agent: AnyAgent, part: AgentPart, k: int) -> FloatArray:
+def _smallest(agent: AnyAgent, part: AgentRecord, k: int) -> FloatArray:
     """Scales (L,) of the noise of a state, by level: the smallest one between a level and its neighbours."""
     points = points_by_axis(agent, part.lattice).get(ScaleAxis(k))
     if points is None:
@@ -199,7 +199,7 @@ def _smallest(agent: AnyAgent, part: AgentPart, k: int) -> FloatArray:
     return scales
 
 
-def _slack_of_laws(agent: AnyAgent, part: AgentPart) -> FloatArray | None:
+def _slack_of_laws(agent: AnyAgent, part: AgentRecord) -> FloatArray | None:
     """What interpolation adds, as far as laws bound it, at most 1 along each axis: an array that broadcasts.
 
     None where all laws are normal and the noise is the same everywhere, so that second differences say more.
@@ -223,7 +223,7 @@ def _slack_of_laws(agent: AnyAgent, part: AgentPart) -> FloatArray | None:
     return total
 
 
-def _rounded_steps(agent: AnyAgent, part: AgentPart) -> FloatArray:
+def _rounded_steps(agent: AnyAgent, part: AgentRecord) -> FloatArray:
     """Lattice steps, in deviations or what counts as such, by which positions are off by a small share.
 
     That counts by the height of the density; a normal one has .4 / sigma.
@@ -241,7 +241,7 @@ def _rounded_steps(agent: AnyAgent, part: AgentPart) -> FloatArray:
 
 
 def box_values(
-    agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: FloatArray, rows: Sequence[tuple[int, int]]
+    agent: AnyAgent, part: AgentRecord, tables: BoxTables, factors: FloatArray, rows: Sequence[tuple[int, int]]
 ) -> list[FloatArray]:
     """Value factors (n, S) one step earlier, below the truth from every state of a cell, of factors (n, S) >= 0.
 
@@ -261,7 +261,7 @@ def box_values(
 
 
 def _moving_cells(
-    agent: AnyAgent, part: AgentPart, tables: BoxTables, t: int, q: int
+    agent: AnyAgent, part: AgentRecord, tables: BoxTables, t: int, q: int
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Cells (C,) whose boxes can be read, and the corners (C, D) of these boxes in lattice steps."""
     policy = part.policy[min(t, len(part.policy) - 1), q]
@@ -275,7 +275,7 @@ def _moving_cells(
 
 
 def mean_positions(
-    agent: AnyAgent, part: AgentPart, tables: BoxTables, cells: NDArray[np.int64], choices: NDArray[np.integer]
+    agent: AnyAgent, part: AgentRecord, tables: BoxTables, cells: NDArray[np.int64], choices: NDArray[np.integer]
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (C, D), in lattice steps, of boxes that hold what moves from all points of cells under choices."""
     if tables.written is not None:
@@ -293,7 +293,7 @@ def mean_positions(
 
 
 def _affine_boxes(
-    agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], choices: NDArray[np.integer]
+    agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], choices: NDArray[np.integer]
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (C, d) of boxes around means under inputs of the menu; they may be off by what means are off by."""
     inverse = np.linalg.inv(part.coordinates)
@@ -313,7 +313,7 @@ def _affine_boxes(
     return mean - reach, mean + reach
 
 
-def _state_boxes(agent: LinearAgent, part: AgentPart, off: FloatArray) -> None:
+def _state_boxes(agent: LinearAgent, part: AgentRecord, off: FloatArray) -> None:
     """State that boxes hold all means, of cells under all inputs that a policy chooses there.
 
     They are said to be off by half of ``off``; the other half is for controllers, which add up the same numbers.
@@ -328,7 +328,7 @@ def _state_boxes(agent: LinearAgent, part: AgentPart, off: FloatArray) -> None:
     state("spans", spans, corners, [], (low - 0.5 * off, high + 0.5 * off))
 
 
-def _positions(agent: AnyAgent, part: AgentPart, means: FloatArray, scales: FloatArray) -> FloatArray:
+def _positions(agent: AnyAgent, part: AgentRecord, means: FloatArray, scales: FloatArray) -> FloatArray:
     """Places (C, D) on the lattice of means and scales (C, d); not numbers where a scale is not positive."""
     columns = []
     for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
@@ -351,7 +351,7 @@ def _positions(agent: AnyAgent, part: AgentPart, means: FloatArray, scales: Floa
 
 def below(table: FloatArray, slack: FloatArray, bent: tuple[int, ...]) -> FloatArray:
     """Values on a lattice, less what an interpolant along axes ``bent`` may be above the truth around each point."""
-    charge = np.broadcast_to(slack, table.shape).copy()
+    interpolation_error = np.broadcast_to(slack, table.shape).copy()
     for k in bent:
         bend = np.zeros(table.shape)
         middle = tuple(slice(1, -1) if j == k else slice(None) for j in range(table.ndim))
@@ -363,8 +363,8 @@ def below(table: FloatArray, slack: FloatArray, bent: tuple[int, ...]) -> FloatA
         largest = views[0]
         for view in views[1:]:
             largest = np.maximum(largest, view)
-        charge += largest / 8.0
-    return np.asarray(table - charge)
+        interpolation_error += largest / 8.0
+    return np.asarray(table - interpolation_error)
 
 
 def least(table: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

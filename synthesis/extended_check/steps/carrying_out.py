@@ -13,14 +13,14 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import Agent, AnyAgent, LinearAgent, with_expressions
-from ...certificates.cell_probabilities import AgentPart
+from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.controllers import AgentController
 from ...relations.grids import FloatArray, linear_agent
 from ...relations.kinds import CoupledRelation, commands_of
 from .common_check import by_number, known_inputs
 from .execution import Execution
 from .geometry import cell_boxes, is_identity
-from .mean_spans import steered_spans
+from .mean_enclosures import steered_spans
 from .network_enclosures import driven_spans, network_maps, network_modes, network_spans
 
 PROBES = 20_000
@@ -39,7 +39,7 @@ NEAR = 1e-9
 """Points are passed over that are nearer than this, in cells, to an edge that decides, or draws to what they decide."""
 
 
-def wrong_actions(agent: AnyAgent, part: AgentPart, controller: AgentController, execution: Execution) -> list[str]:
+def wrong_actions(agent: AnyAgent, part: AgentRecord, controller: AgentController, execution: Execution) -> list[str]:
     """What a controller is seen to do otherwise than its certificate says, on points of every kind.
 
     Parameters
@@ -62,7 +62,7 @@ def wrong_actions(agent: AnyAgent, part: AgentPart, controller: AgentController,
 
 
 def _wrong_means(
-    agent: AnyAgent, part: AgentPart, controller: AgentController, execution: Execution, t: int, rng: Generator
+    agent: AnyAgent, part: AgentRecord, controller: AgentController, execution: Execution, t: int, rng: Generator
 ) -> list[str]:
     """Inputs at time t outside their box, or means of the next state off the lattice point of the policy."""
     count = max(64, PROBES // len(part.policy))
@@ -122,7 +122,7 @@ def _wrong_means(
     return []
 
 
-def first_target(part: AgentPart) -> int:
+def first_target(part: AgentRecord) -> int:
     """The first choice that is a target, less its lattice point; beyond all choices where there are none."""
     if part.relation["kind"] == "exact":
         return 0
@@ -130,7 +130,7 @@ def first_target(part: AgentPart) -> int:
 
 
 def _network_means(
-    agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], mode: int, states: FloatArray
+    agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], mode: int, states: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (C, d) between which a network may lead, in grid coordinates, from states (d, C) in cells."""
     if part.relation["kind"] == "boxes":
@@ -152,7 +152,7 @@ def _anywhere(agent: AnyAgent, count: int, rng: Generator) -> FloatArray | None:
 
 def _wrong_written(
     agent: Agent,
-    part: AgentPart,
+    part: AgentRecord,
     states: FloatArray,
     inputs: FloatArray,
     cells: NDArray[np.int64],
@@ -193,7 +193,7 @@ def _wrong_written(
 
 
 def _asked_means(
-    agent: LinearAgent, part: AgentPart, choice: NDArray[Any], cells: NDArray[np.int64], states: FloatArray
+    agent: LinearAgent, part: AgentRecord, choice: NDArray[Any], cells: NDArray[np.int64], states: FloatArray
 ) -> FloatArray:
     """Means (d, M) that choices in cells ask for at states (d, M), in grid coordinates."""
     if part.relation["kind"] not in ("boxes", "linear"):
@@ -216,7 +216,7 @@ def _asked_means(
 
 def _wrong_memory(
     agent: LinearAgent,
-    part: AgentPart,
+    part: AgentRecord,
     controller: AgentController,
     relation: CoupledRelation,
     execution: Execution,
@@ -266,14 +266,14 @@ def _wrong_memory(
     return []
 
 
-def _lattice_points(part: AgentPart, flat: NDArray[np.integer]) -> FloatArray:
+def _lattice_points(part: AgentRecord, flat: NDArray[np.integer]) -> FloatArray:
     """Lattice points (d, n) by their numbers (n,)."""
     index = np.unravel_index(flat, tuple(len(axis) for axis in part.lattice))
     return np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)])
 
 
 def _placed(
-    part: AgentPart, landed: FloatArray, points: FloatArray
+    part: AgentRecord, landed: FloatArray, points: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.bool_]]:
     """Cells (n,) of abstract states that land on points (d, n), ``x - xhat`` (d, n), and where no rounding decides."""
     cells, error, sure = np.zeros(landed.shape[1], dtype=np.int64), [], np.ones(landed.shape[1], dtype=bool)

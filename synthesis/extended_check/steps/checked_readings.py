@@ -14,13 +14,13 @@ from typing import Protocol
 import numpy as np
 
 from ....envs.systems.agents import AnyAgent
-from ...certificates.cell_probabilities import AgentPart, axis_tables, smooth
+from ...certificates.cell_probabilities import AgentRecord, axis_tables, smooth
 from ...certificates.proofs import OnGrid
 from ...relations.grids import FloatArray
 from .boxes_check import BoxTables, box_tables, box_values
 from .execution import execution_of
 from .linear_check import linear_values
-from .written_linear import WrittenTables, written_tables
+from .symbolic_linear import SymbolicTables, symbolic_tables
 
 
 class Reading(Protocol):
@@ -35,14 +35,14 @@ class Reading(Protocol):
     proves_given: bool
 
     def values(
-        self, part: AgentPart, factors: FloatArray, rows: Iterable[tuple[int, int]], known: dict[object, FloatArray]
+        self, part: AgentRecord, factors: FloatArray, rows: Iterable[tuple[int, int]], known: dict[object, FloatArray]
     ) -> list[FloatArray]:
         """Return factors (n, places) one step earlier, lower bounds, for each of some rows (t, q) of the policy.
 
         They are 0 in cells without a choice. ``known`` remembers what agents with one kernel have in common.
         """
 
-    def proved(self, part: AgentPart, factors: FloatArray, row: tuple[int, int], given: FloatArray) -> bool:
+    def proved(self, part: AgentRecord, factors: FloatArray, row: tuple[int, int], given: FloatArray) -> bool:
         """Return whether given factors (n, places) are below the truth as well."""
 
 
@@ -55,7 +55,7 @@ class Points:
     proves_given = False
 
     def values(
-        self, part: AgentPart, factors: FloatArray, rows: Iterable[tuple[int, int]], known: dict[object, FloatArray]
+        self, part: AgentRecord, factors: FloatArray, rows: Iterable[tuple[int, int]], known: dict[object, FloatArray]
     ) -> list[FloatArray]:
         """Return smoothed factors at the points, less what relations that are lost take from them."""
         alike, found = (id(self.tables), factors.tobytes()), []
@@ -69,7 +69,7 @@ class Points:
             found.append(np.asarray(values * (points >= 0)))
         return found
 
-    def proved(self, part: AgentPart, factors: FloatArray, row: tuple[int, int], given: FloatArray) -> bool:
+    def proved(self, part: AgentRecord, factors: FloatArray, row: tuple[int, int], given: FloatArray) -> bool:
         """Return that nothing is proved of given factors."""
         return False
 
@@ -83,12 +83,12 @@ class Boxes:
     proves_given = False
 
     def values(
-        self, part: AgentPart, factors: FloatArray, rows: Iterable[tuple[int, int]], known: dict[object, FloatArray]
+        self, part: AgentRecord, factors: FloatArray, rows: Iterable[tuple[int, int]], known: dict[object, FloatArray]
     ) -> list[FloatArray]:
         """Return the least of what is below the smoothed factors, over each box."""
         return box_values(self.agent, part, self.tables, factors, list(rows))
 
-    def proved(self, part: AgentPart, factors: FloatArray, row: tuple[int, int], given: FloatArray) -> bool:
+    def proved(self, part: AgentRecord, factors: FloatArray, row: tuple[int, int], given: FloatArray) -> bool:
         """Return that nothing is proved of given factors."""
         return False
 
@@ -97,16 +97,16 @@ class Boxes:
 class Corners:
     """Means are affine in the state of a cell; factors are multilinear in each cell, and held by its corners."""
 
-    tables: WrittenTables
+    tables: SymbolicTables
     proves_given = True
 
     def values(
-        self, part: AgentPart, factors: FloatArray, rows: Iterable[tuple[int, int]], known: dict[object, FloatArray]
+        self, part: AgentRecord, factors: FloatArray, rows: Iterable[tuple[int, int]], known: dict[object, FloatArray]
     ) -> list[FloatArray]:
         """Return multilinear functions below the smoothed factors."""
         return [linear_values(part, self.tables, factors, t, q)[0] for t, q in rows]
 
-    def proved(self, part: AgentPart, factors: FloatArray, row: tuple[int, int], given: FloatArray) -> bool:
+    def proved(self, part: AgentRecord, factors: FloatArray, row: tuple[int, int], given: FloatArray) -> bool:
         """Return whether given factors, any multilinear functions, are below the truth."""
         return bool(np.all(linear_values(part, self.tables, factors, *row, given)[1]))
 
@@ -125,12 +125,12 @@ def readings_of(certificate: OnGrid) -> list[Reading]:
 
 
 def reading_of(
-    agent: AnyAgent, part: AgentPart, tables: dict[tuple[bytes, ...], list[FloatArray]], is_robust: bool
+    agent: AnyAgent, part: AgentRecord, tables: dict[tuple[bytes, ...], list[FloatArray]], is_robust: bool
 ) -> Reading:
     """Return the reading of one agent, whose policy says which motions are enclosed."""
     relation = part.relation_of(agent)
     if part.is_linear:
-        return Corners(written_tables(agent, part, execution_of(agent, part, relation).mean))
+        return Corners(symbolic_tables(agent, part, execution_of(agent, part, relation).mean))
     if part.relation["kind"] == "boxes":
         return Boxes(agent, box_tables(agent, part, execution_of(agent, part, relation).mean, tables))
     return Points(axis_tables(agent, part, tables), relation.delta if is_robust else 0.0)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import Agent, AnyAgent
-from ...certificates.cell_probabilities import AgentPart
+from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import OnGrid
 from ...relations.grids import FloatArray
 
@@ -48,14 +48,14 @@ def wrong_common(certificate: OnGrid) -> list[str]:
     return failures
 
 
-def _applied(part: AgentPart, own_input: int, times: int) -> tuple[FloatArray, FloatArray]:
+def _applied(part: AgentRecord, own_input: int, times: int) -> tuple[FloatArray, FloatArray]:
     """Least and largest input (T, Q) that an owner applies; minus and plus infinity where a choice steers it."""
     menu, steer = np.array(part.relation["menu"], dtype=float), np.array(part.relation["steer"], dtype=bool)
     column = menu[:, own_input]
     return _ends(part, np.where(steer, -np.inf, column), np.where(steer, np.inf, column), times)
 
 
-def _counted_with(part: AgentPart, name: str, times: int) -> tuple[FloatArray, FloatArray]:
+def _counted_with(part: AgentRecord, name: str, times: int) -> tuple[FloatArray, FloatArray]:
     """Least and largest number (T, Q) that an agent counts with for an input."""
     common, n_choices = part.relation["common"], len(part.relation["menu"])
     numbers = np.array(common["numbers"], dtype=float)[:, common["names"].index(name)]
@@ -63,7 +63,7 @@ def _counted_with(part: AgentPart, name: str, times: int) -> tuple[FloatArray, F
     return _ends(part, column, column, times)
 
 
-def _ends(part: AgentPart, low: FloatArray, high: FloatArray, times: int) -> tuple[FloatArray, FloatArray]:
+def _ends(part: AgentRecord, low: FloatArray, high: FloatArray, times: int) -> tuple[FloatArray, FloatArray]:
     """Least and largest (T, Q) of numbers (A,) over the choices of all cells that have one."""
     chosen, asked = np.maximum(part.policy, 0), part.policy >= 0
     least = np.where(asked, low[chosen], np.inf).min(axis=2)
@@ -73,7 +73,7 @@ def _ends(part: AgentPart, low: FloatArray, high: FloatArray, times: int) -> tup
     return np.broadcast_to(least, shape), np.broadcast_to(most, shape)
 
 
-def known_inputs(agent: AnyAgent, part: AgentPart, choices: NDArray[np.integer]) -> dict[int, FloatArray]:
+def known_inputs(agent: AnyAgent, part: AgentRecord, choices: NDArray[np.integer]) -> dict[int, FloatArray]:
     """Numbers (C,) of inputs of others under choices (C,), by their places among `others`; empty if none is known."""
     common = part.relation.get("common")
     if common is None:
@@ -84,7 +84,9 @@ def known_inputs(agent: AnyAgent, part: AgentPart, choices: NDArray[np.integer])
     return {k: numbers[row, columns[name]] for k, name in enumerate(agent.others) if name in columns}
 
 
-def by_number(agent: Agent, part: AgentPart, choices: NDArray[np.integer]) -> Iterator[tuple[NDArray[np.int64], Agent]]:
+def by_number(
+    agent: Agent, part: AgentRecord, choices: NDArray[np.integer]
+) -> Iterator[tuple[NDArray[np.int64], Agent]]:
     """Groups of choices (C,) that count with the same numbers, and the agent with these in the place of names."""
     known = known_inputs(agent, part, choices)
     if not known or not len(choices):

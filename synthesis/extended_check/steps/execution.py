@@ -20,10 +20,10 @@ import numpy as np
 from scipy.special import erf
 
 from ....envs.systems.agents import AnyAgent, with_matrices
-from ...certificates.cell_probabilities import AgentPart, law_height, state
+from ...certificates.cell_probabilities import AgentRecord, law_height, state
 from ...relations.grids import FloatArray
-from ...relations.kinds import BoxRelation, CoupledRelation, ExactRelation, MapRelation, Relation, WrittenTargets
-from .aim_spans import aim_losses
+from ...relations.kinds import BoxRelation, CoupledRelation, ExactRelation, MapRelation, Relation, SymbolicTargets
+from .target_enclosures import target_losses
 
 UNIT = 2.0**-53
 
@@ -85,7 +85,7 @@ class _Setting:
     lawful: bool
 
 
-def execution_of(agent: AnyAgent, part: AgentPart, relation: Relation) -> Execution:
+def execution_of(agent: AnyAgent, part: AgentRecord, relation: Relation) -> Execution:
     """How far the controller with this relation may be off."""
     setting = _setting(agent, part)
     if agent.angles:
@@ -95,12 +95,12 @@ def execution_of(agent: AnyAgent, part: AgentPart, relation: Relation) -> Execut
     return execution_of_numbers(setting, agent, part, relation)
 
 
-def execution_of_numbers(setting: _Setting, agent: AnyAgent, part: AgentPart, relation: Relation) -> Execution:
+def execution_of_numbers(setting: _Setting, agent: AnyAgent, part: AgentRecord, relation: Relation) -> Execution:
     """How far the controller may be off, apart from what wraps."""
     return CARRIED_OUT[type(relation)](setting, agent, part, relation)
 
 
-def _setting(agent: AnyAgent, part: AgentPart) -> _Setting:
+def _setting(agent: AnyAgent, part: AgentRecord) -> _Setting:
     d, m = agent.n_states, agent.n_inputs
     # Means of expressions are enclosed where they are used: here counts only how states are read.
     moves = np.zeros((d, d)), np.zeros((d, m)), np.zeros(d)
@@ -142,7 +142,7 @@ def _setting(agent: AnyAgent, part: AgentPart) -> _Setting:
     )  # fmt: skip
 
 
-def _exact(s: _Setting, agent: AnyAgent, part: AgentPart, relation: ExactRelation) -> Execution:
+def _exact(s: _Setting, agent: AnyAgent, part: AgentRecord, relation: ExactRelation) -> Execution:
     """The mean of the next state is ``A x + B (R (z - d - A_r x) + mid) + c``; it is to be z."""
     z = np.array([np.max(np.abs(axis)) for axis in part.lattice])
     A, R, drift, middle = relation.A, relation.right_inverse, relation.drift, relation.input_centre
@@ -162,20 +162,20 @@ def _exact(s: _Setting, agent: AnyAgent, part: AgentPart, relation: ExactRelatio
     return Execution(off, np.zeros(len(A)), inputs, loss + _misread(s, s.read) + s.law)
 
 
-def _aimed(s: _Setting, part: AgentPart, relation: WrittenTargets) -> Execution:
+def _aimed(s: _Setting, part: AgentRecord, relation: SymbolicTargets) -> Execution:
     """Expressions are solved for the inputs, and what these are off by moves the mean."""
-    off = aim_losses(part, relation)
+    off = target_losses(part, relation)
     shift = min(1.0, DENSITY * float(np.sqrt(np.sum((off / s.deviations) ** 2))))
     return Execution(off, np.zeros(len(off)), np.zeros(len(s.u)), shift + _misread(s, s.read) + s.law)
 
 
-def targets_alone(part: AgentPart) -> AgentPart:
+def targets_alone(part: AgentRecord) -> AgentRecord:
     """The targets of policies that have inputs as well, as lattice points; -1 where they choose something else."""
     first = len(part.relation["menu"])
     return replace(part, policy=np.where(part.policy >= first, part.policy - first, -1).astype(part.policy.dtype))
 
 
-def _mapped(s: _Setting, agent: AnyAgent, part: AgentPart, relation: MapRelation) -> Execution:
+def _mapped(s: _Setting, agent: AnyAgent, part: AgentRecord, relation: MapRelation) -> Execution:
     """Inputs of a menu, whose means are off by what goes into their maps; targets miss theirs with some probability."""
     inputs = _boxed(s, np.zeros((1, len(s.u), len(s.x))))
     if relation.aims is None:
@@ -196,7 +196,7 @@ def _boxed(s: _Setting, gains: FloatArray) -> Execution:
     return Execution(off, np.zeros(len(s.x)), inputs, _misread(s, s.read) + s.law)
 
 
-def _coupled(s: _Setting, part: AgentPart, relation: CoupledRelation) -> Execution:
+def _coupled(s: _Setting, part: AgentRecord, relation: CoupledRelation) -> Execution:
     """The abstract state lands on ``z + (x' - A_r x - B_r u - d) + F e``, with what is read and computed."""
     A, B, K, F = relation.A, relation.B, relation.feedback, relation.coupling
     z = np.array([np.max(np.abs(axis)) for axis in part.lattice])
@@ -226,11 +226,11 @@ def _not_independent(noise_off: FloatArray, deviations: FloatArray) -> float:
         return float(np.linalg.norm(np.where(noise_off == 0.0, 0.0, noise_off / np.outer(deviations, deviations))))
 
 
-CARRIED_OUT: dict[type, Callable[[_Setting, AnyAgent, AgentPart, Any], Execution]] = {
+CARRIED_OUT: dict[type, Callable[[_Setting, AnyAgent, AgentRecord, Any], Execution]] = {
     ExactRelation: _exact,
     MapRelation: _mapped,
     BoxRelation: lambda setting, agent, part, relation: _boxed(setting, relation.gains),
-    WrittenTargets: lambda setting, agent, part, relation: _aimed(setting, part, relation),
+    SymbolicTargets: lambda setting, agent, part, relation: _aimed(setting, part, relation),
     CoupledRelation: lambda setting, agent, part, relation: _coupled(setting, part, relation),
 }
 """How far controllers may be off, by relation."""

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent, with_expressions, with_matrices
 from ....envs.tasks.problem import Problem
-from ...certificates.cell_probabilities import AgentPart
+from ...certificates.cell_probabilities import AgentRecord
 from ...relations.grids import FloatArray
-from .mean_spans import output_spans
+from .mean_enclosures import output_spans
 
 OUTWARD = 2.0**-47
 """Relative widening of boxes that went through a matrix: some sixty times the rounding of one operation."""
 
 
-def cell_boxes(part: AgentPart) -> tuple[FloatArray, FloatArray]:
+def cell_boxes(part: AgentRecord) -> tuple[FloatArray, FloatArray]:
     """Lower and upper corners (S, d) of the cells, in grid coordinates."""
     sides = ([axis[:-1] for axis in part.grid.edges], [axis[1:] for axis in part.grid.edges])
     low, high = (np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes)) for axes in sides)
@@ -120,7 +120,7 @@ def _along(
     return np.array(list(rows.values())), np.array([meets[key] for key in rows]).T
 
 
-def start_shares(agent: AnyAgent, part: AgentPart) -> FloatArray:
+def start_shares(agent: AnyAgent, part: AgentRecord) -> FloatArray:
     """Lower bounds (S,), up to rounding, on the probability of each cell under the start of an agent."""
     low, high = agent.initial.low, agent.initial.high
     if not is_identity(part.coordinates):

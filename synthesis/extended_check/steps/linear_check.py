@@ -1,7 +1,7 @@
 """The relation ``linear``, once more: losses, choices and stored factors by code of the check's own.
 
 With f(x) = E l(m(x) + w) for a choice ``m(x) = z + G (x - c)`` of a cell, and the values of f at the points of a
-lattice inside the cell's image, the certificate's factor is a multilinear function below f (see ``written_linear``).
+lattice inside the cell's image, the certificate's factor is a multilinear function below f (see ``symbolic_linear``).
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent
-from ...certificates.cell_probabilities import AgentPart
+from ...certificates.cell_probabilities import AgentRecord
 from ...relations.grids import FloatArray
 from .linear_tables import UNIT
-from .written_linear import WrittenTables, image_values, written_values
+from .symbolic_linear import SymbolicTables, image_values, written_values
 
 RELATIVE = 1e-11
 """Share by which stored factors may exceed what is computed here; the claim's own reserve is larger."""
@@ -26,8 +26,8 @@ CHUNK = 3_000_000
 
 
 def linear_values(
-    part: AgentPart,
-    tables: WrittenTables,
+    part: AgentRecord,
+    tables: SymbolicTables,
     factors: FloatArray,
     t: int,
     q: int,
@@ -74,8 +74,8 @@ def by_cell(rows: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _corner_values(
-    part: AgentPart,
-    tables: WrittenTables,
+    part: AgentRecord,
+    tables: SymbolicTables,
     smoothed: list[FloatArray],
     largest: FloatArray,
     cells: NDArray[np.int64],
@@ -114,7 +114,7 @@ def _below(at: FloatArray, corners: FloatArray, between: FloatArray, lacking: Fl
     return np.where(take[:, :, None], moved, result)
 
 
-def hat_weights(agent: AnyAgent, part: AgentPart) -> FloatArray:
+def hat_weights(agent: AnyAgent, part: AgentRecord) -> FloatArray:
     """Weights (places,) that give the mean of a multilinear factor over the start of an agent, up to rounding."""
     low, high = agent.initial.low, agent.initial.high
     if not np.array_equal(part.coordinates, np.eye(len(low))):
@@ -146,11 +146,11 @@ def doubled(rows: NDArray, shape: tuple[int, ...]) -> NDArray:
     return table.reshape(len(rows), 2 ** len(shape) * math.prod(shape))
 
 
-def places_of(part: AgentPart) -> int:
+def places_of(part: AgentRecord) -> int:
     """Number of places at which factors of an agent have values: its cells, or their corners."""
     return part.grid.n_cells * (2 ** len(part.lattice) if part.relation["kind"] == "linear" else 1)
 
 
-def masks_of(part: AgentPart, masks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def masks_of(part: AgentRecord, masks: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Masks (K, places) at the places of factors."""
     return doubled(masks, part.grid.shape) if part.relation["kind"] == "linear" else masks

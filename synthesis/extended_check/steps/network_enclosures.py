@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import Agent, AnyAgent, LinearAgent
-from ...certificates.cell_probabilities import AgentPart, state
+from ...certificates.cell_probabilities import AgentRecord, state
 from ...relations.grids import FloatArray
 from .geometry import cell_boxes
-from .mean_spans import enclosed_means
+from .mean_enclosures import enclosed_means
 
 HALF_UNIT, TINY = 2.0**-24, 2.0**-126
 """Largest relative rounding in single precision, and what underflow adds."""
@@ -69,7 +69,7 @@ class Forms:
         return Forms(self.slopes * scale, self.constants * share + shift, self.symbols * scale, radius)
 
 
-def network_modes(part: AgentPart) -> int:
+def network_modes(part: AgentRecord) -> int:
     """Number of choices that are what a network does at a time in an automaton state; 0 without a network."""
     network = part.relation.get("network")
     return 0 if network is None else int(network["horizon"]) * int(network["states"])
@@ -82,7 +82,7 @@ def _pieces(low: FloatArray, high: FloatArray, count: int) -> Iterator[tuple[Flo
 
 
 def network_spans(
-    agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], mode: int
+    agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], mode: int
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (C, d), in grid coordinates, of boxes around the means from closed cells under a mode of the network.
 
@@ -99,7 +99,7 @@ def network_spans(
 
 
 def network_maps(
-    agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], mode: int
+    agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], mode: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """z (C, d), G (C, d, d) and rho (C, d) of closed cells, in grid coordinates, under a mode of the network.
 
@@ -131,7 +131,7 @@ def network_maps(
 
 
 def _mean_between(
-    agent: LinearAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
+    agent: LinearAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
 ) -> tuple[FloatArray, FloatArray]:
     """Least and largest means (C, d) from boxes of states with corners (C, d) in grid coordinates."""
     total, spare, plain = _mean_forms(agent, part, left, right, mode)
@@ -139,7 +139,7 @@ def _mean_between(
     return np.maximum(least, plain[0]) - spare, np.minimum(most, plain[1]) + spare
 
 
-def driven_spans(agent: Agent, part: AgentPart, cells: NDArray[np.int64], mode: int) -> tuple[FloatArray, FloatArray]:
+def driven_spans(agent: Agent, part: AgentRecord, cells: NDArray[np.int64], mode: int) -> tuple[FloatArray, FloatArray]:
     """Corners (C, d), in grid coordinates, of boxes around means of expressions from closed cells under a mode.
 
     On each part of a cell inputs lie between what the network may answer there, and count as disturbances.
@@ -162,7 +162,7 @@ def driven_spans(agent: Agent, part: AgentPart, cells: NDArray[np.int64], mode: 
 
 
 def input_maps(
-    agent: AnyAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
+    agent: AnyAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """h (C, m), J (C, m, d) and rho (C, m) of boxes of states with corners (C, d), in grid coordinates.
 
@@ -180,7 +180,7 @@ def input_maps(
     return held, slopes, np.concatenate(rho)
 
 
-def _spare(agent: AnyAgent, part: AgentPart, layers: list[tuple[Any, Any]]) -> FloatArray:
+def _spare(agent: AnyAgent, part: AgentRecord, layers: list[tuple[Any, Any]]) -> FloatArray:
     """What double precision may be off by in inputs (m,)."""
     network, box = part.relation["network"], agent.chosen_box
     cancelled = _cancelled(layers, _largest_seen(agent, network), agent if _is_in_units(network) else None)
@@ -188,7 +188,7 @@ def _spare(agent: AnyAgent, part: AgentPart, layers: list[tuple[Any, Any]]) -> F
 
 
 def _inputs_between(
-    agent: AnyAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
+    agent: AnyAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
 ) -> tuple[FloatArray, FloatArray]:
     """Least and largest inputs (C, m) that the network answers on boxes of states with corners (C, d)."""
     box = agent.chosen_box
@@ -203,7 +203,7 @@ def _inputs_between(
 
 
 def _mean_forms(
-    agent: LinearAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
+    agent: LinearAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
 ) -> tuple[Forms, FloatArray, tuple[FloatArray, FloatArray]]:
     """Forms of the means from boxes of states with corners (C, d) in grid coordinates.
 
@@ -225,7 +225,7 @@ def _mean_forms(
 
 
 def _answers(
-    agent: AnyAgent, part: AgentPart, middle: FloatArray, half: FloatArray, mode: int
+    agent: AnyAgent, part: AgentRecord, middle: FloatArray, half: FloatArray, mode: int
 ) -> tuple[Forms, FloatArray, FloatArray, list[tuple[Any, Any]]]:
     """Forms of the actions in [-1, 1] that a network answers on boxes of states, their ends (C, m), and its layers."""
     network, box = part.relation["network"], agent.chosen_box
@@ -290,7 +290,7 @@ def _cancelled(layers: list[tuple[Any, Any]], size: float, in_units: AnyAgent | 
 
 
 def _seen(
-    agent: AnyAgent, part: AgentPart, middle: FloatArray, half: FloatArray, mode: int
+    agent: AnyAgent, part: AgentRecord, middle: FloatArray, half: FloatArray, mode: int
 ) -> tuple[Forms, FloatArray, FloatArray, FloatArray]:
     """Forms of the rows that the network sees in a mode, their least and largest numbers, and what they are off by."""
     network = part.relation["network"]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from ....envs.systems.agents import AnyAgent, LinearAgent
-from ...certificates.cell_probabilities import AgentPart, state
+from ...certificates.cell_probabilities import AgentRecord, state
 from ...relations.grids import FloatArray, lattice_axes, linear_agent
 from ...relations.kinds import (
     BoxRelation,
@@ -25,15 +25,15 @@ from ...relations.kinds import (
     ExactRelation,
     MapRelation,
     Relation,
-    WrittenTargets,
+    SymbolicTargets,
     ellipsoid_factor,
     ellipsoid_failure,
     ellipsoid_is_invariant,
     ellipsoid_support,
 )
-from .aim_spans import wrong_aims
 from .execution import Execution, targets_alone
 from .geometry import cell_boxes
+from .target_enclosures import wrong_targets
 
 MOST_TERMS = 400
 """Most terms of the zonotopes around a tube."""
@@ -46,7 +46,7 @@ WIDENED = 1.0 + 1e-9
 """Widening of the interval of a ``paper`` relation, which leaves room for rounding; its margins are as wide."""
 
 
-def verify_relation(agent: AnyAgent, part: AgentPart, relation: Relation, execution: Execution) -> list[str]:
+def verify_relation(agent: AnyAgent, part: AgentRecord, relation: Relation, execution: Execution) -> list[str]:
     """What is wrong with the relation of one agent; an empty list if it holds.
 
     Parameters
@@ -63,7 +63,7 @@ def verify_relation(agent: AnyAgent, part: AgentPart, relation: Relation, execut
     return VERIFIED[type(relation)](agent, part, relation, execution)
 
 
-def wrong_for_uneven_noise(agent: AnyAgent, part: AgentPart) -> list[str]:
+def wrong_for_uneven_noise(agent: AnyAgent, part: AgentRecord) -> list[str]:
     """What is wrong with the grid of an agent whose noise has scales, or that has states without noise."""
     if part.relation["kind"] != "boxes":
         return [f"the relation of agent `{agent.name}` is not for noise that is larger in places, or nowhere at all"]
@@ -76,14 +76,14 @@ def wrong_for_uneven_noise(agent: AnyAgent, part: AgentPart) -> list[str]:
     return []
 
 
-def label_margin(part: AgentPart, relation: Relation, execution: Execution) -> FloatArray | None:
+def label_margin(part: AgentRecord, relation: Relation, execution: Execution) -> FloatArray | None:
     """How far (d,) related states may be from the centres of their cells, in state units; None if in the same cell."""
     if relation.is_cell:
         return None
     return error_support(part, relation, execution, part.coordinates)  # type: ignore[arg-type]  # coupled
 
 
-def error_support(part: AgentPart, relation: CoupledRelation, execution: Execution, rows: FloatArray) -> FloatArray:
+def error_support(part: AgentRecord, relation: CoupledRelation, execution: Execution, rows: FloatArray) -> FloatArray:
     """Upper bounds (n,) on ``rows @ e`` for all errors of a coupled relation, rows (n, d) in grid coordinates."""
     if relation.shape is not None:
         support = ellipsoid_support(relation.shape, relation.epsilon, rows)
@@ -97,7 +97,7 @@ def error_support(part: AgentPart, relation: CoupledRelation, execution: Executi
     return support
 
 
-def _verify_maps(agent: AnyAgent, part: AgentPart, relation: MapRelation, execution: Execution) -> list[str]:
+def _verify_maps(agent: AnyAgent, part: AgentRecord, relation: MapRelation, execution: Execution) -> list[str]:
     """Every choice is an input of the box, or a target that admissible inputs reach from all of its cell."""
     if np.any((relation.menu < agent.input_box.low) | (relation.menu > agent.input_box.high)):
         return ["its menu holds inputs beyond its input box"]
@@ -107,17 +107,17 @@ def _verify_maps(agent: AnyAgent, part: AgentPart, relation: MapRelation, execut
     return VERIFIED[type(relation.aims)](agent, aimed, relation.aims, execution)
 
 
-def _verify_aims(agent: AnyAgent, part: AgentPart, relation: WrittenTargets, execution: Execution) -> list[str]:
+def _verify_aims(agent: AnyAgent, part: AgentRecord, relation: SymbolicTargets, execution: Execution) -> list[str]:
     """Expressions are solved for admissible inputs from every point of their cells."""
-    return wrong_aims(relation.agent, part, relation)
+    return wrong_targets(relation.agent, part, relation)
 
 
-def _verify_exact(agent: AnyAgent, part: AgentPart, relation: ExactRelation, execution: Execution) -> list[str]:
+def _verify_exact(agent: AnyAgent, part: AgentRecord, relation: ExactRelation, execution: Execution) -> list[str]:
     """Every target is reached by an admissible input from every point of its cell."""
     return _verify_targets(linear_agent(agent, "exact"), part, relation, part.policy, execution)
 
 
-def _verify_boxes(agent: AnyAgent, part: AgentPart, relation: BoxRelation, execution: Execution) -> list[str]:
+def _verify_boxes(agent: AnyAgent, part: AgentRecord, relation: BoxRelation, execution: Execution) -> list[str]:
     """Every input that is chosen is admissible at every point of its cells, with what is fed back there."""
     menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
     if not agent.is_affine and np.any(gains):
@@ -133,7 +133,7 @@ def _verify_boxes(agent: AnyAgent, part: AgentPart, relation: BoxRelation, execu
 
 
 def _verify_targets(
-    agent: LinearAgent, part: AgentPart, relation: ExactRelation, choices: NDArray[Any], execution: Execution
+    agent: LinearAgent, part: AgentRecord, relation: ExactRelation, choices: NDArray[Any], execution: Execution
 ) -> list[str]:
     """Every target is reached by an admissible input from every point of its cell."""
     state("targets", agent, part, relation, choices, execution.inputs)
@@ -152,7 +152,7 @@ def _verify_targets(
     return []
 
 
-def _verify_coupled(agent: AnyAgent, part: AgentPart, relation: CoupledRelation, execution: Execution) -> list[str]:
+def _verify_coupled(agent: AnyAgent, part: AgentRecord, relation: CoupledRelation, execution: Execution) -> list[str]:
     """Invariance, coupling, input reserve and means of a relation with memory."""
     agent = linear_agent(agent, relation.kind)
     if part.menu is None or part.menu.shape[1] != len(relation.inputs):
@@ -180,7 +180,7 @@ def _verify_coupled(agent: AnyAgent, part: AgentPart, relation: CoupledRelation,
     return failures
 
 
-def _disturbance(part: AgentPart, relation: CoupledRelation, execution: Execution) -> FloatArray:
+def _disturbance(part: AgentRecord, relation: CoupledRelation, execution: Execution) -> FloatArray:
     """Half widths (d,) of W: half the largest cell, what means are snapped by, and rounding."""
     assert part.menu is not None
     low, high = cell_boxes(part)
@@ -213,7 +213,7 @@ def _tube_support(closed: FloatArray, disturbance: FloatArray, rows: FloatArray)
 
 
 def _verify_interval(
-    part: AgentPart, relation: CoupledRelation, closed: FloatArray, disturbance: FloatArray, variances: FloatArray
+    part: AgentRecord, relation: CoupledRelation, closed: FloatArray, disturbance: FloatArray, variances: FloatArray
 ) -> list[str]:
     """``|a_K - F| epsilon + w <= epsilon`` and ``delta >= 2 Phi(|F| epsilon / (2 sigma)) - 1``, epsilon a little wider.
 
@@ -252,16 +252,16 @@ def _verify_ellipsoid(
     return failures
 
 
-def _grid_noise(agent: LinearAgent, part: AgentPart) -> FloatArray:
+def _grid_noise(agent: LinearAgent, part: AgentRecord) -> FloatArray:
     """Covariance of the noise in grid coordinates."""
     inverse = np.linalg.inv(part.coordinates)
     return np.asarray(inverse @ agent.noise_covariance @ inverse.T)
 
 
-VERIFIED: dict[type, Callable[[AnyAgent, AgentPart, Any, Execution], list[str]]] = {
+VERIFIED: dict[type, Callable[[AnyAgent, AgentRecord, Any, Execution], list[str]]] = {
     BoxRelation: _verify_boxes,
     MapRelation: _verify_maps,
-    WrittenTargets: _verify_aims,
+    SymbolicTargets: _verify_aims,
     ExactRelation: _verify_exact,
     CoupledRelation: _verify_coupled,
 }

@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.arguments import tree_text
-from ...abstraction.models import TIE, Choices, CommonGroup, JointModel, Policies, StepPolicy, best_offered
+from ...abstraction.models import TIE, ActionTable, CommonGroup, JointModel, Policies, StepPolicy, best_offered
 from ...certificates.value_functions import (
     IndexArray,
+    MergeLog,
     Occupancy,
-    Skeleton,
     Terms,
     beside,
     compress,
@@ -37,9 +37,9 @@ from ...certificates.value_functions import (
 )
 from ...relations.grids import FloatArray, alike_text
 from .inner_products import Others, collected, inner_products
-from .ladder import Arrivals
 from .limits import Limits
 from .occupancy import AliveMass, nowhere, put_everywhere
+from .pruning_schedule import Arrivals
 from .tree import Candidates, Loss, assemble, candidates, shared, terminal_terms
 
 MOST_WEIGHTS = 30_000_000
@@ -86,7 +86,7 @@ class Sweep:
     value: float
     dropped: float
     rank: int
-    skeleton: tuple[Skeleton, ...]
+    merge_log: tuple[MergeLog, ...]
     stationary: bool = False
 
     def __repr__(self) -> str:
@@ -152,7 +152,8 @@ def sweep(
     watch : callable, optional
         Shown every (time, automaton state) once its policies are set.
     climb : float or None
-        Share that uniting two terms from below may lose where steps are not additive (``ladders``); None: none are.
+        Share that uniting two terms from below may lose where steps are not additive (``pruning_schedules``); None: no
+        terms are united.
     """
     policies = joint.agreed(policies)
     mass = None if start is None else AliveMass(joint, policies, start, limits)
@@ -197,7 +198,7 @@ def sweep(
             del stage  # its tables would otherwise be held while those of the next time are made
         terms = assemble(shared(parts) if joint.finds_alike else parts, joint.n_cells)
         rank = max(rank, terms.rank)
-        skeletons.append(Skeleton(options.origin, options.merges, tuple(kept)))
+        skeletons.append(MergeLog(options.origin, options.merges, tuple(kept)))
         del options
     terms = put_everywhere(terms, to_host)
     value = 0.0 if start is None else start_value(start, terms)
@@ -254,7 +255,7 @@ class Stage:
         self.models, self.policies, self.leftover = joint.models, list(policies), occupancy.leftover
         self.time, self.q = time, q
         # What each agent may choose from, and the number of the first of these choices: groups keep their numbers.
-        self.offered: list[tuple[Choices, int]] = [model.offered(time) for model in joint.models]
+        self.offered: list[tuple[ActionTable, int]] = [model.offered(time) for model in joint.models]
         for group in self.groups:
             self.offered = self._with_number(group, self._number_of(group))
         # Keep the factors that terms of this state point at, and read them at the chosen points.
@@ -334,7 +335,7 @@ class Stage:
         chosen, offered = zip(*((self.policies[i], self.models[i].choices) for i in group.members), strict=True)
         return group.number_of(chosen, offered)
 
-    def _with_number(self, group: CommonGroup, number: int) -> list[tuple[Choices, int]]:
+    def _with_number(self, group: CommonGroup, number: int) -> list[tuple[ActionTable, int]]:
         """Return what agents are offered if a group has a number."""
         offered = [*self.offered]
         for i, part in zip(group.members, group.parts, strict=True):

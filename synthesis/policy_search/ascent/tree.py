@@ -38,7 +38,7 @@ from ...certificates.value_functions import (
     take,
     to_host,
 )
-from .ladder import Arrivals, ladders
+from .pruning_schedule import Arrivals, pruning_schedules
 
 SMOOTHED_AT_ONCE = 256
 """Factors of several agents that are smoothed in one product: enough for a fast one, few enough for memory."""
@@ -95,8 +95,8 @@ def candidates(
     Nothing is lost, but for the kernel's lower bounds and what ``loss`` takes off: it turns a smoothed factor into a
     lower bound that holds in spite of lost relations (docs/theory/bounds.md, "Robust tree"), and is called with an
     agent's model, the masked factors (n, S) and the smoothed ones (n, Z). With ``arrivals``, terms are also united from
-    below, which may lose a share ``spent`` (``ladders``). With ``finds_alike`` terms are united whose factors are equal
-    without being the same.
+    below, which may lose a share ``spent`` (``pruning_schedules``). With ``finds_alike`` terms are united whose factors
+    are equal without being the same.
     """
     # Every guard with every term of its target: row r is the pair (guard[r], child[r]).
     n_states, n_agents = len(value.index), len(models)
@@ -126,7 +126,7 @@ def candidates(
         remaining, merges = _united_alike(factors, rows, groups, remaining, merges)
     if arrivals is not None and n_agents > 1:
         given, factors = factors, [to_host(factor) for factor in factors]
-        merges = merges.followed_by(ladders(factors, rows, remaining, guards.source[guard], arrivals, spent))
+        merges = merges.followed_by(pruning_schedules(factors, rows, remaining, guards.source[guard], arrivals, spent))
         factors = [beside(factor, before) for factor, before in zip(factors, given, strict=True)]
     for i in range(n_agents):
         factors[i], rows[remaining, i] = compress(factors[i], rows[remaining, i])

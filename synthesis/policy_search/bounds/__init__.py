@@ -1,16 +1,19 @@
-"""From computed values to certified numbers, from below and from above."""
+"""Certified numbers from computed values.
+
+From computed values to certified numbers, from below and from above.
+"""
 
 from .above import evaluate_above
 from .certified import (
     Bound,
     a_posteriori_bound,
+    deadlocked_mass,
     execution_loss,
     nominal_bound,
     plain_loss,
     relative_rounding,
     robust_bound,
     robust_loss,
-    stranded_mass,
     train_bound,
     undecided_steps,
 )
@@ -29,7 +32,7 @@ __all__ = [
     "relative_rounding",
     "robust_bound",
     "robust_loss",
-    "stranded_mass",
+    "deadlocked_mass",
     "train_bound",
     "undecided_steps",
 ]

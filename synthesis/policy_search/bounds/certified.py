@@ -84,7 +84,7 @@ def execution_loss(problem: Problem, joint: JointModel) -> float:
     return joint.horizon * per_step * CHARGE_INFLATION
 
 
-def nominal_bound(joint: JointModel, sweep: Sweep, lost: float, aligned: bool, stranded: float = 0.0) -> Bound:
+def nominal_bound(joint: JointModel, sweep: Sweep, lost: float, aligned: bool, deadlocked: float = 0.0) -> Bound:
     """Return the bound of a value with delta = 0, and its gap if nothing is lost at edges.
 
     Parameters
@@ -104,7 +104,7 @@ def nominal_bound(joint: JointModel, sweep: Sweep, lost: float, aligned: bool, s
     lower = min(1.0, max(0.0, sweep.value * (1.0 - relative) - lost))
     # Everything that the value may lack: rounding, what was pruned, what kernels miss, runs that are stranded.
     loss = joint.horizon * sum(model.kernel.loss for model in joint.models) + lost
-    gap = (sweep.value - lower) + sweep.value * relative + sweep.dropped + loss + stranded
+    gap = (sweep.value - lower) + sweep.value * relative + sweep.dropped + loss + deadlocked
     return Bound("nominal", lower, min(gap * (1 + 1e-12), 1.0 - lower) if aligned else None)
 
 
@@ -150,7 +150,7 @@ def undecided_steps(joint: JointModel, occupancies: Sequence[Occupancy]) -> floa
     return total * CHARGE_INFLATION
 
 
-def stranded_mass(joint: JointModel, policies: Policies, occupancies: Sequence[Occupancy]) -> float:
+def deadlocked_mass(joint: JointModel, policies: Policies, occupancies: Sequence[Occupancy]) -> float:
     """Return an upper bound on the probability of ever being undecided in a cell whose policy has no choice."""
     missing = sum(model.kernel.loss for model in joint.models)
     total = 0.0

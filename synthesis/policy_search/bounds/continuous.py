@@ -29,7 +29,7 @@ from scipy.ndimage import maximum_filter1d
 
 from ....envs.systems.agents import AnyAgent, LinearAgent, with_matrices
 from ....envs.tasks.problem import Problem
-from ...abstraction.kernels import Bends, Kernel, hat_table
+from ...abstraction.kernels import Kernel, SecondDerivativeBounds, hat_table
 from ...abstraction.models import AgentModel, JointModel
 from ...certificates.value_functions import UNIT, Occupancy, to_host
 from ...relations.grids import FloatArray, Grid, corner_sides, hat_share_of, in_grid_coordinates, spread, to_places
@@ -91,8 +91,8 @@ class Optimist:
     kernel: Kernel
     of_cells: Windows
     of_corners: Windows
-    between: Bends
-    across: Bends
+    between: SecondDerivativeBounds
+    across: SecondDerivativeBounds
     around: tuple[int, ...]
 
     @classmethod
@@ -138,7 +138,7 @@ class Optimist:
             _windows(np.clip(a, low, high), np.clip(b, low, high), first, spacing, shape) for a, b in (cells, points)
         )
         between, across = (
-            Bends(rows, lattice, grid.edges, deviations, loss)
+            SecondDerivativeBounds(rows, lattice, grid.edges, deviations, loss)
             for rows in (np.diag(spacing), np.concatenate([steps, np.diag(spacing)]))
         )
         around = tuple(int(n) + 1 for n in np.ceil(np.abs(steps).sum(axis=0) / spacing))

@@ -1,4 +1,7 @@
-"""From policies on cells to certificates: bounds collected, and what the check says of them."""
+"""From policies on cells to certificates.
+
+From policies on cells to certificates: bounds collected, and what the check says of them.
+"""
 
 from .agreement import along_path, judged
 from .certification import certificate_of

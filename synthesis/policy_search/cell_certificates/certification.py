@@ -12,23 +12,23 @@ import numpy as np
 
 from ....envs.tasks.problem import Problem
 from ...abstraction.models import Abstraction, JointModel, start_of
-from ...certificates.cell_probabilities import AgentPart
+from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import Certificate, GridProof, OnGrid, Synthesis, delta_of
 from ...certificates.value_functions import Terms, start_above
 from ...relations.kinds import describe_relation
-from ..ascent import FINAL, Found, Relaxation, Sweep, TrainSweep, forward, sweep
+from ..ascent import FINAL, Detected, Relaxation, Sweep, TrainSweep, forward, sweep
 from ..bounds import (
     Bound,
     a_posteriori_bound,
     abstract_bound,
     continuous_upper_bound,
+    deadlocked_mass,
     evaluate_above,
     execution_loss,
     nominal_bound,
     relative_rounding,
     robust_bound,
     robust_loss,
-    stranded_mass,
     train_bound,
     undecided_steps,
 )
@@ -45,7 +45,7 @@ def certified(
     problem: Problem,
     abstraction: Abstraction,
     joint: JointModel,
-    found: Found,
+    found: Detected,
     best: Sweep | TrainSweep,
     settings: dict[str, Any],
     search: str,
@@ -86,7 +86,7 @@ def certificate_of(
         grown, bound, bounds = best_bound(problem, abstraction, joint, best)
     parts = []
     for i, model in enumerate(joint.models):
-        part = AgentPart(
+        part = AgentRecord(
             grid=model.grid,
             coordinates=model.relation.coordinates,
             relation=describe_relation(model.relation),
@@ -110,7 +110,7 @@ def certificate_of(
         guard_mask=joint.guards.mask,
         start_target=joint.start_guards.target,
         start_mask=joint.start_guards.mask,
-        skeleton=grown.skeleton if isinstance(grown, Sweep) else (),
+        merge_log=grown.merge_log if isinstance(grown, Sweep) else (),
         terms=_stored(problem, joint, grown.terms) if isinstance(grown, Sweep) else None,
         rank=grown.rank,
         rounding=grown.rounding if isinstance(grown, TrainSweep) else None,
@@ -139,12 +139,12 @@ def best_bound(
     """The largest bound that applies to the policies of ``best``, the tree it was read off, and all bounds by name."""
     lost = execution_loss(problem, joint)
     if all(model.delta == 0.0 for model in joint.models):
-        stranded = 0.0
+        deadlocked = 0.0
         if abstraction.is_exact and any(np.any(model.choices.resting_choice < 0) for model in joint.models):
-            stranded = stranded_mass(
+            deadlocked = deadlocked_mass(
                 joint, best.policies, forward(joint, best.policies, start_of(problem, joint), FINAL)
             )
-        bound = nominal_bound(joint, best, lost, abstraction.is_exact, stranded)
+        bound = nominal_bound(joint, best, lost, abstraction.is_exact, deadlocked)
         return best, bound, {bound.name: bound.lower}
     start = start_of(problem, joint)
     undecided = undecided_steps(joint, forward(joint, best.policies, start, FINAL))

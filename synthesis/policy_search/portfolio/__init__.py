@@ -1,11 +1,14 @@
-"""Which ways to certify a task are tried: relations, cells, and from which policies to start."""
+"""Which relations, cells and starts are tried.
+
+Which ways to certify a task are tried: relations, cells, and from which policies to start.
+"""
 
 from .effort import Effort, OutOfTime
 from .given_start import policies_from, settings_of
-from .levels import Run, box_work, finer_levels, first_cells, linear_levels, linear_work, work_of
+from .refinement_levels import Run, box_work, finer_levels, first_cells, linear_levels, linear_work, work_of
 from .relation_choice import Tries, groups_of, has_linear_cells
-from .scarce_inputs import cells_where_scarce
-from .ways import GOOD, SOLVED, Results, Way, best_of, in_order, leading, refused, with_settings
+from .strategies import GOOD, SOLVED, Results, Strategy, best_of, in_order, leading, refused, with_settings
+from .weak_inputs import cells_where_scarce
 
 __all__ = [
     "Effort",
@@ -15,7 +18,7 @@ __all__ = [
     "Run",
     "SOLVED",
     "Tries",
-    "Way",
+    "Strategy",
     "best_of",
     "box_work",
     "cells_where_scarce",

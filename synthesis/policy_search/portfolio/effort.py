@@ -53,7 +53,7 @@ class Effort:
         Seconds of the clock, from now on. Ways that would take longer are left out, and those that are under way are
         given up, as soon as there is a certificate.
     progress : callable, optional
-        Told which way or level begins, as ``"way: ..."``, with the largest bound so far.
+        Told which way or level begins, as ``"strategy: ..."``, with the largest bound so far.
 
     Raises
     ------

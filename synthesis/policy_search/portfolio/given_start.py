@@ -17,7 +17,7 @@ import numpy as np
 from ....envs.systems.agents import AnyAgent
 from ....envs.tasks.problem import Problem
 from ...abstraction.models import KINDS_WITH, Abstraction, AgentModel, Policies, Settings
-from ...certificates.cell_probabilities import AgentPart
+from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import OnGrid, checked_certificate
 
 NUMBERS: dict[str, tuple[type, ...]] = {"epsilon": (int, float), "feedback": (int, float), "inputs": (int,)}
@@ -82,7 +82,7 @@ def _moves(agent: AnyAgent) -> dict[str, Any]:
     return {key: value for key, value in agent.to_dict().items() if key != "name" and not key.startswith("initial")}
 
 
-def _choices_fit(part: AgentPart, model: AgentModel) -> bool:
+def _choices_fit(part: AgentRecord, model: AgentModel) -> bool:
     """Return whether the choices of a certificate's agent mean the same in a model: equal cells, lattice and menu."""
     axes = [*zip(part.grid.edges, model.grid.edges, strict=False), *zip(part.lattice, model.lattice, strict=False)]
     if part.policy.shape[-1] != model.grid.n_cells or not all(np.array_equal(a, b) for a, b in axes):

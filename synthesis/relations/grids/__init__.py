@@ -1,4 +1,7 @@
-"""A workspace cut into cells along the edges of regions."""
+"""A workspace cut into cells along edges of regions.
+
+A workspace cut into cells along the edges of regions.
+"""
 
 from .agent_grids import (
     DEFAULT_TARGETS,

@@ -1,4 +1,7 @@
-"""What ties a state to its cell: exact maps, boxes, linear cells, the paper's (epsilon, delta), networks."""
+"""Exact maps, boxes, linear cells, (epsilon, delta).
+
+What ties a state to its cell: exact maps, boxes, linear cells, the paper's (epsilon, delta), networks.
+"""
 
 from .affine_means import AffineBoxes, AffineMeans, MapRelation, MatrixMaps, block_of, map_relation
 from .boxes import BoxRelation, LinearMeans, MeanBoxes, NetworkMeans, box_relation
@@ -10,6 +13,7 @@ from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
 from .exact import ExactOnCells, ExactRelation, aimed_relation, exact_relation
 from .input_forms import Turn
+from .inverse_means import SymbolicOnCells, SymbolicTargets, symbolic_targets
 from .network_maps import NetworkMaps, network_linear_relation
 from .networks import (
     ACTIVATIONS,
@@ -25,13 +29,12 @@ from .networks import (
 from .rounding import mean_loss, mean_off
 from .rows import Row, product, rows_of, times
 from .scalar import paper_relation
-from .solved_means import WrittenOnCells, WrittenTargets, written_targets
+from .symbolic_means import SymbolicMeans
+from .symbolic_policies import SymbolicPolicy
 from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
-from .written_means import WrittenMeans
-from .written_policies import WrittenPolicy
 
 __all__ = [
-    "WrittenPolicy",
+    "SymbolicPolicy",
     "ACTIVATIONS",
     "AffineBoxes",
     "AffineMeans",
@@ -56,9 +59,9 @@ __all__ = [
     "Relation",
     "Row",
     "Turn",
-    "WrittenMeans",
-    "WrittenOnCells",
-    "WrittenTargets",
+    "SymbolicMeans",
+    "SymbolicOnCells",
+    "SymbolicTargets",
     "aimed_relation",
     "best_feedback",
     "block_of",
@@ -91,5 +94,5 @@ __all__ = [
     "tube_generators",
     "tube_relation",
     "write_task",
-    "written_targets",
+    "symbolic_targets",
 ]

@@ -38,9 +38,9 @@ from ..grids import FloatArray, RelationRefused, linear_agent
 from .boxes import LinearMeans, MeanBoxes, linear_means
 from .coordinates import ReadsCoordinates
 from .exact import ExactRelation, aimed_relation
+from .inverse_means import SymbolicTargets
 from .rounding import missed_cells, reading_of
-from .solved_means import WrittenTargets
-from .written_means import ROTATED
+from .symbolic_means import ROTATED
 
 BLOCKS, LEAST_REACH = 3, 4
 """Blocks of lattice points within reach to either side, and the reach from which two of them are enough: more of them
@@ -278,7 +278,7 @@ class MapRelation(ReadsCoordinates):
     menu: FloatArray
     parts: int = 1
     reach: tuple[int, ...] = ()
-    aims: ExactRelation | WrittenTargets | None = None
+    aims: ExactRelation | SymbolicTargets | None = None
 
     kind = "linear"
     delta = 0.0

@@ -8,7 +8,7 @@ cell s with centre c, choice a applies the input
 which is admissible on the whole closed cell. All that the finite model knows of the mean is that it lies in the box
 ``M(s, a)``; the kernel takes the least value over it (docs/theory/boxes.md). So nothing depends on how the boxes were
 made, and an agent needs no more than boxes for all points of a cell, and inputs. Here they are made for
-linear agents, in ``written_means`` for those whose dynamics are expressions, in ``network_bounds`` for linear agents
+linear agents, in ``symbolic_means`` for those whose dynamics are expressions, in ``network_bounds`` for linear agents
 that a network moves; kernel, search and tree are the same.
 """
 
@@ -32,7 +32,7 @@ from .exact import INPUT_MARGIN
 from .network_bounds import mean_bounds
 from .networks import NetworkPolicy, network_policy
 from .rounding import missed_cells, reading_of, sizes_of
-from .written_means import WrittenMeans
+from .symbolic_means import SymbolicMeans
 
 ROUNDED_TWICE = 2.0
 """Factor on the rounding of a mean: it is computed here, and by the agent itself."""
@@ -179,7 +179,7 @@ class BoxRelation(ReadsCoordinates):
         Inputs that are chosen in common, by automaton state and time alone, and their numbers in the menu.
     """
 
-    means: LinearMeans | WrittenMeans | CommonMeans | NetworkMeans | DrivenMeans
+    means: LinearMeans | SymbolicMeans | CommonMeans | NetworkMeans | DrivenMeans
     coordinates: FloatArray
     menu: FloatArray
     gains: FloatArray
@@ -318,8 +318,8 @@ def box_relation(
     gains : (A, m, d) array, optional
         Feedback of each choice inside its cell; none by default.
     written : mapping, optional
-        Further settings of ``WrittenMeans``: ``parts``, which choices ``steer``, and inputs chosen in ``common``; or of
-        ``NetworkMeans``: the description of a ``network``, and ``parts``.
+        Further settings of ``SymbolicMeans``: ``parts``, which choices ``steer``, and inputs chosen in ``common``; or
+        of ``NetworkMeans``: the description of a ``network``, and ``parts``.
 
     Raises
     ------
@@ -332,7 +332,7 @@ def box_relation(
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need one feedback for each input of their menu")
     if not len(menu) or not np.all((box.low <= menu) & (menu <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
-    means: LinearMeans | WrittenMeans | CommonMeans | NetworkMeans
+    means: LinearMeans | SymbolicMeans | CommonMeans | NetworkMeans
     if isinstance(agent, Agent):
         if np.any(gains):
             raise RelationRefused(f"agent `{agent.name}`: mean boxes of expressions have no feedback inside a cell")
@@ -343,7 +343,7 @@ def box_relation(
             common = common_inputs(written["common"], agent)
             means = common_means(agent, coordinates, menu, {**written, "steer": steer}, common)
             return BoxRelation(means, coordinates, menu, gains, box.low, box.high, common)
-        means = WrittenMeans(agent, coordinates, int(written["parts"]), steer)
+        means = SymbolicMeans(agent, coordinates, int(written["parts"]), steer)
         if "network" in written:
             if np.any(steer):
                 raise RelationRefused(f"agent `{agent.name}`: choices beside a network cannot steer")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ....envs.systems.agents import Agent
 from ..grids import FloatArray, RelationRefused
-from .written_means import WrittenMeans
+from .symbolic_means import SymbolicMeans
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class CommonInputs:
 
 @dataclass(frozen=True, eq=False)
 class CommonMeans:
-    """Boxes around the means of an agent that knows numbers; it makes boxes like ``WrittenMeans``.
+    """Boxes around the means of an agent that knows numbers; it makes boxes like ``SymbolicMeans``.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class CommonMeans:
         Which of the states and inputs of others that the agent names are no such numbers.
     """
 
-    pieces: tuple[WrittenMeans, ...]
+    pieces: tuple[SymbolicMeans, ...]
     kept: NDArray[np.bool_]
 
     def around(
@@ -89,7 +89,7 @@ class CommonMeans:
         u: FloatArray,
         beside: FloatArray | None = None,
     ) -> FloatArray:
-        """Return the inputs (m, ...) of choices (...), as ``WrittenMeans.steered`` does."""
+        """Return the inputs (m, ...) of choices (...), as ``SymbolicMeans.steered`` does."""
         if not np.any(self.steer):
             return u
         length = len(self.steer) // len(self.pieces)
@@ -102,7 +102,7 @@ class CommonMeans:
         return u
 
     def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Return ends (n, A, d) of what the noise is multiplied with, as ``WrittenMeans.scales`` does."""
+        """Return ends (n, A, d) of what the noise is multiplied with, as ``SymbolicMeans.scales`` does."""
         return self.pieces[0].scales(low, high, menu)  # scales name nothing of others
 
     @property
@@ -158,10 +158,10 @@ def common_inputs(described: Mapping[str, Any], agent: Agent) -> CommonInputs:
 
 def common_means(
     agent: Agent, coordinates: FloatArray, menu: FloatArray, written: Mapping[str, Any], common: CommonInputs
-) -> WrittenMeans | CommonMeans:
+) -> SymbolicMeans | CommonMeans:
     """Return boxes around the means of an agent that knows the numbers of ``common``, or owns them.
 
-    ``written`` holds ``parts`` and ``steer``, see ``WrittenMeans``.
+    ``written`` holds ``parts`` and ``steer``, see ``SymbolicMeans``.
 
     Raises
     ------
@@ -183,9 +183,9 @@ def common_means(
             knowing = agent.knowing(known)
         except ValueError as error:  # expressions have limits, and numbers are longer than names
             raise RelationRefused(f"agent `{agent.name}`: {error}") from None
-        pieces.append(WrittenMeans(knowing, coordinates, parts, flags))
+        pieces.append(SymbolicMeans(knowing, coordinates, parts, flags))
         if np.any(flags) and not pieces[-1].commands:
             raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")
     if not known:  # all of them are its own
-        return WrittenMeans(agent, coordinates, parts, steer)
+        return SymbolicMeans(agent, coordinates, parts, steer)
     return CommonMeans(tuple(pieces), np.array([name not in known for name in agent.others]))

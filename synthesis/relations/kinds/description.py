@@ -23,13 +23,13 @@ from .boxes import BoxRelation, box_relation
 from .coupled import COUPLED_ARRAYS, COUPLED_NUMBERS, CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .exact import ExactRelation, aimed_relation
+from .inverse_means import SymbolicTargets
 from .network_maps import network_linear_relation
 from .networks import check_network, network_policy
 from .scalar import paper_relation
-from .solved_means import WrittenTargets
 from .tube import tube_relation
 
-Relation = BoxRelation | ExactRelation | MapRelation | CoupledRelation | WrittenTargets
+Relation = BoxRelation | ExactRelation | MapRelation | CoupledRelation | SymbolicTargets
 """What ties one agent to its cells."""
 
 NUMBER_ENTRIES = {"boxes": (), "exact": (), "linear": ("parts",), **COUPLED_NUMBERS}

@@ -18,7 +18,7 @@ from ..grids import FloatArray
 from .coordinates import Unsteered
 from .network_bounds import mean_bounds
 from .networks import NetworkPolicy
-from .written_means import WrittenMeans
+from .symbolic_means import SymbolicMeans
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class DrivenMeans(Unsteered):
     policy : NetworkPolicy
     """
 
-    written: WrittenMeans
+    written: SymbolicMeans
     policy: NetworkPolicy
 
     @property
@@ -43,10 +43,10 @@ class DrivenMeans(Unsteered):
         return self.policy
 
     @cached_property
-    def driven(self) -> WrittenMeans:
+    def driven(self) -> SymbolicMeans:
         """Boxes around the means with every input anywhere in its box, but for a clock."""
         agent = self.written.agent.driven
-        return WrittenMeans(agent, self.written.coordinates, self.written.parts)
+        return SymbolicMeans(agent, self.written.coordinates, self.written.parts)
 
     def around(
         self, low: FloatArray, high: FloatArray, menu: FloatArray, gains: FloatArray

@@ -25,9 +25,9 @@ from ....envs.systems.agents import AnyAgent, LinearAgent, with_expressions
 from ....envs.systems.arguments import counted
 from ..grids import FloatArray, Grid, RelationRefused, linear_agent
 from .coordinates import ReadsByRows
+from .inverse_means import SymbolicTargets, symbolic_targets
 from .rounding import sizes_of, target_loss, target_rounding
 from .rows import Row, product, rows_of, times
-from .solved_means import WrittenTargets, written_targets
 
 INPUT_MARGIN = 1e-12
 """Relative reserve on inputs that keeps a computed input inside its box in spite of rounding; always restrictive."""
@@ -231,8 +231,8 @@ def _right_inverse(matrix: FloatArray) -> FloatArray:
     return np.linalg.pinv(matrix)
 
 
-def aimed_relation(agent: AnyAgent, coordinates: FloatArray) -> ExactRelation | WrittenTargets:
+def aimed_relation(agent: AnyAgent, coordinates: FloatArray) -> ExactRelation | SymbolicTargets:
     """Return the exact relation of an agent, or refuse it in words."""
     if agent.is_affine:
         return exact_relation(linear_agent(agent, "exact"), coordinates)
-    return written_targets(with_expressions(agent), coordinates)
+    return symbolic_targets(with_expressions(agent), coordinates)

@@ -6,7 +6,7 @@ probability for means and cells that are missed. All of it is a few units in the
 the way, whatever the units of states and inputs are; it is noticed only where a small noise stands beside large
 numbers.
 
-The check measures the same with code of its own (``step_checking.execution``). It counts fewer operations, and so finds
+The check measures the same with code of its own (``steps.execution``). It counts fewer operations, and so finds
 less.
 """
 

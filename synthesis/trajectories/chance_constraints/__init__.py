@@ -1,19 +1,22 @@
-"""Chance constraints along a trajectory: constraint tightening by noise and linearization errors."""
+"""Chance constraints: constraint tightening by noise and linearization errors.
 
-from .calm_runs import most_missed, satisfies
-from .drifts import Drifts
+Chance constraints along a trajectory: constraint tightening by noise and linearization errors.
+"""
+
 from .feedback_bounds import Feedback, NominalPath, Spreads, worth_of
 from .limit_rows import OUTWARD, Worth
+from .linearization_errors import LinearizationErrors
+from .noise_free_runs import most_missed, satisfies
 from .nonlinear_model import NonlinearModel
 from .pair_costs import PairAim, PairLimits, pair_limits
 from .pair_inequalities import PairRows, deviations_of, pair_rows
 from .path_limits import Limits, corners_along, farthest_sides, limits_along, sides_of, without_far_ends
-from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .soft_limits import soft_costs
+from .strip_constraints import StripConstraints, failure_of, input_strips, limits_of, state_strips
 from .team_model import TeamModel, Tie, key_of
 
 __all__ = [
-    "Drifts",
+    "LinearizationErrors",
     "Feedback",
     "Limits",
     "NominalPath",
@@ -22,7 +25,7 @@ __all__ = [
     "PairAim",
     "PairLimits",
     "PairRows",
-    "Slabs",
+    "StripConstraints",
     "Spreads",
     "TeamModel",
     "Tie",
@@ -31,7 +34,7 @@ __all__ = [
     "deviations_of",
     "failure_of",
     "farthest_sides",
-    "input_slabs",
+    "input_strips",
     "key_of",
     "limits_along",
     "limits_of",
@@ -41,7 +44,7 @@ __all__ = [
     "satisfies",
     "sides_of",
     "soft_costs",
-    "state_slabs",
+    "state_strips",
     "without_far_ends",
     "worth_of",
 ]

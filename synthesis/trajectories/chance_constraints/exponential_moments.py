@@ -74,7 +74,7 @@ class ExponentialMoments:
         variance = np.concatenate([known[here] for *_, known in asked], axis=1)
         found = []
         for sign, sides in ((-1.0, worth.low), (1.0, worth.high)):
-            ends = np.concatenate([np.minimum(sides[k], worth.slab[k])[here] for k, *_ in asked], axis=1)
+            ends = np.concatenate([np.minimum(sides[k], worth.strip[k])[here] for k, *_ in asked], axis=1)
             found.append(self._tails(here, times, sign * forms, ends, variance))
         first = 0
         for k, _, rows, _ in asked:

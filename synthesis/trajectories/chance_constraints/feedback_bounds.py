@@ -1,4 +1,4 @@
-"""What feedbacks and slabs along a nominal path are worth: the bound of the certificate, for many of them at once.
+"""What feedbacks and strips along a nominal path are worth: the bound of the certificate, for many of them at once.
 
 The mathematics is that of docs/theory/paths.md, "Agents of any dynamics", in plain floating point; a certificate says a
 little less than what is found here, and the check decides.
@@ -21,7 +21,7 @@ from .nonlinear_model import Curved, NonlinearModel, Tube, remainders
 from .path_limits import Limits
 
 LEAST = 1e-6
-"""Slabs, as a share of the range of a state, of states without noise: the check knows variances up to rounding alone,
+"""Strips, as a share of the range of a state, of states without noise: the check knows variances up to rounding alone,
 which leaves a deviation of some 1e-8 of the range where there is none."""
 
 LOST = 1e6
@@ -34,29 +34,29 @@ Both = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Candidates: gains (N, S, m, d), and slabs (N, S + 1, 2 d + m) in deviations of states, inputs and noises."""
+    """Candidates: gains (N, S, m, d), and strips (N, S + 1, 2 d + m) in deviations of states, inputs and noises."""
 
     gains: FloatArray
-    slabs: FloatArray
+    strips: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """Deviations, drifts and shifts of candidates, by which a nominal path is planned anew.
+    """Deviations, linearization errors and shifts of candidates, by which a nominal path is planned anew.
 
-    Arrays (S + 1, .., d), (S + 1, .., p) and (S, .., m) of states, outputs and inputs; ``slabs`` (S + 1, .., 2 d + m)
+    Arrays (S + 1, .., d), (S + 1, .., p) and (S, .., m) of states, outputs and inputs; ``strips`` (S + 1, .., 2 d + m)
     are those of the certificate. Between times and numbers stand the candidates, if there are several. True values are
-    within a drift of linear deviations around shifted nominal values.
+    within a linearization error of linear deviations around shifted nominal values.
     """
 
     states: tuple[FloatArray, FloatArray, FloatArray]
     outputs: tuple[FloatArray, FloatArray, FloatArray]
     inputs: tuple[FloatArray, FloatArray, FloatArray]
-    slabs: FloatArray
+    strips: FloatArray
     pairs: Mapping[int, tuple[FloatArray, ...]] = field(default_factory=dict)
-    """By times: drifts, variances and what one step adds to these (.., J), of what pairs ask of the agent; then what
-    each number of noise that agents share adds to its rows (.., J, t K), which is not in these variances; and shifts
-    (.., J)."""
+    """By times: linearization errors, variances and what one step adds to these (.., J), of what pairs ask of the
+    agent; then what each number of noise that agents share adds to its rows (.., J, t K), which is not in these
+    variances; and shifts (.., J)."""
 
     def of(self, candidate: int) -> Spreads:
         """Return those of one candidate."""
@@ -65,7 +65,7 @@ class Spreads:
             return each[0][:, candidate], each[1][:, candidate], each[2][:, candidate]
 
         pairs = {t: tuple(part[candidate] for part in parts) for t, parts in self.pairs.items()}
-        return Spreads(one(self.states), one(self.outputs), one(self.inputs), self.slabs[:, candidate], pairs)
+        return Spreads(one(self.states), one(self.outputs), one(self.inputs), self.strips[:, candidate], pairs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class OtherSides:
     forms : (.., J, p) array
         Forms of the agent's outputs.
     low, high : (.., J) arrays
-        Distances of the nominal differences from their limits, less the drifts of the others.
+        Distances of the nominal differences from their limits, less the linearization errors of the others.
     variance, largest : (.., J) arrays
         Variances that the others add by what is theirs alone, and what one step adds to these at most.
     shared : (.., J, t K) array
@@ -219,7 +219,7 @@ class _Walk:
         steps, d = self.steps, self.d
         # Closed loops since each remainder stand side by side, (N, d, S + 1, d): a step multiplies them all at once.
         self.products = np.zeros((self.n, d, steps + 1, d))
-        self.drifts, self.shifts = np.zeros((2, self.n, steps + 1, d))
+        self.linearization_errors, self.shifts = np.zeros((2, self.n, steps + 1, d))
         # The set of starts stands before the first remainder. Steps that leave none, as those of linear agents do, have
         # no place here: what they round has a covariance.
         self.products[:, :, 0] = np.eye(d)
@@ -227,8 +227,8 @@ class _Walk:
         self.faint = np.zeros((self.n, d, d))
         starts = [np.maximum(p.model.agent.initial.high - p.states[0], p.states[0] - p.model.agent.initial.low)
                   for p in paths]  # fmt: skip
-        self.drifts[:, 0] = np.array(starts)[which]
-        self.count = int(self.keeps_all or bool(np.any(self.drifts[:, 0])))
+        self.linearization_errors[:, 0] = np.array(starts)[which]
+        self.count = int(self.keeps_all or bool(np.any(self.linearization_errors[:, 0])))
         self.covariance, self.each_noise = np.zeros((self.n, d, d)), np.zeros((self.n, steps, d, d))
         varies = self.model.scale is not None and self.model.tail != Tail.LONG and self.shared is None
         self.moments = ExponentialMoments(self.n, d) if varies else None
@@ -264,20 +264,25 @@ class _Walk:
         return [*rows, last], parts
 
     def known(self, part: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return shifts, drifts and variances (N, J) of some rows at the time where the walk is."""
-        shift, drift, variance = (each[:, self.parts[part]] for each in self.found)
-        return shift, drift, variance
+        """Return shifts, linearization errors and variances (N, J) of some rows at the time where the walk is."""
+        shift, linearization_error, variance = (each[:, self.parts[part]] for each in self.found)
+        return shift, linearization_error, variance
 
     def of_rows(self, t: int, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return shifts, drifts and variances (N, J) of rows (J, d) or (N, J, d) at time t."""
+        """Return shifts, linearization errors and variances (N, J) of rows (J, d) or (N, J, d) at time t."""
         rows = np.broadcast_to(rows, (self.n, *rows.shape[-2:]))
         moved = np.matmul(rows, self.products_to(self.count))
-        shifts, drifts = (each[:, : self.count].reshape(self.n, -1, 1) for each in (self.shifts, self.drifts))
-        shift, drift = np.matmul(moved, shifts)[..., 0], np.matmul(np.abs(moved), drifts)[..., 0]
+        shifts, linearization_errors = (
+            each[:, : self.count].reshape(self.n, -1, 1) for each in (self.shifts, self.linearization_errors)
+        )
+        shift, linearization_error = (
+            np.matmul(moved, shifts)[..., 0],
+            np.matmul(np.abs(moved), linearization_errors)[..., 0],
+        )
         # A sum of t d numbers is at most the root of t d times the sum of their squares.
         faint = np.maximum(np.sum(np.matmul(rows, self.faint) * rows, axis=2), 0.0)
-        drift = drift + np.sqrt(t * self.d * faint)
-        return shift, drift * OUTWARD, np.sum(np.matmul(rows, self.covariance) * rows, axis=2)
+        linearization_error = linearization_error + np.sqrt(t * self.d * faint)
+        return shift, linearization_error * OUTWARD, np.sum(np.matmul(rows, self.covariance) * rows, axis=2)
 
     def products_to(self, count: int, first: int = 0) -> FloatArray:
         """Return the closed loops since some remainders, side by side (N, d, .. d)."""
@@ -308,45 +313,44 @@ class _Walk:
         d, m, n, steps, bent = self.d, self.m, self.n, self.steps, self.model.bent
         states, outputs = np.zeros((3, steps + 1, n, d)), np.zeros((3, steps + 1, n, self.agent.n_outputs))
         inputs, pairs = np.zeros((3, steps, n, m)), dict[int, tuple[FloatArray, ...]]()
-        slabs = np.full((steps + 1, n, 2 * d + m), np.inf)
+        strips = np.full((steps + 1, n, 2 * d + m), np.inf)
         eye = np.eye(d)
         for t in range(steps + 1):
             x = self.x[t]
             self.found = self.of_rows(t, self.rows[t])
-            shift, drift, variance = self.known("states")
+            shift, linearization_error, variance = self.known("states")
             sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
             asked = bent[:d] if t < steps else self.model.bent_outputs
             if self.needs_outputs:
                 asked = asked | self.model.bent_outputs
             asked = asked | self.model.tubed
-            slab = np.where(asked, self.feedback.slabs[:, t, :d] * sd + self.least[:d], np.inf)
-            wide = slab + drift if t else drift
+            strip = np.where(asked, self.feedback.strips[:, t, :d] * sd + self.least[:d], np.inf)
+            wide = strip + linearization_error if t else linearization_error
             # The tube lies around what the path is shifted to, within the workspace.
             rest = x - self.agent.state_low, self.agent.state_high - x
             reach = (
                 np.maximum(np.minimum(wide - shift, rest[0]), 0.0),
                 np.maximum(np.minimum(wide + shift, rest[1]), 0.0),
             )
-            states[:, t], slabs[t, :, :d], self.slab_now = (sd, drift, shift), slab, slab
+            states[:, t], strips[t, :, :d], self.strip_now = (sd, linearization_error, shift), strip, strip
             if t:
                 low, high = (end[t] for end in self.limits_x)
                 size = INWARD * np.abs(x)
                 names = [f"{name} at step {t}" for name in self.model.names[:d]]
-                self.worth.add(
-                    x + shift - low - size - drift, high - x - shift - size - drift, slab, sd**2, names,
-                    self.largest(t, eye),
-                )  # fmt: skip
+                below = x + shift - low - size - linearization_error
+                above = high - x - shift - size - linearization_error
+                self.worth.add(below, above, strip, sd**2, names, self.largest(t, eye))
                 self._ask(t, eye)
                 outputs[:, t] = self._outputs(t, reach)
                 self._land(t, reach)
                 if t in self.asked:
                     pairs[t] = self._pairs(t, reach, self.asked[t])
             if t < steps:
-                *inputs[:, t], slabs[t, :, d:] = self._step(t, reach)
+                *inputs[:, t], strips[t, :, d:] = self._step(t, reach)
         if self.moments is not None and self.worth.stopped is not None:
             self.moments.bound(self.worth, self.worth.stopped)
         spreads = [(each[0], each[1], each[2]) for each in (states, outputs, inputs)]
-        return self.worth, Spreads(spreads[0], spreads[1], spreads[2], slabs, pairs)
+        return self.worth, Spreads(spreads[0], spreads[1], spreads[2], strips, pairs)
 
     def _ask(self, t: int, rows: FloatArray) -> None:
         """Ask for further bounds on the tails of the rows (J, d) or (N, J, d) that were added last."""
@@ -364,27 +368,31 @@ class _Walk:
         return middle.T, off.T * OUTWARD
 
     def _outputs(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Add the limits of outputs; return their deviations, drifts and shifts (N, p)."""
+        """Add the limits of outputs; return their deviations, linearization errors and shifts (N, p)."""
         low, high = (end[t] for end in self.limits_y)
         y = self.y[t]
-        shift, drift, variance = self.known("outputs")
+        shift, linearization_error, variance = self.known("outputs")
         middle, off = self._off_outputs(t, reach)
-        shift, drift = shift + middle, drift + off
+        shift, linearization_error = shift + middle, linearization_error + off
         here = np.flatnonzero(np.any(np.isfinite(low) | np.isfinite(high), axis=0))
         sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
         if len(here):
             size = INWARD * (np.abs(y) + 1e-3)
             names = [f"output {k} at step {t}" for k in here]
-            rows = (y + shift - low - size - drift)[:, here], (high - y - shift - size - drift)[:, here]
+            rows = (
+                (y + shift - low - size - linearization_error)[:, here],
+                (high - y - shift - size - linearization_error)[:, here],
+            )
             nothing, largest = np.full((self.n, len(here)), np.inf), self.largest(t, self.C[t][:, here])
             self.worth.add(*rows, nothing, sd[:, here] ** 2, names, largest)
             self._ask(t, self.C[t][:, here])
-        return sd, drift, shift
+        return sd, linearization_error, shift
 
     def _jump(
         self, t: int, reach: Both, closed: FloatArray, step: tuple[FloatArray, FloatArray, FloatArray]
     ) -> tuple[FloatArray, ...] | None:
-        """Return shifts, drifts, variances and largest ones (N, p) of how outputs move from time t to the next.
+        """Return shifts, linearization errors, variances and largest ones (N, p) of how outputs move from time t to the
+        next.
 
         A step has a middle and a half width (N, d) of its remainder, and noise (N, d, d). None where nothing is asked.
         """
@@ -393,23 +401,23 @@ class _Walk:
         middle, off, noise = step
         after, before = self.C[t + 1], self.C[t]
         form = np.matmul(after, closed) - before
-        (shift, drift, variance), largest = self.of_rows(t, form), self.largest(t, form)
+        (shift, linearization_error, variance), largest = self.of_rows(t, form), self.largest(t, form)
         own = np.sum(np.matmul(after, noise) * after, axis=2)
         middle_y, off_y = self._off_outputs(t, reach)
         shift = shift + np.einsum("npd,nd->np", after, middle) - middle_y
-        drift = drift + np.einsum("npd,nd->np", np.abs(after), off) * OUTWARD + off_y
-        return shift, drift, variance + own, np.maximum(variance if largest is None else largest, own)
+        linearization_error = linearization_error + np.einsum("npd,nd->np", np.abs(after), off) * OUTWARD + off_y
+        return shift, linearization_error, variance + own, np.maximum(variance if largest is None else largest, own)
 
     def _land(self, t: int, reach: Both) -> None:
         """Add the limits of how far outputs moved in the step before."""
         if self.jumped is None:
             return
-        shift, drift, variance, largest = self.jumped
+        shift, linearization_error, variance, largest = self.jumped
         middle, off = self._off_outputs(t, reach)
         moved, size = self.y[t] - self.y[t - 1] + shift + middle, INWARD * (np.abs(self.y[t]) + 1e-3)
         low, high = (end[t] for end in self.jumps)
         here = np.flatnonzero(np.any(np.isfinite(low) | np.isfinite(high), axis=0))
-        spare = size + drift + off
+        spare = size + linearization_error + off
         rows = (moved - low - spare)[:, here], (high - moved - spare)[:, here]
         names = [f"jump of output {k} to step {t}" for k in here]
         variance, largest = variance[:, here] * OUTWARD, largest[:, here] * OUTWARD
@@ -418,34 +426,42 @@ class _Walk:
     def _pairs(self, t: int, reach: Both, asked: OtherSides) -> tuple[FloatArray, ...]:
         """Add the limits of differences of this agent and others; return what it adds to them (N, J).
 
-        That are drifts, variances by what it does not share, what one step adds to these, what sources add, and shifts.
+        That are linearization errors, variances by what it does not share, what one step adds to these, what sources
+        add, and shifts.
         """
         rows = np.matmul(asked.forms, self.C[t])
-        (shift, drift, variance), largest = self.of_rows(t, rows), self.largest(t, rows)
+        (shift, linearization_error, variance), largest = self.of_rows(t, rows), self.largest(t, rows)
         largest = variance if largest is None else largest
         if np.any(self.model.bent_outputs):
             middle, off = self._off_outputs(t, reach)
             shift = shift + np.einsum("njp,np->nj", asked.forms, middle)
-            drift = drift + np.einsum("njp,np->nj", np.abs(asked.forms), off) * OUTWARD
-        nothing = np.full(drift.shape, np.inf)
-        names = [f"{PAIR} at step {t}"] * drift.shape[1]
+            linearization_error = linearization_error + np.einsum("njp,np->nj", np.abs(asked.forms), off) * OUTWARD
+        nothing = np.full(linearization_error.shape, np.inf)
+        names = [f"{PAIR} at step {t}"] * linearization_error.shape[1]
         shared = self.by_sources(t, rows)
         variance = np.maximum(variance - np.sum(shared**2, axis=2), 0.0)
         together = np.sum(both_sources(shared, asked.shared) ** 2, axis=2)
         both = variance + asked.variance + together, largest + asked.largest
-        self.worth.add(asked.low + shift - drift, asked.high - shift - drift, nothing, both[0], names, both[1])
-        return drift, variance, largest, shared, shift
+        self.worth.add(
+            asked.low + shift - linearization_error,
+            asked.high - shift - linearization_error,
+            nothing,
+            both[0],
+            names,
+            both[1],
+        )
+        return linearization_error, variance, largest, shared, shift
 
     def _tilt(self, t: int, b: FloatArray, off: FloatArray, tube: tuple[Both, FloatArray]) -> None:
         """Note what squares of deviations of a step's noise are below: the scale is b (N, d) + a (N, d, d) e, about."""
         assert self.moments is not None
         (below, above), noise = tube
         a = self.rows[t][:, self.parts["scales"]]
-        shift, drift, _ = self.known("scales")
+        shift, linearization_error, _ = self.known("scales")
         own_shift, own_drift, _ = self.known("states")
         sizes = np.maximum(below, above) + np.abs(own_shift) + own_drift
-        slab = np.minimum(self.slab_now, sizes) if t else np.zeros_like(sizes)
-        self.moments.tilt((b + shift, off + drift, np.einsum("nkj,nj->nk", np.abs(a), slab), a),
+        strip = np.minimum(self.strip_now, sizes) if t else np.zeros_like(sizes)
+        self.moments.tilt((b + shift, off + linearization_error, np.einsum("nkj,nj->nk", np.abs(a), strip), a),
                           self.model.deviations, np.einsum("nkk->nk", noise))  # fmt: skip
 
     def _tube(self, t: int, reach: Both, around: Both) -> Tube:
@@ -458,12 +474,12 @@ class _Walk:
         return Tube.around(at, (sides[0], sides[1]), self.ends, self.feedback.gains[:, t])
 
     def _step(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Go on by a step; return deviations, drifts and shifts of inputs, and slabs of inputs and noises."""
-        inputs, slab, around = self._inputs(t, reach)
+        """Go on by a step; return deviations, errors, shifts and strips of inputs, and strips of noises."""
+        inputs, strip, around = self._inputs(t, reach)
         tube = self._tube(t, reach, around)
         curved = tube.curved(self.model.step_parts)
         middle, off = (part.T for part in remainders(curved[: self.d], tube, self.forms[t], self.centres[t]))
-        noise_slab, more, noise = self._varied_noise(t, tube, curved[self.d :], reach)
+        noise_strip, more, noise = self._varied_noise(t, tube, curved[self.d :], reach)
         # What is lost stays so; numbers remain finite, so that scores can be compared.
         off = off + more
         is_known = np.isfinite(off) & np.isfinite(middle) & (np.abs(middle) < self.lost)
@@ -472,33 +488,33 @@ class _Walk:
         closed = self.A[t] + np.matmul(self.B[t], self.feedback.gains[:, t])
         self.jumped = self._jump(t, reach, closed, (middle, off, noise))
         self._advance(t, closed, (middle, off, noise))
-        return *inputs, np.concatenate([slab, noise_slab], axis=1)
+        return *inputs, np.concatenate([strip, noise_strip], axis=1)
 
     def _inputs(self, t: int, reach: Both) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray, Both]:
-        """Add the limits of inputs; return their deviations, drifts and shifts, slabs, and how far they reach."""
+        """Add the limits of inputs; return deviations, linearization errors, shifts, strips, and their reach."""
         d, gain, u, agent = self.d, self.feedback.gains[:, t], self.u[t], self.agent
-        shift, drift, variance = self.known("inputs")
+        shift, linearization_error, variance = self.known("inputs")
         sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
         moved = np.any(gain != 0.0, axis=2)
-        slabs = self.feedback.slabs[:, t, d : d + self.m]
-        slab = np.where(moved & self.model.bent[d:], slabs * sd + self.least[d:], np.inf)
+        strips = self.feedback.strips[:, t, d : d + self.m]
+        strip = np.where(moved & self.model.bent[d:], strips * sd + self.least[d:], np.inf)
         # No input is farther from its nominal value than the states that it follows.
         size = np.einsum("nmd,nd->nm", np.abs(gain), np.maximum(*reach))
-        wide, rounded = slab + drift, 1e-13 * np.abs(u)
+        wide, rounded = strip + linearization_error, 1e-13 * np.abs(u)
         below = np.where(moved, np.minimum(np.maximum(wide - shift, 0.0), size) * OUTWARD + rounded, 0.0)
         above = np.where(moved, np.minimum(np.maximum(wide + shift, 0.0), size) * OUTWARD + rounded, 0.0)
-        spare = drift + INWARD * (np.abs(u) + 1e-3)
+        spare = linearization_error + INWARD * (np.abs(u) + 1e-3)
         low = np.where(moved, u + shift - agent.input_low - spare, np.inf)
         high = np.where(moved, agent.input_high - u - shift - spare, np.inf)
         names = [f"{name} at step {t}" for name in self.model.names[d : d + self.m]]
-        self.worth.add(low, high, slab, sd**2, names, self.largest(t, gain))
+        self.worth.add(low, high, strip, sd**2, names, self.largest(t, gain))
         self._ask(t, gain)
-        return (sd, drift, shift), slab, (below, above)
+        return (sd, linearization_error, shift), strip, (below, above)
 
     def _varied_noise(
         self, t: int, tube: Tube, curved: Curved, reach: Both
     ) -> tuple[FloatArray, FloatArray | float, FloatArray]:
-        """Return slabs of the noises of a step, what their scales add to its remainder, and covariances (N, d, d)."""
+        """Return strips of the noises of a step, what their scales add to its remainder, and covariances (N, d, d)."""
         d, noise, nothing = self.d, self.noises[t], np.full((self.n, self.d), np.inf)
         if self.model.scale is None:
             return nothing, 0.0, noise
@@ -506,23 +522,23 @@ class _Walk:
         bent, more = remainders(curved, tube, np.zeros_like(slopes), np.abs(slopes), follows=False)
         varied = (np.abs(bent) + more).T * deviations
         is_varied = self.model.varied & (deviations > 0.0)
-        slabs = self.feedback.slabs[:, t, d + self.m :]
-        slab = np.where(is_varied, slabs, np.inf) if self.model.tail == Tail.NORMAL else nothing
-        is_bounded = np.isfinite(slab)
-        off = np.where(is_bounded, varied * np.where(is_bounded, slab, 0.0), 0.0)
-        # Without a slab the scale is anything up to the largest one on the tube.
+        strips = self.feedback.strips[:, t, d + self.m :]
+        strip = np.where(is_varied, strips, np.inf) if self.model.tail == Tail.NORMAL else nothing
+        is_bounded = np.isfinite(strip)
+        off = np.where(is_bounded, varied * np.where(is_bounded, strip, 0.0), 0.0)
+        # Without a strip the scale is anything up to the largest one on the tube.
         is_stopped = is_varied & ~is_bounded
         own = np.where(is_stopped, np.sqrt(np.einsum("nkk->nk", noise)) + varied * OUTWARD, 0.0)
         noise = np.where(is_stopped[:, :, None] * np.eye(d, dtype=bool), own[:, :, None] ** 2, noise)
         self.worth.stop(np.any(is_stopped, axis=1))
         names = [f"noise of {name} at step {t}" for name in self.model.names[:d]]
-        self.worth.add(nothing, nothing, slab, np.ones((self.n, d)), names)
+        self.worth.add(nothing, nothing, strip, np.ones((self.n, d)), names)
         if self.moments is not None:
             own_rows = (np.arange(len(slopes[0])) < d + self.m)[:, None]
             form, centre = np.where(own_rows, slopes, 0.0), np.where(own_rows, 0.0, np.abs(slopes))
             curve, off_line = (part.T for part in remainders(curved, tube, form, centre))
             self._tilt(t, self.scales[t] + curve, off_line, (reach, noise))
-        return slab, off, noise
+        return strip, off, noise
 
     def _advance(self, t: int, closed: FloatArray, step: tuple[FloatArray, FloatArray, FloatArray]) -> None:
         """Go on by a closed loop (N, d, d), to which a step adds a middle and a half width (N, d), and noise."""
@@ -531,7 +547,7 @@ class _Walk:
         self.products[:, :, :k] = moved.reshape(self.n, self.d, k, self.d)
         if self.keeps_all or np.any(off) or np.any(middle):
             self.products[:, :, k] = np.eye(self.d)
-            self.shifts[:, k], self.drifts[:, k], self.each_noise[:, t] = middle, off, noise
+            self.shifts[:, k], self.linearization_errors[:, k], self.each_noise[:, t] = middle, off, noise
             self.count += 1
         self.faint = _moved(self.faint, closed) + self.rounded
         self.covariance = _moved(self.covariance, closed) + noise

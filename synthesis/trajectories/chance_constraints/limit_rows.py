@@ -18,15 +18,15 @@ from ....envs.systems.distributions import Tail
 from ...relations.grids import FloatArray
 
 OUTWARD = 1.0 + 1e-7
-"""Factor on drifts and failures of what is claimed: the check rounds outward, and has enclosures of its own."""
+"""Factor on linearization errors and failures of what is claimed: the check rounds outward, by its own enclosures."""
 
 INWARD = 1e-9
 """Share of the size of a number by which distances are shortened."""
 
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
-"""Probabilities of all slabs for which rows are chosen to be slabs or tails."""
+"""Probabilities of all strips for which rows are chosen to be strips or tails."""
 
-PARTS = ("low", "high", "slab", "variance", "largest", "below", "above")
+PARTS = ("low", "high", "strip", "variance", "largest", "below", "above")
 """Lists of rows that are kept side by side."""
 
 PAIR = "pair"
@@ -35,7 +35,7 @@ PAIR = "pair"
 
 @dataclass(eq=False)
 class Worth:
-    """Rows of inequalities of N candidates: distances, slabs and variances, lists of arrays (N, J).
+    """Rows of inequalities of N candidates: distances, strips and variances, lists of arrays (N, J).
 
     ``largest`` is what the step that adds most adds to each variance, or all of it where nothing is known; ``below``
     and ``above`` are further bounds on both tails, infinite where there are none.
@@ -43,7 +43,7 @@ class Worth:
 
     low: list[FloatArray] = field(default_factory=list)
     high: list[FloatArray] = field(default_factory=list)
-    slab: list[FloatArray] = field(default_factory=list)
+    strip: list[FloatArray] = field(default_factory=list)
     variance: list[FloatArray] = field(default_factory=list)
     largest: list[FloatArray] = field(default_factory=list)
     below: list[FloatArray] = field(default_factory=list)
@@ -74,7 +74,7 @@ class Worth:
         self,
         low: FloatArray,
         high: FloatArray,
-        slab: FloatArray,
+        strip: FloatArray,
         variance: FloatArray,
         names: list[str],
         largest: FloatArray | None = None,
@@ -83,7 +83,7 @@ class Worth:
         self.shared.append(bool(names) and names[0].startswith(PAIR))
         shape = variance.shape
         unknown = np.full(shape, np.inf)
-        values = (low, high, slab, variance, variance if largest is None else largest, unknown, unknown)
+        values = (low, high, strip, variance, variance if largest is None else largest, unknown, unknown)
         for kept, new in zip(self._parts, values, strict=True):
             kept.append(new if new.shape == shape else np.broadcast_to(new, shape))
         self.names += names
@@ -127,8 +127,8 @@ class Worth:
 
     def _by_moments(self) -> tuple[FloatArray, FloatArray]:
         """Return both tails (N, J) of each row by exponential moments."""
-        low, high, slab, variance, largest, *others = self._all
-        ends = (np.minimum(side, slab) for side in (low, high))
+        low, high, strip, variance, largest, *others = self._all
+        ends = (np.minimum(side, strip) for side in (low, high))
         each = (_by_moments(end, variance, self.tail, largest) for end in ends)
         below, above = (np.minimum(one, other) for one, other in zip(each, others, strict=True))
         return below, above
@@ -140,37 +140,37 @@ class Worth:
     @cached_property
     def _soft(self) -> FloatArray:
         """What each row (N, J) adds to the failure; where the limit is broken it goes on to grow."""
-        low, high, slab, variance, _, below, above = self._all
+        low, high, strip, variance, _, below, above = self._all
         if self.tail:
             return np.add(*self._by_moments())
-        one, other, inner = (_soft(distance, variance) for distance in (low, high, slab))
-        both = 2.0 * _soft(np.minimum(np.minimum(low, high), slab), variance)
-        apart = 2.0 * inner + np.where(low < slab, one, 0.0) + np.where(high < slab, other, 0.0)
+        one, other, inner = (_soft(distance, variance) for distance in (low, high, strip))
+        both = 2.0 * _soft(np.minimum(np.minimum(low, high), strip), variance)
+        apart = 2.0 * inner + np.where(low < strip, one, 0.0) + np.where(high < strip, other, 0.0)
         found = np.minimum(both, apart)
         if self.stopped is None:
             return found
-        sides = np.minimum(2.0 * _soft(np.minimum(low, slab), variance), below)
-        sides = sides + np.minimum(2.0 * _soft(np.minimum(high, slab), variance), above)
+        sides = np.minimum(2.0 * _soft(np.minimum(low, strip), variance), below)
+        sides = sides + np.minimum(2.0 * _soft(np.minimum(high, strip), variance), above)
         return np.where(self.stopped[:, None], sides, found)
 
     def failures(self) -> FloatArray:
         """Return upper bounds (N,) on the probabilities that an inequality fails, up to rounding."""
-        low, high, slab, variance, _, *others = self._all
+        low, high, strip, variance, _, *others = self._all
         if self.tail:
             below, above = (np.sum(np.minimum(side, 1.0), axis=1) for side in self._by_moments())
             return np.asarray(np.minimum(1.0, (below + above + self.lost) * OUTWARD))
-        both = np.minimum(2.0 * _tails(np.minimum(np.minimum(low, high), slab), variance), 1.0)
-        inner = np.minimum(2.0 * _tails(slab, variance), 1.0)
-        outer = np.where(low < slab, _tails(low, variance), 0.0) + np.where(high < slab, _tails(high, variance), 0.0)
+        both = np.minimum(2.0 * _tails(np.minimum(np.minimum(low, high), strip), variance), 1.0)
+        inner = np.minimum(2.0 * _tails(strip, variance), 1.0)
+        outer = np.where(low < strip, _tails(low, variance), 0.0) + np.where(high < strip, _tails(high, variance), 0.0)
         best = np.ones(len(low))
         for share in SHARES:
-            as_slab = share * both <= share * inner + outer
-            chosen = np.where(as_slab, both, inner)
+            as_strip = share * both <= share * inner + outer
+            chosen = np.where(as_strip, both, inner)
             with np.errstate(divide="ignore"):
                 kept = np.sum(np.log1p(-chosen), axis=1)
-            best = np.minimum(best, -np.expm1(kept) + np.sum(np.where(as_slab, 0.0, outer), axis=1))
+            best = np.minimum(best, -np.expm1(kept) + np.sum(np.where(as_strip, 0.0, outer), axis=1))
         if self.stopped is not None:
-            sides = (2.0 * _tails(np.minimum(end, slab), variance) for end in (low, high))
+            sides = (2.0 * _tails(np.minimum(end, strip), variance) for end in (low, high))
             each = [np.minimum(side, other).sum(axis=1) for side, other in zip(sides, others, strict=True)]
             best = np.where(self.stopped, np.add(*each), best)
         return np.minimum(1.0, best * OUTWARD)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ....envs.systems.agents import TIME, AnyAgent
-from ....envs.systems.distributions import Majorant, Tail
+from ....envs.systems.distributions import Envelope, Tail
 from ....envs.systems.expressions import Number, Operation, Program, Tree
 from ...relations.grids import FloatArray
 
@@ -91,7 +91,7 @@ class NonlinearModel:
     @cached_property
     def laws(self) -> tuple[FloatArray, FloatArray]:
         """Means (d,) and deviations (d,) of laws that are above the components of the noise."""
-        known = np.array([(law.mean, law.deviation) for law in self.majorants]).reshape(-1, 2)
+        known = np.array([(law.mean, law.deviation) for law in self.envelopes]).reshape(-1, 2)
         return (known[:, 0], known[:, 1]) if self.agent.laws else (np.zeros(self.agent.n_states), np.zeros(0))
 
     @property
@@ -100,20 +100,20 @@ class NonlinearModel:
         return self.laws[1]
 
     @cached_property
-    def majorants(self) -> list[Majorant]:
+    def envelopes(self) -> list[Envelope]:
         """Laws above those of the components of the noise; none where it has a covariance."""
-        found = [law.majorant for law in self.agent.laws or ()]
+        found = [law.envelope for law in self.agent.laws or ()]
         return [law for law in found if law is not None]
 
     @property
     def tail(self) -> Tail:
         """What is known of the tails of the noise."""
-        return max((law.tail for law in self.majorants), default=Tail.NORMAL)
+        return max((law.tail for law in self.envelopes), default=Tail.NORMAL)
 
     @property
     def lost(self) -> float:
         """Probability of the noise of a step that is given up."""
-        return sum(law.lost for law in self.majorants)
+        return sum(law.lost for law in self.envelopes)
 
     @cached_property
     def covariance(self) -> FloatArray:

@@ -144,11 +144,11 @@ def _at_times(pair: PairRegion, times: int) -> tuple[FloatArray, FloatArray, Flo
 
 @dataclass(frozen=True, eq=False)
 class PairAim:
-    """What a plan keeps of pairs, with deviations and drifts (S + 1, K, p) of the differences."""
+    """What a plan keeps of pairs, with deviations and linearization errors (S + 1, K, p) of the differences."""
 
     limits: PairLimits
     sharp: FloatArray
-    drift: FloatArray
+    linearization_error: FloatArray
 
     def cost(self, outputs: FloatArray) -> FloatArray:
         """Return the costs (n,) of outputs (S + 1, P, n) of all agents together."""
@@ -176,15 +176,18 @@ class PairAim:
         limits = self.limits
         if np.any(limits.asked < 0):
             distance, direction = limits.ways_out(z, self.sharp)
-            drift = np.sum(np.abs(direction) * (self.drift / self.sharp)[..., None], axis=2)
+            linearization_error = np.sum(np.abs(direction) * (self.linearization_error / self.sharp)[..., None], axis=2)
             low = np.where(limits.asked < 0, 0.0, -np.inf)
             one, none = np.ones(low.shape), np.zeros(low.shape)
-            cost, slope, bend = soft_costs(distance - drift, (low, np.full(low.shape, np.inf)), one, none)
+            cost, slope, bend = soft_costs(distance - linearization_error, (low, np.full(low.shape, np.inf)), one, none)
             yield cost, slope, bend, direction / self.sharp[..., None]
         if np.any(limits.asked > 0):
             for k, face in enumerate(limits.faces):
                 low = np.where(limits.asked > 0, limits.face_low[..., k], -np.inf)
                 high = np.where(limits.asked > 0, limits.face_high[..., k], np.inf)
-                sharp, drift = np.sqrt((self.sharp * face) ** 2 @ np.ones(len(face))), self.drift @ np.abs(face)
+                sharp, linearization_error = (
+                    np.sqrt((self.sharp * face) ** 2 @ np.ones(len(face))),
+                    self.linearization_error @ np.abs(face),
+                )
                 direction = np.broadcast_to(face[:, None], z.shape)
-                yield *soft_costs(np.einsum("stpn,p->stn", z, face), (low, high), sharp, drift), direction
+                yield *soft_costs(np.einsum("stpn,p->stn", z, face), (low, high), sharp, linearization_error), direction

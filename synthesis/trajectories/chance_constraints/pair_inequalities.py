@@ -14,8 +14,8 @@ from .limit_rows import INWARD, Worth
 from .pair_costs import PairLimits
 
 Contributions = Mapping[int, tuple[FloatArray, ...]]
-"""By times: what an agent adds to drifts, variances and what one step adds to these (J,) of its rows; and by sources
-(J, t K) of noise that agents share; and how far its nominal values are shifted (J,)."""
+"""By times: what an agent adds to linearization errors, variances and what one step adds to these (J,) of its rows; and
+by sources (J, t K) of noise that agents share; and how far its nominal values are shifted (J,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,21 +52,24 @@ class PairRows:
             asked = {}
             for t, side in sides.items():
                 rows = side.rows
-                drift, variance, largest, shared, shift = (total[rows] for total in totals[t])
+                linearization_error, variance, largest, shared, shift = (total[rows] for total in totals[t])
                 if t in own:
-                    parts = zip((drift, variance, largest), own[t], strict=False)
-                    drift, variance, largest = (max_0(a - b[: len(rows)]) for a, b in parts)
+                    parts = zip((linearization_error, variance, largest), own[t], strict=False)
+                    linearization_error, variance, largest = (max_0(a - b[: len(rows)]) for a, b in parts)
                     shared, shift = both_sources(shared, -own[t][3][: len(rows)]), shift - own[t][4][: len(rows)]
-                low, high = self.low[t][rows] + shift - drift, self.high[t][rows] - shift - drift
+                low, high = (
+                    self.low[t][rows] + shift - linearization_error,
+                    self.high[t][rows] - shift - linearization_error,
+                )
                 asked[t] = OtherSides(side.forms, low, high, variance, largest, shared)
             result.append(asked)
         return result
 
     def add_to(self, worth: Worth, contributions: Sequence[Contributions]) -> None:
         """Add all rows once, with what both agents add, to the rows (1, J) of a team."""
-        for t, (drift, variance, largest, shared, shift) in self._totals(contributions).items():
+        for t, (linearization_error, variance, largest, shared, shift) in self._totals(contributions).items():
             variance = variance + np.sum(shared**2, axis=1)
-            low, high = self.low[t] + shift - drift, self.high[t] - shift - drift
+            low, high = self.low[t] + shift - linearization_error, self.high[t] - shift - linearization_error
             names = [f"a pair at step {t}"] * len(low)
             worth.add(low[None], high[None], np.full((1, len(low)), np.inf), variance[None], names, largest[None])
 

@@ -9,7 +9,10 @@ from ...relations.grids import FloatArray
 
 
 def soft_costs(
-    values: FloatArray, ends: tuple[FloatArray, FloatArray] | FloatArray, sharp: FloatArray, drift: FloatArray
+    values: FloatArray,
+    ends: tuple[FloatArray, FloatArray] | FloatArray,
+    sharp: FloatArray,
+    linearization_error: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return costs, slopes and second derivatives of values (S, k, n) between limits (S, k) or (k,)."""
     total, slope, bend = np.zeros(values.shape), np.zeros(values.shape), np.zeros(values.shape)
@@ -18,7 +21,7 @@ def soft_costs(
             continue
         wide = np.broadcast_to(end, values.shape[:2])[:, :, None]
         with np.errstate(all="ignore"):
-            z = (side * (values - wide) - drift[:, :, None]) / sharp[:, :, None]
+            z = (side * (values - wide) - linearization_error[:, :, None]) / sharp[:, :, None]
             z = np.where(np.isfinite(wide), np.clip(z, -1e6, 1e6), 1e6)
             log = log_ndtr(z)
             hazard = np.exp(np.minimum(-0.5 * z * z - 0.9189385332046727 - log, 700.0))

@@ -1,4 +1,7 @@
-"""The search for trajectories and their feedback gains, for one agent and for teams."""
+"""The search for trajectories and feedback gains.
+
+The search for trajectories and their feedback gains, for one agent and for teams.
+"""
 
 from .counted_work import CountedWork
 from .path_search import path_certificate, refuse_without_path

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 
 from ....envs.systems.agents import LinearAgent
 from ...relations.grids import FloatArray
-from ..chance_constraints import Slabs
+from ..chance_constraints import StripConstraints
 
 ENOUGH = 1e-12
 """Probability of failing from which a nominal path is not improved."""
@@ -57,21 +57,23 @@ class Response:
             now = agent.A @ now
         return cls(free, impulse)
 
-    def of_slabs(self, slabs: Slabs) -> tuple[FloatArray, FloatArray]:
+    def of_strips(self, strips: StripConstraints) -> tuple[FloatArray, FloatArray]:
         """Return ``(a, M)`` so that the nominal values (J,) of inequalities on states are ``a + M u`` for u (S m,)."""
         steps, _, m = self.impulse.shape
-        constant = np.einsum("jd,jd->j", slabs.rows, self.free[slabs.times])
-        matrix = np.zeros((len(slabs.times), steps, m))
-        for t in np.unique(slabs.times):
-            here = np.flatnonzero(slabs.times == t)
+        constant = np.einsum("jd,jd->j", strips.rows, self.free[strips.times])
+        matrix = np.zeros((len(strips.times), steps, m))
+        for t in np.unique(strips.times):
+            here = np.flatnonzero(strips.times == t)
             # inputs 0 .. t - 1 were t - 1 .. 0 steps ago
-            matrix[here, :t] = np.tensordot(slabs.rows[here], self.impulse[:t][::-1], axes=(1, 1))
-        return constant, matrix.reshape(len(slabs.times), -1)
+            matrix[here, :t] = np.tensordot(strips.rows[here], self.impulse[:t][::-1], axes=(1, 1))
+        return constant, matrix.reshape(len(strips.times), -1)
 
 
-def nominal_inputs(agent: LinearAgent, states: Slabs, inputs: Slabs, response: Response) -> FloatArray:
+def nominal_inputs(
+    agent: LinearAgent, states: StripConstraints, inputs: StripConstraints, response: Response
+) -> FloatArray:
     """Return nominal inputs (S, m) that keep inequalities on states and inputs with a small probability of failing."""
-    constant, matrix = response.of_slabs(states)
+    constant, matrix = response.of_strips(states)
     width = _scale(states)
     low, high = np.tile(agent.input_low, len(response.impulse)), np.tile(agent.input_high, len(response.impulse))
     sharp = np.maximum(states.deviations, LEAST_DEVIATION * width)
@@ -94,20 +96,20 @@ def nominal_inputs(agent: LinearAgent, states: Slabs, inputs: Slabs, response: R
     return np.where(felt, u, 0.5 * (low + high)).reshape(len(response.impulse), -1)
 
 
-def _scale(slabs: Slabs) -> FloatArray:
+def _scale(strips: StripConstraints) -> FloatArray:
     """Return widths (J,) of inequalities; the size of the limit where there is one only."""
-    width = slabs.high - slabs.low
-    sizes = np.where(np.isfinite(slabs.low), np.abs(slabs.low), np.abs(slabs.high))
+    width = strips.high - strips.low
+    sizes = np.where(np.isfinite(strips.low), np.abs(strips.low), np.abs(strips.high))
     # Where there is no limit at all, as on the far side of a region that was added, any size will do.
     return np.where(np.isfinite(width), width, np.where(np.isfinite(sizes), np.maximum(sizes, 1.0), 1.0))
 
 
 def _least_squares(
-    constant: FloatArray, matrix: FloatArray, slabs: Slabs, low: FloatArray, high: FloatArray
+    constant: FloatArray, matrix: FloatArray, strips: StripConstraints, low: FloatArray, high: FloatArray
 ) -> FloatArray:
     """Return inputs that come near to the middle of all inequalities, each measured by its width."""
-    two_sided = np.isfinite(slabs.low) & np.isfinite(slabs.high)
-    lower, upper = slabs.low[two_sided], slabs.high[two_sided]
+    two_sided = np.isfinite(strips.low) & np.isfinite(strips.high)
+    lower, upper = strips.low[two_sided], strips.high[two_sided]
     weight = 1.0 / np.maximum(upper - lower, 1e-12)
     aim = 0.5 * (lower + upper) - constant[two_sided]
     centre, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-12)
@@ -121,18 +123,18 @@ def _least_squares(
 def _farthest(
     constant: FloatArray,
     matrix: FloatArray,
-    slabs: Slabs,
+    strips: StripConstraints,
     sharp: FloatArray,
     box: tuple[FloatArray, FloatArray, FloatArray],
 ) -> FloatArray | None:
     """Return inputs whose least distance to a limit, in deviations, is the largest; None if the program fails."""
     low, high, spare = box
-    up, down = np.isfinite(slabs.high), np.isfinite(slabs.low)
+    up, down = np.isfinite(strips.high), np.isfinite(strips.low)
     eye = np.eye(len(low))[spare > 0.0]
     rows = np.concatenate([matrix[up], -matrix[down], eye, -eye])
     costs = np.concatenate([sharp[up], sharp[down], spare[spare > 0.0], spare[spare > 0.0]])
     limits = np.concatenate(
-        [slabs.high[up] - constant[up], constant[down] - slabs.low[down], high[spare > 0.0], -low[spare > 0.0]]
+        [strips.high[up] - constant[up], constant[down] - strips.low[down], high[spare > 0.0], -low[spare > 0.0]]
     )
     scale = 1.0 / np.maximum(np.abs(rows).max(axis=1, initial=0.0), 1e-12)
     constraint = hstack([csr_matrix(rows * scale[:, None]), csr_matrix((costs * scale)[:, None])])
@@ -146,7 +148,7 @@ def _descended(
     start: FloatArray,
     constant: FloatArray,
     matrix: FloatArray,
-    slabs: Slabs,
+    strips: StripConstraints,
     sharp: FloatArray,
     box: tuple[FloatArray, FloatArray, FloatArray],
 ) -> FloatArray:
@@ -155,7 +157,7 @@ def _descended(
 
     def objective(u: FloatArray) -> tuple[float, FloatArray]:
         at = constant + matrix @ u
-        below, above = (slabs.low - at) / sharp, (at - slabs.high) / sharp
+        below, above = (strips.low - at) / sharp, (at - strips.high) / sharp
         value, slope = _input_tails(u, low, high, spare)
         total = float(np.sum(ndtr(below) + ndtr(above)) + np.sum(value))
         with np.errstate(over="ignore", under="ignore"):

@@ -1,9 +1,9 @@
 """Nominal states and inputs that keep away from limits: sequential linear-quadratic problems with exact dynamics.
 
 Limits are soft: a distance of z deviations from one costs ``-log Phi(z)``, which is the tail where that is small, and
-grows like a square beyond the limit. What deviations there are, and what drift, is given. Dynamics are hard, since
-every step of the iteration is a simulation under feedback. (Programs such as IPOPT find the same nonlinear paths; the
-certificate needs none of them, and the package no dependence on a solver.)
+grows like a square beyond the limit. What deviations there are, and what linearization error, is given. Dynamics are
+hard, since every step of the iteration is a simulation under feedback. (Programs such as IPOPT find the same nonlinear
+paths; the certificate needs none of them, and the package no dependence on a solver.)
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Aim:
     ----------
     limits : Limits
     states, outputs, inputs : pair of arrays
-        Deviations (positive) and drifts, (S + 1, d), (S + 1, p) and (S, m).
+        Deviations (positive) and linearization errors, (S + 1, d), (S + 1, p) and (S, m).
     guess : (S + 1, p) array
         Outputs to follow, with a weight (p,) for each.
     weight : (p,) array

@@ -1,8 +1,8 @@
-"""The best nominal path of one agent that is found: a way around regions, a plan, feedbacks and slabs, plans anew.
+"""The best nominal path of one agent that is found: a way around regions, a plan, feedbacks and strips, plans anew.
 
-Feedbacks and slabs come from a random search with the bound itself as the objective: weights of linear-quadratic
-problems, and slabs in deviations. Plans are made anew with the deviations and drifts of what was found. Seeds are fixed
-and work is counted, never time: the same problem gives the same nominal path everywhere.
+Feedbacks and strips come from a random search with the bound itself as the objective: weights of linear-quadratic
+problems, and strips in deviations. Plans are made anew with the deviations and linearization errors of what was found.
+Seeds are fixed and work is counted, never time: the same problem gives the same nominal path everywhere.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from ....envs.tasks.problem import Problem
 from ...certificates.proofs import AgentPath
 from ...relations.grids import FloatArray
 from ..chance_constraints import Feedback, NominalPath, NonlinearModel, Spreads, Worth, limits_along, sides_of, worth_of
-from .coarse_ways import guesses
+from .candidate_runs import candidate_run
+from .coarse_routes import guesses
 from .counted_work import CountedWork
+from .feedback_gains import feedback_gains
 from .nominal_planner import Aim, Planner, rolled
-from .regulators import regulators
-from .tried_runs import tried_run
 
 BATCH = 24
 """Candidates that are looked at at once."""
@@ -45,7 +45,7 @@ AT_LIMIT = 1e-3
 """Share of its range within which an input counts as standing at its limit, and has no feedback."""
 
 QUARTER = 0.25
-"""Share of the drift that plans keep away from limits, besides deviations."""
+"""Share of the linearization error that plans keep away from limits, besides deviations."""
 
 WIDEST = 0.15
 """Largest deviation that plans reckon with, as a share of a range."""
@@ -61,11 +61,11 @@ ENOUGH = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Detected:
     """A nominal path with the best feedback that was found for it.
 
     ``score`` falls with the failure, and is a number also where the failure is 1; ``theta`` are the logarithms of the
-    weights and slabs.
+    weights and strips.
     """
 
     score: float
@@ -80,7 +80,7 @@ class Found:
     @property
     def path(self) -> AgentPath:
         """The nominal path as the certificate holds it."""
-        return AgentPath(self.nominal.inputs, self.feedback.gains[0], self.nominal.states, self.spreads.slabs)
+        return AgentPath(self.nominal.inputs, self.feedback.gains[0], self.nominal.states, self.spreads.strips)
 
 
 class NonlinearSearch:
@@ -104,22 +104,22 @@ class NonlinearSearch:
         """Keep some states in a tube of a width in deviations, as others name them."""
         self.model = self.model.changed(watched=states, width=width)
 
-    def planned_anew(self, letters: NDArray[np.int8], found: Found) -> Found | None:
+    def planned_anew(self, letters: NDArray[np.int8], found: Detected) -> Detected | None:
         """Return a nominal path planned anew from another one: its model may be another one by now."""
         return self._planned_anew(letters, found, reserves_for(found.failure)[0])
 
-    def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None, bar: float = np.inf) -> Found | None:
+    def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None, bar: float = np.inf) -> Detected | None:
         """Return a nominal path for letters (S + 1, P) after little work; None if none was found.
 
         Where inputs are tried it is the run that they give; ways that are drawn are for where they give none. Where
         the best path after the first guess scores above ``bar``, it is left at that.
         """
         start = 0.5 * (self.agent.initial.low + self.agent.initial.high)
-        run = tried_run(self.problem, self.model, letters, start, self.work) if self.tries_inputs else None
+        run = candidate_run(self.problem, self.model, letters, start, self.work) if self.tries_inputs else None
         if run is not None:
             seen, _ = self.model.outputs(rolled(self.model, start, run))
             return self._along(letters, seen, run, warm)
-        best: Found | None = None
+        best: Detected | None = None
         for guess in guesses(self.problem, self.agent, letters, start):
             for first in (self.first_inputs(len(letters) - 1), self._pursued(guess)):
                 found = self._along(letters, guess, first, warm)
@@ -131,7 +131,7 @@ class NonlinearSearch:
                 return best
         return best
 
-    def along_again(self, letters: NDArray[np.int8], found: Found) -> Found | None:
+    def along_again(self, letters: NDArray[np.int8], found: Detected) -> Detected | None:
         """Return a nominal path for other letters, which may take more steps, from the inputs of one that was found."""
         u = found.nominal.inputs
         u = np.concatenate([u, np.repeat(u[-1:], max(0, len(letters) - 1 - len(u)), axis=0)])
@@ -139,7 +139,7 @@ class NonlinearSearch:
         seen, _ = self.model.outputs(rolled(self.model, start, u))
         return self._along(letters, seen, u, found.theta)
 
-    def full(self, letters: NDArray[np.int8], found: Found) -> Found:
+    def full(self, letters: NDArray[np.int8], found: Detected) -> Detected:
         """Return a nominal path that is better than one that was found, if there is work left for one."""
         if self.work.is_over():
             return found
@@ -156,11 +156,12 @@ class NonlinearSearch:
             found = again if again is not None and again.score < found.score else found
         return self._beyond_drifts(letters, found)
 
-    def _beyond_drifts(self, letters: NDArray[np.int8], found: Found) -> Found:
-        """Return a nominal path that keeps all of the drift away from limits, where paths that keep less fail often.
+    def _beyond_drifts(self, letters: NDArray[np.int8], found: Detected) -> Detected:
+        """Return a nominal path that keeps all of the linearization error away from limits, where paths that keep less
+        fail often.
 
-        What is charged in a narrow place, or lost in a sharp bend, adds up to more drift than deviations: a plan that
-        does not reckon with all of it keeps no reserve where it matters.
+        What is charged in a narrow place, or lost in a sharp bend, adds up to more linearization error than deviations:
+        a plan that does not reckon with all of it keeps no reserve where it matters.
         """
         for _ in range(REPLANS):
             if found.failure < RARE or self.work.is_over():
@@ -174,7 +175,7 @@ class NonlinearSearch:
 
     def _along(
         self, letters: NDArray[np.int8], guess: FloatArray, u: FloatArray, warm: FloatArray | None
-    ) -> Found | None:
+    ) -> Detected | None:
         """Return a nominal path that follows a guess at first, from inputs (S, m)."""
         agent, steps = self.agent, len(letters) - 1
         faces = sides_of(self.problem, agent, letters, guess, self.spans)
@@ -204,18 +205,18 @@ class NonlinearSearch:
 
     @property
     def n_numbers(self) -> int:
-        """How many logarithms of weights and slabs a candidate has."""
+        """How many logarithms of weights and strips a candidate has."""
         return len(self._sizes) + len(self._round)
 
     @property
     def _sizes(self) -> FloatArray:
-        """By how much logarithms of weights and slabs differ: of the latter little."""
+        """By how much logarithms of weights and strips differ: of the latter little."""
         d, m = self.agent.n_states, self.agent.n_inputs
         return np.concatenate([np.full(d + m, 2.0), [1.0], np.full(2 * d + m, 0.3)])
 
     @property
     def _round(self) -> FloatArray:
-        """The same of slabs at times at which more round regions are asked for than at others; empty without any."""
+        """The same of strips at times at which more round regions are asked for than at others; empty without any."""
         return np.full(int(np.any(self.model.bent_outputs)), 0.5)
 
     def first_inputs(self, steps: int) -> FloatArray:
@@ -292,16 +293,16 @@ class NonlinearSearch:
         return NominalPath(self.model, limits, states, snapped)
 
     def _planned_anew(
-        self, letters: NDArray[np.int8], found: Found, reserve: float = 1.0, drift_share: float = QUARTER
-    ) -> Found | None:
-        """Return a nominal path planned with the deviations and drifts of another one; None if that fails."""
+        self, letters: NDArray[np.int8], found: Detected, reserve: float = 1.0, drift_share: float = QUARTER
+    ) -> Detected | None:
+        """Return a nominal path planned with deviations and linearization errors of another one; None if that fails."""
         agent, spreads = self.agent, found.spreads
         pairs = []
-        for (sd, drift, _), width in zip(
+        for (sd, linearization_error, _), width in zip(
             (spreads.states, spreads.outputs, spreads.inputs), (self.width, self.spans, 2.0 * self.half), strict=True
         ):
             sharp = np.clip(reserve * sd, 1e-5 * width, WIDEST * width)
-            pairs.append((sharp, np.clip(drift_share * drift, 0.0, WIDEST * width)))
+            pairs.append((sharp, np.clip(drift_share * linearization_error, 0.0, WIDEST * width)))
         outputs, _ = found.nominal.outputs
         sharp = np.median(pairs[1][0], axis=0)
         u, states, faces = found.nominal.inputs, found.nominal.states, found.faces
@@ -320,7 +321,7 @@ class NonlinearSearch:
         nominal = self.snapped(letters, states, u, faces)
         return self.of_thetas(nominal, faces, self.around([found.theta], 0.3, BATCH // 2))
 
-    def searched(self, found: Found, generations: int) -> Found:
+    def searched(self, found: Detected, generations: int) -> Detected:
         """Return a nominal path with the best feedback of some generations, each closer to the best candidates."""
         kept = [(found.score, found.theta)]
         for generation in range(generations):
@@ -334,7 +335,7 @@ class NonlinearSearch:
         return found
 
     def thetas(self, warm: FloatArray | None) -> FloatArray:
-        """Return a first batch of logarithms of weights and slabs."""
+        """Return a first batch of logarithms of weights and strips."""
         if warm is not None:
             return np.concatenate([[warm], self.around([warm], 0.5, BATCH // 2)])
         # Half of them are narrower where round regions are asked for.
@@ -356,11 +357,13 @@ class NonlinearSearch:
         made[0] = parents[0]
         return made
 
-    def of_thetas(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> Found:
+    def of_thetas(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> Detected:
         """Return the best of some candidates of feedback along a nominal path."""
         return self._scored(nominal, faces, thetas)[0]
 
-    def _scored(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> tuple[Found, FloatArray]:
+    def _scored(
+        self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray
+    ) -> tuple[Detected, FloatArray]:
         """Return the best of some candidates, and the scores of all."""
         return scored([(self, nominal, thetas)], faces)[0]
 
@@ -371,10 +374,10 @@ def reserves_for(failure: float) -> tuple[float, ...]:
 
 
 Candidates = tuple[NonlinearSearch, NominalPath, FloatArray]
-"""A search with a nominal path of its agent and logarithms of weights and slabs (N, k)."""
+"""A search with a nominal path of its agent and logarithms of weights and strips (N, k)."""
 
 
-def scored(tasks: Sequence[Candidates], faces: NDArray[np.int64]) -> list[tuple[Found, FloatArray]]:
+def scored(tasks: Sequence[Candidates], faces: NDArray[np.int64]) -> list[tuple[Detected, FloatArray]]:
     """Return, for each of some agents that are alike, the best of its candidates and the scores of all."""
     which = np.repeat(np.arange(len(tasks)), [len(thetas) for _, _, thetas in tasks])
     paths = [nominal for _, nominal, _ in tasks]
@@ -402,15 +405,15 @@ def found_of(
     nominal: NominalPath,
     theta: FloatArray,
     faces: NDArray[np.int64],
-) -> Found:
+) -> Detected:
     """Return candidate c of those that were judged together, with its score and failure.
 
     A nominal state outside of the workspace fails: no certificate is made of it.
     """
     worth, spreads, feedback = judged
     values = values if is_inside(nominal) else (values[0], 1.0)
-    alone = Feedback(feedback.gains[c : c + 1], feedback.slabs[c : c + 1])
-    return Found(*values, nominal, alone, theta, faces, spreads.of(c), worth.weakest(c))
+    alone = Feedback(feedback.gains[c : c + 1], feedback.strips[c : c + 1])
+    return Detected(*values, nominal, alone, theta, faces, spreads.of(c), worth.weakest(c))
 
 
 def is_inside(nominal: NominalPath) -> bool:
@@ -426,17 +429,17 @@ def feedback_of(
     d, m = search.agent.n_states, search.agent.n_inputs
     base = np.concatenate([1.0 / (0.05 * search.width) ** 2, 1.0 / search.half**2, [1.0]])
     weights = base * np.exp(np.clip(thetas[:, : d + m + 1], -16.0, 16.0))
-    slabs = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 : 3 * d + 2 * m + 1], -1.5, 1.5))
-    slabs[:, list(search.model.watched)] = search.model.width
-    # Noise that varies has a slab, or none at all.
-    slabs[:, d + m :] = np.where(
-        thetas[:, 2 * d + 2 * m + 1 : 3 * d + 2 * m + 1] > 0.0, np.inf, 1.4 * slabs[:, d + m :]
+    strips = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 : 3 * d + 2 * m + 1], -1.5, 1.5))
+    strips[:, list(search.model.watched)] = search.model.width
+    # Noise that varies has a strip, or none at all.
+    strips[:, d + m :] = np.where(
+        thetas[:, 2 * d + 2 * m + 1 : 3 * d + 2 * m + 1] > 0.0, np.inf, 1.4 * strips[:, d + m :]
     )
     low, high = search.agent.input_low, search.agent.input_high
     A, B = (np.stack([path.linear[k] for path in paths], axis=1)[:, which] for k in (0, 1))
     inputs = np.stack([path.inputs for path in paths], axis=1)[:, which]
-    gains = regulators(A, B, weights, (inputs <= low) | (inputs >= high))
-    each = np.repeat(slabs[:, None], gains.shape[1] + 1, axis=1)
+    gains = feedback_gains(A, B, weights, (inputs <= low) | (inputs >= high))
+    each = np.repeat(strips[:, None], gains.shape[1] + 1, axis=1)
     if np.any(search.model.bent_outputs):
         counts = np.stack([np.isfinite(path.limits.outputs).sum(axis=(0, 2)) for path in paths])
         asked = (counts > counts[:, 1:].min(axis=1, keepdims=True))[which]

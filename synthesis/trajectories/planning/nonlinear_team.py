@@ -19,11 +19,11 @@ from ...relations.grids import FloatArray, NoRunFound, RelationRefused
 from ..chance_constraints import corners_along, most_missed, satisfies
 from ..words import HALVES, Plan, letters_of, with_windows
 from .counted_work import CountedWork
-from .nonlinear_search import GOOD, Found, NonlinearSearch
-from .polish import polished
+from .coupled_trajectories import Ties
+from .local_refinement import polished
+from .nonlinear_search import GOOD, Detected, NonlinearSearch
+from .schedules import plans_of_runs, runs_in_turn
 from .team_search import TeamFound, TeamSearch, search_key
-from .tied_paths import Ties
-from .turns import plans_of_runs, runs_in_turn
 
 MOST_PLANS, MOST_HOPELESS = 6, 18
 """Ways with times that are tried at first, and as long as none of them can be followed at all."""
@@ -82,7 +82,7 @@ PlansOf = Callable[[Problem], Iterable[Plan]]
 def refuse_other_noise(agent: AnyAgent) -> None:
     """Raise RelationRefused where no law with exponential moments is known above the noise of an agent."""
     for law in agent.laws or ():
-        if law.majorant is None:
+        if law.envelope is None:
             raise RelationRefused(
                 f"agent `{agent.name}`: paths are for noise of which exponential moments are known, got {law.name}; "
                 "grids know it"
@@ -98,7 +98,7 @@ class Refined:
 
     times: tuple[int, ...]
     letters: NDArray[np.int8]
-    found: Sequence[Found]
+    found: Sequence[Detected]
     failure: float
     weakest: str
     normals: FloatArray | None = None
@@ -112,7 +112,7 @@ class Refined:
 class _Apart:
     """Nonlinear paths of all agents for letters; what depends on an agent's own letters is searched once."""
 
-    seen: list[tuple[float, Plan, NDArray[np.int8], list[Found]]]
+    seen: list[tuple[float, Plan, NDArray[np.int8], list[Detected]]]
 
     def __init__(self, problem: Problem, work: CountedWork) -> None:
         self.problem, self.work = problem, work
@@ -120,13 +120,13 @@ class _Apart:
         self.ties = Ties(problem, self.searches)
         # Whoever names others has a path that fits theirs, and nobody else's.
         self.alike = [i if self.ties.are_any else self._alike(i) for i in range(problem.n_agents)]
-        self.known: dict[object, tuple[int, Found] | None] = {}
+        self.known: dict[object, tuple[int, Detected] | None] = {}
         self.warm: list[FloatArray | None] = [None] * problem.n_agents
         self.seen, self.done, self.crossings = [], dict[object, Refined](), set[bytes]()
         self.stopped = ""
 
     @property
-    def best(self) -> tuple[float, Plan, NDArray[np.int8], list[Found]] | None:
+    def best(self) -> tuple[float, Plan, NDArray[np.int8], list[Detected]] | None:
         """The best plan after little work."""
         return min(self.seen, key=lambda one: one[0], default=None)
 
@@ -198,7 +198,7 @@ class _Apart:
         if self.ties.are_any or best.failure <= GOOD or key in self.crossings:
             return best
         self.crossings.add(key)
-        tried: list[tuple[float, NDArray[np.int8], list[Found]]] = []
+        tried: list[tuple[float, NDArray[np.int8], list[Detected]]] = []
         drawn = [deepcopy((search.rng, search.narrowing)) for search in self.searches]
         for half in HALVES:
             letters = with_windows(self.problem, best.letters, half)
@@ -237,7 +237,7 @@ class _Apart:
         each = self._once(plan.letters, plan.found, lambda search, _, path: polished(search, path, generations))
         return _refined(self.problem, plan.times, plan.letters, each)
 
-    def _full(self, letters: NDArray[np.int8], found: Sequence[Found]) -> list[Found]:
+    def _full(self, letters: NDArray[np.int8], found: Sequence[Detected]) -> list[Detected]:
         """Return the paths of all agents after more work."""
         if not self.ties.are_any:
             return self._once(letters, found, NonlinearSearch.full)
@@ -247,11 +247,11 @@ class _Apart:
     def _once(
         self,
         letters: NDArray[np.int8],
-        found: Sequence[Found],
-        better: Callable[[NonlinearSearch, NDArray[np.int8], Found], Found],
-    ) -> list[Found]:
+        found: Sequence[Detected],
+        better: Callable[[NonlinearSearch, NDArray[np.int8], Detected], Detected],
+    ) -> list[Detected]:
         """Return what is made of the paths of all agents: once for those that are alike, with equal letters."""
-        done, result = dict[object, tuple[int, Found]](), list[Found]()
+        done, result = dict[object, tuple[int, Detected]](), list[Detected]()
         for i, (search, one) in enumerate(zip(self.searches, found, strict=True)):
             key = self._key(i, letters)
             if key not in done:
@@ -263,7 +263,7 @@ class _Apart:
         """Return what two agents have in common that have equal paths: what they are, and their own letters."""
         return self.alike[i], letters[:, self._own(i)].tobytes(), len(letters)
 
-    def _moved(self, j: int, found: Found, i: int) -> Found:
+    def _moved(self, j: int, found: Detected, i: int) -> Detected:
         """Return a path of agent j as one of agent i, which is like it."""
         if i == j:
             return found
@@ -295,7 +295,7 @@ def any_failure(problem: Problem, failures: Sequence[float]) -> float:
     return float(-np.expm1(sum(np.log1p(-min(failure, HOPELESS)) for failure in failures)))
 
 
-def _refined(problem: Problem, times: tuple[int, ...], letters: NDArray[np.int8], found: Sequence[Found]) -> Refined:
+def _refined(problem: Problem, times: tuple[int, ...], letters: NDArray[np.int8], found: Sequence[Detected]) -> Refined:
     """Return a plan of agents that do not look at each other."""
     failure = any_failure(problem, [one.failure for one in found])
     return Refined(times, letters, found, failure, max(found, key=lambda one: one.failure).weakest)

@@ -20,25 +20,25 @@ from ...certificates.controllers import covariances_of, nominal_states
 from ...certificates.proofs import AgentPath, Certificate, PathProof, Synthesis
 from ...relations.grids import FloatArray, NoRunFound, RelationRefused
 from ..chance_constraints import (
-    Drifts,
-    Slabs,
+    LinearizationErrors,
+    StripConstraints,
     corners_along,
     failure_of,
     farthest_sides,
-    input_slabs,
+    input_strips,
     limits_of,
-    state_slabs,
+    state_strips,
     without_far_ends,
 )
 from ..words import (
+    AutomatonPath,
     Cube,
     Plan,
     Reach,
-    Way,
+    automaton_paths_of,
     letters_of,
     segmented_ways,
     timed_ways,
-    ways_of,
     whatever_others_do,
     without_needless,
 )
@@ -46,7 +46,7 @@ from .angle_paths import along_angles
 from .counted_work import CountedWork
 from .nominal import ENOUGH, Response, nominal_inputs
 from .nonlinear_team import any_failure, nonlinear_certificate, refuse_other_noise
-from .turns import plans_of_runs
+from .schedules import plans_of_runs
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
 """Costs of inputs, against states, of the feedbacks that are tried."""
@@ -169,9 +169,9 @@ def _plans(problem: Problem) -> Iterator[Plan]:
     Where regions move, jumps are at the nearest times at which what they ask for can hold. The next way is begun before
     further times of those before it: a way may ask for something that cannot be.
     """
-    drifts = Drifts(problem)
+    linearization_errors = LinearizationErrors(problem)
     begun = list[Iterator[Plan]]()
-    ways: Iterator[Iterator[Plan]] = (_timed(problem, drifts, way) for way in ways_of(problem))
+    ways: Iterator[Iterator[Plan]] = (_timed(problem, linearization_errors, way) for way in automaton_paths_of(problem))
     # Plans of teams that are compared take seconds: no two ways that are read alike.
     ways = _different(problem, ways) if problem.labeling.pairs else ways
     while True:
@@ -197,7 +197,7 @@ def _different(problem: Problem, ways: Iterator[Iterator[Plan]]) -> Iterator[Ite
             yield chain([first], plans)
 
 
-def _timed(problem: Problem, drifts: Drifts, way: Way) -> Iterator[Plan]:
+def _timed(problem: Problem, linearization_errors: LinearizationErrors, way: AutomatonPath) -> Iterator[Plan]:
     """Yield a way with times of its jumps."""
     n, seen = len(way.jumps), set[tuple[int, ...]]()
     if n > problem.horizon or (n == 0 and problem.automaton.is_co_safe):
@@ -209,21 +209,21 @@ def _timed(problem: Problem, drifts: Drifts, way: Way) -> Iterator[Plan]:
             times = _nearest_times(problem, way, times)
         if len(times) == n and times not in seen and all(a < b for a, b in zip(times, times[1:])):
             seen.add(times)
-            yield from _possible(problem, drifts, way, times)
+            yield from _possible(problem, linearization_errors, way, times)
 
 
 def _timed_plans(problem: Problem) -> Iterator[Plan]:
     """Yield words of visits at times of their own."""
-    drifts = Drifts(problem)
+    linearization_errors = LinearizationErrors(problem)
     for way, times in timed_ways(problem):
-        yield from _possible(problem, drifts, way, times)
+        yield from _possible(problem, linearization_errors, way, times)
 
 
 def _segmented_plans(problem: Problem) -> Iterator[Plan]:
     """Yield words of few cubes, each read from some time on."""
-    drifts = Drifts(problem)
+    linearization_errors = LinearizationErrors(problem)
     for way, times in segmented_ways(problem):
-        yield from _possible(problem, drifts, way, times)
+        yield from _possible(problem, linearization_errors, way, times)
 
 
 def _plans_whatever_others_do(problem: Problem) -> Iterator[Plan]:
@@ -239,15 +239,17 @@ SOURCES = (_plans_whatever_others_do, _plans, _segmented_plans, _timed_plans)
 """Where plans come from, in the order in which they are asked: the next one only where those before gave too little."""
 
 
-def _possible(problem: Problem, drifts: Drifts, way: Way, times: tuple[int, ...]) -> Iterator[Plan]:
+def _possible(
+    problem: Problem, linearization_errors: LinearizationErrors, way: AutomatonPath, times: tuple[int, ...]
+) -> Iterator[Plan]:
     """Yield the plan of a way with times, unless agents that nobody steers rule it out."""
     steps = times[-1] if problem.automaton.is_co_safe else problem.horizon
     letters = way.letters(times, steps, len(problem.automaton.propositions))
-    if letters is not None and drifts.may_read(without_needless(problem, letters)):
+    if letters is not None and linearization_errors.may_read(without_needless(problem, letters)):
         yield Plan(way, times, steps)
 
 
-def _nearest_times(problem: Problem, way: Way, times: tuple[int, ...]) -> tuple[int, ...]:
+def _nearest_times(problem: Problem, way: AutomatonPath, times: tuple[int, ...]) -> tuple[int, ...]:
     """Return the times nearest to those of jumps at which what they ask for does not pass or close; or fewer."""
     found: list[int] = []
     for cube, wanted in zip(way.jumps, times, strict=True):
@@ -369,12 +371,12 @@ class _Finder:
             covariances = covariances_of(agent, gain, steps)
             if not np.all(np.isfinite(covariances)):
                 continue
-            inputs = input_slabs(agent, gain, covariances, steps)
+            inputs = input_strips(agent, gain, covariances, steps)
             u: FloatArray | None = None
             avoided = bool(np.any(letters[1:, own] < 0))
             for _ in range(FACE_ROUNDS if avoided else 1):
                 faces = chosen_faces(self.problem, i, letters, agent, u)
-                states = state_slabs(limits_of(self.problem, i, letters, faces), covariances)
+                states = state_strips(limits_of(self.problem, i, letters, faces), covariances)
                 if np.any(states.are_empty):
                     continue  # regions that do not meet, or hardly, on this side
                 # Without noise in a limit only the nominal path counts; the start is exact.
@@ -388,7 +390,7 @@ class _Finder:
         return best
 
 
-def failure_along(agent: LinearAgent, u: FloatArray, states: Slabs, inputs: Slabs) -> float:
+def failure_along(agent: LinearAgent, u: FloatArray, states: StripConstraints, inputs: StripConstraints) -> float:
     """Return an upper bound on the probability that an inequality fails along the path of nominal inputs (S, m)."""
     path = nominal_states(agent, u)
     size = np.abs(path).max(axis=0)

@@ -40,7 +40,7 @@ from ...checker import (
     walk,
 )
 from ...relations.grids import FloatArray, RelationRefused
-from ...relations.kinds import NetworkPolicy, WrittenPolicy
+from ...relations.kinds import NetworkPolicy, SymbolicPolicy
 
 LOST = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
 """Probabilities, of all ellipsoids of an agent together, that radii are chosen for, the widest tubes first."""
@@ -80,7 +80,7 @@ class _Margins:
     normals: FloatArray
 
 
-def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | WrittenPolicy]) -> AlongPath:
+def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | SymbolicPolicy]) -> AlongPath:
     """Return the best certificate of networks as they are, along their run without noise.
 
     Raises
@@ -122,7 +122,7 @@ def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | WrittenP
 
 def _proved(
     problem: Problem,
-    policies: Sequence[NetworkPolicy | WrittenPolicy],
+    policies: Sequence[NetworkPolicy | SymbolicPolicy],
     run: _Run,
     letters: NDArray[np.int8],
     margins: _Margins,
@@ -135,7 +135,7 @@ def _proved(
 
 def _widest(
     problem: Problem,
-    policies: Sequence[NetworkPolicy | WrittenPolicy],
+    policies: Sequence[NetworkPolicy | SymbolicPolicy],
     run: _Run,
     margins: _Margins,
     best: AlongPath,
@@ -160,7 +160,7 @@ def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
     return f"most probable is that {worst.removeprefix('; most probable: ')} fails"
 
 
-def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkPolicy | WrittenPolicy]) -> _Run:
+def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkPolicy | SymbolicPolicy]) -> _Run:
     """Return the run without noise, and the times by which it has been accepted."""
     x = [0.5 * (agent.initial.low + agent.initial.high) for agent in problem.agents]
     q, automaton, T = int(problem.initial_q or 0), problem.automaton, problem.horizon
@@ -213,7 +213,7 @@ def _radii(problem: Problem, steps: int, lost: float) -> tuple[float, ...]:
 
 def _certificate(
     problem: Problem,
-    policies: Sequence[NetworkPolicy | WrittenPolicy],
+    policies: Sequence[NetworkPolicy | SymbolicPolicy],
     run: _Run,
     letters: NDArray[np.int8],
     margins: _Margins | None,
@@ -223,8 +223,8 @@ def _certificate(
     steps, paths = len(letters) - 1, []
     for agent, states, inputs in zip(problem.agents, run.states, run.inputs, strict=True):
         d, m = agent.n_states, agent.n_inputs
-        slabs = np.full((steps + 1, 2 * d + m), np.inf)
-        paths.append(AgentPath(inputs[:steps], np.zeros((steps, m, d)), states[: steps + 1], slabs))
+        strips = np.full((steps + 1, 2 * d + m), np.inf)
+        paths.append(AgentPath(inputs[:steps], np.zeros((steps, m, d)), states[: steps + 1], strips))
     faces = np.full(letters.shape, -1) if margins is None else margins.faces[: steps + 1]
     normals = None
     if problem.labeling.pairs:
@@ -236,7 +236,7 @@ def _certificate(
 
 
 def _margins(
-    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[NetworkPolicy | WrittenPolicy], lost: float
+    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[NetworkPolicy | SymbolicPolicy], lost: float
 ) -> _Margins:
     """Return how far all literals of the run are away, in deviations, on the tube of some radii."""
     certificate = _certificate(problem, policies, run, run.letters, None, lost)
@@ -253,10 +253,10 @@ def _margins(
         if not asked:
             continue
         rows, values = linear_forms(joint, tube, [part for *_, part in asked])
-        drift, spread = joint.errors.rows(rows)
+        linearization_error, spread = joint.errors.rows(rows)
         each = dict[tuple[int, int], tuple[float, int, FloatArray | None]]()
         for k, (p, face, normal, part) in enumerate(asked):
-            value = values[:, k] + drift[:, k]
+            value = values[:, k] + linearization_error[:, k]
             room = min(value[0] - part.low, part.high - value[1])
             sigma = float(np.sqrt(spread.variance[k]))
             far = room / sigma if sigma > 0.0 else np.inf if room > 0.0 else -np.inf

@@ -1,7 +1,10 @@
-"""Accepted words: which letters of the automaton a trajectory goes through, and when."""
+"""Accepted words, read along a trajectory.
+
+Accepted words: which letters of the automaton a trajectory goes through, and when.
+"""
 
 from .accepted_words import targets_of, without_needless
-from .automaton_paths import Cube, Plan, Way, cubes_of, letters_of, ways_of
+from .automaton_paths import AutomatonPath, Cube, Plan, automaton_paths_of, cubes_of, letters_of
 from .safe_reach import Reach, whatever_others_do
 from .segments import segmented_ways
 from .timed_words import fastest_moves, spans_of, timed_ways
@@ -12,7 +15,7 @@ __all__ = [
     "HALVES",
     "Plan",
     "Reach",
-    "Way",
+    "AutomatonPath",
     "cubes_of",
     "fastest_moves",
     "letters_of",
@@ -20,7 +23,7 @@ __all__ = [
     "spans_of",
     "targets_of",
     "timed_ways",
-    "ways_of",
+    "automaton_paths_of",
     "whatever_others_do",
     "with_windows",
     "without_needless",

@@ -45,7 +45,7 @@ Cube = tuple[tuple[int, bool], ...]
 
 
 @dataclass(frozen=True)
-class Way:
+class AutomatonPath:
     """What is read: the cube of each stay (None where there is none), and of each jump from one stay to the next.
 
     As a rule stays and jumps are those in the automaton. Where another cube is read from some time on, though, that is
@@ -92,12 +92,12 @@ class Way:
 class Plan(NamedTuple):
     """A way with the times of its jumps, over some steps."""
 
-    way: Way
+    way: AutomatonPath
     times: tuple[int, ...]
     steps: int
 
 
-def ways_of(problem: Problem) -> Iterator[Way]:
+def automaton_paths_of(problem: Problem) -> Iterator[AutomatonPath]:
     """Yield ways from the state after the first letter to acceptance, the shortest first."""
     automaton = problem.automaton
     start = problem.initial_q
@@ -113,7 +113,7 @@ def ways_of(problem: Problem) -> Iterator[Way]:
         for number, choice in enumerate(product(*loops, *edges)):
             if number >= MOST_CHOICES:
                 break
-            yield Way(choice[: len(loops)], choice[len(loops) :])  # type: ignore[arg-type]
+            yield AutomatonPath(choice[: len(loops)], choice[len(loops) :])  # type: ignore[arg-type]
 
 
 def _state_sequences(problem: Problem, cubes: dict[int, dict[int, list[Cube]]], start: int) -> list[tuple[int, ...]]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ....envs.tasks.problem import Problem
 from .accepted_words import course_of, targets_of
-from .automaton_paths import Cube, Way, cubes_of
+from .automaton_paths import AutomatonPath, Cube, cubes_of
 from .exclusions import exclusions
 
 MOST_CUBES = 8
@@ -42,7 +42,7 @@ States = int
 """States of the automaton that words which agree with what is read may lead to, as bits."""
 
 
-def segmented_ways(problem: Problem) -> Iterator[tuple[Way, tuple[int, ...]]]:
+def segmented_ways(problem: Problem) -> Iterator[tuple[AutomatonPath, tuple[int, ...]]]:
     """Yield ways of few cubes that the automaton accepts, with the times of their jumps: one of each number in turn."""
     if problem.initial_q is None:
         return
@@ -51,7 +51,7 @@ def segmented_ways(problem: Problem) -> Iterator[tuple[Way, tuple[int, ...]]]:
     yield from (found for row in zip_longest(*rows) for found in row if found is not None)
 
 
-def _of_number(words: _Words, n: int) -> Iterator[tuple[Way, tuple[int, ...]]]:
+def _of_number(words: _Words, n: int) -> Iterator[tuple[AutomatonPath, tuple[int, ...]]]:
     """Yield the ways of n cubes."""
     problem = words.problem
     late = problem.horizon * (1.0 if problem.automaton.is_co_safe else LATE)
@@ -158,16 +158,18 @@ class _Words:
         return cube
 
 
-def way_of(problem: Problem, cubes: tuple[Cube, ...], times: tuple[int, ...], end: int) -> tuple[Way, tuple[int, ...]]:
+def way_of(
+    problem: Problem, cubes: tuple[Cube, ...], times: tuple[int, ...], end: int
+) -> tuple[AutomatonPath, tuple[int, ...]]:
     """Return the way of a word of cubes, the second and later ones from some times on, with the times of its jumps.
 
     The word ends at a step; after acceptance nothing is asked for.
     """
     if not problem.automaton.is_co_safe:
-        return Way(cubes, cubes[1:]), times
+        return AutomatonPath(cubes, cubes[1:]), times
     if times and end == times[-1]:
-        return Way((*cubes[:-1], ()), cubes[1:]), times
-    return Way((*cubes, ()), (*cubes[1:], cubes[-1])), (*times, end)
+        return AutomatonPath((*cubes[:-1], ()), cubes[1:]), times
+    return AutomatonPath((*cubes, ()), (*cubes[1:], cubes[-1])), (*times, end)
 
 
 def _asks(cube: Cube) -> tuple[int, int, Cube]:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from ....envs.systems.agents import AnyAgent
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
-from ..chance_constraints import Drifts, NonlinearModel, corners_along
+from ..chance_constraints import LinearizationErrors, NonlinearModel, corners_along
 from .accepted_words import targets_of
-from .automaton_paths import Way, cubes_of
+from .automaton_paths import AutomatonPath, cubes_of
 from .exclusions import exclusions
 from .segments import way_of
 
@@ -44,7 +44,7 @@ SAMPLES, FASTER = 2_000, 1.2
 """Random states and inputs from which the largest move within a step is known, and by what factor it may be larger."""
 
 
-def timed_ways(problem: Problem) -> Iterator[tuple[Way, tuple[int, ...]]]:
+def timed_ways(problem: Problem) -> Iterator[tuple[AutomatonPath, tuple[int, ...]]]:
     """Yield ways of visits that the automaton accepts, with the times of their jumps, those of slow agents first."""
     if problem.initial_q is None:
         return
@@ -89,7 +89,7 @@ class _Visits:
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.automaton = problem, problem.automaton
-        self.told = Drifts(problem).letters
+        self.told = LinearizationErrors(problem).letters
         self.letters = self._letters()
         self.low, self.high = self._regions()
         self.asks = np.isfinite(self.low) | np.isfinite(self.high)

@@ -19,22 +19,22 @@ class ExactLaw:
 
     law: Law
 
-    def exact_above(self, x: Any) -> Any:
+    def sf_ball(self, x: Any) -> Any:
         """Probability of more than x."""
         if self.law.name not in ABOVE:
             raise NotImplementedError(f"the law {self.law.name!r}, whose probabilities are numbers of its author")
         return ABOVE[self.law.name](self.law, x)
 
-    def exact_below(self, x: Any) -> Any:
+    def cdf_ball(self, x: Any) -> Any:
         """Probability of at most x."""
         law: Any = self.law
         if law.name in ("uniform", "triangular"):
-            return 1 - self.exact_above(x)
+            return 1 - self.sf_ball(x)
         if isinstance(law, TruncatedGaussian):
-            return ExactLaw(TruncatedGaussian(law.spread, -law.high, -law.low)).exact_above(-x)
+            return ExactLaw(TruncatedGaussian(law.spread, -law.high, -law.low)).sf_ball(-x)
         if isinstance(law, Mixture):
-            return _weighed(law, [ExactLaw(part).exact_below(x - m) for m, part in zip(law.means, law.laws)])
-        return self.exact_above(-x)  # symmetric about 0
+            return _weighed(law, [ExactLaw(part).cdf_ball(x - m) for m, part in zip(law.means, law.laws)])
+        return self.sf_ball(-x)  # symmetric about 0
 
     def exact_mean(self, a: Any, b: Any) -> Any:
         """Expectation of the noise where it is between the balls a and b, else 0."""
@@ -85,7 +85,7 @@ def _truncated(law: Any, x: Any) -> Any:
 
 
 def _mixture(law: Any, x: Any) -> Any:
-    return _weighed(law, [ExactLaw(part).exact_above(x - m) for m, part in zip(law.means, law.laws)])
+    return _weighed(law, [ExactLaw(part).sf_ball(x - m) for m, part in zip(law.means, law.laws)])
 
 
 def _weighed(law: Any, parts: list[Any]) -> Any:
@@ -109,8 +109,6 @@ ABOVE: dict[str, Callable[[Any, Any], Any]] = {
     "logistic": lambda law, x: 1 / (1 + (x / law.scale).exp()),
     "student-t": _student_t,
     "truncated-gaussian": _truncated,
-    "mixture": lambda law, x: _weighed(
-        law, [ExactLaw(part).exact_above(x - m) for m, part in zip(law.means, law.laws)]
-    ),
+    "mixture": lambda law, x: _weighed(law, [ExactLaw(part).sf_ball(x - m) for m, part in zip(law.means, law.laws)]),
 }
 """Probabilities of more than x, by names of laws."""

@@ -12,7 +12,7 @@ from flint import arb, arb_mat
 from numpy.typing import NDArray
 
 from certigym.envs.systems.agents import AnyAgent
-from certigym.synthesis.certificates.cell_probabilities import AgentPart, axis_tables, kernel_key
+from certigym.synthesis.certificates.cell_probabilities import AgentRecord, axis_tables, kernel_key
 from certigym.synthesis.relations.grids import CellAxis, FloatArray, MeanAxis, ScaleAxis, points_by_axis
 
 from .ball_laws import ExactLaw
@@ -55,23 +55,23 @@ class Normal:
         self.latest[id(x)] = x, tail, density  # x is kept, so that no other ball has its number
         return tail, density
 
-    def exact_above(self, x: Any) -> Any:
+    def sf_ball(self, x: Any) -> Any:
         """Probability of more than x."""
         tail = self._near(x)[0]
         if x > 0:
             return tail
         return 1 - tail if x < 0 else tail.union(1 - tail)
 
-    def exact_below(self, x: Any) -> Any:
+    def cdf_ball(self, x: Any) -> Any:
         """Probability of at most x."""
-        return self.exact_above(-x)
+        return self.sf_ball(-x)
 
     def exact_mean(self, a: Any, b: Any) -> Any:
         """Expectation between a and b."""
         return self.deviation * (self._near(a)[1] - self._near(b)[1])
 
 
-def _laws(agent: AnyAgent, part: AgentPart) -> list[Any]:
+def _laws(agent: AnyAgent, part: AgentRecord) -> list[Any]:
     """The law of the noise along every grid axis; deviations of normal ones are balls."""
     if agent.laws is not None:
         return [ExactLaw(law) for law in agent.laws]
@@ -80,7 +80,7 @@ def _laws(agent: AnyAgent, part: AgentPart) -> list[Any]:
     return [Normal(variance.sqrt()) for variance in variances]
 
 
-def masses(memory: Memory, agent: AnyAgent, part: AgentPart, tables: Sequence[FloatArray]) -> Proof:
+def masses(memory: Memory, agent: AnyAgent, part: AgentRecord, tables: Sequence[FloatArray]) -> Proof:
     """Masses of cells are below the truth, in all rows that a policy reads; how much rows lack is remembered."""
     key, used = kernel_key(agent, part), _used(part)
     points = points_by_axis(agent, part.lattice)
@@ -110,7 +110,7 @@ def masses(memory: Memory, agent: AnyAgent, part: AgentPart, tables: Sequence[Fl
     return total, failures
 
 
-def _used(part: AgentPart) -> list[NDArray[np.int64]] | None:
+def _used(part: AgentRecord) -> list[NDArray[np.int64]] | None:
     """Lattice points of every axis that policies read; None if they read between them."""
     if not part.is_additive:
         return None
@@ -140,7 +140,7 @@ class _Tails:
     def _at(self, k: int) -> tuple[bool, Any]:
         if k not in self.known:
             right = bool(self.x[k] > 0)
-            self.known[k] = right, self.law.exact_above(self.x[k]) if right else self.law.exact_below(self.x[k])
+            self.known[k] = right, self.law.sf_ball(self.x[k]) if right else self.law.cdf_ball(self.x[k])
         return self.known[k]
 
     def between(self, a: int, b: int) -> Any:
@@ -151,7 +151,7 @@ class _Tails:
         return 1 - left - right
 
 
-def lost(memory: Memory, agent: AnyAgent, part: AgentPart, value: float) -> Proof:
+def lost(memory: Memory, agent: AnyAgent, part: AgentRecord, value: float) -> Proof:
     """What rows of masses lack is no more than is said."""
     count, failures = masses(memory, agent, part, axis_tables(agent, part, {}))
     if not memory.missing(agent, part) <= value:
@@ -159,7 +159,7 @@ def lost(memory: Memory, agent: AnyAgent, part: AgentPart, value: float) -> Proo
     return count, failures
 
 
-def hats(memory: Memory, agent: AnyAgent, part: AgentPart, tables: Sequence[FloatArray], value: float) -> Proof:
+def hats(memory: Memory, agent: AnyAgent, part: AgentRecord, tables: Sequence[FloatArray], value: float) -> Proof:
     """Masses of both hats of every cell are below the truth, and rows lack no more than is said."""
     # Agents with equal noise and cells have equal tables.
     key = (kernel_key(agent, part), *(table.tobytes() for table in tables))

@@ -7,7 +7,7 @@ from typing import Any
 from flint import arb
 
 from certigym.envs.systems.agents import AnyAgent
-from certigym.synthesis.certificates.cell_probabilities import AgentPart, kernel_key
+from certigym.synthesis.certificates.cell_probabilities import AgentRecord, kernel_key
 
 UNIT = 2.0**-53
 
@@ -27,7 +27,7 @@ class Memory:
         self.hats: dict[object, Any] = {}
         self.sums = self.differences = 0.0
 
-    def missing(self, agent: AnyAgent, part: AgentPart) -> Any:
+    def missing(self, agent: AnyAgent, part: AgentRecord) -> Any:
         """What the rows of an agent that were proved lack at most, all axes together."""
         key = kernel_key(agent, part)
         return sum((self.deficits.get((key, k), arb(0)) for k in range(len(part.grid.shape))), arb(0))

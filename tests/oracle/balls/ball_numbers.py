@@ -10,7 +10,7 @@ import numpy as np
 from flint import arb, arb_mat
 from numpy.typing import NDArray
 
-from certigym.synthesis.certificates.cell_probabilities import AgentPart
+from certigym.synthesis.certificates.cell_probabilities import AgentRecord
 from certigym.synthesis.relations.grids import FloatArray
 
 from .ball_memory import Memory, Proof
@@ -36,7 +36,7 @@ class Functions:
         return x.beta_lower(arb(a), arb(b), True)
 
 
-def charge(memory: Memory, exact: Callable[..., Any], law: Any, step: float, value: float) -> Proof:
+def interpolation_error(memory: Memory, exact: Callable[..., Any], law: Any, step: float, value: float) -> Proof:
     """What interpolation adds: the same formula in balls."""
     return 1, [] if value == math.inf or exact(law, step, Functions()) <= value else [
         f"a charge of {law} was not proved"
@@ -79,7 +79,7 @@ def angles(memory: Memory, middle: Any, corners: Any, found: Any, off: FloatArra
     return len(x) * 5, ["the angle of an input was not proved"] if wrong else []
 
 
-def start(memory: Memory, part: AgentPart, at: FloatArray, points: FloatArray, own: NDArray[np.bool_]) -> Proof:
+def start(memory: Memory, part: AgentRecord, at: FloatArray, points: FloatArray, own: NDArray[np.bool_]) -> Proof:
     """A start is in the cell that it is taken to be in; coordinates that are states are read as they are."""
     exact = np.array(arb_mat(part.coordinates.tolist()).inv().tolist(), dtype=object) @ balls(at)
     for edges, x, point, is_state in zip(part.grid.edges, exact, points.tolist(), own.tolist(), strict=True):

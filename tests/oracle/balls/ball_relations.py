@@ -11,7 +11,7 @@ from flint import arb, arb_mat
 from scipy.optimize import minimize_scalar
 
 from certigym.envs.systems.agents import LinearAgent
-from certigym.synthesis.certificates.cell_probabilities import AgentPart
+from certigym.synthesis.certificates.cell_probabilities import AgentRecord
 from certigym.synthesis.extended_check.steps import MOST_TERMS, cell_boxes
 from certigym.synthesis.relations.grids import FloatArray
 from certigym.synthesis.relations.kinds import CoupledRelation, ExactRelation
@@ -20,7 +20,7 @@ from .ball_memory import UNIT, Balls, Memory, Proof
 from .ball_spans import balls
 
 
-def aims(memory: Memory, agent: LinearAgent, part: AgentPart, relation: ExactRelation, off: FloatArray) -> Proof:
+def aims(memory: Memory, agent: LinearAgent, part: AgentRecord, relation: ExactRelation, off: FloatArray) -> Proof:
     """Means ``A x + B (R (z - d - A_r x) + mid) + c`` miss z by no more than is said."""
     C = balls(part.coordinates)
     inverse = np.array(arb_mat(part.coordinates.tolist()).inv().tolist(), dtype=object)
@@ -39,7 +39,7 @@ def aims(memory: Memory, agent: LinearAgent, part: AgentPart, relation: ExactRel
 
 
 def targets(
-    memory: Memory, agent: LinearAgent, part: AgentPart, relation: ExactRelation, choices: Any, rounding: FloatArray
+    memory: Memory, agent: LinearAgent, part: AgentRecord, relation: ExactRelation, choices: Any, rounding: FloatArray
 ) -> Proof:
     """Every target of every cell takes inputs of the box only, from all points of the cell."""
     A_r, R = balls(relation.A), balls(relation.right_inverse)
@@ -62,7 +62,7 @@ def targets(
 
 
 def disturbance(
-    memory: Memory, part: AgentPart, relation: CoupledRelation, rounding: FloatArray, value: FloatArray
+    memory: Memory, part: AgentRecord, relation: CoupledRelation, rounding: FloatArray, value: FloatArray
 ) -> Proof:
     """Half the widest cell, what means are snapped by where something is chosen, and rounding."""
     assert part.menu is not None

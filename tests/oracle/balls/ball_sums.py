@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from flint import arb
 
-from certigym.synthesis.certificates.cell_probabilities import AgentPart
+from certigym.synthesis.certificates.cell_probabilities import AgentRecord
 from certigym.synthesis.certificates.proofs import OnGrid
 from certigym.synthesis.extended_check.steps import places_of
 
@@ -22,13 +22,13 @@ def _operations(certificate: OnGrid) -> int:
     for part in proof.agents:
         total += places_of(part) + 8 * len(part.grid.shape)  # its start
         horizon += _smoothed(part)
-    for step in certificate.proof.skeleton:
+    for step in certificate.proof.merge_log:
         total += 2 * max((len(merges.into) for merges in step.merges), default=0)
         total += max((len(kept) for kept in step.kept), default=0)
     return total + certificate.problem.horizon * horizon
 
 
-def _smoothed(part: AgentPart) -> int:
+def _smoothed(part: AgentRecord) -> int:
     """Operations of a step of one agent: its tables, and reading between lattice points."""
     sides = 2 if part.is_linear else 1
     return sum(sides * n + 2 for n in part.grid.shape) + 64 * 2 ** len(part.grid.shape)

@@ -1,4 +1,7 @@
-"""Figures for papers and pages (matplotlib, loaded when a figure is drawn)."""
+"""Figures for papers and pages (matplotlib).
+
+Figures for papers and pages (matplotlib, loaded when a figure is drawn).
+"""
 
 from .certificate_figures import horizon_figure, rank_figure, relation_figure, value_figure
 from .comparison_figures import draw_comparison, draw_curves

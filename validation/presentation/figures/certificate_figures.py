@@ -235,7 +235,7 @@ def _counts(certificate: OnGrid) -> tuple[NDArray[Any], NDArray[Any]]:
         regrow_trains(certificate.problem, proof.agents, proof.guards, proof.rounding, note)
         ranks = np.array(columns[::-1]).T
         return ranks, ranks
-    steps, states = certificate.proof.skeleton, range(certificate.problem.automaton.n_states)
+    steps, states = certificate.proof.merge_log, range(certificate.problem.automaton.n_states)
     kept = [[len(step.kept[q]) for step in steps] for q in states]
     return np.array(kept), np.array([[len(step.origin[q]) for step in steps] for q in states])
 
@@ -284,7 +284,7 @@ def _followed(
     certificate: OnGrid, agent: int, k: int, seed: int
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Return times, states, cell centres and half widths of the relation, up to the step that decides the episode."""
-    from ....envs.simulation import worlds as core
+    from ....envs.simulation import batch_simulator as core
 
     loop = Loop(certificate.problem, certificate.controller, seed, 1)
     dynamics, policy = loop.arranged

@@ -216,12 +216,12 @@ Vertex = tuple[int, int]
 
 def _layers(certificate: OnGrid) -> list[dict[Vertex, list[Vertex]]]:
     """Return per time the vertices (automaton state, term) to which the start leads, each with its children."""
-    automaton, skeleton = certificate.problem.automaton, certificate.proof.skeleton
+    automaton, merge_log = certificate.problem.automaton, certificate.proof.merge_log
     started = dict.fromkeys(certificate.proof.start_target.tolist())
     roots = [(int(q), k) for q in started for k in range(len(certificate.proof.tree.index[q]))]
     layers: list[dict[Vertex, list[Vertex]]] = [{root: [] for root in roots}]
     # Follow the terms forward in time; only those that the start needs are drawn.
-    for step in skeleton:
+    for step in merge_log:
         following: dict[Vertex, list[Vertex]] = {}
         for (q, k), children in layers[-1].items():
             if automaton.finished[q]:

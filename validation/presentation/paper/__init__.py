@@ -1,4 +1,7 @@
-"""The paper's figures and tables, recomputed by the paper's own method."""
+"""The paper's figures and tables, recomputed.
+
+The paper's figures and tables, recomputed by the paper's own method.
+"""
 
 from .judged_lines import RECORDED, lines_text, summary_text
 from .refutation import refute_published

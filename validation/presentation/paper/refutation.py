@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.simulation import Dynamics, Worlds
-from ....envs.simulation import worlds as core
+from ....envs.simulation import batch_simulator as core
 from ....envs.suite import make_problem
 from ....synthesis.relations.grids import FloatArray
 from ....synthesis.verbs.synthesize import synthesize
 from ...statistical_tests import REFUTED, holm, p_at_least, validate
 from .published import INPUTS, PublishedStep, published_curve, published_grid
-from .reproduction import Found, Reproduction
+from .reproduction import Detected, Reproduction
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +151,9 @@ def refutation() -> Reproduction:
     return Reproduction({"the certificate at T = 6": _refuted}, _only)
 
 
-def _refuted() -> Found:
+def _refuted() -> Detected:
     result = refute_published()
-    return Found(result, f"{result['verdict']} at {result['refuted']} of {result['initial_states']} states")
+    return Detected(result, f"{result['verdict']} at {result['refuted']} of {result['initial_states']} states")
 
 
 def _only(found: Sequence[Any], out: Path) -> Any:

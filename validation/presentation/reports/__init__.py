@@ -1,4 +1,7 @@
-"""One page about a certificate: numbers, pictures, verdict."""
+"""One page about a certificate.
+
+One page about a certificate: numbers, pictures, verdict.
+"""
 
 from .gathering import report
 from .page_style import PATTERNS, STYLE

@@ -1,4 +1,7 @@
-"""A local page on which a task is drawn, written and certified."""
+"""A local page where a task is drawn and certified.
+
+A local page on which a task is drawn, written and certified.
+"""
 
 from .server import Studio, open_studio
 
