@@ -17,7 +17,7 @@ from certigym.cli.main import main
 from certigym.validation.presentation.paper import RECORDED, TARGETS, arch
 from certigym.validation.presentation.paper.judged_lines import Bound, Claim, Digits, judged_lines, lines_text
 from certigym.validation.presentation.paper.reproduce import fig3
-from certigym.validation.presentation.paper.reproduction import Detected, Reproduction
+from certigym.validation.presentation.paper.reproduction import PieceResult, Reproduction
 from certigym.validation.presentation.paper.targets import lines_of, target_of
 
 ROOT = Path(__file__).parents[2]
@@ -125,7 +125,7 @@ def test_a_number_that_falls_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert "higher" in lines_text(judged_lines("own", lines, record))
     # A row whose check fails certifies nothing, and the command says so by its status.
     failed = {"check": "NOT valid", "certified": 1.0, "published": None, "starts": None, "row": "bas-7"}
-    refused = Reproduction({"bas-7": lambda: Detected(failed, "nothing")}, lambda found, _: found)
+    refused = Reproduction({"bas-7": lambda: PieceResult(failed, "nothing")}, lambda found, _: found)
     monkeypatch.setattr("certigym.validation.presentation.paper.targets.arch", lambda _: refused)
     assert main(["reproduce", "arch", "--row", "bas-7", "--out", str(tmp_path / "out")]) == 1
 

@@ -16,7 +16,7 @@ from certigym.synthesis.certificates.proofs import AgentPath, AlongPath, PathPro
 from certigym.synthesis.policy_search.cell_certificates.agreement import agreed, agreed_path
 from certigym.synthesis.trajectories.chance_constraints import feedback_bounds
 from certigym.synthesis.trajectories.planning.counted_work import CountedWork
-from certigym.synthesis.trajectories.planning.nonlinear_search import Detected, NonlinearSearch
+from certigym.synthesis.trajectories.planning.nonlinear_search import FeedbackTrajectory, NonlinearSearch
 from fleet_problems import path_of
 from kinds import mostly_thorough
 
@@ -197,7 +197,7 @@ def noisy() -> cg.Problem:
     return bend(noise_covariance=noise, input_low=[-1, -1], input_high=[1, 1])
 
 
-def along(problem: cg.Problem) -> tuple[Detected, AlongPath]:
+def along(problem: cg.Problem) -> tuple[FeedbackTrajectory, AlongPath]:
     """What little work finds along a path, and its certificate."""
     certificate = path_of(problem)
     found = NonlinearSearch(problem, 0, CountedWork()).quick(certificate.proof.letters)
@@ -253,7 +253,7 @@ def bowl() -> cg.Problem:
 
 
 @cache
-def honest(bowled: bool) -> tuple[Detected, AlongPath]:
+def honest(bowled: bool) -> tuple[FeedbackTrajectory, AlongPath]:
     """What is found for the ball, or for noisy agents; the check accepts it."""
     found, certificate = along(bowl() if bowled else noisy())
     return found, agreed_path(certificate)

@@ -12,7 +12,7 @@ import pytest
 
 from certigym.validation.presentation.paper import Reproduction, computed, lines_text
 from certigym.validation.presentation.paper.judged_lines import Bound, Line, judged_lines
-from certigym.validation.presentation.paper.reproduction import Detected
+from certigym.validation.presentation.paper.reproduction import PieceResult
 from certigym.validation.statistical_tests import processes
 
 
@@ -55,7 +55,7 @@ class _Heard:
 def test_every_piece_is_told_of_and_comes_back_in_its_place(workers: int) -> None:
     """With one process or two; a target comes as soon as its own pieces are there."""
     whole = {
-        name: Reproduction({f"row {k}": partial(Detected, (name, k), f"{k}") for k in range(3)}, lambda found, _: found)
+        name: Reproduction({f"row {k}": partial(PieceResult, (name, k), f"{k}") for k in range(3)}, lambda found, _: found)
         for name in ("one", "two")
     }
     heard = _Heard()
@@ -64,13 +64,13 @@ def test_every_piece_is_told_of_and_comes_back_in_its_place(workers: int) -> Non
     assert sorted(heard.told) == sorted(pieces) and set(heard.names) == {name for name, _ in pieces}
 
 
-def _broken() -> Detected:
+def _broken() -> PieceResult:
     raise ValueError("a piece that fails")
 
 
 @pytest.mark.thorough
 def test_a_piece_that_fails_is_not_passed_over() -> None:
-    whole = {"one": Reproduction({"good": partial(Detected, 1, ""), "bad": _broken}, lambda found, _: found)}
+    whole = {"one": Reproduction({"good": partial(PieceResult, 1, ""), "bad": _broken}, lambda found, _: found)}
     with pytest.raises(ValueError, match="a piece that fails"):
         list(computed(whole, _Heard(), 1))
 

@@ -5,7 +5,7 @@ Value iteration of one agent at a time, weighted by occupancy: starts, coordinat
 
 from .coordinate_ascent import Stage, Sweep, start_value, sweep
 from .limits import Limits
-from .multistart import FINAL, MANY_TERMS, RELAXED, Detected, find_policies
+from .multistart import FINAL, MANY_TERMS, RELAXED, SearchResult, find_policies
 from .occupancy import forward
 from .relaxation import Relaxation, favourable_successors, relax, relax_one, relaxed_policies, upper_bound
 from .search_settings import BAR, BEGINS, Search, shown_on, sweep_bar
@@ -17,7 +17,7 @@ from .tree import Candidates, assemble, candidates, terminal_terms
 __all__ = [
     "Candidates",
     "FINAL",
-    "Detected",
+    "SearchResult",
     "Limits",
     "MANY_TERMS",
     "RELAXED",

@@ -87,7 +87,7 @@ best later, depends on earlier numbers."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Detected:
+class SearchResult:
     """What a search has found.
 
     Parameters
@@ -129,7 +129,7 @@ def find_policies(
     search: Search,
     given: dict[str, Policies] | None = None,
     relaxations: tuple[Relaxation, ...] | None = None,
-) -> Detected:
+) -> SearchResult:
     """Return the best policies found from several starts; their value is that of a sweep with frozen policies.
 
     Parameters
@@ -178,7 +178,7 @@ def find_policies(
         uses_trains = uses_trains or (naive.rank >= many_terms and may_use_trains)
         if len(joint.models) == 1 and start_value(start, naive.terms) <= 0.0:
             # Of one agent this sweep was dynamic programming: others find nothing, either.
-            return Detected(replace(naive, value=0.0), [0.0], {"naive start": 0.0}, relaxations, None)
+            return SearchResult(replace(naive, value=0.0), [0.0], {"naive start": 0.0}, relaxations, None)
     elif not uses_trains:
         uses_trains = max(outcome.rank for outcome in trees.each(given)) >= many_terms and may_use_trains
     if uses_trains:
@@ -188,10 +188,10 @@ def find_policies(
         # Beyond two agents trains leave out the cells beside the path: with them their ranks grow too large.
         trains = TrainAscent(joint, start, spread if len(joint.models) <= 2 else start, search, most)
         best = trains.search(starts, resting_policies(joint) if naive is None else naive.policies)
-        return Detected(best, trains.values, trains.starts, relaxations, trains.gain)
+        return SearchResult(best, trains.values, trains.starts, relaxations, trains.gain)
     policies = trees.search(naive, relaxations)
     if lossy:
-        return Detected(trees.evaluated(policies), trees.values, trees.starts, relaxations, None)
+        return SearchResult(trees.evaluated(policies), trees.values, trees.starts, relaxations, None)
     frozen, gain = _frozen(joint, policies, start)
     # Go on with the full tree while one agent alone could still gain.
     for _ in range(POLISHING if search.max_sweeps else 0):
@@ -204,12 +204,12 @@ def find_policies(
         if polished.value <= frozen.value:
             break
         frozen, gain = polished, polished_gain
-    return Detected(frozen, trees.values, trees.starts, relaxations, gain)
+    return SearchResult(frozen, trees.values, trees.starts, relaxations, gain)
 
 
 def _without_sweeps(
     joint: JointModel, start: Occupancy, search: Search, relaxations: tuple[Relaxation, ...], most: float
-) -> Detected | None:
+) -> SearchResult | None:
     """Return what each agent does if the team follows, where that leaves next to nothing to gain; else None.
 
     Sweeps over linear cells of expressions, and over large teams, are long: evaluating these policies is often enough.
@@ -228,13 +228,13 @@ def _without_sweeps(
     if followed.value < most * (1 - room):
         return None
     gain = max(0.0, most - followed.value) if limits is FINAL else None
-    return Detected(followed, [followed.value], {RELAXED: followed.value}, relaxations, gain)
+    return SearchResult(followed, [followed.value], {RELAXED: followed.value}, relaxations, gain)
 
 
-def _alone(joint: JointModel, start: Occupancy, relaxations: tuple[Relaxation, ...]) -> Detected:
+def _alone(joint: JointModel, start: Occupancy, relaxations: tuple[Relaxation, ...]) -> SearchResult:
     """Return the policies of a single agent: its relaxation is dynamic programming, losses counted."""
     best = sweep(joint, relaxed_policies(relaxations), start, LINEAR_FINAL, improve=False)
-    return Detected(best, [best.value], {RELAXED: best.value}, relaxations, None)
+    return SearchResult(best, [best.value], {RELAXED: best.value}, relaxations, None)
 
 
 def _coarser(first: Limits, second: Limits) -> Limits:

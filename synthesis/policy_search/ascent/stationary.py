@@ -23,7 +23,7 @@ from ...abstraction.models import JointModel, Policies, start_of
 from ...certificates.value_functions import Occupancy, to_host
 from .coordinate_ascent import Stage, Sweep, sweep
 from .limits import Limits
-from .multistart import FINAL, Detected
+from .multistart import FINAL, SearchResult
 from .occupancy import forward
 from .train_ascent import TrainLimits, TrainSweep, sweep_trains
 
@@ -37,7 +37,7 @@ LEAST_IMPROVEMENT = 1e-7
 """Relative improvement below which a round was the last."""
 
 
-def stationary_best(problem: Problem, joint: JointModel, found: Detected, limits: Limits) -> Sweep | TrainSweep:
+def stationary_best(problem: Problem, joint: JointModel, found: SearchResult, limits: Limits) -> Sweep | TrainSweep:
     """Return the best stationary policies that come from what a search has ``found``, evaluated frozen."""
     start = start_of(problem, joint)
     evaluate = _evaluation(joint, start, found.best, limits)

@@ -16,7 +16,7 @@ from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import Certificate, GridProof, OnGrid, Synthesis, delta_of
 from ...certificates.value_functions import Terms, start_above
 from ...relations.kinds import describe_relation
-from ..ascent import FINAL, Detected, Relaxation, Sweep, TrainSweep, forward, sweep
+from ..ascent import FINAL, SearchResult, Relaxation, Sweep, TrainSweep, forward, sweep
 from ..bounds import (
     Bound,
     a_posteriori_bound,
@@ -45,7 +45,7 @@ def certified(
     problem: Problem,
     abstraction: Abstraction,
     joint: JointModel,
-    found: Detected,
+    found: SearchResult,
     best: Sweep | TrainSweep,
     settings: dict[str, Any],
     search: str,

@@ -21,7 +21,7 @@ from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
 from ..chance_constraints import Limits, NonlinearModel, TeamModel, Tie, limits_along
 from .nominal_planner import Aim, Planner
-from .nonlinear_search import BATCH, QUARTER, WIDEST, Detected, NonlinearSearch
+from .nonlinear_search import BATCH, QUARTER, WIDEST, FeedbackTrajectory, NonlinearSearch
 
 ROUNDS = 3
 """How often all agents are planned anew between the tubes of the others."""
@@ -56,9 +56,9 @@ class Ties:
             if states:
                 search.watch(tuple(sorted(states)), width)
 
-    def of_best_width(self, letters: NDArray[np.int8], found: Sequence[Detected]) -> list[Detected]:
+    def of_best_width(self, letters: NDArray[np.int8], found: Sequence[FeedbackTrajectory]) -> list[FeedbackTrajectory]:
         """Return the best of paths planned anew with tubes of several widths: narrow ones fail, wide ones push."""
-        best: list[Detected] = []
+        best: list[FeedbackTrajectory] = []
         for width in WIDTHS:
             self.watch(width)
             again = self.settled(letters, found, NonlinearSearch.planned_anew)
@@ -86,7 +86,7 @@ class Ties:
                     ranges[:, :, k] = states[j][:, state]
                 search.model = search.model.changed(beside=ranges)
 
-    def between(self, found: Sequence[Detected]) -> list[NonlinearModel]:
+    def between(self, found: Sequence[FeedbackTrajectory]) -> list[NonlinearModel]:
         """Return the models of all agents between the tubes that others have; these are those of searches from now."""
         for i, search in enumerate(self.searches):
             if self.of_agent[i]:
@@ -96,10 +96,10 @@ class Ties:
     def settled(
         self,
         letters: NDArray[np.int8],
-        found: Sequence[Detected],
-        better: Callable[[NonlinearSearch, NDArray[np.int8], Detected], Detected | None],
+        found: Sequence[FeedbackTrajectory],
+        better: Callable[[NonlinearSearch, NDArray[np.int8], FeedbackTrajectory], FeedbackTrajectory | None],
         rounds: int = ROUNDS,
-    ) -> list[Detected]:
+    ) -> list[FeedbackTrajectory]:
         """Return paths of all agents, each made better in turn, between the tubes of the others.
 
         Where that leaves much they are planned as one, and feedbacks alone are made better in turn.
@@ -117,10 +117,10 @@ class Ties:
     def _in_turn(
         self,
         letters: NDArray[np.int8],
-        found: Sequence[Detected],
-        better: Callable[[NonlinearSearch, NDArray[np.int8], Detected], Detected | None],
+        found: Sequence[FeedbackTrajectory],
+        better: Callable[[NonlinearSearch, NDArray[np.int8], FeedbackTrajectory], FeedbackTrajectory | None],
         rounds: int,
-    ) -> list[Detected]:
+    ) -> list[FeedbackTrajectory]:
         """Return paths of all agents, each made better in turn, between the tubes of the others."""
         result = [*found]
         for _ in range(rounds):
@@ -130,7 +130,7 @@ class Ties:
                 result[i] = better(search, letters, result[i]) or result[i]
         return result
 
-    def _together(self, found: Sequence[Detected], letters: NDArray[np.int8], reserve: float) -> list[Detected] | None:
+    def _together(self, found: Sequence[FeedbackTrajectory], letters: NDArray[np.int8], reserve: float) -> list[FeedbackTrajectory] | None:
         """Return paths of all agents planned as one, from those that were found; None if that fails."""
         problem, searches = self.searches[0].problem, self.searches
         if problem.n_states > MOST_TOGETHER:
@@ -160,7 +160,7 @@ class Ties:
             result.append(search.of_thetas(nominal, one.faces, search.around([one.theta], 0.3, BATCH // 2)))
         return result
 
-    def _ranges(self, i: int, found: Sequence[Detected]) -> FloatArray:
+    def _ranges(self, i: int, found: Sequence[FeedbackTrajectory]) -> FloatArray:
         """Return the ranges (2, S + 1, k) of what agent i does not know, along paths of all agents."""
         whole = self.searches[i].model.unknown
         ranges = np.repeat(whole[:, None], len(found[i].nominal.states), axis=1)
@@ -178,7 +178,7 @@ class Ties:
 
 
 def kept_away(
-    searches: Sequence[NonlinearSearch], found: Sequence[Detected], reserve: float
+    searches: Sequence[NonlinearSearch], found: Sequence[FeedbackTrajectory], reserve: float
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
     """Return what plans keep from limits of states, outputs and inputs: deviations and linearization errors."""
 
@@ -198,11 +198,11 @@ def kept_away(
     )
 
 
-def _score(found: Sequence[Detected]) -> float:
+def _score(found: Sequence[FeedbackTrajectory]) -> float:
     return float(np.logaddexp.reduce([one.score for one in found]))
 
 
-def _refitted(search: NonlinearSearch, letters: NDArray[np.int8], found: Detected) -> Detected:
+def _refitted(search: NonlinearSearch, letters: NDArray[np.int8], found: FeedbackTrajectory) -> FeedbackTrajectory:
     """Return the same plan with a better feedback, between the tubes that the others have now."""
     nominal = replace(found.nominal, model=search.model)
     again = search.of_thetas(nominal, found.faces, search.around([found.theta], 0.3))

@@ -14,7 +14,7 @@ import numpy as np
 from ...relations.grids import FloatArray
 from ..chance_constraints import Feedback, worth_of
 from .counted_work import work_of_walk
-from .nonlinear_search import Detected, NonlinearSearch, feedback_of, found_of
+from .nonlinear_search import FeedbackTrajectory, NonlinearSearch, feedback_of, found_of
 
 BATCH = 24
 """Candidates in each generation."""
@@ -60,7 +60,7 @@ class Moves:
         return Moves(*(np.concatenate(pair) for pair in pairs))
 
 
-def polished(search: NonlinearSearch, found: Detected, generations: int) -> Detected:
+def polished(search: NonlinearSearch, found: FeedbackTrajectory, generations: int) -> FeedbackTrajectory:
     """Return a path that fails at most as often, after small moves of all that is free."""
     spread, last, work, before = FIRST_SPREAD, None, search.work, found.failure
     each = work_of_walk(len(found.nominal.inputs), search.agent.n_states, BATCH)
@@ -82,7 +82,7 @@ def polished(search: NonlinearSearch, found: Detected, generations: int) -> Dete
     return found
 
 
-def _drawn(search: NonlinearSearch, found: Detected, spread: float) -> Moves:
+def _drawn(search: NonlinearSearch, found: FeedbackTrajectory, spread: float) -> Moves:
     """Return random moves; most candidates move a part of what may move."""
     rng, (steps, m) = search.rng, found.nominal.inputs.shape
     d = search.agent.n_states
@@ -104,7 +104,7 @@ def _smooth(search: NonlinearSearch, shape: tuple[int, int], knots: int, times: 
     return (1.0 - share) * values[..., first] + share * values[..., first + 1]
 
 
-def _best_moved(search: NonlinearSearch, found: Detected, moves: Moves) -> tuple[Detected, int]:
+def _best_moved(search: NonlinearSearch, found: FeedbackTrajectory, moves: Moves) -> tuple[FeedbackTrajectory, int]:
     """Return the best of some candidates, and which it is."""
     states, inputs = _rolled(search, found, moves.inputs)
     fine = np.flatnonzero(np.isfinite(states).all(axis=(1, 2)))
@@ -125,7 +125,7 @@ def _best_moved(search: NonlinearSearch, found: Detected, moves: Moves) -> tuple
     return best, int(fine[c])
 
 
-def _rolled(search: NonlinearSearch, found: Detected, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _rolled(search: NonlinearSearch, found: FeedbackTrajectory, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return states (N, S + 1, d) and inputs (N, S, m) of moved inputs (N, S, m), under the feedback of the path."""
     agent, nominal, gains = search.agent, found.nominal, found.feedback.gains[0]
     states, inputs = [np.repeat(nominal.states[0][None], len(moved), axis=0)], list[FloatArray]()

@@ -61,7 +61,7 @@ ENOUGH = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Detected:
+class FeedbackTrajectory:
     """A nominal path with the best feedback that was found for it.
 
     ``score`` falls with the failure, and is a number also where the failure is 1; ``theta`` are the logarithms of the
@@ -104,11 +104,11 @@ class NonlinearSearch:
         """Keep some states in a tube of a width in deviations, as others name them."""
         self.model = self.model.changed(watched=states, width=width)
 
-    def planned_anew(self, letters: NDArray[np.int8], found: Detected) -> Detected | None:
+    def planned_anew(self, letters: NDArray[np.int8], found: FeedbackTrajectory) -> FeedbackTrajectory | None:
         """Return a nominal path planned anew from another one: its model may be another one by now."""
         return self._planned_anew(letters, found, reserves_for(found.failure)[0])
 
-    def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None, bar: float = np.inf) -> Detected | None:
+    def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None, bar: float = np.inf) -> FeedbackTrajectory | None:
         """Return a nominal path for letters (S + 1, P) after little work; None if none was found.
 
         Where inputs are tried it is the run that they give; ways that are drawn are for where they give none. Where
@@ -119,7 +119,7 @@ class NonlinearSearch:
         if run is not None:
             seen, _ = self.model.outputs(rolled(self.model, start, run))
             return self._along(letters, seen, run, warm)
-        best: Detected | None = None
+        best: FeedbackTrajectory | None = None
         for guess in guesses(self.problem, self.agent, letters, start):
             for first in (self.first_inputs(len(letters) - 1), self._pursued(guess)):
                 found = self._along(letters, guess, first, warm)
@@ -131,7 +131,7 @@ class NonlinearSearch:
                 return best
         return best
 
-    def along_again(self, letters: NDArray[np.int8], found: Detected) -> Detected | None:
+    def along_again(self, letters: NDArray[np.int8], found: FeedbackTrajectory) -> FeedbackTrajectory | None:
         """Return a nominal path for other letters, which may take more steps, from the inputs of one that was found."""
         u = found.nominal.inputs
         u = np.concatenate([u, np.repeat(u[-1:], max(0, len(letters) - 1 - len(u)), axis=0)])
@@ -139,7 +139,7 @@ class NonlinearSearch:
         seen, _ = self.model.outputs(rolled(self.model, start, u))
         return self._along(letters, seen, u, found.theta)
 
-    def full(self, letters: NDArray[np.int8], found: Detected) -> Detected:
+    def full(self, letters: NDArray[np.int8], found: FeedbackTrajectory) -> FeedbackTrajectory:
         """Return a nominal path that is better than one that was found, if there is work left for one."""
         if self.work.is_over():
             return found
@@ -156,7 +156,7 @@ class NonlinearSearch:
             found = again if again is not None and again.score < found.score else found
         return self._beyond_drifts(letters, found)
 
-    def _beyond_drifts(self, letters: NDArray[np.int8], found: Detected) -> Detected:
+    def _beyond_drifts(self, letters: NDArray[np.int8], found: FeedbackTrajectory) -> FeedbackTrajectory:
         """Return a nominal path that keeps all of the linearization error away from limits, where paths that keep less
         fail often.
 
@@ -175,7 +175,7 @@ class NonlinearSearch:
 
     def _along(
         self, letters: NDArray[np.int8], guess: FloatArray, u: FloatArray, warm: FloatArray | None
-    ) -> Detected | None:
+    ) -> FeedbackTrajectory | None:
         """Return a nominal path that follows a guess at first, from inputs (S, m)."""
         agent, steps = self.agent, len(letters) - 1
         faces = sides_of(self.problem, agent, letters, guess, self.spans)
@@ -293,8 +293,8 @@ class NonlinearSearch:
         return NominalPath(self.model, limits, states, snapped)
 
     def _planned_anew(
-        self, letters: NDArray[np.int8], found: Detected, reserve: float = 1.0, drift_share: float = QUARTER
-    ) -> Detected | None:
+        self, letters: NDArray[np.int8], found: FeedbackTrajectory, reserve: float = 1.0, drift_share: float = QUARTER
+    ) -> FeedbackTrajectory | None:
         """Return a nominal path planned with deviations and linearization errors of another one; None if that fails."""
         agent, spreads = self.agent, found.spreads
         pairs = []
@@ -321,7 +321,7 @@ class NonlinearSearch:
         nominal = self.snapped(letters, states, u, faces)
         return self.of_thetas(nominal, faces, self.around([found.theta], 0.3, BATCH // 2))
 
-    def searched(self, found: Detected, generations: int) -> Detected:
+    def searched(self, found: FeedbackTrajectory, generations: int) -> FeedbackTrajectory:
         """Return a nominal path with the best feedback of some generations, each closer to the best candidates."""
         kept = [(found.score, found.theta)]
         for generation in range(generations):
@@ -357,13 +357,13 @@ class NonlinearSearch:
         made[0] = parents[0]
         return made
 
-    def of_thetas(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> Detected:
+    def of_thetas(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> FeedbackTrajectory:
         """Return the best of some candidates of feedback along a nominal path."""
         return self._scored(nominal, faces, thetas)[0]
 
     def _scored(
         self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray
-    ) -> tuple[Detected, FloatArray]:
+    ) -> tuple[FeedbackTrajectory, FloatArray]:
         """Return the best of some candidates, and the scores of all."""
         return scored([(self, nominal, thetas)], faces)[0]
 
@@ -377,7 +377,7 @@ Candidates = tuple[NonlinearSearch, NominalPath, FloatArray]
 """A search with a nominal path of its agent and logarithms of weights and strips (N, k)."""
 
 
-def scored(tasks: Sequence[Candidates], faces: NDArray[np.int64]) -> list[tuple[Detected, FloatArray]]:
+def scored(tasks: Sequence[Candidates], faces: NDArray[np.int64]) -> list[tuple[FeedbackTrajectory, FloatArray]]:
     """Return, for each of some agents that are alike, the best of its candidates and the scores of all."""
     which = np.repeat(np.arange(len(tasks)), [len(thetas) for _, _, thetas in tasks])
     paths = [nominal for _, nominal, _ in tasks]
@@ -405,7 +405,7 @@ def found_of(
     nominal: NominalPath,
     theta: FloatArray,
     faces: NDArray[np.int64],
-) -> Detected:
+) -> FeedbackTrajectory:
     """Return candidate c of those that were judged together, with its score and failure.
 
     A nominal state outside of the workspace fails: no certificate is made of it.
@@ -413,7 +413,7 @@ def found_of(
     worth, spreads, feedback = judged
     values = values if is_inside(nominal) else (values[0], 1.0)
     alone = Feedback(feedback.gains[c : c + 1], feedback.strips[c : c + 1])
-    return Detected(*values, nominal, alone, theta, faces, spreads.of(c), worth.weakest(c))
+    return FeedbackTrajectory(*values, nominal, alone, theta, faces, spreads.of(c), worth.weakest(c))
 
 
 def is_inside(nominal: NominalPath) -> bool:

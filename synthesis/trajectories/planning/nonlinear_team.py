@@ -21,7 +21,7 @@ from ..words import HALVES, Plan, letters_of, with_windows
 from .counted_work import CountedWork
 from .coupled_trajectories import Ties
 from .local_refinement import polished
-from .nonlinear_search import GOOD, Detected, NonlinearSearch
+from .nonlinear_search import GOOD, FeedbackTrajectory, NonlinearSearch
 from .schedules import plans_of_runs, runs_in_turn
 from .team_search import TeamFound, TeamSearch, search_key
 
@@ -98,7 +98,7 @@ class Refined:
 
     times: tuple[int, ...]
     letters: NDArray[np.int8]
-    found: Sequence[Detected]
+    found: Sequence[FeedbackTrajectory]
     failure: float
     weakest: str
     normals: FloatArray | None = None
@@ -112,7 +112,7 @@ class Refined:
 class _Apart:
     """Nonlinear paths of all agents for letters; what depends on an agent's own letters is searched once."""
 
-    seen: list[tuple[float, Plan, NDArray[np.int8], list[Detected]]]
+    seen: list[tuple[float, Plan, NDArray[np.int8], list[FeedbackTrajectory]]]
 
     def __init__(self, problem: Problem, work: CountedWork) -> None:
         self.problem, self.work = problem, work
@@ -120,13 +120,13 @@ class _Apart:
         self.ties = Ties(problem, self.searches)
         # Whoever names others has a path that fits theirs, and nobody else's.
         self.alike = [i if self.ties.are_any else self._alike(i) for i in range(problem.n_agents)]
-        self.known: dict[object, tuple[int, Detected] | None] = {}
+        self.known: dict[object, tuple[int, FeedbackTrajectory] | None] = {}
         self.warm: list[FloatArray | None] = [None] * problem.n_agents
         self.seen, self.done, self.crossings = [], dict[object, Refined](), set[bytes]()
         self.stopped = ""
 
     @property
-    def best(self) -> tuple[float, Plan, NDArray[np.int8], list[Detected]] | None:
+    def best(self) -> tuple[float, Plan, NDArray[np.int8], list[FeedbackTrajectory]] | None:
         """The best plan after little work."""
         return min(self.seen, key=lambda one: one[0], default=None)
 
@@ -198,7 +198,7 @@ class _Apart:
         if self.ties.are_any or best.failure <= GOOD or key in self.crossings:
             return best
         self.crossings.add(key)
-        tried: list[tuple[float, NDArray[np.int8], list[Detected]]] = []
+        tried: list[tuple[float, NDArray[np.int8], list[FeedbackTrajectory]]] = []
         drawn = [deepcopy((search.rng, search.narrowing)) for search in self.searches]
         for half in HALVES:
             letters = with_windows(self.problem, best.letters, half)
@@ -237,7 +237,7 @@ class _Apart:
         each = self._once(plan.letters, plan.found, lambda search, _, path: polished(search, path, generations))
         return _refined(self.problem, plan.times, plan.letters, each)
 
-    def _full(self, letters: NDArray[np.int8], found: Sequence[Detected]) -> list[Detected]:
+    def _full(self, letters: NDArray[np.int8], found: Sequence[FeedbackTrajectory]) -> list[FeedbackTrajectory]:
         """Return the paths of all agents after more work."""
         if not self.ties.are_any:
             return self._once(letters, found, NonlinearSearch.full)
@@ -247,11 +247,11 @@ class _Apart:
     def _once(
         self,
         letters: NDArray[np.int8],
-        found: Sequence[Detected],
-        better: Callable[[NonlinearSearch, NDArray[np.int8], Detected], Detected],
-    ) -> list[Detected]:
+        found: Sequence[FeedbackTrajectory],
+        better: Callable[[NonlinearSearch, NDArray[np.int8], FeedbackTrajectory], FeedbackTrajectory],
+    ) -> list[FeedbackTrajectory]:
         """Return what is made of the paths of all agents: once for those that are alike, with equal letters."""
-        done, result = dict[object, tuple[int, Detected]](), list[Detected]()
+        done, result = dict[object, tuple[int, FeedbackTrajectory]](), list[FeedbackTrajectory]()
         for i, (search, one) in enumerate(zip(self.searches, found, strict=True)):
             key = self._key(i, letters)
             if key not in done:
@@ -263,7 +263,7 @@ class _Apart:
         """Return what two agents have in common that have equal paths: what they are, and their own letters."""
         return self.alike[i], letters[:, self._own(i)].tobytes(), len(letters)
 
-    def _moved(self, j: int, found: Detected, i: int) -> Detected:
+    def _moved(self, j: int, found: FeedbackTrajectory, i: int) -> FeedbackTrajectory:
         """Return a path of agent j as one of agent i, which is like it."""
         if i == j:
             return found
@@ -295,7 +295,7 @@ def any_failure(problem: Problem, failures: Sequence[float]) -> float:
     return float(-np.expm1(sum(np.log1p(-min(failure, HOPELESS)) for failure in failures)))
 
 
-def _refined(problem: Problem, times: tuple[int, ...], letters: NDArray[np.int8], found: Sequence[Detected]) -> Refined:
+def _refined(problem: Problem, times: tuple[int, ...], letters: NDArray[np.int8], found: Sequence[FeedbackTrajectory]) -> Refined:
     """Return a plan of agents that do not look at each other."""
     failure = any_failure(problem, [one.failure for one in found])
     return Refined(times, letters, found, failure, max(found, key=lambda one: one.failure).weakest)

@@ -40,7 +40,7 @@ from .coupled_trajectories import ROUNDS, Ties, kept_away
 from .follow_the_leader import follow_the_leader
 from .local_refinement import polished
 from .nominal_planner import Aim, Planner
-from .nonlinear_search import ENOUGH, Detected, NonlinearSearch, is_inside, reserves_for, scored
+from .nonlinear_search import ENOUGH, FeedbackTrajectory, NonlinearSearch, is_inside, reserves_for, scored
 
 BENDS = (0.25, -0.25, 0.5, 0.0)
 """How far straight lines are bent to the right, as shares of their lengths."""
@@ -79,7 +79,7 @@ class TeamFound:
 
     score: float
     failure: float
-    found: tuple[Detected, ...]
+    found: tuple[FeedbackTrajectory, ...]
     faces: NDArray[np.int64]
     rows: PairRows
     weakest: str
@@ -146,7 +146,7 @@ class TeamSearch:
             found = again if again is not None and again.score < found.score else found
         return found
 
-    def touched_up(self, letters: NDArray[np.int8], each: Sequence[Detected]) -> TeamFound:
+    def touched_up(self, letters: NDArray[np.int8], each: Sequence[FeedbackTrajectory]) -> TeamFound:
         """Return a team that fails at most as often, after small moves of each agent beside the others as they are."""
         limits, faces = pair_limits(self.problem, letters), np.full(letters.shape, -1)
         for one in each:
@@ -334,7 +334,7 @@ class TeamSearch:
             known[search_key(search)] = thetas[i]
             batches.append(search.thetas(parent))
         found = [one for one, _ in self._scored(self._asking(team), faces, batches)]
-        first: dict[object, Detected] = {}
+        first: dict[object, FeedbackTrajectory] = {}
         for search, one in zip(self.searches, found, strict=True):
             first.setdefault(search_key(search), one)
         again = [search.around([one.theta, first[search_key(search)].theta], 0.3)
@@ -363,9 +363,9 @@ class TeamSearch:
 
     def _scored(
         self, nominals: Sequence[NominalPath], faces: NDArray[np.int64], thetas: Sequence[FloatArray]
-    ) -> list[tuple[Detected, FloatArray]]:
+    ) -> list[tuple[FeedbackTrajectory, FloatArray]]:
         """Return, for each agent, the best of its candidates and the scores of all."""
-        result: dict[int, tuple[Detected, FloatArray]] = {}
+        result: dict[int, tuple[FeedbackTrajectory, FloatArray]] = {}
         for members in self._batches([len(own) for own in thetas]):
             tasks = [(self.searches[i], nominals[i], thetas[i]) for i in members]
             result |= dict(zip(members, scored(tasks, faces), strict=True))
@@ -384,7 +384,7 @@ class TeamSearch:
             batches[at].append(i)
         return batches
 
-    def _rows(self, limits: list[PairLimits], found: Sequence[Detected]) -> PairRows:
+    def _rows(self, limits: list[PairLimits], found: Sequence[FeedbackTrajectory]) -> PairRows:
         outputs = [one.nominal.outputs[0] for one in found]
         return pair_rows(limits, outputs, [one.spreads.outputs[0] for one in found], self.columns)
 
@@ -393,7 +393,7 @@ class TeamSearch:
         asked = team.rows.asked([one.spreads.pairs for one in team.found])
         return [replace(one.nominal, pairs=own) for one, own in zip(team.found, asked, strict=True)]
 
-    def judged(self, found: Sequence[Detected], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
+    def judged(self, found: Sequence[FeedbackTrajectory], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
         """Return the team with the rows of all agents and pairs together.
 
         Agents that name others are between the tubes of these, which the judgement tells in turn.
@@ -406,12 +406,12 @@ class TeamSearch:
             team = self._judged(between, faces, limits)
         return team
 
-    def _judged(self, found: Sequence[Detected], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
+    def _judged(self, found: Sequence[FeedbackTrajectory], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
         """Return the team, each agent beside what its model says of others."""
         rows = self._rows(limits, found)
         asked = rows.asked([{}] * len(found))
         nominals = [replace(one.nominal, pairs=own) for one, own in zip(found, asked, strict=True)]
-        total, kept = Worth(), dict[int, Detected]()
+        total, kept = Worth(), dict[int, FeedbackTrajectory]()
         for members in self._batches([1] * len(found)):
             feedback = Feedback(*(np.concatenate([getattr(found[i].feedback, name) for i in members])
                                   for name in ("gains", "strips")))  # fmt: skip

@@ -21,7 +21,7 @@ from ....envs.tasks.problem import load_problem
 from ....synthesis.certificates.proofs import significant_down, significant_up
 from ....synthesis.verbs.synthesize import synthesize
 from ...statistical_tests import clopper_pearson, rollout
-from .reproduction import Detected, Reproduction
+from .reproduction import PieceResult, Reproduction
 
 Row = dict[str, Any]
 
@@ -71,11 +71,11 @@ def _written(rows: Sequence[Row], out: Path) -> list[Row]:
     return list(rows)
 
 
-def _found(entry: Row, folder: Path, episodes: int) -> Detected:
+def _found(entry: Row, folder: Path, episodes: int) -> PieceResult:
     """Return the row of an entry, and how it is told of."""
     row = _certified(entry, folder, episodes)
     beside = "" if row["published"] is None else f", published {row['published']:g}"
-    return Detected(row, f"{significant_down(row['certified'], 6)}{beside}")
+    return PieceResult(row, f"{significant_down(row['certified'], 6)}{beside}")
 
 
 def _certified(entry: Row, folder: Path, episodes: int = EPISODES) -> Row:

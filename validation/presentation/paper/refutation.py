@@ -22,7 +22,7 @@ from ....synthesis.relations.grids import FloatArray
 from ....synthesis.verbs.synthesize import synthesize
 from ...statistical_tests import REFUTED, holm, p_at_least, validate
 from .published import INPUTS, PublishedStep, published_curve, published_grid
-from .reproduction import Detected, Reproduction
+from .reproduction import PieceResult, Reproduction
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +151,9 @@ def refutation() -> Reproduction:
     return Reproduction({"the certificate at T = 6": _refuted}, _only)
 
 
-def _refuted() -> Detected:
+def _refuted() -> PieceResult:
     result = refute_published()
-    return Detected(result, f"{result['verdict']} at {result['refuted']} of {result['initial_states']} states")
+    return PieceResult(result, f"{result['verdict']} at {result['refuted']} of {result['initial_states']} states")
 
 
 def _only(found: Sequence[Any], out: Path) -> Any:

@@ -32,7 +32,7 @@ from ....synthesis.verbs.synthesize import synthesize
 from ...statistical_tests import clopper_pearson, rollout
 from .heuristics import paper_steps
 from .published import published_curve
-from .reproduction import Detected, Reproduction
+from .reproduction import PieceResult, Reproduction
 
 Row = dict[str, Any]
 
@@ -57,19 +57,19 @@ FIGURE_4_CELLS = (40, 45, 50, 55, 59)
 
 def fig3(horizons: Sequence[int] = range(1, 17), cells: int = 1000) -> Reproduction:
     """Recompute Fig. 3, reach-avoid: bounds, averaged over x1 in [-20, 0], x2 in [-5, -2.5], against the horizon."""
-    pieces: dict[str, Callable[[], Detected]] = {"the published computation": partial(_published_means, max(horizons))}
+    pieces: dict[str, Callable[[], PieceResult]] = {"the published computation": partial(_published_means, max(horizons))}
     pieces |= {f"T = {t}": partial(_fig3_bounds, t, cells) for t in horizons}
     return Reproduction(pieces, partial(_fig3_joined, tuple(horizons)))
 
 
-def _published_means(horizon: int) -> Detected:
+def _published_means(horizon: int) -> PieceResult:
     """Return the published values at all horizons, with the variance as deviation and at the stated noise."""
     # One pass gives all horizons.
     means = [(step.mean, stated.mean) for step, stated in zip(published_curve(horizon), published_curve(horizon, 0.5))]
-    return Detected(means, f"{means[-1][0]:.6f} at T = {horizon}, {means[-1][1]:.6f} at the stated noise")
+    return PieceResult(means, f"{means[-1][0]:.6f} at T = {horizon}, {means[-1][1]:.6f} at the stated noise")
 
 
-def _fig3_bounds(t: int, cells: int) -> Detected:
+def _fig3_bounds(t: int, cells: int) -> PieceResult:
     """Return what is certified at one horizon: every kind of bound for the policies that are best in it."""
     problem = make_problem("reach-avoid-v0", horizon=t)
     exact = synthesize(problem, cells, relation="exact").certificate
@@ -79,7 +79,7 @@ def _fig3_bounds(t: int, cells: int) -> Detected:
         "a_posteriori": paper["a-posteriori"],
         "exact": exact.lower_bound,
     }
-    return Detected(bounds, f"exact relation {rounded_down(exact.lower_bound, 6)}")
+    return PieceResult(bounds, f"exact relation {rounded_down(exact.lower_bound, 6)}")
 
 
 def _fig3_joined(horizons: Sequence[int], found: Sequence[Any], out: Path) -> list[Row]:
@@ -113,7 +113,7 @@ def fig4(horizon: int = 7) -> Reproduction:
     return Reproduction(pieces, _fig4_joined)
 
 
-def _fig4_columns(setting: str, n: int, horizon: int) -> Detected:
+def _fig4_columns(setting: str, n: int, horizon: int) -> PieceResult:
     """Return both columns of one setting, for horizons 1, 2, ..."""
     problem = make_problem("invariance-v0", n_agents=n, setting=setting, horizon=horizon)
     joint = join(problem, abstract(problem, 100, relation="paper", epsilon=0.1))
@@ -127,7 +127,7 @@ def _fig4_columns(setting: str, n: int, horizon: int) -> Detected:
         centres = certificate.proof.agents[0].grid.centres[list(FIGURE_4_CELLS), 0]
         exact.append(float(np.mean(certificate.at(np.repeat(centres[:, None], n, axis=1)))))
     columns = {f"robust_tree_{setting}_{n}": robust, f"exact_{setting}_{n}": exact}
-    return Detected(columns, f"exact relation {rounded_down(exact[-1], 6)} at T = {horizon}")
+    return PieceResult(columns, f"exact relation {rounded_down(exact[-1], 6)} at T = {horizon}")
 
 
 def _fig4_joined(found: Sequence[Any], out: Path) -> list[Row]:
@@ -151,7 +151,7 @@ def table1() -> Reproduction:
     return Reproduction(pieces, partial(_table_joined, "table1.csv"))
 
 
-def _bytes(name: str, cells: int, published_joint: float, published_term: float) -> Detected:
+def _bytes(name: str, cells: int, published_joint: float, published_term: float) -> PieceResult:
     """Return the row of one problem: its bytes."""
     # A short horizon and one sweep are enough to count bytes.
     problem = make_problem(name)
@@ -172,19 +172,19 @@ def _bytes(name: str, cells: int, published_joint: float, published_term: float)
         "measured_bytes": measured,
         "measured_bytes_without_sharing": 8 * sum(sizes) * terms,
     }
-    return Detected(row, f"{counted(terms, 'term')} in {measured} bytes")
+    return PieceResult(row, f"{counted(terms, 'term')} in {measured} bytes")
 
 
 def table2(cells: int = 1200, episodes: int = 400_000) -> Reproduction:
     """Recompute Table 2, package delivery of four robots: the paper's method with disjoint letters, and ours."""
-    pieces: dict[str, Callable[[], Detected]] = {"the paper's method": partial(_paper_at_points, cells)}
+    pieces: dict[str, Callable[[], PieceResult]] = {"the paper's method": partial(_paper_at_points, cells)}
     for k in range(len(TABLE_2)):
         pieces[f"point {k + 1}"] = partial(_at_point, k, "package-delivery-v0", cells, episodes)
         pieces[f"point {k + 1}, eased"] = partial(_at_point, k, "package-delivery-eased-v0", cells, episodes)
     return Reproduction(pieces, _table2_joined)
 
 
-def _paper_at_points(cells: int) -> Detected:
+def _paper_at_points(cells: int) -> PieceResult:
     """Return what the paper's method certifies from each point."""
     # It does not depend on the start, so one run serves all points.
     problem = make_problem("package-delivery-v0")
@@ -192,10 +192,10 @@ def _paper_at_points(cells: int) -> Detected:
     *_, last = paper_steps(joint, "robust tree")
     starts = [start_of(problem.replace(initial_state=list(point)), joint) for point, _ in TABLE_2]
     bounds = [start_value(start, last.terms) for start in starts]
-    return Detected(bounds, ", ".join(rounded_down(bound, 6) for bound in bounds))
+    return PieceResult(bounds, ", ".join(rounded_down(bound, 6) for bound in bounds))
 
 
-def _at_point(k: int, name: str, cells: int, episodes: int) -> Detected:
+def _at_point(k: int, name: str, cells: int, episodes: int) -> PieceResult:
     """Return the row of a point: our certificate is synthesized from there, and tested by rollouts from there."""
     point, published = TABLE_2[k]
     here = make_problem(name).replace(initial_state=list(point))
@@ -215,7 +215,7 @@ def _at_point(k: int, name: str, cells: int, episodes: int) -> Detected:
         "episodes": runs.episodes,
         "seconds": result.stats["seconds"]["synthesize"],  # type: ignore[index]
     }
-    return Detected(row, f"{rounded_down(result.certificate.lower_bound, 5)}, rollouts {row['estimate']:.5f}")
+    return PieceResult(row, f"{rounded_down(result.certificate.lower_bound, 5)}, rollouts {row['estimate']:.5f}")
 
 
 def _table2_joined(found: Sequence[Any], out: Path) -> list[Row]:

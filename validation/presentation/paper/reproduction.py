@@ -18,7 +18,7 @@ TICK = 1.0
 
 
 @dataclass(frozen=True)
-class Detected:
+class PieceResult:
     """What a piece gave, and how it is told in one line."""
 
     value: Any
@@ -37,7 +37,7 @@ class Reproduction:
         Takes what all pieces gave, in their order, and a folder; writes the files, and returns the rows.
     """
 
-    pieces: Mapping[str, Callable[[], Detected]]
+    pieces: Mapping[str, Callable[[], PieceResult]]
     joined: Callable[[Sequence[Any], Path], Any]
 
     def rows(self, out: Path) -> Any:
@@ -55,7 +55,7 @@ class Listener(Protocol):
         """Hear what a piece gave, and its processor seconds."""
 
 
-def timed(compute: Callable[[], Detected]) -> tuple[Detected, float]:
+def timed(compute: Callable[[], PieceResult]) -> tuple[PieceResult, float]:
     """Return what a piece gave, and the processor seconds of that."""
     began = time.process_time()
     return compute(), time.process_time() - began
@@ -89,7 +89,7 @@ def _values(
             listener.found(", ".join(key), found.words, seconds)
             yield key, found.value
         return
-    running: dict[Future[tuple[Detected, float]], tuple[str, str]] = {}
+    running: dict[Future[tuple[PieceResult, float]], tuple[str, str]] = {}
     waiting = list(keys)
     with processes(workers) as pool, _children_end_with_us():
         while waiting or running:
