@@ -40,9 +40,9 @@ def the_worst(shield: Shield, states: Any, q: Array, time: Array, rng: np.random
                 here = np.flatnonzero((time == t) & (q == state))
                 if len(here) and not shield.problem.automaton.absorbing[state]:
                     where = tuple(x[:, here] for x in states)
-                    worth = shield.values.of_inputs(int(t), int(state), where, tuple(u[:, here] for u in tried))
-                    taken = here[worth < least[here]]
-                    least[here] = np.minimum(worth, least[here])
+                    q_values = shield.values.of_inputs(int(t), int(state), where, tuple(u[:, here] for u in tried))
+                    taken = here[q_values < least[here]]
+                    least[here] = np.minimum(q_values, least[here])
                     for u, new in zip(best, tried, strict=True):
                         u[:, taken] = new[:, taken]
     return best

@@ -5,7 +5,7 @@ Composition of tasks: independent parts multiplied, and pairs of agents subtract
 
 from .avoiding import Avoidance
 from .base import relevant_pairs, usual_values, without_pairs
-from .collision_avoidance import less_nearness, nearness
+from .collision_avoidance import less_proximity, proximity
 from .collision_probability import CollisionProbability
 from .horizons import each_horizon, horizons_of, without_deadline
 from .independent_tasks import synthesize_parts
@@ -16,8 +16,8 @@ __all__ = [
     "CollisionProbability",
     "each_horizon",
     "horizons_of",
-    "less_nearness",
-    "nearness",
+    "less_proximity",
+    "proximity",
     "relevant_pairs",
     "synthesize_parts",
     "usual_values",

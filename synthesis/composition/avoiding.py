@@ -73,9 +73,9 @@ class Avoidance:
         for t in range(self.joint.horizon):
             moved: dict[int, FloatArray] = {}
             for state, mass in states.items():
-                pushed = model.kernel.push(mass[None], model.choices.points(policies[i][t, state]))[0]
+                propagated = model.kernel.propagate(mass[None], model.choices.points(policies[i][t, state]))[0]
                 for target, cells in self._ways(i, state, self.joint.guards, self.joint.masks).items():
-                    arrived = np.where(cells, pushed, 0.0)
+                    arrived = np.where(cells, propagated, 0.0)
                     moved[target] = moved[target] + arrived if target in moved else arrived
                     result[t + 1] = result[t + 1] + arrived
             states = moved

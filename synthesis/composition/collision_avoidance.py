@@ -27,7 +27,7 @@ WORTH = 1e-4
 """Probability of being near below which no further answers are tried."""
 
 
-def less_nearness(
+def less_proximity(
     problem: Problem, base: OnGrid, usual: NDArray[np.bool_], near: float, used: dict[str, Any]
 ) -> Certificate[UnionBoundProof]:
     """Return the certificate of a problem with pairs: that of the task without them, less what they may spoil."""
@@ -54,14 +54,14 @@ def kept_apart(
     masses: CollisionProbability, first: Sweep | TrainSweep, search: Search, evaluated: Evaluated
 ) -> tuple[Sweep | TrainSweep, float, list[list[float]]]:
     """Return the best policies, evaluated frozen; how likely pairs are near; and value and nearness of all tried."""
-    best, near = first, nearness(masses, first.policies)
+    best, near = first, proximity(masses, first.policies)
     record = [[first.value, min(near, MOST_RECORDED)]]
     if near <= WORTH or not search.max_sweeps:
         return best, near, record
     avoidance, policies = Avoidance(masses), first.policies
     for k in range(min(ROUNDS, search.max_sweeps)):
         policies = avoidance.answers(policies, heed_all=k > 0)
-        outcome, spoilt = evaluated(policies), nearness(masses, policies)
+        outcome, spoilt = evaluated(policies), proximity(masses, policies)
         record.append([outcome.value, min(spoilt, MOST_RECORDED)])
         gain = (outcome.value - spoilt) - (best.value - near)
         if gain > 0.0:
@@ -73,7 +73,7 @@ def kept_apart(
     return best, near, record
 
 
-def nearness(masses: CollisionProbability, policies: Policies) -> float:
+def proximity(masses: CollisionProbability, policies: Policies) -> float:
     """Return what pairs may spoil at most, a sum that may exceed 1; infinite where it would take too long to say."""
     try:
         return masses.bound(policies)

@@ -163,11 +163,11 @@ class CollisionProbability:
                 steps = [moves.step(policy[t, q]) for moves, policy in zip(self.moves, policies, strict=True)]
                 known = list(zip(self.moves, term.cells, steps, strict=True))
                 on_points = [_gathered(moves.lattice, own, to) for moves, own, (to, _) in known]
-                pushed = [moves.pushed(own, to, reach) for moves, own, (to, reach) in known]
+                propagated = [moves.propagated(own, to, reach) for moves, own, (to, reach) in known]
                 points.append((on_points, tuple(reach for _, reach in steps)))
                 for n in range(len(modes)):
                     if (way := ways[term.mode, n]) is not None:
-                        masked = tuple(np.where(open_, own, 0.0) for own, open_ in zip(pushed, way))
+                        masked = tuple(np.where(open_, own, 0.0) for own, open_ in zip(propagated, way))
                         following += [Term(n, masked)] if all(own.any() for own in masked) else []
             all_terms.append(terms)
             all_points.append(points)

@@ -21,7 +21,7 @@ from ..policy_search.portfolio import SOLVED, Results, Strategy, policies_from, 
 from ..relations.grids import CellCounts, RelationRefused, cells_of_agent
 from ..trajectories.planning import refuse_without_path
 from .base import relevant_pairs, usual_values, without_pairs
-from .collision_avoidance import evaluated_by, kept_apart, less_nearness
+from .collision_avoidance import evaluated_by, kept_apart, less_proximity
 from .collision_probability import CollisionProbability
 
 WAYS = ("auto", "exact", "path")
@@ -128,7 +128,7 @@ def by_subtraction(
     used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
     name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"
     part = certificate_of(base, abstraction, joint, best, used, name)
-    certificate = less_nearness(problem, part, usual, near, {**used, "answers": record})
+    certificate = less_proximity(problem, part, usual, near, {**used, "answers": record})
     stats: dict[str, object] = {
         "seconds": {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted},
         "sweeps": found.values,

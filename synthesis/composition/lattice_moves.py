@@ -62,9 +62,9 @@ class OnPoints:
         """Return the lattice point (S,) that each cell moves to, -1 for none, and the reach (d,) around it."""
         return np.asarray(self.model.choices.points(policy)), np.zeros(len(self.lattice))
 
-    def pushed(self, masses: FloatArray, points: NDArray[np.int64], reach: FloatArray) -> FloatArray:
+    def propagated(self, masses: FloatArray, points: NDArray[np.int64], reach: FloatArray) -> FloatArray:
         """Return masses (S,) after a step."""
-        return np.asarray(self.model.kernel.push(masses[None], points)[0])
+        return np.asarray(self.model.kernel.propagate(masses[None], points)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ class NearPoints:
         points = np.ravel_multi_index(tuple(index), tuple(len(axis) for axis in self.lattice))
         return np.where(policy >= 0, points, -1), reach
 
-    def pushed(self, masses: FloatArray, points: NDArray[np.int64], reach: FloatArray) -> FloatArray:
+    def propagated(self, masses: FloatArray, points: NDArray[np.int64], reach: FloatArray) -> FloatArray:
         """Return masses (S,) after a step."""
         key = reach.tobytes()
         if key not in self.known:

@@ -123,7 +123,7 @@ def _made(maker: str, given: dict[str, Any]) -> ObservationMap:
         name = f"rows(scale={options['scale']!r}, actions={options['actions']!r})"
         return ObservationMap(name, "own", options["scale"], actions=options["actions"], padded=True, told=True)
     count = given.get("neighbours")
-    sight = ObservationMap(
+    observation_map = ObservationMap(
         f"{maker}({', '.join(differing)})" if differing else maker,
         scopes.get(options.get("observation", ""), "joint"),
         options["scale"],
@@ -131,7 +131,7 @@ def _made(maker: str, given: dict[str, Any]) -> ObservationMap:
         options["actions"],
         central=not scopes,
     )
-    return sight if count is None else replace(sight, neighbours=int(ast.literal_eval(str(count))))
+    return observation_map if count is None else replace(observation_map, neighbours=int(ast.literal_eval(str(count))))
 
 
 def known_sights() -> Iterator[ObservationMap]:
@@ -153,16 +153,22 @@ def matched(problem: Problem, found: Detected, env: Any, agents: Sequence[int]) 
         If no environment shows so many numbers in these ranges, or if several do that differ in what they show.
     """
     if env is not None:
-        sight = sight_of(env)
-        if not _fits(problem, found, sight, agents, spaces=False):
-            raise ValueError(_no_fit(problem, found, [sight], agents))
-        return sight
-    fitting = [sight for sight in known_sights() if _fits(problem, found, sight, agents, spaces=True)]
+        observation_map = sight_of(env)
+        if not _fits(problem, found, observation_map, agents, spaces=False):
+            raise ValueError(_no_fit(problem, found, [observation_map], agents))
+        return observation_map
+    fitting = [
+        observation_map
+        for observation_map in known_sights()
+        if _fits(problem, found, observation_map, agents, spaces=True)
+    ]
     if not fitting:
         raise ValueError(_no_fit(problem, found, list(known_sights()), agents))
-    told = list({_meaning(problem, sight): sight for sight in reversed(fitting)}.values())[::-1]
+    told = list(
+        {_meaning(problem, observation_map): observation_map for observation_map in reversed(fitting)}.values()
+    )[::-1]
     if len(told) > 1:
-        shown = ", ".join(sight.maker for sight in told[:6]) + (", ..." if len(told) > 6 else "")
+        shown = ", ".join(observation_map.maker for observation_map in told[:6]) + (", ..." if len(told) > 6 else "")
         raise ValueError(
             f"`env`: expected the environment in which the model was trained, got none: {found.name} with "
             f"{_sizes(found)} may be of {shown}; give it, as in `as_policy(model, problem, env=env)` or "
@@ -171,33 +177,44 @@ def matched(problem: Problem, found: Detected, env: Any, agents: Sequence[int]) 
     return told[0]
 
 
-def _meaning(problem: Problem, sight: ObservationMap) -> tuple[Any, ...]:
+def _meaning(problem: Problem, observation_map: ObservationMap) -> tuple[Any, ...]:
     """Return what tells sights apart on a problem: rows and answers, however the environment is called."""
-    first = sight.space(problem, 0)
+    first = observation_map.space(problem, 0)
     unit = all(np.array_equal(a.input_low, -np.ones(a.n_inputs)) and np.array_equal(a.input_high, np.ones(a.n_inputs))
                for a in problem.agents)  # fmt: skip
-    scope = "own" if problem.n_agents == 1 else sight.scope
-    automaton = sight.automaton if len(first[0]) else ""
-    return scope, sight.scale, automaton, sight.told, sight.central and problem.n_agents > 1, unit or sight.actions
+    scope = "own" if problem.n_agents == 1 else observation_map.scope
+    automaton = observation_map.automaton if len(first[0]) else ""
+    return (
+        scope,
+        observation_map.scale,
+        automaton,
+        observation_map.told,
+        observation_map.central and problem.n_agents > 1,
+        unit or observation_map.actions,
+    )
 
 
-def _fits(problem: Problem, found: Detected, sight: ObservationMap, agents: Sequence[int], spaces: bool) -> bool:
+def _fits(
+    problem: Problem, found: Detected, observation_map: ObservationMap, agents: Sequence[int], spaces: bool
+) -> bool:
     """Whether a model observes and answers with as many numbers as an environment has, in its ranges if asked."""
-    asked = agents[:1] if sight.central else agents
+    asked = agents[:1] if observation_map.central else agents
     # Agents with fewer numbers may have been filled up to the largest one.
-    if found.observed not in (None, max(sight.size(problem, i) for i in asked)):
+    if found.observed not in (None, max(observation_map.size(problem, i) for i in asked)):
         return False
-    if found.answered not in (None, max(sight.n_actions(problem, i) for i in asked)):
+    if found.answered not in (None, max(observation_map.n_actions(problem, i) for i in asked)):
         return False
-    return _actions_fit(problem, found, sight, asked) and (not spaces or _spaces_fit(problem, found, sight, asked))
+    return _actions_fit(problem, found, observation_map, asked) and (
+        not spaces or _spaces_fit(problem, found, observation_map, asked)
+    )
 
 
-def _spaces_fit(problem: Problem, found: Detected, sight: ObservationMap, agents: Sequence[int]) -> bool:
+def _spaces_fit(problem: Problem, found: Detected, observation_map: ObservationMap, agents: Sequence[int]) -> bool:
     """Whether the space of observations, where the library keeps it, is that of an environment."""
     if found.space is None:
         return True
     for i in agents:
-        low, high = sight.space(problem, i)
+        low, high = observation_map.space(problem, i)
         n = len(low)
         if not (np.array_equal(found.space[0][:n], low.astype(found.space[0].dtype)) and
                 np.array_equal(found.space[1][:n], high.astype(found.space[1].dtype))):  # fmt: skip
@@ -205,16 +222,16 @@ def _spaces_fit(problem: Problem, found: Detected, sight: ObservationMap, agents
     return True
 
 
-def _actions_fit(problem: Problem, found: Detected, sight: ObservationMap, agents: Sequence[int]) -> bool:
+def _actions_fit(problem: Problem, found: Detected, observation_map: ObservationMap, agents: Sequence[int]) -> bool:
     """Whether the space of actions, where the library keeps it, is that of an environment."""
     if found.action_space is None:
         return True
     low, high = (np.asarray(end, dtype=float) for end in found.action_space)
-    if sight.actions == "unit":
+    if observation_map.actions == "unit":
         return bool(np.all(low == -1.0) and np.all(high == 1.0))
     moved = [problem.agents[i] for i in agents]
     own = [(a.input_low, a.input_high) for a in moved]
-    if sight.central:
+    if observation_map.central:
         team = problem.agents
         own = [(np.concatenate([a.input_low for a in team]), np.concatenate([a.input_high for a in team]))]
     return all(np.allclose(low[: len(a)], a) and np.allclose(high[: len(b)], b) for a, b in own)
@@ -230,13 +247,16 @@ def _sizes(found: Detected) -> str:
 def _no_fit(problem: Problem, found: Detected, observation_maps: list[ObservationMap], agents: Sequence[int]) -> str:
     """Return the message about a model that fits no environment of the problem: the sizes that are known."""
     sizes: dict[tuple[int, int], str] = {}
-    for sight in observation_maps:
-        asked = agents[:1] if sight.central else agents
-        key = max(sight.size(problem, i) for i in asked), max(sight.n_actions(problem, i) for i in asked)
-        sizes.setdefault(key, sight.maker)
+    for observation_map in observation_maps:
+        asked = agents[:1] if observation_map.central else agents
+        key = (
+            max(observation_map.size(problem, i) for i in asked),
+            max(observation_map.n_actions(problem, i) for i in asked),
+        )
+        sizes.setdefault(key, observation_map.maker)
     listed = ", ".join(f"{seen} and {done} ({maker})" for (seen, done), maker in sorted(sizes.items()))
     hint = ""
-    if any(_fits(problem, found, sight, agents, spaces=False) for sight in observation_maps):
+    if any(_fits(problem, found, observation_map, agents, spaces=False) for observation_map in observation_maps):
         hint = "; the sizes are known, but the ranges of its observations are not: give `env=` if they were changed"
     return (
         f"`model`: expected the observed numbers and actions of an environment of {problem.name!r}, got {found.name} "

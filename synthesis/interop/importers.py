@@ -233,6 +233,6 @@ def _made(problem: Problem, found: list[Detected], env: Any) -> OwnModels | Team
     everyone = range(problem.n_agents)
     moved = [everyone] if len(found) == 1 else [range(i, i + 1) for i in everyone]
     models = tuple(Model(each, matched(problem, each, env, agents)) for each, agents in zip(found, moved, strict=True))
-    if len(found) > 1 and any(model.sight.central for model in models):
+    if len(found) > 1 and any(model.observation_map.central for model in models):
         raise ValueError("`policy`: expected models of one agent each, got one that moves all of them")
     return policy_of(problem, models)

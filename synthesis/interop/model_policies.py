@@ -31,7 +31,7 @@ class Model:
     """
 
     found: Detected
-    sight: ObservationMap
+    observation_map: ObservationMap
 
     def inputs(self, problem: Problem, i: int, actions: Array) -> Array:
         """Return the inputs (m, N) of agent i, within its box, for answers (N, k)."""
@@ -43,13 +43,13 @@ class Model:
                 f"{'numbers that are not finite' if own.ndim == 2 and np.isnan(own).any() else own.shape}"
             )
         own = own[:, : agent.n_inputs].T
-        if self.sight.actions == "unit" or self.found.shares:
+        if self.observation_map.actions == "unit" or self.found.shares:
             return inputs_of(agent.input_box, own)
         return np.clip(own, agent.input_low[:, None], agent.input_high[:, None])
 
     def rows(self, problem: Problem, i: int, states: Any, q: Array, time: int) -> Array:
         """Return the rows (N, n) of agent i, filled up with zeros behind if the model observes more."""
-        rows = self.sight.rows(problem, i, states, q, time)
+        rows = self.observation_map.rows(problem, i, states, q, time)
         spare = 0 if self.found.observed is None else self.found.observed - rows.shape[1]
         return np.pad(rows, ((0, 0), (0, spare)))
 
@@ -74,7 +74,7 @@ class OwnModels:
     @property
     def information(self) -> str:
         """What agents see, in words."""
-        return self.models[0].sight.information
+        return self.models[0].observation_map.information
 
     @property
     def why_not_as_it_is(self) -> str:
@@ -149,7 +149,7 @@ class TeamModels:
     @property
     def information(self) -> str:
         """What agents see, in words."""
-        seen = self.models[0].sight.information
+        seen = self.models[0].observation_map.information
         return f"{seen}, what it remembers" if self.models[0].found.memory is not None else seen
 
     @property
@@ -157,7 +157,7 @@ class TeamModels:
         """Why neither the models nor models wrapped on a grid are certified."""
         if any(model.found.memory is not None for model in self.models):
             return "it remembers earlier observations"
-        return f"it sees {self.models[0].sight.information}"
+        return f"it sees {self.models[0].observation_map.information}"
 
     why_not_as_it_is = why_not_certified
 
@@ -183,7 +183,7 @@ class TeamBatch:
         going = ~(worlds.failed | worlds.accepted)
         # Models are asked about all worlds, because what they remember is of all; states that mean nothing are 0.
         states = [np.where(going, worlds.states[block][:, place], 0.0) for block, place in self.dynamics.position]
-        asked = range(1) if models[0].sight.central else range(problem.n_agents)
+        asked = range(1) if models[0].observation_map.central else range(problem.n_agents)
         answers, remembered = [], list(memory)
         for i in asked:
             model = models[i % len(models)]
@@ -194,7 +194,7 @@ class TeamBatch:
                 assert model.found.act is not None
                 answer = model.found.act(rows)
             answers.append(_answered(answer))
-        if models[0].sight.central:
+        if models[0].observation_map.central:
             answers = [answers[0][:, columns] for columns in problem.input_columns]
         pairs = zip(answers, range(problem.n_agents), strict=True)
         inputs = [np.where(going, models[i % len(models)].inputs(problem, i, answer), 0.0) for answer, i in pairs]
@@ -204,7 +204,7 @@ class TeamBatch:
 
 def policy_of(problem: Problem, models: tuple[Model, ...]) -> OwnModels | TeamModels:
     """Return the policy that models are: decentralised if each sees its own state alone and remembers nothing."""
-    is_own = all(model.sight.is_own(problem) and model.found.memory is None for model in models)
+    is_own = all(model.observation_map.is_own(problem) and model.found.memory is None for model in models)
     return OwnModels(problem, models) if is_own else TeamModels(problem, models)
 
 
@@ -213,18 +213,18 @@ def why_not_as_it_is(problem: Problem, model: Model, i: int) -> str:
 
     What is certified must be the network itself, number by number: nothing is rounded to bring it into form.
     """
-    found, sight, agent = model.found, model.sight, problem.agents[i]
+    found, observation_map, agent = model.found, model.observation_map, problem.agents[i]
     if not found.networks:
         return found.why_not or "it is not a feed-forward network that can be read"
     network = found.networks[i % len(found.networks)]
-    in_units = sight.actions == "input" and not found.shares
+    in_units = observation_map.actions == "input" and not found.shares
     if in_units and not network.squashed and np.any(agent.input_low >= agent.input_high):
         return "its inputs lie in a box that is flat; train with actions='unit'"
     # A library that knows its space of actions moves what tanh answers onto it; otherwise tanh is an input in its unit.
     box_is_unit = np.all(agent.input_low == -1.0) and np.all(agent.input_high == 1.0)
     if in_units and network.squashed and found.action_space is None and not box_is_unit:
         return "its tanh answers with inputs between -1 and 1, not with shares of the input box"
-    if sight.automaton == "number":
+    if observation_map.automaton == "number":
         column = network.weights[0][:, agent.n_states]
         exact = np.multiply.outer(np.arange(problem.automaton.n_states), column.astype(float))
         if not np.array_equal(exact, exact.astype(np.float32)):
@@ -238,23 +238,23 @@ def network_policy(problem: Problem, model: Model, i: int) -> NetworkPolicy:
     Columns of the first layer move to where certified networks see what they stand for, and columns of zeros come
     beside them, which add nothing in any order of summation.
     """
-    found, sight, agent = model.found, model.sight, problem.agents[i]
+    found, observation_map, agent = model.found, model.observation_map, problem.agents[i]
     network, n_q, n = found.networks[i % len(found.networks)], problem.automaton.n_states, problem.n_agents
     width = max(each.n_states for each in problem.agents)
-    view = OwnView(i, n, width, n_q, problem.horizon, sight.scale)
+    view = OwnView(i, n, width, n_q, problem.horizon, observation_map.scale)
     first = network.weights[0]
     wide = np.zeros((len(first), view.size), dtype=first.dtype)
-    seen = width if sight.padded else agent.n_states
+    seen = width if observation_map.padded else agent.n_states
     wide[:, :seen] = first[:, :seen]
     tail = first[:, seen:]
-    if sight.automaton == "one-hot":
+    if observation_map.automaton == "one-hot":
         wide[:, width : width + n_q], tail = tail[:, :n_q], tail[:, n_q:]
-    elif sight.automaton == "number":
+    elif observation_map.automaton == "number":
         wide[:, width : width + n_q], tail = np.multiply.outer(tail[:, 0], np.arange(n_q)), tail[:, 1:]
     wide[:, width + n_q] = tail[:, 0]
-    if sight.told:
+    if observation_map.told:
         wide[:, width + n_q + 1 :] = tail[:, 1 : 1 + n]
-    outputs = "unit" if network.squashed or sight.actions == "unit" or found.shares else "box"
+    outputs = "unit" if network.squashed or observation_map.actions == "unit" or found.shares else "box"
     changed = replace(network, weights=(wide, *network.weights[1:]), outputs=outputs)
     return NetworkPolicy(changed, view, agent.workspace, agent.input_box)
 
@@ -274,4 +274,9 @@ def _rows(policy: OwnModels | TeamModels) -> list[tuple[str, str]]:
     elif why:
         how = f"wrapped on a grid, not as it is: {why}"
     kinds = [("agents", "one model for all")] if len(policy.models) == 1 else [("agents", "a model for each")]
-    return [("trained in", policy.models[0].sight.maker), ("sees", policy.information), *kinds, ("certified", how)]
+    return [
+        ("trained in", policy.models[0].observation_map.maker),
+        ("sees", policy.information),
+        *kinds,
+        ("certified", how),
+    ]

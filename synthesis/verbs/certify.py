@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ...envs.suite import as_problem
 from ...envs.systems.agents import AnyAgent
 from ...envs.systems.backends import on_one_thread
-from ...envs.tasks.problem import Problem, policy_in_file, states_in_time, written_out
+from ...envs.tasks.problem import Problem, policy_in_file, states_in_time, unrolled_in_time
 from ..abstraction.models import (
     Abstraction,
     AgentModel,
@@ -41,7 +41,7 @@ from ..abstraction.models import (
 )
 from ..certificates.controllers import Decentralised, Policy, decentralised
 from ..certificates.proofs import Synthesis, timed_certificate
-from ..composition import CollisionProbability, less_nearness, nearness, relevant_pairs, usual_values, without_pairs
+from ..composition import CollisionProbability, less_proximity, proximity, relevant_pairs, usual_values, without_pairs
 from ..interop import SymbolicPolicies, certifiable
 from ..policy_search.ascent import FINAL, Limits, Search, Sweep, sweep
 from ..policy_search.cell_certificates import certificate_of, judged
@@ -174,7 +174,7 @@ def _in_time(
     problem: Problem, policy: Policy, cells: CellCounts, relation: Relations, settings: dict[str, Any]
 ) -> Synthesis:
     """Certify a policy for a problem that names the time, as one of the problem written out."""
-    base = written_out(problem)
+    base = unrolled_in_time(problem)
     clocks = tuple(bool(agent.has_clock) for agent in base.agents)
     raw = _WrittenOut(decentralised(problem, policy), states_in_time(problem, base), clocks)
     found, _ = _of_task(base, raw, cells, relation, settings)
@@ -197,8 +197,8 @@ def _by_subtraction(problem: Problem, policy: Decentralised, cells: CellCounts, 
     base = without_pairs(problem, usual)
     found, wrapped = _of_task(base, policy, cells, "exact", settings)
     model = replace(wrapped.joint, finds_alike=True)
-    near = nearness(CollisionProbability(problem, base, model, relevant_pairs(problem), usual), wrapped.policies)
-    certificate = less_nearness(problem, found.certificate, usual, near, dict(found.certificate.settings))
+    near = proximity(CollisionProbability(problem, base, model, relevant_pairs(problem), usual), wrapped.policies)
+    certificate = less_proximity(problem, found.certificate, usual, near, dict(found.certificate.settings))
     return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})
 
 

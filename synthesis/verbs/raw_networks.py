@@ -16,11 +16,11 @@ import numpy as np
 
 from ...envs.suite import as_problem
 from ...envs.systems.arguments import counted, tree_text
-from ...envs.tasks.problem import Problem, written_out
+from ...envs.tasks.problem import Problem, unrolled_in_time
 from ..abstraction.models import Abstraction, JointModel, Policies, join, network_abstraction, network_tables, start_of
 from ..certificates.proofs import Certificate, OnGrid, Synthesis, timed_certificate
 from ..certificates.value_functions import to_host
-from ..composition import CollisionProbability, less_nearness, nearness, relevant_pairs, usual_values, without_pairs
+from ..composition import CollisionProbability, less_proximity, proximity, relevant_pairs, usual_values, without_pairs
 from ..interop import SymbolicPolicies, certifiable
 from ..policy_search.ascent import FINAL, Limits, Stage, sweep
 from ..policy_search.cell_certificates import certificate_of
@@ -221,8 +221,8 @@ def _less_nearness(
     base = without_pairs(problem, usual)
     found, abstraction = _on_grids(base, policies, cells, relation, targets_per_cell)
     masses = CollisionProbability(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
-    near = nearness(masses, network_tables(base, abstraction))
-    certificate = less_nearness(problem, found.certificate, usual, near, dict(found.certificate.settings))
+    near = proximity(masses, network_tables(base, abstraction))
+    certificate = less_proximity(problem, found.certificate, usual, near, dict(found.certificate.settings))
     return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})
 
 
@@ -238,7 +238,7 @@ def _written(problem: Problem, policies: Sequence[NetworkPolicy]) -> tuple[Probl
     """Return the problem as grids know it, without the time, and what its networks are there."""
     if not problem.names_time:
         return problem, policies
-    base = written_out(problem)
+    base = unrolled_in_time(problem)
     return base, told_in_time(problem, base, policies)
 
 
@@ -327,8 +327,8 @@ class _Losses:
         for i, (model, weights) in enumerate(zip(self.models, stage.weights(), strict=True)):
             self.others[i][t, q] = stage.policies[i]
             if stage.is_met and len(stage.rows):
-                smoothed = to_host(stage.smoothed[i])
-                better, own = (model.choices.read(smoothed, p) for p in (stage.policies[i], self.tables[i][t, q]))
+                backed_up = to_host(stage.backed_up[i])
+                better, own = (model.choices.read(backed_up, p) for p in (stage.policies[i], self.tables[i][t, q]))
                 self.losses[i][t, q] = np.maximum(np.einsum("sn,ns->s", to_host(weights), better - own), 0.0)
 
     def mixed(self, least: float) -> Policies:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...envs.suite import as_problem
 from ...envs.systems.backends import on_one_thread
-from ...envs.tasks.problem import JOINT_NOISE_REFUSAL, OutOfReach, Problem, out_of_reach, why_never
+from ...envs.tasks.problem import JOINT_NOISE_REFUSAL, OutOfReach, Problem, out_of_reach, why_unsatisfiable
 from ..abstraction.models import RELATIONS, Relations, Settings, check_names, check_settings, relations_of
 from ..certificates.proofs import (
     Certificate,
@@ -211,7 +211,7 @@ def _of_task(
 ) -> Synthesis:
     """Synthesize one task, in the ways that relations and start leave open."""
     if cells is None and relation == "auto" and start is None and plan.paths:
-        never = why_never(problem)
+        never = why_unsatisfiable(problem)
         if lost := OutOfReach(never, 0.0) if never else out_of_reach(problem):
             plan.effort.give_up(lost.why)
     if problem.joint_noise:

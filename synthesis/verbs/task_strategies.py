@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...envs.systems.agents import Agent
-from ...envs.tasks.problem import Problem, written_out
+from ...envs.tasks.problem import Problem, unrolled_in_time
 from ..abstraction.models import (
     Abstraction,
     Policies,
@@ -144,7 +144,7 @@ def strategies_of_named_inputs(problem: Problem, plan: Plan, run: Callable[[Plan
 def still_problem(problem: Problem) -> Problem:
     """Return a problem that names the time, written out without it; refuse one that has no grid."""
     try:
-        return written_out(problem)
+        return unrolled_in_time(problem)
     except ValueError as error:
         raise RelationRefused(str(error)) from None
 

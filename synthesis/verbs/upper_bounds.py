@@ -79,19 +79,19 @@ def _with_end(certificate: OnGrid, most: float = math.inf) -> OnGrid:
     if certificate.gap is not None or _work_of_models(certificate) > most:
         return certificate
     try:
-        opposite = _complement(certificate, Effort(allowance=most))
+        complement = _complement(certificate, Effort(allowance=most))
     except OutOfTime:
         return certificate
     except ValueError as error:
         if math.isfinite(most):
             return certificate  # nobody asked for it
         raise ValueError(f"`certificate`: its policies cannot be evaluated for the opposite task: {error}") from error
-    if math.isfinite(most) and opposite.lower_bound <= 0.0:
+    if math.isfinite(most) and complement.lower_bound <= 0.0:
         return certificate  # it says nothing
-    above = min(1.0, math.nextafter(1.0 - opposite.lower_bound, 2.0))
+    above = min(1.0, math.nextafter(1.0 - complement.lower_bound, 2.0))
     # Rounded up: the sum of bound and gap must not be below the end.
     gap = max(0.0, math.nextafter(above - certificate.lower_bound, 2.0))
-    return changed(certificate, opposite=opposite, gap=gap)
+    return changed(certificate, complement=complement, gap=gap)
 
 
 def _work_of_models(certificate: OnGrid) -> float:
@@ -176,7 +176,7 @@ def evaluated(
     start = start_of(problem, joint)
 
     def watch(stage: Stage) -> None:
-        effort.count(sum(table.size for table in stage.smoothed) / SMOOTHED_PER_SECOND)
+        effort.count(sum(table.size for table in stage.backed_up) / SMOOTHED_PER_SECOND)
 
     tries = [sweep(joint, policies, start, limits, improve=False, watch=watch, climb=climb) for climb in climbs]
     best = max(tries, key=lambda found: found.value)

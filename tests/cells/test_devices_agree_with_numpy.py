@@ -155,9 +155,9 @@ def test_kernels_smooth_and_push_alike() -> None:
         factors, masses = rng.random((7, n_cells)), rng.random((7, n_cells))
         policy = rng.integers(-1, n_points, size=n_cells)
         there = device_put(DEVICE)
-        np.testing.assert_allclose(to_host(kernel.smooth(there(factors))), kernel.smooth(factors), rtol=1e-12)
-        pushed = to_host(kernel.push(there(masses), policy))
-        np.testing.assert_allclose(pushed, kernel.push(masses, policy), rtol=1e-11, atol=1e-60)
+        np.testing.assert_allclose(to_host(kernel.backup(there(factors))), kernel.backup(factors), rtol=1e-12)
+        propagated = to_host(kernel.propagate(there(masses), policy))
+        np.testing.assert_allclose(propagated, kernel.propagate(masses, policy), rtol=1e-11, atol=1e-60)
 
 
 def test_tables_are_copied_once_and_forgotten_with_their_owner() -> None:

@@ -108,7 +108,7 @@ def sequences_of(problem: cg.Problem, joint: JointModel) -> dict[tuple[int, ...]
             value = np.ones((1, model.n_cells))
             for number in reversed(sequence):
                 choices = model.choices.parts[group.parts[i][number]]
-                table = model.kernel.smooth(value * inside[i])
+                table = model.kernel.backup(value * inside[i])
                 best = choices.best(np.ones((1, 1)), table, np.full(model.n_cells, -1, dtype=np.int32))
                 value = choices.read(table, best)
             total *= float(start.terms.factors[i][0] @ value[0])

@@ -55,10 +55,10 @@ def test_pushing_and_smoothing_are_adjoint_in_two_dimensions() -> None:
     kernel = Kernel((AxisTable.dense(first), AxisTable.dense(second)))
     values, masses = rng.random((2, 15)), rng.random((3, 15))
     policy = rng.integers(-1, 28, size=15)
-    expected = kernel.smooth(values)[:, np.maximum(policy, 0)] * (policy >= 0)
-    np.testing.assert_allclose(masses @ expected.T, kernel.push(masses, policy) @ values.T, rtol=1e-13)
+    expected = kernel.backup(values)[:, np.maximum(policy, 0)] * (policy >= 0)
+    np.testing.assert_allclose(masses @ expected.T, kernel.propagate(masses, policy) @ values.T, rtol=1e-13)
     table = np.einsum("as,bt->abst", first, second).reshape(28, 15)
-    np.testing.assert_allclose(kernel.smooth(values), values @ table.T, rtol=1e-13)
+    np.testing.assert_allclose(kernel.backup(values), values @ table.T, rtol=1e-13)
 
 
 @pytest.mark.parametrize("std", [0.05, 0.5, 30.0])
@@ -70,8 +70,8 @@ def test_banded_tables_are_the_dense_ones(std: float) -> None:
     assert np.all(table <= dense) and np.max(dense - table) < 1e-18 and loss < 1e-11 and missing < 1e-11
     rng = np.random.default_rng(1)
     values, masses = rng.random((3, 500)), rng.random((2, 700))
-    np.testing.assert_allclose(banded.smooth(values), values @ table.T, rtol=1e-13)
-    np.testing.assert_allclose(banded.push(masses), masses @ table, rtol=1e-13)
+    np.testing.assert_allclose(banded.backup(values), values @ table.T, rtol=1e-13)
+    np.testing.assert_allclose(banded.propagate(masses), masses @ table, rtol=1e-13)
     assert std > 1 or sum(entries.size for *_, entries in banded.blocks) < 0.7 * dense.size
 
 
@@ -84,9 +84,9 @@ def test_rows_with_narrow_support_are_smoothed_alike() -> None:
         [(0, 1200), (0, 1), (1199, 1200), (200, 440), (3, 3), (64, 128), (63, 65), (900, 1200)]
     ):
         values[row, :a] = values[row, b:] = 0.0
-    np.testing.assert_allclose(banded.smooth(values), values @ banded.toarray().T, rtol=1e-12, atol=1e-300)
+    np.testing.assert_allclose(banded.backup(values), values @ banded.toarray().T, rtol=1e-12, atol=1e-300)
     stacked = values.reshape(3, 3, 1200)
-    np.testing.assert_allclose(banded.smooth(stacked).reshape(9, -1), banded.smooth(values), rtol=1e-12)
+    np.testing.assert_allclose(banded.backup(stacked).reshape(9, -1), banded.backup(values), rtol=1e-12)
 
 
 def test_masses_on_few_lattice_points_are_pushed_alike() -> None:
@@ -97,6 +97,6 @@ def test_masses_on_few_lattice_points_are_pushed_alike() -> None:
     masses[..., 300:700] = 0.0
     assert masses.size // 1500 * sum(entries.size for *_, entries in banded.blocks) > MANY_PRODUCTS
     expected = masses @ banded.toarray()
-    np.testing.assert_allclose(banded.push(masses), expected, rtol=1e-12, atol=1e-300)
-    np.testing.assert_allclose(banded.push(masses[0, :1]), expected[0, :1], rtol=1e-12, atol=1e-300)
-    assert not banded.push(np.zeros((400, 1500))).any()
+    np.testing.assert_allclose(banded.propagate(masses), expected, rtol=1e-12, atol=1e-300)
+    np.testing.assert_allclose(banded.propagate(masses[0, :1]), expected[0, :1], rtol=1e-12, atol=1e-300)
+    assert not banded.propagate(np.zeros((400, 1500))).any()

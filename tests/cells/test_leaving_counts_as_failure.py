@@ -157,7 +157,7 @@ def forged(certificate: Any, change: Any = lambda joint: joint, labels: Any = la
     best = sweep(joint, policies, start_of(other, joint), FINAL, improve=False)
     found = changed(certificate_of(other, beyond, joint, best, certificate.settings, "forged"), gap=None)
     above = 1.0 - found.lower_bound
-    return changed(certificate, opposite=found, gap=max(0.0, above - certificate.lower_bound) + 1e-12), above
+    return changed(certificate, complement=found, gap=max(0.0, above - certificate.lower_bound) + 1e-12), above
 
 
 def whatever_others_do(joint: JointModel) -> JointModel:
@@ -206,17 +206,17 @@ def old_end(certificate: Any) -> Any:
     policies = tuple(part.policy for part in certificate.proof.agents)
     other = complement_inside(certificate.problem)
     found = evaluated(other, abstraction_again(certificate), policies, certificate)
-    return changed(certificate, opposite=found, gap=1.0 - found.lower_bound - certificate.lower_bound + 1e-12)
+    return changed(certificate, complement=found, gap=1.0 - found.lower_bound - certificate.lower_bound + 1e-12)
 
 
 def test_upper_ends_of_earlier_versions_hold_as_before() -> None:
     end = old_end(certified("co-safe", "linear"))
     report = cg.check(end)
     assert report and report.above == pytest.approx(end.upper_bound, abs=1e-9)
-    assert end.proof.opposite.problem.automaton.semantics == "finite-trace"
+    assert end.proof.complement.problem.automaton.semantics == "finite-trace"
     # What was certified of one opposite is nothing that is known of the other one.
     new = ended("co-safe", "linear")
-    mixed = changed(new, opposite=dataclasses.replace(new.proof.opposite, problem=end.proof.opposite.problem))
+    mixed = changed(new, complement=dataclasses.replace(new.proof.complement, problem=end.proof.complement.problem))
     assert not cg.check(mixed)
 
 

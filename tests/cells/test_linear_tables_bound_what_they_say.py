@@ -40,11 +40,11 @@ def uniform_axis(low: float, high: float, cells: int, per_cell: int, first: floa
     )
 
 
-def smoothed(
+def backed_up(
     kernel: Kernel, bends_of: second_derivative_bounds.SecondDerivativeBounds, factors: NDArray
 ) -> tuple[NDArray, NDArray]:
     """Values of factors on the lattice, and their bends."""
-    values = kernel.smooth(factors)
+    values = kernel.backup(factors)
     bent = np.empty_like(values)
     bends_of.add_to(bent, values, factors)
     return values, bent
@@ -126,7 +126,7 @@ def test_bends_are_at_least_the_gaps_of_random_factors(d: int, width: float, ske
     kernel = Kernel(tables, sum(losses))
     # Some factors are 0 in most places: these bend most.
     factors = rng.random((6, (2 * n) ** d)) * (rng.random((6, (2 * n) ** d)) < [[0.1], [0.2], [0.5], [1], [1], [0.05]])
-    values, bent = smoothed(kernel, bends_of, factors)
+    values, bent = backed_up(kernel, bends_of, factors)
     shape, worst = np.array(kernel.lattice_shape), 0.0
     for _ in range(300):
         base = rng.integers(0, shape - moves.sum(axis=0), size=d)
@@ -173,7 +173,7 @@ def test_bends_cover_directions_that_bend_most_at_different_points(seed: int) ->
         Kernel(tables, sum(losses)),
     )
     factors = rng.random((4, grid.n_cells * 4)) * (rng.random((4, grid.n_cells * 4)) < 0.3)
-    _, bent = smoothed(kernel, bends_of, factors)
+    _, bent = backed_up(kernel, bends_of, factors)
     # The second derivatives themselves, in closed form.
     masses = [table.toarray() for table in kernel.tables]
     each = []
@@ -210,7 +210,7 @@ def test_bends_hold_for_factors_that_bend_most_between_lattice_points(lattice_sp
         kernel = Kernel((table,), loss)
         signs = [np.polynomial.hermite_e.hermeval(centres, [0] * n + [1]) > 0 for n in (2, 4, 6)]
         factors = np.array([*signs, *(~sign for sign in signs)], dtype=float)
-        values, bent = smoothed(kernel, bends_of, factors)
+        values, bent = backed_up(kernel, bends_of, factors)
         for first in range(3, len(lattice) - step - 3):
             last = first + step
             points = lattice[first] + shares * step * lattice_spacing

@@ -112,7 +112,9 @@ def test_one_step_in_the_plane_with_correlated_noise() -> None:
 def test_without_the_curvature_one_step_would_be_too_low(monkeypatch: pytest.MonkeyPatch) -> None:
     """Means between lattice points, and points between corners, can do better: the allowance for them is needed."""
     monkeypatch.setattr(
-        continuous_bound.SecondDerivativeBounds, "add_to", lambda self, bends, values, factors: bends.fill(0.0)
+        continuous_bound.SecondDerivativeBounds,
+        "add_to",
+        lambda self, second_derivatives, values, factors: second_derivatives.fill(0.0),
     )
     with pytest.raises(AssertionError):
         test_one_step_lies_above_what_points_and_inputs_lead_to(12, ([[1.3]], [[0.02]]))

@@ -21,7 +21,7 @@ from certigym.synthesis.certificates.cell_probabilities.checked_laws import (
     law_charge,
     law_error,
     law_height,
-    lawful_masses,
+    masses_of_law,
     probability_below,
     scale_charge,
 )
@@ -209,7 +209,7 @@ def test_interpolation_adds_no_more_than_the_charge(law: Law, share: float) -> N
 def test_masses_are_below_the_truth_and_the_check_takes_off_less(law: Law) -> None:
     means, edges = np.linspace(-1.0, 1.0, 37), np.linspace(-1.3, 1.2, 41)
     table, loss = law_table(means, edges, law)
-    masses, checked = table.toarray(), lawful_masses(law, edges, means)
+    masses, checked = table.toarray(), masses_of_law(law, edges, means)
     truth = np.diff(law.tails(edges[None] - means[:, None])[0], axis=1)
     assert np.all(masses <= np.maximum(truth - law.cdf_error, 0.0)) and np.all(masses <= checked)
     assert np.all((truth - masses).sum(axis=1) <= loss)
@@ -224,7 +224,7 @@ def test_what_the_check_may_lack_is_counted(law: Law) -> None:
     part = cg.synthesize(problem, 40, relation="exact").certificate.proof.agents[0]
     cells = part.grid.n_cells
     lost = lost_to_rounding(problem.agents[0], part)
-    assert (most - lawful_masses(law, edges, means)).sum(axis=1).max() / 40 <= lost / cells
+    assert (most - masses_of_law(law, edges, means)).sum(axis=1).max() / 40 <= lost / cells
 
 
 def reach(noise: Any, **changes: Any) -> cg.Problem:
@@ -284,7 +284,7 @@ def test_a_sharper_law_than_the_real_one_is_refused(monkeypatch: pytest.MonkeyPa
 def test_a_charge_left_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = reach([DECLARED[4]])
     with monkeypatch.context() as patch:
-        patch.setattr(BoxKernel, "smooth", Kernel.smooth)
+        patch.setattr(BoxKernel, "backup", Kernel.backup)
         broken = cg.synthesize(problem, 80, relation="boxes").certificate
     assert cg.check(cg.synthesize(problem, 80, relation="boxes").certificate, problem).valid
     assert not cg.check(broken, problem)

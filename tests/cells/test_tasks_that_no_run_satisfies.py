@@ -9,7 +9,7 @@ import pytest
 import certigym as cg
 from certigym.envs.tasks.automata import may_accept, parse_formula, translate
 from certigym.envs.tasks.automata.windows import ahead, fitting
-from certigym.envs.tasks.problem import cut_by_the_end, why_never
+from certigym.envs.tasks.problem import cut_by_the_end, why_unsatisfiable
 
 
 def walker(formula: str, horizon: int = 12, **changes: Any) -> cg.Problem:
@@ -31,20 +31,20 @@ def walker(formula: str, horizon: int = 12, **changes: Any) -> cg.Problem:
     ],
 )
 def test_what_fits_is_written_instead(formula: str, instead: str) -> None:
-    assert f"write `{instead}`" in why_never(walker(formula))
-    assert why_never(walker(instead)) == ""
+    assert f"write `{instead}`" in why_unsatisfiable(walker(formula))
+    assert why_unsatisfiable(walker(instead)) == ""
 
 
 def test_what_contradicts_itself_or_is_too_long_has_no_advice() -> None:
     for formula in ("F a & G !a", "F[13,15] a"):
-        why = why_never(walker(formula))
+        why = why_unsatisfiable(walker(formula))
         assert why.startswith("no run of 12 steps satisfies the formula") and "write" not in why
-    assert why_never(walker("F[13,15] a", horizon=13)) == ""
+    assert why_unsatisfiable(walker("F[13,15] a", horizon=13)) == ""
 
 
 @pytest.mark.parametrize("formula", ["F a & F b", "G (a -> F[1,5] b)", "G !b", "G[0,6] F[1,6] a"])
 def test_nothing_is_said_of_other_tasks(formula: str) -> None:
-    assert why_never(walker(formula)) == ""
+    assert why_unsatisfiable(walker(formula)) == ""
 
 
 @pytest.mark.parametrize(

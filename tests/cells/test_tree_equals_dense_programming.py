@@ -90,7 +90,9 @@ def tree_value(problem: Problem, models: list[AgentModel], policies: tuple[np.nd
                     ([np.ones((1, n), dtype=object) for n in n_cells], np.zeros((1, len(models)), dtype=np.int64))
                 )
             else:
-                parts.append(([gather(s, policies[i][t, q]) for i, s in enumerate(options.smoothed)], options.index[q]))
+                parts.append(
+                    ([gather(s, policies[i][t, q]) for i, s in enumerate(options.backed_up)], options.index[q])
+                )
         terms = assemble(parts, n_cells, dtype=object)
     return terms
 
@@ -202,10 +204,10 @@ def test_kernels_take_rows_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     table, rng = AxisTable.dense, np.random.default_rng(3)
     maker = Kernel((table(rng.random((5, 4)) / 4), table(rng.random((6, 3)) / 3)))
     values, policy = rng.random((9, 12)), rng.integers(-1, 30, 12)
-    whole = maker.smooth(values), maker.push(values, policy)
+    whole = maker.backup(values), maker.propagate(values, policy)
     for numbers in (1, 70, 200):
         monkeypatch.setattr(kernel, "NUMBERS_AT_ONCE", numbers)
-        for one, other in zip(whole, (maker.smooth(values), maker.push(values, policy)), strict=True):
+        for one, other in zip(whole, (maker.backup(values), maker.propagate(values, policy)), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-14)
 
 

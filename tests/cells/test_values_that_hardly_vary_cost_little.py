@@ -46,7 +46,7 @@ def test_interpolants_stay_below_the_truth(law: Law, is_scaled: bool, kind: str)
     if kernel.near is None:
         assert not is_scaled and law.name == "gaussian"  # second differences say more
         return
-    table = kernel.smooth(values[None])[0].reshape(kernel.points)
+    table = kernel.backup(values[None])[0].reshape(kernel.points)
     at_level, at = rng.uniform(levels[1], levels[-2], 200), rng.uniform(means[1], means[-2], 200)
     if not is_scaled:
         at_level = np.zeros(200)

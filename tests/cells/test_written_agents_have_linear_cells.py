@@ -135,7 +135,7 @@ def test_a_step_is_below_the_truth(name: str, noise: str) -> None:
     near = 1.0
     for factor in (ramp, (ramp > 0.3) * 1.0, rng.random(len(ramp)) * ramp):
         policy = rng.integers(len(choices.relation.menu), size=grid.n_cells).astype(np.int32)
-        lower = choices.read(kernel.smooth(factor[None]), policy)[0]
+        lower = choices.read(kernel.backup(factor[None]), policy)[0]
         points = rng.uniform([[-1.5], [-2.0]], [[1.5], [2.0]], size=(2, 4000))
         places, weights = hats(grid, points)
         inputs = choices.relation.menu[policy[grid.cell_of(points)]].T

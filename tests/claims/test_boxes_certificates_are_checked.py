@@ -177,7 +177,7 @@ ENCLOSED, PLACED = BoxRelation.mean_boxes, box_choices.positions
 
 SABOTAGE: dict[str, tuple[Any, str, Any]] = {
     "a value in the middle instead of the least": (box_choices, "least_over_boxes", middle_values),
-    "the charge left out": (BoxKernel, "smooth", Kernel.smooth),
+    "the charge left out": (BoxKernel, "backup", Kernel.backup),
     "boxes shrunk": (BoxRelation, "mean_boxes", shrunk),
     "positions rounded inward": (box_choices, "positions", rounded_inward),
     "boxes moved": (BoxRelation, "mean_boxes", moved_aside),

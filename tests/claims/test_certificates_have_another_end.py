@@ -73,8 +73,8 @@ def test_other_controllers_are_refused() -> None:
     worst = cg.synthesize(complement_of(good.problem), 60, relation="linear").certificate
     above = 1.0 - worst.lower_bound
     assert cg.check(worst) and above < good.lower_bound
-    for opposite in (worst, parked(40).proof.opposite):
-        assert "does not act as it does" in cg.check(changed(good, opposite=opposite)).failures[0]
+    for complement in (worst, parked(40).proof.complement):
+        assert "does not act as it does" in cg.check(changed(good, complement=complement)).failures[0]
     (part,) = good.proof.agents
     policy = part.policy.copy()
     policy[0, 0] = (policy[0, 0] + 1) % 2
@@ -85,17 +85,19 @@ def test_other_controllers_are_refused() -> None:
 def forgeries() -> dict[str, Any]:
     """Upper ends that do not hold, by what is wrong with them."""
     good = parked(60)
-    larger = good.proof.opposite.lower_bound + 0.01
-    stated = changed(good.proof.opposite, lower_bound=larger, bounds={good.proof.opposite.proof.bound: larger})
+    larger = good.proof.complement.lower_bound + 0.01
+    stated = changed(good.proof.complement, lower_bound=larger, bounds={good.proof.complement.proof.bound: larger})
     shorter = cg.synthesize(good.problem.replace(horizon=good.problem.horizon - 1), 60, relation="linear", above=True)
     return {
-        "exceeds the recomputed": changed(good, opposite=stated),
+        "exceeds the recomputed": changed(good, complement=stated),
         "says that the probability is at most": changed(good, gap=0.5 * good.gap),
-        "do not fit together|does not act": changed(good, opposite=shorter.certificate.proof.opposite),
-        "names a vertex that is not there|recomputed": changed(good, opposite=changed(good, opposite=None, gap=None)),
-        "an upper end again": changed(good, opposite=changed(good.proof.opposite, opposite=good)),
+        "do not fit together|does not act": changed(good, complement=shorter.certificate.proof.complement),
+        "names a vertex that is not there|recomputed": changed(
+            good, complement=changed(good, complement=None, gap=None)
+        ),
+        "an upper end again": changed(good, complement=changed(good.proof.complement, complement=good)),
         "says nothing of an upper end": changed(good, gap=None),
-        "are not additive": changed(good, opposite=None),
+        "are not additive": changed(good, complement=None),
     }
 
 

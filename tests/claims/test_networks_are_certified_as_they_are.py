@@ -276,8 +276,8 @@ def test_losses_are_those_of_a_step() -> None:
     _, places = repair_network(problem, actor, 50)
     cell = int(model.grid.cell_of(np.array([[-0.3]]))[0])
     goal = ((model.grid.centres[:, 0] >= 1.0) & (model.grid.centres[:, 0] < 3.0)).astype(float)
-    smoothed, every = model.kernel.smooth(goal[None]), range(model.choices.size.shape[1])
-    values = [model.choices.read(smoothed, np.full(50, a, dtype=np.int32))[0, cell] for a in every]
+    backed_up, every = model.kernel.backup(goal[None]), range(model.choices.size.shape[1])
+    values = [model.choices.read(backed_up, np.full(50, a, dtype=np.int32))[0, cell] for a in every]
     own = values[problem.automaton.initial]
     expected = max(values[actor.agent_policy(0).n_modes :]) - own
     assert expected > 0.1

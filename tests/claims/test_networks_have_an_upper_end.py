@@ -45,12 +45,12 @@ def test_upper_ends_that_are_wrong_are_refused(ends: tuple[cg.Problem, Any, Any]
     """The task itself, a bound that is too small, other weights."""
     problem, actor, certificate = ends
     itself = certify_network(problem, actor, 150).certificate
-    assert certificate.proof.opposite.problem.automaton.n_states == problem.automaton.n_states + 1
-    assert not cg.check(changed(certificate, opposite=itself))
-    lower = certificate.proof.opposite.lower_bound + 0.01
-    small = changed(certificate.proof.opposite, lower_bound=lower, bounds={"nominal": lower})
-    assert any("exceeds" in text for text in cg.check(changed(certificate, opposite=small)).failures)
-    squashed = changed(certificate, opposite=with_network(certificate.proof.opposite, squashed=True))
+    assert certificate.proof.complement.problem.automaton.n_states == problem.automaton.n_states + 1
+    assert not cg.check(changed(certificate, complement=itself))
+    lower = certificate.proof.complement.lower_bound + 0.01
+    small = changed(certificate.proof.complement, lower_bound=lower, bounds={"nominal": lower})
+    assert any("exceeds" in text for text in cg.check(changed(certificate, complement=small)).failures)
+    squashed = changed(certificate, complement=with_network(certificate.proof.complement, squashed=True))
     assert "does not act" in cg.check(squashed).failures[0]
     RNG.random(7)  # from here on the draws are others than those of the fixture
     others = proportional(problem)

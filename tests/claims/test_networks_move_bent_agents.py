@@ -195,7 +195,7 @@ def test_other_networks_and_larger_claims_are_refused() -> None:
     problem, _, certificate = certified("plain")
     larger = certificate.lower_bound + 0.02
     claim = changed(certificate, lower_bound=larger, bounds={certificate.proof.bound: larger}, gap=None,
-                                opposite=None)  # fmt: skip
+                                complement=None)  # fmt: skip
     assert "exceeds" in cg.check(claim).failures[0]
     weak = balancing(problem, 0.1).network
     others = with_network(certificate, weights=[w.tolist() for w in weak.weights])

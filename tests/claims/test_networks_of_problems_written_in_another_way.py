@@ -102,7 +102,7 @@ def test_other_weights_and_larger_claims_are_refused(kind: str) -> None:
     weights = [*network["weights"][:-1], (np.array(network["weights"][-1]) - 0.25).tolist()]
     assert not cg.check(forged(certificate, weights=weights))
     larger = base.lower_bound + 1e-3
-    claim = changed(base, lower_bound=larger, bounds={base.proof.bound: larger}, gap=None, opposite=None)
+    claim = changed(base, lower_bound=larger, bounds={base.proof.bound: larger}, gap=None, complement=None)
     assert "exceeds" in cg.check(replace(certificate, proof=replace(certificate.proof, base=claim))).failures[0]
 
 

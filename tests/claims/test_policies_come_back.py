@@ -132,7 +132,7 @@ def test_rows_of_one_learner_for_all(uneven: cg.Problem, scale: str, actions: st
     with torch.no_grad():
         model.policy.action_net.weight *= 100.0
     policy = cg.as_policy(model, uneven)
-    assert policy.models[0].sight.maker.startswith("central_env")
+    assert policy.models[0].observation_map.maker.startswith("central_env")
     seen, info = env.reset(seed=5)
     for time in range(3):
         action = model.predict(seen, deterministic=True)[0].astype(float)
@@ -200,8 +200,8 @@ def test_models_of_other_environments(problem: cg.Problem) -> None:
             for actions in ("unit", "input"):
                 env = cg.central_env(one, scale=scale, automaton=automaton, actions=actions)
                 policy = cg.as_policy(sb3.PPO("MlpPolicy", env, device="cpu"), one)
-                sight = policy.models[0].sight
-                assert (sight.scale, sight.automaton) == (scale, automaton)
+                observation_map = policy.models[0].observation_map
+                assert (observation_map.scale, observation_map.automaton) == (scale, automaton)
                 assert policy.why_not_as_it_is == "" or automaton == "number"
     for observation in ("local", "full", "neighbours"):
         env = cg.parallel_env(reach(scalar_agent("a"), cart(), scalar_agent("c")), observation=observation)

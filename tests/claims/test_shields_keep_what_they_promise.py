@@ -76,11 +76,11 @@ def test_certified_inputs_are_worth_what_their_states_are(certificate: cg.Certif
     states, q = somewhere(shield, 300)
     for time in range(certificate.problem.horizon):
         here = shield.certified_inputs(states, q, time)
-        worth = shield.values.of_inputs(time, q, states, here)
+        q_values = shield.values.of_inputs(time, q, states, here)
         value = shield.values.of_states(states, np.full(300, q), np.full(300, time))
-        assert np.all(worth >= value - 1e-8)  # less what the reach leaves out
+        assert np.all(q_values >= value - 1e-8)  # less what the reach leaves out
         if certificate.proof.agents[0].relation["kind"] == "exact":
-            np.testing.assert_allclose(worth, value, atol=1e-8)
+            np.testing.assert_allclose(q_values, value, atol=1e-8)
 
 
 def somewhere(shield: Shield, count: int) -> tuple[tuple[np.ndarray, ...], int]:
@@ -99,8 +99,8 @@ def test_inputs_are_worth_no_more_than_the_next_state_on_average(certificate: cg
     states, q = somewhere(shield, 20)
     time = 2
     inputs = anything(shield, states, np.full(20, q), np.full(20, time), rng)
-    worth = shield.values.of_inputs(time, q, states, inputs)
-    assert worth.max() > 0.1
+    q_values = shield.values.of_inputs(time, q, states, inputs)
+    assert q_values.max() > 0.1
     limit = np.sqrt(np.log(20 / FALSE_ALARM) / (2 * count))
     for k in range(20):
         after = []
@@ -110,7 +110,7 @@ def test_inputs_are_worth_no_more_than_the_next_state_on_average(certificate: cg
         holds = np.concatenate([problem.labeling.class_at(i, x) for i, x in enumerate(after)])
         following = problem.automaton.next_state(np.full(count, q), holds)
         value = shield.values.of_states(tuple(after), following, np.full(count, time + 1))
-        assert worth[k] <= value.mean() + limit
+        assert q_values[k] <= value.mean() + limit
 
 
 # --- the guarantee ---------------------------------------------------------------------------------------------

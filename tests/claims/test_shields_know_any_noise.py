@@ -131,9 +131,9 @@ def test_certified_inputs_are_worth_what_their_states_are(kind: str) -> None:
     states = (box.low[:, None] + (box.high - box.low)[:, None] * rng.random((len(box.low), count)),)
     q = int(np.flatnonzero(~shield.problem.automaton.absorbing)[0])
     here = shield.certified_inputs(states, q, 0)
-    worth = shield.values.of_inputs(0, q, states, here)
+    q_values = shield.values.of_inputs(0, q, states, here)
     value = shield.values.of_states(states, np.full(count, q), np.zeros(count, dtype=np.int64))
-    assert np.mean(worth >= value - 1e-6) > 0.98 and value.max() > 0.1
+    assert np.mean(q_values >= value - 1e-6) > 0.98 and value.max() > 0.1
 
 
 @pytest.mark.parametrize("kind", list(PROBLEMS))

@@ -42,11 +42,11 @@ def test_derivatives_are_those_of_differences(text: str) -> None:
         values, slopes = program.slopes(at[:, None])
         np.testing.assert_allclose(values, program.values(at[:, None]), rtol=1e-12)
         np.testing.assert_allclose(slopes[0, :, 0], first, rtol=1e-5, atol=1e-6)
-        ((ends, bends),) = program.curved(np.stack([at, at])[..., None])
+        ((ends, second_derivatives),) = program.curved(np.stack([at, at])[..., None])
         for j in range(3):
             np.testing.assert_allclose(ends.get(j, np.zeros((2, 1)))[:, 0], first[j], rtol=1e-5, atol=1e-6)
             for k in range(j, 3):
-                bend = bends.get((j, k), np.zeros((2, 1)))[:, 0]
+                bend = second_derivatives.get((j, k), np.zeros((2, 1)))[:, 0]
                 np.testing.assert_allclose(bend, second[j, k], rtol=1e-4, atol=1e-5)
 
 
@@ -56,11 +56,11 @@ def test_boxes_enclose_derivatives_at_their_points(text: str) -> None:
     # Many boxes at once, and points in them; x**y has no second derivatives that are known.
     low = rng.uniform([0.1, 0.3, 0.6], [0.5, 0.9, 1.6], (20, 3)).T
     high = low + rng.uniform(0.0, 0.3, (3, 20))
-    ((ends, bends),) = program.curved(np.stack([low, high]))
+    ((ends, second_derivatives),) = program.curved(np.stack([low, high]))
     for _ in range(50):
         points = low + (high - low) * rng.random((3, 20))
         ((first, second),) = program.curved(np.stack([points, points]))
-        parts: list[tuple[dict[Any, Any], dict[Any, Any]]] = [(ends, first), (bends, second)]
+        parts: list[tuple[dict[Any, Any], dict[Any, Any]]] = [(ends, first), (second_derivatives, second)]
         for place, here in parts:
             for key, (a, b) in here.items():
                 c, d = place[key]
@@ -72,16 +72,16 @@ def test_what_is_not_known_is_not_told() -> None:
     """A root at 0, a quotient by 0, and a choice within the box."""
     box = np.array([[[-0.1], [0.2], [0.0]], [[0.1], [0.4], [0.5]]])
     for text, j in (("sqrt(x)", 0), ("y/x", 0), ("log(z)", 2)):
-        ((ends, bends),) = program_of(text).curved(box)
-        assert np.isnan(ends[j]).any() and np.isnan(bends[j, j]).any(), text
+        ((ends, second_derivatives),) = program_of(text).curved(box)
+        assert np.isnan(ends[j]).any() and np.isnan(second_derivatives[j, j]).any(), text
     for text in ("abs(x)*y", "max(x, 0)"):
-        ((ends, bends),) = program_of(text).curved(box)
-        assert np.isnan(bends[0, 0]).all() and np.isfinite(ends[0]).all(), text
+        ((ends, second_derivatives),) = program_of(text).curved(box)
+        assert np.isnan(second_derivatives[0, 0]).all() and np.isfinite(ends[0]).all(), text
 
 
 def test_constants_are_computed_once() -> None:
     """What does not depend on variables is no call of a run: a linear form has none."""
     program = program_of("0.5*x + 2*sin(0.3)*y - z/4")
-    ((ends, bends),) = program.curved(np.zeros((2, 3, 7)))
-    assert not bends and all(slope.shape == (2, 1) for slope in ends.values())
+    ((ends, second_derivatives),) = program.curved(np.zeros((2, 3, 7)))
+    assert not second_derivatives and all(slope.shape == (2, 1) for slope in ends.values())
     assert ends[1][0, 0] == pytest.approx(2 * np.sin(0.3)) and ends[2][0, 0] == -0.25

@@ -14,7 +14,7 @@ import certigym as cg
 from certigym.envs.interfaces import panels
 from certigym.envs.simulation import Dynamics, SingleSimulator, split_joint
 from certigym.envs.simulation import batch_simulator as core
-from certigym.envs.tasks.problem import states_in_time, written_out
+from certigym.envs.tasks.problem import states_in_time, unrolled_in_time
 from certigym.envs.tasks.regions import Labeling
 from timed_problems import band, follow, robot, still
 
@@ -269,7 +269,7 @@ def test_problems_written_out_read_the_same_words() -> None:
     rng = np.random.default_rng(3)
     for formula in ("F (band & F[1,3] other)", "G (band | other)", "!other U band", "G (band -> F other)"):
         problem = follow(still(), region, horizon=5, formula=formula, other=other)
-        base = written_out(problem)
+        base = unrolled_in_time(problem)
         table = states_in_time(problem, base)
         for x in rng.uniform(-4, 4, (200, problem.horizon + 1)):
             q, b = problem.automaton.initial, base.automaton.initial
@@ -285,7 +285,7 @@ def test_another_problem_is_not_the_one_that_is_written_out() -> None:
     problem = follow(still())
     for other in (follow(still(), band(shift=1)), follow(still(), horizon=5), follow(still(), formula="F band")):
         with pytest.raises(ValueError):
-            states_in_time(problem, written_out(other))
+            states_in_time(problem, unrolled_in_time(other))
 
 
 @pytest.mark.parametrize(
@@ -296,14 +296,14 @@ def test_a_task_that_is_easier_is_not_the_one_that_is_written_out(asked: str, pr
     for own, base in ((asked, proved), (proved, asked)):
         problem = follow(still(), horizon=4, formula=own, other=other)
         with pytest.raises(ValueError, match=r"satisfied where the task is not|two states"):
-            states_in_time(problem, written_out(follow(still(), horizon=4, formula=base, other=other)))
+            states_in_time(problem, unrolled_in_time(follow(still(), horizon=4, formula=base, other=other)))
 
 
 @pytest.mark.parametrize("formula", ["G (band_t0 | !band_t0)", "F (band_t0 & !band_t0)"])
 def test_what_is_always_or_never_satisfied_is_not_the_task(formula: str) -> None:
     problem = follow(still(), horizon=4)
     base = cg.Problem(
-        name="always", horizon=4, agents=problem.agents, propositions=written_out(problem).propositions,
+        name="always", horizon=4, agents=problem.agents, propositions=unrolled_in_time(problem).propositions,
         specification=cg.Specification(formula, "finite-trace"),
     )  # fmt: skip
     with pytest.raises(ValueError, match="satisfied where the task is not"):

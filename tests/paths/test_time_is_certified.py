@@ -14,7 +14,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from balls import check_rigorous
-from certigym.envs.tasks.problem import groups, written_out
+from certigym.envs.tasks.problem import groups, unrolled_in_time
 from certigym.synthesis.abstraction.models import AgentModel
 from certigym.synthesis.certificates.proofs import PathProof, TimedProof, changed, timed_certificate
 from certigym.synthesis.extended_check.steps import RegionSpan
@@ -307,7 +307,7 @@ def test_a_clock_that_is_free_would_claim_too_much(monkeypatch: pytest.MonkeyPat
     problem = follow(agent, cg.Proposition("robot", [-0.9], [0.9]))
     honest = cg.synthesize(problem, 80, relation="boxes").certificate
     monkeypatch.setattr(AgentModel, "offered", lambda self, time: (self.choices, 0))
-    free = cg.synthesize(written_out(problem), 80, relation="boxes").certificate
+    free = cg.synthesize(unrolled_in_time(problem), 80, relation="boxes").certificate
     assert cg.check(honest) and cg.check(free) and free.lower_bound > honest.lower_bound + 0.05
     forged = timed_certificate(problem, free)
     assert not cg.check(forged) and "clock is not the time" in str(cg.check(forged))

@@ -18,7 +18,7 @@ from certigym.synthesis.extended_check.claims import claimed_values
 from certigym.synthesis.relations.kinds.exact import ExactRelation
 from certigym.validation.statistical_tests.audit_report import AuditReport
 from certigym.validation.statistical_tests.step_tests import audit
-from certigym.validation.statistical_tests.test_log import STAKES, Ledger
+from certigym.validation.statistical_tests.test_log import STAKES, StepLog
 from certigym.validation.statistical_tests.value_at import bound_by_steps_left, charge_of
 from kinds import mostly_thorough
 from problems import scalar_agent, two_agents
@@ -172,7 +172,7 @@ def test_audits_do_not_depend_on_the_executor(certificate: OnGrid) -> None:
         spread = audit(certificate, 5000, chunk=700, executor=pool)
     np.testing.assert_array_equal(alone.log_e, spread.log_e)
     assert alone.to_dict() == spread.to_dict()
-    assert Ledger.empty(certificate.problem).worlds.sum() == 0
+    assert StepLog.empty(certificate.problem).worlds.sum() == 0
 
 
 def test_bounds_by_steps_left_end_at_the_certified_bound(certificate: OnGrid) -> None:

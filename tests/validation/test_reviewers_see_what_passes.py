@@ -55,7 +55,9 @@ class _Heard:
 def test_every_piece_is_told_of_and_comes_back_in_its_place(workers: int) -> None:
     """With one process or two; a target comes as soon as its own pieces are there."""
     whole = {
-        name: Reproduction({f"row {k}": partial(PieceResult, (name, k), f"{k}") for k in range(3)}, lambda found, _: found)
+        name: Reproduction(
+            {f"row {k}": partial(PieceResult, (name, k), f"{k}") for k in range(3)}, lambda found, _: found
+        )
         for name in ("one", "two")
     }
     heard = _Heard()

@@ -21,7 +21,7 @@ from .report_text import INTERRUPTED, Rows, Saved, html_table, labelled_lines
 from .trials import Plan
 
 if TYPE_CHECKING:
-    from .test_log import Ledger
+    from .test_log import StepLog
 
 MOST_FINDINGS = 8
 """Findings that are printed; the first ones have the most evidence."""
@@ -218,29 +218,29 @@ def joined_report(
     )
 
 
-def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool, lower_bound: float) -> AuditReport:
+def report_of(problem: Problem, step_log: StepLog, plan: Plan, interrupted: bool, lower_bound: float) -> AuditReport:
     """Return the tests and findings that the sums of an audit give; ``lower_bound`` is the claim at the start."""
     # A wealth W gives the p-value 1 / W. The pairs that were met and the start are adjusted together, by Holm's method.
-    log_e, start = _log_e(ledger.wealth), float(_log_e(ledger.start))
-    met = ledger.worlds > 0
+    log_e, start = _log_e(step_log.wealth), float(_log_e(step_log.start))
+    met = step_log.worlds > 0
     raw = np.exp(-np.maximum(np.append(log_e[met], start), 0.0))
     adjusted = holm(raw)
     p_values = np.ones(log_e.shape)
     p_values[met] = adjusted[:-1]
     # The product of the wealth over all steps sees defects that are too thin for any single pair.
-    overall = float(_log_e(ledger.wealth.sum(axis=(0, 1)) + ledger.start))
+    overall = float(_log_e(step_log.wealth.sum(axis=(0, 1)) + step_log.start))
     # A pair is a finding if its test rejects at half of the level, or if a single episode contradicts the tree.
-    rejected = np.argwhere((p_values <= 0.5 * (1.0 - plan.confidence)) | (ledger.contradictions > 0))
+    rejected = np.argwhere((p_values <= 0.5 * (1.0 - plan.confidence)) | (step_log.contradictions > 0))
     rejected = rejected[np.argsort(-log_e[tuple(rejected.T)], kind="stable")]
-    means = ledger.increments / np.maximum(ledger.worlds, 1)
+    means = step_log.increments / np.maximum(step_log.worlds, 1)
     findings = []
     for t, q in rejected.tolist():
-        agent, region, episodes, mean, evidence = _where(problem, ledger, t, q)
+        agent, region, episodes, mean, evidence = _where(problem, step_log, t, q)
         findings.append(
             Finding(
                 time=t,
                 automaton_state=problem.automaton.state_names[q],
-                episodes=int(ledger.worlds[t, q]),
+                episodes=int(step_log.worlds[t, q]),
                 mean_increment=float(means[t, q]),
                 log_e=float(log_e[t, q]),
                 p_value=float(p_values[t, q]),
@@ -249,7 +249,7 @@ def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool, l
                 region_episodes=episodes,
                 region_mean_increment=mean,
                 region_log_e=evidence,
-                contradictions=int(ledger.contradictions[t, q]),
+                contradictions=int(step_log.contradictions[t, q]),
             )
         )
     return AuditReport(
@@ -263,10 +263,10 @@ def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool, l
         overall_log_e=overall,
         overall_p=float(np.exp(-max(overall, 0.0))),
         start_p=float(adjusted[-1]),
-        contradictions=int(ledger.contradictions.sum()),
+        contradictions=int(step_log.contradictions.sum()),
         findings=tuple(findings),
         log_e=log_e,
-        worlds=ledger.worlds.astype(np.int64),
+        worlds=step_log.worlds.astype(np.int64),
         mean_increments=means,
         interrupted=interrupted,
         lower_bound=lower_bound,
@@ -278,17 +278,17 @@ def _log_e(wealth: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(logsumexp(wealth, axis=-1) - np.log(wealth.shape[-1]))
 
 
-def _where(problem: Problem, ledger: Ledger, t: int, q: int) -> tuple[str, str, int, float, float]:
+def _where(problem: Problem, step_log: StepLog, t: int, q: int) -> tuple[str, str, int, float, float]:
     """Return agent and region with the most evidence at (t, q): their names, episodes, mean increment, log e-value."""
     # Over all agents and classes: the class in which the bets against the agent's share have won most.
     strongest: tuple[float, int, int] = (-np.inf, 0, 0)
-    for i, split in enumerate(ledger.split):
-        evidence = np.where(ledger.split_worlds[i][t, q] > 0, _log_e(split[t, q]), -np.inf)
+    for i, split in enumerate(step_log.split):
+        evidence = np.where(step_log.split_worlds[i][t, q] > 0, _log_e(split[t, q]), -np.inf)
         if (most := float(evidence.max())) > strongest[0] + NEARLY_EQUAL:
             strongest = (most, i, int(evidence.argmax()))
     log_e, i, c = strongest
-    worlds = ledger.split_worlds[i][t, q, c]
-    mean = float(ledger.split_increments[i][t, q, c] / max(worlds, 1))
+    worlds = step_log.split_worlds[i][t, q, c]
+    mean = float(step_log.split_increments[i][t, q, c] / max(worlds, 1))
     return problem.agent_names[i], region_name(problem, i, c), int(worlds), mean, log_e
 
 

@@ -44,7 +44,7 @@ from .binomial import check_confidence
 from .chunks import Frame, chunks_of, frames
 from .loop import Batchable, Loop
 from .spread import in_order
-from .test_log import STAKES, Ledger
+from .test_log import STAKES, StepLog
 from .trials import Plan, TrialOptions, TrialPlan, collect, planned
 from .value_at import Charge, charge_of, remembers, standing_cells, values_between
 
@@ -134,16 +134,16 @@ def audit(
     driver = certificate.controller if controller is None else controller
     loop = Loop(problem, driver, settled.seed, settled.chunk)
     charge = charge_of(certificate, values) if charge is None else charge
-    setup, ledger, done = _Setup(loop, certificate, values, charge), Ledger.empty(problem), 0
+    setup, step_log, done = _Setup(loop, certificate, values, charge), StepLog.empty(problem), 0
 
-    def take(result: tuple[int, Ledger]) -> None:
-        nonlocal ledger, done
-        ledger, done = ledger.plus(result[1]), done + result[0]
+    def take(result: tuple[int, StepLog]) -> None:
+        nonlocal step_log, done
+        step_log, done = step_log.plus(result[1]), done + result[0]
         settled.tell(result[0])
 
     chunks = chunks_of(settled.episodes, settled.chunk)
     interrupted = collect(in_order(audit_chunk, setup, chunks, settled.executor), take)
-    return report_of(problem, ledger, replace(settled, episodes=done), interrupted, certificate.lower_bound)
+    return report_of(problem, step_log, replace(settled, episodes=done), interrupted, certificate.lower_bound)
 
 
 def _audit_of_product(product: Certificate[ProductProof], plan: Plan) -> AuditReport:
@@ -158,22 +158,22 @@ def _audit_of_product(product: Certificate[ProductProof], plan: Plan) -> AuditRe
     return joined_report(product.problem, reports, plan.confidence, product.lower_bound)
 
 
-def audit_chunk(setup: _Setup, job: tuple[int, int]) -> tuple[int, Ledger]:
+def audit_chunk(setup: _Setup, job: tuple[int, int]) -> tuple[int, StepLog]:
     """Return the number of episodes and the ledger of one chunk (number, episodes that count)."""
     number, count = job
     dynamics, policy = setup.loop.arranged
-    ledger = Ledger.empty(setup.loop.problem)
+    step_log = StepLog.empty(setup.loop.problem)
     before: _Moment | None = None
     for frame in frames(setup.loop, dynamics, policy, number):
         moment = _moment(setup, dynamics, frame, count, None if before is None else before.open)
         # The first bet: the value at the start is at least the certified bound.
         if before is None and setup.charge is None:
             certified = setup.certificate.lower_bound
-            ledger.start[:] = _wealth(moment.level - certified, np.full(count, 1.0 - certified)).sum(axis=0)
+            step_log.start[:] = _wealth(moment.level - certified, np.full(count, 1.0 - certified)).sum(axis=0)
         if before is not None and np.any(before.open):
-            _enter(setup, ledger, dynamics, before, moment)
+            _enter(setup, step_log, dynamics, before, moment)
         before = moment
-    return count, ledger
+    return count, step_log
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,13 +219,13 @@ def _wealth(increments: NDArray[Any], room: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([np.log1p(-shares * relative), np.log1p(-absolute * np.minimum(d, 1.0))], axis=1)
 
 
-def _enter(setup: _Setup, ledger: Ledger, dynamics: Dynamics, before: _Moment, after: _Moment) -> None:
+def _enter(setup: _Setup, step_log: StepLog, dynamics: Dynamics, before: _Moment, after: _Moment) -> None:
     """Enter into the ledger the step from one moment to the next, for the episodes that were open before it."""
     rows, time, problem = np.flatnonzero(before.open), int(before.frame.worlds.time), setup.loop.problem
     q, level = before.frame.worlds.q[rows].astype(np.int64), before.level[rows]
     step = after.level[rows] - level
     wealth = _wealth(step, 1.0 - level)
-    _add(q, wealth, step, ledger.wealth[time], ledger.worlds[time], ledger.increments[time])
+    _add(q, wealth, step, step_log.wealth[time], step_log.worlds[time], step_log.increments[time])
     # Split the step among the agents where the value is the certificate's tree, read at the cells of the states. What
     # is united at corners is not united at points between them, and boxes hide the mean: such agents are left out.
     levels, certificate, now = None, setup.certificate, setup.values[time]
@@ -243,14 +243,14 @@ def _enter(setup: _Setup, ledger: Ledger, dynamics: Dynamics, before: _Moment, a
         levels = levels_by_agent(certificate, time, now, following, q, cells, next_cells, outside)
         levels = np.clip(levels, 0.0, 1.0)
         wrong = after.level[rows] < levels[-1] * (1.0 - ROUNDING_OF_FALLS) - INCREMENT_SLACK
-        ledger.contradictions[time] += np.bincount(q[wrong], minlength=problem.automaton.n_states)
+        step_log.contradictions[time] += np.bincount(q[wrong], minlength=problem.automaton.n_states)
     # Bets on each agent's share of the step (or on the whole step), by the region in which the agent stood.
     for i, (block, place) in enumerate(dynamics.position):
         if levels is not None:
             step = levels[i + 1] - levels[i]
             wealth = _wealth(step, 1.0 - levels[i])
         here = class_numbers(problem, i, before.frame.worlds.states[block][:, place, rows])
-        flat = (a[i][time] for a in (ledger.split, ledger.split_worlds, ledger.split_increments))
+        flat = (a[i][time] for a in (step_log.split, step_log.split_worlds, step_log.split_increments))
         split, worlds, increments = (a.reshape(-1, *a.shape[2:]) for a in flat)
         _add(q * len(problem.labeling.classes[i]) + here, wealth, step, split, worlds, increments)
 

@@ -18,7 +18,7 @@ The first half are shares of ``1 / (1 - Y)``, the second half are absolute.
 
 
 @dataclass(frozen=True, eq=False)
-class Ledger:
+class StepLog:
     """Sums over episodes: logarithmic wealth per stake, numbers of episodes, and increments of the value.
 
     Parameters
@@ -48,7 +48,7 @@ class Ledger:
     split_increments: tuple[NDArray[Any], ...]
 
     @classmethod
-    def empty(cls, problem: Problem) -> Ledger:
+    def empty(cls, problem: Problem) -> StepLog:
         """Return the ledger without any episode."""
         # Logarithms of wealth begin at 0: every bet starts with a wealth of 1.
         T, Q, G = problem.horizon, problem.automaton.n_states, len(STAKES)
@@ -59,9 +59,9 @@ class Ledger:
             np.zeros(G), np.zeros((T, Q, G)), np.zeros((T, Q)), np.zeros((T, Q)), np.zeros((T, Q)), split, counts, sums
         )
 
-    def plus(self, other: Ledger) -> Ledger:
+    def plus(self, other: StepLog) -> StepLog:
         """Return the sum of two ledgers."""
         plain = ("start", "wealth", "worlds", "increments", "contradictions")
         sums = [getattr(self, name) + getattr(other, name) for name in plain]
         pairs = ((getattr(self, n), getattr(other, n)) for n in ("split", "split_worlds", "split_increments"))
-        return Ledger(*sums, *(tuple(a + b for a, b in zip(left, right, strict=True)) for left, right in pairs))
+        return StepLog(*sums, *(tuple(a + b for a, b in zip(left, right, strict=True)) for left, right in pairs))

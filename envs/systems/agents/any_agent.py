@@ -199,7 +199,7 @@ class AnyAgent(ABC):
         return False
 
     has_clock: bool = False
-    """Whether the last input is the time, which nobody may choose (see `problem.written_out`)."""
+    """Whether the last input is the time, which nobody may choose (see `problem.unrolled_in_time`)."""
 
     @property
     def chosen_box(self) -> Box:

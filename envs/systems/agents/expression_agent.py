@@ -283,7 +283,7 @@ class Agent(AnyAgent):
         return () if TIME in declared else (TIME,)
 
     def with_clock(self, horizon: int) -> Agent:
-        """Return the agent with the time as its last input, a *clock* from 0 to T - 1 (see `problem.written_out`)."""
+        """Return the agent with the time as its last input, a *clock* from 0 to T - 1 (`unrolled_in_time`)."""
         data = self.to_dict()
         data |= {
             "inputs": [*self.inputs, TIME],

@@ -24,10 +24,10 @@ def chained(tape: Tape, tree: Operation, inner: Sequence[Node]) -> Node:
     if not any(slopes for _, slopes, _ in inner):
         return value, {}, {}
     slopes: dict[int, Place] = {}
-    bends: dict[tuple[int, int], Place] = {}
-    for factor, (_, own, own_bends) in zip(_first(tape, tree, values, value), inner, strict=True):
+    second_derivatives: dict[tuple[int, int], Place] = {}
+    for factor, (_, own, inner_second_derivatives) in zip(_first(tape, tree, values, value), inner, strict=True):
         _add(tape, slopes, own, factor)
-        _add(tape, bends, own_bends, factor)
+        _add(tape, second_derivatives, inner_second_derivatives, factor)
     for (a, b), factor in _second(tape, tree, values, value).items():
         for j, one in inner[a][1].items():
             for k, other in inner[b][1].items():
@@ -37,8 +37,8 @@ def chained(tape: Tape, tree: Operation, inner: Sequence[Node]) -> Node:
                 # By two different arguments both orders count; on the diagonal they are the same number.
                 if a != b and j == k:
                     product = tape.multiply(tape.number(2.0), product)
-                _add(tape, bends, {(min(j, k), max(j, k)): product}, tape.number(1.0))
-    return value, slopes, {k: bend for k, bend in bends.items() if not tape.is_number(bend, 0.0)}
+                _add(tape, second_derivatives, {(min(j, k), max(j, k)): product}, tape.number(1.0))
+    return value, slopes, {k: bend for k, bend in second_derivatives.items() if not tape.is_number(bend, 0.0)}
 
 
 def _add(tape: Tape, total: dict[Any, Place], more: dict[Any, Place], factor: Place) -> None:

@@ -103,7 +103,7 @@ class Program:
         Derivatives that are left out are 0.
         """
         found: list[tuple[dict[int, FloatArray], SecondDerivativeBounds]] = [({}, {}) for _ in self.results]
-        intervals = iter(self._derived.bends(box))
+        intervals = iter(self._derived.second_derivatives(box))
         for i, j in self._derived.first:
             found[i][0][j] = next(intervals)
         for i, j, k in self._derived.second:
@@ -125,11 +125,11 @@ class Program:
                 found.append(chained(tape, tree, [found[k] for k in step.arguments]))
         nodes = [found[k] for k in self.results]
         first = [(i, j) for i, (_, slopes, _) in enumerate(nodes) for j in slopes]
-        second = [(i, j, k) for i, (_, _, bends) in enumerate(nodes) for j, k in bends]
+        second = [(i, j, k) for i, (_, _, second_derivatives) in enumerate(nodes) for j, k in second_derivatives]
         slopes = [nodes[i][1][j] for i, j in first]
-        bends = [nodes[i][2][j, k] for i, j, k in second]
+        second_derivatives = [nodes[i][2][j, k] for i, j, k in second]
         values = [value for value, _, _ in nodes]
-        return Derived(first, second, tape.running([*values, *slopes]), tape.running([*slopes, *bends]))
+        return Derived(first, second, tape.running([*values, *slopes]), tape.running([*slopes, *second_derivatives]))
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Derived:
     first: list[tuple[int, int]]
     second: list[tuple[int, int, int]]
     slopes: Callable[[FloatArray], list[FloatArray]]
-    bends: Callable[[FloatArray], list[FloatArray]]
+    second_derivatives: Callable[[FloatArray], list[FloatArray]]
 
 
 def _function(step: Step) -> Callable[..., Any]:

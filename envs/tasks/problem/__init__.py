@@ -10,10 +10,10 @@ from .record import Problem, checked_problem
 from .specification import Specification
 from .split import split_axes
 from .start_boxes import crossed_starts
-from .time_unrolled import Places, states_in_time, written_out
+from .time_unrolled import Places, states_in_time, unrolled_in_time
 from .unreachable import OutOfReach, out_of_reach
 from .unrolling import Unrolled, unrolled
-from .unsatisfiable import cut_by_the_end, doubts, why_never
+from .unsatisfiable import cut_by_the_end, doubts, why_unsatisfiable
 
 __all__ = [
     "policy_in_file",
@@ -37,6 +37,6 @@ __all__ = [
     "split_axes",
     "states_in_time",
     "unrolled",
-    "why_never",
-    "written_out",
+    "why_unsatisfiable",
+    "unrolled_in_time",
 ]

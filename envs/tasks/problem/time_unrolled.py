@@ -26,7 +26,7 @@ MOST_REGIONS = 2_000
 """Most places of regions: labels are compared place by place."""
 
 
-def written_out(problem: Problem) -> Problem:
+def unrolled_in_time(problem: Problem) -> Problem:
     """Return the problem without the time; itself if nothing names it.
 
     Raises

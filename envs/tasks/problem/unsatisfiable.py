@@ -21,13 +21,13 @@ from ..automata import (
 from .record import Problem
 
 
-def why_never(problem: Problem) -> str:
+def why_unsatisfiable(problem: Problem) -> str:
     """Return why no run up to the horizon satisfies the formula, whatever agents do, in words; "" if one may.
 
     Of letters all are taken for possible: what regions and dynamics rule out is not looked into.
     """
     if problem.groups:
-        return next((why for task in problem.tasks if (why := why_never(task))), "")
+        return next((why for task in problem.tasks if (why := why_unsatisfiable(task))), "")
     if may_accept(problem.automaton, problem.horizon + 1):
         return ""
     why = f"no run of {problem.horizon} steps satisfies the formula, whatever agents do"

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from ..envs.suite import make_problem, problem_ids, tier_of_id
 from ..envs.systems.agents import AnyAgent
 from ..envs.systems.arguments import counted, matrix_text, vector_text
-from ..envs.tasks.problem import Problem, cut_by_the_end, doubts, out_of_reach, why_never
+from ..envs.tasks.problem import Problem, cut_by_the_end, doubts, out_of_reach, why_unsatisfiable
 from ..envs.tasks.regions import Pair, Proposition
 from ..synthesis.certificates.proofs import is_exact, lasting_bound, save_certificate, start_of_claim
 from ..synthesis.certificates.proofs.canonical import checker_text
@@ -75,7 +75,7 @@ def describe(options: Namespace) -> int:
 
 def _looked_for(problem: Problem) -> Iterator[str]:
     """Yield a line for each thing that is known of a problem before a search: notes, and then the ways."""
-    lost = why_never(problem) or ("" if (found := out_of_reach(problem)) is None else found.why)
+    lost = why_unsatisfiable(problem) or ("" if (found := out_of_reach(problem)) is None else found.why)
     yield from (f"note: {note}" for note in (lost, *doubts(problem)) if note)
     yield from _ways(problem)
 

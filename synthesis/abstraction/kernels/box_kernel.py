@@ -94,13 +94,13 @@ class BoxKernel(Kernel):
     bent: tuple[int, ...] | None = None
     near: ProximityError | None = None
 
-    def smooth(self, factors: Any) -> Any:
+    def backup(self, factors: Any) -> Any:
         """Return numbers (n, Z) whose multilinear interpolant is below g, up to the border of the lattice.
 
         ``factors`` (n, S) are nonnegative; the numbers need not be. Products of matrices are formed where the factors
         are; what is taken off is found on the host.
         """
-        values = np.ascontiguousarray(to_host(super().smooth(factors)))
+        values = np.ascontiguousarray(to_host(super().backup(factors)))
         given = to_host(factors)
         largest = given.max(axis=1, initial=0.0)
         for n, (row, most) in enumerate(zip(values, largest.tolist(), strict=True)):

@@ -126,50 +126,50 @@ class AxisTable:
             table[z0:z1, s0:s1] = entries
         return table
 
-    def smooth(self, values: NDArray) -> NDArray:
+    def backup(self, values: NDArray) -> NDArray:
         """Return ``sum_s table[z, s] v[.., s]``: (.., S) -> (.., Z)."""
         if len(self.blocks) == 1:
             _, _, s0, s1, entries = self.blocks[0]
             return values[..., s0:s1] @ self.residents.beside(entries, values).T
         if values.ndim > 2:
-            return self.smooth(values.reshape(-1, values.shape[-1])).reshape(*values.shape[:-1], self.shape[0])
+            return self.backup(values.reshape(-1, values.shape[-1])).reshape(*values.shape[:-1], self.shape[0])
         # Masked factors are 0 outside a region: rows of the same support share products over that range alone.
         groups = _by_support(values) if isinstance(values, np.ndarray) else [(slice(None), 0, self.shape[1])]
         if len(groups) == 1:
             return self._smooth_range(values, *groups[0][1:])
-        smoothed = np.empty((len(values), self.shape[0]))
+        backed_up = np.empty((len(values), self.shape[0]))
         for rows, first, last in groups:
-            smoothed[rows] = self._smooth_range(values[rows], first, last)
-        return smoothed
+            backed_up[rows] = self._smooth_range(values[rows], first, last)
+        return backed_up
 
     def _smooth_range(self, values: NDArray, first: int, last: int) -> NDArray:
         """Smooth rows (n, S) that are 0 outside the cells ``first .. last - 1``."""
-        smoothed = empty((len(values), self.shape[0]), values)
+        backed_up = empty((len(values), self.shape[0]), values)
         for z0, z1, s0, s1, entries in self.blocks:
             a, b = max(s0, first), min(s1, last)
             if a < b:
                 overlap = self.residents.beside(entries, values)[:, a - s0 : b - s0]
-                multiply_into(values[:, a:b], overlap.T, smoothed[:, z0:z1])
+                multiply_into(values[:, a:b], overlap.T, backed_up[:, z0:z1])
             else:
-                smoothed[:, z0:z1] = 0.0
-        return smoothed
+                backed_up[:, z0:z1] = 0.0
+        return backed_up
 
-    def push(self, masses: NDArray) -> NDArray:
+    def propagate(self, masses: NDArray) -> NDArray:
         """Return ``sum_z m[.., z] table[z, s]``: (.., Z) -> (.., S)."""
-        pushed = empty((*masses.shape[:-1], self.shape[1]), masses)
-        pushed[...] = 0.0
+        propagated = empty((*masses.shape[:-1], self.shape[1]), masses)
+        propagated[...] = 0.0
         products = math.prod(masses.shape[:-1]) * sum(entries.size for *_, entries in self.blocks)
         if products < MANY_PRODUCTS or not isinstance(masses, np.ndarray):
             for z0, z1, s0, s1, entries in self.blocks:
-                pushed[..., s0:s1] += masses[..., z0:z1] @ self.residents.beside(entries, masses)
-            return pushed
+                propagated[..., s0:s1] += masses[..., z0:z1] @ self.residents.beside(entries, masses)
+            return propagated
         # Policies choose few of the points: multiply only the rows of those that carry mass, block by block.
         used = np.flatnonzero((masses != 0).any(axis=tuple(range(masses.ndim - 1))))
         ends = np.searchsorted(used, [z1 for _, z1, *_ in self.blocks])
         for points, (z0, _, s0, s1, entries) in zip(np.split(used, ends[:-1]), self.blocks, strict=True):
             if len(points):
-                pushed[..., s0:s1] += masses[..., points] @ entries[points - z0]
-        return pushed
+                propagated[..., s0:s1] += masses[..., points] @ entries[points - z0]
+        return propagated
 
 
 def _by_support(values: NDArray) -> list[tuple[NDArray[np.int64], int, int]]:
@@ -250,14 +250,14 @@ class Kernel:
         """Lattice points per axis."""
         return tuple(table.shape[0] for table in self.tables)
 
-    def smooth(self, factors: NDArray) -> NDArray:
+    def backup(self, factors: NDArray) -> NDArray:
         """Return ``sum_s P(s | z) v[s]`` for every lattice point z, a lower bound for v >= 0: (n, S) -> (n, Z)."""
-        maps = [table.smooth for table in self.tables]
+        maps = [table.backup for table in self.tables]
         if len(maps) == 1:
             return maps[0](factors)
         return _in_parts(lambda some: _along_axes(some, self.shape, maps), factors, math.prod(self.lattice_shape))
 
-    def push(self, masses: FloatArray, policy: NDArray[np.integer]) -> FloatArray:
+    def propagate(self, masses: FloatArray, policy: NDArray[np.integer]) -> FloatArray:
         """Return the distribution after one step, from below: (n, S) masses under ``policy`` (S,) -> (n, S).
 
         ``policy`` gives the lattice point of each cell. Cells with -1 (no admissible input) lose their mass.
@@ -265,16 +265,16 @@ class Kernel:
         n_lattice = math.prod(self.lattice_shape)
         # Cells without a choice send their mass to one more point, which is thrown away.
         slot = np.where(policy < 0, n_lattice, policy)
-        maps = [table.push for table in self.tables]
+        maps = [table.propagate for table in self.tables]
 
-        def pushed(some: NDArray) -> NDArray:
+        def propagated(some: NDArray) -> NDArray:
             if len(some) <= FEW_MASSES and isinstance(some, np.ndarray):
                 on_lattice = np.stack([np.bincount(slot, weights=row, minlength=n_lattice + 1) for row in some])
             else:
                 on_lattice = add_rows(some.T, slot, n_lattice + 1).T
             return _along_axes(on_lattice[:, :n_lattice], self.lattice_shape, maps)
 
-        return _in_parts(pushed, masses, n_lattice)
+        return _in_parts(propagated, masses, n_lattice)
 
 
 def _in_parts(map_of: Callable[[NDArray], NDArray], values: NDArray, numbers: int) -> NDArray:

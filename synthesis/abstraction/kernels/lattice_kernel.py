@@ -83,7 +83,7 @@ class LatticeKernel(Kernel):
         """Number of blocks of lattice points."""
         return math.prod(blocks_of(self.lattice_shape, self.reach))
 
-    def smooth(self, factors: Any) -> Any:
+    def backup(self, factors: Any) -> Any:
         """Return values of factors (n, 2^d S), from below, and the largest differences around every block.
 
         Products of matrices are formed where the factors are; differences are found on the host.
@@ -116,7 +116,7 @@ class LatticeKernel(Kernel):
 
     def _values(self, factors: Any) -> FloatArray:
         """Return values at lattice points (n, Z), from below."""
-        values = to_host(super().smooth(factors))
+        values = to_host(super().backup(factors))
         values[values < NOTHING] = 0.0
         return values
 

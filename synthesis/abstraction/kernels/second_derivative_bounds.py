@@ -92,30 +92,30 @@ class SecondDerivativeBounds:
     deviations: FloatArray
     loss: float
 
-    def add_to(self, bends: NDArray, values: NDArray, factors: NDArray) -> None:
+    def add_to(self, second_derivatives: NDArray, values: NDArray, factors: NDArray) -> None:
         """Write bends (n, Z) of values (n, Z) of factors (n, 2^d S)."""
         shape = tuple(len(axis) for axis in self.lattice)
         rows_at_once = max(1, NUMBERS_AT_ONCE // math.prod(shape))
         for first in range(0, len(values), rows_at_once):
             rows = slice(first, first + rows_at_once)
             tensor = values[rows].reshape(-1, *shape)
-            bends[rows] = self._of(tensor, factors[rows]).reshape(len(tensor), -1)
+            second_derivatives[rows] = self._of(tensor, factors[rows]).reshape(len(tensor), -1)
 
     def _of(self, values: NDArray, factors: NDArray) -> NDArray:
         """Return bends (n, Z_1, ...) of values of that shape."""
         most = factors.max(axis=1, initial=0.0).reshape(-1, *(1,) * len(self.lattice))
         vary, always = self.slack
-        bends = np.empty_like(values)
+        second_derivatives = np.empty_like(values)
         # At the border of the lattice there are no neighbours to compare with.
-        bends[...] = self.largest * most
+        second_derivatives[...] = self.largest * most
         inner = (slice(None), *(slice(2, -2) for _ in self.lattice))
         seconds = {(i, j): _second_difference(values, i, j) for i, j in self._pairs}
-        bends[inner] = self._along_steps(seconds)[inner]
+        second_derivatives[inner] = self._along_steps(seconds)[inner]
         if self.is_aligned:
             for (i, j), weight in self._fourth_weights.items():
-                bends += weight * self._fourths(seconds[i, i], most, i, j)
-        bends += vary * self._variation(factors)
-        return bends + (always + self._error) * most
+                second_derivatives += weight * self._fourths(seconds[i, i], most, i, j)
+        second_derivatives += vary * self._variation(factors)
+        return second_derivatives + (always + self._error) * most
 
     def _along_steps(self, seconds: dict[tuple[int, int], NDArray]) -> NDArray:
         """Return the largest ``s_k / a_k`` of all steps, from second differences, and at least 0."""

@@ -57,7 +57,7 @@ class UniformEnds:
             tensor = factor.reshape(shape)
             for k, table in enumerate(tables):
                 if k != self.axis:
-                    tensor = np.moveaxis(table.smooth(np.moveaxis(tensor, k, -1)), -1, k)
+                    tensor = np.moveaxis(table.backup(np.moveaxis(tensor, k, -1)), -1, k)
             along = np.moveaxis(tensor, self.axis, 0)
             columns = along.reshape(len(along), -1)
             up, down = (_variation(operators, columns) for operators in self._operators)

@@ -122,7 +122,7 @@ class ActionTable:
         """Return the lattice points (S,) that masses are pushed to under a policy; -1 for none."""
         raise NotImplementedError
 
-    def read(self, smoothed: Any, policy: StepPolicy, rough: bool = False) -> Any:
+    def read(self, backed_up: Any, policy: StepPolicy, rough: bool = False) -> Any:
         """Return the value factors (n, places) of an agent under a policy, lower bounds, from smoothed ones.
 
         With ``rough`` they are about right, and no bounds, where bounds take longer.
@@ -160,7 +160,7 @@ class ActionTable:
         """Return whether choices that were stored, with a relation's description, mean the same on equal cells."""
         return menu is None and describe_relation(self.relation) == relation
 
-    def largest(self, smoothed: FloatArray) -> FloatArray | None:
+    def largest(self, backed_up: FloatArray) -> FloatArray | None:
         """Return the largest values (S,) of a smoothed factor (Z,) over all choices, where that is quick; else None."""
         return None
 
@@ -183,9 +183,9 @@ class PointChoices(ActionTable):
         found = [law_table(*axes) for axes in zip(self.lattice, grid.edges, laws, strict=True)]
         return Kernel(tuple(table for table, _ in found), sum(missing for _, missing in found))
 
-    def read(self, smoothed: Any, policy: StepPolicy, rough: bool = False) -> Any:
+    def read(self, backed_up: Any, policy: StepPolicy, rough: bool = False) -> Any:
         """Return smoothed factors (n, Z) at the chosen points; cells without a choice have value 0."""
-        return gather(smoothed, self.points(policy))
+        return gather(backed_up, self.points(policy))
 
     def best(self, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:
         """Return the choice (S,) that maximises ``weights[s] @ table[:, z]`` over the points z each cell can choose.
@@ -228,9 +228,9 @@ class PointChoices(ActionTable):
         raise NotImplementedError
 
 
-def gather(smoothed: Any, points: NDArray[Any]) -> Any:
+def gather(backed_up: Any, points: NDArray[Any]) -> Any:
     """Return smoothed factors (n, Z) read at lattice points (S,); 0 where there is none (-1)."""
-    values = take(smoothed, np.maximum(points, 0), axis=1)
+    values = take(backed_up, np.maximum(points, 0), axis=1)
     if np.any(points < 0):
         values[:, beside(points < 0, values)] = 0
     return values

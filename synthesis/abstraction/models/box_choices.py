@@ -152,19 +152,19 @@ class BoxChoices(ActionTable):
                 result[inside, axis.state] = points[0] + step * middle[inside, place]
         return result
 
-    def read(self, smoothed: Any, policy: StepPolicy, rough: bool = False) -> Any:
+    def read(self, backed_up: Any, policy: StepPolicy, rough: bool = False) -> Any:
         """Return the least values (n, S), over the boxes of a policy, of the interpolants of numbers (n, Z).
 
         They are 0 where there is no choice, or one that is not admissible, or a box leaves the lattice.
         """
-        table = to_host(smoothed)
+        table = to_host(backed_up)
         values = np.zeros((len(table), len(policy)))
         every, chosen = np.arange(len(policy)), np.maximum(policy, 0)
         usable = (self.size[every, chosen] >= 0) & (self.low[every, chosen, 0] >= 0)
         cells = np.flatnonzero((policy >= 0) & usable)
         low, high = (side[cells, chosen[cells]] for side in (self.low, self.high))
         values[:, cells] = np.maximum(least_over_boxes(table, self.shape, low, high), 0.0)
-        return beside(values, smoothed)
+        return beside(values, backed_up)
 
     def best(self, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:
         """Return the choices (S,) of the largest weighted value; the incumbent stays among equals.

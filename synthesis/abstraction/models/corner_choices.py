@@ -172,15 +172,15 @@ class CornerChoices(ActionTable):
     def _half(self) -> FloatArray:
         return np.asarray(self.grid.half_widths)
 
-    def read(self, smoothed: Any, policy: StepPolicy, rough: bool = False) -> Any:
+    def read(self, backed_up: Any, policy: StepPolicy, rough: bool = False) -> Any:
         """Return lower bounds (n, 2^d S) at all places under a policy, from values and bends (n, 2 Z).
 
         Images are read at few points if ``rough``: about right, and no bounds.
         """
-        table, cells = to_host(smoothed), np.flatnonzero(policy >= 0)
+        table, cells = to_host(backed_up), np.flatnonzero(policy >= 0)
         values = np.zeros((len(table), self.grid.n_cells, 2 ** len(self.lattice)))
         values[:, cells] = self.at(table, cells, policy[cells], rough)
-        return beside(to_places(values, self.grid.shape), smoothed)
+        return beside(to_places(values, self.grid.shape), backed_up)
 
     def at(self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray, rough: bool = False) -> FloatArray:
         """Return lower bounds (n, C, 2^d) at the corners of cells (C,) under choices (C,); about right if ``rough``."""

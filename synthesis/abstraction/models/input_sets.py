@@ -78,9 +78,9 @@ class InputSet(PointChoices):
         reached = take(table, points.ravel(), axis=1).reshape(len(table), *points.shape)
         return largest(namespace(table).einsum("sn,nsa->sa", weights, reached))
 
-    def largest(self, smoothed: FloatArray) -> FloatArray:
+    def largest(self, backed_up: FloatArray) -> FloatArray:
         """Return the largest values (S,) of a smoothed factor (Z,) over all inputs."""
-        return np.asarray(smoothed.take(self.leads_to).max(axis=1))
+        return np.asarray(backed_up.take(self.leads_to).max(axis=1))
 
     def nearest(self, means_at: MeansAt) -> StepPolicy:
         """Return the input (S,) of each cell whose mean is nearest to that at its centre, in cell widths."""

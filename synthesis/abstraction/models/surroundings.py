@@ -111,10 +111,10 @@ class InnerChoices(ActionTable):
         """Return the lattice points (S,) that masses are pushed to under a policy; -1 for none."""
         return self._at_places(self.choices.points(policy[self.cells])[None], -1)[0]
 
-    def read(self, smoothed: Any, policy: StepPolicy, rough: bool = False) -> Any:
+    def read(self, backed_up: Any, policy: StepPolicy, rough: bool = False) -> Any:
         """Return the value factors (n, places) of an agent under a policy: 0 in cells where there is no choice."""
-        values = to_host(self.choices.read(smoothed, policy[self.cells], rough))
-        return beside(self._at_places(values, 0.0), smoothed)
+        values = to_host(self.choices.read(backed_up, policy[self.cells], rough))
+        return beside(self._at_places(values, 0.0), backed_up)
 
     def _at_places(self, numbers: NDArray[Any], other: float) -> NDArray[Any]:
         """Return numbers (n, places) that are those given within: there are two places along each axis for corners."""

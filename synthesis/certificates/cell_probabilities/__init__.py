@@ -4,7 +4,7 @@ What a certificate holds of each agent, and its cell probabilities once more, fo
 """
 
 from .agent_record import AgentRecord
-from .checked_kernel import axis_tables, grid_noise, kernel_key, lost_to_rounding, smooth
+from .checked_kernel import axis_tables, backup, grid_noise, kernel_key, lost_to_rounding
 from .checked_laws import law_charge, law_error, law_height, probability_below, scale_charge
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .stated import Statement, noted, state
@@ -24,6 +24,6 @@ __all__ = [
     "probability_below",
     "regrow_trains",
     "scale_charge",
-    "smooth",
+    "backup",
     "state",
 ]

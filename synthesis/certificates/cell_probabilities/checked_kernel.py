@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import erfc
 
 from ...relations.grids import CellAxis, FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
-from .checked_laws import law_error, law_height, lawful_masses
+from .checked_laws import law_error, law_height, masses_of_law
 from .stated import state
 
 TAIL, ONE = 1e-15, 3e-16
@@ -46,7 +46,7 @@ def _tables(agent: AnyAgent, part: AgentRecord) -> list[FloatArray]:
     tables = []
     for k, (edges, axis) in enumerate(zip(part.grid.edges, part.lattice, strict=True)):
         if agent.laws is not None:
-            tables.append(_over_windings(agent, k, axis, partial(lawful_masses, agent.laws[k], edges)))
+            tables.append(_over_windings(agent, k, axis, partial(masses_of_law, agent.laws[k], edges)))
         else:
             deviation = float(deviations[k])
             tables.append(_over_windings(agent, k, axis, partial(_gaussian_masses, edges, deviation=deviation)))
@@ -110,7 +110,7 @@ def _uneven_tables(agent: AnyAgent, part: AgentRecord, deviations: FloatArray) -
             # There is room for one such table, not for two.
             table = np.empty((len(scales), len(means), len(edges) - 1))
             for own, scale in zip(table, scales, strict=True):
-                own[...] = _over_windings(agent, k, means, partial(lawful_masses, agent.laws[k], edges, scale=scale))
+                own[...] = _over_windings(agent, k, means, partial(masses_of_law, agent.laws[k], edges, scale=scale))
             tables.append(table.reshape(-1, len(edges) - 1))
     return tables
 
@@ -155,7 +155,7 @@ def _near_copies(agent: AnyAgent, part: AgentRecord) -> float:
     return total
 
 
-def smooth(factors: FloatArray, tables: list[FloatArray]) -> FloatArray:
+def backup(factors: FloatArray, tables: list[FloatArray]) -> FloatArray:
     """Expected value (n, Z) of factors (n, S) around every lattice point."""
     tensor = factors.reshape(len(factors), *(table.shape[1] for table in tables))
     for axis, table in enumerate(tables, start=1):

@@ -57,7 +57,7 @@ def law_error(law: Law) -> float:
     return float(ERRORS[data["law"]] if data["law"] in ERRORS else _by_author(law).cdf_error)
 
 
-def lawful_masses(law: Law, edges: FloatArray, means: FloatArray, scale: float = 1.0) -> FloatArray:
+def masses_of_law(law: Law, edges: FloatArray, means: FloatArray, scale: float = 1.0) -> FloatArray:
     """Masses (Z, S) of cells around means (Z,), from below, of noise that is multiplied with a scale."""
     below = probability_below(law, (edges - means[:, None]) / scale)
     return np.maximum(np.diff(below, axis=1) - 2.0 * law_error(law), 0.0)

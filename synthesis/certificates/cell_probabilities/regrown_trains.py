@@ -17,22 +17,22 @@ from numpy.typing import NDArray
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
 from ..value_functions import (
+    Backup,
     Cells,
     Guards,
     Rounding,
-    Smooth,
     Train,
     Trains,
     added,
     arrival,
     assembled,
+    core_backup,
     counted_as_failed,
     ones,
     routes,
-    smoothed_core,
 )
 from .agent_record import AgentRecord
-from .checked_kernel import axis_tables, smooth
+from .checked_kernel import axis_tables, backup
 
 
 class BrokenTrainError(ValueError):
@@ -62,7 +62,7 @@ def regrow_trains(
     ways = routes(guards, guards.masks, automaton.n_states)
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
     kernels = [axis_tables(a, p, tables) for a, p in zip(problem.agents, agents, strict=True)]
-    smooths = [partial(smooth, tables=axes) for axes in kernels]
+    smooths = [partial(backup, tables=axes) for axes in kernels]
     shapes = [[table.shape[1] for table in axes] for axes in kernels]
     value = Trains(tuple(ones(n_cells, visited[-1]) if yes else None for yes in automaton.accepting))
     # One step back in every automaton state: sum over the guards, smooth by the kernels, count losses if asked to.
@@ -100,7 +100,7 @@ def _check_rounding(rounding: Rounding, horizon: int, n_cells: Sequence[int]) ->
 def _moved(
     arriving: Train,
     points: Sequence[NDArray[Any]],
-    smooths: Sequence[Smooth],
+    smooths: Sequence[Backup],
     shapes: Sequence[Sequence[int]],
     n_cells: Sequence[int],
     cells: Cells,
@@ -109,5 +109,5 @@ def _moved(
     cores = []
     for i, smooth_rows in enumerate(smooths):
         targets = points[i] if cells is None else points[i][cells[i]]
-        cores.append(smoothed_core(arriving, i, n_cells[i], targets, smooth_rows))
+        cores.append(core_backup(arriving, i, n_cells[i], targets, smooth_rows))
     return assembled(arriving, cores, shapes, cells)

@@ -85,7 +85,7 @@ class GridProof(Proof):
     terms: Terms | None
     rank: int
     rounding: Rounding | None = None
-    opposite: Certificate[GridProof] | None = None
+    complement: Certificate[GridProof] | None = None
 
     kind = "grid"
     inside = frozenset({"grid"})
@@ -94,7 +94,7 @@ class GridProof(Proof):
     @property
     def parts(self) -> tuple[OnGrid, ...]:
         """The certificate of the opposite task, if there is one."""
-        return () if self.opposite is None else (self.opposite,)
+        return () if self.complement is None else (self.complement,)
 
     @property
     def stationary(self) -> bool:
@@ -162,13 +162,13 @@ class GridProof(Proof):
             "terms": None if self.terms is None else put_terms(pool, self.terms),
             "rounding": None if self.rounding is None else put_rounding(pool, self.rounding),
         }
-        return entries if self.opposite is None else {**entries, "opposite": pool.put_file(self.opposite)}
+        return entries if self.complement is None else {**entries, "opposite": pool.put_file(self.complement)}
 
     @classmethod
     def read(cls, problem: Problem, stored: Stored) -> Self:
         """Return the proof in a file; raise ValueError (KeyError, TypeError, .. if the header has another form)."""
-        opposite = stored.certificate(stored.entry["opposite"]) if "opposite" in stored.entry else None
-        return cls(**GridReader(problem, stored).fields(), opposite=opposite)
+        complement = stored.certificate(stored.entry["opposite"]) if "opposite" in stored.entry else None
+        return cls(**GridReader(problem, stored).fields(), complement=complement)
 
 
 OnGrid = Certificate[GridProof]
@@ -206,7 +206,7 @@ def _claim(certificate: OnGrid) -> Claim:
     # The controllers carry out their policies up to rounding, which moves the means a little at every step.
     relations = _relations(certificate)
     triples = zip(problem.agents, relations, proof.agents, strict=True)
-    per_step = sum(relation.execution_loss(agent, part.grid.edges) for agent, relation, part in triples)
+    per_step = sum(relation.rounding_loss(agent, part.grid.edges) for agent, relation, part in triples)
     correction += per_step * problem.horizon * CORRECTION_INFLATION
     start = proof.start_target, proof.start_mask
     return Claim(problem, proof.agents, relations, *start, value, proof.relative_rounding, correction)

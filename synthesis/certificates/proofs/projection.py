@@ -44,7 +44,7 @@ class RunProjection:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenInTime(RunProjection):
+class ProjectionInTime(RunProjection):
     """Runs of a problem that names the time, as those of the problem written out.
 
     Parameters

@@ -15,12 +15,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ....envs.tasks.problem import Problem, states_in_time, written_out
+from ....envs.tasks.problem import Problem, states_in_time, unrolled_in_time
 from ..controllers import TimedController
 from .archive import Pool, Stored
 from .certificate import Certificate
 from .grid_proof import OnGrid
-from .projection import RunProjection, SeenInTime
+from .projection import ProjectionInTime, RunProjection
 from .proof import Capability, Proof
 
 IN_TIME = (
@@ -114,12 +114,12 @@ class TimedProof(Proof):
 
     def named(self, problem: Problem) -> TimedProof:
         """Return the proof for a problem that differs from its own in names alone."""
-        return TimedProof(replace(self.base, problem=written_out(problem)))
+        return TimedProof(replace(self.base, problem=unrolled_in_time(problem)))
 
     def seen(self, problem: Problem) -> RunProjection:
         """Return runs of the problem, as those of the problem written out."""
         clocks = tuple(bool(agent.has_clock) for agent in self.base.problem.agents)
-        return SeenInTime(problem, self.states_in_time(problem), clocks)
+        return ProjectionInTime(problem, self.states_in_time(problem), clocks)
 
     def controller(self, problem: Problem) -> TimedController:
         """Return the controllers the bound belongs to."""
@@ -128,7 +128,7 @@ class TimedProof(Proof):
     @classmethod
     def read(cls, problem: Problem, stored: Stored) -> Self:
         """Return the proof in a file; raise ValueError if there is none."""
-        base, other = stored.certificate(stored.entry["base"]), written_out(problem)
+        base, other = stored.certificate(stored.entry["base"]), unrolled_in_time(problem)
         if other.fingerprint != base.fingerprint:
             raise ValueError("its base is not its problem written out")
         return cls(replace(base, problem=other))

@@ -15,7 +15,7 @@ from .terms import Guards, Occupancy
 ROWS_AT_ONCE = 256
 """Rows of a core that are smoothed at once: enough for a fast product, few enough for memory."""
 
-Smooth = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Backup = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Expected values (n, Z) of rows (n, S) at every lattice point."""
 
 Routes = tuple[tuple[tuple[int, Diagram], ...], ...]
@@ -171,12 +171,12 @@ def assembled(arriving: Train, cores: Sequence[Core], shapes: Sequence[Sequence[
     return Train(tuple(cores), arriving.error + 2.0 * operations * UNIT * scale, cells)
 
 
-def smoothed_core(arriving: Train, i: int, n_cells: int, points: NDArray[np.integer], smooth: Smooth) -> Core:
-    """Return matrices (r, n, r') of agent i, ``smooth`` of its rows read at n points; 0 where the point is -1."""
+def core_backup(arriving: Train, i: int, n_cells: int, points: NDArray[np.integer], backup: Backup) -> Core:
+    """Return matrices (r, n, r') of agent i, ``backup`` of its rows read at n points; 0 where the point is -1."""
     rows = core_rows(arriving, i, n_cells)
     values = np.empty((len(rows), len(points)))
     for first in range(0, len(rows), ROWS_AT_ONCE):
-        values[first : first + ROWS_AT_ONCE] = smooth(rows[first : first + ROWS_AT_ONCE])[:, np.maximum(points, 0)]
+        values[first : first + ROWS_AT_ONCE] = backup(rows[first : first + ROWS_AT_ONCE])[:, np.maximum(points, 0)]
     values[:, points < 0] = 0.0
     shape = (arriving.cores[i].shape[0], arriving.cores[i].shape[2], len(points))
     return np.ascontiguousarray(np.moveaxis(values.reshape(shape), 2, 1))
@@ -193,7 +193,7 @@ def core_rows(train: Train, i: int, n_cells: int) -> NDArray[np.float64]:
 
 
 def counted_as_failed(
-    points: Sequence[NDArray[np.integer]], smooth: Sequence[Smooth], n_cells: Sequence[int], here: Cells, there: Cells
+    points: Sequence[NDArray[np.integer]], backup: Sequence[Backup], n_cells: Sequence[int], here: Cells, there: Cells
 ) -> Train | None:
     """Return the probability, per joint cell, of what a lower bound counts as failed in one step; None if it is 0.
 
@@ -219,7 +219,7 @@ def counted_as_failed(
     # prod_i P_i 1[anywhere] - prod_i P_i 1[visited]: some agent leaves the visited cells inside its workspace.
     if there is not None and any(len(cells) < n for cells, n in zip(there, n_cells, strict=True)):
         rates = []
-        for p, push, n, cells in zip(choices, smooth, n_cells, there, strict=True):
+        for p, push, n, cells in zip(choices, backup, n_cells, there, strict=True):
             rows = np.ones((2, n))
             rows[1] = 0.0
             rows[1, cells] = 1.0

@@ -230,13 +230,13 @@ def _check_form(certificate: OnGrid) -> list[str]:
         failures.append("a relation and its choices do not belong together")
     tree = certificate.proof.rounding is None
     if not all(part.is_additive for part in certificate.proof.agents):
-        own_end = certificate.gap is not None and certificate.proof.opposite is None
+        own_end = certificate.gap is not None and certificate.proof.complement is None
         if not tree or certificate.proof.bound != "nominal" or own_end:
             failures.append("agents whose steps are not additive have a value or a bound that is not for them")
         failures += uneven_lattices(certificate)
     if tree and len(certificate.proof.merge_log) != certificate.problem.horizon:
         failures.append("its tree does not cover its horizon")
-    if certificate.proof.opposite is not None and certificate.gap is None:
+    if certificate.proof.complement is not None and certificate.gap is None:
         failures.append("it rests on the opposite task, and says nothing of an upper end")
     if certificate.proof.bound not in (
         ("nominal", "a-posteriori", "robust tree") if tree else ("nominal", "a-posteriori")
@@ -283,8 +283,8 @@ def _check_agents(certificate: OnGrid) -> tuple[list[str], list[FloatArray | Non
 def _check_above(certificate: OnGrid, gap: float, loss: float) -> tuple[float | None, list[str]]:
     """What the policies attain at most, and whether the certificate says less."""
     above: float | None
-    if certificate.proof.opposite is not None:
-        above, failures = _check_opposite(certificate, certificate.proof.opposite)
+    if certificate.proof.complement is not None:
+        above, failures = _check_opposite(certificate, certificate.proof.complement)
     else:
         failures = inexact(certificate)
         above = None if failures else attained(certificate)
@@ -295,22 +295,22 @@ def _check_above(certificate: OnGrid, gap: float, loss: float) -> tuple[float | 
     return above, failures
 
 
-def _check_opposite(certificate: OnGrid, opposite: OnGrid) -> tuple[float | None, list[str]]:
+def _check_opposite(certificate: OnGrid, complement: OnGrid) -> tuple[float | None, list[str]]:
     """What the policies attain at most: a lower bound for the opposite task, taken off 1.
 
     The opposite task is made of the task itself, whatever problem its certificate says that it is about: names of
     agents may be others.
     """
-    if opposite.proof.opposite is not None:
+    if complement.proof.complement is not None:
         return None, ["its upper end has an upper end again"]
     # Files of earlier versions hold opposites that read no exits: runs that leave satisfy neither task.
-    make = complement_of if opposite.problem.automaton.reads_exits else complement_inside
+    make = complement_of if complement.problem.automaton.reads_exits else complement_inside
     try:
-        opposite = replace(opposite, problem=make(certificate.problem))
+        complement = replace(complement, problem=make(certificate.problem))
     except ValueError as error:
         return None, [f"its upper end: {error}"]
-    failures = wrong_complement(certificate.problem, opposite.problem) or other_controllers(certificate, opposite)
-    report = check(opposite) if not failures else None
+    failures = wrong_complement(certificate.problem, complement.problem) or other_controllers(certificate, complement)
+    report = check(complement) if not failures else None
     if report is None or not report:
         return None, [f"its upper end: {text}" for text in (failures if report is None else report.failures)]
     return min(1.0, math.nextafter(1.0 - report.recomputed, 2.0)), []

@@ -20,17 +20,17 @@ MOVES = ("root", "variable", "low", "high")
 """Arrays of an automaton that say how it moves."""
 
 
-def wrong_complement(problem: Problem, opposite: Problem) -> list[str]:
+def wrong_complement(problem: Problem, complement: Problem) -> list[str]:
     """Why a task is not the opposite of ``problem`` with the same automaton states; empty if it is."""
-    mine, other = problem.automaton, opposite.automaton
-    here, there = problem.to_dict(), opposite.to_dict()
+    mine, other = problem.automaton, complement.automaton
+    here, there = problem.to_dict(), complement.to_dict()
     inside = {
         name: region["agent"] for name, region in there["propositions"].items() if name not in here["propositions"]
     }
     failures = ["its agents are not those of the task"] if here["agents"] != there["agents"] else []
     if any(there["propositions"].get(name) != region for name, region in here["propositions"].items()):
         failures.append("its propositions are not those of the task")
-    if problem.horizon != opposite.horizon:
+    if problem.horizon != complement.horizon:
         failures.append("its horizon is not that of the task")
     if sorted(inside.values()) != (sorted(problem.agent_names) if other.reads_exits else []):
         failures.append("it has not one more proposition for each agent, to say that it is inside")
@@ -106,18 +106,18 @@ def _moves_alike(mine: Automaton, other: Automaton, q: int, inside: set[str]) ->
     return True
 
 
-def other_controllers(certificate: OnGrid, opposite: OnGrid) -> list[str]:
+def other_controllers(certificate: OnGrid, complement: OnGrid) -> list[str]:
     """Why the controllers of two certificates act differently before the task of the first is decided; empty if not.
 
     What they do afterwards changes nothing: an accepting state of a co-safe task, or a dead state, is not left, and who
     is outside its workspace has failed. So the opposite may have cells around those of the certificate.
     """
-    if len(certificate.proof.agents) != len(opposite.proof.agents):
+    if len(certificate.proof.agents) != len(complement.proof.agents):
         return ["they are not the same agents"]
     undecided = np.flatnonzero(~certificate.problem.automaton.absorbing)
     horizon, failures = certificate.problem.horizon, []
     for agent, mine, other in zip(
-        certificate.problem.agents, certificate.proof.agents, opposite.proof.agents, strict=True
+        certificate.problem.agents, certificate.proof.agents, complement.proof.agents, strict=True
     ):
         cells = _cells_within(other.grid, mine.grid)
         ours, theirs = ([part.coordinates, *part.lattice] for part in (mine, other))

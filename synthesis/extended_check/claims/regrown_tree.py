@@ -46,7 +46,7 @@ def regrow(certificate: OnGrid, each: Callable[[int, Terms], None] | None = None
             rows.append(np.zeros((len(kept), n_agents), dtype=np.int64))
             vertices = vertices_of(certificate, t, q, Terms(tuple(factors), tuple(index)), masks)
             # Agents with one kernel whose factors are equal are smoothed once, and those that are alike read once.
-            smoothed, known = dict[object, FloatArray](), dict[object, FloatArray]()
+            backed_up, known = dict[object, FloatArray](), dict[object, FloatArray]()
             for i, (part, reading, vertex) in enumerate(zip(certificate.proof.agents, readings, vertices, strict=True)):
                 distinct, where = _distinct(vertex, kept)
                 if reading.proves_given and t == 0 and certificate.proof.terms is not None:
@@ -60,7 +60,7 @@ def regrow(certificate: OnGrid, each: Callable[[int, Terms], None] | None = None
                             )
                 read = (id(reading), distinct.tobytes())
                 if read not in known:
-                    (known[read],) = reading.values(part, distinct, [(t, q)], smoothed)
+                    (known[read],) = reading.values(part, distinct, [(t, q)], backed_up)
                 rows[-1][:, i] = where + sum(len(s) for s in stacks[i])
                 stacks[i].append(known[read])
         factors, index = [np.concatenate(s) for s in stacks], rows

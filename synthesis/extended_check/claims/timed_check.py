@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import TIME, AnyAgent
-from ....envs.tasks.problem import Places, states_in_time, written_out
+from ....envs.tasks.problem import Places, states_in_time, unrolled_in_time
 from ....envs.tasks.regions import Proposition
 from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import Certificate, TimedProof, on_cells
@@ -36,7 +36,7 @@ def wrong_in_time(certificate: Certificate[TimedProof]) -> list[str]:
     if base.horizon != problem.horizon or base.n_agents != problem.n_agents:
         return ["its base has another horizon or other agents"]
     try:
-        if written_out(problem).fingerprint != base.fingerprint:
+        if unrolled_in_time(problem).fingerprint != base.fingerprint:
             return ["its base is not the problem written out"]
         table = states_in_time(problem, base)
     except ValueError as error:

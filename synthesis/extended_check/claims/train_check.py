@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...certificates.cell_probabilities import BrokenTrainError, axis_tables, smooth
+from ...certificates.cell_probabilities import BrokenTrainError, axis_tables, backup
 from ...certificates.proofs import OnGrid
 from ...relations.grids import FloatArray
 from .forward_mass import mass_at_start
@@ -308,7 +308,7 @@ def _moved(
         expected = np.empty((len(rows), len(choice)))
         for first in range(0, len(rows), ROWS_AT_ONCE):
             part = slice(first, first + ROWS_AT_ONCE)
-            expected[part] = smooth(rows[part], tables[i])[:, np.maximum(choice, 0)]
+            expected[part] = backup(rows[part], tables[i])[:, np.maximum(choice, 0)]
         expected[:, choice < 0] = 0.0  # no choice counts as failure
         cores.append(expected.reshape(core.shape[0], core.shape[2], -1).transpose(0, 2, 1))
         operations += sum(table.shape[1] + 4 for table in tables[i]) + core.shape[2]
@@ -336,7 +336,7 @@ def _failed(
         for table, choice, size, own in zip(tables, choices, sizes, there, strict=True):
             indicator = np.zeros(size)
             indicator[own] = 1.0
-            rates = smooth(np.stack([np.ones(size), indicator]), table)[:, np.maximum(choice, 0)] * (choice >= 0)
+            rates = backup(np.stack([np.ones(size), indicator]), table)[:, np.maximum(choice, 0)] * (choice >= 0)
             anywhere.append(rates[0])
             covered.append(rates[1])
         products += [(1.0, anywhere), (-1.0, covered)]

@@ -122,7 +122,7 @@ class ActionValues:
             moving, beside = (self.relations[i].to_grid(states[i]), inputs), self.beside(i, states)
             box = MeanBox.of(agent, self.certificate.proof.agents[i].coordinates, self.axes[i], moving, beside)
         elif agent.has_plain_noise:
-            return self.smoothed(time, q, i, self.mean(i, states[i], inputs))
+            return self.backed_up(time, q, i, self.mean(i, states[i], inputs))
         else:
             # Where there is no noise it matters what means are off by.
             means, off = (
@@ -131,7 +131,7 @@ class ActionValues:
             )
             known = np.ones(means.shape[1], dtype=bool)
             box = MeanBox.around(means - off[:, None], means + off[:, None], self.axes[i], known)
-        least = np.minimum.reduce([self.smoothed(time, q, i, *read) for read in box.points])
+        least = np.minimum.reduce([self.backed_up(time, q, i, *read) for read in box.points])
         vertices = self.vertices[time][q]
         largest = vertices.distinct[i].max(axis=1, initial=0.0)[vertices.which[i]]
         return np.asarray(np.maximum(least - largest[:, None] * box.interpolation_error, 0.0))
@@ -157,7 +157,7 @@ class ActionValues:
         agent = linear_agent(self.certificate.problem.agents[i], "exact")
         return self.relations[i].to_grid(agent.A @ x + agent.B @ u + agent.offset[:, None])
 
-    def smoothed(self, time: int, q: int, i: int, places: FloatArray, scales: FloatArray | None = None) -> FloatArray:
+    def backed_up(self, time: int, q: int, i: int, places: FloatArray, scales: FloatArray | None = None) -> FloatArray:
         """Return agent i's factors of all terms (R, M), expected around places (d, M) of the axes of its grid.
 
         Places are means in grid coordinates, and numbers of cells where there is no noise; ``scales`` (d, M) are those
@@ -222,7 +222,7 @@ class ActionValues:
         per_step = 0.0
         triples = zip(self.certificate.problem.agents, self.certificate.proof.agents, self.relations, strict=True)
         for agent, part, relation in triples:
-            per_step += relation.execution_loss(agent, part.grid.edges)
+            per_step += relation.rounding_loss(agent, part.grid.edges)
             if isinstance(agent, Agent) or not agent.has_plain_noise:
                 continue  # what means are off by is in their boxes
             per_step += mean_loss(linear_agent(agent, "exact"), part.coordinates, part.grid.edges)

@@ -95,29 +95,29 @@ class Choice:
 
 def joint_choice(values: ActionValues, case: Case) -> Choice:
     """Return what is applied if the inputs of all agents are judged together."""
-    worth = values.of_inputs(case.time, case.q, case.states, case.proposed)
+    q_values = values.of_inputs(case.time, case.q, case.states, case.proposed)
     # A comparison with what is no number is false: the proposal is refused.
-    refused = np.flatnonzero(~(worth >= case.budget))
+    refused = np.flatnonzero(~(q_values >= case.budget))
     inputs = tuple(u.copy() for u in case.proposed)
     if len(refused):
-        replaced, worth[refused] = _towards_certified(values, case.selected(refused), worth[refused])
+        replaced, q_values[refused] = _towards_certified(values, case.selected(refused), q_values[refused])
         for u, new in zip(inputs, replaced, strict=True):
             u[:, refused] = new
-    overridden = np.zeros((len(inputs), len(worth)), dtype=bool)
+    overridden = np.zeros((len(inputs), len(q_values)), dtype=bool)
     overridden[:, refused] = True
-    return Choice(inputs, ratio_of(case.budget, worth), overridden)
+    return Choice(inputs, ratio_of(case.budget, q_values), overridden)
 
 
 def _towards_certified(
-    values: ActionValues, case: Case, worth: FloatArray
+    values: ActionValues, case: Case, q_values: FloatArray
 ) -> tuple[tuple[FloatArray, ...], FloatArray]:
-    """Return inputs on the line to the certified ones, and their Q; ``worth`` (M,) is Q of the proposed ones.
+    """Return inputs on the line to the certified ones, and their Q; ``q_values`` (M,) is Q of the proposed ones.
 
     Every point that is taken was judged itself; Q need not fall along the line.
     """
     inputs = tuple(u.copy() for u in case.certified)
     found = values.of_inputs(case.time, case.q, case.states, case.certified)
-    search = Line.between(found, worth)
+    search = Line.between(found, q_values)
     for _ in range(ROUNDS):
         trying = np.flatnonzero(found > case.budget * (1.0 + WORTHWHILE))
         if not len(trying):
@@ -154,19 +154,21 @@ class Line:
             part = (self.near_worth - needed) / (self.near_worth - self.far_worth)
         return self.near + SHORT * np.clip(np.nan_to_num(part), 0.0, 1.0) * (self.far - self.near)
 
-    def note(self, which: NDArray[np.int64], share: FloatArray, worth: FloatArray, allowed: NDArray[np.bool_]) -> None:
+    def note(
+        self, which: NDArray[np.int64], share: FloatArray, q_values: FloatArray, allowed: NDArray[np.bool_]
+    ) -> None:
         """Note what was found at shares (m,) of the worlds ``which`` (m,)."""
         good, bad = which[allowed], which[~allowed]
-        self.near[good], self.near_worth[good] = share[allowed], worth[allowed]
-        self.far[bad], self.far_worth[bad] = share[~allowed], np.nan_to_num(worth[~allowed])
+        self.near[good], self.near_worth[good] = share[allowed], q_values[allowed]
+        self.far[bad], self.far_worth[bad] = share[~allowed], np.nan_to_num(q_values[~allowed])
 
 
 def decentralised_choice(values: ActionValues, case: Case) -> Choice:
     """Return what is applied if each agent judges its own input; budget and Q of the certified inputs are shared."""
     count = len(case.states)
     inputs = tuple(u.copy() for u in case.certified)
-    worth, overridden = np.empty(len(case.budget)), np.zeros((count, len(case.budget)), dtype=bool)
-    for some in pieces(np.arange(len(worth)), count * values.work(case.time, case.q)):
+    q_values, overridden = np.empty(len(case.budget)), np.zeros((count, len(case.budget)), dtype=bool)
+    for some in pieces(np.arange(len(q_values)), count * values.work(case.time, case.q)):
         here = case.selected(some)
         base = [values.expected(here.time, here.q, i, here.states, here.certified[i]) for i in range(count)]
         threshold = _share_of_each(np.prod(base, axis=0).sum(axis=0), here.budget, count)
@@ -175,8 +177,8 @@ def decentralised_choice(values: ActionValues, case: Case) -> Choice:
             own, factors, let_through = _agents_choice(values, here, i, base[i], threshold)
             inputs[i][:, some], overridden[i, some] = own, ~let_through
             product = product * factors
-        worth[some] = product.sum(axis=0)
-    return Choice(inputs, ratio_of(case.budget, worth), overridden)
+        q_values[some] = product.sum(axis=0)
+    return Choice(inputs, ratio_of(case.budget, q_values), overridden)
 
 
 def _share_of_each(certified: FloatArray, budget: FloatArray, count: int) -> FloatArray:
@@ -226,8 +228,8 @@ def kappa(factors: FloatArray, base: FloatArray) -> FloatArray:
     return np.asarray(ratios.min(axis=0, initial=np.inf))
 
 
-def ratio_of(budget: FloatArray, worth: FloatArray) -> FloatArray:
+def ratio_of(budget: FloatArray, q_values: FloatArray) -> FloatArray:
     """Return ``min(1, b / Q)`` (M,): 0 where nothing is owed, 1 where Q is 0 or no number."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(worth > budget, budget / worth, 1.0)
+        ratio = np.where(q_values > budget, budget / q_values, 1.0)
     return np.where(budget == 0.0, 0.0, ratio)

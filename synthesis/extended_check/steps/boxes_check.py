@@ -28,12 +28,12 @@ from ....envs.systems.agents import Agent, AnyAgent, LinearAgent, with_expressio
 from ...certificates.cell_probabilities import (
     AgentRecord,
     axis_tables,
+    backup,
     grid_noise,
     law_charge,
     law_height,
     lost_to_rounding,
     scale_charge,
-    smooth,
     state,
 )
 from ...relations.grids import FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
@@ -250,10 +250,10 @@ def box_values(
     found = [np.zeros((len(factors), part.grid.n_cells)) for _ in rows]
     moving = [_moving_cells(agent, part, tables, *row) for row in rows]
     for n, factor in enumerate(factors):
-        smoothed = smooth(factor[None], tables.masses)[0].reshape([len(axis) for axis in part.lattice])
+        backed_up = backup(factor[None], tables.masses)[0].reshape([len(axis) for axis in part.lattice])
         most = factor.max(initial=0.0)
         slack = tables.slack * most + (0.0 if tables.near is None else tables.near.around(factor, most))
-        table = smoothed - slack if tables.bent is None else below(smoothed, slack, tables.bent)
+        table = backed_up - slack if tables.bent is None else below(backed_up, slack, tables.bent)
         for values, (cells, low, high) in zip(found, moving, strict=True):
             for some in np.array_split(np.arange(len(cells)), len(cells) // CHUNK + 1):
                 values[n, cells[some]] = np.maximum(least(table, low[some], high[some]), 0.0)

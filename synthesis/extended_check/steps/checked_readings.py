@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from ....envs.systems.agents import AnyAgent
-from ...certificates.cell_probabilities import AgentRecord, axis_tables, smooth
+from ...certificates.cell_probabilities import AgentRecord, axis_tables, backup
 from ...certificates.proofs import OnGrid
 from ...relations.grids import FloatArray
 from .boxes_check import BoxTables, box_tables, box_values
@@ -60,7 +60,7 @@ class Points:
         """Return smoothed factors at the points, less what relations that are lost take from them."""
         alike, found = (id(self.tables), factors.tobytes()), []
         if alike not in known:
-            known[alike] = smooth(factors, self.tables)
+            known[alike] = backup(factors, self.tables)
         for row in rows:
             points = part.points(*row)
             values = known[alike][:, np.maximum(points, 0)]

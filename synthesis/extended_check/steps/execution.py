@@ -65,8 +65,8 @@ class _Setting:
 
     ``A``, ``B``, ``c``, each with ``*_off`` (same shape); ``x``, ``u`` largest states and inputs; ``read`` what the
     coordinates of a state are read off by; ``deviations``, ``narrow`` noise and narrowest cell per axis; ``law`` what
-    the noise is away, in total variation, from one that is independent along the axes; ``lawful`` whether it has other
-    laws than the normal one.
+    the noise is away, in total variation, from one that is independent along the axes; ``non_gaussian`` whether it has
+    other laws than the normal one.
     """
 
     A: FloatArray
@@ -82,7 +82,7 @@ class _Setting:
     narrow: FloatArray
     law: float
     unit: float
-    lawful: bool
+    non_gaussian: bool
 
 
 def execution_of(agent: AnyAgent, part: AgentRecord, relation: Relation) -> Execution:
@@ -138,7 +138,7 @@ def _setting(agent: AnyAgent, part: AgentRecord) -> _Setting:
         law=_not_independent(noise_off, deviations),
         narrow=np.array([np.min(np.diff(edges)) for edges in part.grid.edges]),
         unit=unit,
-        lawful=agent.laws is not None,
+        non_gaussian=agent.laws is not None,
     )  # fmt: skip
 
 
@@ -155,7 +155,7 @@ def _exact(s: _Setting, agent: AnyAgent, part: AgentRecord, relation: ExactRelat
     distance = float(np.sqrt(np.sum((off / s.deviations) ** 2)))
     loss = float(erf(distance / (2.0 * np.sqrt(2.0)))) * (1.0 + 1e-12)
     state("erf", distance / (2.0 * np.sqrt(2.0)), loss)
-    if s.lawful:  # the difference of tails is that of Gaussian noise; its slope at 0 bounds all
+    if s.non_gaussian:  # the difference of tails is that of Gaussian noise; its slope at 0 bounds all
         loss = min(1.0, DENSITY * distance)
     inputs = s.unit * asked + np.abs(R) @ np.abs(A) @ s.read
     state("aims", agent, part, relation, off)

@@ -39,7 +39,7 @@ def linear_values(
     """
     if not len(factors):
         return np.zeros((0, places_of(part))), np.ones(0, dtype=bool)
-    smoothed, largest = written_values(part, tables, factors), factors.max(axis=1, initial=0.0)
+    backed_up, largest = written_values(part, tables, factors), factors.max(axis=1, initial=0.0)
     d, parts = len(part.lattice), int(part.relation["parts"])
     policy = part.policy[min(t, len(part.policy) - 1), q]
     result = np.zeros((len(factors), part.grid.n_cells, 2**d))
@@ -52,7 +52,7 @@ def linear_values(
     pieces = len(chosen_cells) * len(factors) * (parts + 1) ** d // CHUNK + 1
     for cells in np.array_split(chosen_cells, pieces):
         if len(cells):
-            lower, at, lacking, blend = _corner_values(part, tables, smoothed, largest, cells, policy[cells])
+            lower, at, lacking, blend = _corner_values(part, tables, backed_up, largest, cells, policy[cells])
             result[:, cells] = lower
             if stored is not None:
                 # Any multilinear function will do that is below f at the points that are read by what f may lack.
@@ -76,7 +76,7 @@ def by_cell(rows: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 def _corner_values(
     part: AgentRecord,
     tables: SymbolicTables,
-    smoothed: list[FloatArray],
+    backed_up: list[FloatArray],
     largest: FloatArray,
     cells: NDArray[np.int64],
     choices: NDArray[np.integer],
@@ -88,7 +88,7 @@ def _corner_values(
     """
     d = len(part.lattice)
     share = np.array(list(itertools.product(np.linspace(0.0, 1.0, int(part.relation["parts"]) + 1), repeat=d)))
-    at, lacking, inside = image_values(part, tables, smoothed, largest, cells, choices, share)
+    at, lacking, inside = image_values(part, tables, backed_up, largest, cells, choices, share)
     sides = np.array(list(itertools.product((0.0, 1.0), repeat=d)))
     corners = at[:, :, np.flatnonzero(np.all((share == 0.0) | (share == 1.0), axis=1))]
     blend = np.prod(np.where(sides[:, None] == 1.0, share, 1.0 - share), axis=2)

@@ -283,8 +283,8 @@ def _moving_images(
     moved[~inside] = 0.0
     at = _interpolated(around[0], position[:, None] + np.einsum("cik,qk->cqi", moved, 2.0 * share - 1.0))
     steps = 2.0 * np.abs(moved) / int(part.relation["parts"])
-    bends = np.where(steps < 1.0, steps / 4.0, (steps * steps + 1.0) / 8.0).sum(axis=2)
-    weights = [bends[:, k] + (0.125 if tables.normal[k] else 0.0) for k in range(d)]
+    second_derivatives = np.where(steps < 1.0, steps / 4.0, (steps * steps + 1.0) / 8.0).sum(axis=2)
+    weights = [second_derivatives[:, k] + (0.125 if tables.normal[k] else 0.0) for k in range(d)]
     weights += [(steps[:, i] * steps[:, j]).sum(axis=1) / 4.0 for i, j in itertools.combinations(range(d), 2)]
     weights += [rest[:, k] for k in range(d)] + [np.ones(len(cells))]
     sizes = np.array(_blocks(part))

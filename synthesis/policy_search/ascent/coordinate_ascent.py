@@ -232,7 +232,7 @@ def _arrivals(joint: JointModel, occupancy: Occupancy, policies: Policies, t: in
         for i, model in enumerate(joint.models):
             others = np.prod(np.delete(totals, i, axis=0), axis=0)
             marginal = np.bincount(rows[:, i], weights=others, minlength=len(factors[i])) @ factors[i]
-            masses.append(model.kernel.push(marginal[None], model.choices.points(policies[i][t, q]))[0])
+            masses.append(model.kernel.propagate(marginal[None], model.choices.points(policies[i][t, q]))[0])
         return masses
 
     return arriving
@@ -260,10 +260,10 @@ class Stage:
             self.offered = self._with_number(group, self._number_of(group))
         # Keep the factors that terms of this state point at, and read them at the chosen points.
         self.rows = options.index[q].copy()
-        self.smoothed, self.values, known = [], [], Known()
+        self.backed_up, self.values, known = [], [], Known()
         for i, policy in enumerate(self.policies):
-            table, self.rows[:, i] = compress(options.smoothed[i], self.rows[:, i])
-            self.smoothed.append(table)
+            table, self.rows[:, i] = compress(options.backed_up[i], self.rows[:, i])
+            self.backed_up.append(table)
             self.values.append(self._read_once(i, table, policy, known))
         self.mass_rows = occupancy.terms.index[q]
         self.is_met = len(self.mass_rows) > 0
@@ -323,7 +323,7 @@ class Stage:
                 choices = self.models[i].choices
                 self.policies[i] = choices.with_part(self.policies[i], int(part[number]))
                 if weighed:
-                    self.values[i] = choices.read(self.smoothed[i], self.policies[i], self.rough)
+                    self.values[i] = choices.read(self.backed_up[i], self.policies[i], self.rough)
             self._answer(group.members)
             worth = self._worth()
             if worth > best[0] * (1.0 + TIE):
@@ -366,7 +366,7 @@ class Stage:
                 continue
             # With a single objective its weights do not matter, and equal agents have equal answers.
             if n_values == 1:
-                table = to_host(self.smoothed[i])
+                table = to_host(self.backed_up[i])
                 key = (id(model), self.offered[i][1], table.tobytes(), self.policies[i].tobytes())
                 if key not in answers:
                     answers[key] = self.best(i, np.ones((model.n_cells, 1)), table)
@@ -380,9 +380,9 @@ class Stage:
                         weights = beside(usual[None], weights)
                     else:
                         weights[unmet] = beside(usual, weights)
-                self.policies[i] = self.best(i, weights, self.smoothed[i])
+                self.policies[i] = self.best(i, weights, self.backed_up[i])
             # The next agents answer to what this one does now.
-            self.values[i] = model.choices.read(self.smoothed[i], self.policies[i], self.rough)
+            self.values[i] = model.choices.read(self.backed_up[i], self.policies[i], self.rough)
             met.replace(self._inner_by_terms(i, chosen))
             anywhere.replace(_means(self.values[i])[self.rows[:, i]])
 
@@ -399,8 +399,8 @@ class Stage:
             return 0.0
         most = 0.0
         for i, (model, weights) in enumerate(zip(self.models, self.weights(), strict=True)):
-            better = self.best(i, weights, self.smoothed[i])
-            added = model.choices.read(self.smoothed[i], better) - self.values[i]
+            better = self.best(i, weights, self.backed_up[i])
+            added = model.choices.read(self.backed_up[i], better) - self.values[i]
             most = max(most, float(namespace(added).einsum("sn,ns->", weights, added)))
         return most
 

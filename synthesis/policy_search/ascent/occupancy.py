@@ -133,7 +133,9 @@ class AliveMass:
 
     def _after(self, occupancy: Occupancy, t: int) -> Occupancy:
         """Return the alive mass one step after time t."""
-        return push(occupancy, [policy[t] for policy in self.policies], self.joint, self.limits.mass, self.limits.rank)
+        return propagate(
+            occupancy, [policy[t] for policy in self.policies], self.joint, self.limits.mass, self.limits.rank
+        )
 
     def _kept(self, t: int) -> Occupancy:
         return put_everywhere_in(self.stored[t], _unpacked)
@@ -161,7 +163,7 @@ def nowhere(joint: JointModel) -> Occupancy:
     return Occupancy(Terms(tuple(np.zeros((0, n)) for n in joint.n_cells), (rows,) * joint.n_states), 0.0)
 
 
-def push(
+def propagate(
     occupancy: Occupancy,
     policies: Sequence[Sequence[StepPolicy]],
     joint: JointModel,
@@ -237,7 +239,7 @@ class _Masked:
         Of the numbers of each product, on the host.
     """
 
-    pushed: Any
+    propagated: Any
     masks: Any
     source: IndexArray
     mask: IndexArray
@@ -246,7 +248,7 @@ class _Masked:
     def made(self, numbers: IndexArray) -> tuple[Any, IndexArray]:
         """Return the distinct ones of some products, and which of them each number stands for."""
         used, place = distinct(numbers)
-        return take(self.pushed, self.source[used]) * take(self.masks, self.mask[used]), place
+        return take(self.propagated, self.source[used]) * take(self.masks, self.mask[used]), place
 
 
 def _pair(guards: Guards, terms: Terms) -> NDArray[np.int64]:
@@ -272,19 +274,21 @@ def _step(
     key = guards.source[rows[:, 0]].astype(np.int64) * n_factors + rows[:, column]
     pushes, pushed_row = distinct(key)
     state, factor = np.divmod(pushes, n_factors)
-    pushed = empty((len(pushes), model.n_cells), factors)
+    propagated = empty((len(pushes), model.n_cells), factors)
     for q in set(state.tolist()):
         here = state == q
-        pushed[beside(here, pushed)] = model.kernel.push(take(factors, factor[here]), model.choices.points(policies[q]))
-    pushed[pushed < NOTHING] = 0.0
+        propagated[beside(here, propagated)] = model.kernel.propagate(
+            take(factors, factor[here]), model.choices.points(policies[q])
+        )
+    propagated[propagated < NOTHING] = 0.0
     key = pushed_row * n_masks + guards.mask[rows[:, 0], i]
     rows[:, column] = key
     source, mask = np.divmod(distinct(key)[0], n_masks)
-    there = model.residents.beside(masks, pushed)
-    shares = empty(masks.shape, pushed)
+    there = model.residents.beside(masks, propagated)
+    shares = empty(masks.shape, propagated)
     shares[...] = there
-    sums = to_host(pushed @ shares.T)[source, mask]
-    return _Masked(pushed, there, source, mask, sums[:, None])
+    sums = to_host(propagated @ shares.T)[source, mask]
+    return _Masked(propagated, there, source, mask, sums[:, None])
 
 
 def _largest(

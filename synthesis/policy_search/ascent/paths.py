@@ -102,17 +102,17 @@ def path_policies(joint: JointModel, path: GuardPath, otherwise: Policies) -> Po
         value = np.ones((1, model.n_cells))
         for t in reversed(range(len(path.guards))):
             guard = path.guards[t]
-            smoothed = model.kernel.smooth(joint.masks[i][[joint.guards.mask[guard, i]]] * value)
+            backed_up = model.kernel.backup(joint.masks[i][[joint.guards.mask[guard, i]]] * value)
             q = int(joint.guards.source[guard])
-            policy = _best(model, smoothed, policies[i][t, q], t)
+            policy = _best(model, backed_up, policies[i][t, q], t)
             policies[i][t, q] = policy
-            value = model.choices.read(smoothed, policy)
+            value = model.choices.read(backed_up, policy)
     return policies
 
 
-def _best(model: AgentModel, smoothed: FloatArray, incumbent: NDArray[np.int32], time: int) -> NDArray[np.int32]:
+def _best(model: AgentModel, backed_up: FloatArray, incumbent: NDArray[np.int32], time: int) -> NDArray[np.int32]:
     """Return the best choices of a step for a single objective."""
-    return best_offered(model.offered(time), np.ones((1, 1)), smoothed, incumbent)
+    return best_offered(model.offered(time), np.ones((1, 1)), backed_up, incumbent)
 
 
 def _terminal(joint: JointModel) -> _Beam:
@@ -159,13 +159,13 @@ def _best_values(model: AgentModel, masked: FloatArray, computed: dict[bytes, Fl
     """
     names = [row.tobytes() for row in masked]
     new = {name: k for k, name in enumerate(names) if name not in computed}
-    smoothed = model.kernel.smooth(masked[list(new.values())])
+    backed_up = model.kernel.backup(masked[list(new.values())])
     for k, name in enumerate(new):
-        if (most := model.choices.largest(smoothed[k])) is not None:
+        if (most := model.choices.largest(backed_up[k])) is not None:
             computed[name] = most
             continue
-        policy = _best(model, smoothed[[k]], model.resting_at(time), time)
-        computed[name] = model.choices.read(smoothed[[k]], policy)[0]
+        policy = _best(model, backed_up[[k]], model.resting_at(time), time)
+        computed[name] = model.choices.read(backed_up[[k]], policy)[0]
     return np.array([computed[name] for name in names]).reshape(len(names), model.n_cells)
 
 
@@ -218,7 +218,7 @@ def _spread(model: AgentModel, cells: NDArray[np.bool_], time: int) -> NDArray[n
     reached = cells.copy()
     for ramp in ramps:
         policy = _best(model, ramp[None], model.resting_at(time), time)
-        mass = model.kernel.push(indicator, model.choices.points(policy))[0]
+        mass = model.kernel.propagate(indicator, model.choices.points(policy))[0]
         reached |= mass > REACHED_SHARE * mass.max(initial=0.0)
     return _hull(reached, model.kernel.shape)
 

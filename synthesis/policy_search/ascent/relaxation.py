@@ -135,7 +135,7 @@ def _solve(
         # Where automata count steps few states occur at a time, and the others are not smoothed.
         rows = np.flatnonzero(joint.occurs[t])
         arriving = _arriving(value, classes, rows)
-        smoothed = model.kernel.smooth(arriving if thinned is None else arriving * thinned[t + 1])
+        backed_up = model.kernel.backup(arriving if thinned is None else arriving * thinned[t + 1])
         place = dict(zip(rows.tolist(), range(len(rows)), strict=True))
         for q in range(n_q):
             if joint.absorbing[q]:
@@ -144,7 +144,7 @@ def _solve(
             if not joint.occurs[t, q]:
                 value[q] = 1.0  # no run is there at this time: any upper bound will do
                 continue
-            here = smoothed[place[q] : place[q] + 1]
+            here = backed_up[place[q] : place[q] + 1]
             policy[t, q] = best_offered(model.offered(t), weights, here, policy[t, q])
             value[q] = model.choices.read(here, policy[t, q])[0]
     return Relaxation(value, policy)

@@ -114,13 +114,13 @@ def _answers(joint: JointModel, policies: Policies, start: Occupancy, limits: Li
         met = [stage for stage in of_state if stage.is_met and len(stage.rows)]
         if not met:
             continue
-        size = sum(len(t) * (t.shape[1] + joint.n_cells[i]) for s in met for i, t in enumerate(s.smoothed))
+        size = sum(len(t) * (t.shape[1] + joint.n_cells[i]) for s in met for i, t in enumerate(s.backed_up))
         if size > MOST_HELD_NUMBERS:
             return None
         # The objectives of all times side by side, each with its weights: their sum is maximised.
         weights = [stage.weights() for stage in met]
         for i in range(len(joint.models)):
-            table = np.concatenate([to_host(stage.smoothed[i]) for stage in met])
+            table = np.concatenate([to_host(stage.backed_up[i]) for stage in met])
             heavy = np.concatenate([to_host(each[i]) for each in weights], axis=1)
             answers[i][0, q] = met[0].best(i, heavy, table)
     return tuple(answers)

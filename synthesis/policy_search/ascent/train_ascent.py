@@ -194,8 +194,8 @@ def forward_trains(
             break
         # Read the letters: the mass in p is the masked sum of what comes from all q, cut to small rank.
         summands: list[list[tuple[Train, Diagram]]] = [[] for _ in masses]
-        for q, pushed in arriving.items():
-            here = _restricted(pushed, cells)
+        for q, propagated in arriving.items():
+            here = _restricted(propagated, cells)
             for p, d in ways[q]:
                 if not joint.absorbing[p]:
                     summands[p].append((here, d))
@@ -207,7 +207,7 @@ def _pushed(train: Train, models: Sequence[AgentModel], policies: Sequence[StepP
     """Return the mass one step later, before its letter is read, over all cells."""
     cores = []
     for i, (core, model, policy) in enumerate(zip(train.cores, models, policies, strict=True)):
-        spread = model.kernel.push(core_rows(train, i, model.n_cells), model.choices.points(policy))
+        spread = model.kernel.propagate(core_rows(train, i, model.n_cells), model.choices.points(policy))
         cores.append(np.ascontiguousarray(np.moveaxis(spread.reshape(core.shape[0], core.shape[2], -1), 2, 1)))
     return Train(tuple(cores))
 
@@ -267,8 +267,8 @@ def answers(
         # First for all cells, the others averaged over all of theirs: a single objective.
         table = core_rows(arriving, i, model.n_cells)
         weights = np.broadcast_to(np.outer(ahead, behind[i]).ravel(), (model.n_cells, len(table)))
-        smoothed = model.kernel.smooth(weights[:1] @ table)
-        policies[i] = model.choices.best(np.ones((model.n_cells, 1)), smoothed, policies[i])
+        backed_up = model.kernel.backup(weights[:1] @ table)
+        policies[i] = model.choices.best(np.ones((model.n_cells, 1)), backed_up, policies[i])
         # Then again for the cells that the mass meets, with omega.
         if mass is not None:
             met, seen = _seen(mass, i, before, after[i])
@@ -342,7 +342,7 @@ def _answer(
         seen, table = seen @ basis, basis.T @ table
     weights = np.zeros((model.n_cells, seen.shape[1]))
     weights[met] = seen
-    better = model.choices.best(weights, model.kernel.smooth(table), policy)
+    better = model.choices.best(weights, model.kernel.backup(table), policy)
     answer = policy.copy()
     answer[met] = better[met]
     return answer

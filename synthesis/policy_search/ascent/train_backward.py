@@ -27,9 +27,9 @@ from ...certificates.value_functions import (
     added,
     arrival,
     assembled,
+    core_backup,
     ones,
     routes,
-    smoothed_core,
 )
 
 Choose = Callable[[int, int, Train], Sequence[StepPolicy]]
@@ -54,7 +54,7 @@ def expected(
 ) -> Core:
     """Return the expected matrices (r, n, r') of agent i under a policy (S,), at n cells; 0 where it has no choice."""
     points = model.choices.points(policy)
-    return smoothed_core(arriving, i, model.n_cells, points if at is None else points[at], model.kernel.smooth)
+    return core_backup(arriving, i, model.n_cells, points if at is None else points[at], model.kernel.backup)
 
 
 def backward(

@@ -56,7 +56,7 @@ class Candidates:
     smoothed : tuple of (n_i, Z_i) arrays
         Distinct smoothed factors of each agent: value of each lattice point.
     index : tuple of (L_q, I) int64 arrays
-        Terms per state, pointing at ``smoothed``.
+        Terms per state, pointing at ``backed_up``.
     origin : tuple of (N_q, 2) int64 arrays
         (guard, term of the target state) of every row that was combined, united ones included.
     merges : tuple of Merges
@@ -65,7 +65,7 @@ class Candidates:
         Row of ``origin`` that each term stands for.
     """
 
-    smoothed: tuple[NDArray, ...]
+    backed_up: tuple[NDArray, ...]
     index: tuple[IndexArray, ...]
     origin: tuple[IndexArray, ...]
     merges: tuple[Merges, ...]
@@ -130,14 +130,14 @@ def candidates(
         factors = [beside(factor, before) for factor, before in zip(factors, given, strict=True)]
     for i in range(n_agents):
         factors[i], rows[remaining, i] = compress(factors[i], rows[remaining, i])
-    smoothed = _smooth(models, factors)
+    backed_up = _backup(models, factors)
     if loss is not None:
-        smoothed = tuple(
+        backed_up = tuple(
             beside(loss(m, to_host(before), to_host(after)), after)
-            for m, before, after in zip(models, factors, smoothed, strict=True)
+            for m, before, after in zip(models, factors, backed_up, strict=True)
         )
     table = _Rows(guard, child, rows, remaining, merges)
-    return _per_state(smoothed, n_states, guards.source[guard], table)
+    return _per_state(backed_up, n_states, guards.source[guard], table)
 
 
 def _united_alike(
@@ -179,7 +179,7 @@ class _Rows:
     merges: Merges
 
 
-def _per_state(smoothed: tuple[NDArray, ...], n_states: int, source: IndexArray, rows: _Rows) -> Candidates:
+def _per_state(backed_up: tuple[NDArray, ...], n_states: int, source: IndexArray, rows: _Rows) -> Candidates:
     """Sort the rows of all states, each with the state it is out of, into one table per state."""
     position = np.zeros(len(rows.guard), dtype=np.int64)
     origin, index, row, united = [], [], [], []
@@ -195,21 +195,21 @@ def _per_state(smoothed: tuple[NDArray, ...], n_states: int, source: IndexArray,
         into, absorbed = rows.merges.into[merged], rows.merges.absorbed[merged]
         rest = None if rows.merges.rest is None else rows.merges.rest[merged]
         united.append(Merges(position[into], position[absorbed], rows.merges.agent[merged], rest))
-    return Candidates(smoothed, tuple(index), tuple(origin), tuple(united), tuple(row))
+    return Candidates(backed_up, tuple(index), tuple(origin), tuple(united), tuple(row))
 
 
-def _smooth(models: Sequence[AgentModel], factors: Sequence[NDArray]) -> tuple[NDArray, ...]:
+def _backup(models: Sequence[AgentModel], factors: Sequence[NDArray]) -> tuple[NDArray, ...]:
     """Smooth the factors of all agents, those of agents with one kernel in common products."""
-    smoothed: list[NDArray | None] = [None] * len(models)
+    backed_up: list[NDArray | None] = [None] * len(models)
     for kernel in {id(m.kernel): m.kernel for m in models}.values():
         users = [i for i, m in enumerate(models) if m.kernel is kernel]
         for batch in _batches(users, factors):
-            stacked = kernel.smooth(concatenate([factors[i] for i in batch]) if len(batch) > 1 else factors[batch[0]])
+            stacked = kernel.backup(concatenate([factors[i] for i in batch]) if len(batch) > 1 else factors[batch[0]])
             first = 0
             for i in batch:
-                smoothed[i] = stacked[first : first + len(factors[i])]
+                backed_up[i] = stacked[first : first + len(factors[i])]
                 first += len(factors[i])
-    return tuple(rows for rows in smoothed if rows is not None)
+    return tuple(rows for rows in backed_up if rows is not None)
 
 
 def _batches(users: list[int], factors: Sequence[NDArray]) -> list[list[int]]:

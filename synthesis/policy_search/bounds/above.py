@@ -35,8 +35,8 @@ def evaluate_above(
 
     def beside(t: int, q: int) -> Train | None:
         points = [model.choices.points(policy[t, q]) for model, policy in zip(joint.models, policies, strict=True)]
-        smooth = [model.kernel.smooth for model in joint.models]
-        return counted_as_failed(points, smooth, joint.n_cells, rounding.visited[t], rounding.visited[t + 1])
+        backup = [model.kernel.backup for model in joint.models]
+        return counted_as_failed(points, backup, joint.n_cells, rounding.visited[t], rounding.visited[t + 1])
 
     ways = routes(joint.guards, joint.masks, joint.n_states)
     choose = partial(_frozen, policies)

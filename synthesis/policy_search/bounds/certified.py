@@ -77,10 +77,10 @@ def relative_rounding(joint: JointModel, rank: int) -> float:
     return 2.0 * gamma + AGENT_RESERVE * (n_agents + COMMON_RESERVE)
 
 
-def execution_loss(problem: Problem, joint: JointModel) -> float:
+def rounding_loss(problem: Problem, joint: JointModel) -> float:
     """Return an upper bound on what carrying out policies in floating point costs over the horizon, a probability."""
     agents = zip(problem.agents, joint.models, strict=True)
-    per_step = sum(model.relation.execution_loss(agent, model.grid.edges) for agent, model in agents)
+    per_step = sum(model.relation.rounding_loss(agent, model.grid.edges) for agent, model in agents)
     return joint.horizon * per_step * CHARGE_INFLATION
 
 
@@ -93,7 +93,7 @@ def nominal_bound(joint: JointModel, sweep: Sweep, lost: float, aligned: bool, d
     sweep : Sweep
         With frozen policies.
     lost : float
-        What carrying the policies out costs (see ``execution_loss``).
+        What carrying the policies out costs (see ``rounding_loss``).
     aligned : bool
         Whether no value is lost at region and workspace edges.
     stranded : float
@@ -111,7 +111,7 @@ def nominal_bound(joint: JointModel, sweep: Sweep, lost: float, aligned: bool, d
 def train_bound(joint: JointModel, sweep: TrainSweep, lost: float, above: float | None = None) -> Bound:
     """Return the bound of a value held as tensor trains: less its error and, where relations can be lost, ``Delta T``.
 
-    ``lost`` is what carrying the policies out costs (see ``execution_loss``); ``above``, an upper bound on what they
+    ``lost`` is what carrying the policies out costs (see ``rounding_loss``); ``above``, an upper bound on what they
     attain (see ``evaluate_above``), gives the gap.
     """
     delta = joint_delta([model.delta for model in joint.models])
@@ -167,19 +167,19 @@ def deadlocked_mass(joint: JointModel, policies: Policies, occupancies: Sequence
     return total * CHARGE_INFLATION
 
 
-def robust_loss(model: AgentModel, masked: NDArray, smoothed: NDArray) -> NDArray:
+def robust_loss(model: AgentModel, masked: NDArray, backed_up: NDArray) -> NDArray:
     """Return smoothed factors (n, Z) less ``delta`` times the largest value of the masked factors (n, S), at least 0.
 
     This is a lower bound on what a factor is worth to the continuous agent, whatever its scale (docs/theory/bounds.md,
     "Robust tree").
     """
     if model.delta == 0.0:
-        return smoothed
+        return backed_up
     largest = masked.max(axis=1, initial=0.0)[:, None]
-    return _less(smoothed, largest * (model.delta * CHARGE_INFLATION + LOSS_RESERVE))
+    return _less(backed_up, largest * (model.delta * CHARGE_INFLATION + LOSS_RESERVE))
 
 
-def plain_loss(model: AgentModel, masked: NDArray, smoothed: NDArray) -> NDArray:
+def plain_loss(model: AgentModel, masked: NDArray, backed_up: NDArray) -> NDArray:
     """Return smoothed factors less ``delta``, at least 0: the paper's operator, sound while no factor exceeds 1.
 
     Raises
@@ -188,13 +188,13 @@ def plain_loss(model: AgentModel, masked: NDArray, smoothed: NDArray) -> NDArray
         If a factor exceeds 1.
     """
     if model.delta == 0.0:
-        return smoothed
+        return backed_up
     if masked.max(initial=0.0) > 1.0:
         raise ValueError("`masked`: the plain robust operator is unsound for factors above 1; use the scale-free form")
-    return _less(smoothed, model.delta * CHARGE_INFLATION + LOSS_RESERVE)
+    return _less(backed_up, model.delta * CHARGE_INFLATION + LOSS_RESERVE)
 
 
-def _less(smoothed: NDArray, loss: NDArray | float) -> NDArray:
-    """Return ``max(0, smoothed - loss)``, in place: the array is fresh from smoothing and large."""
-    smoothed -= loss
-    return np.maximum(smoothed, 0.0, out=smoothed)
+def _less(backed_up: NDArray, loss: NDArray | float) -> NDArray:
+    """Return ``max(0, backed_up - loss)``, in place: the array is fresh from smoothing and large."""
+    backed_up -= loss
+    return np.maximum(backed_up, 0.0, out=backed_up)

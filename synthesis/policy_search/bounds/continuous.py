@@ -8,7 +8,7 @@ failed.
 Values are multilinear in every cell, from above, with numbers at its corners (*places*, see ``corners``). With g(m) =
 E V(m + w) and M(x) the box of means from x, the value one step earlier is f(x) = sup g over M(x). If m* is the best
 mean from x, then ``m* + A (c_j - x)`` is one from the corner c_j of its cell, and interpolation between these means is
-off by at most the *bend* of g around m* (``bends``, for -g). So with the largest bend B around each point,
+off by at most the *bend* of g around m* (``second_derivatives``, for -g). So with the largest bend B around each point,
 
     f(x)  <=  sum_j lambda_j sup over M(c_j) of (g + B) ,
 
@@ -149,11 +149,11 @@ class Optimist:
 
         Both are numbers at places: between them, bounds are multilinear in every cell.
         """
-        values, most = self.kernel.smooth(arriving[None]), float(arriving.max(initial=0.0))
+        values, most = self.kernel.backup(arriving[None]), float(arriving.max(initial=0.0))
         shape = self.kernel.lattice_shape
         bent = np.empty((2, 1, values.shape[1]))
-        for bends, result in zip((self.between, self.across), bent, strict=True):
-            bends.add_to(result, -values, arriving[None])
+        for second_derivatives, result in zip((self.between, self.across), bent, strict=True):
+            second_derivatives.add_to(result, -values, arriving[None])
         across = bent[1].reshape(shape)
         for axis, reach in enumerate(self.around):
             across = maximum_filter1d(across, 2 * reach + 1, axis=axis, mode="nearest")

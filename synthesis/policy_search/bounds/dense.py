@@ -143,8 +143,8 @@ def _full_table(model: AgentModel) -> NDArray:
 
 def _expected_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return expectations (.., Z) at an agent's lattice points, of values (.., S) of arriving in its cells."""
-    smoothed = model.kernel.smooth(np.ascontiguousarray(values).reshape(-1, model.n_cells))
-    return smoothed.reshape(*values.shape[:-1], -1)
+    backed_up = model.kernel.backup(np.ascontiguousarray(values).reshape(-1, model.n_cells))
+    return backed_up.reshape(*values.shape[:-1], -1)
 
 
 def _best_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.float64]:

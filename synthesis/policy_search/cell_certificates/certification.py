@@ -16,7 +16,7 @@ from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import Certificate, GridProof, OnGrid, Synthesis, delta_of
 from ...certificates.value_functions import Terms, start_above
 from ...relations.kinds import describe_relation
-from ..ascent import FINAL, SearchResult, Relaxation, Sweep, TrainSweep, forward, sweep
+from ..ascent import FINAL, Relaxation, SearchResult, Sweep, TrainSweep, forward, sweep
 from ..bounds import (
     Bound,
     a_posteriori_bound,
@@ -24,11 +24,11 @@ from ..bounds import (
     continuous_upper_bound,
     deadlocked_mass,
     evaluate_above,
-    execution_loss,
     nominal_bound,
     relative_rounding,
     robust_bound,
     robust_loss,
+    rounding_loss,
     train_bound,
     undecided_steps,
 )
@@ -80,7 +80,7 @@ def certificate_of(
         above = None
         if abstraction.is_exact:
             above = start_above(start_of(problem, joint), evaluate_above(joint, best.policies, best.rounding))
-        grown, bound = best, train_bound(joint, best, execution_loss(problem, joint), above)
+        grown, bound = best, train_bound(joint, best, rounding_loss(problem, joint), above)
         bounds = {bound.name: bound.lower}
     else:
         grown, bound, bounds = best_bound(problem, abstraction, joint, best)
@@ -126,7 +126,7 @@ def _stored(problem: Problem, joint: JointModel, terms: Terms) -> Terms:
     """
     factors = []
     for agent, model, rows in zip(problem.agents, joint.models, terms.factors, strict=True):
-        lost = model.relation.execution_loss(agent, model.grid.edges) + model.kernel.loss + STORED_LOSS
+        lost = model.relation.rounding_loss(agent, model.grid.edges) + model.kernel.loss + STORED_LOSS
         loss = STORED_MARGIN * rows.max(axis=1, initial=0.0)[:, None] + joint.horizon * lost
         lower = np.maximum(rows - loss, 0.0)
         factors.append(rows if model.is_additive else lower)
@@ -137,7 +137,7 @@ def best_bound(
     problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep
 ) -> tuple[Sweep, Bound, dict[str, float]]:
     """The largest bound that applies to the policies of ``best``, the tree it was read off, and all bounds by name."""
-    lost = execution_loss(problem, joint)
+    lost = rounding_loss(problem, joint)
     if all(model.delta == 0.0 for model in joint.models):
         deadlocked = 0.0
         if abstraction.is_exact and any(np.any(model.choices.resting_choice < 0) for model in joint.models):

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ....envs.tasks.problem import why_never
+from ....envs.tasks.problem import why_unsatisfiable
 from ...certificates.proofs import Synthesis, rounded_up
 from ...relations.grids import NoRunFound, RelationRefused, to_who_asked_for_none
 from .effort import BROKEN_OFF, Effort, OutOfTime
@@ -264,7 +264,7 @@ def _recorded(results: Results, tried: dict[str, Any], began: float, effort: Eff
 
 def _why_nothing(best: Synthesis, results: Results, stats: Mapping[str, Any], no_run: str) -> str:
     """Return why nothing was certified, in words: the task, or the models, as far as that is known."""
-    if never := why_never(best.certificate.problem):
+    if never := why_unsatisfiable(best.certificate.problem):
         return never
     above = stats.get("continuous_upper_bound")
     if above is not None and above <= HOPELESS:

@@ -32,7 +32,7 @@ class GridDynamics:
     offset: FloatArray
     covariance: FloatArray
     inverse: FloatArray
-    is_lawful: bool
+    is_non_gaussian: bool
 
 
 def grid_laws(agent: AnyAgent, coordinates: FloatArray) -> tuple[Law, ...]:
@@ -70,5 +70,5 @@ def in_grid_coordinates(agent: LinearAgent, coordinates: FloatArray) -> GridDyna
         offset=inverse @ agent.offset,
         covariance=grid_covariance(agent, coordinates),
         inverse=inverse,
-        is_lawful=agent.laws is not None,
+        is_non_gaussian=agent.laws is not None,
     )

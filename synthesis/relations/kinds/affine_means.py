@@ -321,7 +321,7 @@ class MapRelation(ReadsCoordinates):
         numbers = np.array([self.parts, *self.reach])
         return (*self.means.arrays, self.coordinates, self.menu, numbers, *of_aims)
 
-    def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
+    def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
 
         What means under inputs are off by is in what is left of them; there remain cells that are misread, and what
@@ -329,7 +329,7 @@ class MapRelation(ReadsCoordinates):
         """
         reading = reading_of(agent, self.coordinates)
         misread = missed_cells(reading, reading.read, edges)
-        return misread if self.aims is None else max(misread, self.aims.execution_loss(agent, edges))
+        return misread if self.aims is None else max(misread, self.aims.rounding_loss(agent, edges))
 
 
 def block_of(reach: int) -> int:

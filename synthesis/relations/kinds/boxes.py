@@ -290,7 +290,7 @@ class BoxRelation(ReadsCoordinates):
         common = () if self.common is None else self.common.arrays
         return (*self.means.arrays, self.coordinates, self.menu, self.gains, self.input_low, self.input_high, *common)
 
-    def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
+    def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
 
         What means are off by is in the boxes; there remain cells that are misread where coordinates are not the state.

@@ -154,7 +154,7 @@ class CoupledRelation(ReadsByRows):
             np.zeros((0, 0)) if self.shape is None else self.shape,
         )
 
-    def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
+    def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
         sizes = sizes_of(linear_agent(agent, self.kind), self.coordinates)
         off = error_rounding(sizes, self.feedback, self.coupling)

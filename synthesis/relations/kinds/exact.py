@@ -93,7 +93,7 @@ class ExactRelation(ReadsByRows):
         """Return the description that files hold."""
         return {"kind": "exact"}
 
-    def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
+    def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
         sizes = sizes_of(linear_agent(agent, self.kind), self.coordinates)
         return target_loss(sizes, edges, self.right_inverse, self.drift, self.input_centre)

@@ -409,7 +409,7 @@ class SymbolicTargets(ReadsCoordinates):
         """Middle (m,) of the input box."""
         return np.asarray(0.5 * (self.agent.input_low + self.agent.input_high))
 
-    def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
+    def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
 
         Inputs are off by a share of their parts, which B turns into a shift of the mean.

@@ -128,7 +128,7 @@ class NetworkPolicy:
     workspace, input_box : Box
         Of the agent, without its clock.
     has_clock : bool
-        Whether the agent has the time as its last input, which no network answers (``problem.written_out``).
+        Whether the agent has the time as its last input, which no network answers (``problem.unrolled_in_time``).
     """
 
     network: Network

@@ -140,7 +140,7 @@ def target_loss(
     off += 8.0 * sizes.unit * sizes.spread @ sizes.spread @ rounded
     distance = float(np.linalg.norm(off / sizes.deviations)) * (1 + 1e-9)
     # For small distances the difference of tails would lose its digits; laws that are not Gaussian have other tails.
-    is_small = distance < 1e-3 or sizes.moves.is_lawful
+    is_small = distance < 1e-3 or sizes.moves.is_non_gaussian
     mean = min(1.0, DENSITY * distance) if is_small else 1.0 - 2.0 * float(ndtr(-0.5 * distance))
     return mean + missed_cells(sizes, sizes.read, edges)
 

@@ -176,8 +176,8 @@ class NonlinearModel:
         bent = np.zeros(len(self.names), dtype=bool)
         wide = np.stack(self.ends)[..., None]
         for program in (self.motion, self.scale):
-            for slopes, bends in [] if program is None else program.curved(wide):
-                for (j, k), (low, high) in bends.items():
+            for slopes, second_derivatives in [] if program is None else program.curved(wide):
+                for (j, k), (low, high) in second_derivatives.items():
                     # What is linear at each time needs no tube, whatever its slope is at others.
                     if not (low == 0.0 and high == 0.0) and k < self.n_varying:
                         bent[[j, k]] = True
@@ -210,8 +210,8 @@ class NonlinearModel:
         """Which states (d,) outputs are not linear in."""
         bent = np.zeros(self.agent.n_states, dtype=bool)
         wide = np.stack(self.ends)[:, : self.agent.n_states, None]
-        for _, bends in self.output.curved(wide):
-            for (j, k), (low, high) in bends.items():
+        for _, second_derivatives in self.output.curved(wide):
+            for (j, k), (low, high) in second_derivatives.items():
                 if not (low == 0.0 and high == 0.0):
                     bent[[j, k]] = True
         return bent
@@ -304,9 +304,9 @@ def remainders(
     moved = v if gains is None else d + gains.shape[1]
     middle, half = np.empty((2, len(curved), n))
     first_order = np.einsum("pvn,vn->pn", centre[:, moves], far[moves])
-    for i, (first, bends) in enumerate(curved):
+    for i, (first, second_derivatives) in enumerate(curved):
         total, closed = first_order[i], dict[tuple[int, int], FloatArray]()
-        for (j, k), (a, b) in bends.items():
+        for (j, k), (a, b) in second_derivatives.items():
             if not (moves[j] and moves[k]):
                 continue
             share = 0.5 if j == k else 1.0
@@ -330,7 +330,7 @@ def remainders(
             least = least - np.where(is_positive, factor * opposite, -factor * same)
             most = most + np.where(is_positive, factor * same, -factor * opposite)
         width = total + 0.5 * (most - least)
-        if bends:
+        if second_derivatives:
             mean = np.zeros(n)
             for j, ends in first.items():
                 if not moves[j]:

@@ -158,7 +158,7 @@ class PairAim:
     def derivatives(self, outputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return slopes (S + 1, P) and second derivatives (S + 1, P, P), without bends of the way out."""
         s, size = outputs.shape
-        slopes, bends = np.zeros((s, size)), np.zeros((s, size, size))
+        slopes, second_derivatives = np.zeros((s, size)), np.zeros((s, size, size))
         z = self.limits.differences(outputs[:, :, None])
         first, second = self.limits.places
         for _, slope, bend, direction in self._parts(z):
@@ -167,9 +167,9 @@ class PairAim:
             both = np.concatenate([form, -form], axis=1)
             at = np.concatenate([first[k], second[k]], axis=1)
             np.add.at(slopes, (t[:, None], at), slope[t, k] * both)
-            np.add.at(bends, (t[:, None, None], at[:, :, None], at[:, None, :]),
+            np.add.at(second_derivatives, (t[:, None, None], at[:, :, None], at[:, None, :]),
                       bend[t, k][:, :, None] * both[:, :, None] * both[:, None, :])  # fmt: skip
-        return slopes, bends
+        return slopes, second_derivatives
 
     def _parts(self, z: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
         """Yield costs, slopes, second derivatives (S + 1, K, n) along directions (S + 1, K, p, n)."""

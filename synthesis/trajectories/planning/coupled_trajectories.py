@@ -130,7 +130,9 @@ class Ties:
                 result[i] = better(search, letters, result[i]) or result[i]
         return result
 
-    def _together(self, found: Sequence[FeedbackTrajectory], letters: NDArray[np.int8], reserve: float) -> list[FeedbackTrajectory] | None:
+    def _together(
+        self, found: Sequence[FeedbackTrajectory], letters: NDArray[np.int8], reserve: float
+    ) -> list[FeedbackTrajectory] | None:
         """Return paths of all agents planned as one, from those that were found; None if that fails."""
         problem, searches = self.searches[0].problem, self.searches
         if problem.n_states > MOST_TOGETHER:

@@ -144,8 +144,8 @@ class Planner:
             full = np.zeros((steps + 1, y.shape[1], y.shape[1]))
             full[:, np.arange(y.shape[1]), np.arange(y.shape[1])] = second
             for pairs in aim.pairs:
-                slopes, bends = pairs.derivatives(y)
-                first, full = first + slopes, full + bends
+                slopes, second_derivatives = pairs.derivatives(y)
+                first, full = first + slopes, full + second_derivatives
             gx = gx + np.einsum("tp,tpd->td", first, C)
             hx = hx + np.matmul(C.swapaxes(1, 2), np.matmul(full, C))
         _, slope, bend = soft_costs(inputs[:, :, None], (agent.input_low, agent.input_high), *aim.inputs)

@@ -108,7 +108,9 @@ class NonlinearSearch:
         """Return a nominal path planned anew from another one: its model may be another one by now."""
         return self._planned_anew(letters, found, reserves_for(found.failure)[0])
 
-    def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None, bar: float = np.inf) -> FeedbackTrajectory | None:
+    def quick(
+        self, letters: NDArray[np.int8], warm: FloatArray | None = None, bar: float = np.inf
+    ) -> FeedbackTrajectory | None:
         """Return a nominal path for letters (S + 1, P) after little work; None if none was found.
 
         Where inputs are tried it is the run that they give; ways that are drawn are for where they give none. Where

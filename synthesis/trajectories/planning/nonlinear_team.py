@@ -295,7 +295,9 @@ def any_failure(problem: Problem, failures: Sequence[float]) -> float:
     return float(-np.expm1(sum(np.log1p(-min(failure, HOPELESS)) for failure in failures)))
 
 
-def _refined(problem: Problem, times: tuple[int, ...], letters: NDArray[np.int8], found: Sequence[FeedbackTrajectory]) -> Refined:
+def _refined(
+    problem: Problem, times: tuple[int, ...], letters: NDArray[np.int8], found: Sequence[FeedbackTrajectory]
+) -> Refined:
     """Return a plan of agents that do not look at each other."""
     failure = any_failure(problem, [one.failure for one in found])
     return Refined(times, letters, found, failure, max(found, key=lambda one: one.failure).weakest)

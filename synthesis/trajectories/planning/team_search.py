@@ -393,7 +393,9 @@ class TeamSearch:
         asked = team.rows.asked([one.spreads.pairs for one in team.found])
         return [replace(one.nominal, pairs=own) for one, own in zip(team.found, asked, strict=True)]
 
-    def judged(self, found: Sequence[FeedbackTrajectory], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
+    def judged(
+        self, found: Sequence[FeedbackTrajectory], faces: NDArray[np.int64], limits: list[PairLimits]
+    ) -> TeamFound:
         """Return the team with the rows of all agents and pairs together.
 
         Agents that name others are between the tubes of these, which the judgement tells in turn.
@@ -406,7 +408,9 @@ class TeamSearch:
             team = self._judged(between, faces, limits)
         return team
 
-    def _judged(self, found: Sequence[FeedbackTrajectory], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
+    def _judged(
+        self, found: Sequence[FeedbackTrajectory], faces: NDArray[np.int64], limits: list[PairLimits]
+    ) -> TeamFound:
         """Return the team, each agent beside what its model says of others."""
         rows = self._rows(limits, found)
         asked = rows.asked([{}] * len(found))

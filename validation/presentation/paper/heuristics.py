@@ -117,7 +117,7 @@ def _choose(
     rows = options.index[q].copy()
     tables, norms, largest = [], [], np.ones(len(rows))
     for i, model in enumerate(joint.models):
-        table, rows[:, i] = compress(options.smoothed[i], rows[:, i])
+        table, rows[:, i] = compress(options.backed_up[i], rows[:, i])
         values = gather(table, model.choices.points(policies[i]))
         tables.append(table)
         norms.append(values.sum(axis=1)[rows[:, i]])

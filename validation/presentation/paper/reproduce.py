@@ -57,7 +57,9 @@ FIGURE_4_CELLS = (40, 45, 50, 55, 59)
 
 def fig3(horizons: Sequence[int] = range(1, 17), cells: int = 1000) -> Reproduction:
     """Recompute Fig. 3, reach-avoid: bounds, averaged over x1 in [-20, 0], x2 in [-5, -2.5], against the horizon."""
-    pieces: dict[str, Callable[[], PieceResult]] = {"the published computation": partial(_published_means, max(horizons))}
+    pieces: dict[str, Callable[[], PieceResult]] = {
+        "the published computation": partial(_published_means, max(horizons))
+    }
     pieces |= {f"T = {t}": partial(_fig3_bounds, t, cells) for t in horizons}
     return Reproduction(pieces, partial(_fig3_joined, tuple(horizons)))
 
