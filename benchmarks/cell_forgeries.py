@@ -109,10 +109,10 @@ def _lattice(part: Any, rng: np.random.Generator) -> Any:
 
 def _menu_point(part: Any, rng: np.random.Generator) -> Any:
     """One cell of which an input is said to lead to another lattice point."""
-    if part.menu is None:
+    if part.input_set is None:
         return None
-    place = _anywhere(part.menu, rng)
-    return replace(part, menu=_put(part.menu, place, rng.choice(np.unique(part.menu))))
+    place = _anywhere(part.input_set, rng)
+    return replace(part, input_set=_put(part.input_set, place, rng.choice(np.unique(part.input_set))))
 
 
 def _number(part: Any, rng: np.random.Generator) -> Any:

@@ -52,19 +52,19 @@ def header_of(controller: Controller, prefix: str, agents: Sequence[str] = ()) -
 def _of_agent(agent: AgentController, prefix: str) -> str:
     """Return tables and function of one agent."""
     relation, name = agent.relation, f"{prefix}_{_name(agent.name)}"
-    aims, menu = _aims_and_menu(agent)
+    mean_targets, input_set = _aims_and_menu(agent)
     policy, edges = agent.policy, agent.grid.edges
     T, Q, S = policy.shape
-    m = menu.shape[1] if len(menu) else len(_exact(aims).input_centre)
+    m = input_set.shape[1] if len(input_set) else len(_exact(mean_targets).input_centre)
     lines = [_table(f"{name}_edges_{k}", axis[1:-1] if len(axis) > 2 else axis[:1]) for k, axis in enumerate(edges)]
     lines.append(_table(f"{name}_policy", policy.reshape(-1)))
-    if len(menu):
-        idle = menu.mean(axis=0, keepdims=True)
-        lines.append(_table(f"{name}_menu", np.concatenate([menu, idle]).reshape(-1)))
-    if aims is not None:
+    if len(input_set):
+        idle = input_set.mean(axis=0, keepdims=True)
+        lines.append(_table(f"{name}_menu", np.concatenate([input_set, idle]).reshape(-1)))
+    if mean_targets is not None:
         targets = [np.asarray(axis, dtype=float) for axis in agent.lattice]
         lines += [_table(f"{name}_aims_{k}", axis - drift)
-                  for k, (axis, drift) in enumerate(zip(targets, aims.drift.tolist(), strict=True))]  # fmt: skip
+                  for k, (axis, drift) in enumerate(zip(targets, mean_targets.drift, strict=True))]  # fmt: skip
     d = len(edges)
     coordinates = relation.to_grid(np.eye(d)) if not relation.has_state_coordinates else np.eye(d)
     lines += ["", f"static void {name}_act(const double *x, int q, int time, double *u) {{"]
@@ -83,32 +83,34 @@ def _of_agent(agent: AgentController, prefix: str) -> str:
         lines.append(f"    cell = cell * {len(axis) - 1} + low;")
     lines.append(f"    if (time > {T - 1}) time = {T - 1};")
     lines.append(f"    choice = {name}_policy[((long) time * {Q} + q) * {S} + cell];")
-    if len(menu):
-        n = len(menu)
-        bound = f"choice < {n}" if aims is not None else f"choice < {n + 1}"
+    if len(input_set):
+        n = len(input_set)
+        bound = f"choice < {n}" if mean_targets is not None else f"choice < {n + 1}"
         lines.append(f"    if ({bound}) {{")
         lines.append(f"        if (choice < 0) choice = {n};")
         lines += [f"        u[{j}] = {name}_menu[choice * {m} + {j}];" for j in range(m)]
         lines += ["        return;", "    }"]
-        lines += [f"    choice -= {n};"] if aims is not None else []
+        lines += [f"    choice -= {n};"] if mean_targets is not None else []
     elif np.any(policy < 0):
         lines.append("    if (choice < 0) {")
-        lines += [f"        u[{j}] = {_number(c)};" for j, c in enumerate(_exact(aims).input_centre)]
+        lines += [f"        u[{j}] = {_number(c)};" for j, c in enumerate(_exact(mean_targets).input_centre)]
         lines += ["        return;", "    }"]
-    if aims is not None:
-        lines += _steering(aims, agent, name)
+    if mean_targets is not None:
+        lines += _steering(mean_targets, agent, name)
     lines += ["}", ""]
     return "\n".join(lines)
 
 
-def _steering(aims: ExactRelation, agent: AgentController, name: str) -> list[str]:
+def _steering(mean_targets: ExactRelation, agent: AgentController, name: str) -> list[str]:
     """Return the lines that put the mean of the next state on a target."""
     lines, sizes = ["    {", f"        double g[{len(agent.lattice)}];"], [len(axis) for axis in agent.lattice]
-    for k, row in enumerate(rows_of(aims.A)):
+    for k, row in enumerate(rows_of(mean_targets.A)):
         stride = int(np.prod(sizes[k + 1 :], dtype=np.int64))
         place = f"(choice / {stride}) % {sizes[k]}"
         lines.append(f"        g[{k}] = {name}_aims_{k}[{place}] - ({_sum(row, 'p')});")
-    for j, (row, centre) in enumerate(zip(rows_of(aims.right_inverse), aims.input_centre.tolist(), strict=True)):
+    for j, (row, centre) in enumerate(
+        zip(rows_of(mean_targets.right_inverse), mean_targets.input_centre.tolist(), strict=True)
+    ):
         lines.append(f"        u[{j}] = {_sum(row, 'g')};")
         lines.append(f"        u[{j}] += {_number(centre)};")
     return [*lines, "    }"]
@@ -125,9 +127,9 @@ def _aims_and_menu(agent: AgentController) -> tuple[ExactRelation | None, NDArra
     )
 
 
-def _exact(aims: ExactRelation | None) -> ExactRelation:
-    assert aims is not None  # a relation without a menu has targets
-    return aims
+def _exact(mean_targets: ExactRelation | None) -> ExactRelation:
+    assert mean_targets is not None  # a relation without a menu has targets
+    return mean_targets
 
 
 def _sum(row: Row, vector: str) -> str:

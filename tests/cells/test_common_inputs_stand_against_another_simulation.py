@@ -91,11 +91,13 @@ def applied(certificate: Any, team: Team, i: int, x: np.ndarray, t: int, q: int)
     edges, relation = part.grid.edges[0], part.relation
     cells = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
     choices = part.policy[min(t, len(part.policy) - 1), q, cells]
-    menu, steer = np.array(relation["menu"])[:, 0], np.array(relation["steer"])
-    u = menu[choices]
+    input_set, steer = np.array(relation["menu"])[:, 0], np.array(relation["steer"])
+    u = input_set[choices]
     values = {"x": x}
     if "common" in relation:
-        numbers = np.array(relation["common"]["numbers"])[choices // (len(menu) // len(relation["common"]["numbers"]))]
+        numbers = np.array(relation["common"]["numbers"])[
+            choices // (len(input_set) // len(relation["common"]["numbers"]))
+        ]
         values |= {name: numbers[:, k] for k, name in enumerate(relation["common"]["names"])}
     if steer.any():
         # A target is what the menu's input leads to from the centre; the mean is affine in the input.

@@ -59,10 +59,10 @@ def case(name: str, delta: float) -> tuple[cg.LinearAgent, AgentRecord]:
 def _part(name: str, delta: float) -> AgentRecord:
     agent, coordinates = CASES[name]
     grid, axes = cells(agent), np.eye(agent.n_states) if coordinates is None else coordinates
-    relation, lattice, _, menu = ellipsoid_model(agent, grid, axes, np.full(agent.n_states, 3.0), delta)
-    assert isinstance(menu, InputSet)
+    relation, lattice, _, input_set = ellipsoid_model(agent, grid, axes, np.full(agent.n_states, 3.0), delta)
+    assert isinstance(input_set, InputSet)
     masks, policy = np.zeros((1, grid.n_cells), dtype=bool), np.zeros((1, 1, grid.n_cells), dtype=np.int32)
-    return AgentRecord(grid, axes, describe_relation(relation), lattice, masks, masks, policy, menu.leads_to)
+    return AgentRecord(grid, axes, describe_relation(relation), lattice, masks, masks, policy, input_set.leads_to)
 
 
 def relation_of(agent: cg.LinearAgent, part: AgentRecord) -> CoupledRelation:

@@ -103,7 +103,7 @@ def test_inputs_put_means_on_targets_from_everywhere_in_a_cell(name: str) -> Non
     for _ in range(20):
         share = rng.random((2, len(cells)))
         points = part.grid.centres[cells].T + (2.0 * share - 1.0) * part.grid.half_widths[cells].T
-        inputs = relation.inputs(relation.aims(targets), points)
+        inputs = relation.inputs(relation.mean_targets(targets), points)
         assert np.all((agent.input_low[:, None] <= inputs) & (inputs <= agent.input_high[:, None]))
         assert np.allclose(agent.mean(points, inputs), targets, rtol=0.0, atol=1e-12)
 

@@ -70,10 +70,10 @@ def test_a_menu_that_finer_cells_shorten_or_lengthen_carries_over() -> None:
         before, after = coarse.models[0], fine.models[0]
         assert isinstance(before.relation, BoxRelation) and isinstance(after.relation, BoxRelation)
         assert isinstance(after.choices, BoxChoices)
-        assert len(before.relation.menu) != len(after.relation.menu)
+        assert len(before.relation.input_set) != len(after.relation.input_set)
         choices = np.full((1, 2, before.n_cells), before.relation.n_choices - 1, dtype=np.int32)
         (carried,) = carried_over(coarse, fine, (choices,))
-        wanted, got = before.relation.menu[-1], after.relation.menu[carried[0, 0]]
+        wanted, got = before.relation.input_set[-1], after.relation.input_set[carried[0, 0]]
         np.testing.assert_allclose(got, np.full_like(got, wanted[0]), atol=0.2)
         read = after.choices.read(np.ones((1, math.prod(after.choices.shape))), carried[0, 0])
         assert read.shape == (1, after.n_cells)

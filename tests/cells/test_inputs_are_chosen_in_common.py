@@ -403,11 +403,11 @@ def with_part(certificate: OnGrid, i: int, **changes: Any) -> OnGrid:
 def test_one_cell_with_another_number_is_refused(boiled: OnGrid, i: int) -> None:
     """In a single cell at a single time one agent counts with, or applies, the next number."""
     part = boiled.proof.agents[i]
-    menu = part.relation["menu"]
-    length = len(menu) // len(part.relation["common"]["numbers"])
+    input_set = part.relation["menu"]
+    length = len(input_set) // len(part.relation["common"]["numbers"])
     policy = part.policy.copy()
     t, q, cell = np.argwhere(policy >= 0)[len(policy) // 2]
-    policy[t, q, cell] = (policy[t, q, cell] + length) % len(menu)
+    policy[t, q, cell] = (policy[t, q, cell] + length) % len(input_set)
     report = cg.check(with_part(boiled, i, policy=policy))
     assert not report and "not the same for all cells and agents" in str(report)
 

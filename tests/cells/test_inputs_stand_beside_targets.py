@@ -80,14 +80,14 @@ def test_matrices_and_expressions_of_one_system_certify_the_same() -> None:
 
 def test_both_are_worth_more_than_targets_and_no_less_than_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
     both = certified(False)
-    menu = np.array(both.proof.agents[0].relation["menu"])
+    input_set = np.array(both.proof.agents[0].relation["menu"])
     # Targets beside a single input, which is the middle of its box.
     monkeypatch.setattr(corner_model, "with_rest", lambda box, levels: np.zeros((1, 2)))
     targets = cg.synthesize(planar(False), 14, relation="linear").certificate
     monkeypatch.undo()
     # The same inputs, on the same lattice, without targets.
     monkeypatch.setattr(corner_model, "reaches_every_mean", lambda agent: False)
-    monkeypatch.setattr(corner_model, "with_rest", lambda box, levels: menu)
+    monkeypatch.setattr(corner_model, "with_rest", lambda box, levels: input_set)
     inputs = cg.synthesize(planar(False), 14, relation="linear", targets_per_cell=8).certificate
     monkeypatch.undo()
     assert "aims" not in inputs.proof.agents[0].relation and cg.check(inputs)

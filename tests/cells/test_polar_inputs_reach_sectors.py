@@ -152,7 +152,7 @@ def test_inputs_put_means_on_targets_from_everywhere_in_a_cell(name: str) -> Non
     for _ in range(10):
         share = rng.random(targets.shape)
         points = part.grid.centres[cells].T + (2.0 * share - 1.0) * part.grid.half_widths[cells].T
-        inputs = relation.inputs(relation.aims(targets), points)
+        inputs = relation.inputs(relation.mean_targets(targets), points)
         assert np.all((agent.input_low[:, None] <= inputs) & (inputs <= agent.input_high[:, None]))
         # Angles near 1000 are rounded to 1e-13.
         atol = 2e-12 if name == "angles far from 0" else 2e-14

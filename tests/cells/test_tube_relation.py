@@ -149,7 +149,7 @@ def test_means_that_differ_by_rounding_share_a_lattice_point() -> None:
     assert len(np.unique(means[..., 0])) > 2 * len(model.lattice[0])
     for lattice, n in zip(model.lattice, model.grid.shape, strict=True):
         assert len(lattice) <= 3 * n
-    points = np.stack(np.unravel_index(np.asarray(model.choices.menu), [len(a) for a in model.lattice]), axis=-1)
+    points = np.stack(np.unravel_index(np.asarray(model.choices.input_set), [len(a) for a in model.lattice]), axis=-1)
     reached = np.stack([axis[points[..., k]] for k, axis in enumerate(model.lattice)], axis=-1)
     assert np.all(np.abs(reached - means) <= model.relation.snap * (1 + 1e-9) + 1e-10)
     result = cg.synthesize(problem, [36, 18], relation="tube", max_sweeps=1)

@@ -74,10 +74,10 @@ def test_maps_hold_all_means(name: str) -> None:
     """500 random points of each of 40 cells, under random disturbances; the check's boxes are no larger."""
     agent, rng = mover(name), np.random.default_rng(1)
     low = rng.uniform([-1.5, -2.0], [1.2, 1.6], size=(40, 2))
-    high, menu = low + rng.uniform(0.02, 0.3, size=(40, 2)), np.array([[-1.0], [0.3], [1.0]])
+    high, input_set = low + rng.uniform(0.02, 0.3, size=(40, 2)), np.array([[-1.0], [0.3], [1.0]])
     for cuts in (1, 2):
-        maps = AffineMeans(agent, np.eye(2), cuts).around(low, high, menu)
-        for a, inputs in enumerate(menu):
+        maps = AffineMeans(agent, np.eye(2), cuts).around(low, high, input_set)
+        for a, inputs in enumerate(input_set):
             own = map_enclosures(agent, low, high, np.repeat(inputs[None], 40, axis=0), np.eye(2), cuts)
             gain, rest = (array[:, a if array.shape[1] > 1 else 0] for array in (maps.gain, maps.rest))
             np.testing.assert_allclose(own[0], maps.centre[:, a], atol=1e-9)
@@ -134,11 +134,11 @@ def test_a_step_is_below_the_truth(name: str, noise: str) -> None:
     ramp = np.exp(-2.0 * ((x[:, None] - 0.3) ** 2 + (y[None] + 0.5) ** 2)).ravel()
     near = 1.0
     for factor in (ramp, (ramp > 0.3) * 1.0, rng.random(len(ramp)) * ramp):
-        policy = rng.integers(len(choices.relation.menu), size=grid.n_cells).astype(np.int32)
+        policy = rng.integers(len(choices.relation.input_set), size=grid.n_cells).astype(np.int32)
         lower = choices.read(kernel.backup(factor[None]), policy)[0]
         points = rng.uniform([[-1.5], [-2.0]], [[1.5], [2.0]], size=(2, 4000))
         places, weights = hats(grid, points)
-        inputs = choices.relation.menu[policy[grid.cell_of(points)]].T
+        inputs = choices.relation.input_set[policy[grid.cell_of(points)]].T
         wind = rng.choice([-0.4, 0.1, 0.6], size=(1, 4000)) if agent.disturbances else np.zeros((0, 4000))
         truth = expected(agent, grid, factor, agent.mean(points, inputs, wind))
         claimed = np.sum(lower[places] * weights, axis=1)

@@ -92,7 +92,7 @@ class Oracle:
         rows = np.zeros((len(self.letters[i]), len(self.letters[i])))
         for s, choice in enumerate(part.policy[t, q].tolist()):
             if choice >= 0:
-                rows[s] = self.tables[i][choice if part.menu is None else part.menu[s, choice]]
+                rows[s] = self.tables[i][choice if part.input_set is None else part.input_set[s, choice]]
         return rows
 
     def read(self, left: Any, q: int, s: tuple[int, ...]) -> tuple[Any, int]:

@@ -42,7 +42,7 @@ flint = pytest.importorskip("flint")
 from balls.ball_masses import lost  # noqa: E402
 from balls.ball_memory import Memory  # noqa: E402
 from balls.ball_proofs import PROOFS  # noqa: E402
-from balls.ball_relations import aims, targets  # noqa: E402
+from balls.ball_relations import mean_targets, targets  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 
@@ -342,11 +342,11 @@ def test_targets_are_judged_in_balls(relation: str) -> None:
     own = certificate.controller.agents[0].relation
     execution = execution_of(agent, part, own)
     honest = (targets(Memory(), agent, part, own, part.policy, execution.inputs),
-              aims(Memory(), agent, part, own, execution.mean))  # fmt: skip
+              mean_targets(Memory(), agent, part, own, execution.mean))  # fmt: skip
     assert all(count and not wrong for count, wrong in honest)
     narrow = agent.replace(input_low=0.9 * agent.input_box.low, input_high=0.9 * agent.input_box.high)
     assert targets(Memory(), narrow, part, own, part.policy, execution.inputs)[1]
-    assert aims(Memory(), agent.replace(A=agent.A + 1e-12), part, own, execution.mean)[1]
+    assert mean_targets(Memory(), agent.replace(A=agent.A + 1e-12), part, own, execution.mean)[1]
 
 
 @pytest.mark.thorough

@@ -61,7 +61,7 @@ def test_no_point_of_a_cell_leaves_its_map(
     relation = part.relation_of(agent)
     assert isinstance(relation, MapRelation) and relation.means is not None
     low, high = part.grid.low, part.grid.high
-    maps = relation.means.around(low, high, relation.menu)
+    maps = relation.means.around(low, high, relation.input_set)
     corners = np.array(np.meshgrid(*[[0.0, 1.0]] * d)).reshape(d, -1).T
     shares = np.concatenate([RNG.random((100, d)), corners])
     inverse, space = np.linalg.inv(part.coordinates), agent.workspace
@@ -92,9 +92,10 @@ def test_what_maps_leave_is_of_second_order(cuts: int) -> None:
     agent, rests = linear(problem.agents[0]), []
     for cells in (24, 48):
         edges = np.linspace(-4.0, 4.0, cells + 1)[:, None]
-        menu = np.zeros((problem.automaton.n_states, 1))
+        input_set = np.zeros((problem.automaton.n_states, 1))
         boxes = [
-            maps_of(actor.agent_policy(0), agent, k).around(edges[:-1], edges[1:], menu).rest[:, 0] for k in (1, cuts)
+            maps_of(actor.agent_policy(0), agent, k).around(edges[:-1], edges[1:], input_set).rest[:, 0]
+            for k in (1, cuts)
         ]
         assert np.all(boxes[1] <= boxes[0])
         rests.append(boxes[1].mean())

@@ -120,7 +120,7 @@ def test_enclosures_at_another_step_are_refused(monkeypatch: pytest.MonkeyPatch)
     """Sabotage of the search: boxes of the step before, under a network that is asked at the step itself."""
     problem = drifting()
     actor, honest = looking(problem, 5), DrivenMeans._clock
-    monkeypatch.setattr(DrivenMeans, "_clock", lambda self, menu: np.maximum(honest(self, menu) - 1.0, 0.0))
+    monkeypatch.setattr(DrivenMeans, "_clock", lambda self, input_set: np.maximum(honest(self, input_set) - 1.0, 0.0))
     other = certify_network(problem, actor, 60, relation="boxes").certificate
     monkeypatch.undo()
     right = certify_network(problem, actor, 60, relation="boxes").certificate
@@ -132,9 +132,9 @@ def test_a_clock_that_is_not_the_time_is_refused() -> None:
     _, _, certificate = certified("all names the time")
     base = certificate.proof.base
     (part,) = base.proof.agents
-    menu = np.array(part.relation["menu"])
-    menu[:, -1] = np.maximum(menu[:, -1] - 1.0, 0.0)
-    other = changed(base, agents=(replace(part, relation={**part.relation, "menu": menu.tolist()}),))
+    input_set = np.array(part.relation["menu"])
+    input_set[:, -1] = np.maximum(input_set[:, -1] - 1.0, 0.0)
+    other = changed(base, agents=(replace(part, relation={**part.relation, "menu": input_set.tolist()}),))
     report = cg.check(replace(certificate, proof=replace(certificate.proof, base=other)))
     assert "its clock is not the time" in report.failures[0]
 

@@ -12,7 +12,7 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.synthesis.certificates.proofs import ProductProof
 from certigym.synthesis.extended_check.shields import ProductShield, Shield, shield_of
-from certigym.synthesis.extended_check.shields.noise_masses import NoiseAxis
+from certigym.synthesis.extended_check.shields.noise_probabilities import NoiseAxis
 from kinds import mostly_thorough
 from shield_trials import anything, episodes, the_worst
 from team_problems import pairs

@@ -11,8 +11,8 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.envs.systems.distributions.noise import laws_of
-from certigym.synthesis.extended_check.shields import Shield, noise_masses, shield_of, unknown_means
-from certigym.synthesis.extended_check.shields.noise_masses import LawAxis, NoiseAxis, StillAxis
+from certigym.synthesis.extended_check.shields import Shield, noise_probabilities, shield_of, unknown_means
+from certigym.synthesis.extended_check.shields.noise_probabilities import LawAxis, NoiseAxis, StillAxis
 from certigym.synthesis.extended_check.shields.unknown_means import MeanBox
 from composing import expressions, lawful, matrices, task
 from kinds import mostly_thorough
@@ -164,7 +164,7 @@ def test_a_shield_that_reads_one_cell_alone_is_caught(monkeypatch: pytest.Monkey
     axis = StillAxis(EDGES)
     box = MeanBox.around(np.array([[-1e-16]]), np.array([[1e-16]]), (axis,), np.ones(1, dtype=bool))
     assert {float(places[0, 0]) for places, _ in box.points} == {2.0, 3.0}
-    monkeypatch.setattr(noise_masses.StillAxis, "steps", lambda self, sides, most: 0)
+    monkeypatch.setattr(noise_probabilities.StillAxis, "steps", lambda self, sides, most: 0)
     box = MeanBox.around(np.array([[-1e-16]]), np.array([[1e-16]]), (axis,), np.ones(1, dtype=bool))
     assert {float(places[0, 0]) for places, _ in box.points} == {2.0}
 

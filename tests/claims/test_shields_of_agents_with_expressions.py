@@ -12,7 +12,7 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.synthesis.extended_check.claims import greedy_disturbance
 from certigym.synthesis.extended_check.shields import Shield, shield_of, unknown_means
-from certigym.synthesis.extended_check.shields.noise_masses import NoiseAxis
+from certigym.synthesis.extended_check.shields.noise_probabilities import NoiseAxis
 from certigym.synthesis.extended_check.shields.unknown_means import MeanBox
 from certigym.synthesis.verbs.raw_networks import certify_network
 from kinds import mostly_thorough

@@ -19,7 +19,7 @@ from certigym.synthesis.certificates.proofs import OnGrid, changed, start_of_cla
 from certigym.synthesis.certificates.proofs.digits import shown_bound
 from certigym.synthesis.certificates.value_functions.terms import Occupancy, Terms
 from certigym.synthesis.certificates.value_functions.train_values import Rounding, Trains, start_above, start_value
-from certigym.synthesis.extended_check.claims.forward_mass import TooManyProducts, masses
+from certigym.synthesis.extended_check.claims.forward_occupancy import TooManyProducts, masses
 from certigym.synthesis.extended_check.claims.upper_bound import MOST, attained, inexact
 from certigym.synthesis.policy_search.ascent.relaxation import upper_bound
 from certigym.synthesis.policy_search.ascent.train_backward import evaluate

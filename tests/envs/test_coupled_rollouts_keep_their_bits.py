@@ -128,8 +128,8 @@ class Defined:
         choice = max(int(policy[min(time, len(policy) - 1), q, self.cell]), 0)
         error = np.clip(point - self.centres[self.cell], -r.reach, r.reach)
         u = np.clip(r.inputs[choice] + r.feedback @ error, r.input_low, r.input_high)
-        assert self.agent.menu is not None
-        index = np.unravel_index(self.agent.menu[self.cell, choice], tuple(len(own) for own in self.agent.lattice))
+        assert self.agent.input_set is not None
+        index = np.unravel_index(self.agent.input_set[self.cell, choice], tuple(len(own) for own in self.agent.lattice))
         mean = np.array([own[k] for own, k in zip(self.agent.lattice, index)])
         self.last = point, u, mean
         return u
@@ -170,10 +170,10 @@ def test_agents_that_share_a_relation_keep_menus_and_laws_of_their_own(once: boo
     """Alike agents, but one has other successors and, where ``once``, does not look at the time."""
     problem, controller = case("tube, three agents")
     first, second = controller.agents[1:]
-    assert second.menu is not None
+    assert second.input_set is not None
     dynamics, rng = Dynamics.of(problem), np.random.default_rng(6)
-    table = rng.integers(second.menu.shape[1], size=second.policy.shape, dtype=np.int32)
-    other = replace(second, menu=np.roll(second.menu, 1, axis=1), policy=table[:1] if once else table)
+    table = rng.integers(second.input_set.shape[1], size=second.policy.shape, dtype=np.int32)
+    other = replace(second, input_set=np.roll(second.input_set, 1, axis=1), policy=table[:1] if once else table)
     mixed = Controller(problem, (controller.agents[0], first, other))
     worlds = core.initial(dynamics, rng, 30)
     policy, alone = mixed.batch(dynamics), other.begin(core.joint(dynamics, worlds).T[-1:, None])

@@ -152,12 +152,12 @@ def test_parts_and_rotations_hold_the_means() -> None:
     )
     coordinates, rng = np.array([[1.0, 0.0], [0.4, 1.0]]), np.random.default_rng(4)
     low = rng.uniform(-3, 3, (200, 2))
-    high, menu = low + rng.uniform(0.01, 1.0, (200, 2)), np.array([[-1.0], [0.5]])
+    high, input_set = low + rng.uniform(0.01, 1.0, (200, 2)), np.array([[-1.0], [0.5]])
     widths = []
     for parts in (1, 3):
-        first, last = SymbolicMeans(agent, coordinates, parts).around(low, high, menu, np.zeros((2, 1, 2)))
+        first, last = SymbolicMeans(agent, coordinates, parts).around(low, high, input_set, np.zeros((2, 1, 2)))
         widths.append(float((last - first).mean()))
-        for choice, u in enumerate(menu[:, 0]):
+        for choice, u in enumerate(input_set[:, 0]):
             own = enclosed_means(agent, low, high, np.full((200, 1), u), coordinates, parts)
             assert np.all(first[:, choice] <= own[0]) and np.all(own[1] <= last[:, choice])
             for _ in range(40):

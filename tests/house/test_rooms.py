@@ -95,6 +95,13 @@ OPEN = ("synthesis.verbs",)
 """Rooms whose files are entered directly: a verb is a file, which loads what it needs."""
 
 
+WORDS = (
+    "Bellman backup, value iteration, product automaton, DFA, LTL, reachable set, chance constraint, feedback gain, "
+    "linearization error, constraint tightening, trajectory, occupancy, simulation relation, action value, union bound"
+)
+"""What experts of control, formal methods and learning look for, each in the first line of the room where it lives."""
+
+
 @cache
 def modules() -> dict[str, Path]:
     """All files of the house by their dotted names, packages by their own."""
@@ -303,3 +310,9 @@ def test_every_file_and_room_says_what_it_is() -> None:
     for name, path in modules().items():
         text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
         assert text and "TODO" not in text, name
+
+
+@pytest.mark.parametrize("word", WORDS.split(", "))
+def test_experts_find_their_words(word: str) -> None:
+    doors = [path.read_text(encoding="utf-8") for path in modules().values() if path.stem == "__init__"]
+    assert any(word.lower() in text.split("\n", 1)[0].lower() for text in doors)

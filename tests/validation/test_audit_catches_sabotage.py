@@ -17,8 +17,8 @@ from certigym.synthesis.certificates.proofs import OnGrid, changed
 from certigym.synthesis.extended_check.claims import claimed_values
 from certigym.synthesis.relations.kinds.exact import ExactRelation
 from certigym.validation.statistical_tests.audit_report import AuditReport
+from certigym.validation.statistical_tests.step_log import STAKES, StepLog
 from certigym.validation.statistical_tests.step_tests import audit
-from certigym.validation.statistical_tests.test_log import STAKES, StepLog
 from certigym.validation.statistical_tests.value_at import bound_by_steps_left, charge_of
 from kinds import mostly_thorough
 from problems import scalar_agent, two_agents

@@ -21,7 +21,7 @@ from .report_text import INTERRUPTED, Rows, Saved, html_table, labelled_lines
 from .trials import Plan
 
 if TYPE_CHECKING:
-    from .test_log import StepLog
+    from .step_log import StepLog
 
 MOST_FINDINGS = 8
 """Findings that are printed; the first ones have the most evidence."""

@@ -44,7 +44,7 @@ from .binomial import check_confidence
 from .chunks import Frame, chunks_of, frames
 from .loop import Batchable, Loop
 from .spread import in_order
-from .test_log import STAKES, StepLog
+from .step_log import STAKES, StepLog
 from .trials import Plan, TrialOptions, TrialPlan, collect, planned
 from .value_at import Charge, charge_of, remembers, standing_cells, values_between
 

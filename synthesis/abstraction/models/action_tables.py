@@ -77,7 +77,7 @@ class ActionTable:
         return tuple(len(axis) for axis in self.lattice)
 
     @property
-    def menu(self) -> NDArray[np.int32] | None:
+    def input_set(self) -> NDArray[np.int32] | None:
         """Lattice points (S, A) that inputs lead to, where choices are inputs that lead to lattice points."""
         return None
 
@@ -156,9 +156,9 @@ class ActionTable:
         kept = np.where(policy >= 0, alike[np.maximum(policy, 0)], -1)
         return np.where(kept >= 0, kept, self.resting_choice).astype(np.int32)
 
-    def same_as(self, relation: Mapping[str, Any], menu: NDArray[Any] | None) -> bool:
+    def same_as(self, relation: Mapping[str, Any], input_set: NDArray[Any] | None) -> bool:
         """Return whether choices that were stored, with a relation's description, mean the same on equal cells."""
-        return menu is None and describe_relation(self.relation) == relation
+        return input_set is None and describe_relation(self.relation) == relation
 
     def largest(self, backed_up: FloatArray) -> FloatArray | None:
         """Return the largest values (S,) of a smoothed factor (Z,) over all choices, where that is quick; else None."""
@@ -210,8 +210,8 @@ class PointChoices(ActionTable):
             for block in self._blocks(idle, table):
                 best[block], score[block] = self._best_of(block, take(weights, block, axis=0), table)
         # Compare with what the incumbents attain.
-        aims = take(table, np.maximum(points, 0), axis=1)
-        current = to_host(namespace(table).einsum("sn,ns->s", weights, aims))
+        mean_targets = take(table, np.maximum(points, 0), axis=1)
+        current = to_host(namespace(table).einsum("sn,ns->s", weights, mean_targets))
         better = (best >= 0) & ((points < 0) | (score > current * (1 + TIE)))
         return np.where(better, best, incumbent).astype(np.int32)
 

@@ -178,8 +178,8 @@ def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | Non
     _refuse_many("", "cells", math.prod(len(axis) for axis in lattice))
     leads_to = np.ravel_multi_index(index, tuple(len(axis) for axis in lattice)).astype(np.int32)
     distance = np.sum((means - grid.centres[:, None, :]) ** 2, axis=-1)
-    menu = InputSet(grid, tuple(lattice), relation, leads_to, np.argmin(distance, axis=1).astype(np.int32))
-    return relation, tuple(lattice), Kernel(tuple(tables), loss), menu
+    input_set = InputSet(grid, tuple(lattice), relation, leads_to, np.argmin(distance, axis=1).astype(np.int32))
+    return relation, tuple(lattice), Kernel(tuple(tables), loss), input_set
 
 
 def _refuse_many(agent: str, argument: str, count: int) -> None:

@@ -78,7 +78,7 @@ def box_model(
 ) -> tuple[BoxRelation, tuple[FloatArray, ...], BoxKernel, BoxChoices]:
     """Return relation, lattice, kernel and choices under the relation ``boxes``: a given one, or that of defaults."""
     relation = relation_of(agent, grid, coordinates) if relation is None else relation
-    menu, gains = relation.menu, relation.gains
+    input_set, gains = relation.input_set, relation.gains
     laws, spread = grid_laws(agent, coordinates), scale_range(agent, relation, grid)
     if spread is not None:  # the lattice of the means is made for the smallest noise, but for that of a few cells
         smallest = [law.scaled(least) for law, least in zip(laws, spread[3].tolist(), strict=True)]
@@ -96,10 +96,10 @@ def box_model(
     # Where expressions have no bound on the whole grid, the lattice goes as far as it ever does.
     low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
     count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
-    if grid.n_cells * len(menu) > MOST_BOXES or count > MOST_LATTICE:
+    if grid.n_cells * len(input_set) > MOST_BOXES or count > MOST_LATTICE:
         raise RelationRefused(
             f"agent `{agent.name}`: mean boxes need at most {MOST_BOXES} boxes and {MOST_LATTICE} lattice points, got "
-            f"{grid.n_cells * len(menu)} and {count}{FEWER}"
+            f"{grid.n_cells * len(input_set)} and {count}{FEWER}"
         )
     means = box_lattice(grid, deviations, points, low, high, agent.wrapped_axes.tolist())
     points_of: dict[LatticeAxis, FloatArray] = {MeanAxis(k): own for k, own in enumerate(means)}
@@ -156,18 +156,18 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
 def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:
     """Return the relation with the choices that are offered by default."""
     if agent.is_affine:
-        menu, gains = input_set(with_matrices(agent), grid, coordinates)
-        return box_relation(agent, coordinates, menu, gains)
+        input_set, gains = inputs_and_gains(with_matrices(agent), grid, coordinates)
+        return box_relation(agent, coordinates, input_set, gains)
     if agent.has_clock:
-        return in_fitting_parts(agent, grid, coordinates, clock_menu(agent, INPUT_LEVELS), {"steer": None})
-    menu, steer = with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)), None
+        return in_fitting_parts(agent, grid, coordinates, clock_input_set(agent, INPUT_LEVELS), {"steer": None})
+    input_set, steer = with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)), None
     # Where inputs command axes, every input is offered twice: as it is, and with targets for these axes.
     if SymbolicMeans(with_expressions(agent), coordinates, 1).commands:
-        menu, steer = np.concatenate([menu, menu]), np.arange(2 * len(menu)) >= len(menu)
-    return in_fitting_parts(agent, grid, coordinates, menu, {"steer": steer})
+        input_set, steer = np.concatenate([input_set, input_set]), np.arange(2 * len(input_set)) >= len(input_set)
+    return in_fitting_parts(agent, grid, coordinates, input_set, {"steer": steer})
 
 
-def clock_menu(agent: AnyAgent, levels: Mapping[int, int]) -> FloatArray:
+def clock_input_set(agent: AnyAgent, levels: Mapping[int, int]) -> FloatArray:
     """Return the inputs (A, m) of an agent with a clock: at each time, one after the other, the same other inputs.
 
     ``levels`` are those of each other input, by their number; 3 beyond.
@@ -179,16 +179,16 @@ def clock_menu(agent: AnyAgent, levels: Mapping[int, int]) -> FloatArray:
 
 
 def in_fitting_parts(
-    agent: AnyAgent, grid: Grid, coordinates: FloatArray, menu: FloatArray, written: Mapping[str, Any]
+    agent: AnyAgent, grid: Grid, coordinates: FloatArray, input_set: FloatArray, written: Mapping[str, Any]
 ) -> BoxRelation:
     """Return the relation with cells cut into as many parts as make boxes noticeably smaller, judged by some of them.
 
     ``written`` are settings of the relation without ``parts``.
     """
     some = np.unique(np.linspace(0, grid.n_cells - 1, SAMPLED_CELLS).astype(np.int64))
-    best, width = box_relation(agent, coordinates, menu, written=written), np.inf
+    best, width = box_relation(agent, coordinates, input_set, written=written), np.inf
     for parts in (number for number in PARTS if number**agent.n_states <= MOST_CUTS):
-        relation = box_relation(agent, coordinates, menu, written={**written, "parts": parts})
+        relation = box_relation(agent, coordinates, input_set, written={**written, "parts": parts})
         boxes = relation.mean_boxes(grid.low[some], grid.high[some])
         widths = (boxes.high - boxes.low)[boxes.admissible]
         mean = float(np.mean(widths / np.mean(grid.half_widths, axis=0))) if len(widths) else np.inf
@@ -210,15 +210,15 @@ def evenly_with_rest(low: float, high: float, levels: int) -> FloatArray:
     return np.unique(np.append(axis, 0.0)) if low <= 0.0 <= high else axis
 
 
-def input_set(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
+def inputs_and_gains(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return inputs (A, m) and feedbacks (A, m, d) to choose from.
 
     First inputs that do not depend on the state; then those with the feedback that makes the mean the same for the
     whole cell on as many axes as inputs can command, where it leaves enough of the inputs.
     """
     box, moves = agent.input_box, in_grid_coordinates(agent, coordinates)
-    menu = _levels(box.low, box.high)
-    gains = np.zeros((len(menu), agent.n_inputs, agent.n_states))
+    input_set = _levels(box.low, box.high)
+    gains = np.zeros((len(input_set), agent.n_inputs, agent.n_states))
     feedback = cancelling(moves.A, moves.B, agent, grid)
     if feedback is not None:
         widest = np.array([0.5 * np.max(np.diff(edges)) for edges in grid.edges])
@@ -226,9 +226,9 @@ def input_set(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> tuple[
         low, high = box.low + need, box.high - need
         if np.all(high - low >= LEAST_RANGE * (box.high - box.low)) and np.all(high > low):
             more = _levels(low, high)
-            menu = np.concatenate([menu, more])
+            input_set = np.concatenate([input_set, more])
             gains = np.concatenate([gains, np.broadcast_to(feedback, (len(more), *feedback.shape))])
-    return menu, gains
+    return input_set, gains
 
 
 def cancelling(A: FloatArray, B: FloatArray, agent: LinearAgent, grid: Grid) -> FloatArray | None:

@@ -83,19 +83,19 @@ def common_relation(agent: Agent, grid: Grid, coordinates: FloatArray, common: C
     for j in own.values():
         left[:, j] = 0.0
     left = np.unique(left, axis=0)
-    menu = np.repeat(left[None], len(common.numbers), axis=0)
+    input_set = np.repeat(left[None], len(common.numbers), axis=0)
     for column, j in own.items():
-        menu[:, :, j] = common.numbers[:, column, None]
+        input_set[:, :, j] = common.numbers[:, column, None]
     written = {"common": common.description}
     if not own:
         steering = np.arange(2 * left.shape[0]) >= left.shape[0]
-        doubled = np.concatenate([menu, menu], axis=1).reshape(-1, agent.n_inputs)
+        doubled = np.concatenate([input_set, input_set], axis=1).reshape(-1, agent.n_inputs)
         steer = np.tile(steering, len(common.numbers))
         try:
             return in_fitting_parts(agent, grid, coordinates, doubled, {**written, "steer": steer})
         except RelationRefused:  # no input commands an axis
             pass
-    return in_fitting_parts(agent, grid, coordinates, menu.reshape(-1, agent.n_inputs), written)
+    return in_fitting_parts(agent, grid, coordinates, input_set.reshape(-1, agent.n_inputs), written)
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,8 +81,8 @@ class CornerChoices(ActionTable):
     is_read_at_length = True
 
     def __repr__(self) -> str:
-        aims = "" if self.relation.aims is None else " and targets"
-        of_each = f"{self.n_inputs} inputs{aims}"
+        mean_targets = "" if self.relation.mean_targets is None else " and targets"
+        of_each = f"{self.n_inputs} inputs{mean_targets}"
         return f"CornerChoices({self.grid.n_cells} cells, {of_each}, {shape_text(self.shape)} lattice points)"
 
     def kernel_on(self, agent: AnyAgent, grid: Grid) -> LatticeKernel:
@@ -92,8 +92,8 @@ class CornerChoices(ActionTable):
     @cached_property
     def windows(self) -> TargetWindows | None:
         """The lattice points that each cell can choose, if there are targets; made when they are first asked for."""
-        aims = self.relation.aims
-        return None if aims is None else windows_of(aims, self.grid, self.lattice)
+        mean_targets = self.relation.mean_targets
+        return None if mean_targets is None else windows_of(mean_targets, self.grid, self.lattice)
 
     @property
     def n_places(self) -> int:
@@ -103,7 +103,7 @@ class CornerChoices(ActionTable):
     @property
     def n_inputs(self) -> int:
         """Number of inputs A."""
-        return len(self.relation.menu)
+        return len(self.relation.input_set)
 
     @property
     def n_choices(self) -> int:
@@ -120,7 +120,7 @@ class CornerChoices(ActionTable):
             own = slice(time * length, (time + 1) * length)
             gain, rest = (each[:, own] if each.shape[1] > 1 else each for each in (self.maps.gain, self.maps.rest))
             maps = AffineBoxes(self.maps.centre[:, own], gain, rest)
-            relation = replace(self.relation, menu=self.relation.menu[own])
+            relation = replace(self.relation, input_set=self.relation.input_set[own])
             found.append(replace(self, relation=relation, maps=maps, memory={}, n_times=1))
         return tuple(found)
 
@@ -240,13 +240,13 @@ class CornerChoices(ActionTable):
             return inputs
         targets = self.windows.nearest_to(means)
         gains = self.images(cells, inputs).gain
-        aims = self.centres(cells, np.maximum(targets, 0) + self.n_inputs)
+        mean_targets = self.centres(cells, np.maximum(targets, 0) + self.n_inputs)
         moved, aimed = np.zeros(len(cells)), np.where(targets >= 0, 0.0, np.inf)
         for side in 2.0 * corner_sides(len(scale)) - 1.0:
             goal = means_at(self.grid.centres + INSIDE * side * half)
             here = self.centres(cells, inputs) + INSIDE * np.einsum("sij,sj->si", gains, side * half)
             moved += (((here - goal.T) / scale) ** 2).sum(axis=1)
-            aimed += (((aims - goal.T) / scale) ** 2).sum(axis=1)
+            aimed += (((mean_targets - goal.T) / scale) ** 2).sum(axis=1)
         return np.where(aimed <= moved, targets + self.n_inputs, inputs).astype(np.int32)
 
     def carried(self, before: CornerChoices, policy: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -254,8 +254,8 @@ class CornerChoices(ActionTable):
         if self.windows is None or before.windows is None:
             return np.where(policy >= 0, policy, self.resting_choice).astype(np.int32)
         first = before.n_inputs
-        aims = self.windows.carried(before.windows, np.where(policy < first, -1, policy - first))
-        aimed = np.where(aims >= 0, aims + self.n_inputs, self.resting_choice)
+        mean_targets = self.windows.carried(before.windows, np.where(policy < first, -1, policy - first))
+        aimed = np.where(mean_targets >= 0, mean_targets + self.n_inputs, self.resting_choice)
         return np.where((policy < 0) | (policy >= first), aimed, policy).astype(np.int32)
 
     def _score(self, weights: FloatArray, table: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
@@ -314,8 +314,8 @@ class CornerChoices(ActionTable):
         index = [np.arange(first, n, self.per_cell) if n > first else np.arange(1) for n in self.shape]
         lattice = tuple(axis[k] for axis, k in zip(self.lattice, index, strict=True))
         fine = np.ravel_multi_index(np.meshgrid(*index, indexing="ij"), self.shape).ravel()
-        assert self.relation.aims is not None
-        windows = windows_of(self.relation.aims, self.grid, lattice)
+        assert self.relation.mean_targets is not None
+        windows = windows_of(self.relation.mean_targets, self.grid, lattice)
         return windows, fine
 
     def _refined(

@@ -14,7 +14,7 @@ from ...relations.grids import FEWER, FloatArray, Grid, RelationRefused, grid_la
 from ...relations.kinds import AffineBoxes, MapRelation, map_relation
 from ..kernels import BESIDE, LatticeKernel, MultilinearKernel, box_lattice, lattice_kernel_of
 from .agent_models import reaches_every_mean
-from .box_model import clock_menu, with_rest
+from .box_model import clock_input_set, with_rest
 from .corner_choices import HANDICAP, HANDICAP_IN_TEAMS, CornerChoices
 
 POINTS_PER_DEVIATION = {1: 12.0, 2: 8.0}
@@ -79,17 +79,17 @@ def corner_model(
     """
     numbers = 1, CUTS.get(agent.n_states, 1), (0,) * agent.n_states
     if agent.has_clock:
-        menu = clock_menu(agent, LEVELS_ALONE)
+        input_set = clock_input_set(agent, LEVELS_ALONE)
         relation, lattice, kernel, choices = lattice_model(
-            agent, grid, map_relation(agent, coordinates, menu, numbers), per_cell
+            agent, grid, map_relation(agent, coordinates, input_set, numbers), per_cell
         )
         return relation, lattice, kernel, replace(choices, n_times=int(agent.input_high[-1]) + 1)
     if reaches_every_mean(agent):
-        menu = with_rest(agent.input_box, LEVELS_BESIDE_TARGETS.get(agent.n_inputs, 2))
-        relation = map_relation(agent, coordinates, menu, numbers, with_aims=True)
+        input_set = with_rest(agent.input_box, LEVELS_BESIDE_TARGETS.get(agent.n_inputs, 2))
+        relation = map_relation(agent, coordinates, input_set, numbers, with_aims=True)
     else:
-        menu = with_rest(agent.input_box, LEVELS_ALONE.get(agent.n_inputs, 3))
-        relation = map_relation(agent, coordinates, menu, numbers)
+        input_set = with_rest(agent.input_box, LEVELS_ALONE.get(agent.n_inputs, 3))
+        relation = map_relation(agent, coordinates, input_set, numbers)
     relation, lattice, kernel, choices = lattice_model(agent, grid, relation, per_cell)
     return relation, lattice, kernel, replace(choices, handicap=HANDICAP if alone else HANDICAP_IN_TEAMS)
 
@@ -106,11 +106,11 @@ def lattice_model(
     """
     laws, d = grid_laws(agent, relation.coordinates), agent.n_states
     _refuse_laws(agent, laws)
-    if relation.aims is not None and per_cell is None:
+    if relation.mean_targets is not None and per_cell is None:
         points = _points_beside_targets(grid, laws)
     else:
         points = _points_per_cell(grid, laws, per_cell)
-    n_maps = grid.n_cells * len(relation.menu)
+    n_maps = grid.n_cells * len(relation.input_set)
     count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
     if n_maps > MOST_MAPS or count > MOST_LATTICE:
         raise RelationRefused(
@@ -154,7 +154,7 @@ def _maps(relation: MapRelation, grid: Grid) -> AffineBoxes:
     """Return the maps of all cells."""
     blocks = [
         relation.means.around(
-            grid.low[first : first + CELLS_AT_ONCE], grid.high[first : first + CELLS_AT_ONCE], relation.menu
+            grid.low[first : first + CELLS_AT_ONCE], grid.high[first : first + CELLS_AT_ONCE], relation.input_set
         )
         for first in range(0, grid.n_cells, CELLS_AT_ONCE)
     ]

@@ -44,7 +44,7 @@ class InputSet(PointChoices):
         return f"InputMenu({self.leads_to.shape[0]} cells, {counted(self.leads_to.shape[1], 'input')} each)"
 
     @property
-    def menu(self) -> NDArray[np.int32]:
+    def input_set(self) -> NDArray[np.int32]:
         """Lattice point (S, A) of each cell and input."""
         return self.leads_to
 
@@ -91,9 +91,9 @@ class InputSet(PointChoices):
         gaps = np.where(self.leads_to < 0, np.inf, gaps)
         return np.where((self.leads_to >= 0).any(axis=1), gaps.argmin(axis=1), -1).astype(np.int32)
 
-    def same_as(self, relation: Mapping[str, Any], menu: NDArray[Any] | None) -> bool:
+    def same_as(self, relation: Mapping[str, Any], input_set: NDArray[Any] | None) -> bool:
         """Return whether a menu that was stored is this one."""
-        return menu is not None and np.array_equal(menu, self.leads_to)
+        return input_set is not None and np.array_equal(input_set, self.leads_to)
 
     @property
     def dense_cost(self) -> int:
@@ -103,6 +103,6 @@ class InputSet(PointChoices):
     def dense_best(self, values: FloatArray) -> FloatArray:
         """Return the largest (n, S) of values (n, Z), one input after the other."""
         best = np.zeros((len(values), len(self.leads_to)))
-        for menu in self.leads_to.T:
-            best = np.maximum(best, np.where(menu >= 0, values[:, np.maximum(menu, 0)], 0.0))
+        for input_set in self.leads_to.T:
+            best = np.maximum(best, np.where(input_set >= 0, values[:, np.maximum(input_set, 0)], 0.0))
         return best

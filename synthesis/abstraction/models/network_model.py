@@ -71,10 +71,10 @@ class NetworkChoices(BoxChoices):
 
     def _beside(self, mode: int) -> BoxChoices:
         """Return the same choices without the modes; where there is a clock, those that set it as a mode does."""
-        size, menu = self.size.copy(), self.relation.menu
+        size, input_set = self.size.copy(), self.relation.input_set
         size[:, : self.n_modes] = -1
         if self.relation.network.has_clock:
-            size[:, menu[:, -1] != menu[mode, -1]] = -1
+            size[:, input_set[:, -1] != input_set[mode, -1]] = -1
         shared = {field.name: getattr(self, field.name) for field in fields(BoxChoices)}
         return BoxChoices(**{**shared, "size": size})
 
@@ -149,18 +149,18 @@ def network_relation(
 
     Cells are cut into as many parts as make boxes noticeably smaller: where the network bends within a cell.
     """
-    menu = policy.idle_menu
-    gains = np.zeros((len(menu), agent.n_inputs, agent.n_states))
+    input_set = policy.idle_menu
+    gains = np.zeros((len(input_set), agent.n_inputs, agent.n_states))
     if with_menu:
         offered = relation_of(agent, grid, coordinates)
-        plain = ~np.array(offered.means.description.get("steer") or [False] * len(offered.menu), dtype=bool)
-        menu = np.concatenate([menu, offered.menu[plain]])
+        plain = ~np.array(offered.means.description.get("steer") or [False] * len(offered.input_set), dtype=bool)
+        input_set = np.concatenate([input_set, offered.input_set[plain]])
         gains = np.concatenate([gains, offered.gains[plain]])
     some = np.unique(np.linspace(0, grid.n_cells - 1, SAMPLED_CELLS).astype(np.int64))
     best, width = None, np.inf
     for parts in (number for number in PARTS if number**agent.n_states <= MOST_CUTS):
         written = {"network": policy.description, "parts": parts}
-        relation = box_relation(agent, coordinates, menu, gains, written)
+        relation = box_relation(agent, coordinates, input_set, gains, written)
         boxes = relation.mean_boxes(grid.low[some], grid.high[some])
         mean = float(np.mean((boxes.high - boxes.low)[:, : policy.n_modes] / np.mean(grid.half_widths, axis=0)))
         if not mean < width * (1.0 - LEAST_SHRINKAGE):

@@ -94,9 +94,9 @@ class InnerChoices(ActionTable):
         return self.choices.n_choices
 
     @property
-    def menu(self) -> NDArray[np.int32] | None:
+    def input_set(self) -> NDArray[np.int32] | None:
         """Lattice points (S, A) that inputs lead to; of no meaning in cells where there is no choice."""
-        return None if self.choices.menu is None else self._among(self.choices.menu.T, 0).T
+        return None if self.choices.input_set is None else self._among(self.choices.input_set.T, 0).T
 
     @property
     def resting_choice(self) -> StepPolicy:

@@ -272,11 +272,13 @@ class TargetWindows(PointChoices):
         return best
 
 
-def windows_of(aims: ExactRelation | SymbolicTargets, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:
+def windows_of(
+    mean_targets: ExactRelation | SymbolicTargets, grid: Grid, lattice: tuple[FloatArray, ...]
+) -> TargetWindows:
     """Return the lattice points that each cell can choose."""
-    if isinstance(aims, SymbolicTargets):
-        return written_windows(aims, grid, lattice)
-    return target_windows(aims, grid, lattice)
+    if isinstance(mean_targets, SymbolicTargets):
+        return written_windows(mean_targets, grid, lattice)
+    return target_windows(mean_targets, grid, lattice)
 
 
 def target_windows(relation: ExactRelation, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:

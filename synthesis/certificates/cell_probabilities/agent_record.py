@@ -47,11 +47,11 @@ class AgentRecord:
     masks: NDArray[np.bool_]
     start_masks: NDArray[np.bool_]
     policy: NDArray[np.int32]
-    menu: NDArray[np.int32] | None = None
+    input_set: NDArray[np.int32] | None = None
 
     def __repr__(self) -> str:
         times, states, _ = self.policy.shape
-        choices = "lattice points" if self.menu is None else f"{self.menu.shape[1]} inputs"
+        choices = "lattice points" if self.input_set is None else f"{self.input_set.shape[1]} inputs"
         rows = [
             ("grid", self.grid),
             ("lattice", f"{shape_text(self.lattice_shape)} means"),
@@ -82,9 +82,9 @@ class AgentRecord:
     def points(self, t: int, q: int) -> NDArray[Any]:
         """Return the lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""
         policy = self.policy[min(t, len(self.policy) - 1), q]
-        if self.menu is None:
+        if self.input_set is None:
             return policy
-        chosen = np.take_along_axis(self.menu, np.maximum(policy, 0)[:, None].astype(np.int64), axis=1)[:, 0]
+        chosen = np.take_along_axis(self.input_set, np.maximum(policy, 0)[:, None].astype(np.int64), axis=1)[:, 0]
         return np.where(policy < 0, -1, chosen)
 
     @property

@@ -55,7 +55,7 @@ class AgentController:
     lattice: tuple[FloatArray, ...]
     relation: Relation
     policy: NDArray[np.int32]
-    menu: NDArray[np.int32] | None = None
+    input_set: NDArray[np.int32] | None = None
 
     def __repr__(self) -> str:
         *agents, times, states, cells = self.policy.shape
@@ -130,8 +130,8 @@ class AgentController:
 
     @cached_property
     def _menu_steering(self) -> MenuSteering:
-        assert self.menu is not None
-        return MenuSteering(self._table, self.lattice, self.relation, self.menu)  # type: ignore[arg-type]
+        assert self.input_set is not None
+        return MenuSteering(self._table, self.lattice, self.relation, self.input_set)  # type: ignore[arg-type]
 
     @cached_property
     def _cell_of(self) -> Callable[[FloatArray], NDArray[np.int64]]:

@@ -235,13 +235,13 @@ def _placed(
 def _signature(agent: AgentController) -> object:
     """Return what agents that act in one call have in common: all but their names and what their policies hold."""
     arrays = (*agent.grid.edges, *agent.lattice, *agent.relation.arrays)
-    menu = b"" if agent.menu is None else sha256(agent.menu.tobytes()).digest()
-    return (agent.relation.kind, len(agent.policy), menu, *(a.tobytes() for a in arrays))
+    input_set = b"" if agent.input_set is None else sha256(agent.input_set.tobytes()).digest()
+    return (agent.relation.kind, len(agent.policy), input_set, *(a.tobytes() for a in arrays))
 
 
 def _group(agents: Sequence[AgentController], block: NDArray[Any], members: list[int]) -> ControllerGroup:
     """Return a group of some ``members`` of a block, with one controller that holds the policies of all."""
     first = agents[block[members[0]]]
     policy = np.stack([agents[block[k]].policy for k in members])
-    shared = AgentController("", first.grid, first.lattice, first.relation, policy, first.menu)
+    shared = AgentController("", first.grid, first.lattice, first.relation, policy, first.input_set)
     return ControllerGroup(np.array(members), shared)

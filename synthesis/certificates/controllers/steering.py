@@ -109,11 +109,13 @@ class TargetSteering:
         ``beside`` (l, n, M) are the states of others that the dynamics name, if there are any.
         """
         places = self.table.places(cells, q, time)
-        aims = [axis.take(places) for axis in self._aims] if self._aims else self._aims_of(self.table.choices(places))
-        inputs = self.relation.inputs(aims, points, beside)
+        mean_targets = (
+            [axis.take(places) for axis in self._aims] if self._aims else self._aims_of(self.table.choices(places))
+        )
+        inputs = self.relation.inputs(mean_targets, points, beside)
         # Cells without a choice get the central input.
         if self.table.has_idle_cells(time):
-            inputs[:, np.isnan(aims[0])] = self.relation.input_centre[:, None]
+            inputs[:, np.isnan(mean_targets[0])] = self.relation.input_centre[:, None]
         return inputs
 
     @cached_property
@@ -123,9 +125,9 @@ class TargetSteering:
 
     def _aims_of(self, choices: NDArray[np.int32]) -> list[FloatArray]:
         """Return, per axis, what ``ExactRelation.inputs`` takes for choices; not a number where there is none."""
-        aims = self.relation.aims(lattice_means(self.lattice, np.maximum(choices, 0)))
-        aims[0, choices < 0] = np.nan
-        return list(aims)
+        mean_targets = self.relation.mean_targets(lattice_means(self.lattice, np.maximum(choices, 0)))
+        mean_targets[0, choices < 0] = np.nan
+        return list(mean_targets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +155,8 @@ class _OnCells:
     @cached_property
     def _menu(self) -> FloatArray:
         """Inputs (m, A + 1)."""
-        menu = self.relation.menu
-        return np.ascontiguousarray(np.concatenate([menu, menu.mean(axis=0, keepdims=True)]).T)
+        input_set = self.relation.input_set
+        return np.ascontiguousarray(np.concatenate([input_set, input_set.mean(axis=0, keepdims=True)]).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,19 +172,19 @@ class MapSteering(_OnCells):
 
         ``beside`` (l, n, M) are the states of others that the dynamics name, if there are any.
         """
-        choices, n_inputs = self.table.choices(self.table.places(cells, q, time)), len(self.relation.menu)
+        choices, n_inputs = self.table.choices(self.table.places(cells, q, time)), len(self.relation.input_set)
         # The last column of the table is for cells without a choice: the mean of all inputs.
         columns = np.where(choices < 0, n_inputs, np.minimum(choices, n_inputs - 1))
         inputs = looked_up(self._menu, columns.astype(np.intp))
-        network, aims = self.relation.network, self.relation.aims
+        network, mean_targets = self.relation.network, self.relation.mean_targets
         if network is not None:
             return network.replaced(choices, self.relation.coordinates, points, (q, time), inputs)
         aimed = choices >= n_inputs
-        if aims is None or not aimed.any():
+        if mean_targets is None or not aimed.any():
             return inputs
-        targets = aims.aims(lattice_means(self.lattice, np.where(aimed, choices - n_inputs, 0)))
+        targets = mean_targets.mean_targets(lattice_means(self.lattice, np.where(aimed, choices - n_inputs, 0)))
         targets[0, ~aimed] = np.nan
-        wanted = aims.inputs(list(targets), points, beside)
+        wanted = mean_targets.inputs(list(targets), points, beside)
         return np.where(aimed, wanted, inputs)
 
 
@@ -208,7 +210,7 @@ class BoxSteering(_OnCells):
             inputs = self.relation.network.replaced(chosen, self.relation.coordinates, points, (q, time), inputs)
         # Cells without a choice get the mean of all inputs.
         if self.table.has_idle_cells(time):
-            inputs[:, choices < 0] = self.relation.menu.mean(axis=0)[:, None]
+            inputs[:, choices < 0] = self.relation.input_set.mean(axis=0)[:, None]
         return inputs
 
 
@@ -229,7 +231,7 @@ class MenuSteering:
     table: PolicyTable
     lattice: tuple[FloatArray, ...]
     relation: CoupledRelation
-    menu: NDArray[np.int32]
+    input_set: NDArray[np.int32]
 
     def inputs(self, memory: Memory, points: FloatArray, q: NDArray[Any], time: int) -> tuple[FloatArray, Memory]:
         """Return the inputs (m, n, M) at points (d, n, M) of the grid, and the memory of this step.
@@ -258,10 +260,10 @@ class MenuSteering:
 
     def _reaction(self, choices: NDArray[np.int32], cells: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
         """Return abstract inputs (m, n, M) and means of the successor (d, n, M) of choices in cells (n, M)."""
-        places = cells * self.menu.shape[1]
+        places = cells * self.input_set.shape[1]
         places += choices
         if self._menu_means is None:
-            means = lattice_means(self.lattice, self.menu.take(places))
+            means = lattice_means(self.lattice, self.input_set.take(places))
         else:
             means = looked_up(self._menu_means, places)
         return looked_up(self._abstract_inputs, choices.astype(np.intp)), means
@@ -274,8 +276,8 @@ class MenuSteering:
     @cached_property
     def _menu_means(self) -> FloatArray | None:
         """Means of the successor (d, S A) of each input of each cell; None if there were too many."""
-        is_small = self.menu.size * len(self.lattice) <= MOST_AIMS
-        return lattice_means(self.lattice, self.menu.ravel()) if is_small else None
+        is_small = self.input_set.size * len(self.lattice) <= MOST_AIMS
+        return lattice_means(self.lattice, self.input_set.ravel()) if is_small else None
 
     @cached_property
     def _feedback(self) -> tuple[Row, ...]:

@@ -500,8 +500,8 @@ def _cells_of(agent: AnyAgent, known: CheckedAgent, part: AgentRecord, put: _Poo
         raise NotCanonicalError(f"the cells of agent `{agent.name}` are not along its states")
     if kind == "boxes" and (np.any(relation.get("gains", 0.0)) or "steer" in relation):
         raise NotCanonicalError(f"the inputs of agent `{agent.name}` vary in a cell")
-    menu = np.array(relation.get("menu", []), dtype=float).reshape(-1, agent.n_inputs)
-    targets = np.any(part.policy >= len(menu))
+    input_set = np.array(relation.get("menu", []), dtype=float).reshape(-1, agent.n_inputs)
+    targets = np.any(part.policy >= len(input_set))
     inverse = None
     if targets:
         try:
@@ -513,7 +513,7 @@ def _cells_of(agent: AnyAgent, known: CheckedAgent, part: AgentRecord, put: _Poo
         "lattice": [put(axis) for axis in part.lattice],
         "values": "corners" if kind == "linear" else "cells",
         "parts": int(relation.get("parts", 1)) if kind == "linear" else PARTS_OF_BOXES,
-        "inputs": put(menu),
+        "inputs": put(input_set),
         "inverse": inverse,
         "sets": put(part.masks, np.bool_),
         "start_sets": put(part.start_masks, np.bool_),

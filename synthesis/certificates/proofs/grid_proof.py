@@ -143,7 +143,9 @@ class GridProof(Proof):
             # Agents with equal dynamics and cells share the relation of the first of them.
             key = (*part.sharing_key(agent), id(part.grid), part.coordinates.tobytes())
             relation = known[key] = known.get(key) or part.relation_of(agent)
-            controllers.append(AgentController(agent.name, part.grid, part.lattice, relation, part.policy, part.menu))
+            controllers.append(
+                AgentController(agent.name, part.grid, part.lattice, relation, part.policy, part.input_set)
+            )
         return Controller(problem, tuple(controllers))
 
     def claim(self, certificate: Certificate) -> Claim:

@@ -114,12 +114,12 @@ class GridReader:
         times = 1 if self.arrays[str(int(entry["law"]))].shape[:1] == (1,) else self.problem.horizon
         shape = (times, self.n_states, grid.n_cells)
         # Choices are lattice points, or inputs of a menu whose entries are lattice points.
-        menu = None if entry["menu"] is None else self._integers(entry["menu"], (grid.n_cells, None), points)
+        input_set = None if entry["menu"] is None else self._integers(entry["menu"], (grid.n_cells, None), points)
         check_description(entry["relation"], self.problem.agents[self._position])
         kind = entry["relation"]["kind"]
-        if (kind not in ("boxes", "exact", "linear")) != (menu is not None):
+        if (kind not in ("boxes", "exact", "linear")) != (input_set is not None):
             raise ValueError("a relation and its choices do not belong together")
-        choices = points if menu is None else menu.shape[1]
+        choices = points if input_set is None else input_set.shape[1]
         if kind == "linear":
             choices = len(entry["relation"]["menu"]) + (points if "aims" in entry["relation"] else 0)
         elif kind == "boxes":
@@ -134,7 +134,7 @@ class GridReader:
             masks=self._array(entry["masks"], "b", (None, grid.n_cells)),
             start_masks=self._array(entry["start_masks"], "b", (None, grid.n_cells)),
             policy=self._integers(entry["law"], shape, choices, least=-1),
-            menu=menu,
+            input_set=input_set,
         )
 
     def _step(self, entry: Any) -> MergeLog:

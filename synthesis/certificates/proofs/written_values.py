@@ -22,7 +22,7 @@ def put_agent(pool: Pool, part: AgentRecord) -> dict[str, Any]:
         "masks": pool.put(part.masks),
         "start_masks": pool.put(part.start_masks),
         "law": pool.put(part.policy),
-        "menu": None if part.menu is None else pool.put(part.menu),
+        "menu": None if part.input_set is None else pool.put(part.input_set),
     }
 
 

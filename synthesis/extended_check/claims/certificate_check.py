@@ -54,7 +54,7 @@ from ...checker import bound_of
 from ...relations.grids import FloatArray, lattice_axes
 from ..steps import execution_of, label_margin, places_of, verify_relation, wrong_actions, wrong_common
 from .complement_task import other_controllers, wrong_complement
-from .forward_mass import TooManyProducts, masses
+from .forward_occupancy import TooManyProducts, masses
 from .grid_check import uneven_lattices, wrong_grids
 from .guard_check import wrong_guards
 from .network_check import wrong_networks
@@ -224,7 +224,7 @@ def _check_form(certificate: OnGrid) -> list[str]:
     """Check that the value function covers the horizon and that its bound has a name that fits it."""
     failures = []
     if any(
-        (part.relation["kind"] in ("boxes", "exact", "linear")) != (part.menu is None)
+        (part.relation["kind"] in ("boxes", "exact", "linear")) != (part.input_set is None)
         for part in certificate.proof.agents
     ):
         failures.append("a relation and its choices do not belong together")
@@ -259,7 +259,7 @@ def _check_agents(certificate: OnGrid) -> tuple[list[str], list[FloatArray | Non
     except ValueError as error:  # a relation that cannot be made from its numbers
         return [str(error)], margins, loss
     for agent, part, controller in zip(certificate.problem.agents, certificate.proof.agents, controllers, strict=True):
-        arrays = [part.coordinates, part.policy, *part.lattice, *([] if part.menu is None else [part.menu])]
+        arrays = [part.coordinates, part.policy, *part.lattice, *([] if part.input_set is None else [part.input_set])]
         key = (
             *part.sharing_key(agent),
             *agent.output_key,

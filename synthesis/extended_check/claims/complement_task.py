@@ -122,10 +122,10 @@ def other_controllers(certificate: OnGrid, complement: OnGrid) -> list[str]:
         cells = _cells_within(other.grid, mine.grid)
         ours, theirs = ([part.coordinates, *part.lattice] for part in (mine, other))
         same = len(ours) == len(theirs) and all(map(np.array_equal, ours, theirs)) and mine.acting == other.acting
-        if cells is None or mine.menu is None or other.menu is None:
-            same = same and cells is not None and mine.menu is other.menu
+        if cells is None or mine.input_set is None or other.input_set is None:
+            same = same and cells is not None and mine.input_set is other.input_set
         else:
-            same = same and np.array_equal(mine.menu, other.menu[cells])
+            same = same and np.array_equal(mine.input_set, other.input_set[cells])
         if not same or not np.array_equal(
             np.broadcast_to(mine.policy, (horizon, *mine.policy.shape[1:]))[:, undecided],
             np.broadcast_to(other.policy, (horizon, *other.policy.shape[1:]))[:, undecided][..., cells],

@@ -88,8 +88,8 @@ class NetworkMoves:
         if agent.is_affine:
             z, gain, rho = network_maps(with_matrices(agent), part, cells, mode)
         else:
-            menu = np.tile(np.array(part.relation["menu"], dtype=float)[mode], (len(cells), 1))
-            z, gain, rho = networked_maps(with_expressions(agent), part, (first, last), menu, mode)
+            input_set = np.tile(np.array(part.relation["menu"], dtype=float)[mode], (len(cells), 1))
+            z, gain, rho = networked_maps(with_expressions(agent), part, (first, last), input_set, mode)
         spread = np.einsum("ckj,cj->ck", np.abs(gain), 0.5 * (last - first) * (1.0 + 1e-13)) + rho + off
         return z - spread, z + spread
 
@@ -131,6 +131,6 @@ def wrong_moves(agent: AnyAgent, part: AgentRecord) -> str:
         if np.any(part.policy >= network_modes(part)):
             return f"agent `{agent.name}` has a network that was replaced in places, of which pairs know nothing"
         return ""
-    if part.relation["kind"] != "exact" or part.menu is not None:
+    if part.relation["kind"] != "exact" or part.input_set is not None:
         return f"the relation of agent `{agent.name}` is not exact, so pairs cannot be subtracted"
     return ""

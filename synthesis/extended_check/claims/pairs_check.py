@@ -31,7 +31,7 @@ from ...certificates.cell_probabilities import state
 from ...certificates.proofs import OnGrid
 from ...relations.grids import FloatArray
 from ..steps import start_shares
-from .forward_mass import moved
+from .forward_occupancy import moved
 from .guard_check import cell_classes
 from .pair_moves import ExactMoves, NetworkMoves, moves_of, wrong_moves
 

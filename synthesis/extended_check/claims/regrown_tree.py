@@ -16,7 +16,7 @@ from ...certificates.proofs import OnGrid
 from ...certificates.value_functions import Merges, Terms
 from ...relations.grids import FloatArray
 from ..steps import masks_of, places_of, readings_of
-from .forward_mass import mass_at_start
+from .forward_occupancy import mass_at_start
 
 KEPT = 1.0 - 1e-9
 """Share of a factor that a remainder is taken from where steps are not additive, as in the search: how a difference of

@@ -110,13 +110,13 @@ def _wrong_clock(agent: AnyAgent, part: AgentRecord, horizon: int) -> str:
     is_plain = part.relation["kind"] in ("boxes", "linear") and "common" not in part.relation
     if not is_plain or np.any(np.array(part.relation.get("steer") or False)):
         return "its clock is set by choices of another kind than inputs that are the same in a whole cell, and networks"
-    menu = np.array(part.relation["menu"], dtype=float)
-    if menu.ndim != 2 or np.any(part.policy >= len(menu)):
+    input_set = np.array(part.relation["menu"], dtype=float)
+    if input_set.ndim != 2 or np.any(part.policy >= len(input_set)):
         return "its clock is set by choices that are not of its menu"
     if len(part.policy) != horizon:
         return "its policies do not look at the time, which its dynamics name"
     for time, choices in enumerate(part.policy):
         chosen = np.unique(choices[choices >= 0])
-        if np.any(menu[chosen, -1] != float(time)):
+        if np.any(input_set[chosen, -1] != float(time)):
             return f"its clock is not the time at step {time}"
     return ""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ...certificates.cell_probabilities import BrokenTrainError, axis_tables, backup
 from ...certificates.proofs import OnGrid
 from ...relations.grids import FloatArray
-from .forward_mass import mass_at_start
+from .forward_occupancy import mass_at_start
 
 ROUNDOFF = 2.0**-52
 """Bound on the relative error of one operation in float64, twice what it is."""

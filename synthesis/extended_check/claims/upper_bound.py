@@ -7,7 +7,7 @@ they say, or to acceptance; so it remains to count. The joint cells of a guard a
 successor are counted agent by agent through the decision diagram, and both numbers are whole.
 
 What the policies attain is then evaluated in the other direction than the value: as the mass that is accepted going
-forward in time (``forward_mass``). For tensor trains, which leave cells out, it is evaluated backward again, and all
+forward in time (``forward_occupancy``). For tensor trains, which leave cells out, it is evaluated backward again, and all
 that they leave out counts as accepted (``train_check``).
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 from ...certificates.cell_probabilities import kernel_key, lost_to_rounding
 from ...certificates.proofs import OnGrid, start_of_claim
 from ..steps import is_identity
-from .forward_mass import TooManyProducts, masses
+from .forward_occupancy import TooManyProducts, masses
 from .guard_check import cell_classes, joint_cells_by_target
 from .train_check import regrown_trains, train_start_value
 

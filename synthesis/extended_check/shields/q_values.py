@@ -28,7 +28,7 @@ from ...relations.grids import FloatArray, linear_agent
 from ...relations.kinds import Relation, mean_loss, mean_off
 from ..claims import regrow, vertices_of
 from ..steps import masks_of
-from .noise_masses import Axis, noise_axes
+from .noise_probabilities import Axis, noise_axes
 from .unknown_means import MeanBox
 
 UNIT = 2.0**-53

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ....envs.systems.agents import Agent
 from ...relations.grids import FloatArray
 from ..steps import enclosed_means, enclosed_scales
-from .noise_masses import Axis, even_steps, evenly_between
+from .noise_probabilities import Axis, even_steps, evenly_between
 
 MOST_STEPS = {1: 24, 2: 8, 3: 3}
 """Most steps along each axis, by the number of axes that are not thin (1 beyond): their points multiply."""

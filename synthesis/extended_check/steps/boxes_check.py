@@ -109,15 +109,15 @@ class WrittenBoxes:
     @classmethod
     def of(cls, agent: Agent, part: AgentRecord) -> WrittenBoxes:
         """Boxes around the means of every cell under every choice that a policy makes there."""
-        menu = np.array(part.relation["menu"], dtype=float)
+        input_set = np.array(part.relation["menu"], dtype=float)
         cells = np.broadcast_to(np.arange(part.policy.shape[-1]), part.policy.shape)
         asked = part.policy >= 0
-        numbers = np.unique(cells[asked] * np.int64(len(menu)) + part.policy[asked])
-        cell, choice = np.divmod(numbers, len(menu))
+        numbers = np.unique(cells[asked] * np.int64(len(input_set)) + part.policy[asked])
+        cell, choice = np.divmod(numbers, len(input_set))
         low, high = cell_boxes(part)
         corners, scales = [], []
         for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1):
-            here, inputs = cell[some], menu[choice[some]]
+            here, inputs = cell[some], input_set[choice[some]]
             parts = int(part.relation["parts"])
             known = known_inputs(agent, part, choice[some])
             first, last = enclosed_means(agent, low[here], high[here], inputs, part.coordinates, parts, applied=known)
@@ -301,12 +301,12 @@ def _affine_boxes(
     A, B, offset = agent.A, agent.B, agent.offset
     if not plain:
         A, B, offset = inverse @ A @ part.coordinates, inverse @ B, inverse @ offset
-    menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
+    input_set, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
     index = np.unravel_index(cells, part.grid.shape)
     left = np.stack([edges[k] for edges, k in zip(part.grid.edges, index, strict=True)], axis=1)
     right = np.stack([edges[k + 1] for edges, k in zip(part.grid.edges, index, strict=True)], axis=1)
     centre, half = 0.5 * (left + right), 0.5 * (right - left) * OUTWARD
-    mean = centre @ A.T + (menu @ B.T)[choices] + offset
+    mean = centre @ A.T + (input_set @ B.T)[choices] + offset
     reach = np.zeros(mean.shape)
     for a in np.unique(choices):
         reach[choices == a] = half[choices == a] @ np.abs(A + B @ gains[a]).T
@@ -318,12 +318,12 @@ def _state_boxes(agent: LinearAgent, part: AgentRecord, off: FloatArray) -> None
 
     They are said to be off by half of ``off``; the other half is for controllers, which add up the same numbers.
     """
-    menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
+    input_set, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
     asked = part.policy >= network_modes(part)
-    pairs = np.broadcast_to(np.arange(part.policy.shape[-1]), asked.shape)[asked] * np.int64(len(menu))
-    cells, choices = np.divmod(np.unique(pairs + part.policy[asked]), len(menu))
+    pairs = np.broadcast_to(np.arange(part.policy.shape[-1]), asked.shape)[asked] * np.int64(len(input_set))
+    cells, choices = np.divmod(np.unique(pairs + part.policy[asked]), len(input_set))
     low, high = _affine_boxes(agent, part, cells, choices)
-    spans = Enclosed(None, agent, menu[choices], part.coordinates, True, fed=gains[choices])
+    spans = Enclosed(None, agent, input_set[choices], part.coordinates, True, fed=gains[choices])
     corners = tuple(corner[cells] for corner in cell_boxes(part))
     state("spans", spans, corners, [], (low - 0.5 * off, high + 0.5 * off))
 

@@ -86,10 +86,10 @@ def _wrong_means(
     choice = part.policy[t, q, cells]
     if not agent.is_affine:
         agent = with_expressions(agent)
-        aims = choice - first_target(part)
-        if np.any(aims >= 0):
-            off = np.abs(agent.mean(states, inputs, None, beside) - _lattice_points(part, np.maximum(aims, 0)))
-            if np.any(~(off <= execution.mean[:, None]) & (aims >= 0)):
+        mean_targets = choice - first_target(part)
+        if np.any(mean_targets >= 0):
+            off = np.abs(agent.mean(states, inputs, None, beside) - _lattice_points(part, np.maximum(mean_targets, 0)))
+            if np.any(~(off <= execution.mean[:, None]) & (mean_targets >= 0)):
                 return ["its controller was seen to steer elsewhere than its policy says"]
         if part.relation["kind"] == "exact":
             return []
@@ -101,7 +101,7 @@ def _wrong_means(
             mean = np.linalg.solve(part.coordinates, agent.mean(states[:, here], inputs[:, here], None, told))
             if np.any((mean < low.T - execution.mean[:, None]) | (mean > high.T + execution.mean[:, None])):
                 return ["its network was seen to lead beyond the means that it can lead to"]
-        fixed = (choice >= 0) & (aims < 0) & ~networked
+        fixed = (choice >= 0) & (mean_targets < 0) & ~networked
         chosen = np.where(fixed, cells, -1), np.where(fixed, choice, 0)
         return _wrong_written(agent, part, states, inputs, *chosen, beside)
     agent = linear_agent(agent, part.relation["kind"])
@@ -163,16 +163,16 @@ def _wrong_written(
 
     Cells are -1 where there is no choice.
     """
-    menu = np.array(part.relation["menu"], dtype=float)
-    steer = np.array(part.relation.get("steer", [False] * len(menu)), dtype=bool)[choice]
-    if np.any((inputs != menu[choice].T) & (cells >= 0) & ~steer):
+    input_set = np.array(part.relation["menu"], dtype=float)
+    steer = np.array(part.relation.get("steer", [False] * len(input_set)), dtype=bool)[choice]
+    if np.any((inputs != input_set[choice].T) & (cells >= 0) & ~steer):
         return ["its controller was seen to do something else than its policy says"]
     low, high = cell_boxes(part)
     steered = np.flatnonzero(steer & (cells >= 0))
     for group, knowing in by_number(agent, part, choice[steered]):
         which = steered[group]
         centre = (0.5 * (low + high))[cells[which]].T
-        targets = knowing.mean(centre, menu[choice[which]].T)
+        targets = knowing.mean(centre, input_set[choice[which]].T)
         others = None if beside is None else beside[:, which]
         for place, numbers in known_inputs(agent, part, choice[which]).items():
             assert others is not None  # they are among what the dynamics name
@@ -180,9 +180,9 @@ def _wrong_written(
         means = agent.mean(states[:, which], inputs[:, which], None, others)
         commands = commands_of(knowing)
         # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate. Many points share a cell.
-        pairs, place_of = np.unique(cells[which] * np.int64(len(menu)) + choice[which], return_inverse=True)
-        cell, chosen = np.divmod(pairs, len(menu))
-        first, _ = steered_spans(knowing, low[cell], high[cell], menu[chosen], commands, 1)
+        pairs, place_of = np.unique(cells[which] * np.int64(len(input_set)) + choice[which], return_inverse=True)
+        cell, chosen = np.divmod(pairs, len(input_set))
+        first, _ = steered_spans(knowing, low[cell], high[cell], input_set[chosen], commands, 1)
         known = np.all(~np.isnan(first), axis=1)[place_of]
         for command in commands:
             off = np.abs(means[command.axis] - targets[command.axis])
@@ -200,14 +200,14 @@ def _asked_means(
         return _lattice_points(part, choice)
     low, high = cell_boxes(part)
     offsets = np.linalg.solve(part.coordinates, states) - 0.5 * (low + high)[cells].T
-    menu = np.array(part.relation["menu"], dtype=float)
+    input_set = np.array(part.relation["menu"], dtype=float)
     if part.relation["kind"] == "boxes":
         fed = np.einsum("nij,jn->in", np.array(part.relation["gains"], dtype=float)[choice], offsets)
-        asked = agent.A @ states + agent.B @ (menu[choice].T + fed) + agent.offset[:, None]
+        asked = agent.A @ states + agent.B @ (input_set[choice].T + fed) + agent.offset[:, None]
         return np.asarray(np.linalg.solve(part.coordinates, asked))
-    if len(menu):
+    if len(input_set):
         first = first_target(part)
-        inputs = menu[np.minimum(choice, len(menu) - 1)].T
+        inputs = input_set[np.minimum(choice, len(input_set) - 1)].T
         means = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
         return np.where(choice >= first, _lattice_points(part, np.maximum(choice - first, 0)), means)
     gain, point = np.divmod(choice, int(np.prod([len(axis) for axis in part.lattice])))
@@ -223,7 +223,7 @@ def _wrong_memory(
     rng: Generator,
 ) -> list[str]:
     """Inputs, abstract states or errors that differ from those of episodes that are followed here."""
-    assert part.menu is not None
+    assert part.input_set is not None
     C, K, F = part.coordinates, relation.feedback, relation.coupling
     A, B, c = (np.linalg.solve(C, own) for own in (agent.A @ C, agent.B, agent.offset[:, None]))
     deviations = np.sqrt(np.diag(np.linalg.solve(C, np.linalg.solve(C, agent.noise_covariance).T)))[:, None]
@@ -260,7 +260,7 @@ def _wrong_memory(
         if relation.delta == 0.0 and np.any(alive & sure & memory.lost[0]):
             return ["its controller was seen to lose a relation that is never lost"]
         alive &= told & (chosen >= 0)  # where nothing is chosen nothing is promised
-        target = _lattice_points(part, np.take_along_axis(part.menu[cells], choice[:, None], axis=1)[:, 0])
+        target = _lattice_points(part, np.take_along_axis(part.input_set[cells], choice[:, None], axis=1)[:, 0])
         mean = A @ points + B @ inputs[:, 0] + c
         points = mean + deviations * rng.standard_normal(points.shape)
     return []

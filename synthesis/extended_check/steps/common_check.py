@@ -50,8 +50,8 @@ def wrong_common(certificate: OnGrid) -> list[str]:
 
 def _applied(part: AgentRecord, own_input: int, times: int) -> tuple[FloatArray, FloatArray]:
     """Least and largest input (T, Q) that an owner applies; minus and plus infinity where a choice steers it."""
-    menu, steer = np.array(part.relation["menu"], dtype=float), np.array(part.relation["steer"], dtype=bool)
-    column = menu[:, own_input]
+    input_set, steer = np.array(part.relation["menu"], dtype=float), np.array(part.relation["steer"], dtype=bool)
+    column = input_set[:, own_input]
     return _ends(part, np.where(steer, -np.inf, column), np.where(steer, np.inf, column), times)
 
 

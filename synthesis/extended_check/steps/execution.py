@@ -178,11 +178,11 @@ def targets_alone(part: AgentRecord) -> AgentRecord:
 def _mapped(s: _Setting, agent: AnyAgent, part: AgentRecord, relation: MapRelation) -> Execution:
     """Inputs of a menu, whose means are off by what goes into their maps; targets miss theirs with some probability."""
     inputs = _boxed(s, np.zeros((1, len(s.u), len(s.x))))
-    if relation.aims is None:
+    if relation.mean_targets is None:
         return inputs
     part = targets_alone(part)
-    aims = relation.aims
-    aimed = CARRIED_OUT[type(aims)](s, agent, part, aims)
+    mean_targets = relation.mean_targets
+    aimed = CARRIED_OUT[type(mean_targets)](s, agent, part, mean_targets)
     return Execution(np.maximum(inputs.mean, aimed.mean), aimed.disturbance, aimed.inputs, max(inputs.loss, aimed.loss))
 
 

@@ -48,8 +48,8 @@ class Maps:
 
 def maps_of(agent: Agent, part: AgentRecord, numbers: NDArray[np.int64]) -> Maps:
     """The maps with some numbers (K,), in increasing order."""
-    menu = np.array(part.relation["menu"], dtype=float)
-    cell, choice = np.divmod(numbers, len(menu))
+    input_set = np.array(part.relation["menu"], dtype=float)
+    cell, choice = np.divmod(numbers, len(input_set))
     low, high = cell_boxes(part)
     d, cuts = low.shape[1], int(part.relation["cuts"])
     maps = Maps(numbers, np.zeros((len(numbers), d)), np.zeros((len(numbers), d, d)), np.zeros((len(numbers), d)))
@@ -57,7 +57,7 @@ def maps_of(agent: Agent, part: AgentRecord, numbers: NDArray[np.int64]) -> Maps
     for group in [choice == mode for mode in np.unique(choice)] if is_networked else [choice >= 0]:
         asked = np.flatnonzero(group)
         for some in np.array_split(asked, len(asked) // CELLS_AT_ONCE + 1):
-            corners, inputs = (low[cell[some]], high[cell[some]]), menu[choice[some]]
+            corners, inputs = (low[cell[some]], high[cell[some]]), input_set[choice[some]]
             if is_networked and len(some):
                 made = networked_maps(agent, part, corners, inputs, int(choice[some][0]))
             else:

@@ -99,12 +99,12 @@ def error_support(part: AgentRecord, relation: CoupledRelation, execution: Execu
 
 def _verify_maps(agent: AnyAgent, part: AgentRecord, relation: MapRelation, execution: Execution) -> list[str]:
     """Every choice is an input of the box, or a target that admissible inputs reach from all of its cell."""
-    if np.any((relation.menu < agent.input_box.low) | (relation.menu > agent.input_box.high)):
+    if np.any((relation.input_set < agent.input_box.low) | (relation.input_set > agent.input_box.high)):
         return ["its menu holds inputs beyond its input box"]
-    if relation.aims is None:
+    if relation.mean_targets is None:
         return []
     aimed = targets_alone(part)
-    return VERIFIED[type(relation.aims)](agent, aimed, relation.aims, execution)
+    return VERIFIED[type(relation.mean_targets)](agent, aimed, relation.mean_targets, execution)
 
 
 def _verify_aims(agent: AnyAgent, part: AgentRecord, relation: SymbolicTargets, execution: Execution) -> list[str]:
@@ -119,7 +119,7 @@ def _verify_exact(agent: AnyAgent, part: AgentRecord, relation: ExactRelation, e
 
 def _verify_boxes(agent: AnyAgent, part: AgentRecord, relation: BoxRelation, execution: Execution) -> list[str]:
     """Every input that is chosen is admissible at every point of its cells, with what is fed back there."""
-    menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
+    input_set, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
     if not agent.is_affine and np.any(gains):
         return ["it feeds states back inside its cells, which boxes of expressions do not know of"]
     low, high = cell_boxes(part)
@@ -127,7 +127,7 @@ def _verify_boxes(agent: AnyAgent, part: AgentRecord, relation: BoxRelation, exe
     for choice in np.unique(rows[rows >= 0]):
         widest = 0.5 * np.max((high - low)[np.any(rows == choice, axis=0)], axis=0) * OUTWARD
         fed = np.abs(gains[choice]) @ widest + execution.inputs * np.any(gains[choice], axis=1)
-        if np.any((menu[choice] - fed < agent.input_box.low) | (menu[choice] + fed > agent.input_box.high)):
+        if np.any((input_set[choice] - fed < agent.input_box.low) | (input_set[choice] + fed > agent.input_box.high)):
             return ["its menu holds inputs beyond its input box"]
     return []
 
@@ -155,7 +155,7 @@ def _verify_targets(
 def _verify_coupled(agent: AnyAgent, part: AgentRecord, relation: CoupledRelation, execution: Execution) -> list[str]:
     """Invariance, coupling, input reserve and means of a relation with memory."""
     agent = linear_agent(agent, relation.kind)
-    if part.menu is None or part.menu.shape[1] != len(relation.inputs):
+    if part.input_set is None or part.input_set.shape[1] != len(relation.inputs):
         return ["its menu does not list its inputs"]
     disturbance = _disturbance(part, relation, execution)
     failures = []
@@ -182,10 +182,10 @@ def _verify_coupled(agent: AnyAgent, part: AgentRecord, relation: CoupledRelatio
 
 def _disturbance(part: AgentRecord, relation: CoupledRelation, execution: Execution) -> FloatArray:
     """Half widths (d,) of W: half the largest cell, what means are snapped by, and rounding."""
-    assert part.menu is not None
+    assert part.input_set is not None
     low, high = cell_boxes(part)
     means = (0.5 * (low + high) @ relation.A.T + relation.drift)[:, None, :] + (relation.inputs @ relation.B.T)[None]
-    index = np.unravel_index(part.menu, tuple(len(axis) for axis in part.lattice))
+    index = np.unravel_index(part.input_set, tuple(len(axis) for axis in part.lattice))
     points = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=-1)
     moving = np.any(part.policy >= 0, axis=(0, 1))  # in other cells the value is 0, and nothing is promised
     snapped = np.max(np.abs(points - means)[moving], axis=(0, 1), initial=0.0)

@@ -57,11 +57,11 @@ class MatrixMaps:
 
     def at(self, numbers: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The maps with some numbers (C,)."""
-        menu, d = np.array(self.part.relation["menu"], dtype=float), len(self.off)
-        cells, choices = np.divmod(numbers, len(menu))
+        input_set, d = np.array(self.part.relation["menu"], dtype=float), len(self.off)
+        cells, choices = np.divmod(numbers, len(input_set))
         low, high = cell_boxes(self.part)
         slope = grid_matrix(self.agent, self.part)
-        pushed = np.linalg.solve(self.part.coordinates, (self.agent.offset + menu @ self.agent.B.T).T).T
+        pushed = np.linalg.solve(self.part.coordinates, (self.agent.offset + input_set @ self.agent.B.T).T).T
         z = (0.5 * (low + high))[cells] @ slope.T + pushed[choices]
         return z, np.broadcast_to(slope, (len(cells), d, d)), np.broadcast_to(2.0 * self.off, (len(cells), d))
 
@@ -162,10 +162,10 @@ def _asked(part: AgentRecord) -> NDArray[np.int64]:
 
 def state_maps(agent: LinearAgent, part: AgentRecord, at: Any, rho: FloatArray) -> None:
     """State that maps of matrices, as ``at`` gives them, are off by no more than rho (d,)."""
-    menu, numbers = np.array(part.relation["menu"], dtype=float), _asked(part)
+    input_set, numbers = np.array(part.relation["menu"], dtype=float), _asked(part)
     z, gain = at(numbers)[:2]
-    cells, choices = np.divmod(numbers, len(menu))
-    spans = Enclosed(None, agent, menu[choices], part.coordinates, True, (z, gain))
+    cells, choices = np.divmod(numbers, len(input_set))
+    spans = Enclosed(None, agent, input_set[choices], part.coordinates, True, (z, gain))
     corners = tuple(corner[cells] for corner in cell_boxes(part))
     state("spans", spans, corners, [], tuple(np.broadcast_to(side * rho, z.shape) for side in (-1.0, 1.0)))
 

@@ -94,7 +94,7 @@ def certificate_of(
             masks=model.of_cells(joint.masks[i]),
             start_masks=model.of_cells(joint.start_masks[i]),
             policy=best.policies[i][:1] if best.stationary else best.policies[i],
-            menu=model.choices.menu,
+            input_set=model.choices.input_set,
         )
         parts.append(part)
     proof = GridProof(

@@ -87,7 +87,7 @@ def _choices_fit(part: AgentRecord, model: AgentModel) -> bool:
     axes = [*zip(part.grid.edges, model.grid.edges, strict=False), *zip(part.lattice, model.lattice, strict=False)]
     if part.policy.shape[-1] != model.grid.n_cells or not all(np.array_equal(a, b) for a, b in axes):
         return False
-    return model.choices.same_as(part.relation, part.menu)
+    return model.choices.same_as(part.relation, part.input_set)
 
 
 def _admissible(policy: Any, resting: Any) -> Any:

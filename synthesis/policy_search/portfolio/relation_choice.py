@@ -346,7 +346,7 @@ def _same_models(first: Abstraction, second: Abstraction) -> bool:
 
 def _same_model(first: AgentModel, second: AgentModel) -> bool:
     """Return whether two models with menus have equal labels, menus and delta, and lattices up to rounding."""
-    a, b = first.choices.menu, second.choices.menu
+    a, b = first.choices.input_set, second.choices.input_set
     if a is None or b is None or first.delta != second.delta:
         return False
     if first.labels.key != second.labels.key or [len(x) for x in first.lattice] != [len(x) for x in second.lattice]:

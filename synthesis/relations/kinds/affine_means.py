@@ -84,7 +84,7 @@ class AffineMaps(Protocol):
     def arrays(self) -> tuple[FloatArray, ...]:
         """All that maps depend on, for comparing relations."""
 
-    def around(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> AffineBoxes:
+    def around(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> AffineBoxes:
         """Return the maps of the closed cells ``[low, high]``, (n, d) each, under choices (A, m)."""
 
 
@@ -106,9 +106,9 @@ class AffineMeans:
     cuts: int
     network = None
 
-    def around(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> AffineBoxes:
+    def around(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> AffineBoxes:
         """Return the maps of the closed cells ``[low, high]``, (n, d) each, under inputs (A, m)."""
-        inputs = menu if self.pushes is None else menu[:1]
+        inputs = input_set if self.pushes is None else input_set[:1]
         middle = 0.5 * (low + high)
         names, beside = self._inputs(low, high, inputs)
         unknown = [0.5 * (a + b) * np.ones((1, 1)) for a, b in self.agent.unknowns.values()]
@@ -135,7 +135,7 @@ class AffineMeans:
         if self.pushes is None:
             rest += COMPUTED * np.abs(centre)
         else:
-            centre = centre + ((menu - menu[0]) @ self.pushes.T)[None]
+            centre = centre + ((input_set - input_set[0]) @ self.pushes.T)[None]
             rest += COMPUTED * np.abs(centre).max(axis=1, keepdims=True)
         known = np.all(np.isfinite(rest) & np.isfinite(gain).all(axis=-1), axis=2)
         return AffineBoxes(np.where(known[..., None], centre, np.nan), gain, rest)
@@ -237,10 +237,10 @@ class MatrixMaps:
     cuts: int = 1
     network = None
 
-    def around(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> AffineBoxes:
+    def around(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> AffineBoxes:
         """Return the maps of the closed cells ``[low, high]``, (n, d) each, under inputs (A, m)."""
         moves, middle = self.linear, 0.5 * (low + high)
-        centre = (middle @ moves.A.T + moves.offset)[:, None] + menu @ moves.B.T
+        centre = (middle @ moves.A.T + moves.offset)[:, None] + input_set @ moves.B.T
         gain = np.broadcast_to(moves.A, (len(low), 1, *moves.A.shape))
         return AffineBoxes(centre, gain, np.broadcast_to(moves.rounding, (len(low), 1, len(moves.rounding))))
 
@@ -275,18 +275,19 @@ class MapRelation(ReadsCoordinates):
 
     means: AffineMaps
     coordinates: FloatArray
-    menu: FloatArray
+    input_set: FloatArray
     parts: int = 1
     reach: tuple[int, ...] = ()
-    aims: ExactRelation | SymbolicTargets | None = None
+    mean_targets: ExactRelation | SymbolicTargets | None = None
 
     kind = "linear"
     delta = 0.0
 
     def __repr__(self) -> str:
-        d, m = len(self.coordinates), self.menu.shape[1]
-        aims = "" if self.aims is None else ", and targets"
-        return f"MapRelation({counted(d, 'state')}, {counted(m, 'input')}, {counted(len(self.menu), 'choice')}{aims})"
+        d, m = len(self.coordinates), self.input_set.shape[1]
+        targets = "" if self.mean_targets is None else ", and targets"
+        choices = counted(len(self.input_set), "choice")
+        return f"MapRelation({counted(d, 'state')}, {counted(m, 'input')}, {choices}{targets})"
 
     @property
     def network(self) -> Any:
@@ -296,12 +297,16 @@ class MapRelation(ReadsCoordinates):
     @property
     def matrices(self) -> tuple[Any, FloatArray] | None:
         """The exact relation of its targets, or None, and its inputs; None beside networks, and targets of others."""
-        aims = (None, None) if self.aims is None else self.aims.matrices
-        return None if self.network is not None or aims is None else (aims[0], np.asarray(self.menu, dtype=float))
+        mean_targets = (None, None) if self.mean_targets is None else self.mean_targets.matrices
+        return (
+            None
+            if self.network is not None or mean_targets is None
+            else (mean_targets[0], np.asarray(self.input_set, dtype=float))
+        )
 
     def mean_boxes(self, low: FloatArray, high: FloatArray) -> MeanBoxes:
         """Return boxes around the means of inputs from the closed cells ``[low, high]``, (n, d) each (outer bounds)."""
-        maps, half = self.means.around(low, high, self.menu), 0.5 * (high - low) * (1.0 + COMPUTED)
+        maps, half = self.means.around(low, high, self.input_set), 0.5 * (high - low) * (1.0 + COMPUTED)
         reach = np.einsum("nakj,nj->nak", np.abs(maps.gain), half) + maps.rest
         least, most = maps.centre - reach, maps.centre + reach
         return MeanBoxes(least, most, np.all(np.isfinite(least) & np.isfinite(most), axis=2))
@@ -311,15 +316,15 @@ class MapRelation(ReadsCoordinates):
         blocks = [block_of(n) for n in self.reach]
         numbers = {"parts": self.parts, "cuts": self.means.cuts, "reach": [*self.reach], "blocks": blocks}
         network = {} if self.network is None else {"network": self.network.description}
-        aims = {} if self.aims is None else {"aims": True}
-        return {"kind": "linear", "menu": self.menu.tolist(), **numbers, **network, **aims}
+        mean_targets = {} if self.mean_targets is None else {"aims": True}
+        return {"kind": "linear", "menu": self.input_set.tolist(), **numbers, **network, **mean_targets}
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
         """All numbers, for comparing relations."""
-        of_aims = () if self.aims is None else (np.ones(1), *self.aims.arrays)
+        of_aims = () if self.mean_targets is None else (np.ones(1), *self.mean_targets.arrays)
         numbers = np.array([self.parts, *self.reach])
-        return (*self.means.arrays, self.coordinates, self.menu, numbers, *of_aims)
+        return (*self.means.arrays, self.coordinates, self.input_set, numbers, *of_aims)
 
     def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
@@ -329,7 +334,7 @@ class MapRelation(ReadsCoordinates):
         """
         reading = reading_of(agent, self.coordinates)
         misread = missed_cells(reading, reading.read, edges)
-        return misread if self.aims is None else max(misread, self.aims.rounding_loss(agent, edges))
+        return misread if self.mean_targets is None else max(misread, self.mean_targets.rounding_loss(agent, edges))
 
 
 def block_of(reach: int) -> int:
@@ -340,7 +345,7 @@ def block_of(reach: int) -> int:
 def map_relation(
     agent: AnyAgent,
     coordinates: FloatArray,
-    menu: FloatArray,
+    input_set: FloatArray,
     numbers: tuple[int, int, Sequence[int]] | None = None,
     with_aims: bool = False,
 ) -> MapRelation:
@@ -363,7 +368,7 @@ def map_relation(
         If an input is outside its box, or targets are asked for and not all means can be reached.
     """
     box, d = agent.input_box, agent.n_states
-    if not len(menu) or not np.all((box.low <= menu) & (menu <= box.high)):
+    if not len(input_set) or not np.all((box.low <= input_set) & (input_set <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: the linear relation needs inputs inside their box")
     parts, cuts, reach = numbers or (1, 1, (0,) * d)
     means: AffineMaps
@@ -373,5 +378,5 @@ def map_relation(
         )
     else:
         means = AffineMeans(with_expressions(agent), coordinates, cuts)
-    aims = aimed_relation(agent, coordinates) if with_aims else None
-    return MapRelation(means, coordinates, menu, parts, tuple(int(n) for n in reach), aims)
+    mean_targets = aimed_relation(agent, coordinates) if with_aims else None
+    return MapRelation(means, coordinates, input_set, parts, tuple(int(n) for n in reach), mean_targets)

@@ -85,7 +85,7 @@ class LinearMeans(Unsteered):
     rounding: FloatArray
 
     def around(
-        self, low: FloatArray, high: FloatArray, menu: FloatArray, gains: FloatArray
+        self, low: FloatArray, high: FloatArray, input_set: FloatArray, gains: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each.
 
@@ -95,7 +95,7 @@ class LinearMeans(Unsteered):
         centre = 0.5 * (low + high)
         half = np.maximum(high - centre, centre - low) * (1.0 + INPUT_MARGIN)
         closed = np.abs(self.A + self.B @ gains)  # (A, d, d)
-        middle = (centre @ self.A.T + self.offset)[:, None] + (menu @ self.B.T)[None]
+        middle = (centre @ self.A.T + self.offset)[:, None] + (input_set @ self.B.T)[None]
         extent = np.einsum("aij,nj->nai", closed, half) + self.rounding
         return middle - extent, middle + extent
 
@@ -134,10 +134,10 @@ class NetworkMeans(Unsteered):
     parts: int
 
     def around(
-        self, low: FloatArray, high: FloatArray, menu: FloatArray, gains: FloatArray
+        self, low: FloatArray, high: FloatArray, input_set: FloatArray, gains: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each."""
-        first, last = self.linear.around(low, high, menu, gains)
+        first, last = self.linear.around(low, high, input_set, gains)
         moves, modes = (self.linear.A, self.linear.B, self.linear.offset), self.policy.n_modes
         ends = mean_bounds(self.policy, moves, self.coordinates, (low, high), self.parts)
         first[:, :modes], last[:, :modes] = ends[0] - self.linear.rounding, ends[1] + self.linear.rounding
@@ -181,7 +181,7 @@ class BoxRelation(ReadsCoordinates):
 
     means: LinearMeans | SymbolicMeans | CommonMeans | NetworkMeans | DrivenMeans
     coordinates: FloatArray
-    menu: FloatArray
+    input_set: FloatArray
     gains: FloatArray
     input_low: FloatArray
     input_high: FloatArray
@@ -192,9 +192,8 @@ class BoxRelation(ReadsCoordinates):
 
     def __repr__(self) -> str:
         d, m = len(self.coordinates), len(self.input_low)
-        return (
-            f"BoxRelation({counted(d, 'state')}, {counted(m, 'input')}, {counted(len(self.menu), 'choice')}, delta 0)"
-        )
+        choices = counted(len(self.input_set), "choice")
+        return f"BoxRelation({counted(d, 'state')}, {counted(m, 'input')}, {choices}, delta 0)"
 
     @property
     def network(self) -> Any:
@@ -206,7 +205,7 @@ class BoxRelation(ReadsCoordinates):
         common = {} if self.common is None else {"common": self.common.description}
         return {
             "kind": "boxes",
-            "menu": self.menu.tolist(),
+            "menu": self.input_set.tolist(),
             "gains": self.gains.tolist(),
             **self.means.description,
             **common,
@@ -215,14 +214,14 @@ class BoxRelation(ReadsCoordinates):
     @property
     def n_choices(self) -> int:
         """Number of choices A."""
-        return len(self.menu)
+        return len(self.input_set)
 
     def mean_boxes(self, low: FloatArray, high: FloatArray) -> MeanBoxes:
         """Return boxes around the means from the closed cells ``[low, high]``, (n, d) each (outer bounds).
 
         A choice is not admissible, either, where nothing is known of its mean.
         """
-        first, last = self.means.around(low, high, self.menu, self.gains)
+        first, last = self.means.around(low, high, self.input_set, self.gains)
         # Inputs: u_a is a number of the menu; what feedback adds to it is rounded.
         centre = 0.5 * (low + high)
         half = np.maximum(high - centre, centre - low) * (1.0 + INPUT_MARGIN)
@@ -230,7 +229,7 @@ class BoxRelation(ReadsCoordinates):
         moves = np.any(self.gains, axis=2)
         scale = np.maximum(np.abs(self.input_low), np.abs(self.input_high))
         need = need + moves * (INPUT_MARGIN * (scale + need))
-        inside = (self.input_low <= self.menu - need) & (self.menu + need <= self.input_high)
+        inside = (self.input_low <= self.input_set - need) & (self.input_set + need <= self.input_high)
         known = np.all(np.isfinite(first) & np.isfinite(last), axis=2)
         scales = self.scales(low, high)
         if scales is not None:
@@ -242,7 +241,7 @@ class BoxRelation(ReadsCoordinates):
 
         They are not numbers where nothing is known; None where the noise is the same everywhere.
         """
-        return self.means.scales(low, high, self.menu)
+        return self.means.scales(low, high, self.input_set)
 
     def inputs(self, choices: NDArray[np.intp], offsets: FloatArray) -> FloatArray:
         """Return the inputs ``u_a + K_a e`` (m, ...) of choices (...) at states e (d, ...) from centres of cells.
@@ -262,17 +261,17 @@ class BoxRelation(ReadsCoordinates):
 
         Inputs count first, as shares of their box, then whether there is feedback.
         """
-        if np.array_equal(self.menu, other.menu) and np.array_equal(self.gains, other.gains):
-            return np.arange(len(other.menu))
+        if np.array_equal(self.input_set, other.input_set) and np.array_equal(self.gains, other.gains):
+            return np.arange(len(other.input_set))
         width = np.where(self.input_high > self.input_low, self.input_high - self.input_low, 1.0)
-        apart = np.sum(((other.menu[:, None] - self.menu) / width) ** 2, axis=2)
+        apart = np.sum(((other.input_set[:, None] - self.input_set) / width) ** 2, axis=2)
         feeds = [np.any(relation.gains, axis=(1, 2)) for relation in (other, self)]
         return np.argmin(apart + AS_FAR_AS * (feeds[0][:, None] != feeds[1]), axis=1)
 
     @cached_property
     def _columns(self) -> FloatArray:
         """Inputs (m, A) of the choices, each component on its own."""
-        return np.ascontiguousarray(self.menu.T)
+        return np.ascontiguousarray(self.input_set.T)
 
     @cached_property
     def _gain_columns(self) -> FloatArray:
@@ -288,7 +287,15 @@ class BoxRelation(ReadsCoordinates):
     def arrays(self) -> tuple[FloatArray, ...]:
         """All matrices, for comparing relations."""
         common = () if self.common is None else self.common.arrays
-        return (*self.means.arrays, self.coordinates, self.menu, self.gains, self.input_low, self.input_high, *common)
+        return (
+            *self.means.arrays,
+            self.coordinates,
+            self.input_set,
+            self.gains,
+            self.input_low,
+            self.input_high,
+            *common,
+        )
 
     def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
@@ -303,7 +310,7 @@ class BoxRelation(ReadsCoordinates):
 def box_relation(
     agent: AnyAgent,
     coordinates: FloatArray,
-    menu: FloatArray,
+    input_set: FloatArray,
     gains: FloatArray | None = None,
     written: Mapping[str, Any] | None = None,
 ) -> BoxRelation:
@@ -327,10 +334,10 @@ def box_relation(
         If an input is outside its box, or there is not one gain for each input.
     """
     box, d, m = agent.input_box, agent.n_states, agent.n_inputs
-    gains = np.zeros((len(menu), m, d)) if gains is None else gains
-    if gains.shape != (len(menu), m, d):
+    gains = np.zeros((len(input_set), m, d)) if gains is None else gains
+    if gains.shape != (len(input_set), m, d):
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need one feedback for each input of their menu")
-    if not len(menu) or not np.all((box.low <= menu) & (menu <= box.high)):
+    if not len(input_set) or not np.all((box.low <= input_set) & (input_set <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
     means: LinearMeans | SymbolicMeans | CommonMeans | NetworkMeans
     if isinstance(agent, Agent):
@@ -338,25 +345,25 @@ def box_relation(
             raise RelationRefused(f"agent `{agent.name}`: mean boxes of expressions have no feedback inside a cell")
         written = {"parts": 1, **(written or {})}
         steer = written.get("steer")
-        steer = np.zeros(len(menu), dtype=bool) if steer is None else np.array(steer, dtype=bool)
+        steer = np.zeros(len(input_set), dtype=bool) if steer is None else np.array(steer, dtype=bool)
         if "common" in written:
             common = common_inputs(written["common"], agent)
-            means = common_means(agent, coordinates, menu, {**written, "steer": steer}, common)
-            return BoxRelation(means, coordinates, menu, gains, box.low, box.high, common)
+            means = common_means(agent, coordinates, input_set, {**written, "steer": steer}, common)
+            return BoxRelation(means, coordinates, input_set, gains, box.low, box.high, common)
         means = SymbolicMeans(agent, coordinates, int(written["parts"]), steer)
         if "network" in written:
             if np.any(steer):
                 raise RelationRefused(f"agent `{agent.name}`: choices beside a network cannot steer")
             driven = DrivenMeans(means, network_policy(written["network"], agent))
-            return BoxRelation(driven, coordinates, menu, gains, box.low, box.high)
-        if steer.shape != (len(menu),) or (np.any(steer) and not means.commands):
+            return BoxRelation(driven, coordinates, input_set, gains, box.low, box.high)
+        if steer.shape != (len(input_set),) or (np.any(steer) and not means.commands):
             raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")
     else:
         means = linear_means(linear_agent(agent, "boxes"), coordinates, gains)
         if written and "network" in written:
             policy = network_policy(written["network"], agent)
             means = NetworkMeans(means, policy, coordinates, int(written["parts"]))
-    return BoxRelation(means, coordinates, menu, gains, box.low, box.high)
+    return BoxRelation(means, coordinates, input_set, gains, box.low, box.high)
 
 
 def linear_means(agent: LinearAgent, coordinates: FloatArray, gains: FloatArray) -> LinearMeans:

@@ -73,10 +73,10 @@ class CommonMeans:
     kept: NDArray[np.bool_]
 
     def around(
-        self, low: FloatArray, high: FloatArray, menu: FloatArray, gains: FloatArray
+        self, low: FloatArray, high: FloatArray, input_set: FloatArray, gains: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each."""
-        parts = zip(self.pieces, np.split(menu, len(self.pieces)), np.split(gains, len(self.pieces)), strict=True)
+        parts = zip(self.pieces, np.split(input_set, len(self.pieces)), np.split(gains, len(self.pieces)), strict=True)
         ends = [piece.around(low, high, inputs, own_gains) for piece, inputs, own_gains in parts]
         first, last = (np.concatenate(side, axis=1) for side in zip(*ends, strict=True))
         return first, last
@@ -101,9 +101,9 @@ class CommonMeans:
             u = np.where(number == k, piece.steered(np.where(number == k, own, 0), points, centres, u, others), u)
         return u
 
-    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    def scales(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return ends (n, A, d) of what the noise is multiplied with, as ``SymbolicMeans.scales`` does."""
-        return self.pieces[0].scales(low, high, menu)  # scales name nothing of others
+        return self.pieces[0].scales(low, high, input_set)  # scales name nothing of others
 
     @property
     def agent(self) -> Agent:
@@ -157,7 +157,7 @@ def common_inputs(described: Mapping[str, Any], agent: Agent) -> CommonInputs:
 
 
 def common_means(
-    agent: Agent, coordinates: FloatArray, menu: FloatArray, written: Mapping[str, Any], common: CommonInputs
+    agent: Agent, coordinates: FloatArray, input_set: FloatArray, written: Mapping[str, Any], common: CommonInputs
 ) -> SymbolicMeans | CommonMeans:
     """Return boxes around the means of an agent that knows the numbers of ``common``, or owns them.
 
@@ -169,10 +169,10 @@ def common_means(
         If the menu does not hold the numbers of inputs that the agent owns, or these would steer.
     """
     count, steer = len(common.numbers), np.array(written["steer"], dtype=bool)
-    if len(menu) % count or steer.shape != (len(menu),):
+    if len(input_set) % count or steer.shape != (len(input_set),):
         raise RelationRefused(f"agent `{agent.name}`: its menu has not the same choices for each of the common numbers")
     for column, j in common.own(agent).items():
-        if not np.array_equal(menu[:, j], np.repeat(common.numbers[:, column], len(menu) // count)):
+        if not np.array_equal(input_set[:, j], np.repeat(common.numbers[:, column], len(input_set) // count)):
             raise RelationRefused(f"agent `{agent.name}`: its menu has other inputs than those chosen in common")
     if np.any(steer) and common.own(agent):
         raise RelationRefused(f"agent `{agent.name}`: choices with inputs that are chosen in common cannot steer")

@@ -56,7 +56,7 @@ class Unsteered:
         """The network whose modes are choices; None for all others."""
         return None
 
-    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    def scales(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return None: the noise is the same everywhere."""
         return None
 

@@ -1,9 +1,9 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
-``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
+``{"kind": "exact"}``, ``{"kind": "boxes", "input_set", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
 expressions, and ``"common"`` where inputs are chosen in common; with ``"parts"`` and ``"network"`` where networks move
-agents), ``{"kind": "linear", "menu", "parts", "cuts", "reach", "blocks"}``
-(with ``"aims"`` where targets are offered beside the menu, and ``"network"`` where networks move agents),
+agents), ``{"kind": "linear", "input_set", "parts", "cuts", "reach", "blocks"}``
+(with ``"mean_targets"`` where targets are offered beside the menu, and ``"network"`` where networks move agents),
 ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
 "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
 "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them
@@ -67,15 +67,15 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     """
     kind = description["kind"]
     if kind == "boxes":
-        menu, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
+        input_set, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
         written: dict[str, Any] = {
             name: description[name] for name in ("parts", "steer", "network", "common") if name in description
         }
-        return box_relation(agent, coordinates, menu, gains, written)
+        return box_relation(agent, coordinates, input_set, gains, written)
     if kind == "linear" and "network" not in description:
-        menu = np.array(description["menu"], dtype=float)
+        input_set = np.array(description["menu"], dtype=float)
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
-        return map_relation(agent, coordinates, menu, numbers, "aims" in description)
+        return map_relation(agent, coordinates, input_set, numbers, "aims" in description)
     if kind == "exact":
         return aimed_relation(agent, coordinates)
     if kind == "linear":

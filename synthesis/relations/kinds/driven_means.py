@@ -49,14 +49,14 @@ class DrivenMeans(Unsteered):
         return SymbolicMeans(agent, self.written.coordinates, self.written.parts)
 
     def around(
-        self, low: FloatArray, high: FloatArray, menu: FloatArray, gains: FloatArray
+        self, low: FloatArray, high: FloatArray, input_set: FloatArray, gains: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each."""
         modes = self.policy.n_modes
         first, last = self._of_modes(low, high)
-        if len(menu) == modes:
+        if len(input_set) == modes:
             return first, last
-        ends = self.written.of_menu(low, high, menu[modes:])
+        ends = self.written.of_menu(low, high, input_set[modes:])
         return np.concatenate([first, ends[0]], axis=1), np.concatenate([last, ends[1]], axis=1)
 
     def _of_modes(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -72,9 +72,9 @@ class DrivenMeans(Unsteered):
                 np.maximum(last[..., axis], above, out=last[..., axis])
         return self.written.widened(first, last)
 
-    def _clock(self, menu: FloatArray) -> FloatArray:
+    def _clock(self, input_set: FloatArray) -> FloatArray:
         """Return what is an input of an agent that is driven, under a menu (A, m): its clock, or one that is idle."""
-        return menu[:, -1:] if self.policy.has_clock else np.zeros((1, 1))
+        return input_set[:, -1:] if self.policy.has_clock else np.zeros((1, 1))
 
     def _variables(self, part: list[Interval]) -> list[Interval]:
         """Return all variables on parts of cells: axes, and what is unknown, the inputs (n, modes) among it."""
@@ -90,12 +90,12 @@ class DrivenMeans(Unsteered):
             variables[places[name]] = np.clip(least[..., j], *box), np.clip(most[..., j], *box)
         return variables
 
-    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    def scales(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return ends (n, A, d) of what the noise is multiplied with, whatever the inputs are."""
-        found = self.driven.scales(low, high, self._clock(menu))
+        found = self.driven.scales(low, high, self._clock(input_set))
         if found is None:
             return None
-        shape = (len(low), len(menu), self.written.agent.n_states)
+        shape = (len(low), len(input_set), self.written.agent.n_states)
         return np.broadcast_to(found[0], shape), np.broadcast_to(found[1], shape)
 
     @property

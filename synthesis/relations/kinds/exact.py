@@ -122,19 +122,19 @@ class ExactRelation(ReadsByRows):
         """Itself, and no inputs."""
         return self, np.zeros((0, 0))
 
-    def aims(self, targets: FloatArray) -> FloatArray:
+    def mean_targets(self, targets: FloatArray) -> FloatArray:
         """Return target means (d, ...) less the drift, as ``inputs`` takes them."""
         return np.asarray(targets - self.drift.reshape(-1, *[1] * (targets.ndim - 1)))
 
     def inputs(
-        self, aims: Sequence[FloatArray] | FloatArray, states: FloatArray, beside: FloatArray | None = None
+        self, mean_targets: Sequence[FloatArray] | FloatArray, states: FloatArray, beside: FloatArray | None = None
     ) -> FloatArray:
         """Return the inputs (m, ...) that put the mean of the next grid state on targets, from ``states`` (d, ...).
 
-        They are ``B^+ (aims - A x) + u_mid``; linear agents name nobody who is ``beside``.
+        They are ``B^+ (mean_targets - A x) + u_mid``; linear agents name nobody who is ``beside``.
         """
         dynamics, inverse, centres = self._rows
-        gaps = [aim - times(row, states) for aim, row in zip(aims, dynamics, strict=True)]
+        gaps = [mean_target - times(row, states) for mean_target, row in zip(mean_targets, dynamics, strict=True)]
         inputs = product(inverse, gaps)
         for component, centre in zip(inputs, centres, strict=True):
             component += centre

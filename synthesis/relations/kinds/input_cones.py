@@ -80,15 +80,15 @@ def _turned(angle: FloatArray | float) -> FloatArray:
 def input_cones_of(agent: Agent, turn: Turn) -> tuple[InputCone, ...]:
     """Return sectors that the two inputs of a turn reach; a box lies in their union if it lies in one of them."""
     low, high, middle, half = _ranges(agent, turn)
-    sectors = []
+    cones = []
     if high > 0.0:
-        sectors.append(InputCone(max(low, 0.0), high, middle, half))
+        cones.append(InputCone(max(low, 0.0), high, middle, half))
     if low < 0.0:
-        sectors.append(InputCone(max(-high, 0.0), -low, middle + np.pi, half))
+        cones.append(InputCone(max(-high, 0.0), -low, middle + np.pi, half))
     if low < 0.0 < high and 0.5 * np.pi <= half < np.inf:
         # Every direction or its opposite is among the angles.
-        sectors.append(InputCone(0.0, min(-low, high), middle, np.inf))
-    return tuple(sectors)
+        cones.append(InputCone(0.0, min(-low, high), middle, np.inf))
+    return tuple(cones)
 
 
 def polar_inputs(agent: Agent, turn: Turn, east: FloatArray, north: FloatArray) -> tuple[FloatArray, FloatArray]:

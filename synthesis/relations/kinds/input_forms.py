@@ -1,7 +1,7 @@
 """How inputs enter the means of agents with expressions: one by one, or as turns; and which of them to solve for.
 
 A *turn* is a pair of inputs that occur as `size*cos(angle)` and `size*sin(angle)` alone. Its two components are then
-numbers like inputs, which fill a disk, a ring, or sectors of these (``sectors``).
+numbers like inputs, which fill a disk, a ring, or sectors of these (``cones``).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The proof is in docs/theory/relations.md, "Exact targets of expressions".
 
 The mean is `a(x) + B(x) v`. The v are inputs, or pairs `r*cos(angle)`, `r*sin(angle)` of two inputs, which fill a disk
-or a ring, or sectors of these where the angle does not go all the way round (``sectors``). The controller solves
+or a ring, or sectors of these where the angle does not go all the way round (``cones``). The controller solves
 `a(x) + B(x) v = m` at the true state x, so the mean is the target m from everywhere in the cell. A target is admissible
 in a cell if the enclosures of v over the closed cell lie in the boxes, disks, rings and sectors. States of others that
 are communicated may stand in a and B: v then has to be admissible for all of them. Disturbances are not measured, so
@@ -359,16 +359,16 @@ class SymbolicTargets(ReadsCoordinates):
             places = [self.columns.index(name) if name in self.columns else None for name in turn.names]
             # A component that reaches no mean is held at 0.
             east, north = ((0.0, 0.0) if k is None else (low[..., k], high[..., k]) for k in places)
-            sectors = [sector.holds(east, north, spare) for sector in input_cones_of(agent, turn)]
-            inside &= np.logical_or.reduce(sectors)
+            cones = [cone.holds(east, north, spare) for cone in input_cones_of(agent, turn)]
+            inside &= np.logical_or.reduce(cones)
         return inside
 
-    def aims(self, targets: FloatArray) -> FloatArray:
+    def mean_targets(self, targets: FloatArray) -> FloatArray:
         """Return target means (d, ...) as ``inputs`` takes them: as a new array."""
         return np.array(targets, dtype=float)
 
     def inputs(
-        self, aims: Sequence[FloatArray] | FloatArray, states: FloatArray, beside: FloatArray | None = None
+        self, mean_targets: Sequence[FloatArray] | FloatArray, states: FloatArray, beside: FloatArray | None = None
     ) -> FloatArray:
         """Return the inputs (m, ...) that put the mean of the next state on targets, from ``states`` (d, ...).
 
@@ -382,7 +382,7 @@ class SymbolicTargets(ReadsCoordinates):
         """
         agent, shape = self.agent, np.shape(states[0])
         values = {name: np.atleast_1d(row) for name, row in zip(agent.states, states, strict=True)}
-        values |= {name: np.atleast_1d(row) for name, row in zip(self.targets, aims, strict=True)}
+        values |= {name: np.atleast_1d(row) for name, row in zip(self.targets, mean_targets, strict=True)}
         if beside is not None:
             values |= {neighbour(k): np.atleast_1d(row) for k, row in enumerate(beside)}
         elif agent.others:

@@ -58,9 +58,9 @@ class NetworkMaps:
         """The network."""
         return self.policy
 
-    def around(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> AffineBoxes:
+    def around(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> AffineBoxes:
         """Return the maps of the closed cells ``[low, high]``, (n, d) each, in all modes (outer bounds)."""
-        n, d, modes = *low.shape, len(menu)
+        n, d, modes = *low.shape, len(input_set)
         centre, gain = np.full((n, modes, d), np.nan), np.zeros((n, modes, d, d))
         rest = np.zeros((n, modes, d))
         for mode in range(modes):

@@ -57,7 +57,7 @@ class SymbolicMeans:
     steer: NDArray[np.bool_] | None = None
 
     def around(
-        self, low: FloatArray, high: FloatArray, menu: FloatArray, gains: FloatArray
+        self, low: FloatArray, high: FloatArray, input_set: FloatArray, gains: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each.
 
@@ -65,48 +65,48 @@ class SymbolicMeans:
         gains.
         """
         if self.steer is None or not np.any(self.steer):
-            return self.of_menu(low, high, menu)
-        shape = (len(low), len(menu), self.agent.n_states)
+            return self.of_menu(low, high, input_set)
+        shape = (len(low), len(input_set), self.agent.n_states)
         first, last = np.empty(shape), np.empty(shape)
-        first[:, ~self.steer], last[:, ~self.steer] = self.of_menu(low, high, menu[~self.steer])
-        first[:, self.steer], last[:, self.steer] = self._steered(low, high, menu[self.steer])
+        first[:, ~self.steer], last[:, ~self.steer] = self.of_menu(low, high, input_set[~self.steer])
+        first[:, self.steer], last[:, self.steer] = self._steered(low, high, input_set[self.steer])
         return first, last
 
-    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    def scales(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return ends (n, A, d) of what the noise is multiplied with in the closed cells, for every choice.
 
         They are not numbers where nothing is known; None where the noise is the same everywhere.
         """
         if self.agent.noise_scale is None:
             return None
-        shape = (len(low), len(menu), self.agent.n_states)
+        shape = (len(low), len(input_set), self.agent.n_states)
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
         for box in self.cut(low, high):
             # Choices that steer apply other inputs than the menu's; there are none where the scale depends on inputs.
-            ends = enclosed(self.agent.scale_trees, self._names(menu), self.variables(box))
+            ends = enclosed(self.agent.scale_trees, self._names(input_set), self.variables(box))
             for k, (below, above) in enumerate(ends):
                 first[..., k] = np.minimum(first[..., k], below)
                 last[..., k] = np.maximum(last[..., k], above)
         return first, last
 
-    def of_menu(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def of_menu(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the corners for choices that apply one input in the whole cell."""
-        shape = (len(low), len(menu), self.agent.n_states)
+        shape = (len(low), len(input_set), self.agent.n_states)
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
         for box in self.cut(low, high):
-            for axis, (below, above) in enumerate(self._enclosed(box, menu)):
+            for axis, (below, above) in enumerate(self._enclosed(box, input_set)):
                 # minimum and maximum keep what is not a number
                 np.minimum(first[..., axis], below, out=first[..., axis])
                 np.maximum(last[..., axis], above, out=last[..., axis])
         return self.widened(first, last)
 
-    def _steered(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _steered(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the corners for choices that steer."""
-        agent, shape = self.agent, (len(low), len(menu), self.agent.n_states)
+        agent, shape = self.agent, (len(low), len(input_set), self.agent.n_states)
         centre = 0.5 * (low + high)
         at = np.broadcast_to(centre.T[:, :, None], (shape[2], *shape[:2]))
-        targets = agent.mean(at, np.broadcast_to(menu.T[:, None], (menu.shape[1], *shape[:2])))
-        names = self._names(menu) | {c.target: Affine(targets[c.axis]) for c in self.commands}
+        targets = agent.mean(at, np.broadcast_to(input_set.T[:, None], (input_set.shape[1], *shape[:2])))
+        names = self._names(input_set) | {c.target: Affine(targets[c.axis]) for c in self.commands}
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
         trees = steered_trees(agent, self.commands)
         wanted = [tree for c in self.commands for tree in (c.tree, c.rest)]
@@ -141,14 +141,14 @@ class SymbolicMeans:
         for part in product(range(self.parts), repeat=low.shape[1]):
             yield [(cuts[k][:, axis, None], cuts[k + 1][:, axis, None]) for axis, k in enumerate(part)]
 
-    def _enclosed(self, box: list[Interval], menu: FloatArray) -> list[Interval]:
+    def _enclosed(self, box: list[Interval], input_set: FloatArray) -> list[Interval]:
         """Return intervals (n, A) around the mean along each axis, from boxes of n cells."""
         rows = None if self.is_plain else self._inverse
-        return enclosed(self.agent.trees, self._names(menu), self.variables(box), rows)
+        return enclosed(self.agent.trees, self._names(input_set), self.variables(box), rows)
 
-    def enclosing(self, variables: list[Interval], menu: FloatArray) -> list[Interval]:
+    def enclosing(self, variables: list[Interval], input_set: FloatArray) -> list[Interval]:
         """Return intervals around the mean along each axis, from intervals of all variables, under a menu (A, m)."""
-        names = self._names(menu)
+        names = self._names(input_set)
         return enclosed(self.agent.trees, names, variables, None if self.is_plain else self._inverse)
 
     def variables(self, box: list[Interval]) -> list[Interval]:
@@ -156,13 +156,13 @@ class SymbolicMeans:
         one = np.ones((1, 1))
         return [*box, *((low * one, high * one) for low, high in self.agent.unknowns.values())]
 
-    def _names(self, menu: FloatArray) -> dict[str, Affine]:
+    def _names(self, input_set: FloatArray) -> dict[str, Affine]:
         """Return what states, inputs and disturbances are in the variables."""
         one, names = np.ones((1, 1)), {}
         for state, row in zip(self.agent.states, self.coordinates, strict=True):
             slopes = {k: entry * one for k, entry in enumerate(row.tolist()) if entry != 0.0}
             names[state] = Affine(np.zeros((1, 1)), slopes)
-        for name, column in zip(self.agent.inputs, menu.T, strict=True):
+        for name, column in zip(self.agent.inputs, input_set.T, strict=True):
             names[name] = Affine(column[None])
         for k, name in enumerate(self.agent.unknowns, start=self.agent.n_states):
             names[name] = Affine(np.zeros((1, 1)), {k: one})

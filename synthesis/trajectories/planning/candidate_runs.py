@@ -105,13 +105,13 @@ def explored(
     From automaton states that are ``over`` nothing is gone on with. ``levels`` of inputs are ``LEVELS`` as a rule.
     """
     agent = model.agent
-    menu, hold = _menu(agent, levels or LEVELS), max(1, round(steps / DECISIONS))
-    k, d = menu.shape[1], agent.n_states
+    input_set, hold = _menu(agent, levels or LEVELS), max(1, round(steps / DECISIONS))
+    k, d = input_set.shape[1], agent.n_states
     most = max(1, MOST_STEPS // (steps * k))
     count = min(CELLS[d], max(2, int(most ** (1.0 / d))))
     low, size = agent.state_low[:, None], (agent.state_high - agent.state_low)[:, None] / count
     half = np.maximum(0.5 * (agent.input_high - agent.input_low), 1e-9)[:, None]
-    effort = EFFORT * np.sum(((menu - 0.5 * (agent.input_low + agent.input_high)[:, None]) / half) ** 2, axis=0)
+    effort = EFFORT * np.sum(((input_set - 0.5 * (agent.input_low + agent.input_high)[:, None]) / half) ** 2, axis=0)
     x, q, total = start[0][:, None], np.array([start[1]]), np.zeros(1)
     came: list[tuple[NDArray[np.int64], FloatArray]] = []
     for t in range(1, steps + 1):
@@ -123,7 +123,7 @@ def explored(
             kept = order[np.flatnonzero(np.diff(numbers[order], prepend=-1))]
             kept = kept[np.argsort(_ranks(q[kept], total[kept]), kind="stable")[:most]]
             parents = np.repeat(kept, k)
-            u, push = np.tile(menu, len(kept)), np.tile(effort, len(kept))
+            u, push = np.tile(input_set, len(kept)), np.tile(effort, len(kept))
         else:
             parents = np.arange(x.shape[1])
         with np.errstate(all="ignore"):

@@ -20,7 +20,9 @@ from .ball_memory import UNIT, Balls, Memory, Proof
 from .ball_spans import balls
 
 
-def aims(memory: Memory, agent: LinearAgent, part: AgentRecord, relation: ExactRelation, off: FloatArray) -> Proof:
+def mean_targets(
+    memory: Memory, agent: LinearAgent, part: AgentRecord, relation: ExactRelation, off: FloatArray
+) -> Proof:
     """Means ``A x + B (R (z - d - A_r x) + mid) + c`` miss z by no more than is said."""
     C = balls(part.coordinates)
     inverse = np.array(arb_mat(part.coordinates.tolist()).inv().tolist(), dtype=object)
@@ -65,17 +67,20 @@ def disturbance(
     memory: Memory, part: AgentRecord, relation: CoupledRelation, rounding: FloatArray, value: FloatArray
 ) -> Proof:
     """Half the widest cell, what means are snapped by where something is chosen, and rounding."""
-    assert part.menu is not None
+    assert part.input_set is not None
     low, high = map(balls, cell_boxes(part))
     moving = np.any(part.policy >= 0, axis=(0, 1))
     stays = ((low + high) / 2)[moving] @ balls(relation.A).T + balls(relation.drift)
-    moves, index = balls(relation.inputs) @ balls(relation.B).T, np.unravel_index(part.menu[moving], part.lattice_shape)
+    moves, index = (
+        balls(relation.inputs) @ balls(relation.B).T,
+        np.unravel_index(part.input_set[moving], part.lattice_shape),
+    )
     right = True
     for k, (axis, places) in enumerate(zip(part.lattice, index, strict=True)):
         room = arb(value[k]) - arb(rounding[k]) - max((high - low)[:, k]) / 2
         off = abs(balls(axis)[places] - stays[:, None, k] - moves[None, :, k])
         right &= bool(np.all(off <= room))
-    return part.menu.size, [] if right else ["what a coupled state is pushed by was not proved"]
+    return part.input_set.size, [] if right else ["what a coupled state is pushed by was not proved"]
 
 
 def tube(memory: Memory, relation: CoupledRelation, half: FloatArray, rows: FloatArray, value: FloatArray) -> Proof:
