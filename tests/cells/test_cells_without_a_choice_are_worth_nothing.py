@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from certigym.synthesis.extended_check.steps import reading_of
+from certigym.synthesis.extended_check.steps import step_backup_of
 from composing import certificate_of
 
 KINDS = [
@@ -29,7 +29,7 @@ def test_every_reading_gives_them_zero(kind: str) -> None:
     policy[:, :, idle] = -1
     part = replace(part, policy=policy)
     q = int(np.flatnonzero(~certificate.problem.automaton.absorbing)[0])
-    (values,) = reading_of(agent, part, {}, False).values(part, np.ones((1, part.n_places)), [(0, q)], {})
+    (values,) = step_backup_of(agent, part, {}, False).values(part, np.ones((1, part.n_places)), [(0, q)], {})
     by_cell = values.reshape(part.grid.n_cells, -1)
     assert np.all(by_cell[idle] == 0.0)
     # Elsewhere next to all of a factor that is 1 everywhere comes back: cells in the middle lead into the grid.

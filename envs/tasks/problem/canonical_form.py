@@ -25,7 +25,7 @@ INPUTS = ("input_low", "input_high")
 """Keys of arrays whose entries may name the time, too."""
 
 
-def spelled_out(table: Any, horizon: Any, others: Sequence[Any]) -> Any:
+def in_canonical_form(table: Any, horizon: Any, others: Sequence[Any]) -> Any:
     """Return the table of an agent with the arguments that it stands for; what is no table comes back as it is.
 
     Parameters

@@ -40,7 +40,7 @@ from ...systems.agents import Agent, AnyAgent, LinearAgent
 from ...systems.arguments import MOST_AGENTS, checked_count, shown
 from ..automata import Automaton, FormulaError, automaton_from_hoa, automaton_from_transitions
 from ..regions import SHAPES, Pair, Proposition
-from .canonical_form import spelled_out, starts_of_copies
+from .canonical_form import in_canonical_form, starts_of_copies
 from .default_horizon import default_horizon
 from .families import AnyProposition, about_pairs, checked_propositions, expand, keys_of, refuse_shape
 from .record import Problem
@@ -226,7 +226,7 @@ def _of_table(table: Any, horizon: Any, tables: Sequence[Any], most: int) -> Seq
     if isinstance(table, Mapping) and "copies" in table and isinstance(name := table.get("name"), str):
         # Copies are `drone_*` elsewhere, and may be so here.
         table = {**table, "name": name.removesuffix("_*")}
-    table = spelled_out(table, horizon, tables)
+    table = in_canonical_form(table, horizon, tables)
     required, besides = _keys(kind)
     _refuse_nested_agents(table)
     _check_keys(table, "", required, [*besides, "noise_std"])

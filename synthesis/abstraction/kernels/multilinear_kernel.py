@@ -155,7 +155,9 @@ class MultilinearKernel:
         index = np.rint(index).astype(np.int64)
         return np.ravel_multi_index(tuple(np.moveaxis(index, 2, 0)), self.shape).astype(np.int32)
 
-    def below(self, table: FloatArray, images: Images, inside: NDArray[np.bool_], rough: bool = False) -> FloatArray:
+    def backup_lower(
+        self, table: FloatArray, images: Images, inside: NDArray[np.bool_], rough: bool = False
+    ) -> FloatArray:
         """Return lower bounds (m, n, 2^d) at the corners of cells; about right, and no bounds, if ``rough``.
 
         Parameters

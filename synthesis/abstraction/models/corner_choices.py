@@ -71,7 +71,7 @@ class CornerChoices(ActionTable):
     relation: MapRelation
     per_cell: int
     maps: AffineBoxes
-    reading: MultilinearKernel
+    multilinear: MultilinearKernel
     memory: dict[str, object] = field(default_factory=dict, repr=False)
     n_times: int = 1
     handicap: float = HANDICAP
@@ -87,7 +87,9 @@ class CornerChoices(ActionTable):
 
     def kernel_on(self, agent: AnyAgent, grid: Grid) -> LatticeKernel:
         """Return the kernel from the lattice to other cells."""
-        return lattice_kernel_of(grid, self.lattice, grid_laws(agent, self.relation.coordinates), self.reading.reach)
+        return lattice_kernel_of(
+            grid, self.lattice, grid_laws(agent, self.relation.coordinates), self.multilinear.reach
+        )
 
     @cached_property
     def windows(self) -> TargetWindows | None:
@@ -127,13 +129,13 @@ class CornerChoices(ActionTable):
     @property
     def n_points(self) -> int:
         """Number of lattice points Z."""
-        return self.reading.n_points
+        return self.multilinear.n_points
 
     @cached_property
     def _admissible(self) -> NDArray[np.bool_]:
         """(S, A) whether the image of the cell is known and lies inside the lattice, what is left of it included."""
         maps, half = self.maps, self.grid.half_widths[:, None]
-        return self.reading.holds(maps.centre, maps.gain, maps.rest, half)
+        return self.multilinear.holds(maps.centre, maps.gain, maps.rest, half)
 
     def images(self, cells: NDArray[np.int64], choices: NDArray) -> Images:
         """Return where inputs (C,) take cells (C,)."""
@@ -157,7 +159,7 @@ class CornerChoices(ActionTable):
         Masses are pushed to them: a heuristic where means lie between lattice points.
         """
         cells, chosen = np.arange(self.grid.n_cells), np.clip(policy, 0, self.n_inputs - 1)
-        flat = self.reading.corners(self.images(cells, chosen)).astype(np.int64)
+        flat = self.multilinear.corners(self.images(cells, chosen)).astype(np.int64)
         known = (policy >= 0) & self._admissible[cells, chosen]
         flat = np.where(known[:, None], flat, -1)
         return to_places(
@@ -189,7 +191,7 @@ class CornerChoices(ActionTable):
         values[:, fixed] = table[:, choices[fixed] - self.n_inputs][..., None]
         moved, inputs = cells[~fixed], choices[~fixed]
         images = self.images(moved, inputs)
-        values[:, ~fixed] = self.reading.below(table, images, self._admissible[moved, inputs], rough)
+        values[:, ~fixed] = self.multilinear.backup_lower(table, images, self._admissible[moved, inputs], rough)
         return values
 
     def best(self, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:
@@ -261,7 +263,7 @@ class CornerChoices(ActionTable):
     def _score(self, weights: FloatArray, table: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
         """Return weighted values (C,) of choices with their losses; minus infinity where there is no choice."""
         score = np.full(len(cells), -np.inf)
-        for rows in in_chunks(np.flatnonzero(choices >= 0), len(table) * self.reading.numbers(rough=True)):
+        for rows in in_chunks(np.flatnonzero(choices >= 0), len(table) * self.multilinear.numbers(rough=True)):
             values = self.at(table, cells[rows], choices[rows], rough=True)
             score[rows] = np.einsum("nsc,nsc->s", weights[:, rows], values)
         return score
@@ -363,7 +365,7 @@ class CornerChoices(ActionTable):
     def _corner_table(self) -> list[NDArray[np.int32]]:
         """Lattice points (S, 2^d) nearest to the images of corners, for every input."""
         cells = np.arange(self.grid.n_cells)
-        return [self.reading.corners(self.images(cells, np.full(len(cells), a))) for a in range(self.n_inputs)]
+        return [self.multilinear.corners(self.images(cells, np.full(len(cells), a))) for a in range(self.n_inputs)]
 
     @cached_property
     def resting_choice(self) -> StepPolicy:
@@ -373,7 +375,7 @@ class CornerChoices(ActionTable):
         for a in range(self.n_inputs):
             away = (
                 self._input_centres(cells, np.full(len(cells), a)) - self.grid.centres
-            ) / self.reading.lattice_spacing
+            ) / self.multilinear.lattice_spacing
             distance = np.where(self._admissible[:, a], np.sum(away**2, axis=1), np.inf)
             closer = distance < nearest
             nearest, best = np.where(closer, distance, nearest), np.where(closer, a, best).astype(np.int32)

@@ -128,8 +128,8 @@ def lattice_model(
     relation = replace(relation, parts=int(np.clip(round(steps), 2, PARTS.get(d, 2))), reach=reach)
     kernel = lattice_kernel_of(grid, lattice, laws, reach)
     charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
-    reading = MultilinearKernel(lattice, reach, charged, kernel.ends is not None, parts=relation.parts)
-    return relation, lattice, kernel, CornerChoices(grid, lattice, relation, max(points), maps, reading)
+    multilinear = MultilinearKernel(lattice, reach, charged, kernel.ends is not None, parts=relation.parts)
+    return relation, lattice, kernel, CornerChoices(grid, lattice, relation, max(points), maps, multilinear)
 
 
 def _refuse_laws(agent: AnyAgent, laws: Sequence[Law]) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...certificates.proofs import OnGrid
 from ...certificates.value_functions import Merges, Terms
 from ...relations.grids import FloatArray
-from ..steps import masks_of, places_of, readings_of
+from ..steps import masks_of, places_of, step_backups_of
 from .forward_occupancy import mass_at_start
 
 KEPT = 1.0 - 1e-9
@@ -33,7 +33,7 @@ def regrow(certificate: OnGrid, each: Callable[[int, Terms], None] | None = None
     ``each(t, terms)`` is called with the value function at every time t = T - 1 .. 0 as it is grown.
     """
     accepting = certificate.problem.automaton.accepting
-    n_agents, readings = len(certificate.proof.agents), readings_of(certificate)
+    n_agents, backups = len(certificate.proof.agents), step_backups_of(certificate)
     masks = [masks_of(part, part.masks) for part in certificate.proof.agents]
     ones = [np.ones((1, places_of(part))) for part in certificate.proof.agents]
     factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
@@ -47,20 +47,20 @@ def regrow(certificate: OnGrid, each: Callable[[int, Terms], None] | None = None
             vertices = vertices_of(certificate, t, q, Terms(tuple(factors), tuple(index)), masks)
             # Agents with one kernel whose factors are equal are smoothed once, and those that are alike read once.
             backed_up, known = dict[object, FloatArray](), dict[object, FloatArray]()
-            for i, (part, reading, vertex) in enumerate(zip(certificate.proof.agents, readings, vertices, strict=True)):
+            for i, (part, backup, vertex) in enumerate(zip(certificate.proof.agents, backups, vertices, strict=True)):
                 distinct, where = _distinct(vertex, kept)
-                if reading.proves_given and t == 0 and certificate.proof.terms is not None:
+                if backup.proves_given and t == 0 and certificate.proof.terms is not None:
                     given = certificate.proof.terms.index[q][:, i]
                     if len(given) == len(kept):
                         distinct, where = vertex[kept], np.arange(len(kept))
-                        if not reading.proved(part, distinct, (t, q), certificate.proof.terms.factors[i][given]):
+                        if not backup.proved(part, distinct, (t, q), certificate.proof.terms.factors[i][given]):
                             raise BrokenTreeError(
                                 f"a stored factor of agent `{certificate.problem.agents[i].name}` is not proved to be "
                                 "a lower bound"
                             )
-                read = (id(reading), distinct.tobytes())
+                read = (id(backup), distinct.tobytes())
                 if read not in known:
-                    (known[read],) = reading.values(part, distinct, [(t, q)], backed_up)
+                    (known[read],) = backup.values(part, distinct, [(t, q)], backed_up)
                 rows[-1][:, i] = where + sum(len(s) for s in stacks[i])
                 stacks[i].append(known[read])
         factors, index = [np.concatenate(s) for s in stacks], rows

@@ -7,8 +7,8 @@ they say, or to acceptance; so it remains to count. The joint cells of a guard a
 successor are counted agent by agent through the decision diagram, and both numbers are whole.
 
 What the policies attain is then evaluated in the other direction than the value: as the mass that is accepted going
-forward in time (``forward_occupancy``). For tensor trains, which leave cells out, it is evaluated backward again, and all
-that they leave out counts as accepted (``train_check``).
+forward in time (``forward_occupancy``). For tensor trains, which leave cells out, it is evaluated backward again, and
+all that they leave out counts as accepted (``train_check``).
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@ One step of one agent, found again: where it goes, and what values are there.
 """
 
 from .carrying_out import wrong_actions
-from .checked_readings import Reading, reading_of, readings_of
 from .common_check import wrong_common
 from .execution import UNIT, execution_of
 from .geometry import box_image, cell_boxes, classes_in_boxes, is_identity, start_shares
@@ -13,6 +12,7 @@ from .map_enclosures import networked_maps
 from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales
 from .network_enclosures import driven_spans, network_maps, network_modes, network_spans
 from .relation_check import MOST_TERMS, label_margin, verify_relation, wrong_for_uneven_noise
+from .step_backups import StepBackup, step_backup_of, step_backups_of
 from .step_regions import RegionSpan
 
 __all__ = [
@@ -35,9 +35,9 @@ __all__ = [
     "network_spans",
     "networked_maps",
     "places_of",
-    "Reading",
-    "reading_of",
-    "readings_of",
+    "StepBackup",
+    "step_backup_of",
+    "step_backups_of",
     "RegionSpan",
     "start_shares",
     "UNIT",

@@ -1,6 +1,6 @@
-"""How the check reads factors of a step later: at points, over boxes, or at the corners of cells.
+"""One-step Bellman backups of the check: factors of a step later read at points, over boxes, or at corners of cells.
 
-A *reading* takes the factors of a value function, and the choices of the cells, to factors one step earlier that are
+A *backup* takes the factors of a value function, and the choices of the cells, to factors one step earlier that are
 below the truth at every state of each cell. There is one for each form in which motions are known: a mean that is the
 same for the whole cell (points), anywhere in a box (boxes), or an affine function of the state (corners).
 """
@@ -23,7 +23,7 @@ from .linear_check import linear_values
 from .symbolic_linear import SymbolicTables, symbolic_tables
 
 
-class Reading(Protocol):
+class StepBackup(Protocol):
     """How factors are read around the motions of one agent's choices.
 
     Attributes
@@ -111,22 +111,22 @@ class Corners:
         return bool(np.all(linear_values(part, self.tables, factors, *row, given)[1]))
 
 
-def readings_of(certificate: OnGrid) -> list[Reading]:
+def step_backups_of(certificate: OnGrid) -> list[StepBackup]:
     """Return the reading of every agent; agents that are alike, policies included, have the same one."""
     is_robust, tables = certificate.proof.bound == "robust tree", dict[tuple[bytes, ...], list[FloatArray]]()
-    known, found = dict[object, Reading](), list[Reading]()
+    known, found = dict[object, StepBackup](), list[StepBackup]()
     for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True):
         arrays = (*part.grid.edges, *part.lattice, part.coordinates, part.policy)
         key = (*part.sharing_key(agent), *((a.shape, a.dtype.str, a.tobytes()) for a in arrays))
         if key not in known:
-            known[key] = reading_of(agent, part, tables, is_robust)
+            known[key] = step_backup_of(agent, part, tables, is_robust)
         found.append(known[key])
     return found
 
 
-def reading_of(
+def step_backup_of(
     agent: AnyAgent, part: AgentRecord, tables: dict[tuple[bytes, ...], list[FloatArray]], is_robust: bool
-) -> Reading:
+) -> StepBackup:
     """Return the reading of one agent, whose policy says which motions are enclosed."""
     relation = part.relation_of(agent)
     if part.is_linear:
