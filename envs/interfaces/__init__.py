@@ -15,6 +15,7 @@ from .problem_env import ProblemEnv
 from .rendering import Picture, checked_render_mode, verdict_text
 from .scene import MOST_STRETCHED, Curve, Panel, Region, coordinate_name, have_one_scale, panels
 from .shaping import Potential
+from .specified import Specified
 from .task_roles import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
 from .tasks_env import TasksEnv
 from .team_env import TeamEnv, TeamStep
@@ -45,6 +46,7 @@ __all__ = [
     "Region",
     "SCALES",
     "SCOPES",
+    "Specified",
     "TasksEnv",
     "TeamEnv",
     "TeamState",

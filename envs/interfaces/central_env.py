@@ -33,9 +33,10 @@ from .observation import (
     shared,
 )
 from .sensors import READING, Sensors
+from .specified import Specified
 
 
-class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class CentralEnv(Specified, gymnasium.Env[np.ndarray, np.ndarray]):
     """Centralised environment of a problem; see the module docstring.
 
     Parameters

@@ -44,6 +44,7 @@ from .rendering import Picture, checked_render_mode, verdict_text
 from .scattering import checked_share, scattered
 from .sensors import READING, Sensors
 from .shaping import REWARDS, Potential
+from .specified import Specified
 
 CREDITS = ("team", "own")
 
@@ -53,7 +54,7 @@ MOST_WORLDS = 10_000_000
 Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]
 
 
-class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """A batch of worlds of one problem; see the module docstring.
 
     Parameters

@@ -9,15 +9,17 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from gymnasium.envs.registration import EnvSpec
 from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
-from ..interfaces import CentralEnv, DeviceTeamEnv, ProblemEnv, ProblemVectorEnv, TasksEnv, TeamEnv
+from ..interfaces import CentralEnv, DeviceTeamEnv, ProblemEnv, ProblemVectorEnv, Specified, TasksEnv, TeamEnv
 from ..systems.arguments import UnknownArgument
 from ..systems.backends import HOST
 from ..tasks.problem import Problem, load_problem
 from .catalogue import made_by, problem_of_id
-from .ids import MODULES
+from .certified import CERTIFIED
+from .ids import CENTRAL_ENTRY, MODULES, VECTOR_ENTRY, gymnasium_id
 
 SIGHT = ("scale", "automaton", "sensor_noise")
 """Arguments of all environments that say how states and the automaton state are seen."""
@@ -52,6 +54,9 @@ VECTOR_OPTIONS = (
 )
 """The same of `vector_env`."""
 
+LEARNER = {"scale": "unit", "dtype": "float32", "actions": "unit"}
+"""What `preset="learner"` stands for: states and inputs in [-1, 1], single precision; other arguments go before it."""
+
 TEAM_OPTIONS = ("device", "observation", "neighbours", *SIGHT, "actions", "reward", "discount", "spread", "disturbance")
 """The same of `team_env`."""
 
@@ -67,7 +72,8 @@ def parallel_env(
         A problem, the id of a suite problem, or the path of a problem file (`.toml`).
     render_mode : None, "ansi", "rgb_array" or "human"
     **arguments
-        Options of `ProblemEnv`; with an id also the arguments of `make_problem`.
+        Options of `ProblemEnv`; with an id also the arguments of `make_problem`. `preset="learner"` stands for
+        ``{'scale': 'unit', 'dtype': 'float32', 'actions': 'unit'}`` where nothing else is said.
 
     Examples
     --------
@@ -76,7 +82,7 @@ def parallel_env(
     >>> env.agents
     ['agent_0', 'agent_1']
     """
-    options = _taken(arguments, OPTIONS)
+    options = _options(arguments, OPTIONS)
     resolved = resolve(problem, arguments, OPTIONS)
     if resolved.groups:
         return TasksEnv(resolved, render_mode, **options)
@@ -97,7 +103,8 @@ def central_env(problem: Problem | str | Path, render_mode: str | None = None, *
         A problem, the id of a suite problem, or the path of a problem file (`.toml`).
     render_mode : None, "ansi", "rgb_array" or "human"
     **arguments
-        Options of `CentralEnv`; with an id also the arguments of `make_problem`.
+        Options of `CentralEnv`; with an id also the arguments of `make_problem`. `preset="learner"` stands for
+        ``{'scale': 'unit', 'dtype': 'float32', 'actions': 'unit'}`` where nothing else is said.
 
     Examples
     --------
@@ -106,8 +113,10 @@ def central_env(problem: Problem | str | Path, render_mode: str | None = None, *
     >>> observation.shape, env.action_space.shape
     ((6,), (2,))
     """
-    options = _taken(arguments, CENTRAL_OPTIONS)
-    return CentralEnv(resolve(problem, arguments, CENTRAL_OPTIONS), render_mode, **options)
+    given, options = dict(arguments), _options(arguments, CENTRAL_OPTIONS)
+    env = CentralEnv(resolve(problem, arguments, CENTRAL_OPTIONS), render_mode, **options)
+    _registered(env, problem, given)
+    return env
 
 
 def make(problem: Problem | str | Path, render_mode: str | None = None, **arguments: Any) -> CentralEnv:
@@ -128,7 +137,8 @@ def vector_env(
         Number of worlds M.
     render_mode : None or "rgb_array"
     **arguments
-        Options of `ProblemVectorEnv`; with an id also the arguments of `make_problem`.
+        Options of `ProblemVectorEnv`; with an id also the arguments of `make_problem`. `preset="learner"` stands for
+        ``{'scale': 'unit', 'dtype': 'float32', 'actions': 'unit'}`` where nothing else is said.
 
     Examples
     --------
@@ -137,8 +147,14 @@ def vector_env(
     >>> observations.shape
     (1000, 6)
     """
-    options = _taken(arguments, VECTOR_OPTIONS)
-    return ProblemVectorEnv(resolve(problem, arguments, VECTOR_OPTIONS), num_envs, render_mode, **options)
+    steps = arguments.pop("max_episode_steps", None)  # of a specification: `make_vec` hands it on
+    given, options = dict(arguments), _options(arguments, VECTOR_OPTIONS)
+    resolved = resolve(problem, arguments, VECTOR_OPTIONS)
+    if steps not in (None, resolved.horizon):
+        raise ValueError(f"`max_episode_steps`: expected the horizon, {resolved.horizon}; ask for another by `horizon`")
+    envs = ProblemVectorEnv(resolved, num_envs, render_mode, **options)
+    _registered(envs, problem, given)
+    return envs
 
 
 def team_env(problem: Problem | str | Path, num_envs: int = 1, **arguments: Any) -> TeamEnv | DeviceTeamEnv:
@@ -160,7 +176,7 @@ def team_env(problem: Problem | str | Path, num_envs: int = 1, **arguments: Any)
     >>> team.reset(seed=0).observations["agent_1"].shape
     (1000, 3)
     """
-    options = _taken(arguments, TEAM_OPTIONS)
+    options = _options(arguments, TEAM_OPTIONS)
     resolved = resolve(problem, arguments, TEAM_OPTIONS)
     if options.get("device", HOST) == HOST:
         options.pop("device", None)
@@ -182,7 +198,7 @@ def resolve(problem: Any, arguments: dict[str, Any], options: tuple[str, ...] = 
     """
     # A text is the path of a problem file if it ends like one, and an id otherwise.
     if isinstance(problem, str) and not problem.endswith(".toml"):
-        return problem_of_id(problem, arguments, (*options, "render_mode") if options else ())
+        return problem_of_id(problem, arguments, (*options, "preset", "render_mode") if options else ())
     if isinstance(problem, str | Path):
         problem = load_problem(problem)
     if not isinstance(problem, Problem):
@@ -220,6 +236,26 @@ def module_of(id: str) -> ModuleType:
     return module
 
 
-def _taken(arguments: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-    """Take the arguments with these names out of the dictionary."""
-    return {name: arguments.pop(name) for name in names if name in arguments}
+def _options(arguments: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    """Take the options with these names out of the arguments, with what a preset says of those that are not there."""
+    preset = arguments.pop("preset", None)
+    if preset not in (None, "learner"):
+        raise ValueError(f"`preset`: expected None or 'learner', got {preset!r}")
+    defaults = {name: value for name, value in LEARNER.items() if name in names} if preset else {}
+    return defaults | {name: arguments.pop(name) for name in names if name in arguments}
+
+
+def _registered(env: Specified, problem: Any, given: dict[str, Any]) -> None:
+    """Tell an environment of a suite id how it is registered, and what is certified of the id as it is."""
+    if not isinstance(problem, str) or problem.endswith(".toml"):
+        return
+    # A threshold is a probability where the reward is 1 for success, and that of the id where nothing was changed.
+    plain = given.keys() <= {*CENTRAL_OPTIONS, *VECTOR_OPTIONS, "preset"} - CHANGES
+    if plain and given.get("reward", "sparse") == "sparse":
+        env.reward_threshold = CERTIFIED[problem]
+    kwargs = {"problem": problem, **given}
+    env.spec = EnvSpec(gymnasium_id(problem), CENTRAL_ENTRY, kwargs=kwargs, vector_entry_point=VECTOR_ENTRY)
+
+
+CHANGES = frozenset(("disturbance", "sensor_noise", "spread", "discount"))
+"""Options with which success has another probability, or is not what the reward counts."""

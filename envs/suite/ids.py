@@ -9,6 +9,10 @@ from typing import Any, NamedTuple
 NAMESPACE = "certigym"
 """Prefix of all ids in the registries of PettingZoo and Gymnasium."""
 
+CENTRAL_ENTRY = "certigym.envs.suite.constructors:central_env"
+VECTOR_ENTRY = "certigym.envs.suite.constructors:vector_env"
+"""What Gymnasium calls to make an environment, or a batch of them: texts, so that nothing is loaded before."""
+
 ROOMS = {
     "single_agent": (
         "car-park-planar-v0",

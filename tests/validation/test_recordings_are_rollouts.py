@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.validation.policies.recording import _central_env
 from certigym.baselines import RandomController, Recording
 from certigym.cli.main import main
 from problems import linear
@@ -84,7 +85,8 @@ def test_a_dataset_of_minari_holds_the_same(tmp_path: Path, monkeypatch: pytest.
     minari: Any = pytest.importorskip("minari", reason="needs the extra `data`")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     found = recorded("reach-avoid-v0", 30)
-    dataset = found.to_minari("certigym/reach-avoid/random-v0")
+    about = {"author": "a", "author_email": "b", "code_permalink": "c"}  # Minari warns without
+    dataset = found.to_minari("certigym/reach-avoid/random-v0", **about)
     assert dataset.total_episodes == 30 and dataset.total_steps == found.lengths.sum()
     for k, episode in enumerate(minari.load_dataset("certigym/reach-avoid/random-v0").iterate_episodes()):
         n = int(found.lengths[k])
@@ -92,6 +94,18 @@ def test_a_dataset_of_minari_holds_the_same(tmp_path: Path, monkeypatch: pytest.
         assert np.array_equal(episode.observations, found.observations()[k, : n + 1])
         assert episode.rewards.sum() == found.satisfied[k]
         assert episode.terminations[-1] != episode.truncations[-1]
+    recovered = minari.load_dataset("certigym/reach-avoid/random-v0").recover_environment()
+    assert recovered.unwrapped.problem.fingerprint == found.problem.fingerprint
+    assert recovered.action_space == dataset.action_space
+    assert recovered.observation_space == dataset.observation_space
+
+
+def test_recordings_know_the_id_they_are_about() -> None:
+    for changes in ({}, {"horizon": 5}):
+        env = _central_env(cg.make_problem("reach-avoid-v0", **changes))
+        assert env.spec is not None
+        assert env.spec.kwargs == {"problem": "reach-avoid-v0", "actions": "input", **changes}
+    assert _central_env(cg.make_problem("reach-avoid-v0", initial_state=[0.1, 0.2])).spec is None
 
 
 def test_exits_are_seen_where_they_happen() -> None:

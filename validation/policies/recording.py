@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...envs.interfaces import CentralEnv
 from ...envs.simulation import Dynamics, Worlds, joint
 from ...envs.simulation import batch_simulator as core
-from ...envs.suite import as_problem
+from ...envs.suite import as_problem, central_env, problem_ids
 from ...envs.systems.arguments import counted, tree_text, write_bytes
 from ...envs.tasks.problem import Problem
 from ..statistical_tests import CHUNK, BatchPolicy, Loop, chunks_of, frames
@@ -105,13 +105,18 @@ class Recording:
         one_hot = self.automaton_states[..., None] == np.arange(problem.automaton.n_states)
         return np.concatenate([self.states, one_hot, left], axis=2)
 
-    def to_minari(self, name: str) -> MinariDataset:
+    def to_minari(self, name: str, **about: Any) -> MinariDataset:
         """Write a Minari dataset of the centralised environment with inputs as actions; return it.
+
+        That of a suite problem recovers its environment (``dataset.recover_environment()``, after ``import certigym``);
+        that of another one holds its spaces.
 
         Parameters
         ----------
         name : str
             Such as "certigym/meeting/certified-v0"; Minari keeps datasets in the folder MINARI_DATASETS_PATH.
+        **about
+            What else Minari is told: `author`, `author_email`, `code_permalink`, which it misses with a warning, ...
 
         Raises
         ------
@@ -123,7 +128,7 @@ class Recording:
             from minari.data_collector import EpisodeBuffer
         except ImportError as error:
             raise ValueError('datasets of Minari need it: install "certigym[data]"') from error
-        env, seen, buffers = CentralEnv(self.problem, actions="input"), self.observations(), []
+        env, seen, buffers = _central_env(self.problem), self.observations(), []
         for k, length in enumerate(self.lengths.tolist()):
             # The reward is 1 at the end of a satisfied episode; the horizon is a truncation, as in the environment.
             marks = np.zeros((3, length), dtype=float)
@@ -143,11 +148,24 @@ class Recording:
         return minari.create_dataset_from_buffers(
             name,
             buffers,
+            env=env.spec,
+            eval_env=env.spec,
             observation_space=env.observation_space,
             action_space=env.action_space,
             algorithm_name=self.information,
             description=facts,
+            **about,
         )
+
+
+def _central_env(problem: Problem) -> CentralEnv:
+    """Return the centralised environment of a problem, by its id where it is that of the suite at some horizon."""
+    if problem.name in problem_ids():
+        for changes in ({}, {"horizon": problem.horizon}):
+            env = central_env(problem.name, actions="input", **changes)
+            if env.problem.fingerprint == problem.fingerprint:
+                return env
+    return CentralEnv(problem, actions="input")
 
 
 def record(problem: Any, policy: Any, episodes: int = 1000, seed: int = 0, chunk: int = CHUNK) -> Recording:

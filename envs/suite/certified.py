@@ -1,0 +1,55 @@
+"""Bounds that are certified of the suite by default: what is known that a policy can reach.
+
+Certified lower bounds on the probability that some controllers satisfy the task, rounded down to nine digits: those of
+docs/defaults.json. Written by `python docs/rate_problems.py`; not by hand.
+"""
+
+from __future__ import annotations
+
+CERTIFIED: dict[str, float] = {
+    "building-automation-v0": 0.405017649,
+    "car-park-planar-v0": 0.999448233,
+    "car-park-rough-v0": 0.787936645,
+    "car-park-v0": 0.90598577,
+    "car-slalom-v0": 0.999999999,
+    "corridor-v0": 0.996285457,
+    "courier-v0": 0.998571377,
+    "cyclic-delivery-v0": 0.99989337,
+    "decoupled-chain-14-v0": 0.001423957,
+    "decoupled-chain-v0": 0.392063776,
+    "door-formation-v0": 0.99999032,
+    "dubins-team-v0": 0.987499744,
+    "fleet-6-v0": 0.999999999,
+    "fleet-v0": 0.999999995,
+    "integrator-chain-v0": 0.993477478,
+    "invariance-20-v0": 0.999999999,
+    "invariance-4-v0": 0.999999999,
+    "invariance-b-100-v0": 0.999051757,
+    "invariance-b-20-v0": 0.999810279,
+    "invariance-b-50-v0": 0.999525766,
+    "invariance-v0": 0.999999999,
+    "meeting-v0": 0.996984482,
+    "needle-v0": 0.999315485,
+    "package-delivery-eased-v0": 0.999624272,
+    "package-delivery-kinematic-v0": 0.999980239,
+    "package-delivery-single-v0": 0.996684931,
+    "package-delivery-v0": 0.05051398,
+    "patrol-recharge-v0": 0.985516941,
+    "patrol-robot-v0": 0.999999825,
+    "platoon-distance-v0": 0.999963562,
+    "platoon-v0": 0.999999872,
+    "quadrotor-v0": 0.999999975,
+    "reach-avoid-20-rough-v0": 0.80954171,
+    "reach-avoid-20-v0": 0.973104882,
+    "reach-avoid-kinematic-v0": 0.997937745,
+    "reach-avoid-n-v0": 0.994498088,
+    "reach-avoid-planar-v0": 0.938581146,
+    "reach-avoid-v0": 0.999984918,
+    "rendezvous-3-v0": 0.999998624,
+    "rendezvous-v0": 0.999995404,
+    "room-network-v0": 0.999999999,
+    "swarm-8-v0": 0.999983243,
+    "swarm-v0": 0.999994873,
+    "van-der-pol-v0": 0.749748443,
+    "windy-delivery-v0": 0.999929668,
+}
