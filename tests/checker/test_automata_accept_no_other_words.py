@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from certificate_files import one_crane, two_carts, two_tanks
-from certigym.synthesis.checker import read_problem
+from certigym.synthesis.checker import automaton_states, read_problem
 from certigym.synthesis.checker.automaton import CO_SAFE, FINITE_TRACE, Automaton, followed, wrong_word
 from certigym.synthesis.checker.crossings import SOMETIME, check_words
 from certigym.synthesis.checker.fields import Refused
@@ -498,6 +498,24 @@ def test_what_is_known_of_a_letter_follows_from_the_regions() -> None:
         for t, wanted in enumerate(known, start=1):
             found = known_at(problem, letters, t)
             assert {p: found[p] for p in wanted} == wanted and (t == 2 or found == wanted), (limits, t)
+
+
+def test_networks_see_no_state_that_a_window_leaves_open() -> None:
+    """Between the first and the last time of a window nobody knows yet whether its region was met."""
+    table = {"initial": 0, "accepting": [False, False, True], "root": [0, 1, -3], "variable": [0, 1], "low": [-1, -2],
+             "high": [-2, -3]}  # fmt: skip
+    problem = with_regions(table, CO_SAFE, 5, [[0.5, None], [0.7, None]])  # first a, and then b
+    letters, faces = np.zeros((6, 2), dtype=np.int64), np.zeros((6, 2), dtype=np.int64)
+    letters[5, 1] = 1
+    for value in (1, SOMETIME):
+        letters[2:4, 0], letters[2:5, 1] = value, -1
+        check_words(problem, letters, faces)
+        letters[1, 0] = -1
+        if value == 1:
+            assert automaton_states(problem, letters) == [0, 0, 1, 1, 1, -1]
+            continue
+        with pytest.raises(Refused, match="not known at time 2"):
+            automaton_states(problem, letters)
 
 
 def test_more_windows_at_a_time_than_are_followed_are_refused() -> None:
