@@ -4,15 +4,14 @@ The transitions of a state are a binary decision diagram over the propositions. 
 proposition ``variable[e]`` and go on at ``low[e]`` or ``high[e]``; entries e < 0 are states ``-1 - e``. A node tests a
 smaller proposition than its children, so that every letter leads from every state to one state.
 
-**Theorem** (``wrong_word``). Let every run satisfy what is known of its letters at times 0 .. S. If every word that
-agrees with it has entered an accepting state by then (co-safe), or is in one at the horizon (finite-trace), then every
-run satisfies the task. *Proof.* The set of states that such words can reach is followed letter by letter; a co-safe
-automaton that accepts once has satisfied the task, whatever comes after. QED
+**Theorem** (``followed``). If all words that agree with what is known of their letters so far lead into one of some
+states, then with one letter more into one of those that are returned. *Proof.* A node is left on both sides unless its
+proposition is known. A co-safe automaton that accepts once has satisfied the task, whatever comes after. QED
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 CO_SAFE, FINITE_TRACE = "co-safe", "finite-trace"
@@ -89,21 +88,3 @@ def followed(automaton: Automaton, states: Iterable[int], known: Known) -> set[i
         done = automaton.is_co_safe and automaton.accepting[q]
         reached |= {q} if done else automaton.targets(q, known)
     return reached
-
-
-def wrong_word(automaton: Automaton, horizon: int, letters: Sequence[Known]) -> str:
-    """Return why not all words are accepted that agree with what is known at times 0 .. S; else an empty text.
-
-    Words have T + 1 letters, T the horizon.
-    """
-    if len(letters) > horizon + 1:
-        return "the trajectory goes on after the horizon"
-    # A co-safe task may be satisfied before any letter is read.
-    states = {automaton.initial}
-    for known in letters:
-        states = followed(automaton, states, known)
-    if not automaton.is_co_safe and len(letters) != horizon + 1:
-        return "the trajectory ends before the horizon, where the task is judged"
-    if all(automaton.accepting[q] for q in states):
-        return ""
-    return "a word that agrees with the letters of the trajectory is not accepted"

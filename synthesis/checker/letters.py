@@ -42,15 +42,15 @@ class Demand:
     avoided: tuple[float, float] | None = None
 
 
-def known_at(problem: Problem, letters: Whole, t: int) -> dict[int, bool]:
-    """Return what is known of the letter of a time t >= 1, by number of the proposition."""
+def known_at(problem: Problem, letter: Whole, t: int) -> dict[int, bool]:
+    """Return what is known of a letter (P,) of a time t >= 1, by number of the proposition."""
     # what holds at some time of a window is not known to hold at this one
-    known = {p: value == 1 for p, value in enumerate(letters[t].tolist()) if value in (-1, 1)}
+    known = {p: value == 1 for p, value in enumerate(letter.tolist()) if value in (-1, 1)}
     for p, region in enumerate(problem.regions):
         if p in known:
             continue
         # Regions of the same agent that hold, and have no point in common with this one.
-        hold = [o for o, value in zip(problem.regions, letters[t]) if value == 1 and o.agent == region.agent]
+        hold = [o for o, value in zip(problem.regions, letter) if value == 1 and o.agent == region.agent]
         apart = any(np.any((region.high[t] <= o.low[t]) | (o.high[t] <= region.low[t])) for o in hold)
         if np.any(region.low[t] >= region.high[t]) or apart:
             known[p] = False

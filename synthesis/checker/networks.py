@@ -92,7 +92,7 @@ def automaton_states(problem: Problem, letters: Whole) -> list[int]:
     states = followed(automaton, {automaton.initial}, known_at_start(problem))
     for t in range(len(letters)):
         if t:
-            states = followed(automaton, states, known_at(problem, letters, t))
+            states = followed(automaton, states, known_at(problem, letters[t], t))
         if automaton.is_co_safe:  # nothing is asked of runs that are accepted
             states = {q for q in states if not automaton.accepting[q]}
         if len(states) > 1:

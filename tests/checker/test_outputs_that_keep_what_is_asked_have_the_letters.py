@@ -150,7 +150,7 @@ def test_regions_of_other_agents_say_nothing_of_one() -> None:
     problem = problem_of([agent("a", ["x"]), agent("b", ["x"])], regions)
     letters = np.zeros((T + 1, 3), np.int64)
     letters[1, 0] = 1
-    assert known_at(problem, letters, 1) == {0: True, 2: False}
+    assert known_at(problem, letters[1], 1) == {0: True, 2: False}
 
 
 def test_a_window_that_is_crossed_is_met_at_some_time() -> None:
