@@ -26,12 +26,12 @@ from .angles import angle_outputs
 from .automaton import Known, followed
 from .fields import Refused
 from .letters import Demand, known_at, known_at_start
-from .problem import Problem, Region
+from .problem import Problem, Proposition
 from .rigorous import Whole
 
 SOMETIME = 2  # letter of a proposition that is to hold at some time of a window
 Met = frozenset[int]
-Window = tuple[Region, int, bool, bool, bool]
+Window = tuple[Proposition, int, bool, bool, bool]
 
 MOST_OPEN = 4  # most windows that are open at one time: each doubles the words that are followed
 
@@ -48,7 +48,7 @@ def _in_windows(problem: Problem, letters: Whole, faces: Whole, t: int) -> Itera
     for p, region in enumerate(problem.regions):
         if letters[t, p] == SOMETIME:
             k, from_above = divmod(int(faces[t, p]), 2)
-            if not 0 <= k < region.low.shape[1] or k in angle_outputs(problem.agents[region.agent]):
+            if not 0 <= k < region.low.shape[1] or k in angle_outputs(problem.agents[region.agents[0]]):
                 raise Refused(f"`{region.name}` at time {t} is crossed from no side, or along an angle")
             ends = not _one_window(letters, faces, t - 1, p), not _one_window(letters, faces, t, p)
             yield region, k, bool(from_above), *ends
@@ -61,7 +61,7 @@ def crossed(problem: Problem, letters: Whole, faces: Whole, t: int) -> list[Dema
         keeps_low, keeps_high = (first, last) if from_above else (last, first)
         for j, (low, high) in enumerate(zip(region.low[t].tolist(), region.high[t].tolist(), strict=True)):
             ends = low if j != k or keeps_low else -np.inf, high if j != k or keeps_high else np.inf
-            asked.append(Demand(((region.agent, j, 1.0),), *ends, f"`{region.name}` crossed at time {t}"))
+            asked.append(Demand(((region.agents[0], j, 1.0),), *ends, f"`{region.name}` crossed at time {t}"))
     return asked
 
 
@@ -74,7 +74,7 @@ def jumps(problem: Problem, letters: Whole, faces: Whole, t: int) -> list[Demand
             most = float(np.nextafter(region.high[t, k] - region.low[t - 1, k], -np.inf))
             least = float(np.nextafter(region.low[t, k] - region.high[t - 1, k], np.inf))
             ends = (least, np.inf) if from_above else (-np.inf, most)
-            asked.append(Demand(((region.agent, k, 1.0),), *ends, f"no jump over `{region.name}` at time {t}"))
+            asked.append(Demand(((region.agents[0], k, 1.0),), *ends, f"no jump over `{region.name}` at time {t}"))
     return asked
 
 

@@ -27,7 +27,7 @@ from .expressions import names_in, plain_sum
 from .fields import Refused
 from .intervals import down, interval, up
 from .jets import on_boxes, value_on
-from .problem import Agent, Problem, Region
+from .problem import Agent, Problem
 from .rigorous import Array, Truth, U, Whole
 
 Labels = NDArray[
@@ -125,22 +125,20 @@ def cell_labels(problem: Problem, i: int, edges: Sequence[Array]) -> tuple[list[
     """Return the propositions of agent i and their labels (S, .) in its cells; ``Refused`` where regions move."""
     low, high = cell_boxes(edges)
     last = high == np.array([axis[-1] for axis in edges])  # cells that hold their upper face
-    mine = [p for p, region in enumerate(problem.regions) if region.agent == i]
-    labels, outputs = np.zeros((len(low), len(mine)), dtype=np.int8), outputs_on(problem.agents[i], low, high, last)
+    mine = [p for p, region in enumerate(problem.regions) if region.agents == (i,)]
+    labels, (least, most, reached) = (
+        np.zeros((len(low), len(mine)), np.int8),
+        outputs_on(problem.agents[i], low, high, last),
+    )
     for column, p in enumerate(mine):
         region = problem.regions[p]
         if np.any(region.low != region.low[0]) or np.any(region.high != region.high[0]):
             raise Refused(f"`{region.name}` moves with the time, and cells know no time")
-        labels[:, column] = labels_at_start(region, *outputs)
+        a, b = region.low[0][:, None], region.high[0][:, None]
+        holds = (a <= least) & np.where(reached, most < b, most <= b)
+        never = np.where(reached, most < a, most <= a) | (b <= least) | (a >= b)
+        labels[:, column] = np.where(never.any(axis=0), -1, np.where(holds.all(axis=0), 1, 0))
     return mine, labels
-
-
-def labels_at_start(region: Region, least: Array, most: Array, reached: Truth) -> Labels:
-    """Return the labels (S,) of a region at time 0, for ends (p, S) of outputs, and whether upper ones are reached."""
-    low, high = region.low[0][:, None], region.high[0][:, None]
-    holds = (low <= least) & np.where(reached, most < high, most <= high)
-    never = np.where(reached, most < low, most <= low) | (high <= least) | (low >= high)
-    return np.where(never.any(axis=0), -1, np.where(holds.all(axis=0), 1, 0)).astype(np.int8)
 
 
 def outputs_on(agent: Agent, low: Array, high: Array, last: Truth) -> tuple[Array, Array, Truth]:

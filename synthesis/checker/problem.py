@@ -64,22 +64,15 @@ class Agent:
 
 
 @dataclass(frozen=True, eq=False)
-class Region:
-    """A proposition about one agent: corners (T + 1, p), infinite where there is no limit."""
+class Proposition:
+    """About outputs of one agent (a *region*), or their differences from as many of another one (a *pair*).
+
+    Corners (T + 1, p) are infinite where there is no limit; or there are radii (T + 1,).
+    """
 
     name: str
-    agent: int
-    low: Array
-    high: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Pair:
-    """A proposition about the difference of outputs of two agents: corners (T + 1, p), or radii (T + 1,)."""
-
-    name: str
-    agents: tuple[int, int]
-    outputs: tuple[tuple[int, ...], tuple[int, ...]]
+    agents: tuple[int, ...]
+    outputs: tuple[tuple[int, ...], ...]
     low: Array
     high: Array
     radius: Array | None
@@ -91,8 +84,8 @@ class Problem:
 
     horizon: int
     agents: tuple[Agent, ...]
-    regions: tuple[Region, ...]
-    pairs: tuple[Pair, ...]
+    regions: tuple[Proposition, ...]
+    pairs: tuple[Proposition, ...]
     automaton: Automaton
     formula: Formula | None
     """None where the automaton itself is the task."""
@@ -267,17 +260,18 @@ def _dynamics(
 # Propositions and the task.
 
 
-def _region(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Region:
+def _region(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Proposition:
     own = entry.table(("name", "agent", "low", "high"))
     agent = own["agent"].whole(0, len(agents))
-    return Region(own["name"].name(), agent, *_corners(own, horizon, len(agents[agent].outputs)))
+    outputs = tuple(range(len(agents[agent].outputs)))
+    return Proposition(own["name"].name(), (agent,), (outputs,), *_corners(own, horizon, len(outputs)), None)
 
 
 def _corners(own: dict[str, Entry], horizon: int, count: int) -> tuple[Array, Array]:
     return own["low"].over_time(horizon, count, -np.inf), own["high"].over_time(horizon, count, np.inf)
 
 
-def _pair(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Pair:
+def _pair(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Proposition:
     own = entry.table(("name", "agents", "outputs"), ("low", "high", "radius"))
     first, second = own["agents"].wholes(0, len(agents), 2)
     if first == second:
@@ -292,11 +286,11 @@ def _pair(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Pair:
         raise entry.wrong("expected either `radius`, or `low` and `high`")
     name, pair = own["name"].name(), (first, second)
     if "radius" not in own:
-        return Pair(name, pair, outputs, *_corners(own, horizon, count), None)
+        return Proposition(name, pair, outputs, *_corners(own, horizon, count), None)
     # A radius for all times, or one for each.
     radius, unlimited = own["radius"], np.full((horizon + 1, count), np.inf)
     radii = radius.vector(horizon + 1) if isinstance(radius.value, list) else np.full(horizon + 1, radius.number())
-    return Pair(name, pair, outputs, -unlimited, unlimited, radii)
+    return Proposition(name, pair, outputs, -unlimited, unlimited, radii)
 
 
 def _automaton(task: dict[str, Entry], names: tuple[str, ...]) -> Automaton:
