@@ -91,6 +91,14 @@ def shuffled(plain: Layers, rng: np.random.Generator) -> Layers:
     return replace(plain, weights=tuple(weights), biases=tuple(biases))
 
 
+@pytest.mark.parametrize("activation", ["tanh", "relu", "clip"])
+def test_nothing_is_known_of_a_neuron_that_may_get_anything(activation: str) -> None:
+    nan, limits = np.full((2, 1), np.nan), np.array([[-1.0], [1.0]])
+    with np.errstate(all="ignore"):
+        for z, ends in ((np.zeros(1), nan), (np.full(1, np.nan), limits), (np.full(1, np.nan), nan)):
+            assert np.all(np.isnan(networks._line(activation, z, ends, *limits)[2]))
+
+
 @pytest.mark.parametrize("d", [1, 2, 3, 4, 7, 12, 25])
 def test_tails_of_lengths_are_those_of_the_chi_square_distribution(d: int) -> None:
     for radius in (0.3, 1.0, 3.0, 6.0, 9.0):
@@ -215,7 +223,7 @@ def test_files_hold_networks_and_forgeries_are_refused(tmp_path: Any) -> None:
 
 SABOTAGE: dict[str, tuple[Any, str, Any]] = {
     "radius of a dimension less": (steps.Ellipsoid, "of", None),
-    "what rounds and bends is dropped": (networks._Forms, "rest", None),
+    "what rounds and bends is dropped": (networks.Layer, "rest", None),
     "the automaton state of another step": (steps, "automaton_states", None),
 }
 
