@@ -147,13 +147,8 @@ def value_at_start(team: Team, tree: Tree) -> float:
         read = [(cells.start[own] @ factors.T)[term] for cells, own, factors, term in each]
         total += float(np.prod(read, axis=0).sum())
     # all numbers are at least 0: sums and products of so many are off by less than this share of themselves
-    count = (
-        size
-        + len(tree.unions)
-        + sum(cells.kernel.places for cells in team.agents)
-        + 8 * team.horizon * len(team.agents)
-        + 64
-    )
+    places = sum(cells.kernel.places for cells in team.agents)
+    count = size + len(tree.unions) + places + 8 * team.horizon * len(team.agents) + 64
     return min(1.0, max(0.0, total * (1.0 - 4.0 * U * count)))
 
 
@@ -171,9 +166,8 @@ def _one_step_earlier(team: Team, tree: Tree, later: _Values, t: int) -> _Values
         _check_unions(unions, kept, len(vertices), len(team.agents))
         terms.append(np.zeros((len(kept), len(team.agents)), dtype=np.int64))
         for i, cells in enumerate(team.agents):
-            vertex = (
-                spread(cells.sets[team.guards.sets[vertices[:, 0], i]], cells.kernel) * later.factors[i][below[:, i]]
-            )
+            cut = spread(cells.sets[team.guards.sets[vertices[:, 0], i]], cells.kernel)
+            vertex = cut * later.factors[i][below[:, i]]
             _unite(vertex, unions, i, KEPT if cells.kernel.inputs else 1.0)
             backed, where = memory.backup(cells.kernel, vertex[kept], cells.policy_at(t, q))
             terms[-1][:, i] = where + sum(len(own) for own in stacks[i])
@@ -185,7 +179,6 @@ class _Memory:
     """What was computed at one time: agents that are alike, and states whose factors are equal, share it."""
 
     def __init__(self) -> None:
-        self.values: dict[tuple[int, bytes], tuple[Array, float]] = {}
         self.backups: dict[tuple[int, bytes, bytes], Array] = {}
 
     def backup(self, kernel: Kernel, factors: Array, policy: Whole) -> tuple[Array, Whole]:
@@ -196,12 +189,8 @@ class _Memory:
         where = np.array([number[key] for key in keys], dtype=np.int64)
         whole = id(kernel), b"".join(number), policy.tobytes()
         if whole not in self.backups:
-            new = [keys.index(key) for key in number if (id(kernel), key) not in self.values]
-            for k, value in zip(new, kernel.values(factors[new]) if new else [], strict=True):
-                self.values[id(kernel), keys[k]] = value, float(factors[k].max())
-            found = [self.values[id(kernel), key] for key in number]
-            values = np.stack([value for value, _ in found]) if found else kernel.values(factors)
-            self.backups[whole] = kernel.backup(values, np.array([largest for _, largest in found]), policy)
+            distinct = factors[[keys.index(key) for key in number]]
+            self.backups[whole] = kernel.backup(kernel.values(distinct), distinct.max(axis=1, initial=0.0), policy)
         return self.backups[whole], where
 
 

@@ -118,9 +118,9 @@ def kernel_of(
     tables = [normal_table(z, e, float(s), corners) for z, e, s in zip(lattice, edges, deviations, strict=True)]
     with np.errstate(all="ignore"):
         maps = maps_of_inputs(own, [own], edges, inputs, numbers)
-    shape, lack = tuple(len(e) - 1 for e in edges), float(sum(lack for _, lack in tables))
-    arrays = tuple(edges), tuple(lattice), np.array(deviations), tuple(table for table, _ in tables)
-    return Kernel(shape, *arrays, lack, len(inputs), maps, np.zeros(len(edges)), corners, int(rng.integers(1, 4)))
+    grid = tuple(edges), tuple(lattice), corners, int(rng.integers(1, 4))
+    made, lack = tuple(table for table, _ in tables), float(sum(lack for _, lack in tables))
+    return Kernel(*grid, np.array(deviations), made, lack, len(inputs), maps, np.zeros(len(edges)))
 
 
 def axis_means(mean: np.ndarray, edges: np.ndarray, s: float, corners: bool) -> np.ndarray:
@@ -306,7 +306,7 @@ def test_cells_of_a_few_units_in_the_last_place_are_below_the_truth() -> None:
     for corners in (False, True):
         table, lack = normal_table(points, np.array([-2.0 * s, 0.0, s, 2.0 * s]), s, corners)
         maps = maps_of_inputs(own, [own], edges, np.zeros((1, 1)), np.arange(3))
-        kernel = Kernel((3,), tuple(edges), (points,), np.array([s]), (table,), lack, 1, maps, np.zeros(1), corners, 2)
+        kernel = Kernel(tuple(edges), (points,), corners, 2, np.array([s]), (table,), lack, 1, maps, np.zeros(1))
         for chosen in range(3):
             factor = np.zeros((1, 6 if corners else 3))
             factor[0, chosen * (2 if corners else 1)] = 1.0
@@ -374,7 +374,7 @@ def test_maps_refuse_inputs_outside_their_box_and_means_that_know_the_time() -> 
     maps = maps_of_inputs(root, [root], edges, np.zeros((1, 1)), np.array([0]))
     table, lack = normal_table(np.linspace(-2, 2, 41), edges[0], 0.5, False)
     lattice = (np.linspace(-2, 2, 41),)
-    kernel = Kernel((1,), tuple(edges), lattice, np.array([0.5]), (table,), lack, 1, maps, np.zeros(1), False, 2)
+    kernel = Kernel(tuple(edges), lattice, False, 2, np.array([0.5]), (table,), lack, 1, maps, np.zeros(1))
     with np.errstate(all="ignore"):
         assert kernel.backup(kernel.values(np.ones((1, 1))), np.ones(1), np.zeros(1, dtype=int))[0, 0] == 0.0
 
