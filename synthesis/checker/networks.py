@@ -213,18 +213,19 @@ def _line(activation: str, z: Array, ends: Array, low: Array, high: Array) -> tu
         safe = np.where(beyond := r[1] >= 1.0 - 1e-15, 0.5, r)
         at = 0.5 * log(mul(add(one, safe), recip(add(one, neg(safe)))))
         at = np.where(beyond, np.array([[18.0], [1e3]]), at)
-        kinks, off = [(at, r), (neg(at), neg(r))], TANH_OFF
+        kinks, off = [(at, r, [1]), (neg(at), neg(r), [0])], TANH_OFF  # the largest rest on the right
     else:
         # inside of both kinks a neuron is what it gets
         slope = np.where((first >= low) & (last <= high), 1.0, chord).clip(0.0, 1.0)
         ends_of = [np.where(np.isfinite(end), end, z) for end in (low, high)]
-        kinks, off = [(interval(end), f(end)) for end in ends_of], 0.0
-    q = np.zeros((2, len(z)))
-    for at, there in ((interval(first), a), (interval(last), b), *kinks):
+        kinks, off = [(interval(end), f(end), [0, 1]) for end in ends_of], 0.0
+    q = np.array([np.inf, -np.inf])[:, None] + 0.0 * z
+    for at, there, sides in ((interval(first), a, [0, 1]), (interval(last), b, [0, 1]), *kinks):
         # what a point between the ends leaves of the line; points of which nothing is known count
         left = add(add(there, neg(interval(value))), neg(mul(interval(slope), add(at, neg(interval(z))))))
         apart = (at[0] > last) | (at[1] < first)
-        q = np.where(apart, q, np.stack([np.minimum(q[0], left[0]), np.maximum(q[1], left[1])]))
+        for k in sides:
+            q[k] = np.where(apart, q[k], (np.minimum, np.maximum)[k](q[k], left[k]))
     return slope, value, q + np.array([[-off], [off]])
 
 
@@ -255,22 +256,21 @@ class Ellipsoid:
     @property
     def widths(self) -> Array:
         """Upper bounds (d,) on |g|."""
-        # g = root W g + (1 - root W) g: where the root misses little, the largest g is little more than root W g
-        (length, missed), d = self._bounds(np.eye(len(self.root))), len(self.root)
-        if not np.max(missed.sum(axis=1)) <= 1e-3:
+        # g = root h + (1 - root W) g: what the root misses is small, and g is at most twice root h
+        d = len(self.root)
+        off = np.abs(np.eye(d) - self.root @ self.white) + (d + 4.0) * U * np.abs(self.root) @ np.abs(self.white)
+        plain = self.radius * np.sqrt(np.sum(self.root**2, axis=1)) * (1.0 + (d + 8.0) * U)
+        if not np.max(off.sum(axis=1)) <= 1e-3:
             return np.full(d, np.inf)
-        return self.reach(np.eye(d), np.full(d, 1.01 * self.radius * length.max()))
+        return np.asarray(up(plain + 1.01 * off @ np.full(d, plain.max()) * (1.0 + 4.0 * d * U)))
 
     def reach(self, rows: Array, most: Array) -> Array:
         """Return upper bounds (n,) on ``|c g|`` for rows (n, d), where ``|g| <= most`` (d,)."""
-        length, missed = self._bounds(rows)
-        return np.asarray(up(self.radius * length) + (missed @ most) * (1.0 + (len(most) + 4.0) * U) + 1e-290)
-
-    def _bounds(self, rows: Array) -> tuple[Array, Array]:
-        """Return upper bounds on |a| (n,), and on what ``a W`` misses of rows (n, d)."""
-        a, d = rows @ self.root, len(self.root)
-        missed = np.abs(rows - a @ self.white) + (d + 4.0) * U * (np.abs(rows) + np.abs(a) @ np.abs(self.white))
-        return np.sqrt(np.sum(a * a, axis=1)) * (1.0 + (d + 8.0) * U), missed
+        a = rows @ self.root
+        size, d = np.abs(a), len(most)
+        missed = np.abs(rows - a @ self.white) + (d + 4.0) * U * (np.abs(rows) + size @ np.abs(self.white))
+        length = np.sqrt(np.sum(a * a, axis=1)) * (1.0 + (d + 8.0) * U)
+        return np.asarray(up(self.radius * length) + (missed @ most) * (1.0 + (d + 4.0) * U) + 1e-290)
 
 
 def chi_tail(radius: float, d: int, largest: float) -> float:
