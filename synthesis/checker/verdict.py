@@ -19,7 +19,7 @@ from .fields import Entry, Refused
 from .file import MOST_BYTES, Contents, read_file
 from .formula import wrong_automaton
 from .problem import read_problem
-from .selftest import wrong_arithmetic
+from .rigorous import wrong_arithmetic
 
 KINDS: dict[str, tuple[tuple[str, ...], Callable[..., Any], Callable[..., tuple[float, str]]]] = {
     "trajectory": (("trajectories", "letters", "constraints"), trajectories.read_proof, trajectories.failure_of),
