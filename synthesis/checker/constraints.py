@@ -22,7 +22,7 @@ component are multiplied.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -65,10 +65,10 @@ class Constraints:
         self.sources: list[Truth] = []
         self.labels: list[str] = []
 
-    def add(self, low: Array, high: Array, width: Array, forms: Forms, labels: Sequence[str]) -> None:
+    def add(self, low: Any, high: Any, width: Any, forms: Forms, labels: Sequence[str]) -> None:
         """Ask for ``-low <= g <= high`` and ``|g| <= width`` (J,); what is nan is not kept at all."""
-        low, high, width = (np.where(np.isnan(end), -np.inf, end) for end in (low, high, width))
-        self.rows.append(np.stack([low, high, width, forms.variance, forms.largest]))
+        limits = (np.where(np.isnan(end), -np.inf, end) for end in (low, high, width))
+        self.rows.append(np.stack(np.broadcast_arrays(*limits, forms.variance, forms.largest)))
         self.sources.append(forms.sources)
         self.labels += labels
 

@@ -69,14 +69,13 @@ class Entry(NamedTuple):
         """Return the entries of a table with any keys."""
         if not isinstance(self.value, dict):
             raise self.expected("a table")
-        return {key: Entry(value, f"{self.place}.{key}", self.arrays, self.used) for key, value in self.value.items()}
+        return {key: self._replace(value=value, place=f"{self.place}.{key}") for key, value in self.value.items()}
 
     def entries(self, count: int | None = None) -> list[Entry]:
         """Return the entries of a list, of ``count`` entries if that is given."""
         if not isinstance(self.value, list) or (count is not None and len(self.value) != count):
             raise self.expected("a list" if count is None else f"a list of {count} entries")
-        place, arrays, used = self.place, self.arrays, self.used
-        return [Entry(value, f"{place}[{k}]", arrays, used) for k, value in enumerate(self.value)]
+        return [self._replace(value=value, place=f"{self.place}[{k}]") for k, value in enumerate(self.value)]
 
     def text(self) -> str:
         """Return a text."""

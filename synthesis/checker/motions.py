@@ -30,9 +30,8 @@ from .jets import on_boxes, value_on
 from .problem import Agent, Problem
 from .rigorous import Array, Truth, U, Whole
 
-Labels = NDArray[
-    np.int8
-]  # by cell and proposition of the agent: 1 holds in all of the cell, -1 nowhere in it, 0 not known
+# By cell and proposition of the agent: 1 holds in all of the cell, -1 nowhere in it, 0 not known.
+Labels = NDArray[np.int8]
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,8 +66,7 @@ def sized(agent: Agent, factor: Array, width: Array, leaves: Leaves, constraints
     sources[:, : own.shape[1]] = own != 0.0
     # Strips are constraints on the noise of this step, and rest on nothing else.
     if labels := [f"noise of `{agent.states[k]}` of `{agent.name}` at time {t}" for k in np.flatnonzero(strip)]:
-        nothing = np.full(len(labels), np.inf)
-        constraints.add(nothing, nothing, width[strip], Forms(variance, variance, sources).at(strip), labels)
+        constraints.add(np.inf, np.inf, width[strip], Forms(variance, variance, sources).at(strip), labels)
     return scaled, add(np.stack([-more, more]), mul(ends, mean_of(agent)))
 
 

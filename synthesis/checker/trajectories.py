@@ -169,8 +169,7 @@ def _ask_jumps(joint: Joint, before: Tube, tube: Tube, asked: Sequence[Demand]) 
     (old, was), (new, now) = (linear_forms(joint, own, asked) for own in (before, tube))
     drift, forms = joint.errors.rows(new, -old)
     value, (low, high) = add(add(now, neg(was)), drift), np.array([(jump.low, jump.high) for jump in asked]).T
-    nothing = np.full(len(asked), np.inf)
-    joint.constraints.add(down(value[0] - low), down(high - value[1]), nothing, forms, [one.label for one in asked])
+    joint.constraints.add(down(value[0] - low), down(high - value[1]), np.inf, forms, [one.label for one in asked])
 
 
 def linear_forms(joint: Joint, tube: Tube, asked: Sequence[Demand]) -> tuple[Array, Array]:
