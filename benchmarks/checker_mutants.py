@@ -2,7 +2,7 @@
 
 ``python benchmarks/checker_mutants.py [--only WORD] [--missing] [--survivors]`` writes ``docs/checker_mutations.json``
 and the table in ``docs/checker_mutations.md``. In each copy the tests of ``tests/checker`` that are about the sabotaged
-file are run first, up to the first failure; then all others, the slow ones last.
+file are run first, up to the first failure; then all others, the thorough ones last.
 """
 
 from __future__ import annotations
@@ -742,10 +742,10 @@ def stages(mutant: Mutant) -> Iterator[tuple[str, list[str]]]:
     files = [p for p in sorted(TESTS.glob("test_*.py")) if not any(word in p.stem for word in NOT_OF_A_COPY)]
     about = [str(p) for p in files if p.stem.removeprefix("test_").startswith(FIRST[mutant.file])]
     others = [str(p) for p in files if str(p) not in about]
-    yield "not slow", about
-    yield "not slow", others
-    yield "slow", about
-    yield "slow", others
+    yield "not thorough", about
+    yield "not thorough", others
+    yield "thorough", about
+    yield "thorough", others
 
 
 def noticed_by(mutant: Mutant, most: int) -> str:
@@ -757,7 +757,7 @@ def noticed_by(mutant: Mutant, most: int) -> str:
             copy_with(mutant, Path(name))
             command = [
                 sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--noconftest", "-o",
-                f"pythonpath={TESTS}", "--tb=no", "-m", marked, *files,
+                f"pythonpath={TESTS} {TESTS.parent}", "--tb=no", "-m", marked, *files,
             ]  # fmt: skip
             where = {**os.environ, "PYTHONPATH": name, "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
             where["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
@@ -781,7 +781,7 @@ def main() -> None:
     parser.add_argument("--survivors", action="store_true", help="only those that nothing noticed the last time")
     parser.add_argument("--missing", action="store_true", help="only those that were not run")
     parser.add_argument(
-        "--stages", type=int, default=4, help="1: tests about the file, 2: all that are not slow, 4: all"
+        "--stages", type=int, default=4, help="1: tests about the file, 2: all that are not thorough, 4: all"
     )
     options = parser.parse_args()
     known = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else []
