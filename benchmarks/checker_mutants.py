@@ -77,10 +77,10 @@ MUTANTS = [
         ("r = np.sqrt(np.where(a[0] >= 0, a, np.nan))", "r = np.sqrt(np.maximum(a, 0.0))"),
         ("(np.where(a[0] > 0, a, np.nan))\n\n\nLARGEST", "(np.maximum(a, 1e-300))\n\n\nLARGEST"),
         ("for _ in range(int(p) // 2):", "for _ in range((int(p) - 1) // 2):"),
-        ("low = np.where(bottom | far, -1.0, np.maximum(low, -1.0))", "low = np.maximum(low, -1.0)"),
+        ("np.where(bottom, -1.0, np.maximum(low, -1.0))", "np.maximum(low, -1.0)"),
         ("for place in (0.25, 0.75)", "for place in (0.75, 0.25)"),
         ("turns = a / (2 * np.pi) + 0.25 * quarters", "turns = a / (2 * np.pi)"),
-        ("np.where(top | far, 1.0,", "np.where(top, 1.0,"),
+        ("np.where(top, 1.0, np.minimum(high, 1.0))", "np.minimum(high, 1.0)"),
         ("np.where(between & known(a), np.stack([low[0], high[1]]), np.nan)", "np.stack([low[0], high[1]])"),
     ),
     *_in(
@@ -421,13 +421,14 @@ MUTANTS = [
             "own.mean + 0.0 * column, own.mean + 0.0 * column",
         ),
         ("mul(ends, mean_of(agent))", "mean_of(agent)"),
+        ("STOPPED if stopped else envelope.tail", "envelope.tail"),
+        ("np.any(wide & (column != 0.0))", "np.all(wide & (column != 0.0))"),
     ),
     *_in(
         "problem",
         ("agent.noise * np.array([envelope.deviation for", "agent.noise * np.array([envelope.deviation**2 for"),
         ("factor[here, shared:] = agent.shared_noise", "pass"),
         ("factor[here, own] = agent.noise", "factor[here, sources[0]] = agent.noise"),
-        ("[STOPPED if depends and tail == NORMAL else tail for tail in own]", "own"),
         ("if not TURN - 1e-13 <= high - low <= TURN or abs(low) > 7.0:", "if False:"),
         ("if first == second:", "if False:"),
         (

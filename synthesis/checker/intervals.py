@@ -144,9 +144,8 @@ def sine(a: Array, quarters: int = 0) -> Array:
     low, high = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
     turns = a / (2 * np.pi) + 0.25 * quarters
     top, bottom = (np.floor(turns[1] - place + NEAR_TOP) >= turns[0] - place - NEAR_TOP for place in (0.25, 0.75))
-    far = np.abs(a).max(axis=0) >= LARGEST_ANGLE
-    low = np.where(bottom | far, -1.0, np.maximum(low, -1.0))
-    high = np.where(top | far, 1.0, np.minimum(high, 1.0))
+    # ends beyond the largest angle that is reduced have all values between -1 and 1 already
+    low, high = np.where(bottom, -1.0, np.maximum(low, -1.0)), np.where(top, 1.0, np.minimum(high, 1.0))
     return np.where(known(a), np.stack([low, high]), np.nan)
 
 

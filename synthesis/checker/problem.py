@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 
 from .automaton import Automaton
-from .distributions import NORMAL, STOPPED, Envelope, read_distribution
-from .expressions import Tree, affine, names_in, read_expression
+from .distributions import NORMAL, Envelope, read_distribution
+from .expressions import Tree, affine, read_expression
 from .fields import Entry, box, distinct
 from .formula import Formula, parse
-from .rigorous import Array, Whole
+from .rigorous import Array
 
 Trees = tuple[Tree, ...]
 
@@ -113,17 +113,6 @@ class Problem:
             factor[here, own] = agent.noise * np.array([envelope.deviation for envelope in agent.envelopes])
             factor[here, shared:] = agent.shared_noise
         return factor
-
-    @property
-    def kinds(self) -> Whole:
-        """What is known of the tails of each source (W,) of noise."""
-        tails = []
-        for agent in self.agents:
-            # a scale that names the time only is a number at each step
-            depends = names_in(agent.scale) & {*agent.states, *agent.inputs, *agent.disturbances}
-            own = [envelope.tail for envelope in agent.envelopes]
-            tails += [STOPPED if depends and tail == NORMAL else tail for tail in own]
-        return np.array([*tails, *[NORMAL] * self.agents[0].shared_noise.shape[1]], dtype=np.int64)
 
 
 def _one_after_the_other(counts: list[int]) -> list[slice]:

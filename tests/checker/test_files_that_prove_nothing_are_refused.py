@@ -19,7 +19,7 @@ from certigym.synthesis.checker import Unreadable, check_contents, parse_file, r
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED, read_distribution
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.intervals import mul
-from certigym.synthesis.checker.noise_sizes import mean_of
+from certigym.synthesis.checker.noise_sizes import kinds_of, mean_of
 from certigym.synthesis.checker.verdict import Verdict
 
 Change = Callable[[dict[str, Any], list[np.ndarray]], None]
@@ -237,19 +237,26 @@ def test_sizes_of_noise_that_states_share_and_that_turn_are_refused() -> None:
     assert "turn further" in verdict_of(one_crane, with_agent(0, noise_scale=["1", "a"])).reason
 
 
+def kinds_in(header: dict[str, Any]) -> list[int]:
+    """What is known of the tails of all sources where no strip is asked for."""
+    problem = read_problem(header)
+    found: list[int] = kinds_of(problem, [np.full((1, len(agent.states)), np.inf) for agent in problem.agents]).tolist()
+    return found
+
+
 def test_sources_have_the_kind_of_their_law_and_of_what_multiplies_it() -> None:
     """Normal noise whose size names a state, an input or a disturbance is read at a random time; the time is none."""
     sizes = {"1 + 0.1*t": NORMAL, "2": NORMAL, "1 + 0.1*x": STOPPED, "1 + 0.1*u": STOPPED, "1 + v": STOPPED}
     for size, kind in sizes.items():
         header, _ = two_carts()
         agent(header).update(noise_scale=[size], disturbances={"v": [-0.1, 0.1]})
-        assert read_problem(header).kinds.tolist() == [kind, NORMAL, NORMAL]
+        assert kinds_in(header) == [kind, NORMAL, NORMAL]
         for law, tail in (
             ({"law": "uniform", "low": -1.0, "high": 1.0}, LIGHT),
             ({"law": "laplace", "scale": 1.0}, LONG),
         ):
             agent(header).update(distributions=[law])
-            assert read_problem(header).kinds.tolist() == [tail, NORMAL, NORMAL]
+            assert kinds_in(header) == [tail, NORMAL, NORMAL]
 
 
 def test_factors_of_noise_have_deviations_and_shared_sources_stand_last() -> None:
