@@ -45,7 +45,7 @@ MUTANTS = [
         ("for n in range(16, 0, -1):", "for n in range(9, 0, -1):"),
         ("r = r - k * HALF_PI[2]", "r = r + k * HALF_PI[2]"),
         ("for n in range(11, 0, -1):", "for n in range(6, 0, -1):"),
-        ("(k + turned) % 4", "k % 4"),
+        ("(k + quarters) % 4", "k % 4"),
         ("np.where(rising(low)[1] <= x, low, np.nan)", "low"),
         ("guess - radius, guess + radius", "guess, guess + radius"),
         ("beyond = np.where(np.isnan(x), np.nan, 1.0)", "beyond = 0.5"),

@@ -139,8 +139,7 @@ NEAR_TOP = 1e-12
 
 def sine(a: Array, quarters: int = 0) -> Array:
     """Return sin(x + quarters pi/2): between the values at its ends, and at tops and bottoms between them."""
-    function = rigorous.cos if quarters else rigorous.sin
-    ends = np.stack([np.stack(function(end)) for end in a])  # (end of a, low and high, ..)
+    ends = np.stack([np.stack(rigorous.sin(end, quarters)) for end in a])  # (end of a, low and high, ..)
     low, high = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
     turns = a / (2 * np.pi) + 0.25 * quarters
     top, bottom = (np.floor(turns[1] - place + NEAR_TOP) >= turns[0] - place - NEAR_TOP for place in (0.25, 0.75))

@@ -125,10 +125,8 @@ def cell_labels(problem: Problem, i: int, edges: Sequence[Array]) -> tuple[list[
     low, high = cell_boxes(edges)
     last = high == np.array([axis[-1] for axis in edges])  # cells that hold their upper face
     mine = [p for p, region in enumerate(problem.regions) if region.agents == (i,)]
-    labels, (least, most, reached) = (
-        np.zeros((len(low), len(mine)), np.int8),
-        outputs_on(problem.agents[i], low, high, last),
-    )
+    least, most, reached = outputs_on(problem.agents[i], low, high, last)
+    labels = np.zeros((len(low), len(mine)), dtype=np.int8)
     for column, p in enumerate(mine):
         region = problem.regions[p]
         if np.any(region.low != region.low[0]) or np.any(region.high != region.high[0]):

@@ -73,25 +73,15 @@ def _quadrant(x: Array) -> tuple[NDArray[np.int64], Array, Array]:
     return np.mod(k, 4).astype(np.int64), r * sine, cosine
 
 
-def _circular(x: Array, turned: int) -> Ends:
-    """Return ends of sin(x + turned pi/2)."""
+def sin(x: Array, quarters: int = 0) -> Ends:
+    """Return ends of sin(x + quarters pi/2)."""
     with np.errstate(all="ignore"):
         known = np.abs(x) < LARGEST_ANGLE  # false for nan
         k, sine, cosine = _quadrant(np.where(known, x, 0.0))
-        value = np.choose((k + turned) % 4, [sine, cosine, -sine, -cosine])
+        value = np.choose((k + quarters) % 4, [sine, cosine, -sine, -cosine])
         low, high = _widened(value, SIN_ERROR, -1.0, 1.0)
         beyond = np.where(np.isnan(x), np.nan, 1.0)
         return np.where(known, low, -beyond), np.where(known, high, beyond)
-
-
-def sin(x: Array) -> Ends:
-    """Return ends of sin x."""
-    return _circular(x, 0)
-
-
-def cos(x: Array) -> Ends:
-    """Return ends of cos x."""
-    return _circular(x, 1)
 
 
 def _proved_inverse(guess: Array, rising: Callable[[Array], Ends], x: Array, radius: Array) -> Ends:
@@ -109,7 +99,7 @@ def log(x: Array) -> Ends:
 
 def _tan(y: Array) -> Ends:
     """Return ends of tan y for |y| < pi/2."""
-    sine, cosine = sin(y), cos(y)
+    sine, cosine = sin(y), sin(y, 1)
     quotients = np.stack([s / c for s in sine for c in cosine])
     error = 4 * U * np.abs(quotients).max(axis=0)
     return quotients.min(axis=0) - error, quotients.max(axis=0) + error

@@ -66,9 +66,8 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
     faces = own["faces"].integers((steps + 1, propositions), -1, 2**31)
     normals = own["normals"].floats((steps + 1, compared))
     entries = zip(own["agents"].entries(len(problem.agents)), problem.agents, strict=True)
-    return TrajectoryProof(
-        tuple(_trajectory(entry, agent, problem, steps) for entry, agent in entries), letters, faces, normals
-    )
+    trajectories = tuple(_trajectory(entry, agent, problem, steps) for entry, agent in entries)
+    return TrajectoryProof(trajectories, letters, faces, normals)
 
 
 def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Trajectory:
