@@ -34,18 +34,17 @@ class Automaton:
 
     def __post_init__(self) -> None:
         states, nodes = len(self.accepting), len(self.variable)
-        entries, children = (*self.root, *self.low, *self.high), list(zip(self.low, self.high, self.variable))
+        entries, children = (*self.root, *self.low, *self.high), zip(self.low, self.high, self.variable)
+        pairs = [(child, p) for *both, p in children for child in both if 0 <= child < nodes]
         wrong = {
             f"semantics are {CO_SAFE} or {FINITE_TRACE}": self.semantics not in (CO_SAFE, FINITE_TRACE),
             "it has another number of states than it says": not 0 <= self.initial < states or len(self.root) != states,
             "its diagrams have lists of different lengths": not len(self.low) == len(self.high) == nodes,
             "a diagram leads to what does not exist": any(not -states <= entry < nodes for entry in entries),
             "a diagram tests no proposition": any(not 0 <= p < len(self.propositions) for p in self.variable),
+            # Children test larger propositions: there is no circle, and every letter has one way.
+            "a diagram tests propositions out of order": any(self.variable[child] <= p for child, p in pairs),
         }
-        # Children test larger propositions: there is no circle, and every letter has one way.
-        if not any(wrong.values()):
-            pairs = [(child, p) for *both, p in children for child in both if child >= 0]
-            wrong = {"a diagram tests propositions out of order": any(self.variable[child] <= p for child, p in pairs)}
         for what, is_so in wrong.items():
             if is_so:
                 raise ValueError(f"the automaton is wrong: {what}")
@@ -65,9 +64,9 @@ class Automaton:
             elif entry not in seen:
                 seen.add(entry)
                 p = self.variable[entry]
-                if known.get(p, True):
+                if known.get(p, True):  # it may hold
                     entries.append(self.high[entry])
-                if not known.get(p, False):
+                if not known.get(p, False):  # it may fail
                     entries.append(self.low[entry])
         return targets
 
@@ -85,6 +84,6 @@ def followed(automaton: Automaton, states: Iterable[int], known: Known) -> set[i
     """Return the states after one letter; a co-safe automaton that has accepted stays where it is."""
     reached: set[int] = set()
     for q in states:
-        done = automaton.is_co_safe and automaton.accepting[q]
+        done = automaton.is_co_safe and automaton.accepting[q]  # whatever comes after
         reached |= {q} if done else automaton.targets(q, known)
     return reached

@@ -100,7 +100,7 @@ KEYS = ("edges", "lattice", "values", "parts", "inputs", "inverse", "sets", "sta
 def _columns(entry: Entry, below: tuple[int, ...]) -> Whole:
     """Return a table of whole numbers; only the last column of unions, of remainders, may be negative."""
     rows, least = entry.integers((None, len(below)), -(2**31), 2**31), np.zeros(len(below))
-    least[5:] = 1 - below[-1]
+    least[5:] = 1 - below[-1]  # of remainders alone
     wrong = np.flatnonzero(np.any((rows < least) | (rows >= np.array(below)), axis=0))
     if len(wrong):
         raise entry.wrong(f"column {wrong[0]} holds a number that is out of range")

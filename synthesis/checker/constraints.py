@@ -119,7 +119,7 @@ def _failure_of(rows: Array, kinds: Whole) -> float:
 
 def _union(each: Array) -> float:
     """Return an upper bound on the probability of any of some events that are independent, or better than that."""
-    if np.any(each >= 1.0):
+    if np.any(each >= 1.0):  # no logarithm of 0
         return 1.0
     # 1 - prod (1 - p): logarithms of one sign, off by some units in the last place of themselves
     return float(-np.expm1(np.sum(np.log1p(-each)))) * _rounded(len(each))

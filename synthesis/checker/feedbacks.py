@@ -79,7 +79,7 @@ class _Tube:
                 return self.layer(inner).times(-np.eye(1), none)
             case ("*", left, right) if _has_kink(tree):
                 a, b = self.layer(left), self.layer(right)
-                a, b = (b, a) if np.any(b.C) else (a, b)
+                a, b = (b, a) if np.any(b.C) else (a, b)  # b is the factor without errors, if there is one
                 if not np.any(b.C):  # a number at this time, which is between ends
                     low, high = add(interval(b.h), b.rest())
                     return a.times(0.5 * (low + high)[None], none).off_by(up(_largest(a) * up(high - low)))

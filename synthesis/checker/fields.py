@@ -109,7 +109,7 @@ class Entry(NamedTuple):
 
     def whole(self, least: int, below: int) -> int:
         """Return a whole number in ``least .. below - 1``."""
-        if type(self.value) is not int or not least <= self.value < below:
+        if type(self.value) is not int or not least <= self.value < below:  # a truth value is no number
             raise self.expected(f"a whole number from {least} to {below - 1}")
         return self.value
 
@@ -137,7 +137,7 @@ class Entry(NamedTuple):
 
     def over_time(self, horizon: int, count: int, unlimited: float) -> Array:
         """Return an array (horizon + 1, count): one list for all times, or a list of lists for each."""
-        moves = isinstance(self.value, list) and bool(self.value) and isinstance(self.value[0], list)
+        moves = isinstance(self.value, list) and bool(self.value) and isinstance(self.value[0], list)  # lists of lists
         rows = self.entries(horizon + 1) if moves else [self] * (horizon + 1)
         return np.array([row.vector(count, unlimited) for row in rows]).reshape(horizon + 1, count)
 
@@ -168,7 +168,7 @@ class Entry(NamedTuple):
             raise self.wrong(f"expected whole numbers, got {array.dtype}")
         if array.size and not (least <= int(array.min()) and int(array.max()) < below):
             raise self.wrong(f"it holds a number that is not in {least} .. {below - 1}")
-        return array.astype(np.int64)
+        return array.astype(np.int64)  # wide enough for sums of such numbers
 
     def truths(self, shape: Shape) -> Truth:
         """Return an array of truth values of this shape; their bytes are 0 or 1."""

@@ -123,7 +123,7 @@ LARGEST_POWER = 32  # whole powers up to it are products, of any number; others 
 def power(a: Array, p: float) -> Array:
     """Return powers with a fixed exponent."""
     if p == int(p) and abs(p) <= LARGEST_POWER:
-        if p < 0:
+        if p < 0:  # of a number that may be 0 nothing is known
             return recip(power(a, -p))
         result = interval(np.ones_like(a[0]))
         for _ in range(int(p) // 2):

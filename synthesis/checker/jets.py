@@ -190,7 +190,7 @@ def _operation(tree: tuple[Tree, ...], leaves: Mapping[str, Jet], memory: Memory
     if name == "*":
         return a * b
     if name == "/":
-        return a * b.through(*_function("recip", b.value))
+        return a * b.through(*_function("recip", b.value))  # not known where b may be 0
     assert name in ("min", "max")
     return _maximum(a, b) if name == "max" else -_maximum(-a, -b)
 

@@ -59,8 +59,7 @@ def maps_of_inputs(
     low, high = (corner[cell] for corner in cell_boxes(edges))
     named, unknown, (n, d) = names_in(agent.dynamics), dict[str, Any](agent.disturbances), low.shape
     for at, boxes in ((agent.states_of_others, "state_box"), (agent.inputs_of_others, "input_box")):
-        found = {name: getattr(others[j], boxes)[:, k] for name, (j, k) in at.items() if name in named}
-        unknown |= found
+        unknown |= {name: getattr(others[j], boxes)[:, k] for name, (j, k) in at.items() if name in named}
     # Variables of a cell: its states, and everything that is unknown, around the middles of their ranges.
     more = np.repeat(np.array(list(unknown.values())).reshape(-1, 2).T[:, :, None], n, axis=2)
     ranges = np.concatenate([np.stack([low.T, high.T]), more], axis=1)

@@ -64,7 +64,7 @@ def sized(agent: Agent, factor: Array, width: Array, leaves: Leaves, constraints
     more = up(away * np.where(strip, width, 0.0)) + np.where(strip, 1e-290, 0.0)
     variance = np.sum(own * own, axis=1) * (1.0 + 4.0 * U * (own.shape[1] + 4.0))
     scaled, sources = factor.copy(), np.zeros(factor.shape, dtype=bool)
-    scaled[:, : own.shape[1]] *= middle[:, None]
+    scaled[:, : own.shape[1]] *= middle[:, None]  # shared sources are not scaled
     sources[:, : own.shape[1]] = own != 0.0
     # Strips are constraints on the noise of this step, and rest on nothing else.
     if labels := [f"noise of `{agent.states[k]}` of `{agent.name}` at time {t}" for k in np.flatnonzero(strip)]:

@@ -100,7 +100,7 @@ class Problem:
         """Where the inputs of each agent are in the joint input."""
         return _one_after_the_other([len(agent.inputs) for agent in self.agents])
 
-    @property
+    @cached_property
     def noise(self) -> Array:
         """The factor L (D, W) of the noise of the joint state, before it is scaled.
 
@@ -128,13 +128,11 @@ def read_problem(header: dict[str, Any]) -> Problem:
     regions = tuple(_region(entry, agents, horizon) for entry in own["regions"].entries())
     pairs = tuple(_pair(entry, agents, horizon) for entry in own["pairs"].entries())
     # Propositions are numbered: regions first, then pairs.
-    names = (*(region.name for region in regions), *(pair.name for pair in pairs))
+    names = tuple(own.name for own in (*regions, *pairs))
     distinct(names, "problem.regions")
     task = own["task"].table(("semantics", "automaton"), ("formula",))
-    automaton, formula = _automaton(task, names), None
-    if "formula" in task:
-        text = task["formula"].text()
-        formula = task["formula"].made(partial(parse, text))
+    automaton, asked = _automaton(task, names), task.get("formula")
+    formula = None if asked is None else asked.made(partial(parse, asked.text()))
     return Problem(horizon, agents, regions, pairs, automaton, formula)
 
 
@@ -183,9 +181,8 @@ def _agent(i: int, own: dict[str, Entry], names: tuple[str, ...], variables: lis
     # `t` is the time unless the agent has something of this name.
     timed = local if "t" in (*local, *parameters) else (*local, "t")
     # Noise: factors, distributions of what they multiply, and scales.
-    noise, shared = own["noise"].matrix(d), np.zeros((d, 0))
-    if "shared_noise" in own:
-        shared = own["shared_noise"].matrix(d)
+    noise = own["noise"].matrix(d)
+    shared = own["shared_noise"].matrix(d) if "shared_noise" in own else np.zeros((d, 0))
     envelopes, scale = [STANDARD] * noise.shape[1], Trees()
     if "distributions" in own:
         envelopes = [read_distribution(entry) for entry in own["distributions"].entries(len(envelopes))]
@@ -263,7 +260,7 @@ def _corners(own: dict[str, Entry], horizon: int, count: int) -> tuple[Array, Ar
 def _pair(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Proposition:
     own = entry.table(("name", "agents", "outputs"), ("low", "high", "radius"))
     first, second = own["agents"].wholes(0, len(agents), 2)
-    if first == second:
+    if first == second:  # nothing is said of one agent and itself
         raise own["agents"].wrong("one agent stands there twice")
     # Outputs are compared in order, as many of either agent.
     a, b = own["outputs"].entries(2)

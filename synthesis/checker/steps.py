@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .angles import HALF_TURN, OFF, angle_axes
+from .angles import HALF_TURN, OFF
 from .constraints import ROUNDED, Constraints, Forms
 from .error_system import ErrorSystem
 from .expressions import names_in
@@ -89,8 +89,8 @@ class Joint:
     """All agents as one along a trajectory: what holds at all times, errors so far, and what has been asked.
 
     Boxes (2, D) and (2, M) of states and inputs; nominal states (S + 1, D), inputs (S, M) and widths of the tube;
-    ``spread`` (D,) of the start; the factor of the noise (D, W); which states (D,) are angles, and which inputs (M,)
-    are those of networks; the automaton states (S + 1) that these see.
+    ``spread`` (D,) of the start; which states (D,) are angles, and which inputs (M,) are those of networks; the
+    automaton states (S + 1) that these see.
     """
 
     problem: Problem
@@ -103,7 +103,6 @@ class Joint:
     widths: Array
     input_widths: Array
     spread: Array
-    noise: Array
     turning: Truth
     networked: Truth
     seen: list[int]
@@ -126,7 +125,7 @@ class Joint:
         if np.any(point & (start[0] != states[0])):
             raise Refused("a trajectory begins elsewhere than its agent")
         spread = np.where(point, 0.0, np.maximum(up(start[1] - states[0]), up(states[0] - start[0])))
-        turning = np.concatenate([angle_axes(agent) for agent in agents]) > 0.0
+        turning = np.array([name in agent.angles for agent in agents for name in agent.states])
         box = np.where(turning, np.array([[-np.inf], [np.inf]]), box)  # no angle leaves its workspace
         wrong = np.argwhere((states < box[0]) | (states > box[1]))
         if len(wrong):
@@ -136,7 +135,7 @@ class Joint:
         kinds = kinds_of(problem, [own.noise_widths for own in trajectories])
         return cls(
             problem, trajectories, [_Reads.of(problem, i) for i in range(len(agents))], box, input_box, states, inputs,
-            widths, input_widths, spread, problem.noise, turning, networked, seen,
+            widths, input_widths, spread, turning, networked, seen,
             ErrorSystem(spread, len(kinds)), Constraints(kinds),
         )  # fmt: skip
 
@@ -195,7 +194,7 @@ class _Moves:
 def advance(joint: Joint, tube: Tube) -> None:
     """One step of all agents: inputs stay in their boxes, and the next error is F e and something in a box."""
     D, t = len(joint.spread), tube.t
-    matrix, pushed, noise = np.zeros((D, D)), np.zeros((2, D)), joint.noise.copy()
+    matrix, pushed, noise = np.zeros((D, D)), np.zeros((2, D)), joint.problem.noise.copy()
     # All inputs first: dynamics may name those of other agents.
     moves = _inputs(joint, tube)
     for i, (agent, here) in enumerate(zip(joint.problem.agents, joint.problem.slices, strict=True)):

@@ -74,16 +74,15 @@ def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Tra
     """Return the trajectory of an agent, and the network that acts for it, if there is one."""
     own = entry.table(("inputs", "gains", "states", "widths"), ("noise_widths", "network", "feedback", "radius"))
     d, m = len(agent.states), len(agent.inputs)
-    widths, noise_widths = own["widths"].floats((steps + 1, d + m), infinite=True), np.full((steps, d), np.inf)
-    if "noise_widths" in own:
-        noise_widths = own["noise_widths"].floats((steps, d), infinite=True)
+    widths, strips = own["widths"].floats((steps + 1, d + m), infinite=True), own.get("noise_widths")
+    noise_widths = np.full((steps, d), np.inf) if strips is None else strips.floats((steps, d), infinite=True)
     if np.any(widths < 0.0) or np.any(noise_widths < 0.0):
         raise entry.wrong("a width is negative")
     inputs, gains = own["inputs"].floats((steps, m)), own["gains"].floats((steps, m, d))
     states = own["states"].floats((steps + 1, d))
-    if "network" not in own and "feedback" not in own:
+    if not own.keys() & {"network", "feedback"}:
         return Trajectory(inputs, gains, states, widths, noise_widths)
-    if "network" in own and "feedback" in own:
+    if own.keys() >= {"network", "feedback"}:
         raise entry.wrong("a network and a feedback cannot both act")
     # Networks act where what is between the widths is an ellipsoid of one Gaussian.
     if agent.scale or agent.angles or any(envelope.tail != NORMAL for envelope in agent.envelopes):
@@ -91,11 +90,8 @@ def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Tra
     radius = own["radius"].number() if "radius" in own else -1.0
     if not radius > 0.0:
         raise entry.wrong("where a network acts, `radius` is above 0")
-    network: Network | Feedback
-    if "feedback" in own:
-        network = read_feedback(own["feedback"], agent)
-    else:
-        network = read_network(own["network"], agent, len(problem.automaton.accepting))
+    seen, given = len(problem.automaton.accepting), own.get("feedback")
+    network = read_feedback(given, agent) if given is not None else read_network(own["network"], agent, seen)
     return Trajectory(inputs, gains, states, widths, noise_widths, network, radius)
 
 

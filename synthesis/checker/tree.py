@@ -89,7 +89,7 @@ def check_guards(
         overlap = np.ones((len(here), len(here)), dtype=bool)
         for i, both in enumerate(meets):
             overlap &= both[np.ix_(guards.sets[here, i], guards.sets[here, i])]
-        if np.any(overlap & ~np.eye(len(here), dtype=bool)) or done[q]:
+        if np.any(overlap & ~np.eye(len(here), dtype=bool)) or done[q]:  # every guard meets itself
             raise Refused(f"guards out of automaton state {q} overlap, or leave what is decided")
     # All labels that cells of a set have: the automaton is followed through each of them.
     letters = [[np.unique(labels[cells], axis=0).tolist() for cells in own] for own, (_, labels) in zip(sets, known)]
@@ -203,7 +203,7 @@ def _children(guards: Guards, later: _Values, vertices: Whole, q: int) -> Whole:
         raise Refused("the tree counts a vertex twice")
     # Terms of all states, one after the other.
     counts = np.array([len(terms) for terms in later.terms])
-    if np.any(child >= counts[guards.target[guard]]):
+    if np.any(child >= counts[guards.target[guard]]):  # else it would be one of another state
         raise Refused("the tree names a vertex that does not exist")
     return np.concatenate(later.terms)[(np.cumsum(counts) - counts)[guards.target[guard]] + child]
 

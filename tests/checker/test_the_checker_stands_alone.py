@@ -15,7 +15,7 @@ from certificate_files import changed, file_of, two_carts
 
 FOLDER = Path(__file__).parents[2] / "synthesis" / "checker"
 FILES = sorted(FOLDER.glob("*.py"))
-MOST_LINES, MOST_IN_A_FILE = 5050, 330
+MOST_LINES, MOST_IN_A_FILE = 5000, 325
 
 
 def test_it_imports_the_standard_library_and_numpy_alone() -> None:
