@@ -7,6 +7,7 @@ of starts are compared with rational numbers, labels with points.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from dataclasses import dataclass, replace
@@ -421,6 +422,16 @@ def test_targets_are_reached_up_to_their_rest_by_inputs_in_their_box() -> None:
                 ]
                 assert all(abs(m - Fraction(t)) <= Fraction(r) for m, t, r in zip(mean, z, rest.tolist(), strict=True))
     assert refused > 20 and allowed > 20
+
+
+def test_inputs_of_targets_keep_in_their_box_up_to_the_faces_of_cells() -> None:
+    """``x' = x + u`` reaches 1 from [-1, 0] by inputs from 1 to 2: the middle of the cell alone says nothing."""
+    cell, target, edges = np.zeros(1, dtype=int), np.ones((1, 1)), [np.array([-1.0, 0.0, 1.0])]
+    for room, low, is_allowed in ((1.6, -3.0, False), (2.0 + 1e-9, -3.0, True), (3.0, 1.2, False), (3.0, 0.9, True)):
+        own = agent([""], [-1.0], [1.0], A=[[1.0]], B=[[1.0]], c=[0.0], input_low=[low], input_high=[room])
+        del own["dynamics"]
+        with contextlib.nullcontext() if is_allowed else pytest.raises(Refused, match="leaves its box in cell 0"):
+            check_targets(problem_of([own]).agents[0], edges, np.eye(1), cell, target)
 
 
 # Starts and labels.
