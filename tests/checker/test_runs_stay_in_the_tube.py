@@ -593,7 +593,8 @@ def broken_in_windows(header: Header, arrays: Arrays, rng: np.random.Generator) 
 
 def test_sources_are_normal_only_where_all_they_move_keeps_in_strips_at_all_times() -> None:
     rng = np.random.default_rng(5)
-    team = next(t for t in (random_team(rng, "sizes") for _ in range(50)) if any("noise_scale" in a for a in t.agents))
+    teams = (random_team(rng, "sizes") for _ in range(200))
+    team = next(t for t in teams if any("noise_scale" in a and len(a["states"]) > 1 for a in t.agents))
     made = with_limits(team)
     assert made is not None
     problem = read_problem(made[0])
