@@ -22,6 +22,7 @@ from certigym.synthesis.checker import check_contents, parse_file, read_problem,
 from certigym.synthesis.checker.crossings import crossed, jumps
 from certigym.synthesis.checker.distributions import NORMAL, STOPPED
 from certigym.synthesis.checker.error_system import ErrorSystem
+from certigym.synthesis.checker.expressions import names_in
 from certigym.synthesis.checker.fields import Refused
 from certigym.synthesis.checker.noise_sizes import kinds_of
 
@@ -600,7 +601,13 @@ def test_sources_are_normal_only_where_all_they_move_keeps_in_strips_at_all_time
     problem = read_problem(made[0])
     narrow = [np.ones((team.T, len(agent.states))) for agent in problem.agents]
     assert np.all(kinds_of(problem, narrow) == NORMAL)
-    kinds, first = kinds_of(problem, [np.inf * own for own in narrow]), 0
+    # without strips: what the noise is made of, and whether its size names anything that moves
+    named = [names_in(agent.scale) - {"t"} for agent in problem.agents]
+    tails = [(own.tail, bool(names)) for agent, names in zip(problem.agents, named) for own in agent.envelopes]
+    shared = [NORMAL] * problem.agents[0].shared_noise.shape[1]
+    kinds = np.array([*(STOPPED if names and tail == NORMAL else tail for tail, names in tails), *shared])
+    assert np.array_equal(kinds_of(problem, [np.inf * own for own in narrow]), kinds)
+    first = 0
     for i, agent in enumerate(problem.agents):
         for k in range(len(agent.states)):
             widths = [own.copy() for own in narrow]
