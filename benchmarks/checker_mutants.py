@@ -142,7 +142,7 @@ MUTANTS = [
         ("done = automaton.is_co_safe and automaton.accepting[q]", "done = False"),
         ("self.variable[child] <= p", "self.variable[child] < p"),
         ("any(not -states <= entry < nodes", "any(not -states - 1 <= entry < nodes"),
-        ("alive |= new", "alive |= set(list(new)[:1])"),
+        ("targets & alive}", "targets <= alive}"),
     ),
     *_in(
         "formula",

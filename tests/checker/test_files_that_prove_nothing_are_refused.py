@@ -230,6 +230,12 @@ def test_more_steps_than_the_horizon_are_no_proof() -> None:
     assert "before the horizon" in check_contents(parse_file(file_of(header, arrays))).reason
 
 
+def test_an_agent_is_no_pair_with_itself() -> None:
+    """The difference of an agent and itself is 0: nobody means that."""
+    with pytest.raises(Unreadable, match="one agent stands there twice"):
+        verdict_of(two_carts, lambda header, arrays: header["problem"]["pairs"][0].update(agents=[1, 1]))
+
+
 def test_sizes_of_noise_that_states_share_and_that_turn_are_refused() -> None:
     """What one source adds to two states may cancel in one size and not in another; an angle is no size."""
     shared = verdict_of(one_crane, with_agent(0, noise=[[1.0, 0.0], [1.0, 0.0]]))

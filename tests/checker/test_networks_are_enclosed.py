@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -97,6 +98,19 @@ def test_nothing_is_known_of_a_neuron_that_may_get_anything(activation: str) -> 
     with np.errstate(all="ignore"):
         for z, ends in ((np.zeros(1), nan), (np.full(1, np.nan), limits), (np.full(1, np.nan), nan)):
             assert np.all(np.isnan(networks._line(activation, z, ends, *limits)[2]))
+
+
+@pytest.mark.parametrize("sees", ["scaled", "raw"])
+def test_what_a_network_sees_is_no_larger_than_its_size(sees: str) -> None:
+    """At the corners of what errors may be: sizes are what single precision is charged by."""
+    _, agent = an_agent(3, 1)
+    none = (np.zeros((1, 9)), np.zeros(1))
+    network = Network((none[0],), (none[1],), "relu", "clip", sees, 4, 1, 0)
+    at, far = np.array([0.5, -1.0, 2.0]), np.array([0.2, 0.1, 0.4])
+    first = networks._first(network, agent, at, (1, 3, 0.5), far)
+    for signs in itertools.product((-1.0, 1.0), repeat=3):
+        row = first.h + first.C @ (np.array(signs) * far) + np.abs(first.rest()).max(axis=0)
+        assert np.all(np.abs(row) <= first.size * (1.0 + 1e-12) + 1e-280), signs
 
 
 @pytest.mark.parametrize("d", [1, 2, 3, 4, 7, 12, 25])

@@ -254,6 +254,15 @@ def test_letters_of_the_start_hold_on_all_of_its_box() -> None:
     assert known_ones > 200
 
 
+def test_of_outputs_that_are_unbounded_or_not_defined_at_the_start_nothing_is_known() -> None:
+    region = {"name": "r", "agent": 0, "low": [0.0, None], "high": [None, 1.0]}
+    for output in ("exp(1e5 + x)", "log(x - 5)"):
+        agents = [agent("a", ["x", "y"], outputs=[output, "y"]), agent("b", ["x", "y"])]
+        pairs = [{"name": "p", "agents": [0, 1], "outputs": [[0], [0]], "radius": 1.0}]
+        with np.errstate(all="ignore"):
+            assert known_at_start(problem_of(agents, [region], pairs)) == {}
+
+
 # Angles.
 
 
