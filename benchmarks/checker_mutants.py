@@ -694,11 +694,11 @@ FIRST = {
     "formula": ("automata",),
     "letters": ("outputs", "automata"),
     "angles": ("outputs",),
-    "crossings": ("outputs", "automata"),
+    "crossings": ("outputs", "automata", "files", "forged"),
     "constraints": ("functions", "rows"),
     "error_system": ("rows",),
-    "trajectories": ("files", "runs"),
-    "steps": ("files", "runs"),
+    "trajectories": ("files", "runs", "forged"),
+    "steps": ("files", "runs", "forged"),
     "noise_sizes": ("files", "runs"),
     "problem": ("files", "runs"),
     "distributions": ("distributions",),
@@ -744,8 +744,8 @@ def stages(mutant: Mutant) -> Iterator[tuple[str, list[str]]]:
     about = [str(p) for p in files if p.stem.removeprefix("test_").startswith(FIRST[mutant.file])]
     others = [str(p) for p in files if str(p) not in about]
     yield "not thorough", about
-    yield "not thorough", others
     yield "thorough", about
+    yield "not thorough", others
     yield "thorough", others
 
 
@@ -782,7 +782,7 @@ def main() -> None:
     parser.add_argument("--survivors", action="store_true", help="only those that nothing noticed the last time")
     parser.add_argument("--missing", action="store_true", help="only those that were not run")
     parser.add_argument(
-        "--stages", type=int, default=4, help="1: tests about the file, 2: all that are not thorough, 4: all"
+        "--stages", type=int, default=4, help="1: tests about the file, 2: thorough ones, too, 3: all others, 4: all"
     )
     options = parser.parse_args()
     known = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else []
