@@ -230,6 +230,21 @@ def test_more_steps_than_the_horizon_are_no_proof() -> None:
     assert "before the horizon" in check_contents(parse_file(file_of(header, arrays))).reason
 
 
+def test_nominal_inputs_are_in_their_box_also_where_nothing_is_fed_back() -> None:
+    def change(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
+        agent(header).update(input_high=[0.7])
+        arrays[4] = 0.0 * arrays[4]
+
+    assert "the nominal input `u` of `left` leaves its box at time 0" in verdict_of(two_carts, change).reason
+
+
+def test_nothing_is_crossed_along_an_angle() -> None:
+    """An angle has copies: a run may come to a region of it from both sides."""
+    for face in (0, 1, 4):
+        verdict = verdict_of(one_crane, at(1, (slice(2, None), 0), face))
+        assert "crossed from no side, or along an angle" in verdict.reason, face
+
+
 def test_an_agent_is_no_pair_with_itself() -> None:
     """The difference of an agent and itself is 0: nobody means that."""
     with pytest.raises(Unreadable, match="one agent stands there twice"):
