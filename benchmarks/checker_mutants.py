@@ -689,7 +689,7 @@ FIRST = {
     "rigorous": ("functions", "wrong"),
     "tables": ("functions", "cells"),
     "intervals": ("intervals",),
-    "jets": ("jets",),
+    "jets": ("jets", "runs"),
     "automaton": ("automata",),
     "formula": ("automata",),
     "letters": ("outputs", "automata"),
