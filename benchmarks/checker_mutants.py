@@ -698,7 +698,7 @@ FIRST = {
     "constraints": ("functions", "rows"),
     "error_system": ("rows",),
     "trajectories": ("files", "runs", "forged"),
-    "steps": ("files", "runs", "forged"),
+    "steps": ("files", "outputs", "networks", "runs", "forged"),
     "noise_sizes": ("files", "runs"),
     "problem": ("files", "runs"),
     "distributions": ("distributions",),

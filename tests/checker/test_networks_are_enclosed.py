@@ -209,6 +209,21 @@ def test_runs_stay_in_tubes_wherever_forms_keep_in_ellipsoids() -> None:
     assert 0.05 < kept.mean() < 0.999
 
 
+def test_what_a_network_leaves_out_is_charged_where_products_follow_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An input is what its gains say, up to what they leave out: dynamics are expanded with both."""
+    problem, policies = glider()
+    known, offsets, honest = read_problem({"problem": canonical_problem(problem)}), list[np.ndarray](), steps.expanded
+
+    def spied(*arguments: Any) -> Any:
+        offsets.append(arguments[6][2])
+        return honest(*arguments)
+
+    read = read_trajectories(contents_of(networks_along(problem, policies)), known)
+    monkeypatch.setattr(steps, "expanded", spied)
+    assert len([*walk(Joint.of(known, read.trajectories, read.letters))]) == len(offsets) + 1 > 3
+    assert all(off[3] > 1e-8 and not off[:3].any() for off in offsets)
+
+
 def some_noise(rng: np.random.Generator, n: int) -> np.ndarray:
     return 0.02 * rng.standard_normal((3, n)) * rng.choice([0.5, 1.0, 1.6], n)
 

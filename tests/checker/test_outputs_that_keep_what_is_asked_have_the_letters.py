@@ -21,6 +21,7 @@ from certigym.synthesis.checker.crossings import SOMETIME, crossed, jumps
 from certigym.synthesis.checker.fields import Refused, Unreadable
 from certigym.synthesis.checker.letters import Demand, demands, known_at, known_at_start
 from certigym.synthesis.checker.problem import TURN, Problem
+from certigym.synthesis.checker.steps import _Reads
 
 T = 5
 ACCEPTS = {"initial": 0, "accepting": [True], "root": [-1], "variable": [], "low": [], "high": []}
@@ -142,6 +143,15 @@ def test_every_pair_has_its_own_directions() -> None:
     first, second = demands(problem_of(agents, [], pairs), letters, np.full((T + 1, 2), -1), normals, 1)
     assert [f for _, _, f in first.parts] == [3.0, 4.0, -3.0, -4.0] and 5.0 <= first.low <= 5.0 + 1e-12
     assert second.parts == ((0, 1, -2.0), (1, 1, 2.0)) and 4.0 <= second.low <= 4.0 + 1e-12
+
+
+def test_states_of_neighbours_are_read_where_they_stand() -> None:
+    """Each state that is named has its own column of the joint error, in whatever order an expression names them."""
+    moved = ["x + 0.1*b.w + 0.2*b.v", "y + b.w"]
+    agents = [agent("a", ["x", "y"], dynamics=moved), agent("b", ["u_", "v", "w"], dynamics=["u_", "v", "w"])]
+    reads = _Reads.of(problem_of(agents, []), 0)
+    named = {"x": 0, "y": 1, "b.v": 3, "b.w": 4}
+    assert {name: reads.columns[reads.places[name]] for name in named} == named
 
 
 def test_regions_of_other_agents_say_nothing_of_one() -> None:
