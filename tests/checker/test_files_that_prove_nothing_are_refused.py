@@ -238,6 +238,12 @@ def test_nominal_inputs_are_in_their_box_also_where_nothing_is_fed_back() -> Non
     assert "the nominal input `u` of `left` leaves its box at time 0" in verdict_of(two_carts, change).reason
 
 
+def test_a_region_that_a_step_jumps_over_is_not_met() -> None:
+    """The load rises by .9 in a step: a window of heights from 2 to 2.3 is below it before it was ever in it."""
+    low = verdict_of(one_crane, lambda header, arrays: header["problem"]["regions"][0].update(high=[None, 2.3]))
+    assert not low and low.recomputed == 1.0 and "no jump over `hung` at time 3" in low.reason
+
+
 def test_nothing_is_crossed_along_an_angle() -> None:
     """An angle has copies: a run may come to a region of it from both sides."""
     for face in (0, 1, 4):
