@@ -692,7 +692,7 @@ FIRST = {
     "jets": ("jets", "runs"),
     "automaton": ("automata",),
     "formula": ("automata",),
-    "letters": ("outputs", "automata"),
+    "letters": ("outputs", "automata", "files"),
     "angles": ("outputs",),
     "crossings": ("outputs", "automata", "files", "forged"),
     "constraints": ("functions", "rows"),
