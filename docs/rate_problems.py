@@ -11,7 +11,7 @@ import math
 from pathlib import Path
 
 import certigym as cg
-from certigym.envs.suite import certified as suite_bounds
+from certigym.envs.suite import certified_bounds as suite_bounds
 from certigym.envs.suite import tiers as suite_tiers
 from certigym.validation.policies import Leaderboard, tier_of
 

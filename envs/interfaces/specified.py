@@ -12,8 +12,8 @@ from ..tasks.problem import Problem
 class Specified:
     """Has a specification with ``max_episode_steps``, the horizon of its problem, and a ``reward_threshold``.
 
-    The registry has neither, because both depend on the arguments: Gymnasium would cut off episodes that are asked to be
-    longer. No wrapper is needed: environments end at the horizon by themselves.
+    The registry has neither, because both depend on the arguments: Gymnasium would cut off episodes that are asked to
+    be longer. No wrapper is needed: environments end at the horizon by themselves.
     """
 
     problem: Problem

@@ -18,7 +18,7 @@ from ..systems.arguments import UnknownArgument
 from ..systems.backends import HOST
 from ..tasks.problem import Problem, load_problem
 from .catalogue import made_by, problem_of_id
-from .certified import CERTIFIED
+from .certified_bounds import CERTIFIED
 from .ids import CENTRAL_ENTRY, MODULES, VECTOR_ENTRY, gymnasium_id
 
 SIGHT = ("scale", "automaton", "sensor_noise")

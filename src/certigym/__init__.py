@@ -1,7 +1,7 @@
 """Multi-agent environments with temporal-logic tasks, controllers with certified bounds, and their validation.
 
 The public names are listed in ``__init__.pyi`` and loaded when they are first used, so that importing the package is
-cheap. Importing it also registers the environments of the suite with Gymnasium.
+cheap. Importing it also registers the environments of the suite with Gymnasium and PettingZoo, once these are loaded.
 """
 
 from pathlib import Path

@@ -3,7 +3,7 @@
 Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``problem`` (with
 ``distributions``); ``automaton``, ``formula``; ``letters``, ``angles``, ``crossings``, ``constraints``,
 ``error_system``, ``steps``, ``trajectories``; ``tables``, ``motions``, ``cells``,
-``tree``, ``trains``, ``cell_proofs``; ``selftest``, ``verdict``, ``controller``. Each file begins with its theorem.
+``tree``, ``trains``, ``cell_proofs``; ``verdict``, ``controller``. Each file begins with its theorem.
 """
 
 from .angles import check_angles

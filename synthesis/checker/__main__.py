@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
         except (checker.Unreadable, OSError) as error:
             line, code = f"UNREADABLE: {error}", 2
         sys.stdout.write(f"{name}: {line}\n")
-        status = max(status, code)
+        status = max(status, code)  # the worst of all files
     return status
 
 

@@ -32,11 +32,6 @@ FARTHEST = 200.0  # largest nominal angle: so many turns are off by a tenth of `
 HALF_TURN = 3.14  # half width of a tube: less than half a turn
 
 
-def angle_axes(agent: Agent) -> Array:
-    """Return 1 for states (d,) that are angles, and 0 for others."""
-    return np.array([float(name in agent.angles) for name in agent.states])
-
-
 def check_angles(problem: Problem) -> None:
     """Raise ``Refused`` unless dynamics, noise and outputs are those of points of a circle."""
     for i, agent in enumerate(problem.agents):

@@ -4,15 +4,14 @@ The transitions of a state are a binary decision diagram over the propositions. 
 proposition ``variable[e]`` and go on at ``low[e]`` or ``high[e]``; entries e < 0 are states ``-1 - e``. A node tests a
 smaller proposition than its children, so that every letter leads from every state to one state.
 
-**Theorem** (``wrong_word``). Let every run satisfy what is known of its letters at times 0 .. S. If every word that
-agrees with it has entered an accepting state by then (co-safe), or is in one at the horizon (finite-trace), then every
-run satisfies the task. *Proof.* The set of states that such words can reach is followed letter by letter; a co-safe
-automaton that accepts once has satisfied the task, whatever comes after. QED
+**Theorem** (``followed``). If all words that agree with what is known of their letters so far lead into one of some
+states, then with one letter more into one of those that are returned. *Proof.* A node is left on both sides unless its
+proposition is known. A co-safe automaton that accepts once has satisfied the task, whatever comes after. QED
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 CO_SAFE, FINITE_TRACE = "co-safe", "finite-trace"
@@ -35,18 +34,17 @@ class Automaton:
 
     def __post_init__(self) -> None:
         states, nodes = len(self.accepting), len(self.variable)
-        entries, children = (*self.root, *self.low, *self.high), list(zip(self.low, self.high, self.variable))
+        entries, children = (*self.root, *self.low, *self.high), zip(self.low, self.high, self.variable)
+        pairs = [(child, p) for *both, p in children for child in both if 0 <= child < nodes]
         wrong = {
             f"semantics are {CO_SAFE} or {FINITE_TRACE}": self.semantics not in (CO_SAFE, FINITE_TRACE),
             "it has another number of states than it says": not 0 <= self.initial < states or len(self.root) != states,
             "its diagrams have lists of different lengths": not len(self.low) == len(self.high) == nodes,
             "a diagram leads to what does not exist": any(not -states <= entry < nodes for entry in entries),
             "a diagram tests no proposition": any(not 0 <= p < len(self.propositions) for p in self.variable),
+            # Children test larger propositions: there is no circle, and every letter has one way.
+            "a diagram tests propositions out of order": any(self.variable[child] <= p for child, p in pairs),
         }
-        # Children test larger propositions: there is no circle, and every letter has one way.
-        if not any(wrong.values()):
-            pairs = [(child, p) for *both, p in children for child in both if child >= 0]
-            wrong = {"a diagram tests propositions out of order": any(self.variable[child] <= p for child, p in pairs)}
         for what, is_so in wrong.items():
             if is_so:
                 raise ValueError(f"the automaton is wrong: {what}")
@@ -66,9 +64,9 @@ class Automaton:
             elif entry not in seen:
                 seen.add(entry)
                 p = self.variable[entry]
-                if known.get(p, True):
+                if known.get(p, True):  # it may hold
                     entries.append(self.high[entry])
-                if not known.get(p, False):
+                if not known.get(p, False):  # it may fail
                     entries.append(self.low[entry])
         return targets
 
@@ -86,24 +84,6 @@ def followed(automaton: Automaton, states: Iterable[int], known: Known) -> set[i
     """Return the states after one letter; a co-safe automaton that has accepted stays where it is."""
     reached: set[int] = set()
     for q in states:
-        done = automaton.is_co_safe and automaton.accepting[q]
+        done = automaton.is_co_safe and automaton.accepting[q]  # whatever comes after
         reached |= {q} if done else automaton.targets(q, known)
     return reached
-
-
-def wrong_word(automaton: Automaton, horizon: int, letters: Sequence[Known]) -> str:
-    """Return why not all words are accepted that agree with what is known at times 0 .. S; else an empty text.
-
-    Words have T + 1 letters, T the horizon.
-    """
-    if len(letters) > horizon + 1:
-        return "the trajectory goes on after the horizon"
-    # A co-safe task may be satisfied before any letter is read.
-    states = {automaton.initial}
-    for known in letters:
-        states = followed(automaton, states, known)
-    if not automaton.is_co_safe and len(letters) != horizon + 1:
-        return "the trajectory ends before the horizon, where the task is judged"
-    if all(automaton.accepting[q] for q in states):
-        return ""
-    return "a word that agrees with the letters of the trajectory is not accepted"

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .cells import Cells, Kernel, spread, start_weights
+from .cells import Cells, Grid, Kernel, spread, start_weights
 from .expressions import names_in
 from .fields import Entry, Refused
 from .file import Contents
@@ -100,7 +100,7 @@ KEYS = ("edges", "lattice", "values", "parts", "inputs", "inverse", "sets", "sta
 def _columns(entry: Entry, below: tuple[int, ...]) -> Whole:
     """Return a table of whole numbers; only the last column of unions, of remainders, may be negative."""
     rows, least = entry.integers((None, len(below)), -(2**31), 2**31), np.zeros(len(below))
-    least[5:] = 1 - below[-1]
+    least[5:] = 1 - below[-1]  # of remainders alone
     wrong = np.flatnonzero(np.any((rows < least) | (rows >= np.array(below)), axis=0))
     if len(wrong):
         raise entry.wrong(f"column {wrong[0]} holds a number that is out of range")
@@ -125,13 +125,9 @@ def _axis(entry: Entry) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class AgentCells:
+class AgentCells(Grid):
     """What a file holds of one agent; ``key`` says which arrays its cells and maps are made of."""
 
-    edges: tuple[Array, ...]
-    lattice: tuple[Array, ...]
-    corners: bool
-    parts: int
     inputs: Array
     inverse: Array | None
     sets: Truth
@@ -198,8 +194,6 @@ class AgentCells:
             points = np.unravel_index(aimed[:, 1] - count, [len(axis) for axis in self.lattice])
             targets = np.stack([axis[k] for axis, k in zip(self.lattice, points)], axis=1)
             rest = check_targets(agent, self.edges, self.inverse, aimed[:, 0], targets)
-        return Kernel(
-            tuple(len(axis) - 1 for axis in self.edges), self.edges, self.lattice, deviations,
-            tuple(table for table, _ in tables), float(sum(lack for _, lack in tables)),
-            count, maps, rest, self.corners, self.parts,
-        )  # fmt: skip
+        lack = float(sum(own for _, own in tables))
+        grid = self.edges, self.lattice, self.corners, self.parts
+        return Kernel(*grid, deviations, tuple(table for table, _ in tables), lack, count, maps, rest)

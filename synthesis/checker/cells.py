@@ -30,8 +30,10 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .motions import Maps
 from .rigorous import Array, Truth, U, Whole
@@ -46,28 +48,38 @@ AT_ONCE = 3_000_000  # numbers that are formed at once
 
 
 @dataclass(frozen=True, eq=False)
-class Kernel:
+class Grid:
+    """Cells of one agent by the edges along each axis, and lattice points; factors have numbers at cells or corners."""
+
+    edges: tuple[Array, ...]
+    lattice: tuple[Array, ...]
+    corners: bool
+    parts: int
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Numbers of cells along the axes."""
+        return tuple(len(axis) - 1 for axis in self.edges)
+
+    @property
+    def places(self) -> int:
+        """Number of places at which factors have numbers: cells, or their corners."""
+        return int(np.prod(self.shape)) * (2 ** len(self.shape) if self.corners else 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel(Grid):
     """How one agent moves on its cells: tables along each axis, maps of its inputs, and what targets are off.
 
     Choices below ``inputs`` are inputs, further ones are points of the lattice, which are targets.
     """
 
-    shape: tuple[int, ...]
-    edges: tuple[Array, ...]
-    lattice: tuple[Array, ...]
     deviations: Array
     tables: tuple[Array, ...]
     lack: float
     inputs: int
     maps: Maps
     target_rest: Array
-    corners: bool
-    parts: int
-
-    @property
-    def places(self) -> int:
-        """Number of places at which factors have numbers: cells, or their corners."""
-        return int(np.prod(self.shape)) * (2 ** len(self.shape) if self.corners else 1)
 
     @cached_property
     def spacing(self) -> Array:
@@ -144,7 +156,7 @@ class Kernel:
             else:
                 below = np.maximum(at.min(axis=2) - lacking, 0.0)[:, :, None]
             result[:, some] = below * inside[:, None]
-        return self._by_place(result) if self.corners else result[:, :, 0]
+        return _by_place(result, self.shape) if self.corners else result[:, :, 0]
 
     def _images(
         self, values: Array, around: list[Array], largest: Array, cells: Whole, choices: Whole, share: Array
@@ -180,12 +192,13 @@ class Kernel:
             lacking += weight * table[(slice(None), *looked)]
         return found, lacking * (1.0 + 16.0 * U), inside
 
-    def _by_place(self, result: Array) -> Array:
-        """Return numbers (n, S, 2^d) of cells and corners as (n, places): axis by axis, both ends of each interval."""
-        d = len(self.shape)
-        order = [0, *(axis for k in range(d) for axis in (1 + k, 1 + d + k))]
-        table = result.reshape(len(result), *self.shape, *(2,) * d).transpose(order)
-        return table.reshape(len(result), int(np.prod(table.shape[1:])))
+
+def _by_place(numbers: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return numbers (n, S, 2^d) of cells and corners as (n, places): axis by axis, both ends of each interval."""
+    d = len(shape)
+    order = [0, *(axis for k in range(d) for axis in (1 + k, 1 + d + k))]
+    table = numbers.reshape(len(numbers), *shape, *(2,) * d).transpose(order)
+    return table.reshape(len(numbers), int(np.prod(table.shape[1:])))
 
 
 def _differences(values: Array, reach: list[int]) -> list[Array]:
@@ -284,10 +297,7 @@ def spread(sets: Truth, kernel: Kernel) -> Truth:
     """Return sets (n, S) of cells at the places of factors."""
     if not kernel.corners:
         return sets
-    table = sets.reshape(len(sets), *kernel.shape)
-    for axis in range(1, len(kernel.shape) + 1):
-        table = np.repeat(table, 2, axis=axis)
-    return table.reshape(len(sets), int(np.prod(table.shape[1:])))
+    return _by_place(np.repeat(sets[:, :, None], 2 ** len(kernel.shape), axis=2), kernel.shape)
 
 
 def start_weights(start: Array, edges: Sequence[Array], corners: bool) -> Array:

@@ -22,7 +22,7 @@ component are multiplied.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -65,10 +65,10 @@ class Constraints:
         self.sources: list[Truth] = []
         self.labels: list[str] = []
 
-    def add(self, low: Array, high: Array, width: Array, forms: Forms, labels: Sequence[str]) -> None:
+    def add(self, low: Any, high: Any, width: Any, forms: Forms, labels: Sequence[str]) -> None:
         """Ask for ``-low <= g <= high`` and ``|g| <= width`` (J,); what is nan is not kept at all."""
-        low, high, width = (np.where(np.isnan(end), -np.inf, end) for end in (low, high, width))
-        self.rows.append(np.stack([low, high, width, forms.variance, forms.largest]))
+        limits = (np.where(np.isnan(end), -np.inf, end) for end in (low, high, width))
+        self.rows.append(np.stack(np.broadcast_arrays(*limits, forms.variance, forms.largest)))
         self.sources.append(forms.sources)
         self.labels += labels
 
@@ -119,7 +119,7 @@ def _failure_of(rows: Array, kinds: Whole) -> float:
 
 def _union(each: Array) -> float:
     """Return an upper bound on the probability of any of some events that are independent, or better than that."""
-    if np.any(each >= 1.0):
+    if np.any(each >= 1.0):  # no logarithm of 0
         return 1.0
     # 1 - prod (1 - p): logarithms of one sign, off by some units in the last place of themselves
     return float(-np.expm1(np.sum(np.log1p(-each)))) * _rounded(len(each))

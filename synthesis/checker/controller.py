@@ -36,17 +36,16 @@ def _error(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
     error = x - own.states[t]
     for angle in agent.angles:
         k = agent.states.index(angle)
-        error[k] -= TURN * np.rint(error[k] / TURN)
+        error[k] -= TURN * np.rint(error[k] / TURN)  # less whole turns
     return error
 
 
 def on_cells(agent: Agent, own: AgentCells, t: int, q: int, x: Array) -> Array | None:
     """Return inputs (m,) of an agent at a time, in an automaton state, from its state (d,); None: anything will do."""
-    shape = [len(axis) - 1 for axis in own.edges]
     # half-open cells; the last one along an axis holds its upper face
     cells = [int(np.searchsorted(axis, value, side="right")) - 1 for axis, value in zip(own.edges, x, strict=True)]
-    place = np.ravel_multi_index(cells, shape, mode="clip")
-    choice = int(own.policy[min(t, len(own.policy) - 1), q, place])
+    place = np.ravel_multi_index(cells, own.shape, mode="clip")
+    choice = int(own.policy[min(t, len(own.policy) - 1), q, place])  # the same at all times if there is one row
     if choice < len(own.inputs):
         return None if choice < 0 else own.inputs[choice]
     point = np.unravel_index(choice - len(own.inputs), [len(axis) for axis in own.lattice])

@@ -9,8 +9,10 @@ from a + 1 to b. Then the region holds at some time of the window; and the same 
 *Proof.* There is a first time t with ``y_k >= low_k``, since b is one. If it is a, then ``y_k < high_k`` there. If not,
 ``y_k(t - 1) < low_k(t - 1)``, so that ``y_k(t) < high_k(t)``. QED
 
-The automaton has to accept every word in which the region holds at some time of its window: it is followed with a note
-of what was met, and where a window ends without that there is no such run.
+**Theorem** (``check_words``). Let every run satisfy what is known of its letters at times 0 .. S. If every word that
+agrees with it has entered an accepting state by then (co-safe), or is in one at the horizon (finite-trace), then every
+run satisfies the task. *Proof.* The set of states that such words can reach is followed letter by letter, with a note
+of what was met in windows that are open; where a window ends without that there is no such run. QED
 """
 
 from __future__ import annotations
@@ -21,15 +23,15 @@ from itertools import product
 import numpy as np
 
 from .angles import angle_outputs
-from .automaton import Known, followed, wrong_word
+from .automaton import Known, followed
 from .fields import Refused
 from .letters import Demand, known_at, known_at_start
-from .problem import Problem, Region
+from .problem import Problem, Proposition
 from .rigorous import Whole
 
 SOMETIME = 2  # letter of a proposition that is to hold at some time of a window
 Met = frozenset[int]
-Window = tuple[Region, int, bool, bool, bool]
+Window = tuple[Proposition, int, bool, bool, bool]
 
 MOST_OPEN = 4  # most windows that are open at one time: each doubles the words that are followed
 
@@ -46,7 +48,7 @@ def _in_windows(problem: Problem, letters: Whole, faces: Whole, t: int) -> Itera
     for p, region in enumerate(problem.regions):
         if letters[t, p] == SOMETIME:
             k, from_above = divmod(int(faces[t, p]), 2)
-            if not 0 <= k < region.low.shape[1] or k in angle_outputs(problem.agents[region.agent]):
+            if not 0 <= k < region.low.shape[1] or k in angle_outputs(problem.agents[region.agents[0]]):
                 raise Refused(f"`{region.name}` at time {t} is crossed from no side, or along an angle")
             ends = not _one_window(letters, faces, t - 1, p), not _one_window(letters, faces, t, p)
             yield region, k, bool(from_above), *ends
@@ -59,7 +61,7 @@ def crossed(problem: Problem, letters: Whole, faces: Whole, t: int) -> list[Dema
         keeps_low, keeps_high = (first, last) if from_above else (last, first)
         for j, (low, high) in enumerate(zip(region.low[t].tolist(), region.high[t].tolist(), strict=True)):
             ends = low if j != k or keeps_low else -np.inf, high if j != k or keeps_high else np.inf
-            asked.append(Demand(((region.agent, j, 1.0),), *ends, f"`{region.name}` crossed at time {t}"))
+            asked.append(Demand(((region.agents[0], j, 1.0),), *ends, f"`{region.name}` crossed at time {t}"))
     return asked
 
 
@@ -72,30 +74,26 @@ def jumps(problem: Problem, letters: Whole, faces: Whole, t: int) -> list[Demand
             most = float(np.nextafter(region.high[t, k] - region.low[t - 1, k], -np.inf))
             least = float(np.nextafter(region.low[t, k] - region.high[t - 1, k], np.inf))
             ends = (least, np.inf) if from_above else (-np.inf, most)
-            asked.append(Demand(((region.agent, k, 1.0),), *ends, f"no jump over `{region.name}` at time {t}"))
+            asked.append(Demand(((region.agents[0], k, 1.0),), *ends, f"no jump over `{region.name}` at time {t}"))
     return asked
 
 
 def check_words(problem: Problem, letters: Whole, faces: Whole) -> None:
     """Raise ``Refused`` unless every word that agrees with the letters is accepted."""
-    automaton, start = problem.automaton, known_at_start(problem)
-    windows = letters[1:] == SOMETIME
-    if not np.any(windows):
-        word = [start, *(known_at(problem, letters, t) for t in range(1, len(letters)))]
-        if wrong := wrong_word(automaton, problem.horizon, word):
-            raise Refused(wrong)
-        return
+    automaton, windows = problem.automaton, letters[1:] == SOMETIME
     if np.any(windows[:, len(problem.regions) :]) or np.any(windows.sum(axis=1) > MOST_OPEN):
         raise Refused(f"a pair is crossed, or more than {MOST_OPEN} regions at one time")
+    if len(letters) > problem.horizon + 1:
+        raise Refused("the trajectory goes on after the horizon")
     if not automaton.is_co_safe and len(letters) != problem.horizon + 1:
         raise Refused("the trajectory ends before the horizon, where the task is judged")
-    # States by what was met in windows that are still open.
-    reached: dict[Met, set[int]] = {frozenset(): followed(automaton, {automaton.initial}, start)}
+    # States by what was met in windows that are still open; a co-safe task may be satisfied before any letter.
+    reached: dict[Met, set[int]] = {frozenset(): followed(automaton, {automaton.initial}, known_at_start(problem))}
     for t in range(1, len(letters)):
         ends = {p for p in np.flatnonzero(letters[t] == SOMETIME).tolist() if not _one_window(letters, faces, t, p)}
         after: dict[Met, set[int]] = {}
         for met, states in reached.items():
-            for known, now in _readings(problem, letters, t, met):
+            for known, now in _readings(problem, letters[t], t, met):
                 if ends <= now:  # where a window ends and nothing was met in it, no run is
                     after.setdefault(now - ends, set()).update(followed(automaton, states, known))
         reached = after
@@ -103,12 +101,10 @@ def check_words(problem: Problem, letters: Whole, faces: Whole) -> None:
         raise Refused("a word that agrees with the letters of the trajectory is not accepted")
 
 
-def _readings(problem: Problem, letters: Whole, t: int, met: Met) -> Iterator[tuple[Known, Met]]:
+def _readings(problem: Problem, letter: Whole, t: int, met: Met) -> Iterator[tuple[Known, Met]]:
     """Yield what the letter of a time may say, and what was met by then: open regions hold at the time, or not yet."""
-    is_open = np.flatnonzero(letters[t] == SOMETIME).tolist()
-    waiting = [p for p in is_open if p not in met]
+    waiting = [p for p in np.flatnonzero(letter == SOMETIME).tolist() if p not in met]
     for holds in product((False, True), repeat=len(waiting)):
-        now = letters.copy()
-        now[t, is_open] = 0
-        now[t, waiting] = [1 if each else -1 for each in holds]
+        now = letter.copy()
+        now[waiting] = [1 if each else -1 for each in holds]
         yield known_at(problem, now, t), met | {p for p, each in zip(waiting, holds, strict=True) if each}

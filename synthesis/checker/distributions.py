@@ -88,17 +88,15 @@ def _triangular(low: float, mode: float, high: float) -> Envelope:
 
 
 def _cut_normal(spread: float, low: float, high: float) -> Envelope:
-    half = 0.5 * (high - low)
     if low == -high:
         return Envelope(0.0, 0.0, min(_positive(spread, "spread"), _positive(high, "high")) * OUTWARD, LIGHT)
-    if not low < high:
-        raise Unreadable(f"a distribution lies between {low} and {high}")
+    half, found = 0.5 * (high - low), _bounded(low, high, 0.0, 0.5 * (high - low))
     # Means of both hats of the interval share its mass as the mean divides it (``tables``).
     table, lack = normal_table(np.zeros(1), np.array([low, high]), _positive(spread, "spread"), hats=True)
     fall, rise = table[0]
     least, most = (share / (fall + rise + lack) for share in (rise, rise + lack))
-    found = _bounded(low, high, float(low + half * (least + most)), half)
-    return replace(found, off=float(found.off + half * (most - least) * OUTWARD))
+    off = float(found.off + half * (most - least) * OUTWARD)
+    return replace(found, mean=float(low + half * (least + most)), off=off)
 
 
 def _student(scale: float, df: float) -> Envelope:

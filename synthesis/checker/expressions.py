@@ -41,7 +41,7 @@ def read_expression(text: Any, names: Iterable[str], numbers: Mapping[str, float
 
 
 def _read(node: ast.AST, names: frozenset[str], numbers: Mapping[str, float], depth: int) -> Tree:
-    if depth > DEEPEST:
+    if depth > DEEPEST:  # before what is below is read
         raise ValueError(f"an expression is nested deeper than {DEEPEST} levels")
     if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
         return _small(node.value)
@@ -51,7 +51,7 @@ def _read(node: ast.AST, names: frozenset[str], numbers: Mapping[str, float], de
     if name in names:
         return name
     if name in numbers:
-        return numbers[name]
+        return numbers[name]  # a parameter, put in as it stands
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
         inner = _read(node.operand, names, numbers, depth + 1)
         return inner if isinstance(node.op, ast.UAdd) else folded("negative", inner)
@@ -76,7 +76,7 @@ def _call(function: str, arguments: Sequence[Tree]) -> Tree:
 def folded(operation: str, *arguments: Tree) -> Tree:
     """Return an operation; on numbers alone its result, rounded to nearest (powers stay as they are)."""
     numbers = [argument for argument in arguments if isinstance(argument, float)]
-    if len(numbers) < len(arguments) or operation == "**":
+    if len(numbers) < len(arguments) or operation == "**":  # powers of numbers are enclosed, not rounded
         return (operation, *arguments)
     a, b = numbers[0], numbers[-1]
     # a quotient by 0 is no number, and refused as one that is too large

@@ -17,11 +17,11 @@ import numpy as np
 
 from .expressions import Tree, read_expression
 from .fields import Entry
-from .intervals import add, interval, mul, neg, up
+from .intervals import add, interval, neg, up
 from .jets import expanded
-from .networks import _Forms
+from .networks import Layer
 from .problem import Agent
-from .rigorous import Array, U
+from .rigorous import Array
 
 OFF = 1e-9  # share of inputs, and one, that controllers may be off by: far above what numpy's functions round by
 
@@ -52,13 +52,10 @@ def enclosed_feedback(
     feedback: Feedback, agent: Agent, at: Array, t: int, ends: Array, reach: Callable[[Array], Array]
 ) -> tuple[Array, Array, Array]:
     """Return u (m,), J (m, d) and ends (2, m) of rho, for errors between ends (2, d) around a state ``at`` (d,)."""
-    tube = _Tube(agent, at, t, ends, reach)
-    plain = _joined([tube.form(tree) for tree in feedback.inputs])
-    most = np.abs(plain.h) + np.abs(plain.rest()).max(axis=0) + np.abs(plain.C) @ plain.far
-    spare = OFF * (1.0 + most)
-    plain = _Forms(plain.h, plain.C, (*plain.parts, (None, np.stack([-spare, spare]))), most, plain.far)
-    forms = plain.through("clip", feedback.ends[0], feedback.ends[1], reach)
-    return forms.h, forms.C, forms.rest()
+    plain = _joined([_Tube(agent, at, t, ends, reach).layer(tree) for tree in feedback.inputs])
+    plain = plain.off_by(OFF * (1.0 + _largest(plain)))
+    cut = plain.through("clip", feedback.ends[0], feedback.ends[1], reach)
+    return cut.h, cut.C, cut.rest()
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,43 +68,30 @@ class _Tube:
     ends: Array
     reach: Callable[[Array], Array]
 
-    def form(self, tree: Tree) -> _Forms:
-        """Return an expression as ``h + C e`` and a rest: kinks by lines, as in networks, all else by jets."""
+    def layer(self, tree: Tree) -> Layer:
+        """Return an expression as a layer of one number: kinks by lines, as in networks, all else by jets."""
+        none = np.zeros(1)
         match tree:
             case (("+" | "-") as name, left, right) if _has_kink(tree):
-                a, b = self.form(left), self.form(right)
-                sign = 1.0 if name == "+" else -1.0
-                return self._made(
-                    a.h + sign * b.h, a.C + sign * b.C, add(a.rest(), b.rest() if sign > 0 else neg(b.rest()))
-                )
+                signs = np.array([[1.0, 1.0 if name == "+" else -1.0]])
+                return _joined([self.layer(left), self.layer(right)]).times(signs, none)
             case ("negative", inner) if _has_kink(tree):
-                a = self.form(inner)
-                return self._made(-a.h, -a.C, neg(a.rest()))
+                return self.layer(inner).times(-np.eye(1), none)
             case ("*", left, right) if _has_kink(tree):
-                a, b = self.form(left), self.form(right)
-                a, b = (b, a) if np.any(b.C) else (a, b)
-                if not np.any(b.C):  # a number at this time
-                    factor = add(interval(b.h), b.rest())
-                    middle = 0.5 * (factor[0] + factor[1])
-                    size = np.abs(a.h) + np.abs(a.C) @ a.far + np.abs(a.rest()).max(axis=0)
-                    off = up(size * (up(factor[1] - factor[0]) + 8.0 * U * np.abs(middle)))
-                    rest = add(mul(interval(middle), a.rest()), np.stack([-off, off]))
-                    return self._made(middle * a.h, middle[:, None] * a.C, rest)
+                a, b = self.layer(left), self.layer(right)
+                a, b = (b, a) if np.any(b.C) else (a, b)  # b is the factor without errors, if there is one
+                if not np.any(b.C):  # a number at this time, which is between ends
+                    low, high = add(interval(b.h), b.rest())
+                    return a.times(0.5 * (low + high)[None], none).off_by(up(_largest(a) * up(high - low)))
             case (("min" | "max") as name, inner, float(end)) | (("min" | "max") as name, float(end), inner):
-                low, high = (-np.inf, end) if name == "min" else (end, np.inf)
-                return self.form(inner).through("clip", np.full(1, low), np.full(1, high), self.reach)
+                low, high = (none - np.inf, none + end) if name == "min" else (none + end, none + np.inf)
+                return self.layer(inner).through("clip", low, high, self.reach)
             case ("tanh", inner):
-                return self.form(inner).through("tanh", np.zeros(1), np.zeros(1), self.reach)
-        places = {name: k for k, name in enumerate(self.agent.states)}
-        matrix, rest = expanded((tree,), self.at, places, self.ends, self.t, len(places))
-        middle = 0.5 * (rest[0] + rest[1])
-        return self._made(middle, matrix, add(rest, neg(interval(middle))))
-
-    def _made(self, h: Array, C: Array, rest: Array) -> _Forms:
-        """Return a form; numbers that were added or multiplied here are rounded."""
-        far = np.abs(self.ends).max(axis=0)
-        off = 8.0 * U * (np.abs(h) + np.abs(C) @ far) + 1e-290
-        return _Forms(h, C, ((None, add(rest, np.stack([-off, off]))),), np.abs(h), far)
+                return self.layer(inner).through("tanh", none, none, self.reach)
+        places, far = {name: k for k, name in enumerate(self.agent.states)}, np.abs(self.ends).max(axis=0)
+        matrix, ends = expanded((tree,), self.at, places, self.ends, self.t, len(places))
+        middle = 0.5 * (ends[0] + ends[1])
+        return Layer(middle, matrix, ((None, add(ends, neg(interval(middle)))),), np.abs(middle), far)
 
 
 def _has_kink(tree: Tree) -> bool:
@@ -115,8 +99,13 @@ def _has_kink(tree: Tree) -> bool:
     return isinstance(tree, tuple) and (tree[0] in ("min", "max", "tanh") or any(map(_has_kink, tree[1:])))
 
 
-def _joined(forms: list[_Forms]) -> _Forms:
-    """Return forms of one number each as one of several."""
-    rest = np.concatenate([own.rest() for own in forms], axis=1)
-    h, C = np.concatenate([own.h for own in forms]), np.concatenate([own.C for own in forms])
-    return _Forms(h, C, ((None, rest),), np.abs(h), forms[0].far)
+def _largest(layer: Layer) -> Array:
+    """Return what the numbers (n,) of a layer are at most in size, up to rounding."""
+    return np.asarray(np.abs(layer.h) + np.abs(layer.C) @ layer.far + np.abs(layer.rest()).max(axis=0))
+
+
+def _joined(layers: list[Layer]) -> Layer:
+    """Return layers of one number each as one of several."""
+    h, C, size = (np.concatenate([getattr(own, key) for own in layers]) for key in ("h", "C", "size"))
+    rest = np.concatenate([own.rest() for own in layers], axis=1)
+    return Layer(h, C, ((None, rest),), size, layers[0].far)

@@ -69,14 +69,13 @@ class Entry(NamedTuple):
         """Return the entries of a table with any keys."""
         if not isinstance(self.value, dict):
             raise self.expected("a table")
-        return {key: Entry(value, f"{self.place}.{key}", self.arrays, self.used) for key, value in self.value.items()}
+        return {key: self._replace(value=value, place=f"{self.place}.{key}") for key, value in self.value.items()}
 
     def entries(self, count: int | None = None) -> list[Entry]:
         """Return the entries of a list, of ``count`` entries if that is given."""
         if not isinstance(self.value, list) or (count is not None and len(self.value) != count):
             raise self.expected("a list" if count is None else f"a list of {count} entries")
-        place, arrays, used = self.place, self.arrays, self.used
-        return [Entry(value, f"{place}[{k}]", arrays, used) for k, value in enumerate(self.value)]
+        return [self._replace(value=value, place=f"{self.place}[{k}]") for k, value in enumerate(self.value)]
 
     def text(self) -> str:
         """Return a text."""
@@ -110,7 +109,7 @@ class Entry(NamedTuple):
 
     def whole(self, least: int, below: int) -> int:
         """Return a whole number in ``least .. below - 1``."""
-        if type(self.value) is not int or not least <= self.value < below:
+        if type(self.value) is not int or not least <= self.value < below:  # a truth value is no number
             raise self.expected(f"a whole number from {least} to {below - 1}")
         return self.value
 
@@ -138,7 +137,7 @@ class Entry(NamedTuple):
 
     def over_time(self, horizon: int, count: int, unlimited: float) -> Array:
         """Return an array (horizon + 1, count): one list for all times, or a list of lists for each."""
-        moves = isinstance(self.value, list) and bool(self.value) and isinstance(self.value[0], list)
+        moves = isinstance(self.value, list) and bool(self.value) and isinstance(self.value[0], list)  # lists of lists
         rows = self.entries(horizon + 1) if moves else [self] * (horizon + 1)
         return np.array([row.vector(count, unlimited) for row in rows]).reshape(horizon + 1, count)
 
@@ -169,7 +168,7 @@ class Entry(NamedTuple):
             raise self.wrong(f"expected whole numbers, got {array.dtype}")
         if array.size and not (least <= int(array.min()) and int(array.max()) < below):
             raise self.wrong(f"it holds a number that is not in {least} .. {below - 1}")
-        return array.astype(np.int64)
+        return array.astype(np.int64)  # wide enough for sums of such numbers
 
     def truths(self, shape: Shape) -> Truth:
         """Return an array of truth values of this shape; their bytes are 0 or 1."""

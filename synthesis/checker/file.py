@@ -101,7 +101,7 @@ def _members(raw: memoryview) -> list[tuple[str, memoryview]]:
         same = own[2:9] == entry[1:8] and own[9:13] == (len(name), 0, 0, 0) and own[15] == offset
         if not same or bytes(raw[at + 46 : at + 46 + len(name)]) != name.encode("ascii"):
             raise Unreadable(f"its directory says something else of {name[:40]!r} than stands there")
-        if zlib.crc32(data) != entry[5]:
+        if zlib.crc32(data) != entry[5]:  # over contents, not names
             raise Unreadable(f"{name[:40]!r} was changed by accident: its check sum differs")
         at += 46 + len(name)
     # Nothing may follow: the end of the archive is known to the byte.
@@ -117,7 +117,7 @@ def _local(raw: memoryview, at: int) -> tuple[str, tuple[int, ...], int, int]:
         raise Unreadable("a member is cut off")
     entry = struct.unpack("<HHHHHIIIHH", raw[at + 4 : at + 30])
     _, flags, method, _, _, _, packed, size, name_length, extra = entry
-    if flags or method or extra or packed != size or name_length > 40:
+    if flags or method or extra or packed != size or name_length > 40:  # no bit has a meaning here
         raise Unreadable("a member is deflated, encrypted, or has extra fields; members are stored as they are")
     start = at + 30 + name_length
     if start + size > len(raw):
@@ -155,8 +155,7 @@ def _header(raw: bytes) -> dict[str, Any]:
         raise Unreadable(f"its header does not say that it is a {FORMAT}")
     if header.get("version") != VERSION:
         raise Unreadable(f"its version is {str(header.get('version'))[:20]}, and version {VERSION} is read here")
-    own = Entry(header, "header").table(("format", "version", "name", "problem", "claim", "proof"), ("notes",))
-    own["name"].text()
+    Entry(header, "header").table(("format", "version", "name", "problem", "claim", "proof"), ("notes",))["name"].text()
     return header
 
 
@@ -174,5 +173,5 @@ def _array(name: str, data: memoryview) -> NDArray[Any]:
     if len(shape) > 4 or math.prod(shape) * dtype.itemsize != len(content):
         raise Unreadable(f"{name}: it announces {shape} numbers of type {match[1]}, which it does not hold")
     array = (np.frombuffer(content, dtype=dtype) if len(content) else np.zeros(0, dtype)).reshape(shape)
-    array.setflags(write=False)
+    array.setflags(write=False)  # all readers see one and the same
     return array

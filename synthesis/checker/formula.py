@@ -25,12 +25,11 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from .automaton import Automaton
-from .fields import Refused
+from .fields import NAME, Refused
 
 Formula: TypeAlias = Any
 
 TOKEN = re.compile(r"\s*(<->|->|[()!&|,\[\]]|[A-Za-z_][A-Za-z0-9_]*|[0-9]+)")
-NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 WORDS = frozenset(("true", "false", "X", "N", "F", "G", "U", "R", "W", "M"))
 # How tightly operators bind; ``->`` and the temporal ones bind to the right.
 POWER = {"<->": 1, "->": 2, "|": 3, "&": 4, "U": 5, "R": 5, "W": 5, "M": 5}
@@ -223,7 +222,7 @@ class _Progression(_Diagrams):
 
     def holds_at_end(self, f: int) -> bool:
         """Return whether a function is true where no next letter exists: every X is false there."""
-        while f > 1:
+        while f > 1:  # the side on which a variable is false
             f = self.nodes[f][1]
         return bool(f)
 

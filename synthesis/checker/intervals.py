@@ -123,7 +123,7 @@ LARGEST_POWER = 32  # whole powers up to it are products, of any number; others 
 def power(a: Array, p: float) -> Array:
     """Return powers with a fixed exponent."""
     if p == int(p) and abs(p) <= LARGEST_POWER:
-        if p < 0:
+        if p < 0:  # of a number that may be 0 nothing is known
             return recip(power(a, -p))
         result = interval(np.ones_like(a[0]))
         for _ in range(int(p) // 2):
@@ -139,14 +139,12 @@ NEAR_TOP = 1e-12
 
 def sine(a: Array, quarters: int = 0) -> Array:
     """Return sin(x + quarters pi/2): between the values at its ends, and at tops and bottoms between them."""
-    function = rigorous.cos if quarters else rigorous.sin
-    ends = np.stack([np.stack(function(end)) for end in a])  # (end of a, low and high, ..)
+    ends = np.stack([np.stack(rigorous.sin(end, quarters)) for end in a])  # (end of a, low and high, ..)
     low, high = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
     turns = a / (2 * np.pi) + 0.25 * quarters
     top, bottom = (np.floor(turns[1] - place + NEAR_TOP) >= turns[0] - place - NEAR_TOP for place in (0.25, 0.75))
-    far = np.abs(a).max(axis=0) >= LARGEST_ANGLE
-    low = np.where(bottom | far, -1.0, np.maximum(low, -1.0))
-    high = np.where(top | far, 1.0, np.minimum(high, 1.0))
+    # ends beyond the largest angle that is reduced have all values between -1 and 1 already
+    low, high = np.where(bottom, -1.0, np.maximum(low, -1.0)), np.where(top, 1.0, np.minimum(high, 1.0))
     return np.where(known(a), np.stack([low, high]), np.nan)
 
 

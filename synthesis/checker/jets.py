@@ -190,7 +190,7 @@ def _operation(tree: tuple[Tree, ...], leaves: Mapping[str, Jet], memory: Memory
     if name == "*":
         return a * b
     if name == "/":
-        return a * b.through(*_function("recip", b.value))
+        return a * b.through(*_function("recip", b.value))  # not known where b may be 0
     assert name in ("min", "max")
     return _maximum(a, b) if name == "max" else -_maximum(-a, -b)
 
@@ -203,10 +203,8 @@ def off_linear(centre: Jet, around: Jet, box: Array, matrix: Array, follow: Foll
     # Taylor at the centre, the mean value theorem on the box, and Taylor along what directions follow.
     row = interval(matrix)
     at_centre = total(mul(add(centre.slope, neg(row)), box), 0)
-    forms = [
-        total(mul(add(around.slope, neg(row)), box), 0),
-        add(at_centre, mul(_number(0.5), _quadratic(around.bend, box))),
-    ]
+    mean_value = total(mul(add(around.slope, neg(row)), box), 0)
+    forms = [mean_value, add(at_centre, mul(_number(0.5), _quadratic(around.bend, box)))]
     if follow is not None:
         transform, places, off = interval(follow[0])[..., None], follow[1], follow[2][:, None]
         # T' H T, in two steps.

@@ -20,8 +20,8 @@ from fractions import Fraction
 import numpy as np
 
 from .fields import Refused
-from .motions import labels_at_start, outputs_on
-from .problem import Pair, Problem
+from .motions import outputs_on
+from .problem import Problem, Proposition
 from .rigorous import Array, U, Whole
 
 # Factor on limits that lie within a ball: more than faces of a unit octagon are rounded by, which is 4 U.
@@ -42,14 +42,15 @@ class Demand:
     avoided: tuple[float, float] | None = None
 
 
-def known_at(problem: Problem, letters: Whole, t: int) -> dict[int, bool]:
-    """Return what is known of the letter of a time t >= 1, by number of the proposition."""
-    known = {p: value > 0 for p, value in enumerate(letters[t].tolist()) if value}
+def known_at(problem: Problem, letter: Whole, t: int) -> dict[int, bool]:
+    """Return what is known of a letter (P,) of a time t >= 1, by number of the proposition."""
+    # what holds at some time of a window is not known to hold at this one
+    known = {p: value == 1 for p, value in enumerate(letter.tolist()) if value in (-1, 1)}
     for p, region in enumerate(problem.regions):
         if p in known:
             continue
         # Regions of the same agent that hold, and have no point in common with this one.
-        hold = [o for o, value in zip(problem.regions, letters[t]) if value > 0 and o.agent == region.agent]
+        hold = [o for o, value in zip(problem.regions, letter) if value == 1 and o.agents == region.agents]
         apart = any(np.any((region.high[t] <= o.low[t]) | (o.high[t] <= region.low[t])) for o in hold)
         if np.any(region.low[t] >= region.high[t]) or apart:
             known[p] = False
@@ -59,35 +60,33 @@ def known_at(problem: Problem, letters: Whole, t: int) -> dict[int, bool]:
 def known_at_start(problem: Problem) -> dict[int, bool]:
     """Return what is known of the letter of time 0, for all starts in the box."""
     # Outputs on the closed box of starts, which is one cell; those that are states are exact.
-    outputs = [
-        outputs_on(own, own.start[:1], own.start[1:], np.ones((1, len(own.states)), bool)) for own in problem.agents
-    ]
-    labels = [labels_at_start(region, *outputs[region.agent])[0] for region in problem.regions]
-    known = {p: bool(label > 0) for p, label in enumerate(labels) if label}
-    for p, pair in enumerate(problem.pairs, start=len(problem.regions)):
-        ends = [np.stack(outputs[i][:2])[:, :, 0] for i in pair.agents]
-        sides = [own[:, list(axes)] for own, axes in zip(ends, pair.outputs, strict=True)]
-        held = _held(pair, *sides) if all(np.all(np.isfinite(side)) for side in sides) else None
+    starts = [(own, own.start[:1], own.start[1:], np.ones((1, len(own.states)), bool)) for own in problem.agents]
+    ends, known = [np.stack(outputs_on(*own)[:2])[:, :, 0] for own in starts], dict[int, bool]()
+    for p, own in enumerate((*problem.regions, *problem.pairs)):
+        first, *others = (ends[i][:, list(axes)] for i, axes in zip(own.agents, own.outputs, strict=True))
+        held = _held(own, first, others[0] if others else 0.0 * first)
         if held is not None:
             known[p] = held
     return known
 
 
-def _held(pair: Pair, first: Array, second: Array) -> bool | None:
-    """Return whether a pair holds at time 0 for all outputs between ends (2, p); None if that is not known.
+def _held(own: Proposition, first: Array, second: Array) -> bool | None:
+    """Return whether a proposition holds at time 0 for all outputs between ends (2, p); None if that is not known.
 
     Starts may lie on a face, so differences are rational numbers; those that a simulator rounds lie between their ends.
     """
+    if not np.all(np.isfinite([first, second])):
+        return None
     ends = []
     for a_low, a_high, b_low, b_high in zip(*first.tolist(), *second.tolist(), strict=True):
         exact = Fraction(a_low) - Fraction(b_high), Fraction(a_high) - Fraction(b_low)
         ends.append((min(exact[0], Fraction(a_low - b_high)), max(exact[1], Fraction(a_high - b_low))))
-    if pair.radius is None:
-        limits = list(zip(ends, pair.low[0].tolist(), pair.high[0].tolist(), strict=True))
+    if own.radius is None:
+        limits = list(zip(ends, own.low[0].tolist(), own.high[0].tolist(), strict=True))
         if all(a <= low and high < b for (low, high), a, b in limits):
             return True
         return False if any(high < a or b <= low or a >= b for (low, high), a, b in limits) else None
-    radius = Fraction(float(pair.radius[0]))
+    radius = Fraction(float(own.radius[0]))
     # The shortest and the longest difference, squared.
     least = sum(0 if low <= 0 <= high else min(low * low, high * high) for low, high in ends)
     most = sum(max(low * low, high * high) for low, high in ends)
@@ -101,55 +100,49 @@ def _held(pair: Pair, first: Array, second: Array) -> bool | None:
 def demands(problem: Problem, letters: Whole, faces: Whole, normals: Array, t: int) -> list[Demand]:
     """Return what the letter of a time t >= 1 asks of outputs; raise ``Refused`` if a side that is named is none."""
     asked: list[Demand] = []
-    for p, region in enumerate(problem.regions):
-        value, face, label = int(letters[t, p]), int(faces[t, p]), f"`{region.name}` at time {t}"
-        limits = list(zip(region.low[t].tolist(), region.high[t].tolist(), strict=True))
+    first, last = 0, 0
+    for p, own in enumerate((*problem.regions, *problem.pairs)):
+        value, label, is_pair = int(letters[t, p]), f"`{own.name}` at time {t}", len(own.agents) > 1
+        # Pairs come after regions, and their normals stand one after the other.
+        first, last = last, last + len(own.outputs[0]) * is_pair
         if value == 1:
-            limited = [(k, low, high) for k, (low, high) in enumerate(limits) if low > -np.inf or high < np.inf]
-            asked += [Demand(((region.agent, k, 1.0),), low, high, label) for k, low, high in limited]
+            asked += _inside(own, label, t)
+        elif value == -1 and is_pair:
+            asked += _apart(own, normals[t, first:last], f"not {label}", t)
         # A region that is empty at this time does not hold, and nothing has to be avoided.
-        elif value < 0 and all(low < high for low, high in limits):
-            k, above = divmod(face, 2)
+        elif value == -1 and np.all(own.low[t] < own.high[t]):
+            limits = list(zip(own.low[t].tolist(), own.high[t].tolist(), strict=True))
+            k, above = divmod(int(faces[t, p]), 2)
             if not 0 <= k < len(limits) or not np.isfinite(limits[k][above]):
-                raise Refused(f"{label}: the side {face} that is kept away from has no limit")
+                raise Refused(f"{label}: the side {faces[t, p]} that is kept away from has no limit")
             low, high = (limits[k][1], np.inf) if above else (-np.inf, limits[k][0])
-            asked.append(Demand(((region.agent, k, 1.0),), low, high, f"not {label}", limits[k]))
-    # Pairs come after regions, and their normals stand one after the other.
-    first = 0
-    for p, pair in enumerate(problem.pairs, start=len(problem.regions)):
-        last = first + len(pair.outputs[0])
-        if letters[t, p] == 1:
-            asked += _near(pair, t)
-        elif letters[t, p] < 0:
-            asked += _apart(pair, normals[t, first:last], t)
-        first = last
+            asked.append(Demand(((own.agents[0], k, 1.0),), low, high, f"not {label}", limits[k]))
     return asked
 
 
-def _between(pair: Pair, factors: Array, low: float, high: float, label: str) -> Demand:
-    """Return limits on ``factors.(y_a - y_b)``."""
-    sides = zip(pair.agents, pair.outputs, (1.0, -1.0), strict=True)
+def _between(own: Proposition, factors: Array, low: float, high: float, label: str) -> Demand:
+    """Return limits on ``factors.y``, or on ``factors.(y_a - y_b)``."""
+    sides = zip(own.agents, own.outputs, (1.0, -1.0), strict=False)
     parts = [(i, k, sign * f) for i, axes, sign in sides for k, f in zip(axes, factors.tolist(), strict=True) if f]
     return Demand(tuple(parts), low, high, label)
 
 
-def _near(pair: Pair, t: int) -> list[Demand]:
-    """Return limits which together hold in points of a pair alone."""
-    label, count = f"`{pair.name}` at time {t}", len(pair.outputs[0])
-    faces, low, high = np.eye(count), pair.low[t], pair.high[t]
-    if pair.radius is not None:
+def _inside(own: Proposition, label: str, t: int) -> list[Demand]:
+    """Return limits which together hold in points of a box or ball alone."""
+    count = len(own.outputs[0])
+    faces, low, high = np.eye(count), own.low[t], own.high[t]
+    if own.radius is not None:
         # in a disc a regular octagon: its corners are at the radius, its faces at radius times cos(pi / 8)
         turns = 0.25 * np.pi * np.arange(4)
         faces = np.column_stack([np.cos(turns), np.sin(turns)]) if count == 2 else faces
-        limit = float(pair.radius[t]) * INSIDE * (0.9238795325112867 if count == 2 else 1.0 / float(np.sqrt(count)))
+        limit = float(own.radius[t]) * INSIDE * (0.9238795325112867 if count == 2 else 1.0 / float(np.sqrt(count)))
         low, high = np.full(len(faces), -limit), np.full(len(faces), limit)
     limits = zip(faces, low.tolist(), high.tolist(), strict=True)
-    return [_between(pair, face, a, b, label) for face, a, b in limits if a > -np.inf or b < np.inf]
+    return [_between(own, face, a, b, label) for face, a, b in limits if a > -np.inf or b < np.inf]
 
 
-def _apart(pair: Pair, normal: Array, t: int) -> list[Demand]:
+def _apart(pair: Proposition, normal: Array, label: str, t: int) -> list[Demand]:
     """Return the half-space beyond a pair in the direction of a normal; nothing where the pair is empty."""
-    label = f"not `{pair.name}` at time {t}"
     if pair.radius is None:
         low, high = pair.low[t], pair.high[t]
         if np.any(low >= high):

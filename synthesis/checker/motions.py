@@ -27,12 +27,11 @@ from .expressions import names_in, plain_sum
 from .fields import Refused
 from .intervals import down, interval, up
 from .jets import on_boxes, value_on
-from .problem import Agent, Problem, Region
+from .problem import Agent, Problem
 from .rigorous import Array, Truth, U, Whole
 
-Labels = NDArray[
-    np.int8
-]  # by cell and proposition of the agent: 1 holds in all of the cell, -1 nowhere in it, 0 not known
+# By cell and proposition of the agent: 1 holds in all of the cell, -1 nowhere in it, 0 not known.
+Labels = NDArray[np.int8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +59,7 @@ def maps_of_inputs(
     low, high = (corner[cell] for corner in cell_boxes(edges))
     named, unknown, (n, d) = names_in(agent.dynamics), dict[str, Any](agent.disturbances), low.shape
     for at, boxes in ((agent.states_of_others, "state_box"), (agent.inputs_of_others, "input_box")):
-        found = {name: getattr(others[j], boxes)[:, k] for name, (j, k) in at.items() if name in named}
-        unknown |= found
+        unknown |= {name: getattr(others[j], boxes)[:, k] for name, (j, k) in at.items() if name in named}
     # Variables of a cell: its states, and everything that is unknown, around the middles of their ranges.
     more = np.repeat(np.array(list(unknown.values())).reshape(-1, 2).T[:, :, None], n, axis=2)
     ranges = np.concatenate([np.stack([low.T, high.T]), more], axis=1)
@@ -125,22 +123,18 @@ def cell_labels(problem: Problem, i: int, edges: Sequence[Array]) -> tuple[list[
     """Return the propositions of agent i and their labels (S, .) in its cells; ``Refused`` where regions move."""
     low, high = cell_boxes(edges)
     last = high == np.array([axis[-1] for axis in edges])  # cells that hold their upper face
-    mine = [p for p, region in enumerate(problem.regions) if region.agent == i]
-    labels, outputs = np.zeros((len(low), len(mine)), dtype=np.int8), outputs_on(problem.agents[i], low, high, last)
+    mine = [p for p, region in enumerate(problem.regions) if region.agents == (i,)]
+    least, most, reached = outputs_on(problem.agents[i], low, high, last)
+    labels = np.zeros((len(low), len(mine)), dtype=np.int8)
     for column, p in enumerate(mine):
         region = problem.regions[p]
         if np.any(region.low != region.low[0]) or np.any(region.high != region.high[0]):
             raise Refused(f"`{region.name}` moves with the time, and cells know no time")
-        labels[:, column] = labels_at_start(region, *outputs)
+        a, b = region.low[0][:, None], region.high[0][:, None]
+        holds = (a <= least) & np.where(reached, most < b, most <= b)
+        never = np.where(reached, most < a, most <= a) | (b <= least) | (a >= b)
+        labels[:, column] = np.where(never.any(axis=0), -1, np.where(holds.all(axis=0), 1, 0))
     return mine, labels
-
-
-def labels_at_start(region: Region, least: Array, most: Array, reached: Truth) -> Labels:
-    """Return the labels (S,) of a region at time 0, for ends (p, S) of outputs, and whether upper ones are reached."""
-    low, high = region.low[0][:, None], region.high[0][:, None]
-    holds = (low <= least) & np.where(reached, most < high, most <= high)
-    never = np.where(reached, most < low, most <= low) | (high <= least) | (low >= high)
-    return np.where(never.any(axis=0), -1, np.where(holds.all(axis=0), 1, 0)).astype(np.int8)
 
 
 def outputs_on(agent: Agent, low: Array, high: Array, last: Truth) -> tuple[Array, Array, Truth]:

@@ -29,7 +29,7 @@ By hand: an activation of ``tanh`` is off by 2^-21 at most. Reference: docs/theo
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,7 +92,7 @@ def automaton_states(problem: Problem, letters: Whole) -> list[int]:
     states = followed(automaton, {automaton.initial}, known_at_start(problem))
     for t in range(len(letters)):
         if t:
-            states = followed(automaton, states, known_at(problem, letters, t))
+            states = followed(automaton, states, known_at(problem, letters[t], t))
         if automaton.is_co_safe:  # nothing is asked of runs that are accepted
             states = {q for q in states if not automaton.accepting[q]}
         if len(states) > 1:
@@ -111,8 +111,8 @@ def enclosed(
     """
     forms, m, (low, high) = _first(network, agent, at, row, far), len(agent.inputs), agent.input_box
     for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
-        forms = _after(forms, weight, bias).through(network.activation, np.zeros(0), np.zeros(0), reach)
-    last, ones = _after(forms, network.weights[-1][:m], network.biases[-1][:m]), np.ones(m)
+        forms = forms.times(weight, bias, SINGLE).through(network.activation, np.zeros(0), np.zeros(0), reach)
+    last, ones = forms.times(network.weights[-1][:m], network.biases[-1][:m], SINGLE), np.ones(m)
     # Outputs are inputs, cut off at their box, or stand for it between -1 and 1.
     if network.output == "box":
         forms, middle, half = last.through("clip", low, high, reach), 0.0 * ones, ones
@@ -126,7 +126,7 @@ def enclosed(
 
 
 @dataclass(frozen=True, eq=False)
-class _Forms:
+class Layer:
     """Numbers ``h + C e + sum G q`` of a layer; q between ends; no larger than ``size``, with errors up to ``far``."""
 
     h: Array
@@ -134,6 +134,10 @@ class _Forms:
     parts: tuple[tuple[Array | None, Array], ...]  # no matrix: the identity
     size: Array
     far: Array
+
+    def off_by(self, off: Array) -> Layer:
+        """Return the layer with something more, no larger than ``off`` (n,)."""
+        return replace(self, parts=(*self.parts, (None, np.stack([-off, off]))))
 
     def rest(self) -> Array:
         """Return ends (2, n) of the sum of all parts."""
@@ -148,8 +152,19 @@ class _Forms:
             total = add(total, ends)
         return total
 
-    def through(self, activation: str, low: Array, high: Array, reach: Callable[[Array], Array]) -> _Forms:
-        """Return the forms after an activation; ``clip`` cuts off at ``low`` and ``high`` (n,)."""
+    def times(self, weight: Array, bias: Array, unit: float = 0.0) -> Layer:
+        """Return ``weight @ self + bias``, with what the sums are rounded by here, and by a network of this unit."""
+        n, size = weight.shape[1], np.abs(weight)
+        parts = tuple((weight if g is None else weight @ g, q) for g, q in self.parts)
+        here = size @ (np.abs(self.h) + np.abs(self.C) @ self.far) + np.abs(bias)
+        for g, q in self.parts:
+            most = np.abs(q).max(axis=0)
+            here = here + size @ (most if g is None else np.abs(g) @ most)
+        off = 1.01 * (n + 2.0) * unit * (size @ self.size + np.abs(bias)) + 4.0 * (n + 8.0) * U * here + 1e-40
+        return Layer(weight @ self.h + bias, weight @ self.C, parts, here, self.far).off_by(off)
+
+    def through(self, activation: str, low: Array, high: Array, reach: Callable[[Array], Array]) -> Layer:
+        """Return the layer after an activation; ``clip`` cuts off at ``low`` and ``high`` (n,)."""
         ends = add(reach(self.C), self.rest())
         ends = np.stack([np.minimum(ends[0], 0.0), np.maximum(ends[1], 0.0)])
         slope, value, rest = _line(activation, self.h, ends, low, high)
@@ -158,11 +173,11 @@ class _Forms:
         rest = rest + np.stack([-lost, lost])
         size = np.abs(np.stack([value + slope * ends[0] + rest[0], value + slope * ends[1] + rest[1]])).max(axis=0)
         parts = tuple((slope[:, None] * (np.eye(len(slope)) if g is None else g), q) for g, q in self.parts)
-        return _Forms(value, slope[:, None] * self.C, (*parts, (None, rest)), size * (1.0 + 8.0 * U), self.far)
+        return Layer(value, slope[:, None] * self.C, (*parts, (None, rest)), size * (1.0 + 8.0 * U), self.far)
 
 
-def _first(network: Network, agent: Agent, at: Array, row: tuple[int, int, float], far: Array) -> _Forms:
-    """Return the row that a network sees, as forms of the error."""
+def _first(network: Network, agent: Agent, at: Array, row: tuple[int, int, float], far: Array) -> Layer:
+    """Return the row that a network sees."""
     (q, states, left), d, (low, high) = row, len(at), agent.state_box
     scaled = network.sees != "raw"
     middle, half = (0.5 * (low + high), 0.5 * (high - low)) if scaled else (np.zeros(d), np.ones(d))
@@ -176,62 +191,42 @@ def _first(network: Network, agent: Agent, at: Array, row: tuple[int, int, float
     # the row is scaled in double precision, and rounded to single
     off = SINGLE * size[:d] * 1.01 + 32.0 * U * (np.abs(at) + far + np.abs(low) + np.abs(high)) / half + 1e-45
     size[:d] += off
-    return _Forms(h, C, ((np.eye(len(h))[:, :d], np.stack([-off, off])),), size, far)
-
-
-def _after(forms: _Forms, weight: Array, bias: Array) -> _Forms:
-    """Return the forms after a layer, with what its sums are rounded by, by the network and here."""
-    n, size = weight.shape[1], np.abs(weight)
-    parts: list[tuple[Array | None, Array]] = [(weight if g is None else weight @ g, q) for g, q in forms.parts]
-    here = size @ (np.abs(forms.h) + np.abs(forms.C) @ forms.far) + np.abs(bias)
-    for g, q in forms.parts:
-        most = np.abs(q).max(axis=0)
-        here = here + size @ (most if g is None else np.abs(g) @ most)
-    off = 1.01 * (n + 2.0) * SINGLE * (size @ forms.size + np.abs(bias)) + 4.0 * (n + 8.0) * U * here + 1e-40
-    parts.append((None, np.stack([-off, off])))
-    return _Forms(weight @ forms.h + bias, weight @ forms.C, tuple(parts), np.zeros(len(bias)), forms.far)
+    return Layer(h, C, ((np.eye(len(h))[:, :d], np.stack([-off, off])),), size, far)
 
 
 def _line(activation: str, z: Array, ends: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
     """Return s, h and ends of q (n,) with ``f(z + d) = h + s d + q`` for all d between ends (2, n), which hold 0."""
     first, last = down(z + ends[0]), up(z + ends[1])
-    width = np.maximum(last - first, 1e-300)
-    # The activation at both ends and at z; s is the slope of the chord, and any one would do.
-    if activation == "tanh":
-        a, b, mid = (tanh(interval(end)) for end in (first, last, z))
-        value = 0.5 * (mid[0] + mid[1])
-        slope = np.where(last - first > 1e-7, (b[0] - a[1]) / width, 1.0 - value * value)
-    else:
-        low, high = (np.zeros(len(z)), np.full(len(z), np.inf)) if activation == "relu" else (low, high)
-        a, b, value = interval(np.clip(first, low, high)), interval(np.clip(last, low, high)), np.clip(z, low, high)
-        # inside of both kinks a neuron is what it gets
-        inside = (first >= low) & (last <= high)
-        slope = np.where((last > first) & ~inside, (b[0] - a[0]) / width, 1.0)
-    slope = np.clip(slope, 0.0, 1.0)
+    if activation == "relu":
+        low, high = np.zeros(len(z)), np.full(len(z), np.inf)
 
-    def rest(at: Array, value_there: Array) -> Array:
-        """What a point leaves of the line."""
-        return add(add(value_there, neg(interval(value))), neg(mul(interval(slope), add(at, neg(interval(z))))))
+    def f(x: Array) -> Array:
+        return tanh(interval(x)) if activation == "tanh" else interval(np.clip(x, low, high))
 
-    at_first, at_last = rest(interval(first), a), rest(interval(last), b)
-    q = np.stack([np.minimum(at_first[0], at_last[0]), np.maximum(at_first[1], at_last[1])])
+    a, b, mid = f(first), f(last), f(z)
+    value, chord = 0.5 * (mid[0] + mid[1]), (b[0] - a[1]) / np.maximum(last - first, 1e-300)
+    # The slope s is that of the chord, and any one would do; q has its extrema at kinks, or where the slope is s.
     if activation == "tanh":
-        # where the slope is s, tanh is +-r with r^2 = 1 - s: the largest rest on the right, the least on the left
-        one = interval(np.ones(len(z)))
+        slope, one = np.where(last - first > 1e-7, chord, 1.0 - value * value).clip(0.0, 1.0), interval(np.ones(len(z)))
+        # the slope is s where tanh is +-r with r^2 = 1 - s; next to 1 that is beyond 18
         r = root(np.maximum(add(one, neg(interval(slope))), 0.0))
-        beyond = r[1] >= 1.0 - 1e-15
-        safe = np.where(beyond, 0.5, r)
+        safe = np.where(beyond := r[1] >= 1.0 - 1e-15, 0.5, r)
         at = 0.5 * log(mul(add(one, safe), recip(add(one, neg(safe)))))
         at = np.where(beyond, np.array([[18.0], [1e3]]), at)
-        most, least = rest(at, r)[1], rest(neg(at), neg(r))[0]
-        right, left = (at[0] <= last) & (at[1] >= first), (-at[1] <= last) & (-at[0] >= first)
-        q = np.stack([np.where(left, np.minimum(q[0], least), q[0]), np.where(right, np.maximum(q[1], most), q[1])])
-        return slope, value, q + np.array([[-TANH_OFF], [TANH_OFF]])
-    for kink in (low, high):
-        met = np.isfinite(kink) & (first < kink) & (kink < last)
-        there = np.where(met, rest(interval(np.where(met, kink, z)), interval(np.where(met, kink, value))), q)
-        q = np.stack([np.minimum(q[0], there[0]), np.maximum(q[1], there[1])])
-    return slope, value, q
+        kinks, off = [(at, r, [1]), (neg(at), neg(r), [0])], TANH_OFF  # the largest rest on the right
+    else:
+        # inside of both kinks a neuron is what it gets
+        slope = np.where((first >= low) & (last <= high), 1.0, chord).clip(0.0, 1.0)
+        ends_of = [np.where(np.isfinite(end), end, z) for end in (low, high)]
+        kinks, off = [(interval(end), f(end), [0, 1]) for end in ends_of], 0.0
+    q = np.array([np.inf, -np.inf])[:, None] + 0.0 * z
+    for at, there, sides in ((interval(first), a, [0, 1]), (interval(last), b, [0, 1]), *kinks):
+        # what a point between the ends leaves of the line; points of which nothing is known count
+        left = add(add(there, neg(interval(value))), neg(mul(interval(slope), add(at, neg(interval(z))))))
+        apart = (at[0] > last) | (at[1] < first)
+        for k in sides:
+            q[k] = np.where(apart, q[k], (np.minimum, np.maximum)[k](q[k], left[k]))
+    return slope, value, q + np.array([[-off], [off]])
 
 
 @dataclass(frozen=True, eq=False)

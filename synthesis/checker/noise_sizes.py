@@ -20,6 +20,7 @@ import numpy as np
 
 from .constraints import Constraints, Forms
 from .distributions import NORMAL, STOPPED
+from .expressions import names_in
 from .fields import Refused
 from .intervals import add, down, interval, mul, up
 from .jets import value_on
@@ -31,14 +32,15 @@ Leaves = tuple[dict[str, Array], dict[str, Array]]  # ends (2, 1) of names on th
 
 def kinds_of(problem: Problem, widths: list[Array]) -> Whole:
     """Return what is known of the tails of each source (W,), for widths (S, d) of strips of each agent."""
-    kinds, first = problem.kinds, 0
+    kinds = list[int]()
     for agent, width in zip(problem.agents, widths, strict=True):
-        wide = np.isinf(width).any(axis=0)
-        for column, factors in enumerate(agent.noise.T, start=first):
-            if kinds[column] == STOPPED and not np.any(wide & (factors != 0.0)):
-                kinds[column] = NORMAL
-        first += agent.noise.shape[1]
-    return kinds
+        # a scale that names the time only is a number at each step
+        depends = names_in(agent.scale) & {*agent.states, *agent.inputs, *agent.disturbances}
+        wide = np.isinf(width).any(axis=0) & bool(depends)
+        for column, envelope in zip(agent.noise.T, agent.envelopes, strict=True):
+            stopped = envelope.tail == NORMAL and np.any(wide & (column != 0.0))
+            kinds.append(STOPPED if stopped else envelope.tail)
+    return np.array([*kinds, *[NORMAL] * problem.agents[0].shared_noise.shape[1]], dtype=np.int64)
 
 
 def sized(agent: Agent, factor: Array, width: Array, leaves: Leaves, constraints: Constraints, t: int) -> Ends:
@@ -62,12 +64,11 @@ def sized(agent: Agent, factor: Array, width: Array, leaves: Leaves, constraints
     more = up(away * np.where(strip, width, 0.0)) + np.where(strip, 1e-290, 0.0)
     variance = np.sum(own * own, axis=1) * (1.0 + 4.0 * U * (own.shape[1] + 4.0))
     scaled, sources = factor.copy(), np.zeros(factor.shape, dtype=bool)
-    scaled[:, : own.shape[1]] *= middle[:, None]
+    scaled[:, : own.shape[1]] *= middle[:, None]  # shared sources are not scaled
     sources[:, : own.shape[1]] = own != 0.0
     # Strips are constraints on the noise of this step, and rest on nothing else.
     if labels := [f"noise of `{agent.states[k]}` of `{agent.name}` at time {t}" for k in np.flatnonzero(strip)]:
-        nothing = np.full(len(labels), np.inf)
-        constraints.add(nothing, nothing, width[strip], Forms(variance, variance, sources).at(strip), labels)
+        constraints.add(np.inf, np.inf, width[strip], Forms(variance, variance, sources).at(strip), labels)
     return scaled, add(np.stack([-more, more]), mul(ends, mean_of(agent)))
 
 

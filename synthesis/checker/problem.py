@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 
 from .automaton import Automaton
-from .distributions import NORMAL, STOPPED, Envelope, read_distribution
-from .expressions import Tree, affine, names_in, read_expression
+from .distributions import NORMAL, Envelope, read_distribution
+from .expressions import Tree, affine, read_expression
 from .fields import Entry, box, distinct
 from .formula import Formula, parse
-from .rigorous import Array, Whole
+from .rigorous import Array
 
 Trees = tuple[Tree, ...]
 
@@ -64,22 +64,15 @@ class Agent:
 
 
 @dataclass(frozen=True, eq=False)
-class Region:
-    """A proposition about one agent: corners (T + 1, p), infinite where there is no limit."""
+class Proposition:
+    """About outputs of one agent (a *region*), or their differences from as many of another one (a *pair*).
+
+    Corners (T + 1, p) are infinite where there is no limit; or there are radii (T + 1,).
+    """
 
     name: str
-    agent: int
-    low: Array
-    high: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Pair:
-    """A proposition about the difference of outputs of two agents: corners (T + 1, p), or radii (T + 1,)."""
-
-    name: str
-    agents: tuple[int, int]
-    outputs: tuple[tuple[int, ...], tuple[int, ...]]
+    agents: tuple[int, ...]
+    outputs: tuple[tuple[int, ...], ...]
     low: Array
     high: Array
     radius: Array | None
@@ -91,8 +84,8 @@ class Problem:
 
     horizon: int
     agents: tuple[Agent, ...]
-    regions: tuple[Region, ...]
-    pairs: tuple[Pair, ...]
+    regions: tuple[Proposition, ...]
+    pairs: tuple[Proposition, ...]
     automaton: Automaton
     formula: Formula | None
     """None where the automaton itself is the task."""
@@ -107,7 +100,7 @@ class Problem:
         """Where the inputs of each agent are in the joint input."""
         return _one_after_the_other([len(agent.inputs) for agent in self.agents])
 
-    @property
+    @cached_property
     def noise(self) -> Array:
         """The factor L (D, W) of the noise of the joint state, before it is scaled.
 
@@ -120,17 +113,6 @@ class Problem:
             factor[here, own] = agent.noise * np.array([envelope.deviation for envelope in agent.envelopes])
             factor[here, shared:] = agent.shared_noise
         return factor
-
-    @property
-    def kinds(self) -> Whole:
-        """What is known of the tails of each source (W,) of noise."""
-        tails = []
-        for agent in self.agents:
-            # a scale that names the time only is a number at each step
-            depends = names_in(agent.scale) & {*agent.states, *agent.inputs, *agent.disturbances}
-            own = [envelope.tail for envelope in agent.envelopes]
-            tails += [STOPPED if depends and tail == NORMAL else tail for tail in own]
-        return np.array([*tails, *[NORMAL] * self.agents[0].shared_noise.shape[1]], dtype=np.int64)
 
 
 def _one_after_the_other(counts: list[int]) -> list[slice]:
@@ -146,13 +128,11 @@ def read_problem(header: dict[str, Any]) -> Problem:
     regions = tuple(_region(entry, agents, horizon) for entry in own["regions"].entries())
     pairs = tuple(_pair(entry, agents, horizon) for entry in own["pairs"].entries())
     # Propositions are numbered: regions first, then pairs.
-    names = (*(region.name for region in regions), *(pair.name for pair in pairs))
+    names = tuple(own.name for own in (*regions, *pairs))
     distinct(names, "problem.regions")
     task = own["task"].table(("semantics", "automaton"), ("formula",))
-    automaton, formula = _automaton(task, names), None
-    if "formula" in task:
-        text = task["formula"].text()
-        formula = task["formula"].made(partial(parse, text))
+    automaton, asked = _automaton(task, names), task.get("formula")
+    formula = None if asked is None else asked.made(partial(parse, asked.text()))
     return Problem(horizon, agents, regions, pairs, automaton, formula)
 
 
@@ -201,9 +181,8 @@ def _agent(i: int, own: dict[str, Entry], names: tuple[str, ...], variables: lis
     # `t` is the time unless the agent has something of this name.
     timed = local if "t" in (*local, *parameters) else (*local, "t")
     # Noise: factors, distributions of what they multiply, and scales.
-    noise, shared = own["noise"].matrix(d), np.zeros((d, 0))
-    if "shared_noise" in own:
-        shared = own["shared_noise"].matrix(d)
+    noise = own["noise"].matrix(d)
+    shared = own["shared_noise"].matrix(d) if "shared_noise" in own else np.zeros((d, 0))
     envelopes, scale = [STANDARD] * noise.shape[1], Trees()
     if "distributions" in own:
         envelopes = [read_distribution(entry) for entry in own["distributions"].entries(len(envelopes))]
@@ -267,20 +246,21 @@ def _dynamics(
 # Propositions and the task.
 
 
-def _region(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Region:
+def _region(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Proposition:
     own = entry.table(("name", "agent", "low", "high"))
     agent = own["agent"].whole(0, len(agents))
-    return Region(own["name"].name(), agent, *_corners(own, horizon, len(agents[agent].outputs)))
+    outputs = tuple(range(len(agents[agent].outputs)))
+    return Proposition(own["name"].name(), (agent,), (outputs,), *_corners(own, horizon, len(outputs)), None)
 
 
 def _corners(own: dict[str, Entry], horizon: int, count: int) -> tuple[Array, Array]:
     return own["low"].over_time(horizon, count, -np.inf), own["high"].over_time(horizon, count, np.inf)
 
 
-def _pair(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Pair:
+def _pair(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Proposition:
     own = entry.table(("name", "agents", "outputs"), ("low", "high", "radius"))
     first, second = own["agents"].wholes(0, len(agents), 2)
-    if first == second:
+    if first == second:  # nothing is said of one agent and itself
         raise own["agents"].wrong("one agent stands there twice")
     # Outputs are compared in order, as many of either agent.
     a, b = own["outputs"].entries(2)
@@ -292,11 +272,11 @@ def _pair(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Pair:
         raise entry.wrong("expected either `radius`, or `low` and `high`")
     name, pair = own["name"].name(), (first, second)
     if "radius" not in own:
-        return Pair(name, pair, outputs, *_corners(own, horizon, count), None)
+        return Proposition(name, pair, outputs, *_corners(own, horizon, count), None)
     # A radius for all times, or one for each.
     radius, unlimited = own["radius"], np.full((horizon + 1, count), np.inf)
     radii = radius.vector(horizon + 1) if isinstance(radius.value, list) else np.full(horizon + 1, radius.number())
-    return Pair(name, pair, outputs, -unlimited, unlimited, radii)
+    return Proposition(name, pair, outputs, -unlimited, unlimited, radii)
 
 
 def _automaton(task: dict[str, Entry], names: tuple[str, ...]) -> Automaton:

@@ -1,7 +1,9 @@
 """Elementary functions and the tail of the normal distribution, each enclosed between two doubles.
 
 **Theorem.** For every double x each function here returns ``(low, high)`` with ``low <= f(x) <= high``; what is not a
-number gives nan. Only ``+ - * / sqrt``, ``rint``, ``ldexp`` and comparisons are trusted, rounded to nearest.
+number gives nan. Only ``+ - * / sqrt``, ``rint``, ``ldexp``, ``nextafter`` and comparisons are trusted, rounded to
+nearest with gradual underflow; and that sums and products of matrices are off by no more than n roundings, in whatever
+order a library adds. ``wrong_arithmetic`` notices a machine or a library that does otherwise.
 
 *Proof.* U = 2^-53 is the relative error of one operation. Each function reduces its argument, sums a series with all
 errors counted (``EXP_ERROR``, ``SIN_ERROR``), and widens the sum by that count; log and atan are guesses that the
@@ -17,6 +19,7 @@ Abramowitz and Stegun 26.2.14 for the continued fraction.
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -70,25 +73,15 @@ def _quadrant(x: Array) -> tuple[NDArray[np.int64], Array, Array]:
     return np.mod(k, 4).astype(np.int64), r * sine, cosine
 
 
-def _circular(x: Array, turned: int) -> Ends:
-    """Return ends of sin(x + turned pi/2)."""
+def sin(x: Array, quarters: int = 0) -> Ends:
+    """Return ends of sin(x + quarters pi/2)."""
     with np.errstate(all="ignore"):
         known = np.abs(x) < LARGEST_ANGLE  # false for nan
         k, sine, cosine = _quadrant(np.where(known, x, 0.0))
-        value = np.choose((k + turned) % 4, [sine, cosine, -sine, -cosine])
+        value = np.choose((k + quarters) % 4, [sine, cosine, -sine, -cosine])
         low, high = _widened(value, SIN_ERROR, -1.0, 1.0)
         beyond = np.where(np.isnan(x), np.nan, 1.0)
         return np.where(known, low, -beyond), np.where(known, high, beyond)
-
-
-def sin(x: Array) -> Ends:
-    """Return ends of sin x."""
-    return _circular(x, 0)
-
-
-def cos(x: Array) -> Ends:
-    """Return ends of cos x."""
-    return _circular(x, 1)
 
 
 def _proved_inverse(guess: Array, rising: Callable[[Array], Ends], x: Array, radius: Array) -> Ends:
@@ -106,7 +99,7 @@ def log(x: Array) -> Ends:
 
 def _tan(y: Array) -> Ends:
     """Return ends of tan y for |y| < pi/2."""
-    sine, cosine = sin(y), cos(y)
+    sine, cosine = sin(y), sin(y, 1)
     quotients = np.stack([s / c for s in sine for c in cosine])
     error = 4 * U * np.abs(quotients).max(axis=0)
     return quotients.min(axis=0) - error, quotients.max(axis=0) + error
@@ -129,6 +122,14 @@ def tanh(x: Array) -> Ends:
         return (np.maximum((low - 1) / (low + 1) - 4 * U, -1.0), np.minimum((high - 1) / (high + 1) + 4 * U, 1.0))
 
 
+def density_at(z: Array, off: float) -> Ends:
+    """Return ends of the density of a standard normal number at z, whose square is off by ``off`` U of itself."""
+    square = z * z
+    # rounded once more here, so that its exponential is off by less than (1 + off) U z^2 of itself
+    (low, high), spare = exp(-0.5 * square), ((1.0 + off) * square + 8.0) * U
+    return np.maximum(low * (1 - spare) * PHI_0[0], 0.0), high * (1 + spare) * PHI_0[1]
+
+
 SERIES_END = 1.5  # below it the tail is 1/2 less a series of positive terms, of which 31 leave less than U
 # From where to where, and how many terms of the continued fraction make both convergents agree to a few U.
 FRACTIONS = ((SERIES_END, 3.0, 100), (3.0, 6.0, 40), (6.0, np.inf, 16))
@@ -138,11 +139,7 @@ def tail(z: Any) -> Ends:
     """Return ends of P(N > z) for z >= 0 and standard normal N; nan for what is not a number."""
     z = np.minimum(np.asarray(z, dtype=float), 1e3)  # beyond, the lower end is 0 and the upper one next to it
     with np.errstate(all="ignore"):
-        square = z * z  # off by U of itself, so that its exponential is off by U z^2 of itself
-        low, high = exp(-0.5 * square)
-        spare = (square + 8.0) * U
-        density = np.stack([low * (1 - spare) * PHI_0[0], high * (1 + spare) * PHI_0[1]])
-        ends = np.full((2, *z.shape), np.nan)
+        density, ends = density_at(z, 0.0), np.full((2, *z.shape), np.nan)
         # P(N > z) = 1/2 - phi(z) sum of z^(2n+1) / (1 3 5 .. (2n+1))
         near = z < SERIES_END
         term = series = x = z[near]
@@ -167,3 +164,37 @@ def _convergent(x: Array, count: int) -> Array:
     for n in range(count, 0, -1):
         fraction = x + n / fraction
     return 1.0 / fraction
+
+
+# Hard cases of quotients and roots.
+QUOTIENTS = ((1.0, 3.0), (5e-324, 3.0), (1.0 + 2.0**-52, 1.0 - 2.0**-53), (2.0**1023, 1.0 + 2.0**-52))
+ROOTS = (2.0, 1.0 - 2.0**-53, 1.0 + 2.0**-52, 5e-324, 1.7976931348623157e308)
+
+
+def wrong_arithmetic() -> str:
+    """Return what this machine computes in another way than the proofs assume; an empty text if nothing does."""
+    one = np.array([1.0])
+    if (one + 2.0**-53)[0] != 1.0 or (one + 1.5 * 2.0**-53)[0] != 1.0 + 2.0**-52:
+        return "sums are not rounded to nearest"
+    if (np.array([2.0**-1022]) * 0.5)[0] != 2.0**-1023 or np.nextafter(0.0, 1.0) != 5e-324:
+        return "numbers below 2^-1022 are taken for 0"
+    for a, b in QUOTIENTS:
+        exact, got = Fraction(a) / Fraction(b), float((np.array([a]) / b)[0])
+        near = float(np.nextafter(got, -np.inf)), float(np.nextafter(got, np.inf))
+        if any(abs(exact - Fraction(got)) > abs(exact - Fraction(neighbour)) for neighbour in near):
+            return f"the quotient {a!r} / {b!r} is not rounded to nearest"
+    for a in ROOTS:
+        root = float(np.sqrt(np.array([a]))[0])
+        low, high = (Fraction(root) + Fraction(float(np.spacing(root))) * half / 2 for half in (-1, 1))
+        if not low * low <= Fraction(a) <= high * high:
+            return f"the root of {a!r} is not rounded to nearest"
+    # Products of matrices against rational numbers.
+    n = 48
+    k = np.arange(n * n, dtype=float).reshape(n, n)
+    left, right = np.sin(k) * 2.0 ** (k % 7), np.cos(k * 1.7)
+    for product in (left @ right, np.matmul(left[None], right[None])[0], np.einsum("ij,jk->ik", left, right)):
+        for i, j in ((0, 0), (n - 1, 3), (17, n - 1)):
+            terms = [Fraction(x) * Fraction(y) for x, y in zip(left[i].tolist(), right[:, j].tolist())]
+            if abs(sum(terms) - Fraction(float(product[i, j]))) > n * Fraction(U) * sum(map(abs, terms)):
+                return "products of matrices are rounded by more than their number of terms explains"
+    return ""

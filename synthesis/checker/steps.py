@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .angles import HALF_TURN, OFF, angle_axes
+from .angles import HALF_TURN, OFF
 from .constraints import ROUNDED, Constraints, Forms
 from .error_system import ErrorSystem
 from .expressions import names_in
@@ -89,8 +89,8 @@ class Joint:
     """All agents as one along a trajectory: what holds at all times, errors so far, and what has been asked.
 
     Boxes (2, D) and (2, M) of states and inputs; nominal states (S + 1, D), inputs (S, M) and widths of the tube;
-    ``spread`` (D,) of the start; the factor of the noise (D, W); which states (D,) are angles, and which inputs (M,)
-    are those of networks; the automaton states (S + 1) that these see.
+    ``spread`` (D,) of the start; which states (D,) are angles, and which inputs (M,) are those of networks; the
+    automaton states (S + 1) that these see.
     """
 
     problem: Problem
@@ -103,7 +103,6 @@ class Joint:
     widths: Array
     input_widths: Array
     spread: Array
-    noise: Array
     turning: Truth
     networked: Truth
     seen: list[int]
@@ -126,7 +125,7 @@ class Joint:
         if np.any(point & (start[0] != states[0])):
             raise Refused("a trajectory begins elsewhere than its agent")
         spread = np.where(point, 0.0, np.maximum(up(start[1] - states[0]), up(states[0] - start[0])))
-        turning = np.concatenate([angle_axes(agent) for agent in agents]) > 0.0
+        turning = np.array([name in agent.angles for agent in agents for name in agent.states])
         box = np.where(turning, np.array([[-np.inf], [np.inf]]), box)  # no angle leaves its workspace
         wrong = np.argwhere((states < box[0]) | (states > box[1]))
         if len(wrong):
@@ -136,7 +135,7 @@ class Joint:
         kinds = kinds_of(problem, [own.noise_widths for own in trajectories])
         return cls(
             problem, trajectories, [_Reads.of(problem, i) for i in range(len(agents))], box, input_box, states, inputs,
-            widths, input_widths, spread, problem.noise, turning, networked, seen,
+            widths, input_widths, spread, turning, networked, seen,
             ErrorSystem(spread, len(kinds)), Constraints(kinds),
         )  # fmt: skip
 
@@ -195,7 +194,7 @@ class _Moves:
 def advance(joint: Joint, tube: Tube) -> None:
     """One step of all agents: inputs stay in their boxes, and the next error is F e and something in a box."""
     D, t = len(joint.spread), tube.t
-    matrix, pushed, noise = np.zeros((D, D)), np.zeros((2, D)), joint.noise.copy()
+    matrix, pushed, noise = np.zeros((D, D)), np.zeros((2, D)), joint.problem.noise.copy()
     # All inputs first: dynamics may name those of other agents.
     moves = _inputs(joint, tube)
     for i, (agent, here) in enumerate(zip(joint.problem.agents, joint.problem.slices, strict=True)):
@@ -287,35 +286,35 @@ def _network_inputs(joint: Joint, network: Network | Feedback, tube: Tube, i: in
     return nominal, np.stack([least, most]), spare, gains
 
 
+def _around(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[Array, Array]:
+    """Return the nominal values (v,) of all that agent i reads, and the box (2, v) of deviations from them."""
+    reads = joint.reads[i]
+    # Disturbances are deviations from the middle of their ranges.
+    middle = 0.5 * reads.ranges[0] + 0.5 * reads.ranges[1]
+    away = np.stack([down(reads.ranges[0] - middle), up(reads.ranges[1] - middle)])
+    point = np.concatenate([joint.states[tube.t, reads.columns], moves.nominal[reads.inputs], middle])
+    return point, np.concatenate([tube.ends[:, reads.columns], moves.deviation[:, reads.inputs], away], axis=1)
+
+
 def _leaves(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return ends (2, 1) of the names of an agent on the nominal trajectory, and on the tube."""
-    agent, here, rows = joint.problem.agents[i], joint.problem.slices[i], joint.problem.input_slices[i]
-    ranges, x, u = joint.reads[i].ranges, joint.states[tube.t, here], moves.nominal[rows]
-    nominal = interval(np.concatenate([x, u, 0.5 * ranges[0] + 0.5 * ranges[1]]))
-    states, inputs = add(interval(x), tube.ends[:, here]), add(interval(u), moves.deviation[:, rows])
-    both = nominal, np.concatenate([states, inputs, ranges], axis=1)
+    point, box = _around(joint, moves, tube, i)
+    time, ends = {"t": interval(np.full(1, float(tube.t)))}, (interval(point), add(interval(point), box))
     # an agent may have something of its own that is called t
-    named = [*enumerate((*agent.states, *agent.inputs, *agent.disturbances))]
-    first, second = ({name: ends[:, k : k + 1] for k, name in named} for ends in both)
-    time = {"t": interval(np.full(1, float(tube.t)))}
+    first, second = ({name: own[:, k : k + 1] for name, k in joint.reads[i].places.items()} for own in ends)
     return time | first, time | second
 
 
 def _step(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[Array, Array]:
     """Return rows (d, n) of F at the columns that agent i reads, and ends (2, d) of the rest of its step."""
     reads, chosen = joint.reads[i], joint.reads[i].inputs
-    n, m = len(reads.columns), len(chosen)
-    # Disturbances are deviations from the middle of their ranges.
-    middle = 0.5 * reads.ranges[0] + 0.5 * reads.ranges[1]
-    away = np.stack([down(reads.ranges[0] - middle), up(reads.ranges[1] - middle)])
-    point = np.concatenate([joint.states[tube.t, reads.columns], moves.nominal[chosen], middle])
-    box = np.concatenate([tube.ends[:, reads.columns], moves.deviation[:, chosen], away], axis=1)
+    n, m, (point, box) = len(reads.columns), len(chosen), _around(joint, moves, tube, i)
     # How variables follow errors and disturbances: inputs by their gains, up to what these leave out.
     rounding, gains = moves.rounding[chosen], moves.gains[np.ix_(chosen, reads.columns)]
     free = [*range(n), *range(n + m, len(point))]
     transform = np.eye(len(point))[:, free]
     transform[n : n + m, :n] = gains
-    follow = transform, free, np.concatenate([np.zeros(n), rounding, np.zeros(len(middle))])
+    follow = transform, free, np.concatenate([np.zeros(n), rounding, np.zeros(len(point) - n - m)])
     # The matrix leaves out disturbances, so that they count with their whole range.
     slopes, ends = expanded(joint.problem.agents[i].dynamics, point, reads.places, box, tube.t, n + m, follow)
     A, B = slopes[:, :n], slopes[:, n : n + m]

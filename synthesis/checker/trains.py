@@ -19,14 +19,14 @@ Reference: docs/theory/tree.md, "Uniting terms".
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from .cells import DENSITY, Cells
 from .fields import Refused
-from .rigorous import Array, U
+from .rigorous import Array, Truth, U
 from .tree import Team, finished
 
 SUMS = 8  # sums of rows, for each column, from which the directions of a cut are taken
@@ -66,68 +66,57 @@ def trains_at_start(team: Team, tolerance: float) -> list[Train | None]:
 
 def _masked_sum(team: Team, value: Sequence[Train | None], q: int, tolerance: float) -> Train | None:
     """Return W_q with few columns; None if no guard leads to a state with a value."""
-    rows, target = np.flatnonzero(team.guards.source == q).tolist(), team.guards.target
-    terms = [(g, train) for g in rows if (train := value[target[g]]) is not None]
-    if not terms:
+    rows, target = np.flatnonzero(team.guards.source == q).tolist(), team.guards.target.tolist()
+    trains = {target[g]: train for g in rows if (train := value[target[g]]) is not None}
+    if not trains:
         return None
-    cores, error = _cut_backward(team, terms, tolerance)
-    cores, more = _cut_forward(cores, tolerance)
-    return Train(tuple(cores), (error + more + max(train.error for _, train in terms)) * MORE)
+    # From the last agent to the first, and then the same function from the first to the last.
+    masks = [cells.sets[:, None, :, None] for cells in team.agents]
+    terms = [(target[g], *team.guards.sets[g].tolist()) for g in rows if target[g] in trains]
+    cores, error = _swept({key: train.cores for key, train in trains.items()}, terms, masks, tolerance)
+    whole = [np.ones((1, 1, 1, 1), dtype=bool)] * len(cores)
+    back, more = _swept({0: _reversed(cores)}, [(0,) * (len(cores) + 1)], whole, tolerance)
+    return Train(_reversed(back), (error + more + max(train.error for train in trains.values())) * MORE)
 
 
-# Target of a guard, and its sets from some agent on: guards that agree in them share what is computed from there.
-Suffix = tuple[int, ...]
+def _reversed(cores: Sequence[Array]) -> tuple[Array, ...]:
+    """Return the cores of the same function, its agents in the opposite order."""
+    return tuple(np.ascontiguousarray(core.transpose(2, 1, 0)) for core in cores[::-1])
 
 
-def _cut_backward(team: Team, terms: Sequence[tuple[int, Train]], tolerance: float) -> tuple[list[Array], float]:
-    """Return the sum of terms, cut to the sets of their guards, from the last agent to the first; and the change."""
-    guards, agents, last = team.guards, team.agents, len(team.agents) - 1
-    share = tolerance / max(1, 2 * last)
-    trains = {int(guards.target[g]): train for g, train in terms}
-    heads = {target: _entries(train.cores) for target, train in trains.items()}
-    behind: dict[Suffix, Array] = {(target,): np.ones((1, 1)) for target in trains}
+# A train by its number, and its masks from some agent on: terms that agree in them share what is computed from there.
+Term = tuple[int, ...]
+
+
+def _swept(
+    trains: Mapping[int, Sequence[Array]], terms: Sequence[Term], masks: Sequence[Truth], tolerance: float
+) -> tuple[list[Array], float]:
+    """Return the sum of terms, trains cut to masks, with few rows from the last agent to the first; and the change."""
+    share, heads = tolerance / max(1, 2 * (len(masks) - 1)), {key: _entries(own) for key, own in trains.items()}
+    behind: dict[Term, Array] = {(key,): np.ones((1, 1)) for key in trains}
     tail, error, cores = np.ones(1), 0.0, list[Array]()
-    for i in range(last, -1, -1):
-        blocks: dict[Suffix, Array] = {}
-        for g, _ in terms:
-            target, (first, *rest) = int(guards.target[g]), guards.sets[g, i:].tolist()
-            if (target, first, *rest) not in blocks:
-                core, columns = trains[target].cores[i], behind[target, *rest]
-                blocks[target, first, *rest] = np.tensordot(
-                    core * agents[i].sets[first][None, :, None], columns, axes=1
-                )
-                error += (core.shape[2] + 2) * 2 * U * _largest(heads[target][i], core, np.abs(columns) @ tail)
+    for i in range(len(masks) - 1, -1, -1):
+        blocks: dict[Term, Array] = {}
+        for key, *chosen in terms:
+            first, *rest = chosen[i:]
+            if (key, first, *rest) not in blocks:
+                core, columns = trains[key][i], behind[key, *rest]
+                blocks[key, first, *rest] = np.tensordot(core * masks[i][first], columns, axes=1)
+                error += (core.shape[2] + 2) * 2 * U * _largest(heads[key][i], core, np.abs(columns) @ tail)
         if i == 0:
+            # what is left is added up, with a rounding for each sum
             cores.append(np.sum([*blocks.values()], axis=0))
-            error += 2 * U * len(blocks) * sum(_largest(np.ones(1), block, tail) for block in blocks.values())
-            break
+            sizes = sum(_largest(np.ones(1), block, tail) for block in blocks.values())
+            return cores[::-1], error + 2 * U * (len(blocks) - 1) * sizes
         whole = np.concatenate([*blocks.values()])  # (sum of r, S, kept)
-        before = np.concatenate([heads[target][i] for target, *_ in blocks])
+        before = np.concatenate([heads[key][i] for key, *_ in blocks])
         core, carry, lost = _cut(whole.transpose(2, 1, 0), share, tail, before)
         error += lost
         cores.append(np.ascontiguousarray(core.transpose(2, 1, 0)))
         tail = _entries([core], tail)[-1]
         pieces = np.split(carry.T, np.cumsum([len(block) for block in blocks.values()])[:-1])
         behind = dict(zip(blocks, pieces, strict=True))
-    return cores[::-1], error
-
-
-def _cut_forward(cores: Sequence[Array], tolerance: float) -> tuple[list[Array], float]:
-    """Return the same function with fewer columns, from the first agent to the last; and the change."""
-    share = tolerance / max(1, 2 * (len(cores) - 1))
-    tails = _entries([core.transpose(2, 1, 0) for core in reversed(cores)])[-2::-1]
-    head, error, kept, carry = np.ones(1), 0.0, list[Array](), np.ones((1, 1))
-    for k, (core, tail) in enumerate(zip(cores, tails, strict=True)):
-        whole = np.tensordot(carry, core, axes=1)
-        error += (carry.shape[1] + 2) * 2 * U * _largest(head @ np.abs(carry), core, tail)
-        if k == len(cores) - 1:
-            kept.append(whole)
-            break
-        core, carry, lost = _cut(whole, share, head, tail)
-        error += lost
-        kept.append(core)
-        head = _entries([core], head)[-1]
-    return kept, error
+    return cores, error
 
 
 def _cut(whole: Array, share: float, head: Array, tail: Array) -> tuple[Array, Array, float]:

@@ -66,25 +66,23 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
     faces = own["faces"].integers((steps + 1, propositions), -1, 2**31)
     normals = own["normals"].floats((steps + 1, compared))
     entries = zip(own["agents"].entries(len(problem.agents)), problem.agents, strict=True)
-    return TrajectoryProof(
-        tuple(_trajectory(entry, agent, problem, steps) for entry, agent in entries), letters, faces, normals
-    )
+    trajectories = tuple(_trajectory(entry, agent, problem, steps) for entry, agent in entries)
+    return TrajectoryProof(trajectories, letters, faces, normals)
 
 
 def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Trajectory:
     """Return the trajectory of an agent, and the network that acts for it, if there is one."""
     own = entry.table(("inputs", "gains", "states", "widths"), ("noise_widths", "network", "feedback", "radius"))
     d, m = len(agent.states), len(agent.inputs)
-    widths, noise_widths = own["widths"].floats((steps + 1, d + m), infinite=True), np.full((steps, d), np.inf)
-    if "noise_widths" in own:
-        noise_widths = own["noise_widths"].floats((steps, d), infinite=True)
+    widths, strips = own["widths"].floats((steps + 1, d + m), infinite=True), own.get("noise_widths")
+    noise_widths = np.full((steps, d), np.inf) if strips is None else strips.floats((steps, d), infinite=True)
     if np.any(widths < 0.0) or np.any(noise_widths < 0.0):
         raise entry.wrong("a width is negative")
     inputs, gains = own["inputs"].floats((steps, m)), own["gains"].floats((steps, m, d))
     states = own["states"].floats((steps + 1, d))
-    if "network" not in own and "feedback" not in own:
+    if not own.keys() & {"network", "feedback"}:
         return Trajectory(inputs, gains, states, widths, noise_widths)
-    if "network" in own and "feedback" in own:
+    if own.keys() >= {"network", "feedback"}:
         raise entry.wrong("a network and a feedback cannot both act")
     # Networks act where what is between the widths is an ellipsoid of one Gaussian.
     if agent.scale or agent.angles or any(envelope.tail != NORMAL for envelope in agent.envelopes):
@@ -92,11 +90,8 @@ def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Tra
     radius = own["radius"].number() if "radius" in own else -1.0
     if not radius > 0.0:
         raise entry.wrong("where a network acts, `radius` is above 0")
-    network: Network | Feedback
-    if "feedback" in own:
-        network = read_feedback(own["feedback"], agent)
-    else:
-        network = read_network(own["network"], agent, len(problem.automaton.accepting))
+    seen, given = len(problem.automaton.accepting), own.get("feedback")
+    network = read_feedback(given, agent) if given is not None else read_network(own["network"], agent, seen)
     return Trajectory(inputs, gains, states, widths, noise_widths, network, radius)
 
 
@@ -169,8 +164,7 @@ def _ask_jumps(joint: Joint, before: Tube, tube: Tube, asked: Sequence[Demand]) 
     (old, was), (new, now) = (linear_forms(joint, own, asked) for own in (before, tube))
     drift, forms = joint.errors.rows(new, -old)
     value, (low, high) = add(add(now, neg(was)), drift), np.array([(jump.low, jump.high) for jump in asked]).T
-    nothing = np.full(len(asked), np.inf)
-    joint.constraints.add(down(value[0] - low), down(high - value[1]), nothing, forms, [one.label for one in asked])
+    joint.constraints.add(down(value[0] - low), down(high - value[1]), np.inf, forms, [one.label for one in asked])
 
 
 def linear_forms(joint: Joint, tube: Tube, asked: Sequence[Demand]) -> tuple[Array, Array]:

@@ -89,7 +89,7 @@ def check_guards(
         overlap = np.ones((len(here), len(here)), dtype=bool)
         for i, both in enumerate(meets):
             overlap &= both[np.ix_(guards.sets[here, i], guards.sets[here, i])]
-        if np.any(overlap & ~np.eye(len(here), dtype=bool)) or done[q]:
+        if np.any(overlap & ~np.eye(len(here), dtype=bool)) or done[q]:  # every guard meets itself
             raise Refused(f"guards out of automaton state {q} overlap, or leave what is decided")
     # All labels that cells of a set have: the automaton is followed through each of them.
     letters = [[np.unique(labels[cells], axis=0).tolist() for cells in own] for own, (_, labels) in zip(sets, known)]
@@ -147,13 +147,8 @@ def value_at_start(team: Team, tree: Tree) -> float:
         read = [(cells.start[own] @ factors.T)[term] for cells, own, factors, term in each]
         total += float(np.prod(read, axis=0).sum())
     # all numbers are at least 0: sums and products of so many are off by less than this share of themselves
-    count = (
-        size
-        + len(tree.unions)
-        + sum(cells.kernel.places for cells in team.agents)
-        + 8 * team.horizon * len(team.agents)
-        + 64
-    )
+    places = sum(cells.kernel.places for cells in team.agents)
+    count = size + len(tree.unions) + places + 8 * team.horizon * len(team.agents) + 64
     return min(1.0, max(0.0, total * (1.0 - 4.0 * U * count)))
 
 
@@ -171,9 +166,8 @@ def _one_step_earlier(team: Team, tree: Tree, later: _Values, t: int) -> _Values
         _check_unions(unions, kept, len(vertices), len(team.agents))
         terms.append(np.zeros((len(kept), len(team.agents)), dtype=np.int64))
         for i, cells in enumerate(team.agents):
-            vertex = (
-                spread(cells.sets[team.guards.sets[vertices[:, 0], i]], cells.kernel) * later.factors[i][below[:, i]]
-            )
+            cut = spread(cells.sets[team.guards.sets[vertices[:, 0], i]], cells.kernel)
+            vertex = cut * later.factors[i][below[:, i]]
             _unite(vertex, unions, i, KEPT if cells.kernel.inputs else 1.0)
             backed, where = memory.backup(cells.kernel, vertex[kept], cells.policy_at(t, q))
             terms[-1][:, i] = where + sum(len(own) for own in stacks[i])
@@ -185,7 +179,6 @@ class _Memory:
     """What was computed at one time: agents that are alike, and states whose factors are equal, share it."""
 
     def __init__(self) -> None:
-        self.values: dict[tuple[int, bytes], tuple[Array, float]] = {}
         self.backups: dict[tuple[int, bytes, bytes], Array] = {}
 
     def backup(self, kernel: Kernel, factors: Array, policy: Whole) -> tuple[Array, Whole]:
@@ -196,12 +189,8 @@ class _Memory:
         where = np.array([number[key] for key in keys], dtype=np.int64)
         whole = id(kernel), b"".join(number), policy.tobytes()
         if whole not in self.backups:
-            new = [keys.index(key) for key in number if (id(kernel), key) not in self.values]
-            for k, value in zip(new, kernel.values(factors[new]) if new else [], strict=True):
-                self.values[id(kernel), keys[k]] = value, float(factors[k].max())
-            found = [self.values[id(kernel), key] for key in number]
-            values = np.stack([value for value, _ in found]) if found else kernel.values(factors)
-            self.backups[whole] = kernel.backup(values, np.array([largest for _, largest in found]), policy)
+            distinct = factors[[keys.index(key) for key in number]]
+            self.backups[whole] = kernel.backup(kernel.values(distinct), distinct.max(axis=1, initial=0.0), policy)
         return self.backups[whole], where
 
 
@@ -214,7 +203,7 @@ def _children(guards: Guards, later: _Values, vertices: Whole, q: int) -> Whole:
         raise Refused("the tree counts a vertex twice")
     # Terms of all states, one after the other.
     counts = np.array([len(terms) for terms in later.terms])
-    if np.any(child >= counts[guards.target[guard]]):
+    if np.any(child >= counts[guards.target[guard]]):  # else it would be one of another state
         raise Refused("the tree names a vertex that does not exist")
     return np.concatenate(later.terms)[(np.cumsum(counts) - counts)[guards.target[guard]] + child]
 

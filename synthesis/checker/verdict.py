@@ -19,7 +19,7 @@ from .fields import Entry, Refused
 from .file import MOST_BYTES, Contents, read_file
 from .formula import wrong_automaton
 from .problem import read_problem
-from .selftest import wrong_arithmetic
+from .rigorous import wrong_arithmetic
 
 KINDS: dict[str, tuple[tuple[str, ...], Callable[..., Any], Callable[..., tuple[float, str]]]] = {
     "trajectory": (("trajectories", "letters", "constraints"), trajectories.read_proof, trajectories.failure_of),
@@ -79,16 +79,16 @@ def check_contents(contents: Contents) -> Verdict:
         # What overflows becomes infinite or nan, and neither is ever better than a limit.
         with np.errstate(all="ignore"):
             proof = read(contents, problem)
-            contents.everything_was_used()
+            contents.everything_was_used()  # what nobody asked for might mean something elsewhere
             modules += proof.more
             if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
                 raise Refused(f"the automaton is not that of the formula: {wrong}")
             failure, worst = failure_of(problem, proof)
     except Refused as refused:
         return Verdict(False, claimed, 1.0, modules, str(refused))
-    except RecursionError:
+    except RecursionError:  # trees are followed by functions that call themselves
         return Verdict(False, claimed, 1.0, modules, "a formula or an expression is nested too deeply to be proved")
-    if not failure <= claimed:
+    if not failure <= claimed:  # nan proves nothing
         reason = f"a failure of at most {failure:.5g} follows, not {claimed:.5g}{worst}"
         return Verdict(False, claimed, failure, modules, reason)
     given = "" if problem.formula is not None else "; the task is the automaton in the file, which has no formula"

@@ -7,6 +7,7 @@ that accept among them. On finite traces the test is complete: it refuses nothin
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -16,8 +17,8 @@ import numpy as np
 import pytest
 
 from certificate_files import one_crane, two_carts, two_tanks
-from certigym.synthesis.checker import read_problem
-from certigym.synthesis.checker.automaton import CO_SAFE, FINITE_TRACE, Automaton, followed, wrong_word
+from certigym.synthesis.checker import automaton_states, read_problem
+from certigym.synthesis.checker.automaton import CO_SAFE, FINITE_TRACE, Automaton, followed
 from certigym.synthesis.checker.crossings import SOMETIME, check_words
 from certigym.synthesis.checker.fields import Refused
 from certigym.synthesis.checker.formula import parse, wrong_automaton
@@ -328,18 +329,21 @@ def agrees(letter: frozenset[str], known: dict[int, bool]) -> bool:
 
 
 def test_words_of_which_letters_are_known_in_part_are_all_accepted() -> None:
+    """Where no window is open; at time 0 a region holds, does not hold, or the start lies on its face and in it."""
     rng, accepted = np.random.default_rng(4), 0
+    sides: dict[int, tuple[float | None, float | None]] = {1: (-1.0, None), -1: (0.5, None), 0: (0.1, None)}
     for _ in range(800):
         automaton = random_automaton(rng, str(rng.choice((CO_SAFE, FINITE_TRACE))))
-        horizon = int(rng.integers(0, 4))
-        known = [
-            {p: bool(rng.random() < 0.5) for p in range(2) if rng.random() < 0.6}
-            for _ in range(int(rng.integers(1, horizon + 3)))
-        ]
-        whole = len(known) == horizon + 1 or (automaton.is_co_safe and len(known) <= horizon)
-        choices = [[letter for letter in LETTERS if agrees(letter, own)] for own in known]
+        horizon = int(rng.integers(1, 4))
+        letters = rng.choice((-1, 0, 1), (int(rng.integers(1, horizon + 3)), 2), p=(0.3, 0.4, 0.3)).astype(np.int64)
+        problem = with_regions(
+            table_of(automaton), automaton.semantics, horizon, [sides[p] for p in letters[0].tolist()], 0.2
+        )
+        whole = len(letters) == horizon + 1 or (automaton.is_co_safe and len(letters) <= horizon)
+        choices = [[letter for letter in LETTERS if may(letter, row)] for row in letters.tolist()]
         all_accepted = whole and all(is_accepted(automaton, word) for word in itertools.product(*choices))
-        assert (wrong_word(automaton, horizon, known) == "") == all_accepted
+        with contextlib.nullcontext() if all_accepted else pytest.raises(Refused):
+            check_words(problem, letters, np.zeros_like(letters))
         accepted += all_accepted
     assert 60 < accepted < 600
 
@@ -419,10 +423,10 @@ def test_operators_bind_as_the_format_says() -> None:
 # Windows.
 
 
-def with_regions(automaton: dict[str, Any], semantics: str, T: int, limits: Any) -> Any:
+def with_regions(automaton: dict[str, Any], semantics: str, T: int, limits: Any, last: float = 0.0) -> Any:
     agent = {
         "name": "one", "states": ["x"], "inputs": ["u"], "dynamics": ["x + u"], "outputs": ["x"], "state_low": [-9.0],
-        "state_high": [9.0], "input_low": [-1.0], "input_high": [1.0], "start_low": [0.0], "start_high": [0.0],
+        "state_high": [9.0], "input_low": [-1.0], "input_high": [1.0], "start_low": [0.0], "start_high": [last],
         "noise": [[0.1]],
     }  # fmt: skip
     regions = [{"name": name, "agent": 0, "low": [low], "high": [high]} for name, (low, high) in zip(NAMES, limits)]
@@ -496,8 +500,26 @@ def test_what_is_known_of_a_letter_follows_from_the_regions() -> None:
     ):
         problem = with_regions(table, CO_SAFE, 4, limits)
         for t, wanted in enumerate(known, start=1):
-            found = known_at(problem, letters, t)
+            found = known_at(problem, letters[t], t)
             assert {p: found[p] for p in wanted} == wanted and (t == 2 or found == wanted), (limits, t)
+
+
+def test_networks_see_no_state_that_a_window_leaves_open() -> None:
+    """Between the first and the last time of a window nobody knows yet whether its region was met."""
+    table = {"initial": 0, "accepting": [False, False, True], "root": [0, 1, -3], "variable": [0, 1], "low": [-1, -2],
+             "high": [-2, -3]}  # fmt: skip
+    problem = with_regions(table, CO_SAFE, 5, [[0.5, None], [0.7, None]])  # first a, and then b
+    letters, faces = np.zeros((6, 2), dtype=np.int64), np.zeros((6, 2), dtype=np.int64)
+    letters[5, 1] = 1
+    for value in (1, SOMETIME):
+        letters[2:4, 0], letters[2:5, 1] = value, -1
+        check_words(problem, letters, faces)
+        letters[1, 0] = -1
+        if value == 1:
+            assert automaton_states(problem, letters) == [0, 0, 1, 1, 1, -1]
+            continue
+        with pytest.raises(Refused, match="not known at time 2"):
+            automaton_states(problem, letters)
 
 
 def test_more_windows_at_a_time_than_are_followed_are_refused() -> None:

@@ -7,6 +7,7 @@ of starts are compared with rational numbers, labels with points.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from dataclasses import dataclass, replace
@@ -118,9 +119,9 @@ def kernel_of(
     tables = [normal_table(z, e, float(s), corners) for z, e, s in zip(lattice, edges, deviations, strict=True)]
     with np.errstate(all="ignore"):
         maps = maps_of_inputs(own, [own], edges, inputs, numbers)
-    shape, lack = tuple(len(e) - 1 for e in edges), float(sum(lack for _, lack in tables))
-    arrays = tuple(edges), tuple(lattice), np.array(deviations), tuple(table for table, _ in tables)
-    return Kernel(shape, *arrays, lack, len(inputs), maps, np.zeros(len(edges)), corners, int(rng.integers(1, 4)))
+    grid = tuple(edges), tuple(lattice), corners, int(rng.integers(1, 4))
+    made, lack = tuple(table for table, _ in tables), float(sum(lack for _, lack in tables))
+    return Kernel(*grid, np.array(deviations), made, lack, len(inputs), maps, np.zeros(len(edges)))
 
 
 def axis_means(mean: np.ndarray, edges: np.ndarray, s: float, corners: bool) -> np.ndarray:
@@ -306,7 +307,7 @@ def test_cells_of_a_few_units_in_the_last_place_are_below_the_truth() -> None:
     for corners in (False, True):
         table, lack = normal_table(points, np.array([-2.0 * s, 0.0, s, 2.0 * s]), s, corners)
         maps = maps_of_inputs(own, [own], edges, np.zeros((1, 1)), np.arange(3))
-        kernel = Kernel((3,), tuple(edges), (points,), np.array([s]), (table,), lack, 1, maps, np.zeros(1), corners, 2)
+        kernel = Kernel(tuple(edges), (points,), corners, 2, np.array([s]), (table,), lack, 1, maps, np.zeros(1))
         for chosen in range(3):
             factor = np.zeros((1, 6 if corners else 3))
             factor[0, chosen * (2 if corners else 1)] = 1.0
@@ -374,7 +375,7 @@ def test_maps_refuse_inputs_outside_their_box_and_means_that_know_the_time() -> 
     maps = maps_of_inputs(root, [root], edges, np.zeros((1, 1)), np.array([0]))
     table, lack = normal_table(np.linspace(-2, 2, 41), edges[0], 0.5, False)
     lattice = (np.linspace(-2, 2, 41),)
-    kernel = Kernel((1,), tuple(edges), lattice, np.array([0.5]), (table,), lack, 1, maps, np.zeros(1), False, 2)
+    kernel = Kernel(tuple(edges), lattice, False, 2, np.array([0.5]), (table,), lack, 1, maps, np.zeros(1))
     with np.errstate(all="ignore"):
         assert kernel.backup(kernel.values(np.ones((1, 1))), np.ones(1), np.zeros(1, dtype=int))[0, 0] == 0.0
 
@@ -421,6 +422,16 @@ def test_targets_are_reached_up_to_their_rest_by_inputs_in_their_box() -> None:
                 ]
                 assert all(abs(m - Fraction(t)) <= Fraction(r) for m, t, r in zip(mean, z, rest.tolist(), strict=True))
     assert refused > 20 and allowed > 20
+
+
+def test_inputs_of_targets_keep_in_their_box_up_to_the_faces_of_cells() -> None:
+    """``x' = x + u`` reaches 1 from [-1, 0] by inputs from 1 to 2: the middle of the cell alone says nothing."""
+    cell, target, edges = np.zeros(1, dtype=int), np.ones((1, 1)), [np.array([-1.0, 0.0, 1.0])]
+    for room, low, is_allowed in ((1.6, -3.0, False), (2.0 + 1e-9, -3.0, True), (3.0, 1.2, False), (3.0, 0.9, True)):
+        own = agent([""], [-1.0], [1.0], A=[[1.0]], B=[[1.0]], c=[0.0], input_low=[low], input_high=[room])
+        del own["dynamics"]
+        with contextlib.nullcontext() if is_allowed else pytest.raises(Refused, match="leaves its box in cell 0"):
+            check_targets(problem_of([own]).agents[0], edges, np.eye(1), cell, target)
 
 
 # Starts and labels.

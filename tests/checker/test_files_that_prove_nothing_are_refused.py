@@ -19,7 +19,7 @@ from certigym.synthesis.checker import Unreadable, check_contents, parse_file, r
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED, read_distribution
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.intervals import mul
-from certigym.synthesis.checker.noise_sizes import mean_of
+from certigym.synthesis.checker.noise_sizes import kinds_of, mean_of
 from certigym.synthesis.checker.verdict import Verdict
 
 Change = Callable[[dict[str, Any], list[np.ndarray]], None]
@@ -230,11 +230,45 @@ def test_more_steps_than_the_horizon_are_no_proof() -> None:
     assert "before the horizon" in check_contents(parse_file(file_of(header, arrays))).reason
 
 
+def test_nominal_inputs_are_in_their_box_also_where_nothing_is_fed_back() -> None:
+    def change(header: dict[str, Any], arrays: list[np.ndarray]) -> None:
+        agent(header).update(input_high=[0.7])
+        arrays[4] = 0.0 * arrays[4]
+
+    assert "the nominal input `u` of `left` leaves its box at time 0" in verdict_of(two_carts, change).reason
+
+
+def test_a_region_that_a_step_jumps_over_is_not_met() -> None:
+    """The load rises by .9 in a step: a window of heights from 2 to 2.3 is below it before it was ever in it."""
+    low = verdict_of(one_crane, lambda header, arrays: header["problem"]["regions"][0].update(high=[None, 2.3]))
+    assert not low and low.recomputed == 1.0 and "no jump over `hung` at time 3" in low.reason
+
+
+def test_nothing_is_crossed_along_an_angle() -> None:
+    """An angle has copies: a run may come to a region of it from both sides."""
+    for face in (0, 1, 4):
+        verdict = verdict_of(one_crane, at(1, (slice(2, None), 0), face))
+        assert "crossed from no side, or along an angle" in verdict.reason, face
+
+
+def test_an_agent_is_no_pair_with_itself() -> None:
+    """The difference of an agent and itself is 0: nobody means that."""
+    with pytest.raises(Unreadable, match="one agent stands there twice"):
+        verdict_of(two_carts, lambda header, arrays: header["problem"]["pairs"][0].update(agents=[1, 1]))
+
+
 def test_sizes_of_noise_that_states_share_and_that_turn_are_refused() -> None:
     """What one source adds to two states may cancel in one size and not in another; an angle is no size."""
     shared = verdict_of(one_crane, with_agent(0, noise=[[1.0, 0.0], [1.0, 0.0]]))
     assert "several states" in shared.reason
     assert "turn further" in verdict_of(one_crane, with_agent(0, noise_scale=["1", "a"])).reason
+
+
+def kinds_in(header: dict[str, Any]) -> list[int]:
+    """What is known of the tails of all sources where no strip is asked for."""
+    problem = read_problem(header)
+    found: list[int] = kinds_of(problem, [np.full((1, len(agent.states)), np.inf) for agent in problem.agents]).tolist()
+    return found
 
 
 def test_sources_have_the_kind_of_their_law_and_of_what_multiplies_it() -> None:
@@ -243,13 +277,13 @@ def test_sources_have_the_kind_of_their_law_and_of_what_multiplies_it() -> None:
     for size, kind in sizes.items():
         header, _ = two_carts()
         agent(header).update(noise_scale=[size], disturbances={"v": [-0.1, 0.1]})
-        assert read_problem(header).kinds.tolist() == [kind, NORMAL, NORMAL]
+        assert kinds_in(header) == [kind, NORMAL, NORMAL]
         for law, tail in (
             ({"law": "uniform", "low": -1.0, "high": 1.0}, LIGHT),
             ({"law": "laplace", "scale": 1.0}, LONG),
         ):
             agent(header).update(distributions=[law])
-            assert read_problem(header).kinds.tolist() == [tail, NORMAL, NORMAL]
+            assert kinds_in(header) == [tail, NORMAL, NORMAL]
 
 
 def test_factors_of_noise_have_deviations_and_shared_sources_stand_last() -> None:

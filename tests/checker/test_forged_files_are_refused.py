@@ -183,6 +183,14 @@ def test_tokens_that_are_no_numbers_are_unreadable(token: str) -> None:
         assert verdict_of(archive(members_of(text[:start] + token + text[end:], arrays))) == "unreadable", before
 
 
+@pytest.mark.parametrize("token", ["NaN", "Infinity", "-Infinity"])
+def test_notes_hold_no_such_tokens_either(token: str) -> None:
+    header, arrays = two_carts()
+    text = json.dumps({**header, "notes": [1.5]})
+    assert verdict_of(archive(members_of(text, arrays))) != "unreadable"
+    assert verdict_of(archive(members_of(text.replace("1.5]", f"{token}]"), arrays))) == "unreadable"
+
+
 def array_changes(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """An array with one number changed, other shapes, other types."""
     rng = np.random.default_rng(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -89,6 +90,27 @@ def shuffled(plain: Layers, rng: np.random.Generator) -> Layers:
         order = rng.permutation(len(biases[k]))
         weights[k], biases[k], weights[k + 1] = weights[k][order], biases[k][order], weights[k + 1][:, order]
     return replace(plain, weights=tuple(weights), biases=tuple(biases))
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu", "clip"])
+def test_nothing_is_known_of_a_neuron_that_may_get_anything(activation: str) -> None:
+    nan, limits = np.full((2, 1), np.nan), np.array([[-1.0], [1.0]])
+    with np.errstate(all="ignore"):
+        for z, ends in ((np.zeros(1), nan), (np.full(1, np.nan), limits), (np.full(1, np.nan), nan)):
+            assert np.all(np.isnan(networks._line(activation, z, ends, *limits)[2]))
+
+
+@pytest.mark.parametrize("sees", ["scaled", "raw"])
+def test_what_a_network_sees_is_no_larger_than_its_size(sees: str) -> None:
+    """At the corners of what errors may be: sizes are what single precision is charged by."""
+    _, agent = an_agent(3, 1)
+    none = (np.zeros((1, 9)), np.zeros(1))
+    network = Network((none[0],), (none[1],), "relu", "clip", sees, 4, 1, 0)
+    at, far = np.array([0.5, -1.0, 2.0]), np.array([0.2, 0.1, 0.4])
+    first = networks._first(network, agent, at, (1, 3, 0.5), far)
+    for signs in itertools.product((-1.0, 1.0), repeat=3):
+        row = first.h + first.C @ (np.array(signs) * far) + np.abs(first.rest()).max(axis=0)
+        assert np.all(np.abs(row) <= first.size * (1.0 + 1e-12) + 1e-280), signs
 
 
 @pytest.mark.parametrize("d", [1, 2, 3, 4, 7, 12, 25])
@@ -187,6 +209,21 @@ def test_runs_stay_in_tubes_wherever_forms_keep_in_ellipsoids() -> None:
     assert 0.05 < kept.mean() < 0.999
 
 
+def test_what_a_network_leaves_out_is_charged_where_products_follow_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An input is what its gains say, up to what they leave out: dynamics are expanded with both."""
+    problem, policies = glider()
+    known, offsets, honest = read_problem({"problem": canonical_problem(problem)}), list[np.ndarray](), steps.expanded
+
+    def spied(*arguments: Any) -> Any:
+        offsets.append(arguments[6][2])
+        return honest(*arguments)
+
+    read = read_trajectories(contents_of(networks_along(problem, policies)), known)
+    monkeypatch.setattr(steps, "expanded", spied)
+    assert len([*walk(Joint.of(known, read.trajectories, read.letters))]) == len(offsets) + 1 > 3
+    assert all(off[3] > 1e-8 and not off[:3].any() for off in offsets)
+
+
 def some_noise(rng: np.random.Generator, n: int) -> np.ndarray:
     return 0.02 * rng.standard_normal((3, n)) * rng.choice([0.5, 1.0, 1.6], n)
 
@@ -215,7 +252,7 @@ def test_files_hold_networks_and_forgeries_are_refused(tmp_path: Any) -> None:
 
 SABOTAGE: dict[str, tuple[Any, str, Any]] = {
     "radius of a dimension less": (steps.Ellipsoid, "of", None),
-    "what rounds and bends is dropped": (networks._Forms, "rest", None),
+    "what rounds and bends is dropped": (networks.Layer, "rest", None),
     "the automaton state of another step": (steps, "automaton_states", None),
 }
 

@@ -21,6 +21,7 @@ from certigym.synthesis.checker.crossings import SOMETIME, crossed, jumps
 from certigym.synthesis.checker.fields import Refused, Unreadable
 from certigym.synthesis.checker.letters import Demand, demands, known_at, known_at_start
 from certigym.synthesis.checker.problem import TURN, Problem
+from certigym.synthesis.checker.steps import _Reads
 
 T = 5
 ACCEPTS = {"initial": 0, "accepting": [True], "root": [-1], "variable": [], "low": [], "high": []}
@@ -144,13 +145,22 @@ def test_every_pair_has_its_own_directions() -> None:
     assert second.parts == ((0, 1, -2.0), (1, 1, 2.0)) and 4.0 <= second.low <= 4.0 + 1e-12
 
 
+def test_states_of_neighbours_are_read_where_they_stand() -> None:
+    """Each state that is named has its own column of the joint error, in whatever order an expression names them."""
+    moved = ["x + 0.1*b.w + 0.2*b.v", "y + b.w"]
+    agents = [agent("a", ["x", "y"], dynamics=moved), agent("b", ["u_", "v", "w"], dynamics=["u_", "v", "w"])]
+    reads = _Reads.of(problem_of(agents, []), 0)
+    named = {"x": 0, "y": 1, "b.v": 3, "b.w": 4}
+    assert {name: reads.columns[reads.places[name]] for name in named} == named
+
+
 def test_regions_of_other_agents_say_nothing_of_one() -> None:
     """That a region of one agent holds excludes those of this agent alone."""
     regions = [{"name": f"r{i}", "agent": i % 2, "low": [float(i)], "high": [i + 1.0]} for i in range(3)]
     problem = problem_of([agent("a", ["x"]), agent("b", ["x"])], regions)
     letters = np.zeros((T + 1, 3), np.int64)
     letters[1, 0] = 1
-    assert known_at(problem, letters, 1) == {0: True, 2: False}
+    assert known_at(problem, letters[1], 1) == {0: True, 2: False}
 
 
 def test_a_window_that_is_crossed_is_met_at_some_time() -> None:
@@ -252,6 +262,15 @@ def test_letters_of_the_start_hold_on_all_of_its_box() -> None:
             assert all(letter[p] == holds for p, holds in known.items()), (known, letter, row)
         known_ones += len(known)
     assert known_ones > 200
+
+
+def test_of_outputs_that_are_unbounded_or_not_defined_at_the_start_nothing_is_known() -> None:
+    region = {"name": "r", "agent": 0, "low": [0.0, None], "high": [None, 1.0]}
+    for output in ("exp(1e5 + x)", "log(x - 5)"):
+        agents = [agent("a", ["x", "y"], outputs=[output, "y"]), agent("b", ["x", "y"])]
+        pairs = [{"name": "p", "agents": [0, 1], "outputs": [[0], [0]], "radius": 1.0}]
+        with np.errstate(all="ignore"):
+            assert known_at_start(problem_of(agents, [region], pairs)) == {}
 
 
 # Angles.

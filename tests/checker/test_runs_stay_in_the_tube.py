@@ -22,6 +22,7 @@ from certigym.synthesis.checker import check_contents, parse_file, read_problem,
 from certigym.synthesis.checker.crossings import crossed, jumps
 from certigym.synthesis.checker.distributions import NORMAL, STOPPED
 from certigym.synthesis.checker.error_system import ErrorSystem
+from certigym.synthesis.checker.expressions import names_in
 from certigym.synthesis.checker.fields import Refused
 from certigym.synthesis.checker.noise_sizes import kinds_of
 
@@ -593,20 +594,27 @@ def broken_in_windows(header: Header, arrays: Arrays, rng: np.random.Generator) 
 
 def test_sources_are_normal_only_where_all_they_move_keeps_in_strips_at_all_times() -> None:
     rng = np.random.default_rng(5)
-    team = next(t for t in (random_team(rng, "sizes") for _ in range(50)) if any("noise_scale" in a for a in t.agents))
+    teams = (random_team(rng, "sizes") for _ in range(200))
+    team = next(t for t in teams if any("noise_scale" in a and len(a["states"]) > 1 for a in t.agents))
     made = with_limits(team)
     assert made is not None
     problem = read_problem(made[0])
     narrow = [np.ones((team.T, len(agent.states))) for agent in problem.agents]
     assert np.all(kinds_of(problem, narrow) == NORMAL)
+    # without strips: what the noise is made of, and whether its size names anything that moves
+    named = [names_in(agent.scale) - {"t"} for agent in problem.agents]
+    tails = [(own.tail, bool(names)) for agent, names in zip(problem.agents, named) for own in agent.envelopes]
+    shared = [NORMAL] * problem.agents[0].shared_noise.shape[1]
+    kinds = np.array([*(STOPPED if names and tail == NORMAL else tail for tail, names in tails), *shared])
+    assert np.array_equal(kinds_of(problem, [np.inf * own for own in narrow]), kinds)
     first = 0
     for i, agent in enumerate(problem.agents):
         for k in range(len(agent.states)):
             widths = [own.copy() for own in narrow]
             widths[i][team.T - 1, k] = np.inf
             moved = np.flatnonzero(agent.noise[k]) + first
-            stopped = np.zeros(len(problem.kinds), dtype=bool)
-            stopped[moved] = problem.kinds[moved] == STOPPED
+            stopped = np.zeros(len(kinds), dtype=bool)
+            stopped[moved] = kinds[moved] == STOPPED
             assert np.array_equal(kinds_of(problem, widths) == STOPPED, stopped)
         first += agent.noise.shape[1]
-    assert np.any(problem.kinds == STOPPED)
+    assert np.any(kinds == STOPPED)

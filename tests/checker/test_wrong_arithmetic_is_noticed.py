@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from certificate_files import file_of, two_carts
-from certigym.synthesis.checker import check_contents, parse_file, selftest
+from certigym.synthesis.checker import check_contents, parse_file, rigorous
 
 
 class Machine(np.ndarray):
@@ -87,12 +87,12 @@ def on_machine(monkeypatch: pytest.MonkeyPatch, rounding: Callable[[Any, str], A
         name: getattr(np, name) for name in ("nextafter", "spacing", "inf", "einsum", "sqrt", "sin", "cos", "matmul")
     }
     monkeypatch.setattr(Machine, "rounding", staticmethod(rounding))
-    monkeypatch.setattr(selftest, "np", SimpleNamespace(**{**own, "array": array, "arange": arange}))
-    return selftest.wrong_arithmetic()
+    monkeypatch.setattr(rigorous, "np", SimpleNamespace(**{**own, "array": array, "arange": arange}))
+    return rigorous.wrong_arithmetic()
 
 
 def test_this_machine_computes_as_the_proofs_assume(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert selftest.wrong_arithmetic() == ""
+    assert rigorous.wrong_arithmetic() == ""
     assert on_machine(monkeypatch, lambda exact, name: nearest(exact)) == ""
 
 
@@ -112,13 +112,13 @@ def test_products_of_matrices_that_lose_a_term_are_noticed(monkeypatch: pytest.M
 
         with monkeypatch.context() as patch:
             patch.setattr(np, name, rough)
-            assert "products" in selftest.wrong_arithmetic()
+            assert "products" in rigorous.wrong_arithmetic()
 
 
 def test_numbers_next_to_zero_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     real = np.nextafter
     monkeypatch.setattr(np, "nextafter", lambda a, b: real(a, b) if np.abs(real(a, b)).max() > 1e-300 else 2.0**-1022)
-    assert "taken for 0" in selftest.wrong_arithmetic()
+    assert "taken for 0" in rigorous.wrong_arithmetic()
 
 
 def test_nothing_is_proved_on_such_a_machine(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,8 @@ actions without their axis of length 1, the same names in both registries, and r
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 import gymnasium
@@ -144,3 +146,24 @@ def test_the_vec_envs_of_stable_baselines_are_public_and_can_be_filmed() -> None
     assert not np.array_equal(frame, env.render())
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         baselines.nothing  # noqa: B018
+
+
+ORDERS = (
+    "import certigym, sys; assert not {'gymnasium', 'pettingzoo'} & set(sys.modules); import gymnasium, pettingzoo",
+    "import certigym, gymnasium, pettingzoo",
+    "import gymnasium, certigym, pettingzoo",
+    "import pettingzoo, certigym, gymnasium",
+    "import certigym, importlib.util; importlib.util.find_spec('gymnasium'); import gymnasium, pettingzoo",
+)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_both_libraries_know_the_suite_in_whatever_order_they_are_imported(order: str) -> None:
+    """Also after others looked for them; and importing the package alone loads neither."""
+    code = f"""
+{order}
+for name in ("certigym/reach-avoid-v0", "certigym/ReachAvoid-v0"):
+    assert name in gymnasium.registry
+    assert name in pettingzoo.aec_registry and name in pettingzoo.parallel_registry
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

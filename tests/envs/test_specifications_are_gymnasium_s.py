@@ -13,7 +13,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 import certigym as cg
-from certigym.envs.suite.certified import CERTIFIED
+from certigym.envs.suite.certified_bounds import CERTIFIED
 from certigym.envs.suite.ids import gymnasium_id
 
 DEFAULTS = Path(__file__).parents[2] / "docs" / "defaults.json"

@@ -179,8 +179,9 @@ def without_inputs(self: Constraints, low: Any, high: Any, width: Any, forms: An
         ADD(self, low, high, width, forms, labels)
 
 
-ROWS, ADD, NOISE = ErrorSystem.rows, Constraints.add, checked_problem.Problem.noise
-CANCELLING = property(lambda self: np.abs(NOISE.fget(self)))  # type: ignore[attr-defined]
+ROWS, ADD = ErrorSystem.rows, Constraints.add
+NOISE: Any = checked_problem.Problem.noise
+CANCELLING = property(lambda self: np.abs(NOISE.func(self)))
 HALF = 2.0 * float(norm.sf(0.5))
 CASES = {
     "drift": Case(of_drift(0.49), of_drift(6.0), HALF, 1.02 * HALF, (ErrorSystem, "rows", nowhere)),

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.validation.policies.recording import _central_env
 from certigym.baselines import RandomController, Recording
 from certigym.cli.main import main
+from certigym.validation.policies.recording import _central_env
 from problems import linear
 
 IDS = ["reach-avoid-v0", "invariance-v0", "meeting-v0", "patrol-recharge-v0"]

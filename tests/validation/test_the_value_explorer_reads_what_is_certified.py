@@ -145,7 +145,7 @@ def test_what_failed_or_says_nothing_is_the_headline(tmp_path: Path) -> None:
 
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "arch"
-SAVED = Path(__file__).parents[2] / "examples" / "certificates" / "room_uniform_path.npz"
+UNIFORM = Path(__file__).parents[2] / "examples" / "own" / "heat_pump.toml"
 
 
 def moved_inputs(certificate: Any, start: np.ndarray[Any, Any]) -> list[np.ndarray[Any, Any]]:
@@ -172,11 +172,10 @@ def test_a_path_moved_to_another_start_is_followed_by_the_same_controllers() -> 
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("source", ["bas_4_deviation.toml", "saved"])
-def test_what_is_shown_elsewhere_is_what_rollouts_keep(source: str) -> None:
+@pytest.mark.parametrize("source", [FOLDER / "bas_4_deviation.toml", UNIFORM], ids=["linear", "uniform"])
+def test_what_is_shown_elsewhere_is_what_rollouts_keep(source: Path) -> None:
     """2000 episodes from five starts; 1e-6 for all of them. A linear path and a nonlinear one; outside nothing is."""
-    found = cg.load(SAVED) if source == "saved" else cg.synthesize(FOLDER / source, relation="path")
-    certificate: Any = getattr(found, "certificate", found)
+    certificate: Any = cg.synthesize(source, relation="path").certificate
     problem = certificate.problem
     start = np.concatenate([agent.initial.low for agent in problem.agents])
     width = problem.agents[0].state_high - problem.agents[0].state_low

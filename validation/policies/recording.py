@@ -161,7 +161,7 @@ class Recording:
 def _central_env(problem: Problem) -> CentralEnv:
     """Return the centralised environment of a problem, by its id where it is that of the suite at some horizon."""
     if problem.name in problem_ids():
-        for changes in ({}, {"horizon": problem.horizon}):
+        for changes in (dict[str, Any](), {"horizon": problem.horizon}):
             env = central_env(problem.name, actions="input", **changes)
             if env.problem.fingerprint == problem.fingerprint:
                 return env
