@@ -42,6 +42,12 @@ OPTIONS = (
         '"shaped": potential-based, the same policies are optimal; "progress": pays good failures more',
     ),
     ("discount", "1", "of the learner, for the shaped reward"),
+    ("preset", "None", '"learner": `scale="unit"`, `dtype="float32"`, `actions="unit"`, but for what is given'),
+    ("scale", '"raw"; `team_env` "unit"', '"unit": workspaces mapped to [-1, 1], states outside count as their edges'),
+    ("automaton", '"one-hot"', 'how its state is seen; "number" or "hidden"'),
+    ("neighbours", "None", 'PettingZoo and `team_env`, with observation "neighbours": how many others are seen'),
+    ("sensor_noise", "0", "standard deviation of the errors with which states are read"),
+    ("disturbance", '"zero"', 'what bounded disturbances do: "zero", "random", "periodic", "greedy", or a function'),
     ("dtype", '"float64"', 'of observations; or "float32"'),
     ("actions", '"input"; Gymnasium "unit"', '"input": the input box; "unit": scaled to [-1, 1], float32'),
     ("infos", '"numbers"', '"words": also the names of the propositions that hold (`letter`)'),
@@ -153,8 +159,8 @@ envs = cg.vector_env("meeting-v0", 1000, autoreset_mode="SameStep")
 env = cg.parallel_env("my-task.toml")
 ```
 
-Ids are registered with PettingZoo and Gymnasium when `certigym` is imported. Pictures need `pip install certigym[viz]`,
-windows pygame. `certigym plot episode meeting-v0 --cells 64 --out meeting.gif` shows an episode under certified
+Ids are registered with PettingZoo and Gymnasium when `certigym` is imported. Pictures need the extra `viz`
+(in a checkout `pip install -e ".[viz]"`), windows pygame. `certigym plot episode meeting-v0 --cells 64 --out meeting.gif` shows an episode under certified
 controllers.
 """
 

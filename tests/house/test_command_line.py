@@ -12,6 +12,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
+from certigym.cli.parser import EXAMPLES, GROUPS, build_parser
 from certigym.synthesis.certificates.proofs import changed
 
 TASK = """
@@ -143,6 +144,18 @@ def test_help_imports_no_numpy_and_unknown_options_exit_with_2() -> None:
     assert done.stdout.strip() == "False"
     done = subprocess.run([sys.executable, "-m", "certigym", "run"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
+
+
+def test_help_lists_every_command_once_by_what_it_is_for_with_an_example() -> None:
+    parser = build_parser()
+    commands = parser.groups.choices
+    listed = [name for names in GROUPS.values() for name in names]
+    assert sorted(listed) == sorted(commands) == sorted(EXAMPLES)
+    for name, example in EXAMPLES.items():
+        assert parser.parse_args(example.split()).command == name
+        assert f"certigym {example}" in " ".join(commands[name].format_help().split())
+    text = parser.format_help()
+    assert all(text.count(f"\n  {name} ") == 1 for name in commands)
 
 
 def test_initial_states_may_be_negative_and_separated_by_commas(tmp_path: Path) -> None:

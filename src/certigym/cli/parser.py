@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import re
+import shutil
 from collections.abc import Collection, Sequence
 from difflib import get_close_matches
+from textwrap import TextWrapper
 from typing import Any, NoReturn
 
 from .. import __version__
@@ -74,6 +76,40 @@ POLICIES = (
 """The words for policies on the command line."""
 
 
+GROUPS = {
+    "certify": ("run", "synthesize", "certify"),
+    "check": ("check", "canonical", "validate", "validate-field", "audit", "stress"),
+    "learn": ("train", "compare", "leaderboard", "probe", "record", "save-policy"),
+    "see": ("describe", "report", "plot", "studio"),
+    "reproduce": ("reproduce",),
+}
+"""Commands by what one wants, the one that is shown as an example first: the order of ``certigym --help``."""
+
+EXAMPLES = {
+    "run": "run reach-avoid-v0",
+    "synthesize": "synthesize my-task.toml --out my-task.npz",
+    "certify": "certify quadrotor-v0 --policy model.zip --trust",
+    "check": "check my-task.npz",
+    "canonical": "canonical old.npz --out new.npz",
+    "validate": "validate my-task.npz --episodes 1000000",
+    "validate-field": "validate-field my-task.npz --axes 0 1 --points 9",
+    "audit": "audit my-task.npz",
+    "stress": "stress my-task.npz",
+    "train": "train reach-avoid-v0 --steps 100000 --out ppo",
+    "compare": "compare reach-avoid-v0 --policies certified,ppo,random",
+    "leaderboard": "leaderboard reach-avoid-v0 --out board.html",
+    "probe": "probe reach-avoid-v0 --seconds 60",
+    "record": "record reach-avoid-v0 --policy certified --out data.npz",
+    "save-policy": "save-policy reach-avoid-v0 --policy certified --out policy.onnx",
+    "describe": "describe my-task.toml",
+    "report": "report my-task.npz --out my-task.html",
+    "plot": "plot episode my-task.npz --out episode.gif",
+    "studio": "studio my-task.toml --open",
+    "reproduce": "reproduce table1",
+}
+"""An example of every command, shown at the end of its help."""
+
+
 class Parser(argparse.ArgumentParser):
     """A parser of arguments that names the command or option that was probably meant."""
 
@@ -85,27 +121,50 @@ class Parser(argparse.ArgumentParser):
         super().error(message)
 
 
+class Commands(Parser):
+    """The parser of the program itself, whose help lists commands by what they are for."""
+
+    groups: Any = None
+    """The action that holds its commands."""
+
+    def format_help(self) -> str:
+        """Return the help: groups of commands, an example in the line of each."""
+        about = {action.dest: action.help or "" for action in self.groups._choices_actions}
+        wide = 2 + max(map(len, about))
+        fill = TextWrapper(shutil.get_terminal_size().columns - 2, subsequent_indent=" " * (wide + 2))
+        lines = [self.format_usage(), f"{self.description}", ""]
+        for title, names in GROUPS.items():
+            lines.append(f"{title}: for example `certigym {EXAMPLES[names[0]]}`")
+            lines += [fill.fill(f"  {name:{wide}}{about[name]}") for name in names]
+            lines.append("")
+        return "\n".join(
+            [*lines, "`certigym COMMAND --help` says more; `certigym --version` which version this is.", ""]
+        )
+
+
 def nearest(word: str, known: Collection[str]) -> str:
     """Return the known word that a mistyped one resembles, as a question, or where all are listed."""
     close = get_close_matches(word, known, n=1)
     return f"did you mean `{close[0]}`?" if close else "`certigym --help` lists all"
 
 
-def build_parser() -> argparse.ArgumentParser:
+def build_parser() -> Commands:
     """Return the parser of all commands."""
-    parser = Parser(
+    parser = Commands(
         prog="certigym", description="Multi-agent environments with temporal-logic tasks and certified controllers."
     )
     parser.add_argument("--version", action="version", version=f"certigym {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
+    parser.groups = commands
     _add_synthesis(commands)
     _add_validation(commands)
     _add_learning(commands)
     _add_leaderboard(commands)
     _add_comparing(commands)
     _add_pictures(commands)
-    for command in commands.choices.values():
+    for name, command in commands.choices.items():
         add_json(command)
+        command.epilog = " ".join(filter(None, (f"Example: certigym {EXAMPLES[name]}.", command.epilog)))
     return parser
 
 
