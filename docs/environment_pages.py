@@ -160,8 +160,8 @@ env = cg.parallel_env("my-task.toml")
 ```
 
 Ids are registered with PettingZoo and Gymnasium when `certigym` is imported. Pictures need the extra `viz`
-(in a checkout `pip install -e ".[viz]"`), windows pygame. `certigym plot episode meeting-v0 --cells 64 --out meeting.gif` shows an episode under certified
-controllers.
+(in a checkout `pip install -e ".[viz]"`), windows pygame.
+`certigym plot episode meeting-v0 --cells 64 --out meeting.gif` shows an episode under certified controllers.
 """
 
 

@@ -10,8 +10,8 @@ precision or better.
 
 *Proof.* By induction over layers each number of a layer is ``z0 + C e + sum_l G_l q_l`` with q_l in intervals: what
 rounds, and what activations leave out of a line. Where z0 + d is in the interval of a neuron its activation is
-``h + s d + q``; for fixed s these q are largest and least at ends of the interval, at kinks, and where the slope is s
-(``_line``). QED
+``h + s d + q``; for fixed s these q are largest and least at ends of the interval and at kinks, or, where f is smooth,
+within ``h^2 sup |f''| / 8`` of the hull of those at two points h apart that d lies between (``_line``). QED
 
 Errors keep in *ellipsoids*, which are narrower for many rows at once than a strip for each.
 
@@ -23,7 +23,7 @@ where ``|W g| <= R`` every row c satisfies ``|c g| <= R |a| + |c - a W| |g|``, f
 ``c g = a W g + (c - a W) g``. QED Eigenvalues are bounded by absolute sums of rows (Gershgorin); W is about the inverse
 of a root of the covariance of g, so that v is 1 up to rounding, and a is c times that root.
 
-By hand: an activation of ``tanh`` is off by 2^-21 at most. Reference: docs/theory/paths.md, "Networks".
+By hand: a smooth activation f is off by 2^-21 max(1, |f|) at most. Reference: docs/theory/paths.md, "Networks".
 """
 
 from __future__ import annotations
@@ -37,14 +37,15 @@ from . import rigorous
 from .automaton import followed
 from .error_system import ErrorSystem
 from .fields import Entry, Refused
-from .intervals import add, down, exp, interval, log, mul, neg, recip, root, tanh, up
+from .intervals import add, down, exp, interval, mul, neg, recip, tanh, up
 from .letters import known_at, known_at_start
 from .problem import Agent, Problem
 from .rigorous import Array, U, Whole
 
-ACTIVATIONS, OUTPUTS, SEES = ("tanh", "relu"), ("clip", "tanh", "box"), ("scaled", "raw")
+OUTPUTS, SEES = ("clip", "tanh", "box"), ("scaled", "raw")
 SINGLE = 2.0**-24  # relative rounding of one operation in single precision
-TANH_OFF = 2.0**-21  # what an activation of ``tanh`` may be off by
+ACTIVATION_OFF = 2.0**-21  # share of the larger of 1 and its size by which a smooth activation may be off
+PIECES = 128  # parts of an interval at whose ends smooth activations are looked at
 MOST_UNITS = 4096
 
 
@@ -65,7 +66,7 @@ class Network:
 def read_network(entry: Entry, agent: Agent, states: int) -> Network:
     """Return the network of an agent in a file; raise ``Unreadable`` if it does not fit."""
     own = entry.table(("weights", "biases", "activation", "output", "sees", "width", "agents", "number"))
-    activation, output = own["activation"].one_of(ACTIVATIONS), own["output"].one_of(OUTPUTS)
+    activation, output = own["activation"].one_of((*SMOOTH, "relu")), own["output"].one_of(OUTPUTS)
     sees = own["sees"].one_of(SEES)
     width, agents = (own[key].whole(0, MOST_UNITS) for key in ("width", "agents"))
     number = own["number"].whole(0, max(1, agents))
@@ -169,9 +170,10 @@ class Layer:
         ends = np.stack([np.minimum(ends[0], 0.0), np.maximum(ends[1], 0.0)])
         slope, value, rest = _line(activation, self.h, ends, low, high)
         # slopes are multiplied into matrices, and round
-        lost = 4.0 * U * slope * (np.abs(self.C) @ self.far + np.abs(self.rest()).max(axis=0)) + 1e-290
+        lost = 4.0 * U * np.abs(slope) * (np.abs(self.C) @ self.far + np.abs(self.rest()).max(axis=0)) + 1e-290
         rest = rest + np.stack([-lost, lost])
-        size = np.abs(np.stack([value + slope * ends[0] + rest[0], value + slope * ends[1] + rest[1]])).max(axis=0)
+        moved = np.sort(slope * ends, axis=0)
+        size = np.abs(value + moved + rest).max(axis=0)
         parts = tuple((slope[:, None] * (np.eye(len(slope)) if g is None else g), q) for g, q in self.parts)
         return Layer(value, slope[:, None] * self.C, (*parts, (None, rest)), size * (1.0 + 8.0 * U), self.far)
 
@@ -194,39 +196,37 @@ def _first(network: Network, agent: Agent, at: Array, row: tuple[int, int, float
     return Layer(h, C, ((np.eye(len(h))[:, :d], np.stack([-off, off])),), size, far)
 
 
+def _logistic(x: Array) -> Array:
+    return 0.5 + 0.5 * tanh(0.5 * x) + np.array([-2 * U, 2 * U]).reshape(2, *[1] * (x.ndim - 1))
+
+
+SMOOTH: dict[str, tuple[Callable[[Array], Array], float]] = {
+    "tanh": (tanh, 0.76981),
+    "sigmoid": (_logistic, 0.09623),
+    "elu": (lambda x: np.maximum(x, add(exp(np.minimum(x, 0.0)), interval(-np.ones_like(x[0])))), 1.0),
+    "silu": (lambda x: mul(x, _logistic(x)), 0.50001),
+}
+"""Activations on intervals of points, and the largest size of their second derivatives, rounded up."""
+
+
 def _line(activation: str, z: Array, ends: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
     """Return s, h and ends of q (n,) with ``f(z + d) = h + s d + q`` for all d between ends (2, n), which hold 0."""
     first, last = down(z + ends[0]), up(z + ends[1])
     if activation == "relu":
         low, high = np.zeros(len(z)), np.full(len(z), np.inf)
-
-    def f(x: Array) -> Array:
-        return tanh(interval(x)) if activation == "tanh" else interval(np.clip(x, low, high))
-
-    a, b, mid = f(first), f(last), f(z)
-    value, chord = 0.5 * (mid[0] + mid[1]), (b[0] - a[1]) / np.maximum(last - first, 1e-300)
-    # The slope s is that of the chord, and any one would do; q has its extrema at kinks, or where the slope is s.
-    if activation == "tanh":
-        slope, one = np.where(last - first > 1e-7, chord, 1.0 - value * value).clip(0.0, 1.0), interval(np.ones(len(z)))
-        # the slope is s where tanh is +-r with r^2 = 1 - s; next to 1 that is beyond 18
-        r = root(np.maximum(add(one, neg(interval(slope))), 0.0))
-        safe = np.where(beyond := r[1] >= 1.0 - 1e-15, 0.5, r)
-        at = 0.5 * log(mul(add(one, safe), recip(add(one, neg(safe)))))
-        at = np.where(beyond, np.array([[18.0], [1e3]]), at)
-        kinks, off = [(at, r, [1]), (neg(at), neg(r), [0])], TANH_OFF  # the largest rest on the right
+    # Points of the interval: many of them, or its ends and those kinks that are inside.
+    f, bend = SMOOTH.get(activation, (lambda x: np.clip(x, low, high), 0.0))
+    if activation in SMOOTH:
+        points = np.linspace(first, last, PIECES + 1)
     else:
-        # inside of both kinks a neuron is what it gets
-        slope = np.where((first >= low) & (last <= high), 1.0, chord).clip(0.0, 1.0)
-        ends_of = [np.where(np.isfinite(end), end, z) for end in (low, high)]
-        kinks, off = [(interval(end), f(end), [0, 1]) for end in ends_of], 0.0
-    q = np.array([np.inf, -np.inf])[:, None] + 0.0 * z
-    for at, there, sides in ((interval(first), a, [0, 1]), (interval(last), b, [0, 1]), *kinks):
-        # what a point between the ends leaves of the line; points of which nothing is known count
-        left = add(add(there, neg(interval(value))), neg(mul(interval(slope), add(at, neg(interval(z))))))
-        apart = (at[0] > last) | (at[1] < first)
-        for k in sides:
-            q[k] = np.where(apart, q[k], (np.minimum, np.maximum)[k](q[k], left[k]))
-    return slope, value, q + np.array([[-off], [off]])
+        points = np.stack([first, *(np.where((k > first) & (k < last), k, z) for k in (low, high)), last])
+    there, mid, wide = f(interval(points)), f(interval(z)), last - first
+    value, chord = 0.5 * (mid[0] + mid[1]), (there[0, -1] - there[1, 0]) / np.maximum(wide, 1e-300)
+    slope = chord.clip(-0.2, 1.2)  # any one would do
+    line = add(interval(value)[:, None], mul(interval(slope)[:, None], add(interval(points), -interval(z)[:, None])))
+    left, off = add(there, neg(line)), ACTIVATION_OFF * np.maximum(np.abs(there).max(axis=(0, 1)), 1.0)
+    spare = bend / 8.0 * (1.001 * wide / PIECES) ** 2 + (off if bend else 0.0)
+    return slope, value, np.stack([left[0].min(axis=0) - spare, left[1].max(axis=0) + spare])
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,16 +59,17 @@ def as_policy(model: Any, problem: Any, env: Any = None, **facts: Any) -> Any:
         In which it was trained, or how that is made: ``cg.parallel_env(id, actions="unit")``, or
         ``"parallel_env(actions=unit)"``. Needed where a model does not say what it observes.
     **facts
-        ``activation`` ("tanh" or "relu") and ``squashed`` (whether tanh follows the outputs) of arrays; ``trust``,
-        whether files may run code that is in them (default: True). Reading ``.zip`` and ``.pt`` runs such
-        code (pickle), unless a ``.pt`` holds numbers alone: give only files that you trust, or ``trust=False``.
+        ``activation`` ("tanh", "relu", "sigmoid", "elu" or "silu") and ``squashed`` (whether tanh follows the
+        outputs) of arrays; ``trust``, whether files may run code that is in them (default: True). Reading ``.zip`` and
+        ``.pt`` runs such code (pickle), unless a ``.pt`` holds numbers alone: give only files that you trust, or
+        ``trust=False``.
 
     Returns
     -------
     policy
         With ``batch(dynamics)`` and ``information`` (what agents see, in words). If agents see their own state alone,
         it has ``inputs(agent, states, q, time)``, can be certified, and says in ``why_not_as_it_is`` whether it can be
-        certified as it is (``certify``: feed-forward networks with tanh or relu, exactly, in single
+        certified as it is (``certify``: feed-forward networks, exactly, in single
         precision). Models that see other agents or remember say in ``why_not_certified`` why they are judged by
         rollouts alone.
 

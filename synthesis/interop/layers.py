@@ -13,8 +13,11 @@ from ..relations.kinds import ACTIVATIONS, Network
 SILENT = ("Identity", "Flatten", "Dropout")
 """Layers that do nothing to rows in evaluation."""
 
-NAMES = {"Tanh": "tanh", "ReLU": "relu"}
+NAMES = {"Tanh": "tanh", "ReLU": "relu", "Sigmoid": "sigmoid", "ELU": "elu", "SiLU": "silu"}
 """Activations by the names of their classes."""
+
+KNOWN = ", ".join(NAMES.values())
+"""Their names in messages."""
 
 
 class NotFeedForward(ValueError):
@@ -59,9 +62,12 @@ def network_of(
     strange = sorted({kind for kind in linear if kind != "Linear"} | {kind for kind in between if kind not in NAMES})
     if strange or len(kinds) % 2 == 0:
         shown = ", ".join(strange) or "no linear layer at its end"
-        raise NotFeedForward(f"expected linear layers with tanh or relu between them, got {shown}")
+        raise NotFeedForward(f"expected linear layers with {KNOWN} between them, got {shown}")
     if len(between) > 1:
-        raise NotFeedForward("expected one kind of activation between linear layers, got tanh and relu")
+        shown = " and ".join(sorted(between))
+        raise NotFeedForward(f"expected one kind of activation between linear layers, got {shown}")
+    if any(getattr(layer, "alpha", 1.0) != 1.0 for layer in chain[1::2]):
+        raise NotFeedForward("expected an ELU with alpha = 1, got another one")
     pairs = [(numbers(layer.weight), numbers(layer.bias, len(layer.weight))) for layer in chain[::2]]
     weights, biases = [weight for weight, _ in pairs], [bias for _, bias in pairs]
     for first, second in itertools.pairwise(weights):

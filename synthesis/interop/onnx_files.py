@@ -20,7 +20,8 @@ SAYS = "ONNX (.onnx)"
 EXTRA = 'ONNX needs onnx and onnxruntime: install "certigym[onnx]"'
 KEY = "certigym"
 
-FUNCTIONS = {"Tanh": "tanh", "Relu": "relu"}
+FUNCTIONS = {"Tanh": "tanh", "Relu": "relu", "Sigmoid": "sigmoid", "Elu": "elu"}
+"""Activations by their operators; silu is a product with the sigmoid of the same numbers."""
 
 
 def recognises(model: Any) -> bool:
@@ -68,8 +69,12 @@ def written(network: Network, metadata: dict[str, Any]) -> bytes:
         nodes.append(make.make_node("Gemm", [name, f"weight_{k}", f"bias_{k}"], [f"sum_{k}"], transB=1))
         name = f"sum_{k}"
         if k < len(layers) - 1:
-            kind = next(op for op, function in FUNCTIONS.items() if function == network.activation)
-            nodes.append(make.make_node(kind, [name], [f"value_{k}"]))
+            if network.activation == "silu":
+                nodes.append(make.make_node("Sigmoid", [name], [f"share_{k}"]))
+                nodes.append(make.make_node("Mul", [name, f"share_{k}"], [f"value_{k}"]))
+            else:
+                kind = next(op for op, function in FUNCTIONS.items() if function == network.activation)
+                nodes.append(make.make_node(kind, [name], [f"value_{k}"]))
             name = f"value_{k}"
     if network.squashed:
         nodes.append(make.make_node("Tanh", [name], ["actions"]))
@@ -116,15 +121,19 @@ def _of_session(session: Any, name: str, network: Network | None, why: str) -> D
 
 
 def _chain(onnx: Any, graph: Any) -> Network | str:
-    """Return the network that a graph is, or why it is none: linear steps with tanh or relu between, one by one."""
+    """Return the network that a graph is, linear steps with an activation between, or why it is none."""
     stored = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer}
     constants = [node for node in graph.node if node.op_type == "Constant"]
     stored |= {node.output[0]: onnx.numpy_helper.to_array(node.attribute[0].t) for node in constants}
     weights, biases, kinds, ends, name = list[Any](), list[Any](), list[str](), "", graph.input[0].name
+    before = ""  # what the last activation was taken of
     for node in (node for node in graph.node if node.op_type != "Constant"):
+        if node.op_type == "Mul" and {*node.input} == {before, name} and kinds[-1:] == ["sigmoid"]:
+            name, before, kinds[-1] = node.output[0], "", "silu"
+            continue
         if [other for other in node.input if other not in stored] != [name]:
             return f"its step {node.op_type} does not follow the one before it"
-        name = node.output[0]
+        before, name = name, node.output[0]
         if node.op_type == "Identity":
             continue
         others = [stored[other] for other in node.input if other in stored]
@@ -140,6 +149,8 @@ def _chain(onnx: Any, graph: Any) -> Network | str:
         elif node.op_type == "Add" and others and len(weights) == len(kinds) + 1:
             biases[-1] = biases[-1] + others[0]
         elif node.op_type in FUNCTIONS:
+            if any(onnx.helper.get_attribute_value(own) != 1.0 for own in node.attribute):
+                return f"its {node.op_type} has another alpha than 1"
             kinds.append(FUNCTIONS[node.op_type])
         elif node.op_type == "Clip":
             least, most = (float(end) for end in others) if len(others) == 2 else (0.0, 0.0)
@@ -153,7 +164,7 @@ def _chain(onnx: Any, graph: Any) -> Network | str:
     if not weights or len(kinds) not in (len(weights), len(weights) - 1) or len(inner) > 1:
         return "it is no chain of linear steps with one kind of activation between them"
     if squashed and (kinds[-1] != "tanh" or ends):
-        return "its outputs go through relu, or are clipped behind tanh"
+        return "its outputs go through another activation than tanh, or are clipped behind it"
     if any(array.dtype != np.float32 for array in (*weights, *biases)):
         return "its numbers are not of single precision (float32)"
     activation = inner.pop() if inner else "relu"

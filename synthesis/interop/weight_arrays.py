@@ -1,4 +1,4 @@
-"""Networks as arrays: parameters of JAX, flax or anything else that computes ``x @ W + b`` with tanh or relu between.
+"""Networks as arrays: parameters of JAX, flax or anything else that computes ``x @ W + b`` with one activation between.
 
     [(W, b), (W, b), ...]                       layers with W of shape (inputs, outputs)
     {"params": {"Dense_0": {"kernel", "bias"}}}  parameters of flax, in the order of their numbers

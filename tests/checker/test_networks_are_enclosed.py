@@ -16,13 +16,15 @@ from certigym.synthesis.checker import Joint, networks, read_problem, read_traje
 from certigym.synthesis.checker.error_system import ErrorSystem
 from certigym.synthesis.checker.feedbacks import enclosed_feedback, read_feedback
 from certigym.synthesis.checker.fields import Entry
-from certigym.synthesis.checker.networks import Ellipsoid, Network, automaton_states, chi_tail, enclosed
+from certigym.synthesis.checker.intervals import interval
+from certigym.synthesis.checker.networks import SMOOTH, Ellipsoid, Network, automaton_states, chi_tail, enclosed
+from certigym.synthesis.relations.kinds import ACTIVATIONS as SINGLE
 from certigym.synthesis.relations.kinds import Network as Layers
 from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicPolicy
 from certigym.synthesis.trajectories.planning import networks_along
 
 KINDS = [
-    (act, output, sees) for act in ("tanh", "relu") for output in ("clip", "tanh", "box") for sees in ("scaled", "raw")
+    (act, output, sees) for act in (*SMOOTH, "relu") for output in ("clip", "tanh", "box") for sees in ("scaled", "raw")
 ]
 
 
@@ -92,7 +94,7 @@ def shuffled(plain: Layers, rng: np.random.Generator) -> Layers:
     return replace(plain, weights=tuple(weights), biases=tuple(biases))
 
 
-@pytest.mark.parametrize("activation", ["tanh", "relu", "clip"])
+@pytest.mark.parametrize("activation", [*SMOOTH, "relu", "clip"])
 def test_nothing_is_known_of_a_neuron_that_may_get_anything(activation: str) -> None:
     nan, limits = np.full((2, 1), np.nan), np.array([[-1.0], [1.0]])
     with np.errstate(all="ignore"):
@@ -316,3 +318,37 @@ def test_expressions_are_enclosed(text: str) -> None:
         left = policy.inputs((at + e).T, np.zeros(len(e), dtype=int), t).T - u - e @ J.T
         assert np.all(left >= rest[0]) and np.all(left <= rest[1])
         assert np.all(rest[1] - rest[0] <= 8.0 * np.ptp(left, axis=0) + 1e-8) or "*y" in text or "max(x, y)" in text
+
+
+@pytest.mark.parametrize("activation", networks.SMOOTH)
+def test_smooth_activations_bend_no_more_than_is_said(activation: str) -> None:
+    """Second differences at points that are dense where the activation bends, and values in single precision."""
+    f, bend = networks.SMOOTH[activation]
+    x, h = np.linspace(-12.0, 12.0, 200_001), 1e-3
+    low, high = f(interval(x))
+    assert np.all(low <= high) and np.all(high - low <= 1e-13 * (1.0 + np.abs(x)))
+    middle, beside = f(interval(x)).mean(axis=0), [f(interval(x + side)).mean(axis=0) for side in (-h, h)]
+    assert np.abs(beside[0] - 2.0 * middle + beside[1]).max() / h**2 <= bend + 1e-6
+    single = SINGLE[activation](x.astype(np.float32)).astype(float)
+    exact = f(interval(x.astype(np.float32).astype(float)))
+    off = np.maximum(exact[0] - single, single - exact[1])
+    assert np.all(off <= 0.5 * networks.ACTIVATION_OFF * np.maximum(1.0, np.abs(middle)))
+
+
+@pytest.mark.parametrize("activation", networks.SMOOTH)
+def test_lines_hold_at_all_points_of_an_interval(activation: str) -> None:
+    """Wide and narrow intervals; each point of which is compared with the line and what it leaves."""
+    rng = np.random.default_rng(7)
+    n = 400
+    z, width = rng.uniform(-6.0, 6.0, n), 10.0 ** rng.uniform(-9.0, 1.0, n)
+    ends = np.stack([-width * rng.uniform(0.0, 1.0, n), width * rng.uniform(0.0, 1.0, n)])
+    none = np.zeros(n)
+    slope, value, rest = networks._line(activation, z, ends, none, none)
+    for share in np.linspace(0.0, 1.0, 211):
+        d = ends[0] + share * (ends[1] - ends[0])
+        there = networks.SMOOTH[activation][0](interval(z + d))
+        left = there.mean(axis=0) - value - slope * d
+        assert np.all(left >= rest[0]) and np.all(left <= rest[1])
+    # and it says something: what is left of narrow intervals is a square of their width
+    wide = ends[1] - ends[0]
+    assert np.all(rest[1] - rest[0] <= wide**2 + 1e-8 + 4.0 * networks.ACTIVATION_OFF * (1.0 + np.abs(z) + wide))

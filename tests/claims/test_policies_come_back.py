@@ -305,10 +305,16 @@ def test_arrays_modules_and_files_are_the_same_policy(problem: cg.Problem, tmp_p
 
 def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None:
     n = 1 + problem.automaton.n_states + 1
-    strange = torch.nn.Sequential(torch.nn.Linear(n, 4), torch.nn.ELU(), torch.nn.Linear(4, 1))
+    strange = torch.nn.Sequential(torch.nn.Linear(n, 4), torch.nn.GELU(), torch.nn.Linear(4, 1))
+    steep = torch.nn.Sequential(torch.nn.Linear(n, 4), torch.nn.ELU(2.0), torch.nn.Linear(4, 1))
     mixed = torch.nn.Sequential(*chain(n, 4), torch.nn.ReLU(), torch.nn.Linear(4, 1))
     double = chain(n, 1).double()
-    for module, words in ((strange, "ELU"), (mixed, "one kind of activation"), (double, "float64")):
+    for module, words in (
+        (strange, "GELU"),
+        (steep, "alpha = 1"),
+        (mixed, "one kind of activation"),
+        (double, "float64"),
+    ):
         policy = cg.as_policy(module, problem, "team_env")
         assert words in policy.why_not_as_it_is and words in repr(policy)
         assert cg.certify(problem, policy, 20).certificate.lower_bound >= 0.0  # wrapped
@@ -321,6 +327,44 @@ def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None
             verb(problem, central, 20)
     with pytest.raises(ValueError, match="sees states of all agents"):
         cg.certify(problem, central, 20)
+
+
+@pytest.mark.parametrize("kind", ["Sigmoid", "ELU", "SiLU"])
+def test_networks_with_smooth_activations_are_certified_along_their_run(kind: str, tmp_path: Path) -> None:
+    """A module that was trained to steer, and its graph of ONNX: cells refuse it, and its run proves it."""
+    one = reach(scalar_agent("a"))
+    n = 1 + one.automaton.n_states + 1
+    torch.manual_seed(1)
+    act = getattr(torch.nn, kind)
+    module = torch.nn.Sequential(torch.nn.Linear(n, 16), act(), torch.nn.Linear(16, 1))
+    aim, learner = proportional(one), torch.optim.Adam(module.parameters(), 0.02)
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        states, q = rng.uniform(-4.0, 4.0, (1, 64)), np.zeros(64, dtype=int)
+        view = aim.agent_policy(0).view
+        rows = torch.as_tensor(view.rows(one.agents[0].workspace, states, q, int(rng.integers(one.horizon))))
+        box = one.agents[0].input_box
+        wanted = 2.0 * (aim.inputs(0, states, q, 0).T - box.low) / (box.high - box.low) - 1.0
+        loss = ((module(rows[:, :n]) - torch.as_tensor(wanted).float()) ** 2).mean()
+        learner.zero_grad()
+        loss.backward()
+        learner.step()
+    policy = cg.as_policy(module, one, "team_env")
+    assert policy.why_not_as_it_is == ""
+    found = cg.certify(one, policy)
+    assert "as they are, along" in found.certificate.proof.method
+    assert cg.check(found.certificate)
+    ran = cg.rollout(one, found.controller, 4000, seed=0)
+    assert 0.5 < found.certificate.lower_bound <= ran.successes / 4000 + 0.04  # false alarm: below 1e-6 (Hoeffding)
+    with pytest.raises(ValueError, match=r"along their run without noise alone; on cells they have tanh or relu"):
+        cg.certify(one, policy, 20)
+    pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    cg.save(policy, tmp_path / "p.onnx")
+    back = cg.as_policy(tmp_path / "p.onnx", one)
+    assert back.why_not_as_it_is == ""
+    states, q = RNG.uniform(-4.0, 4.0, (1, 30)), np.zeros(30, dtype=int)
+    assert np.allclose(back.inputs(0, states, q, 1), policy.inputs(0, states, q, 1), atol=1e-6)
 
 
 class Wrong(Module):

@@ -17,6 +17,7 @@ from ...relations.grids import (
     CellCounts,
     FloatArray,
     Grid,
+    RelationRefused,
     agent_grid,
     cell_labels,
     cells_of_agent,
@@ -24,7 +25,7 @@ from ...relations.grids import (
     refuse_shared_noise,
     refuse_uneven_noise,
 )
-from ...relations.kinds import BoxRelation, NetworkPolicy, box_relation, network_linear_relation
+from ...relations.kinds import ON_CELLS, BoxRelation, NetworkPolicy, box_relation, network_linear_relation
 from .action_tables import Policies, StepPolicy
 from .box_choices import BoxChoices
 from .box_model import MOST_CUTS, PARTS, box_model, relation_of
@@ -113,6 +114,11 @@ def network_abstraction(
     models = []
     refuse_shared_noise(problem)
     for i, (agent, policy) in enumerate(zip(problem.agents, policies, strict=True)):
+        if policy.network.activation not in ON_CELLS:
+            raise RelationRefused(
+                f"networks with {policy.network.activation} are certified along their run without noise alone; on "
+                f"cells they have {' or '.join(ON_CELLS)}"
+            )
         if relation == "linear":
             refuse_angles(agent, relation)
             refuse_uneven_noise(agent, relation)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ....envs.systems.agents import AnyAgent
 from ...certificates.proofs import OnGrid
+from ...relations.kinds import ON_CELLS
 
 
 def _has_known_form(agent: AnyAgent, network: dict[str, Any]) -> bool:
@@ -42,6 +43,8 @@ def wrong_networks(certificate: OnGrid) -> list[str]:
         asked = expected | {"agent": i} | alone(network)
         if part.relation["kind"] not in ("boxes", "linear"):
             failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
+        elif network["activation"] not in ON_CELLS:
+            failures.append(f"the network of agent `{agent.name}` has an activation that is not known on cells")
         elif not _has_known_form(agent, network):
             failures.append(f"the network of agent `{agent.name}` sees states, or answers, in a form that is not known")
         elif len(network["weights"][-1]) < agent.chosen_box.dimension:

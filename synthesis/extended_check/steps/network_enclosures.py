@@ -320,6 +320,9 @@ def _seen(
 def chord(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Slopes, constants and radii of lines around the tangent, the positive part, or numbers cut to [-1, 1]."""
 
+    if kind not in ("tanh", "relu", "cut"):
+        raise ValueError(f"networks with the activation {kind!r} are not enclosed on cells")
+
     def value(z: FloatArray) -> FloatArray:
         return _tangent(z) if kind == "tanh" else np.clip(z, 0.0 if kind == "relu" else -1.0, _most(kind))
 

@@ -17,6 +17,7 @@ from .inverse_means import SymbolicOnCells, SymbolicTargets, symbolic_targets
 from .network_maps import NetworkMaps, network_linear_relation
 from .networks import (
     ACTIVATIONS,
+    ON_CELLS,
     Network,
     NetworkPolicy,
     OwnView,
@@ -50,6 +51,7 @@ __all__ = [
     "MapRelation",
     "MatrixMaps",
     "MeanBoxes",
+    "ON_CELLS",
     "Network",
     "NetworkMaps",
     "NetworkMeans",

@@ -25,7 +25,7 @@ from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .exact import ExactRelation, aimed_relation
 from .inverse_means import SymbolicTargets
 from .network_maps import network_linear_relation
-from .networks import check_network, network_policy
+from .networks import ON_CELLS, check_network, network_policy
 from .scalar import paper_relation
 from .tube import tube_relation
 
@@ -123,7 +123,7 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     if in_parts and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
     if has_network:
-        check_network(description["network"], agent, len(description["menu"]))
+        check_network(description["network"], agent, len(description["menu"]), ON_CELLS)
     if (
         (is_written or has_network)
         and description["kind"] == "boxes"

@@ -8,7 +8,7 @@ inputs in their units, clipped to the input box. Trained actors use this very co
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,24 @@ from ..grids import FloatArray
 
 Array = NDArray[Any]
 
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+
+def _logistic(x: Array) -> Array:
+    # exponentials of what is negative alone: nothing overflows
+    small = np.exp(-np.abs(x))
+    return np.asarray(np.where(x >= 0, 1.0, small) / (1.0 + small), dtype=x.dtype)
+
+
+ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
+    "tanh": np.tanh,
+    "relu": lambda x: np.maximum(x, 0.0),
+    "sigmoid": _logistic,
+    "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
+    "silu": lambda x: x * _logistic(x),
+}
+"""Activations between layers, in the precision of what they are given."""
+
+ON_CELLS = ("tanh", "relu")
+"""Those of networks that are certified on cells as they are; along their run without noise all are."""
 
 SCALES, OUTPUTS = ("unit", "raw"), ("unit", "box")
 """How networks see states: scaled to [-1, 1], or in their units. And what clips outputs: [-1, 1], or the input box."""
@@ -37,7 +54,8 @@ class Network:
     ----------
     weights : tuple of (out, in) arrays
     biases : tuple of (out,) arrays
-    activation : "tanh" or "relu"
+    activation : str
+        One of ``ACTIVATIONS``.
     squashed : bool
         Whether the last layer goes through tanh (SAC); otherwise it is clipped to [-1, 1] (PPO).
     outputs : "unit" or "box"
@@ -244,9 +262,11 @@ def network_policy(description: dict[str, Any], agent: AnyAgent) -> NetworkPolic
     return NetworkPolicy(network, view, agent.workspace, agent.chosen_box, agent.has_clock)
 
 
-def check_network(description: Any, agent: AnyAgent, n_choices: int) -> None:
+def check_network(
+    description: Any, agent: AnyAgent, n_choices: int, activations: Collection[str] = tuple(ACTIVATIONS)
+) -> None:
     """Raise ValueError unless a value describes a network for ``agent``, with no more modes than there are choices."""
-    if not isinstance(description, dict) or description.get("activation") not in ACTIVATIONS:
+    if not isinstance(description, dict) or description.get("activation") not in activations:
         raise ValueError("a network has an activation that is not known")
     numbers = [description[name] for name in VIEW_FIELDS]
     if any(isinstance(n, bool) or not isinstance(n, int) or not 0 <= n < 2**31 for n in numbers):
