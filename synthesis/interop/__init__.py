@@ -7,6 +7,7 @@ from .actor_files import NotAnActor, stored
 from .detected import Detected, Reader
 from .environments import sight_of
 from .importers import RUN, as_policy, batchable, brought, certifiable, is_model
+from .layers import TORCH_ACTIVATIONS
 from .local_policies import LocalBatch, LocalController
 from .model_policies import OwnModels, TeamModels
 from .observation_maps import ObservationMap
@@ -20,6 +21,7 @@ __all__ = [
     "NotAnActor",
     "OwnModels",
     "RUN",
+    "TORCH_ACTIVATIONS",
     "Reader",
     "ObservationMap",
     "TeamModels",

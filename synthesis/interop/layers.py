@@ -13,11 +13,8 @@ from ..relations.kinds import ACTIVATIONS, Network
 SILENT = ("Identity", "Flatten", "Dropout")
 """Layers that do nothing to rows in evaluation."""
 
-NAMES = {"Tanh": "tanh", "ReLU": "relu", "Sigmoid": "sigmoid", "ELU": "elu", "SiLU": "silu"}
+TORCH_ACTIVATIONS = {"Tanh": "tanh", "ReLU": "relu", "Sigmoid": "sigmoid", "ELU": "elu", "SiLU": "silu"}
 """Activations by the names of their classes."""
-
-KNOWN = ", ".join(NAMES.values())
-"""Their names in messages."""
 
 
 class NotFeedForward(ValueError):
@@ -59,10 +56,11 @@ def network_of(
     if kinds and kinds[-1] == "Tanh":
         chain, kinds, squashed = chain[:-1], kinds[:-1], True
     linear, between = kinds[::2], set(kinds[1::2])
-    strange = sorted({kind for kind in linear if kind != "Linear"} | {kind for kind in between if kind not in NAMES})
+    strange = sorted({kind for kind in linear if kind != "Linear"} | (between - TORCH_ACTIVATIONS.keys()))
     if strange or len(kinds) % 2 == 0:
         shown = ", ".join(strange) or "no linear layer at its end"
-        raise NotFeedForward(f"expected linear layers with {KNOWN} between them, got {shown}")
+        known = ", ".join(TORCH_ACTIVATIONS.values())
+        raise NotFeedForward(f"expected linear layers with {known} between them, got {shown}")
     if len(between) > 1:
         shown = " and ".join(sorted(between))
         raise NotFeedForward(f"expected one kind of activation between linear layers, got {shown}")
@@ -76,7 +74,7 @@ def network_of(
                              f"{second.shape[1]} inputs")  # fmt: skip
     if count is not None:
         weights[-1], biases[-1] = weights[-1][:count], biases[-1][:count]
-    activation = NAMES[between.pop()] if between else "relu"
+    activation = TORCH_ACTIVATIONS[between.pop()] if between else "relu"
     assert activation in ACTIVATIONS
     return Network(tuple(weights), tuple(biases), activation, bool(squashed), "unit" if squashed else outputs)
 

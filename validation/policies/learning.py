@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...synthesis.interop.layers import KNOWN, NAMES
+from ...synthesis.interop import TORCH_ACTIVATIONS
 from .actors import Actor, Network, actor_of
 from .settings import Phase, Settings
 from .views import TeamView, View
@@ -111,11 +111,12 @@ def _numbers(hidden: Any, last: Any, squashed: bool) -> Network:
     # Linear layers become arrays; between them only one kind of activation is allowed.
     layers = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)] + [last]
     kinds = {type(layer).__name__ for layer in hidden if not isinstance(layer, torch.nn.Linear)}
-    if len(kinds) != 1 or not kinds <= NAMES.keys():
-        raise ValueError(f"`model`: expected an MLP with one of {KNOWN} between its layers, got {sorted(kinds)}")
+    if len(kinds) != 1 or not kinds <= TORCH_ACTIVATIONS.keys():
+        known = ", ".join(TORCH_ACTIVATIONS.values())
+        raise ValueError(f"`model`: expected an MLP with one of {known} between its layers, got {sorted(kinds)}")
     weights = tuple(layer.weight.detach().cpu().numpy().copy() for layer in layers)
     biases = tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers)
-    return Network(weights, biases, NAMES[kinds.pop()], squashed)
+    return Network(weights, biases, TORCH_ACTIVATIONS[kinds.pop()], squashed)
 
 
 def new_watcher(rows: int, every: int, progress: Progress | None = None, deadline: float = float("inf")) -> Any:

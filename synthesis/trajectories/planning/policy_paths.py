@@ -40,7 +40,7 @@ from ...checker import (
     walk,
 )
 from ...relations.grids import FloatArray, RelationRefused
-from ...relations.kinds import NetworkPolicy, SymbolicPolicy
+from ...relations.kinds import ON_CELLS, NetworkPolicy, SymbolicPolicy
 
 LOST = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
 """Probabilities, of all ellipsoids of an agent together, that radii are chosen for, the widest tubes first."""
@@ -114,8 +114,8 @@ def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | Symbolic
     if best is None or best.proof.failure >= 1.0:
         why = why if best is None else _likeliest(best, known)
         raise RelationRefused(
-            f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy, "
-            "or cells (`cells=`)"
+            f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy"
+            + (", or cells (`cells=`)" if all(map(_may_have_cells, policies)) else "")
         )
     return best
 
@@ -152,6 +152,10 @@ def _widest(
         low, high = (low, middle) if found.proof.failure < best.proof.failure else (middle, high)
         best = found if found.proof.failure < best.proof.failure else best
     return best
+
+
+def _may_have_cells(policy: NetworkPolicy | SymbolicPolicy) -> bool:
+    return not isinstance(policy, NetworkPolicy) or policy.network.activation in ON_CELLS
 
 
 def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
