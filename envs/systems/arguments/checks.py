@@ -32,11 +32,53 @@ class UnknownArgument(ValueError, TypeError):
     """
 
 
-def unknown_argument(name: str, owner: str, known: Iterable[str]) -> UnknownArgument:
-    """Return the error about the argument `name` of `owner`, with the known argument that it resembles, or all."""
+OTHER_NAMES = {
+    "algo": ("algorithm",),
+    "budget": ("effort", "seconds"),
+    "callback": ("progress",),
+    "grid": ("cells",),
+    "iterations": ("max_sweeps", "steps"),
+    "max_iter": ("max_sweeps", "steps"),
+    "max_time": ("seconds",),
+    "method": ("relation", "algorithm"),
+    "model": ("policy", "controller", "result"),
+    "n": ("episodes", "cells"),
+    "n_envs": ("worlds",),
+    "n_episodes": ("episodes",),
+    "n_jobs": ("executor",),
+    "n_steps": ("steps", "horizon"),
+    "n_workers": ("executor",),
+    "num_episodes": ("episodes",),
+    "random_state": ("seed",),
+    "resolution": ("cells",),
+    "rng": ("seed",),
+    "runs": ("episodes",),
+    "samples": ("episodes",),
+    "time_limit": ("seconds",),
+    "timeout": ("seconds", "effort"),
+    "timesteps": ("steps",),
+    "total_timesteps": ("steps",),
+    "trials": ("episodes",),
+    "upper_bound": ("above",),
+    "verbose": ("progress",),
+    "warm_start": ("start",),
+    "workers": ("executor",),
+}
+"""Names that other libraries give to arguments, and ours for them: what a first guess means."""
+
+
+def near(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that an unknown one means or resembles, if there is one."""
     known = list(known)
-    close = get_close_matches(name, known, n=1)
-    remedy = f"did you mean `{close[0]}`?" if close else f"the arguments are {', '.join(known)}"
+    meant = [one for one in OTHER_NAMES.get(name, ()) if one in known]
+    return next(iter(meant or get_close_matches(name, known, n=1)), None)
+
+
+def unknown_argument(name: str, owner: str, known: Iterable[str], meant: str | None = None) -> UnknownArgument:
+    """Return the error about the argument `name` of `owner`, with what was meant, by default the nearest, or all."""
+    known = list(known)
+    meant = meant or near(name, known)
+    remedy = f"did you mean `{meant}`?" if meant else f"the arguments are {', '.join(known)}"
     return UnknownArgument(f"`{name}`: got an unexpected keyword argument {name!r} of {owner}; {remedy}")
 
 
