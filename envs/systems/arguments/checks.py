@@ -79,7 +79,9 @@ def unknown_argument(name: str, owner: str, known: Iterable[str], meant: str | N
     known = list(known)
     meant = meant or near(name, known)
     remedy = f"did you mean `{meant}`?" if meant else f"the arguments are {', '.join(known)}"
-    return UnknownArgument(f"`{name}`: got an unexpected keyword argument {name!r} of {owner}; {remedy}")
+    return UnknownArgument(
+        f"`{name}`: expected an argument of {owner}, got an unexpected keyword argument {name!r}; {remedy}"
+    )
 
 
 def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: str) -> FloatArray:
