@@ -20,7 +20,7 @@ from ...envs.interfaces import CentralEnv
 from ...envs.simulation import Dynamics, Worlds, joint
 from ...envs.simulation import batch_simulator as core
 from ...envs.suite import as_problem
-from ...envs.systems.arguments import counted, tree_text, write_bytes
+from ...envs.systems.arguments import counted, names_arguments, tree_text, write_bytes
 from ...envs.tasks.problem import Problem
 from ..statistical_tests import CHUNK, BatchPolicy, Loop, chunks_of, frames
 from .comparison import contestants_of
@@ -150,6 +150,7 @@ class Recording:
         )
 
 
+@names_arguments()
 def record(problem: Any, policy: Any, episodes: int = 1000, seed: int = 0, chunk: int = CHUNK) -> Recording:
     """Return episodes of a policy as arrays.
 

@@ -5,11 +5,13 @@ Every array that enters a problem passes through `float_array`, whether it comes
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
+from functools import wraps
+from inspect import signature
 from itertools import accumulate, pairwise
 from numbers import Real
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +84,33 @@ def unknown_argument(name: str, owner: str, known: Iterable[str], meant: str | N
     return UnknownArgument(
         f"`{name}`: expected an argument of {owner}, got an unexpected keyword argument {name!r}; {remedy}"
     )
+
+
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
+
+def names_arguments(*more: str) -> Callable[[Callable[Parameters, Result]], Callable[Parameters, Result]]:
+    """Return a decorator of functions that refuse a keyword which does not exist, and name the one that was meant.
+
+    ``more`` are keywords that a function takes besides those in its signature.
+    """
+
+    def decorated(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+        own = [one.name for one in signature(function).parameters.values() if one.kind is not one.VAR_KEYWORD]
+        known = [*(name for name in own if name != "self"), *more]
+        owner = function.__qualname__.removesuffix(".__init__")
+
+        @wraps(function)
+        def called(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:
+            for name in named:
+                if name not in known:
+                    raise unknown_argument(name, f"`{owner}`", known)
+            return function(*arguments, **named)
+
+        return called
+
+    return decorated
 
 
 def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: str) -> FloatArray:
