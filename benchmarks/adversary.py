@@ -25,7 +25,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import ProductProof, delta_of, is_exact
-from deployed import Deployed, problem_of
+from deployed import Deployed, arguments_of, problem_of
 from forgeries import Forgery, forgeries, opened, written
 from hostile import CASES, limited
 from independent import successes
@@ -51,7 +51,7 @@ def claim(seed: int, episodes: int, level: float, relation: str | None = None) -
     result: dict[str, Any] = {"seed": seed, "text": spec["text"], "relation": spec["options"].get("relation", "auto")}
     try:
         problem = problem_of(spec)
-        found = cg.synthesize(problem, **spec["options"])
+        found = cg.synthesize(problem, **arguments_of(spec))
     except ValueError as error:
         return result | {"outcome": "refused", "reason": str(error).split("\n", 1)[0], "finding": ""}
     certificate, findings = found.certificate, []
@@ -179,7 +179,7 @@ def forge_all(trials: int, episodes: int, first: int, per_array: int, relation: 
             seed += 1
             spec = drawn(seed, relation)
             try:
-                certificate = cg.synthesize(problem_of(spec), **spec["options"]).certificate
+                certificate = cg.synthesize(problem_of(spec), **arguments_of(spec)).certificate
             except ValueError:
                 continue
             if not 0.05 < certificate.lower_bound < 0.99 or isinstance(certificate.proof, ProductProof):

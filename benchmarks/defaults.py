@@ -48,9 +48,12 @@ BEFORE = {
 LONGER: dict[str, list[dict[str, Any]]] = {
     "reach-avoid-planar-v0": [
         {"cells": 120, "relation": "linear"},
-        {"cells": 100, "relation": "linear", "restarts": 2},
+        {"cells": 100, "relation": "linear", "search": cg.SearchOptions(restarts=2)},
     ],
-    "package-delivery-v0": [{"cells": 2000, "relation": "exact"}, {"cells": 1000, "relation": "exact", "restarts": 2}],
+    "package-delivery-v0": [
+        {"cells": 2000, "relation": "exact"},
+        {"cells": 1000, "relation": "exact", "search": cg.SearchOptions(restarts=2)},
+    ],
     "van-der-pol-v0": [{"cells": 260, "relation": "linear"}, {"cells": [500, 80], "relation": "boxes"}],
 }
 """Settings for about ten minutes, of problems whose bound for any policy is .02 or more above what defaults certify."""

@@ -17,6 +17,14 @@ def agent_of(agent: Spec) -> cg.LinearAgent | cg.Agent:
     return cg.Agent(**agent["written"]) if "written" in agent else cg.LinearAgent(**agent)
 
 
+def arguments_of(spec: Spec) -> dict[str, Any]:
+    """Arguments of `synthesize` from the options of a random problem, which are flat, as its text is."""
+    flat = dict(spec["options"])
+    names = [name for name in ("cells", "relation", "horizon", "effort", "above") if name in flat]
+    arguments = {name: flat.pop(name) for name in names}
+    return {**arguments, "search": cg.SearchOptions(**flat)}
+
+
 def problem_of(spec: Spec) -> cg.Problem:
     """The package's record of a random problem."""
     return cg.Problem(

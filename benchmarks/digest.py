@@ -76,7 +76,7 @@ def certified_policy() -> dict[str, Any]:
 
     policies = dict.fromkeys(problem.agent_names, towards)
     given = cg.certify(problem, policies, cells=100)
-    better = cg.improve(problem, policies, cells=100, max_sweeps=2)
+    better = cg.improve(problem, policies, cells=100, search=cg.SearchOptions(max_sweeps=2))
     first = digest_of_result(given.certificate, given.stats)
     second = digest_of_result(better.certificate, better.stats)
     return {name: [first[name], second[name]] for name in first}
@@ -118,25 +118,29 @@ CASES: dict[str, Callable[[], dict[str, Any]]] = {
     "exact, default cells": synthesized("reach-avoid-v0"),
     "tube": synthesized("reach-avoid-v0", cells=200, relation="tube", arguments={"horizon": 4}),
     "ellipsoid": synthesized("reach-avoid-v0", cells=200, relation="ellipsoid", arguments={"horizon": 4}),
-    "paper": synthesized("reach-avoid-v0", cells=400, relation="paper", epsilon=0.1, arguments={"horizon": 4}),
+    "paper": synthesized(
+        "reach-avoid-v0", cells=400, relation="paper", search=cg.SearchOptions(epsilon=0.1), arguments={"horizon": 4}
+    ),
     "relations compared": synthesized("reach-avoid-kinematic-v0", cells=[40, 20]),
     "tensor trains": synthesized("door-formation-v0", cells=24),
-    "trains, four robots": synthesized("cyclic-delivery-v0", cells=25, max_sweeps=0),
-    "trains asked for": synthesized("reach-avoid-n-v0", cells=40, value="train", arguments={"n_agents": 4}),
+    "trains, four robots": synthesized("cyclic-delivery-v0", cells=25, search=cg.SearchOptions(max_sweeps=0)),
+    "trains asked for": synthesized(
+        "reach-avoid-n-v0", cells=40, search=cg.SearchOptions(value="train"), arguments={"n_agents": 4}
+    ),
     "independent tasks": synthesized("invariance-20-v0", cells=50),
     "decoupled": synthesized("decoupled-chain-14-v0"),
-    "a team": synthesized("reach-avoid-20-v0", cells=60, max_sweeps=2),
-    "planar": synthesized("reach-avoid-planar-v0", cells=30, max_sweeps=3),
-    "meeting": synthesized("meeting-v0", cells=16, max_sweeps=2),
-    "patrol": synthesized("patrol-recharge-v0", cells=40, max_sweeps=2),
-    "delivery by jumps": synthesized("package-delivery-v0", cells=200, max_sweeps=2),
-    "eased delivery": synthesized("package-delivery-eased-v0", cells=150, max_sweeps=1),
+    "a team": synthesized("reach-avoid-20-v0", cells=60, search=cg.SearchOptions(max_sweeps=2)),
+    "planar": synthesized("reach-avoid-planar-v0", cells=30, search=cg.SearchOptions(max_sweeps=3)),
+    "meeting": synthesized("meeting-v0", cells=16, search=cg.SearchOptions(max_sweeps=2)),
+    "patrol": synthesized("patrol-recharge-v0", cells=40, search=cg.SearchOptions(max_sweeps=2)),
+    "delivery by jumps": synthesized("package-delivery-v0", cells=200, search=cg.SearchOptions(max_sweeps=2)),
+    "eased delivery": synthesized("package-delivery-eased-v0", cells=150, search=cg.SearchOptions(max_sweeps=1)),
     "single delivery": synthesized("package-delivery-single-v0", cells=60),
     "car park": synthesized("car-park-planar-v0", cells=60),
     "building": synthesized("building-automation-v0", cells=60),
     "docking chain": synthesized("integrator-chain-v0"),
-    "restarts": synthesized("reach-avoid-v0", cells=80, restarts=2),
-    "stationary": synthesized("car-park-v0", cells=100, stationary=True),
+    "restarts": synthesized("reach-avoid-v0", cells=80, search=cg.SearchOptions(restarts=2)),
+    "stationary": synthesized("car-park-v0", cells=100, search=cg.SearchOptions(stationary=True)),
     "given policies": certified_policy,
     "validated": audited,
     "episodes": episode,

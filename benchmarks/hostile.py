@@ -203,9 +203,13 @@ CASES: dict[str, Case] = {
     "noise of 1e-300": lambda folder: cg.synthesize(problem("F g", noise_covariance=[[1e-300]]), 12),
     "A of 1e200": lambda folder: cg.synthesize(problem("F g", A=[[1e200]]), 12),
     "inputs of 1e300": lambda folder: cg.synthesize(problem("F g", input_low=[-1e300], input_high=[1e300]), 12),
-    "paper, 5e8 inputs": lambda folder: cg.synthesize(problem("F g"), 12, relation="paper", inputs=500_000_000),
+    "paper, 5e8 inputs": lambda folder: cg.synthesize(
+        problem("F g"), 12, relation="paper", search=cg.SearchOptions(inputs=500_000_000)
+    ),
     "1e9 cells": lambda folder: cg.synthesize(problem("F g"), 10**9),
-    "1e9 targets per cell": lambda folder: cg.synthesize(problem("F g"), 12, relation="exact", targets_per_cell=10**9),
+    "1e9 targets per cell": lambda folder: cg.synthesize(
+        problem("F g"), 12, relation="exact", search=cg.SearchOptions(targets_per_cell=10**9)
+    ),
     "many lattice points": many_cells,
     # formulas
     "X[999]": _of_formula("X[999] g"),

@@ -20,7 +20,7 @@ from certigym.synthesis.relations.kinds import Network
 from certigym.synthesis.verbs.raw_networks import certify_network, differences
 from certigym.synthesis.verbs.upper_bounds import bound_above
 from certigym.validation.policies.actors import SharedActor
-from deployed import Deployed, Followed, Networked, problem_of
+from deployed import Deployed, Followed, Networked, arguments_of, problem_of
 from independent import successes
 from random_problems import Spec
 from small_problems import small_spec
@@ -101,7 +101,7 @@ Claims = list[tuple[Spec, Callable[[int, int], Act], float]]
 
 def _of_synthesis(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """The certificate of a problem, as it is."""
-    certificate = cg.synthesize(problem, **spec["options"]).certificate
+    certificate = cg.synthesize(problem, **arguments_of(spec)).certificate
     return [(spec, lambda n, seed: Deployed(certificate, n, seed), certificate.lower_bound)], _refused(certificate)
 
 
@@ -113,7 +113,7 @@ def _refused(claim: Any) -> str:
 
 def _of_path(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """A certificate along a path, whose inputs are computed by other code."""
-    found = cg.synthesize(problem, **spec["options"]).certificate
+    found = cg.synthesize(problem, **arguments_of(spec)).certificate
     if not isinstance(found.proof, PathProof):  # independent tasks
         return [(spec, lambda n, seed: Deployed(found, n, seed), found.lower_bound)], _refused(found)
     return [(spec, lambda n, seed: Followed(spec, found.proof.paths), found.lower_bound)], _refused(found)
@@ -154,7 +154,7 @@ def random_network(problem: cg.Problem, spec: Spec) -> Network:
 
 def _of_upper_end(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """The other end of a certificate: at least so often its controllers fail."""
-    certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
+    certificate: Any = cg.synthesize(problem, **arguments_of(spec)).certificate
     if isinstance(certificate.proof, ProductProof):
         raise ValueError("of independent tasks")
     end = bound_above(certificate)
@@ -201,7 +201,7 @@ def _honest(problem: cg.Problem, spec: Spec) -> tuple[Any, Callable[[Any], Any]]
         actor = SharedActor(problem, random_network(problem, spec))
         cells, relation = spec["options"]["cells"], spec["network"]["relation"]
         return certify_network(problem, actor, cells, relation=relation).certificate, cg.check
-    certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
+    certificate: Any = cg.synthesize(problem, **arguments_of(spec)).certificate
     if isinstance(certificate.proof, ProductProof):
         return None, cg.check
     return certificate, cg.check

@@ -16,19 +16,19 @@ import resource
 import subprocess
 import sys
 import tracemalloc
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 import certigym as cg
 from certigym.envs.simulation import batch_simulator as core
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.guards import compile_guards
 from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.certificates.controllers.controller import Controller
 from certigym.synthesis.policy_search.ascent.coordinate_ascent import resting_policies, sweep
 from certigym.synthesis.policy_search.ascent.limits import Limits
+from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.loop import CHUNK, BatchPolicy
 from measuring import Row, Rows, cpu, options, save, show
 
@@ -100,14 +100,14 @@ class ToTheEnd:
 
 COUPLED: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
     ("reach-avoid-v0", {}, {"cells": 200, "relation": "tube"}),
-    ("reach-avoid-v0", {}, {"cells": 200, "relation": "paper", "epsilon": 0.2}),
+    ("reach-avoid-v0", {}, {"cells": 200, "relation": "paper", "search": cg.SearchOptions(epsilon=0.2)}),
     ("reach-avoid-planar-v0", {}, {"cells": 40, "relation": "tube"}),
     ("reach-avoid-kinematic-v0", {}, {"cells": 40}),
     ("building-automation-v0", {}, {"cells": 80}),
     (
         "reach-avoid-kinematic-v0",
         {"horizon": 8, "initial_state": [-6.0, 0.0, -4.0, 0.0]},
-        {"cells": 40, "relation": "ellipsoid", "delta": 0.001},
+        {"cells": 40, "relation": "ellipsoid", "search": cg.SearchOptions(delta=0.001)},
     ),
 )
 """Controllers that remember an abstract state: problem, what is replaced in it, and settings."""
@@ -116,7 +116,8 @@ COUPLED: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
 def rollout_row(name: str, changes: dict[str, Any], settings: dict[str, Any], episodes: int = 100_000) -> Row:
     """Measure rollouts against drawing their noise, and the memory that numpy and Python allocate meanwhile."""
     problem = cg.make_problem(name).replace(**changes)
-    result = cg.synthesize(problem, max_sweeps=1, **settings)
+    search = replace(settings.get("search", cg.SearchOptions()), max_sweeps=1)
+    result = cg.synthesize(problem, **{**settings, "search": search})
     controller = result.controller
     alone, _ = cpu(lambda: noise_alone(problem, episodes))
     seconds, runs = cpu(lambda: cg.rollout(problem, controller, episodes))

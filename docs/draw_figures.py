@@ -27,7 +27,7 @@ def _reach_avoid(horizon: int, cells: int, **settings: Any) -> cg.Certificate:
 def relation() -> Any:
     """A position-velocity agent in its tube."""
     problem = cg.make_problem("reach-avoid-kinematic-v0", horizon=8)
-    result = cg.synthesize(problem, cells=60, relation="tube", max_sweeps=0)
+    result = cg.synthesize(problem, cells=60, relation="tube", search=cg.SearchOptions(max_sweeps=0))
     return figures.relation_figure(result.certificate, seed=1)
 
 

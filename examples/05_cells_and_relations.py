@@ -19,7 +19,9 @@ for cells in (25, 100, 400):
     report = cg.validate(result, episodes=4_000)
     print(f"{cells} cells: certified {result.certificate.lower_bound:.4f}, rollouts {report.estimate:.4f}")
 
-best, bounds = synthesize_best(problem, [{"cells": 50}, {"cells": 100}, {"cells": 100, "max_sweeps": 12}])
+best, bounds = synthesize_best(
+    problem, [{"cells": 50}, {"cells": 100}, {"cells": 100, "search": cg.SearchOptions(max_sweeps=12)}]
+)
 print("attempts", bounds, "best", best.lower_bound)
 
 for result in cg.synthesize(problem, 100, horizon=range(1, 8)):

@@ -32,7 +32,7 @@ problem = cg.Problem(
 print(problem)  # the automaton of the whole would have 2^50 states, and is not built
 print(f"the first of {len(problem.tasks)} independent tasks: {problem.tasks[0].specification.formula}")
 
-result = cg.synthesize(problem, cells=60, restarts=4)
+result = cg.synthesize(problem, cells=60, search=cg.SearchOptions(restarts=4))
 certificate = result.certificate
 print(f"{result.stats['distinct_tasks']} synthesis for {len(certificate.proof.parts)} tasks: {result.stats['seconds']}")
 print(cg.validate(result, episodes=10_000))

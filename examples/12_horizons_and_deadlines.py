@@ -10,7 +10,7 @@ for result in cg.synthesize(problem, 100, horizon=(5, 6, 7)):
     print(f"T = {certificate.problem.horizon}: {certificate.lower_bound:.5f}, starts {result.stats['starts']}")
 
 # try plans again, advanced and delayed agent by agent; the statistics say what one agent alone could still gain
-more = cg.synthesize(problem.replace(horizon=6), 100, restarts=2)
+more = cg.synthesize(problem.replace(horizon=6), 100, search=cg.SearchOptions(restarts=2))
 print(f"{more.certificate.lower_bound:.5f}, one agent alone can gain about {more.stats['unilateral_gain']:.1e}")
 
 # policies that do not look at the time: the bound rises with the horizon, and holds for every longer one

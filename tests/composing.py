@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -163,8 +163,12 @@ ROWS: dict[str, Row] = {
     "exact expressions": Row(lambda: task(expressions()), 24, {"relation": "exact"}),
     "tube": Row(lambda: task(cart()), 24, {"relation": "tube"}),
     "ellipsoid": Row(lambda: task(matrices()), 40, {"relation": "ellipsoid"}),
-    "ellipsoid with delta": Row(lambda: task(matrices()), 40, {"relation": "ellipsoid", "delta": 0.001}),
-    "paper": Row(lambda: task(matrices()), 60, {"relation": "paper", "epsilon": 0.1, "inputs": 10}),
+    "ellipsoid with delta": Row(
+        lambda: task(matrices()), 40, {"relation": "ellipsoid", "search": cg.SearchOptions(delta=0.001)}
+    ),
+    "paper": Row(
+        lambda: task(matrices()), 60, {"relation": "paper", "search": cg.SearchOptions(epsilon=0.1, inputs=10)}
+    ),
     "linear matrices": Row(lambda: task(matrices()), 24, {"relation": "linear"}),
     "linear expressions": Row(lambda: task(expressions()), 24, {"relation": "linear"}),
     "boxes matrices": Row(lambda: task(matrices()), 24, {"relation": "boxes"}),
@@ -176,7 +180,9 @@ ROWS: dict[str, Row] = {
         {"relation": "boxes"},
     ),
     "boxes coupled": Row(lambda: task(expressions(), told("two"), horizon=2), 8, {"relation": "boxes"}),
-    "boxes common input": Row(lambda: task(*warmed(), horizon=2), 4, {"relation": "boxes", "common": True}),
+    "boxes common input": Row(
+        lambda: task(*warmed(), horizon=2), 4, {"relation": "boxes", "search": cg.SearchOptions(common=True)}
+    ),
     "boxes noise scale": Row(lambda: task(expressions(noise_scale=["0.8 + 0.1*cos(x)"])), 24, {"relation": "boxes"}),
     "boxes no noise": Row(
         lambda: task(
@@ -203,8 +209,16 @@ ROWS: dict[str, Row] = {
     ),
     "path": Row(lambda: task(matrices(noise_covariance=[[0.01]])), None, {"relation": "path"}),
     "subtraction": Row(lambda: apart(), 24, {"relation": "exact"}),
-    "train": Row(lambda: task(matrices(), matrices("two")), 24, {"relation": "exact", "value": "train"}),
+    "train": Row(
+        lambda: task(matrices(), matrices("two")), 24, {"relation": "exact", "search": cg.SearchOptions(value="train")}
+    ),
 }
+
+
+def searched(row: str, **options: Any) -> dict[str, Any]:
+    """Arguments of a row with other options of its search."""
+    settings = ROWS[row].settings
+    return {**settings, "search": replace(settings.get("search", cg.SearchOptions()), **options)}
 
 
 @cache
@@ -215,8 +229,8 @@ def problem_of(row: str) -> cg.Problem:
 @cache
 def synthesis_of(row: str) -> cg.Synthesis:
     # Where nothing else is asked for, these are also what the column `tree` is about.
-    usual = {} if row == "path" else {"value": "tree"}
-    return cg.synthesize(problem_of(row), **{**usual, **ROWS[row].settings})
+    is_open = row != "path" and searched(row)["search"].value == "auto"
+    return cg.synthesize(problem_of(row), **(searched(row, value="tree") if is_open else ROWS[row].settings))
 
 
 def certificate_of(row: str) -> Any:
@@ -368,14 +382,14 @@ class Claims:
 
 def tree(row: str, folder: Path) -> Claims:
     """A certificate whose value is a tree."""
-    if "value" not in ROWS[row].settings:
+    if searched(row)["search"].value == "auto":
         return Claims((certificate_of(row).lower_bound,))
-    return Claims((cg.synthesize(problem_of(row), **{**ROWS[row].settings, "value": "tree"}).certificate.lower_bound,))
+    return Claims((cg.synthesize(problem_of(row), **searched(row, value="tree")).certificate.lower_bound,))
 
 
 def train(row: str, folder: Path) -> Claims:
     """A certificate whose value is a tensor train."""
-    return Claims((cg.synthesize(problem_of(row), **{**ROWS[row].settings, "value": "train"}).certificate.lower_bound,))
+    return Claims((cg.synthesize(problem_of(row), **searched(row, value="train")).certificate.lower_bound,))
 
 
 def own_upper_end(row: str, folder: Path) -> Claims:
@@ -432,7 +446,7 @@ def shield(row: str, folder: Path) -> Claims:
 
 def certified_policy(row: str, folder: Path) -> Claims:
     """A policy of the user's own, on the cells of the relation: inputs towards the goal."""
-    problem, options = problem_of(row), {k: v for k, v in ROWS[row].settings.items() if k != "value"}
+    problem, options = problem_of(row), searched(row, value="auto")
     policy = {agent.name: constantly(0.4 * agent.input_high) for agent in problem.agents}
     result = cg.certify(problem, policy, **options)
     assert cg.check(result.certificate)
@@ -531,7 +545,7 @@ def safety(row: str, folder: Path) -> Claims:
         name="safe", horizon=4, agents=problem.agents, propositions=problem.propositions,
         specification=cg.Specification(formula, "finite-trace"),
     )  # fmt: skip
-    rate = cg.safety_rate(cg.synthesize(same, stationary=True, **ROWS[row].settings).certificate)
+    rate = cg.safety_rate(cg.synthesize(same, **searched(row, stationary=True)).certificate)
     assert 0.0 <= rate.rate <= 1.0
     return Claims()
 
@@ -545,7 +559,7 @@ def begun(row: str, folder: Path) -> Claims:
 
 
 def on_device(row: str, folder: Path) -> Claims:
-    result = cg.synthesize(problem_of(row), device="torch:cpu", **ROWS[row].settings)
+    result = cg.synthesize(problem_of(row), **searched(row, device="torch:cpu"))
     assert abs(result.certificate.lower_bound - certificate_of(row).lower_bound) < 1e-6
     return Claims((result.certificate.lower_bound,))
 

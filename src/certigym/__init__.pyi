@@ -18,18 +18,19 @@ from .envs.tasks.problem import Specification as Specification
 from .envs.tasks.problem import split_axes as split_axes
 from .envs.tasks.regions import Pair as Pair
 from .envs.tasks.regions import Proposition as Proposition
-from .synthesis.abstraction.models import abstract as abstract
 from .synthesis.certificates.proofs import Certificate as Certificate
 from .synthesis.certificates.proofs import Synthesis as Synthesis
 from .synthesis.extended_check.claims import safety_rate as safety_rate
 from .synthesis.extended_check.claims import value_in_time as value_in_time
 from .synthesis.extended_check.shields import Shield as Shield
 from .synthesis.interop import as_policy as as_policy
+from .synthesis.verbs.abstract import abstract as abstract
 from .synthesis.verbs.certify import certify as certify
 from .synthesis.verbs.certify import improve as improve
 from .synthesis.verbs.in_files import check as check
 from .synthesis.verbs.in_files import load as load
 from .synthesis.verbs.in_files import save as save
+from .synthesis.verbs.search_options import SearchOptions as SearchOptions
 from .synthesis.verbs.synthesize import synthesize as synthesize
 from .validation.policies import as_controller as as_controller
 from .validation.policies import compare as compare
@@ -58,6 +59,7 @@ __all__ = [
     "Pair",
     "Problem",
     "Proposition",
+    "SearchOptions",
     "Shield",
     "Specification",
     "Synthesis",

@@ -34,8 +34,11 @@ from ..abstraction.models import (
     JointModel,
     Policies,
     Relations,
-    abstract,
+    Settings,
+    abstraction_of,
+    check_names,
     join,
+    relations_of,
     shifted,
     start_of,
 )
@@ -43,10 +46,11 @@ from ..certificates.controllers import Decentralised, Policy, decentralised
 from ..certificates.proofs import Synthesis, timed_certificate
 from ..composition import CollisionProbability, less_proximity, proximity, relevant_pairs, usual_values, without_pairs
 from ..interop import SymbolicPolicies, certifiable
-from ..policy_search.ascent import FINAL, Limits, Search, Sweep, sweep
+from ..policy_search.ascent import FINAL, Sweep, sweep
 from ..policy_search.cell_certificates import certificate_of, judged
 from ..relations.grids import CellCounts, FloatArray
-from .raw_networks import COVERED, certified_as_it_is, repair_network
+from .raw_networks import COVERED, certified_as_it_is, points_of_networks, repair_network
+from .search_options import OF_RELATIONS, SearchOptions, options_of
 from .upper_bounds import synthesis_above
 
 OF_NETWORKS = ("auto", "quick", "path", "linear", "boxes")
@@ -66,7 +70,8 @@ def certify(
     relation: Relations = "auto",
     wrap: bool = False,
     above: bool = False,
-    **settings: Any,
+    search: SearchOptions | None = None,
+    **old: Any,
 ) -> Synthesis:
     """Compute a certified lower bound on the satisfaction probability of ``policy``: of networks as they are.
 
@@ -89,8 +94,10 @@ def certify(
         Whether to certify what a network becomes on cells.
     above : bool
         Whether to bound it from above, too (``upper_bound`` of the certificate).
-    **settings
-        Further settings of the relation, passed to ``abstract``.
+    search : SearchOptions, optional
+        Its options of relations, as for ``abstract``; others are refused.
+    **old
+        The same options as keywords, as until 0.3: they work until 0.5, with a DeprecationWarning.
 
     Returns
     -------
@@ -104,6 +111,8 @@ def certify(
     ValueError
         If the policy has an unknown form or returns inputs that are not finite, or the relation does not apply.
     """
+    keywords = ("problem", "policy", "cells", "relation", "wrap", "above", "search")
+    settings = options_of(search, old, "certify", keywords, OF_RELATIONS).of_relations
     if policy is None:
         policy = policy_in_file(problem) if isinstance(problem, str | Path) else None
         if policy is None:
@@ -210,12 +219,11 @@ def improve(
     cells: CellCounts = None,
     *,
     relation: Relations = "auto",
-    max_sweeps: int = 8,
-    limits: Limits | None = None,
     progress: Callable[[str, float], None] | None = None,
     as_is: bool = False,
     share: float = COVERED,
-    **settings: Any,
+    search: SearchOptions | None = None,
+    **old: Any,
 ) -> Synthesis:
     """Improve ``policy`` by coordinate ascent; return the best policies and a certified lower bound for them.
 
@@ -225,12 +233,8 @@ def improve(
 
     Parameters
     ----------
-    problem, policy, cells, relation, **settings
+    problem, policy, cells, relation, **old
         As for ``certify``.
-    max_sweeps : int
-        Largest number of sweeps; the search stops earlier when nothing improves.
-    limits : Limits, optional
-        How trees are pruned during the search.
     progress : callable, optional
         Called with a short text and the best value so far after each sweep.
     as_is : bool
@@ -238,17 +242,23 @@ def improve(
     share : float
         With ``as_is``, the share of all that is lost that the replaced places make up for, as few of them as can be:
         from 0 (nothing is replaced) to 1 (everything that gains).
+    search : SearchOptions, optional
+        ``max_sweeps``, ``limits``, and the options of relations; others are refused.
 
     Returns
     -------
     Synthesis
         With ``as_is``, ``stats["weak_places"]`` says where the networks lose.
     """
+    keywords = ("problem", "policy", "cells", "relation", "progress", "as_is", "share", "search")
+    options = options_of(search, old, "improve", keywords, ("max_sweeps", "limits", *OF_RELATIONS))
+    settings, max_sweeps = options.of_relations, options.max_sweeps
     if as_is:
-        found, places = repair_network(problem, policy, cells, share=share, **settings)
+        per_cell = points_of_networks(settings)
+        found, places = repair_network(problem, policy, cells, share=share, targets_per_cell=per_cell)
         return replace(found, stats={**found.stats, "weak_places": places})
     clock, problem = _Clock(), as_problem(problem)
-    search = Search(max_sweeps, Limits() if limits is None else limits, progress=progress)
+    ascent = options.search(progress=progress)
     wrapped = _wrapped(problem, certifiable(problem, policy), cells, relation, settings)
     joint, start = wrapped.joint, start_of(problem, wrapped.joint)
     clock.abstracted()
@@ -256,10 +266,10 @@ def improve(
     values, last, top = [best.value], best, best
     # every sweep improves the policies of the one before, until the value stops rising
     for _ in range(max_sweeps):
-        before, last = last.value, sweep(joint, last.policies, start, search.limits, improve=True)
+        before, last = last.value, sweep(joint, last.policies, start, ascent.limits, improve=True)
         values.append(last.value)
         top = max(top, last, key=lambda candidate: candidate.value)
-        search.tell("from the given policy", max(values))
+        ascent.tell("from the given policy", max(values))
         if last.value <= before * (1 + WORTHWHILE):
             break
     # pruning may have favoured a sweep: evaluate its policies again, unchanged and pruned as little as possible
@@ -322,7 +332,8 @@ def _wrapped(
             "`common`: expected none for given policies, whose inputs depend on states, got True; leave it out"
         )
     raw = decentralised(problem, policy)
-    abstraction = abstract(problem, cells, relation=relation, **settings)
+    check_names("cells", cells, problem)
+    abstraction = abstraction_of(problem, cells, relations_of(problem, relation), Settings(**settings))
     return _Wrapped(abstraction, join(problem, abstraction), wrap(problem, abstraction, raw))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...envs.suite import as_problem
+from ...envs.systems.arguments import names_arguments
 from ...envs.tasks.problem import load_problem
 from ..certificates.proofs import (
     MAX_BYTES,
@@ -21,6 +22,7 @@ from ..extended_check.claims import check as check_certificate
 from ..interop import is_written_policy, save_policy
 
 
+@names_arguments()
 def save(kept: Any, path: str | Path, *, agent: str | None = None) -> Path:
     """Write what has a file to ``path``, completely or not at all; return it.
 
@@ -54,6 +56,7 @@ def save(kept: Any, path: str | Path, *, agent: str | None = None) -> Path:
     return Path(path)
 
 
+@names_arguments()
 def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Any:
     """Return what a file holds: a Problem (``.toml``) or a Certificate (``.npz``).
 
@@ -78,6 +81,7 @@ def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Any:
     return load_certificate(path, max_bytes)
 
 
+@names_arguments()
 def check(claim: Any, problem: Any = None) -> CheckReport:
     """Verify what a certificate claims, by separate code that no search reaches.
 

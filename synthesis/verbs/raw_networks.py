@@ -8,7 +8,7 @@ unknown. What is certified is the deployed network itself (docs/theory/networks.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -156,9 +156,9 @@ def certified_as_it_is(
     ValueError
         If nothing is certified; the message says why along the run, and what would help.
     """
-    is_written = isinstance(actor, SymbolicPolicies)
+    is_written, per_cell = isinstance(actor, SymbolicPolicies), points_of_networks(settings)
     if (cells is not None or relation in RELATIONS) and not is_written:
-        return certify_network(problem, actor, cells, relation=relation, **settings)
+        return certify_network(problem, actor, cells, relation=relation, targets_per_cell=per_cell)
     policies = actor.policies if is_written else _policies(problem, actor)
     began, tried, found = time.perf_counter(), dict[str, Any](), None
     try:
@@ -173,7 +173,7 @@ def certified_as_it_is(
     is_small = not is_written and all(agent.n_states <= FEW_STATES for agent in problem.agents)
     if is_small and (found is None or 1.0 - found.certificate.lower_bound > PLENTY):
         try:
-            on_cells = certify_network(problem, actor, cells, **settings)
+            on_cells = certify_network(problem, actor, cells, targets_per_cell=per_cell)
             tried["cells"] = on_cells.certificate.lower_bound
             if found is None or tried["cells"] > found.certificate.lower_bound:
                 found = on_cells
@@ -182,6 +182,17 @@ def certified_as_it_is(
     if found is None:
         raise RelationRefused(f"`policy`: nothing is certified of it as it is: {tried['path']}")
     return replace(found, stats={**found.stats, "tried": tried})
+
+
+def points_of_networks(settings: Mapping[str, Any]) -> int | None:
+    """Return the points per cell of settings of relations; raise ValueError at any other, which no network has."""
+    for name in settings:
+        if name != "targets_per_cell":
+            raise ValueError(
+                f"`{name}`: expected none for networks as they are, which have `targets_per_cell` only, got "
+                f"{settings[name]!r}; leave it out, or put the network on cells with `wrap=True`"
+            )
+    return settings.get("targets_per_cell")
 
 
 def _on_grids(

@@ -12,7 +12,7 @@ import numpy as np
 from ...envs.suite import as_problem
 from ...envs.systems.backends import on_one_thread
 from ...envs.tasks.problem import JOINT_NOISE_REFUSAL, OutOfReach, Problem, out_of_reach, why_unsatisfiable
-from ..abstraction.models import RELATIONS, Relations, Settings, check_names, check_settings, relations_of
+from ..abstraction.models import RELATIONS, Relations, Settings, check_names, relations_of
 from ..certificates.proofs import (
     Certificate,
     OnGrid,
@@ -23,12 +23,12 @@ from ..certificates.proofs import (
     on_cells,
     timed_certificate,
 )
-from ..certificates.value_functions import HOST, device_put
 from ..composition import each_horizon, horizons_of, joint_strategies, synthesize_parts, without_deadline
-from ..policy_search.ascent import Limits, Search, sweep_bar
+from ..policy_search.ascent import Search, sweep_bar
 from ..policy_search.cell_certificates import Plan, along_path, continued, judged
 from ..policy_search.portfolio import Effort, Strategy, best_of, in_order, settings_of
 from ..relations.grids import CellCounts, RelationRefused, to_who_asked_for_none
+from .search_options import SearchOptions, options_of
 from .task_strategies import (
     has_usual_search,
     names_inputs,
@@ -43,6 +43,9 @@ from .upper_bounds import synthesis_above
 OWN = "own"
 """Stands for the horizon of the problem."""
 
+KEYWORDS = ("problem", "cells", "horizon", "relation", "effort", "seconds", "progress", "start", "above", "search")
+"""Names in the signature of ``synthesize``."""
+
 
 @overload
 def synthesize(problem: Any, cells: CellCounts = None, *, horizon: int | None = None, **options: Any) -> Synthesis: ...
@@ -54,8 +57,6 @@ def synthesize(
 ) -> list[Synthesis]: ...
 
 
-# Eighteen parameters, because this is the door of the package: its options are flat, as users and the command line have
-# them, and become records (`Plan`) at once.
 @judged
 @on_one_thread
 def synthesize(
@@ -64,18 +65,13 @@ def synthesize(
     *,
     horizon: int | Iterable[int] | str | None = OWN,
     relation: Relations = "auto",
-    max_sweeps: int = 8,
-    limits: Limits | None = None,
-    value: str = "auto",
-    progress: Callable[[str, float], None] | bool | None = None,
     effort: float | None = None,
     seconds: float | None = None,
-    device: str = HOST,
-    restarts: int = 0,
+    progress: Callable[[str, float], None] | bool | None = None,
     start: Any = None,
-    stationary: bool = False,
     above: bool | None = None,
-    **settings: Any,
+    search: SearchOptions | None = None,
+    **old: Any,
 ) -> Any:
     """Compute per-agent controllers for ``problem`` and a certified lower bound on its satisfaction probability.
 
@@ -101,15 +97,6 @@ def synthesize(
         ``tube`` and ``ellipsoid`` that apply, and ``linear`` where these leave much open, and keeps the largest bound
         (see ``relation_choice``); agents that no grid can hold get a path. ``"best"`` tries all of these without any
         shortcut, and ``paper``. ``"quick"`` takes ``exact`` or ``tube`` without comparing (see ``abstract``).
-    max_sweeps : int
-        Largest number of improving sweeps after the first; the search stops earlier when nothing improves.
-    limits : Limits, optional
-        How trees are pruned during the search.
-    value : str
-        How the value function is stored: as a ``"tree"`` of products (exact up to what is pruned), as a ``"train"``
-        (tensor trains, rounded with a certified error, for tasks whose trees grow too many terms), or ``"auto"``.
-    progress : callable or True, optional
-        Called with a short text and the best value so far after each sweep; True: a bar, in notebooks, too.
     effort : float, optional
         Work that may be spent, in core seconds: what one core of 2024 does in about a second (default: 80, of each
         independent task). It is estimated before anything is computed, and not taken from a clock: the same problem and
@@ -118,24 +105,21 @@ def synthesize(
     seconds : float, optional
         Seconds of the clock after which the best certificate so far is returned, or the first one, if that takes
         longer. It depends on the machine what they are enough for. Work is then limited only by ``effort``, if given.
-    device : str
-        Where sweeps over the value tree are computed: ``"numpy"``, or a library and its device, such as
-        ``"torch:cuda"`` (extra ``device``; see ``devices``). Results agree up to rounding, for which every bound has a
-        reserve.
-    restarts : int
-        Number of further starts of the search, from the best policies with their plans advanced or delayed.
+    progress : callable or True, optional
+        Called with a short text and the best value so far after each sweep; True: a bar, in notebooks, too.
     start : Synthesis, Certificate or path, optional
         Certificate whose policies the search begins with, of any kind on cells. Its agents, cells and relations must
         be the same, its horizon need not (see ``horizons``); ``"auto"`` then stands for its relations, and settings
         that are not given are its own. Its policies are evaluated anew, and nothing that it claims is trusted.
-    stationary : bool
-        Whether policies must not depend on the time, as for tasks without a deadline.
     above : bool, optional
         Whether the certificate is to say, too, how often its controllers succeed at most (``upper_bound``). That takes
         about as long as an evaluation of the policies. By default it does where this is little work beside the effort,
         for one horizon; relations in which nothing is lost say so in any case.
-    **settings
-        Further settings of the relation (see ``Settings``).
+    search : SearchOptions, optional
+        Everything else that a search can be told: sweeps, restarts, the form of values, pruning, the device, and the
+        settings of relations. Nobody needs it for a good bound.
+    **old
+        The same options as keywords, as until 0.3: they work until 0.5, with a DeprecationWarning.
 
     Returns
     -------
@@ -147,24 +131,22 @@ def synthesize(
     Raises
     ------
     ValueError
-        If the problem has no start, the relation does not apply to an agent, or the device does not exist.
+        If the problem has no start, the relation does not apply to an agent, or an option does not exist.
     """
-    pruning = Limits() if limits is None else limits
+    options = options_of(search, old, "synthesize", KEYWORDS)
     told = sweep_bar() if progress is True else progress or None
-    check_settings(settings)
-    device_put(device)  # refuses a device that does not exist before any work is done
     problem = as_problem(problem)
     endless = horizon is None
-    search = Search(max_sweeps, pruning, value, restarts, told, stationary or endless, device)
+    ascent = options.search(progress=told, stationary=options.stationary or endless)
 
     is_single = isinstance(horizon, int | np.integer) or horizon == OWN
 
     def once(task: Problem, begun: Certificate | None) -> Synthesis:
         _refuse_outside(task)
-        own = settings
+        settings = options.of_relations
         if begun is not None and not task.groups and not task.labeling.pairs:
-            own = {**_settings_of_start(task, relation, checked_certificate(begun, "start")), **settings}
-        plan = Plan(Settings(**own), search, Effort(effort, seconds, progress=told))
+            settings = {**_settings_of_start(task, relation, checked_certificate(begun, "start")), **settings}
+        plan = Plan(Settings(**settings), ascent, Effort(effort, seconds, progress=told))
         try:
             found = _of_problem(task, cells, relation, plan, begun)
             if above or (above is None and is_single and not plan.effort.is_over):

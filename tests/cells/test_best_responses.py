@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.input_sets import InputSet
 from certigym.synthesis.abstraction.models.target_windows import TargetWindows
+from certigym.synthesis.verbs.abstract import abstract
 from problems import scalar_agent
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.policy_search.portfolio.cell_numbers import MOST_COMBINATIONS, cells_at
+from certigym.synthesis.verbs.abstract import abstract
 from problems import two_agents
 
 pytestmark = pytest.mark.thorough

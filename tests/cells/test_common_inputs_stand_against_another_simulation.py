@@ -142,7 +142,7 @@ def successes(certificate: Any, team: Team) -> int:
 def certified(seed: int) -> tuple[Team, Any]:
     """A random team and its certificate."""
     team = Team(seed)
-    found = cg.synthesize(team.problem, cells=8, relation="boxes", common=True, max_sweeps=1)
+    found = cg.synthesize(team.problem, cells=8, relation="boxes", search=cg.SearchOptions(common=True, max_sweeps=1))
     return team, found.certificate
 
 

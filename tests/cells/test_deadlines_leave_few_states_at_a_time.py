@@ -8,9 +8,9 @@ import pytest
 import certigym as cg
 from certigym.envs.tasks.automata import translate, translation
 from certigym.synthesis.abstraction.models import joint as joint_module
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.joint import count_of_decisions, join
 from certigym.synthesis.policy_search.portfolio.refinement_levels import work_of
+from certigym.synthesis.verbs.abstract import abstract
 from kinds import mostly_thorough
 from problems import two_agents
 from written_problems import oscillator_reach

@@ -18,13 +18,13 @@ from certigym.cli.main import main
 from certigym.envs.systems.backends import beside, device_put, libraries, to_host
 from certigym.synthesis.abstraction.kernels.kernel import AxisTable, Kernel, gaussian_table
 from certigym.synthesis.abstraction.models.action_tables import Policies
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.certificates.value_functions.devices import Residents, add_rows, add_runs, concatenate, take
 from certigym.synthesis.policy_search.ascent.coordinate_ascent import Sweep, resting_policies, sweep
 from certigym.synthesis.policy_search.ascent.limits import Limits
 from certigym.synthesis.policy_search.ascent.occupancy import forward
 from certigym.synthesis.policy_search.bounds.certified import robust_loss
+from certigym.synthesis.verbs.abstract import abstract
 from kinds import mostly_thorough
 
 DEVICE = os.environ.get("CERTIGYM_DEVICE", "torch:cpu")
@@ -94,7 +94,10 @@ def test_occupancies_and_robust_losses_agree() -> None:
 @mostly_thorough("relation", ["auto", "paper"])
 def test_certificates_agree_and_are_checked(relation: str) -> None:
     problem = cg.make_problem("reach-avoid-v0")
-    ours, theirs = (cg.synthesize(problem, 150, relation=relation, device=device) for device in ("numpy", DEVICE))
+    ours, theirs = (
+        cg.synthesize(problem, 150, relation=relation, search=cg.SearchOptions(device=device))
+        for device in ("numpy", DEVICE)
+    )
     assert theirs.certificate.lower_bound == pytest.approx(ours.certificate.lower_bound, rel=1e-8)
     assert cg.check(theirs.certificate, problem)
     runs = cg.rollout(problem, theirs.controller, 2000)
@@ -119,7 +122,9 @@ def test_the_command_line_takes_a_device(tmp_path: Path, capsys: pytest.CaptureF
 def test_devices_that_are_not_there_are_refused(device: Any, message: str) -> None:
     for relation in ("auto", "best"):
         with pytest.raises(ValueError, match=message):
-            cg.synthesize(cg.make_problem("reach-avoid-v0"), 20, relation=relation, device=device)
+            cg.synthesize(
+                cg.make_problem("reach-avoid-v0"), 20, relation=relation, search=cg.SearchOptions(device=device)
+            )
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,12 +17,13 @@ import certigym as cg
 from boiler_problems import boiler, boiler_problem, room
 from certigym.envs.simulation import Dynamics, batch_simulator
 from certigym.envs.tasks.problem.problem_file import problem_from_toml
-from certigym.synthesis.abstraction.models import JointModel, abstract, join, start_of
+from certigym.synthesis.abstraction.models import JointModel, join, start_of
 from certigym.synthesis.certificates.proofs import GridProof, OnGrid, changed
 from certigym.synthesis.extended_check.shields import shield_of
 from certigym.synthesis.policy_search.ascent import Search, find_policies
 from certigym.synthesis.policy_search.ascent.relaxation import relax
 from certigym.synthesis.relations.kinds import CommonInputs
+from certigym.synthesis.verbs.abstract import abstract
 from kinds import mostly_thorough
 
 FALSE_ALARM = 1e-6
@@ -47,8 +48,10 @@ def switching(n: int = 2, horizon: int = 8) -> cg.Problem:
     )
 
 
-def certified(problem: cg.Problem, cells: Any = 24, **settings: Any) -> OnGrid:
-    certificate = cg.synthesize(problem, cells=cells, relation="boxes", common=True, **settings).certificate
+def certified(problem: cg.Problem, cells: Any = 24, **options: Any) -> OnGrid:
+    certificate = cg.synthesize(
+        problem, cells=cells, relation="boxes", search=cg.SearchOptions(common=True, **options)
+    ).certificate
     assert isinstance(certificate.proof, GridProof)
     return certificate
 
@@ -128,7 +131,7 @@ def test_the_search_finds_the_best_sequence_of_numbers(monkeypatch: pytest.Monke
         rng = np.random.default_rng(seed)
         start = {f"room_{i}": [float(rng.uniform(18.2, 21.2))] for i in range(2)}
         problem = boiler_problem(2, horizon=3).replace(initial_state=start)
-        joint = join(problem, abstract(problem, 10, relation="boxes", common=True))
+        joint = join(problem, abstract(problem, 10, relation="boxes", search=cg.SearchOptions(common=True)))
         values = sequences_of(problem, joint)
         found = find_policies(problem, joint, Search(good_share=1.0)).best
         best = max(values.values())
@@ -141,7 +144,7 @@ def test_the_search_finds_the_best_sequence_of_numbers(monkeypatch: pytest.Monke
 @pytest.mark.thorough
 def test_relaxations_are_above_what_any_number_attains() -> None:
     problem = boiler_problem(2, horizon=3)
-    joint = join(problem, abstract(problem, 10, relation="boxes", common=True))
+    joint = join(problem, abstract(problem, 10, relation="boxes", search=cg.SearchOptions(common=True)))
     start, above = start_of(problem, joint), 1.0
     relaxations = relax(problem, joint)
     [q] = [q for q in range(joint.n_states) if not joint.absorbing[q] and len(start.terms.index[q])]
@@ -272,7 +275,9 @@ def test_both_ways_are_tried_and_the_better_one_is_kept() -> None:
 def test_unknown_inputs_count_as_disturbances() -> None:
     """Without a common choice the bound is the product of those of rooms that are disturbed by any heat."""
     problem = boiler_problem(2)
-    whole = cg.synthesize(problem, cells=24, relation="boxes", common=False).certificate.lower_bound
+    whole = cg.synthesize(
+        problem, cells=24, relation="boxes", search=cg.SearchOptions(common=False)
+    ).certificate.lower_bound
     product_of_all = 1.0
     alone: list[Any] = [boiler()]
     for i in range(2):
@@ -294,7 +299,7 @@ def test_unknown_inputs_count_as_disturbances() -> None:
 @pytest.mark.thorough
 def test_policies_go_on_from_certificates_and_without_a_clock(boiled: OnGrid) -> None:
     longer = boiler_problem(2, horizon=6)
-    for settings in ({"start": boiled}, {"stationary": True, "common": True}):
+    for settings in ({"start": boiled}, {"search": cg.SearchOptions(stationary=True, common=True)}):
         certificate = cg.synthesize(longer, cells=24, relation="boxes", **settings).certificate
         assert cg.check(certificate) and certificate.lower_bound > 0.9
         assert "common" in certificate.proof.agents[0].relation
@@ -305,11 +310,16 @@ def test_what_knows_nothing_of_common_inputs_refuses_them(boiled: OnGrid) -> Non
     with pytest.raises(ValueError, match=r"chosen in common.*`common=False`"):
         shield_of(boiled, 0.5)
     with pytest.raises(ValueError, match="`common`"):
-        cg.certify(boiled.problem, boiled.controller, 24, relation="boxes", common=True)
+        cg.certify(boiled.problem, boiled.controller, 24, relation="boxes", search=cg.SearchOptions(common=True))
     with pytest.raises(ValueError, match="`common`"):
-        cg.synthesize(boiled.problem, common="yes")
+        cg.synthesize(boiled.problem, search=cg.SearchOptions(common="yes"))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="under the relation `boxes` alone"):
-        cg.synthesize(boiler_problem(1), cells=24, relation={"boiler": "exact", "room_0": "boxes"}, common=True)
+        cg.synthesize(
+            boiler_problem(1),
+            cells=24,
+            relation={"boiler": "exact", "room_0": "boxes"},
+            search=cg.SearchOptions(common=True),
+        )
 
 
 # Groups of other shapes.
@@ -341,7 +351,7 @@ def two_boilers() -> cg.Problem:
 @pytest.mark.thorough
 def test_groups_may_have_several_owners_and_inputs() -> None:
     problem = two_boilers()
-    joint = join(problem, abstract(problem, 12, relation="boxes", common=True))
+    joint = join(problem, abstract(problem, 12, relation="boxes", search=cg.SearchOptions(common=True)))
     [group] = joint.common
     assert group.members == (0, 1, 3) and group.names == ("boiler.heat", "second.heat") and len(group.numbers) == 25
     certificate = certified(problem, 12)
@@ -365,7 +375,7 @@ def test_rooms_alike_beside_other_boilers_are_told_apart() -> None:
         propositions={"comfort": cg.Proposition("room_*", [18.0], [21.5])},
         specification=cg.Specification("G all(comfort)", "finite-trace"),
     )
-    joint = join(problem, abstract(problem, 16, relation="boxes", common=True))
+    joint = join(problem, abstract(problem, 16, relation="boxes", search=cg.SearchOptions(common=True)))
     assert [group.members for group in joint.common] == [(0, 2), (1, 3)]
     assert cg.check(certified(problem, 16))
 
@@ -430,7 +440,9 @@ def test_owners_that_look_at_their_state_are_refused(boiled: OnGrid) -> None:
     """The boiler's part is that of a certificate without common choice, under boxes and under exact targets."""
     for relation in ("boxes", "exact"):
         kinds = {"boiler": relation, "room_0": "boxes", "room_1": "boxes"}
-        other = cg.synthesize(boiled.problem, cells=24, relation=kinds, common=False).certificate
+        other = cg.synthesize(
+            boiled.problem, cells=24, relation=kinds, search=cg.SearchOptions(common=False)
+        ).certificate
         mixed = changed(boiled, agents=(other.proof.agents[0], *boiled.proof.agents[1:]))
         report = cg.check(mixed)
         assert not report and "'boiler.heat' is said to be chosen in common" in str(report)

@@ -88,7 +88,9 @@ def test_both_are_worth_more_than_targets_and_no_less_than_inputs(monkeypatch: p
     # The same inputs, on the same lattice, without targets.
     monkeypatch.setattr(corner_model, "reaches_every_mean", lambda agent: False)
     monkeypatch.setattr(corner_model, "with_rest", lambda box, levels: input_set)
-    inputs = cg.synthesize(planar(False), 14, relation="linear", targets_per_cell=8).certificate
+    inputs = cg.synthesize(
+        planar(False), 14, relation="linear", search=cg.SearchOptions(targets_per_cell=8)
+    ).certificate
     monkeypatch.undo()
     assert "aims" not in inputs.proof.agents[0].relation and cg.check(inputs)
     assert both.lower_bound > targets.lower_bound + 0.02

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.policy_search.bounds import continuous as continuous_bound
 from certigym.synthesis.policy_search.bounds.continuous import Optimist, continuous_upper_bound
 from certigym.synthesis.relations.grids import hats
+from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.binomial import clopper_pearson
 from kinds import mostly_thorough
 from problems import scalar_agent, two_agents

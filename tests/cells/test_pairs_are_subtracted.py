@@ -126,7 +126,7 @@ def spread_starts(problem: cg.Problem, reach: float) -> cg.Problem:
 )
 def test_masses_are_those_of_a_dense_enumeration(problem: cg.Problem, is_tight: bool) -> None:
     """Where one mode covers all undecided states nothing is lost; elsewhere the bound is larger, never smaller."""
-    certificate: Any = cg.synthesize(problem, 16, relation="exact", max_sweeps=0).certificate
+    certificate: Any = cg.synthesize(problem, 16, relation="exact", search=cg.SearchOptions(max_sweeps=0)).certificate
     truth = dense(problem, certificate)
     failures, again = wrong_pairs(certificate, problem)
     assert failures == [] and truth > 1e-6
@@ -148,7 +148,7 @@ def test_bounds_are_tight_enough_to_be_used() -> None:
 
 
 def certificate_of(problem: cg.Problem) -> Certificate[UnionBoundProof]:
-    certificate: Any = cg.synthesize(problem, 16, relation="exact", max_sweeps=0).certificate
+    certificate: Any = cg.synthesize(problem, 16, relation="exact", search=cg.SearchOptions(max_sweeps=0)).certificate
     return certificate
 
 
@@ -286,7 +286,9 @@ def test_claims_about_random_problems_survive_an_independent_simulation() -> Non
     informative, two_sided = 0, 0
     for seed in range(12):
         problem = random_pairs(np.random.default_rng(seed))
-        certificate: Any = cg.synthesize(problem, 12, relation="exact", max_sweeps=2).certificate
+        certificate: Any = cg.synthesize(
+            problem, 12, relation="exact", search=cg.SearchOptions(max_sweeps=2)
+        ).certificate
         assert cg.check(certificate), seed
         successes = simulated(problem, certificate.controller, 3000, seed)
         least, most = clopper_pearson(successes, 3000, 1.0 - 1e-6 / 12)
@@ -325,7 +327,7 @@ def test_pairs_may_compare_different_states_of_one_agent() -> None:
     }
     task = cg.Specification("(!(far | close)) U goal", "co-safe")
     problem = cg.Problem(name="axes", horizon=3, agents=agents, propositions=regions, specification=task)
-    certificate = cg.synthesize(problem, 20, relation="exact", max_sweeps=0).certificate
+    certificate = cg.synthesize(problem, 20, relation="exact", search=cg.SearchOptions(max_sweeps=0)).certificate
     assert isinstance(certificate.proof, UnionBoundProof) and 1e-4 < certificate.proof.near < 1.0
     report = cg.check(certificate)
     assert report and report.recomputed - certificate.lower_bound < 1e-6

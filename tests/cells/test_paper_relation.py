@@ -13,7 +13,6 @@ from scipy.stats import binomtest, kstest, norm
 import certigym as cg
 from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.simulation.batch_simulator import Dynamics
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.input_sets import InputSet
 from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.certificates.controllers.abstract_state import Memory, Tracker
@@ -24,6 +23,7 @@ from certigym.synthesis.policy_search.ascent.occupancy import forward
 from certigym.synthesis.policy_search.bounds.certified import plain_loss, robust_loss, undecided_steps
 from certigym.synthesis.relations.kinds.coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from certigym.synthesis.relations.kinds.scalar import paper_relation
+from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.presentation.paper.heuristics import paper_policies, paper_steps
 from certigym.validation.statistical_tests.binomial import CONFIRMED, REFUTED, clopper_pearson
 from problems import scalar_agent, two_agents
@@ -69,7 +69,7 @@ def test_the_coupling_has_both_marginals_and_fails_as_rarely_as_can_be() -> None
 def test_the_abstract_state_moves_as_the_kernel_says_and_stays_related() -> None:
     """Cell frequencies against kernel masses (Holm-free union over cells) and losses against delta, each at 1e-6."""
     problem = two_agents(horizon=3)
-    model = abstract(problem, 64, relation="paper", epsilon=0.1).models[0]
+    model = abstract(problem, 64, relation="paper", search=cg.SearchOptions(epsilon=0.1)).models[0]
     relation, grid = model.relation, model.grid
     assert isinstance(relation, CoupledRelation) and isinstance(model.choices, InputSet)
     rng = np.random.default_rng(3)
@@ -99,7 +99,7 @@ def test_the_abstract_state_moves_as_the_kernel_says_and_stays_related() -> None
 def test_bounds_hold_for_the_coupled_closed_loop(settings: dict[str, Any]) -> None:
     """One-sided at 1e-6 / 3; the bound, and the bound elsewhere, survive 50,000 rollouts and the check."""
     problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
-    result = cg.synthesize(problem, 64, relation="paper", **settings)
+    result = cg.synthesize(problem, 64, relation="paper", search=cg.SearchOptions(**settings))
     certificate = result.certificate
     assert set(certificate.proof.bounds) in ({"nominal"}, {"a-posteriori", "robust tree"})
     assert certificate.lower_bound == max(certificate.proof.bounds.values()) > 0.1
@@ -112,7 +112,7 @@ def test_bounds_hold_for_the_coupled_closed_loop(settings: dict[str, Any]) -> No
 
 def test_claiming_the_nominal_value_in_spite_of_delta_is_refused() -> None:
     problem = two_agents(horizon=4)
-    certificate = cg.synthesize(problem, 64, relation="paper", epsilon=0.1).certificate
+    certificate = cg.synthesize(problem, 64, relation="paper", search=cg.SearchOptions(epsilon=0.1)).certificate
     assert cg.check(certificate)
     assert not cg.check(changed(certificate, bound="nominal"))
     part = replace(certificate.proof.agents[0], relation={**certificate.proof.agents[0].relation, "delta": 1e-5})
@@ -124,7 +124,7 @@ def test_claiming_the_nominal_value_in_spite_of_delta_is_refused() -> None:
 def test_undecided_steps_are_what_rollouts_of_the_abstract_chain_count() -> None:
     """Theta against 20,000 simulated abstract chains, interval at 1e-6 by Hoeffding (counts in [0, T])."""
     problem = two_agents(horizon=5, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
-    joint = join(problem, abstract(problem, 40, relation="paper", epsilon=0.2))
+    joint = join(problem, abstract(problem, 40, relation="paper", search=cg.SearchOptions(epsilon=0.2)))
     start = start_of(problem, joint)
     policies = resting_policies(joint)
     theta = undecided_steps(joint, forward(joint, policies, start, Limits(0, 0, 0, 10**6)))
@@ -156,7 +156,7 @@ def test_undecided_steps_are_what_rollouts_of_the_abstract_chain_count() -> None
 
 def test_plain_robust_operator_is_refused_above_one_where_it_would_be_unsound() -> None:
     problem = two_agents(horizon=2)
-    model = abstract(problem, 40, relation="paper", epsilon=0.1).models[0]
+    model = abstract(problem, 40, relation="paper", search=cg.SearchOptions(epsilon=0.1)).models[0]
     big = np.full((1, model.n_cells), 3.0)
     with pytest.raises(ValueError, match="above 1"):
         plain_loss(model, big, model.kernel.backup(big))
@@ -168,14 +168,16 @@ def test_bounds_fall_as_delta_grows_and_epsilon_grows() -> None:
     problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
     values = []
     for delta in (None, 0.03, 0.2):
-        joint = join(problem, abstract(problem, 64, relation="paper", epsilon=0.1, delta=delta))
+        joint = join(
+            problem, abstract(problem, 64, relation="paper", search=cg.SearchOptions(epsilon=0.1, delta=delta))
+        )
         start = start_of(problem, joint)
         policies = paper_policies(joint, "base")
         values.append(sweep(joint, policies, start, Limits(0, 0, 0, 10**6), improve=False, loss=robust_loss).value)
     assert values[0] > values[1] > values[2] >= 0
     nominal = []
     for epsilon in (0.0625, 0.3, 0.6):
-        joint = join(problem, abstract(problem, 64, relation="paper", epsilon=epsilon))
+        joint = join(problem, abstract(problem, 64, relation="paper", search=cg.SearchOptions(epsilon=epsilon)))
         start = start_of(problem, joint)
         nominal.append(sweep(joint, resting_policies(joint), start, Limits(0, 0, 0, 10**6), improve=False).value)
     assert nominal[0] >= nominal[1] >= nominal[2]
@@ -184,7 +186,7 @@ def test_bounds_fall_as_delta_grows_and_epsilon_grows() -> None:
 def test_heuristic_steps_are_evaluations_of_their_policies() -> None:
     """The value reported with t steps to go is what a frozen evaluation of the same policies gives."""
     problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
-    joint = join(problem, abstract(problem, 40, relation="paper", epsilon=0.15))
+    joint = join(problem, abstract(problem, 40, relation="paper", search=cg.SearchOptions(epsilon=0.15)))
     start = start_of(problem, joint)
     for kind, loss in (("base", None), ("a-posteriori", None), ("robust tree", plain_loss)):
         *_, last = paper_steps(joint, kind)
@@ -204,7 +206,7 @@ def test_joint_delta_rounds_up() -> None:
 
 def test_memory_of_a_batch_shows_lost_relations() -> None:
     problem = two_agents(horizon=4, noise_covariance=[[0.6]])
-    controller = cg.synthesize(problem, 64, relation="paper", epsilon=0.1).controller
+    controller = cg.synthesize(problem, 64, relation="paper", search=cg.SearchOptions(epsilon=0.1)).controller
     dynamics = Dynamics.of(problem)
     policy, rng = controller.batch(dynamics), np.random.default_rng(0)
     worlds = core.initial(dynamics, rng, 5000)

@@ -13,12 +13,12 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.tasks.problem import groups as independent
 from certigym.synthesis.abstraction.models import ellipsoid_search
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.policy_search.ascent.relaxation import relax, upper_bound
 from certigym.synthesis.policy_search.portfolio import relation_choice
 from certigym.synthesis.relations.grids.agent_grids import DEFAULT_CELLS
 from certigym.synthesis.verbs import task_strategies
+from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.binomial import REFUTED
 from problems import cart, cart_reach, scalar_agent
 
@@ -96,7 +96,8 @@ def test_a_tube_is_kept_where_it_certifies_more_than_exact() -> None:
     """On coarse cells the reserve of ``exact`` takes an eighth of the inputs, and rounding to one target takes more."""
     problem = cg.make_problem("car-park-planar-v0", horizon=12)
     quick, found = (
-        cg.synthesize(problem, 100, relation=relation, targets_per_cell=1) for relation in ("quick", "auto")
+        cg.synthesize(problem, 100, relation=relation, search=cg.SearchOptions(targets_per_cell=1))
+        for relation in ("quick", "auto")
     )
     assert kinds_of(quick.certificate) == ["exact"] and kinds_of(found.certificate) == ["tube"]
     assert found.certificate.lower_bound > quick.certificate.lower_bound + 0.005
@@ -108,7 +109,10 @@ def test_an_ellipsoid_is_kept_where_it_certifies_more_than_a_tube() -> None:
     """Two agents of position and velocity share it; the bound is checked and not refuted at 1e-6."""
     pytest.importorskip(NEEDS_SOLVER)
     problem = cg.make_problem("reach-avoid-kinematic-v0").replace(horizon=10)
-    tube, found = (cg.synthesize(problem, 50, relation=relation, max_sweeps=1) for relation in ("tube", "auto"))
+    tube, found = (
+        cg.synthesize(problem, 50, relation=relation, search=cg.SearchOptions(max_sweeps=1))
+        for relation in ("tube", "auto")
+    )
     assert kinds_of(found.certificate) == ["ellipsoid", "ellipsoid"]
     assert found.certificate.lower_bound > tube.certificate.lower_bound + 0.05
     tried = tried_of(found)

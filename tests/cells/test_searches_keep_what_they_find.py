@@ -10,7 +10,6 @@ import pytest
 import certigym as cg
 from certigym.synthesis.abstraction.models import TIE
 from certigym.synthesis.abstraction.models.action_tables import Policies
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.joint import JointModel, join, start_of
 from certigym.synthesis.certificates.proofs import lasting_bound
 from certigym.synthesis.certificates.value_functions.devices import UNIT
@@ -23,6 +22,7 @@ from certigym.synthesis.policy_search.ascent.search_settings import Search
 from certigym.synthesis.policy_search.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.policy_search.portfolio.given_start import policies_from
 from certigym.synthesis.relations.grids import start_share
+from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.binomial import REFUTED
 from kinds import mostly_thorough
 from problems import cart, cart_reach, two_agents
@@ -87,7 +87,9 @@ def test_the_gain_of_one_agent_is_that_of_trying_everything(formula: str) -> Non
 def test_further_starts_never_lower_the_bound(problem_id: str) -> None:
     problem = cg.make_problem(problem_id)
     problem = problem.replace(horizon=min(problem.horizon, 4))
-    plain, more, again = (cg.synthesize(problem, 20, restarts=r, relation="exact") for r in (0, 2, 2))
+    plain, more, again = (
+        cg.synthesize(problem, 20, search=cg.SearchOptions(restarts=r), relation="exact") for r in (0, 2, 2)
+    )
     assert more.certificate.lower_bound >= plain.certificate.lower_bound * (1 - 1e-6)
     assert more.certificate.lower_bound == again.certificate.lower_bound
     starts = more.stats["starts"]
@@ -140,14 +142,14 @@ def test_policies_are_read_by_the_time_left_and_by_the_time_gone() -> None:
         cg.synthesize(cg.make_problem("meeting-v0"), 20, start=certificate)
     with pytest.raises(ValueError, match="`start`: expected none for several relations"):
         cg.synthesize(longer, 20, relation="best", start=certificate)
-    unchanged = cg.synthesize(problem, 20, start=certificate, max_sweeps=0).certificate
+    unchanged = cg.synthesize(problem, 20, start=certificate, search=cg.SearchOptions(max_sweeps=0)).certificate
     assert unchanged.lower_bound == pytest.approx(certificate.lower_bound, rel=1e-9)
 
 
 @mostly_thorough("problem_id", ["reach-avoid-v0", "car-park-v0", "invariance-v0"], first=2)
 def test_stationary_policies_are_certified_checked_and_simulated(problem_id: str, tmp_path: Path) -> None:
     problem = cg.make_problem(problem_id)
-    result = cg.synthesize(problem, 40, stationary=True)
+    result = cg.synthesize(problem, 40, search=cg.SearchOptions(stationary=True))
     certificate = result.certificate
     assert certificate.proof.stationary and all(len(part.policy) == 1 for part in certificate.proof.agents)
     assert certificate.lower_bound <= float(result.stats["abstract_upper_bound"])  # type: ignore[arg-type]
@@ -162,7 +164,7 @@ def test_stationary_policies_are_certified_checked_and_simulated(problem_id: str
 def test_the_value_of_a_stationary_policy_is_that_of_dense_programming() -> None:
     problem = two_agents(horizon=6)
     joint = join(problem, abstract(problem, 12))
-    certificate = cg.synthesize(problem, 12, stationary=True).certificate
+    certificate = cg.synthesize(problem, 12, search=cg.SearchOptions(stationary=True)).certificate
     policies = tuple(np.repeat(part.policy, 6, axis=0) for part in certificate.proof.agents)
     value = at_start(problem, joint, dense_value(problem, list(joint.models), policies))
     assert certificate.lower_bound == pytest.approx(value, rel=1e-8)

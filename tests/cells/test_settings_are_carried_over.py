@@ -40,11 +40,11 @@ def test_settings_that_are_not_given_are_those_of_the_certificate(kind: str) -> 
     if kind == "ellipsoid":
         pytest.importorskip("cvxpy")
     given, problem = SETTINGS[kind], task()
-    certificate = cg.synthesize(problem, 40, relation=kind, **given).certificate
+    certificate = cg.synthesize(problem, 40, relation=kind, search=cg.SearchOptions(**given)).certificate
     assert {name: certificate.settings[name] for name in given} == given
     # Without the settings other lattices or relations would come out, and the start would not fit.
-    again = cg.synthesize(problem, start=certificate, max_sweeps=0).certificate
-    longer = cg.synthesize(task(6), start=certificate, max_sweeps=0).certificate
+    again = cg.synthesize(problem, start=certificate, search=cg.SearchOptions(max_sweeps=0)).certificate
+    longer = cg.synthesize(task(6), start=certificate, search=cg.SearchOptions(max_sweeps=0)).certificate
     for other in (again, longer):
         assert {name: other.settings[name] for name in given} == given
     assert again.lower_bound == pytest.approx(certificate.lower_bound, abs=1e-9)
@@ -54,12 +54,12 @@ def test_settings_that_are_not_given_are_those_of_the_certificate(kind: str) -> 
 
 
 def test_what_is_given_counts_more_than_what_was() -> None:
-    certificate = cg.synthesize(task(), 40, relation="exact", targets_per_cell=3).certificate
+    certificate = cg.synthesize(task(), 40, relation="exact", search=cg.SearchOptions(targets_per_cell=3)).certificate
     with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents, task, cells"):
-        cg.synthesize(task(), start=certificate, targets_per_cell=2)
+        cg.synthesize(task(), start=certificate, search=cg.SearchOptions(targets_per_cell=2))
     # Settings of another relation than the one that is asked for are not carried over: nobody gave them.
     pytest.importorskip("cvxpy")
-    lossy = cg.synthesize(task(), 40, relation="ellipsoid", delta=0.02).certificate
+    lossy = cg.synthesize(task(), 40, relation="ellipsoid", search=cg.SearchOptions(delta=0.02)).certificate
     with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents"):
         cg.synthesize(task(), start=lossy, relation="exact")
 

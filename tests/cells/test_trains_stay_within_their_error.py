@@ -10,7 +10,6 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.synthesis.abstraction.models.action_tables import Policies
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.joint import JointModel, join, start_of
 from certigym.synthesis.certificates.proofs import changed
 from certigym.synthesis.certificates.value_functions.tensor_train import Diagram, Train, added, diagram, rounded
@@ -22,6 +21,7 @@ from certigym.synthesis.policy_search.ascent.relaxation import relax, relaxed_po
 from certigym.synthesis.policy_search.ascent.train_ascent import TrainLimits, sweep_trains
 from certigym.synthesis.policy_search.ascent.train_backward import evaluate
 from certigym.synthesis.policy_search.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.verbs.abstract import abstract
 from kinds import mostly_thorough
 from test_tree_equals_dense_programming import FORMULAS, problem_of
 
@@ -154,7 +154,7 @@ def test_for_invariance_the_product_of_relaxations_is_the_optimum() -> None:
 
 def test_the_ascent_on_trains_finds_what_the_ascent_on_trees_finds() -> None:
     problem = cg.make_problem("reach-avoid-v0", horizon=6)
-    tree, train = (cg.synthesize(problem, 200, value=value) for value in ("tree", "train"))
+    tree, train = (cg.synthesize(problem, 200, search=cg.SearchOptions(value=value)) for value in ("tree", "train"))
     assert train.certificate.proof.rounding is not None and train.certificate.proof.rank < tree.certificate.proof.rank
     assert train.certificate.lower_bound == pytest.approx(tree.certificate.lower_bound, rel=1e-4)
 
@@ -198,7 +198,7 @@ def cyclic(n_robots: int = 3) -> cg.Problem:
 
 @pytest.fixture(scope="module")
 def certified() -> cg.Synthesis:
-    return cg.synthesize(cyclic(), 48, value="train", max_sweeps=3)
+    return cg.synthesize(cyclic(), 48, search=cg.SearchOptions(value="train", max_sweeps=3))
 
 
 def test_a_cyclic_task_is_certified_close_to_what_rollouts_show(certified: cg.Synthesis) -> None:
@@ -283,7 +283,9 @@ def compare_gains(problem: cg.Problem, joint: JointModel, policies: Policies) ->
 
 @pytest.mark.thorough
 def test_no_sweeps_leave_the_first_start() -> None:
-    result = cg.synthesize(cg.make_problem("meeting-v0"), 12, value="train", max_sweeps=0, restarts=1)
+    result = cg.synthesize(
+        cg.make_problem("meeting-v0"), 12, search=cg.SearchOptions(value="train", max_sweeps=0, restarts=1)
+    )
     assert cg.check(result.certificate) and result.stats["sweeps"] == []
 
 

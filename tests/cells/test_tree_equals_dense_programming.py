@@ -14,7 +14,7 @@ from certigym import LinearAgent, Problem, Proposition, Specification
 from certigym.synthesis.abstraction.kernels import kernel
 from certigym.synthesis.abstraction.kernels.kernel import AxisTable, Kernel
 from certigym.synthesis.abstraction.models import gather
-from certigym.synthesis.abstraction.models.finite_models import AgentModel, abstract
+from certigym.synthesis.abstraction.models.finite_models import AgentModel
 from certigym.synthesis.abstraction.models.guards import compile_guards
 from certigym.synthesis.abstraction.models.joint import cell_masks, join, start_of
 from certigym.synthesis.abstraction.models.target_windows import TargetWindows
@@ -24,6 +24,7 @@ from certigym.synthesis.policy_search.ascent.limits import Limits
 from certigym.synthesis.policy_search.ascent.occupancy import forward
 from certigym.synthesis.policy_search.ascent.tree import assemble, candidates, terminal_terms
 from certigym.synthesis.policy_search.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.verbs.abstract import abstract
 from problems import exact_model, fractions, scalar_agent
 
 FORMULAS = [

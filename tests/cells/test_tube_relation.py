@@ -10,11 +10,11 @@ import pytest
 import certigym as cg
 from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.simulation.batch_simulator import Dynamics
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.certificates.controllers.controller import BatchMemory
 from certigym.synthesis.certificates.proofs import changed, is_exact
 from certigym.synthesis.relations.kinds.coupled import CoupledRelation
 from certigym.synthesis.relations.kinds.tube import tube_generators, tube_relation
+from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.binomial import REFUTED
 from kinds import mostly_thorough
 from problems import cart, cart_reach
@@ -55,7 +55,7 @@ def test_the_zonotope_is_invariant_along_every_direction(seed: int) -> None:
 
 def test_relations_are_never_lost_and_inputs_are_admissible() -> None:
     problem = cart_reach(cart())
-    controller = cg.synthesize(problem, [60, 60], relation="tube", max_sweeps=1).controller
+    controller = cg.synthesize(problem, [60, 60], relation="tube", search=cg.SearchOptions(max_sweeps=1)).controller
     dynamics = Dynamics.of(problem)
     policy, rng = controller.batch(dynamics), np.random.default_rng(2)
     worlds = core.initial(dynamics, rng, 20_000)
@@ -95,7 +95,7 @@ CASES = {
 @mostly_thorough("name", CASES, first=2)
 def test_tube_bounds_hold_and_check(name: str) -> None:
     """One-sided at 1e-6 / 5, 30,000 rollouts."""
-    result = cg.synthesize(cart_reach(CASES[name]), [60, 60], relation="tube", max_sweeps=1)
+    result = cg.synthesize(cart_reach(CASES[name]), [60, 60], relation="tube", search=cg.SearchOptions(max_sweeps=1))
     certificate = result.certificate
     assert certificate.proof.bound == "nominal" and not is_exact(certificate)
     assert cg.check(certificate), str(cg.check(certificate))
@@ -105,7 +105,9 @@ def test_tube_bounds_hold_and_check(name: str) -> None:
 
 
 def test_a_tube_that_is_too_thin_is_refused() -> None:
-    certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
+    certificate = cg.synthesize(
+        cart_reach(cart()), [40, 40], relation="tube", search=cg.SearchOptions(max_sweeps=1)
+    ).certificate
     part = certificate.proof.agents[0]
     assert cg.check(certificate)
     other = replace(part, relation={**part.relation, "feedback": [[0.0, 0.0]]})
@@ -123,7 +125,7 @@ def test_the_relation_of_every_agent_is_verified_even_if_agents_are_alike() -> N
         propositions={f"s{i}": cg.Proposition(f"cart_{i}", low, high) for i in range(2)},
         specification=cg.Specification("G (s0 & s1)", "finite-trace"),
     )
-    certificate = cg.synthesize(problem, [40, 40], relation="tube", max_sweeps=0).certificate
+    certificate = cg.synthesize(problem, [40, 40], relation="tube", search=cg.SearchOptions(max_sweeps=0)).certificate
     part = certificate.proof.agents[0]
     both = changed(certificate, agents=(part, part))
     assert cg.check(both), str(cg.check(both))
@@ -136,7 +138,9 @@ def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch)
     from certigym.synthesis.relations.grids.labels import cell_labels
 
     monkeypatch.setattr(abstraction, "error_labels", lambda p, i, g, c, reach: cell_labels(p, i, g, c))
-    certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
+    certificate = cg.synthesize(
+        cart_reach(cart()), [40, 40], relation="tube", search=cg.SearchOptions(max_sweeps=1)
+    ).certificate
     assert not cg.check(certificate)
 
 
@@ -152,7 +156,7 @@ def test_means_that_differ_by_rounding_share_a_lattice_point() -> None:
     points = np.stack(np.unravel_index(np.asarray(model.choices.input_set), [len(a) for a in model.lattice]), axis=-1)
     reached = np.stack([axis[points[..., k]] for k, axis in enumerate(model.lattice)], axis=-1)
     assert np.all(np.abs(reached - means) <= model.relation.snap * (1 + 1e-9) + 1e-10)
-    result = cg.synthesize(problem, [36, 18], relation="tube", max_sweeps=1)
+    result = cg.synthesize(problem, [36, 18], relation="tube", search=cg.SearchOptions(max_sweeps=1))
     assert cg.check(result.certificate, problem)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from adversary import FALSE_ALARM, claim, drawn, forged, problem_of
+from adversary import FALSE_ALARM, arguments_of, claim, drawn, forged, problem_of
 from forgeries import forgeries, opened
 from kind_trials import forged_cells, trial
 from kinds import mostly_thorough
@@ -64,7 +64,7 @@ def _certified(first: int, relation: str | None = None) -> tuple[dict, cg.Certif
     for seed in range(first, first + 200):
         spec = drawn(seed, relation)
         try:
-            certificate = cg.synthesize(problem_of(spec), **spec["options"]).certificate
+            certificate = cg.synthesize(problem_of(spec), **arguments_of(spec)).certificate
         except ValueError:
             continue
         if isinstance(certificate, cg.Certificate) and 0.05 < certificate.lower_bound < 0.99:
@@ -101,6 +101,6 @@ def test_the_campaign_has_the_power_to_see() -> None:
 def test_truths_that_a_check_with_other_blocks_would_refuse_are_accepted(seed: int) -> None:
     """Tighter numbers may choose another form of lower bound, which is not larger everywhere."""
     spec = small_spec("upper", seed)
-    certificate = cg.synthesize(problem_of(spec), **spec["options"]).certificate
+    certificate = cg.synthesize(problem_of(spec), **arguments_of(spec)).certificate
     assert cg.check(certificate)
     assert any(2 in part.relation["blocks"] for part in certificate.proof.agents)

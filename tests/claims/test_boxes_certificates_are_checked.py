@@ -193,7 +193,9 @@ def test_the_check_refuses_what_a_wrong_search_claims(
     honest = CERTIFICATES[name]()
     monkeypatch.setattr(*SABOTAGE[sabotage])
     cells = [30, 15] if name == "cart" else 40
-    certificate = cg.synthesize(honest.problem, cells, relation="boxes", targets_per_cell=4).certificate
+    certificate = cg.synthesize(
+        honest.problem, cells, relation="boxes", search=cg.SearchOptions(targets_per_cell=4)
+    ).certificate
     report = cg.check(certificate)
     assert not report and "exceeds" in " ".join(report.failures)
 

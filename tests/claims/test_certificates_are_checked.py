@@ -59,8 +59,8 @@ def test_certificates_check_and_survive_the_disk(problem: cg.Problem, tmp_path: 
 
 
 def test_the_bound_elsewhere_is_that_of_the_dense_value(certificate: OnGrid) -> None:
-    from certigym.synthesis.abstraction.models.finite_models import abstract
     from certigym.synthesis.policy_search.bounds.dense import dense_value
+    from certigym.synthesis.verbs.abstract import abstract
 
     problem = certificate.problem
     models = abstract(problem, 64).models
@@ -179,7 +179,9 @@ def test_bounds_that_forget_lost_relations_are_refused(value: str) -> None:
         propositions={"goal": cg.Proposition("one", [1.0], [3.0])},
         specification=cg.Specification("F goal", "co-safe"),
     )
-    certificate = cg.synthesize(problem, 200, relation="paper", epsilon=0.3, value=value).certificate
+    certificate = cg.synthesize(
+        problem, 200, relation="paper", search=cg.SearchOptions(epsilon=0.3, value=value)
+    ).certificate
     assert delta_of(certificate) > 0 and certificate.lower_bound > 0.1 and cg.check(certificate)
     assert not cg.check(changed(certificate, lower_bound=certificate.lower_bound + 0.01))
     refused = ["nominal", "none", ""] + ["robust tree"] * (value == "train")
@@ -197,7 +199,7 @@ def test_scalar_relations_are_refused_on_grids_in_other_coordinates() -> None:
         propositions={"goal": cg.Proposition("one", [1.0], [3.0])},
         specification=cg.Specification("F goal", "co-safe"),
     )
-    certificate = cg.synthesize(problem, 200, relation="paper", epsilon=0.3).certificate
+    certificate = cg.synthesize(problem, 200, relation="paper", search=cg.SearchOptions(epsilon=0.3)).certificate
     part = certificate.proof.agents[0]
     moved = with_agent(
         certificate,

@@ -127,9 +127,10 @@ class Oracle:
         return float(success[s] - delta * steps[s])
 
 
-PAPER = {"relation": "paper", "epsilon": 0.125, "feedback": -0.85}
+PAPER = {"relation": "paper", "search": cg.SearchOptions(epsilon=0.125, feedback=-0.85)}
+TRAIN = {"relation": "exact", "search": cg.SearchOptions(value="train")}
 CASES: list[tuple[Callable[[], dict[str, Any]], dict[str, Any]]] = [
-    (spec, {"relation": "exact"}), (spec, PAPER), (spec, {"relation": "exact", "value": "train"}), (alone, PAPER)
+    (spec, {"relation": "exact"}), (spec, PAPER), (spec, TRAIN), (alone, PAPER)
 ]  # fmt: skip
 
 

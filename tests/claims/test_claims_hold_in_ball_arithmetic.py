@@ -60,7 +60,7 @@ KINDS: dict[str, tuple[str, int, dict[str, Any]]] = {
     "independent tasks": ("invariance-4-v0", 40, {}),
     "twenty agents": ("reach-avoid-20-v0", 40, {"relation": "exact"}),
     "expressions": ("van-der-pol-v0", 10, {}),
-    "trains": ("reach-avoid-v0", 40, {"value": "train"}),
+    "trains": ("reach-avoid-v0", 40, {"search": cg.SearchOptions(value="train")}),
 }
 
 
@@ -397,7 +397,7 @@ def test_subtractions_are_proved() -> None:
 
 def test_trees_and_trains_are_proved_and_forged_ones_are_not(tmp_path: Path) -> None:
     file = tmp_path / "own.npz"
-    for options in ({}, {"value": "train"}):
+    for options in ({}, {"search": cg.SearchOptions(value="train")}):
         cg.save(synthesized("reach-avoid-v0", 40, **options), file)
         assert "proved in balls" in str(check_rigorous(file))
     forged = synthesized("reach-avoid-v0", 40)

@@ -14,11 +14,11 @@ import certigym as cg
 from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.synthesis.abstraction.models import finite_models as abstraction
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.certificates.controllers.controller import BatchMemory
 from certigym.synthesis.certificates.proofs import changed, delta_of, is_exact
 from certigym.synthesis.relations.grids.labels import cell_labels
 from certigym.synthesis.relations.kinds.coupled import CoupledRelation
+from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.binomial import REFUTED
 from kinds import mostly_thorough
 from problems import cart, cart_reach
@@ -37,7 +37,9 @@ CASES = {
 
 @cache
 def synthesis(name: str, delta: float | None) -> cg.Synthesis:
-    return cg.synthesize(CASES[name], [48, 48], relation="ellipsoid", delta=delta, max_sweeps=1)
+    return cg.synthesize(
+        CASES[name], [48, 48], relation="ellipsoid", search=cg.SearchOptions(delta=delta, max_sweeps=1)
+    )
 
 
 @mostly_thorough("delta", [None, 0.001, 0.01])
@@ -58,7 +60,7 @@ def test_ellipsoid_bounds_hold_and_check(name: str, delta: float | None) -> None
 def test_two_agents_couple_with_independent_coins() -> None:
     """RA4 on 40 x 40 cells from near its goal: the bound is positive, checked, and not refuted at 1e-6."""
     near = cg.make_problem("reach-avoid-kinematic-v0").replace(horizon=8, initial_state=[-6.0, 0.0, -4.0, 0.0])
-    result = cg.synthesize(near, 40, relation="ellipsoid", delta=0.001, max_sweeps=1)
+    result = cg.synthesize(near, 40, relation="ellipsoid", search=cg.SearchOptions(delta=0.001, max_sweeps=1))
     deltas = [part.relation["delta"] for part in result.certificate.proof.agents]
     assert delta_of(result.certificate) == pytest.approx(1 - (1 - deltas[0]) * (1 - deltas[1]), rel=1e-9)
     assert cg.check(result.certificate) and result.certificate.lower_bound > 0.1
@@ -121,7 +123,9 @@ def test_tampered_certificates_are_refused() -> None:
 
 def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(abstraction, "error_labels", lambda p, i, g, c, reach: cell_labels(p, i, g, c))
-    certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="ellipsoid", max_sweeps=0).certificate
+    certificate = cg.synthesize(
+        cart_reach(cart()), [40, 40], relation="ellipsoid", search=cg.SearchOptions(max_sweeps=0)
+    ).certificate
     assert not cg.check(certificate)
 
 
@@ -129,12 +133,14 @@ def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch)
 def test_delta_belongs_to_relations_that_have_one() -> None:
     for relation in ("auto", "exact", "tube"):
         with pytest.raises(ValueError, match=rf"`delta`: expected none with relation `{relation}`, got 0.01"):
-            abstract(cart_reach(cart()), 40, relation=relation, delta=0.01)
+            abstract(cart_reach(cart()), 40, relation=relation, search=cg.SearchOptions(delta=0.01))
     with pytest.raises(ValueError, match=r"`delta`: expected a number of at least 0 and below 1, got 1.0"):
-        abstract(cart_reach(cart()), 40, relation="ellipsoid", delta=1.0)
+        abstract(cart_reach(cart()), 40, relation="ellipsoid", search=cg.SearchOptions(delta=1.0))
     with pytest.raises(ValueError, match=r"`share`: expected none with relation `tube`, got 0.3"):
-        abstract(cart_reach(cart()), 40, relation="tube", share=0.3)
-    spent = abstract(cart_reach(cart()), 40, relation="ellipsoid", share=0.3).models[0].relation
+        abstract(cart_reach(cart()), 40, relation="tube", search=cg.SearchOptions(share=0.3))
+    spent = (
+        abstract(cart_reach(cart()), 40, relation="ellipsoid", search=cg.SearchOptions(share=0.3)).models[0].relation
+    )
     assert isinstance(spent, CoupledRelation) and np.max(spent.inputs) >= 2.0 * (1 - 0.3) - 0.15 - 1e-6  # half a cell
-    settings = abstract(cart_reach(cart()), 40, relation="ellipsoid", delta=0.01).settings
+    settings = abstract(cart_reach(cart()), 40, relation="ellipsoid", search=cg.SearchOptions(delta=0.01)).settings
     assert settings["relation"] == "ellipsoid" and settings["delta"] == 0.01

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.target_windows import TargetWindows
 from certigym.synthesis.certificates.controllers import InputTable, vectorized
 from certigym.synthesis.certificates.controllers.given_policies import decentralised
 from certigym.synthesis.certificates.proofs import is_exact
 from certigym.synthesis.relations.grids import Grid
 from certigym.synthesis.relations.grids.grid import aligned_edges
+from certigym.synthesis.verbs.abstract import abstract
 from certigym.synthesis.verbs.certify import wrap
 from problems import scalar_agent, two_agents
 
@@ -99,7 +99,7 @@ def test_laws_follow_time_automaton_state_and_agent() -> None:
 
 
 def test_certified_controllers_are_certified_again_to_the_last_bit() -> None:
-    result = cg.synthesize(PROBLEM, 40, max_sweeps=1)
+    result = cg.synthesize(PROBLEM, 40, search=cg.SearchOptions(max_sweeps=1))
     again = cg.certify(PROBLEM, result.controller, 40)
     assert again.certificate.lower_bound == pytest.approx(result.certificate.lower_bound, rel=1e-12)
     finer = cg.certify(PROBLEM, result.controller, 80)
@@ -108,7 +108,7 @@ def test_certified_controllers_are_certified_again_to_the_last_bit() -> None:
 
 def test_improving_never_lowers_the_bound() -> None:
     given = cg.certify(PROBLEM, POLICY, 40).certificate.lower_bound
-    same = cg.improve(PROBLEM, POLICY, 40, max_sweeps=0).certificate
+    same = cg.improve(PROBLEM, POLICY, 40, search=cg.SearchOptions(max_sweeps=0)).certificate
     better = cg.improve(PROBLEM, POLICY, 40)
     assert same.lower_bound == given
     assert better.certificate.lower_bound > given + 0.01
@@ -164,7 +164,7 @@ def test_a_cell_without_admissible_target_gets_none() -> None:
 
 
 def test_other_relations_choose_the_nearest_input() -> None:
-    result = cg.certify(PROBLEM, POLICY, 160, relation="paper", epsilon=0.3)
+    result = cg.certify(PROBLEM, POLICY, 160, relation="paper", search=cg.SearchOptions(epsilon=0.3))
     assert 0.0 < result.certificate.lower_bound < 1.0
     assert cg.check(result.certificate, PROBLEM)
 
@@ -198,7 +198,7 @@ def test_agents_with_fewer_inputs_than_states_are_wrapped_in_tubes() -> None:
     assert 0.2 < result.certificate.lower_bound < 0.99
     assert cg.check(result.certificate, problem)
     assert cg.validate(result, 20_000, confidence=1 - 1e-6).verdict != "refuted"
-    better = cg.improve(problem, pull, 40, max_sweeps=2).certificate
+    better = cg.improve(problem, pull, 40, search=cg.SearchOptions(max_sweeps=2)).certificate
     assert better.lower_bound >= result.certificate.lower_bound
     with pytest.raises(ValueError, match="without memory"):
         cg.certify(problem, result.controller, 40)
@@ -221,7 +221,10 @@ def test_wrong_policies_are_refused() -> None:
         (lambda x, q, t: x * np.nan, "finite inputs"),
         (vectorized(lambda x, q, t: x[:, :1]), "finite inputs"),
         (InputTable(Grid((np.array([-4.0, 4.0]),)), np.zeros((1, 1, 1, 1))), "automaton states"),
-        (cg.synthesize(PROBLEM, 80, relation="paper", epsilon=0.3, max_sweeps=0).controller, "without memory"),
+        (
+            cg.synthesize(PROBLEM, 80, relation="paper", search=cg.SearchOptions(epsilon=0.3, max_sweeps=0)).controller,
+            "without memory",
+        ),
         (cg.certify(_renamed(), stay, 10).controller, "of this problem's agents"),
     ]
     for policy, message in cases:
@@ -230,7 +233,7 @@ def test_wrong_policies_are_refused() -> None:
     with pytest.raises(ValueError, match="finite numbers of shape"):
         InputTable(Grid((np.array([-4.0, 4.0]),)), np.zeros((1, 1, 2, 1)))
     with pytest.raises(ValueError, match="`max_sweeps`"):
-        cg.improve(PROBLEM, stay, 40, max_sweeps=-1)
+        cg.improve(PROBLEM, stay, 40, search=cg.SearchOptions(max_sweeps=-1))
 
 
 def _renamed() -> cg.Problem:

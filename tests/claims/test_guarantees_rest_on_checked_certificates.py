@@ -26,7 +26,7 @@ def lasting() -> cg.Certificate:
         propositions={"safe": cg.Proposition("a", [-2.0], [2.0])},
         specification=cg.Specification("G safe", "finite-trace"),
     )
-    return cg.synthesize(problem, 40, relation="exact", stationary=True).certificate
+    return cg.synthesize(problem, 40, relation="exact", search=cg.SearchOptions(stationary=True)).certificate
 
 
 @pytest.fixture(scope="module")

@@ -255,7 +255,9 @@ def test_stored_factors_leave_room_for_the_rounding_of_means() -> None:
     )
     for start in ([0.2, -0.1], [-0.3, 0.1]):
         held = problem.replace(initial_state=start)
-        certificate = cg.synthesize(held, [13, 14], relation="linear", max_sweeps=2).certificate
+        certificate = cg.synthesize(
+            held, [13, 14], relation="linear", search=cg.SearchOptions(max_sweeps=2)
+        ).certificate
         report = cg.check(certificate)
         assert report, str(report)
     assert certificate.lower_bound > 0.1
@@ -265,5 +267,5 @@ def test_stored_factors_leave_room_for_the_rounding_of_means() -> None:
 def test_cells_that_are_equal_up_to_the_rounding_of_edges_are_read_alike_by_the_check(cells: int) -> None:
     """Edges have eleven decimals here: whether cells count as equal must not depend on which code asks."""
     problem = cg.make_problem("reach-avoid-n-v0", n_agents=1, horizon=2)
-    certificate = cg.synthesize(problem, cells, relation="linear", max_sweeps=1).certificate
+    certificate = cg.synthesize(problem, cells, relation="linear", search=cg.SearchOptions(max_sweeps=1)).certificate
     assert cg.check(certificate), str(cg.check(certificate))

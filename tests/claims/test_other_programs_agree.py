@@ -6,11 +6,12 @@ import numpy as np
 
 import certigym as cg
 from certigym.synthesis.abstraction.models.action_tables import Policies
-from certigym.synthesis.abstraction.models.finite_models import AgentModel, abstract
+from certigym.synthesis.abstraction.models.finite_models import AgentModel
 from certigym.synthesis.abstraction.models.joint import join
 from certigym.synthesis.policy_search.ascent.coordinate_ascent import resting_policies, sweep
 from certigym.synthesis.policy_search.ascent.limits import Limits
 from certigym.synthesis.policy_search.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.verbs.abstract import abstract
 from explicit_product import chain_under, decision_process
 
 TOLERANCE = 1e-9

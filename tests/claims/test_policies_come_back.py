@@ -280,7 +280,7 @@ def test_models_that_say_what_they_see_need_no_bridge(problem: cg.Problem, tmp_p
     bounds = {cg.certify(problem, each, 30).certificate.lower_bound for each in (model, file)}
     assert len(bounds) == 1
     assert cg.certify(problem, model, 20).certificate.lower_bound >= 0.0
-    assert cg.improve(problem, model, 20, max_sweeps=1).certificate.lower_bound >= 0.0
+    assert cg.improve(problem, model, 20, search=cg.SearchOptions(max_sweeps=1)).certificate.lower_bound >= 0.0
     certificate = cg.synthesize(problem, 30).certificate
     assert cg.rollout(problem, cg.shield(model, certificate, probability=0.2), 100).episodes == 100
 

@@ -16,10 +16,10 @@ import certigym as cg
 from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.envs.tasks.problem import groups as independent
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.certificates.controllers.product_controller import ProductController
 from certigym.synthesis.certificates.proofs import ProductProof, changed, is_exact, product_certificate
 from certigym.synthesis.policy_search.bounds.dense import dense_optimum
+from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.binomial import REFUTED
 from certigym.validation.statistical_tests.chunks import chunk_results, frames
 from certigym.validation.statistical_tests.cluster import executor_for

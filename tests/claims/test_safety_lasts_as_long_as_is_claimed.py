@@ -33,7 +33,7 @@ def team(agents: int, horizon: int = 30, formula: str = "") -> cg.Problem:
 
 def test_the_rate_is_the_eigenvalue_of_the_finite_model() -> None:
     problem = team(1, 60)
-    certificate = cg.synthesize(problem, 40, relation="boxes", stationary=True).certificate
+    certificate = cg.synthesize(problem, 40, relation="boxes", search=cg.SearchOptions(stationary=True)).certificate
     lasting = cg.safety_rate(certificate)
     # the true decay: mass from a fine grid of the safe interval to itself under x' = .8 x + w
     edges = np.linspace(-2.0, 2.0, 801)
@@ -46,7 +46,7 @@ def test_the_rate_is_the_eigenvalue_of_the_finite_model() -> None:
 @mostly_thorough("agents", [1, 2, 3])
 def test_the_bound_lies_below_the_certificate_of_every_horizon_and_below_rollouts(agents: int) -> None:
     problem = team(agents, 24)
-    result = cg.synthesize(problem, 40, relation="boxes", stationary=True)
+    result = cg.synthesize(problem, 40, relation="boxes", search=cg.SearchOptions(stationary=True))
     lasting = cg.safety_rate(result)
     assert 0 < lasting.rate < 1
     claim = result.certificate
@@ -80,7 +80,7 @@ def test_tasks_with_several_live_states_have_a_rate() -> None:
         },
         specification=cg.Specification("G wide & G (mark -> G upper)", "finite-trace"),
     )
-    result = cg.synthesize(problem, 60, stationary=True)
+    result = cg.synthesize(problem, 60, search=cg.SearchOptions(stationary=True))
     lasting = cg.safety_rate(result)
     values = cg.value_in_time(result.certificate)
     start, q = agent.initial.low, result.certificate.problem.initial_q
@@ -94,8 +94,10 @@ def test_a_larger_rate_would_be_false(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mistakes that are easy to make give bounds that certificates of longer horizons contradict."""
     problem = team(2, 4, formula="G (safe_0 & safe_1)")
     # v of a short horizon is far from the function that a step merely shrinks, so quotients differ between cells
-    certificate = cg.synthesize(problem, 24, relation="boxes", stationary=True).certificate
-    longer = cg.synthesize(problem.replace(horizon=100), 24, relation="boxes", stationary=True).certificate
+    certificate = cg.synthesize(problem, 24, relation="boxes", search=cg.SearchOptions(stationary=True)).certificate
+    longer = cg.synthesize(
+        problem.replace(horizon=100), 24, relation="boxes", search=cg.SearchOptions(stationary=True)
+    ).certificate
     start = np.concatenate([agent.initial.low for agent in problem.agents])
     truth = 1.05 * float(cg.value_in_time(longer).at(start, longer.problem.initial_q, 100)[0])
 
@@ -119,10 +121,12 @@ def test_other_certificates_are_refused() -> None:
     with pytest.raises(ValueError, match="stationary"):
         cg.safety_rate(cg.synthesize(problem, 40, relation="boxes"))
     with pytest.raises(ValueError, match="safety task"):
-        cg.safety_rate(cg.synthesize("reach-avoid-v0", 40, stationary=True))
+        cg.safety_rate(cg.synthesize("reach-avoid-v0", 40, search=cg.SearchOptions(stationary=True)))
     with pytest.raises(ValueError, match="at least 4"):
-        cg.safety_rate(cg.synthesize(problem.replace(horizon=3), 40, relation="boxes", stationary=True))
+        cg.safety_rate(
+            cg.synthesize(problem.replace(horizon=3), 40, relation="boxes", search=cg.SearchOptions(stationary=True))
+        )
     with pytest.raises(ValueError, match="whole numbers"):
-        cg.safety_rate(cg.synthesize(problem, 40, relation="boxes", stationary=True)).at(-1)
+        cg.safety_rate(cg.synthesize(problem, 40, relation="boxes", search=cg.SearchOptions(stationary=True))).at(-1)
     with pytest.raises(ValueError, match="co-safe task"):  # neither: what is false may become true again
         cg.synthesize(team(1, formula="F G safe_0"), horizon=None)

@@ -209,7 +209,9 @@ def test_a_start_in_a_box_keeps_the_mean() -> None:
 
 @pytest.mark.thorough
 def test_independent_tasks_share_what_is_kept() -> None:
-    certificate = cg.synthesize(pairs(10, starts=(-2.0, -1.5)), 24, relation="exact", value="tree").certificate
+    certificate = cg.synthesize(
+        pairs(10, starts=(-2.0, -1.5)), 24, relation="exact", search=cg.SearchOptions(value="tree")
+    ).certificate
     assert isinstance(certificate.proof, ProductProof)
     shield = shield_of(certificate, 0.9 * certificate.lower_bound)
     assert isinstance(shield, ProductShield)
@@ -247,13 +249,13 @@ def test_what_cannot_be_kept_is_refused_in_words(synthesized: Any) -> None:
     ):
         with pytest.raises(ValueError, match=words):
             shield_of(certificate, **wrong)
-    lossy = cg.synthesize(problem, 60, relation="paper", epsilon=0.5).certificate
+    lossy = cg.synthesize(problem, 60, relation="paper", search=cg.SearchOptions(epsilon=0.5)).certificate
     with pytest.raises(ValueError, match="expected relations with"):
         shield_of(lossy, 0.1)
     tube = cg.synthesize(problem, 60, relation="tube").certificate
     with pytest.raises(ValueError, match="without memory, got 'tube'"):
         shield_of(tube, 0.1)
-    trains = cg.synthesize(problem, 40, relation="exact", value="train").certificate
+    trains = cg.synthesize(problem, 40, relation="exact", search=cg.SearchOptions(value="train")).certificate
     with pytest.raises(ValueError, match="expected one with a value tree"):
         shield_of(trains, 0.1)
     with pytest.raises(ValueError, match="`certificate`: expected a Synthesis"):

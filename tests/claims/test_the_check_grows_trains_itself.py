@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.certificates.proofs import canonical, changed, verdict_of
 from certigym.synthesis.certificates.proofs.canonical import TRAINS
 from certigym.synthesis.certificates.value_functions import Rounding
@@ -23,6 +22,7 @@ from certigym.synthesis.extended_check.claims.train_check import ErrorBoundedTra
 from certigym.synthesis.policy_search.ascent import train_backward
 from certigym.synthesis.policy_search.bounds.certified import SECOND_EVALUATION
 from certigym.synthesis.policy_search.bounds.dense import dense_value
+from certigym.synthesis.verbs.abstract import abstract
 from problems import two_agents
 
 WEAK: dict[str, Any] = {"input_low": [-0.2], "input_high": [0.2]}
@@ -38,7 +38,7 @@ PROBLEMS = {
 
 @cache
 def honest(name: str, cells: int) -> cg.Synthesis:
-    return cg.synthesize(PROBLEMS[name], cells, value="train", max_sweeps=0)
+    return cg.synthesize(PROBLEMS[name], cells, search=cg.SearchOptions(value="train", max_sweeps=0))
 
 
 @cache
@@ -123,7 +123,9 @@ def test_some_of_a_team_of_alike_agents_pass_with_an_error_below_what_claims_lea
         specification=cg.Specification(f"F ({' | '.join(f'({goal})' for goal in goals)})"),
         horizon=8,
     )
-    certificate = cg.synthesize(problem, 60, relation="exact", value="train", max_sweeps=1).certificate
+    certificate = cg.synthesize(
+        problem, 60, relation="exact", search=cg.SearchOptions(value="train", max_sweeps=1)
+    ).certificate
     assert certificate.lower_bound > 0.998
     assert cg.check(certificate)
     errors = [train.error for train in regrown_trains(certificate) if train is not None]
@@ -220,6 +222,6 @@ def test_a_mistake_in_the_trains_of_the_search_is_caught(monkeypatch: pytest.Mon
         return train and replace(train, cores=(1.02 * train.cores[0], *train.cores[1:]))
 
     monkeypatch.setattr(train_backward, "arrival", wrong)
-    report = cg.check(cg.synthesize(problem, 16, value="train", max_sweeps=0))
+    report = cg.check(cg.synthesize(problem, 16, search=cg.SearchOptions(value="train", max_sweeps=0)))
     assert not report
     assert "exceeds the recomputed value" in str(report)

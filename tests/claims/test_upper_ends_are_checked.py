@@ -12,7 +12,6 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.abstraction.models.finite_models import abstract
 from certigym.synthesis.abstraction.models.joint import JointModel, join, start_of
 from certigym.synthesis.certificates.cell_probabilities.checked_kernel import lost_to_rounding
 from certigym.synthesis.certificates.proofs import OnGrid, changed, start_of_claim
@@ -27,6 +26,7 @@ from certigym.synthesis.policy_search.bounds.above import evaluate_above
 from certigym.synthesis.policy_search.bounds.certified import deadlocked_mass, nominal_bound, train_bound
 from certigym.synthesis.policy_search.bounds.dense import dense_value
 from certigym.synthesis.relations.grids.grid import Grid
+from certigym.synthesis.verbs.abstract import abstract
 from kinds import mostly_thorough
 from problems import scalar_agent, two_agents
 
@@ -55,7 +55,7 @@ def truth(certificate: OnGrid, cells: int) -> float:
 @mostly_thorough("problem", PROBLEMS, ids=lambda problem: problem.name + problem.specification.semantics)
 @mostly_thorough("value", ["tree", "train"])
 def test_the_upper_end_of_exact_claims_is_verified(problem: cg.Problem, value: str) -> None:
-    certificate = cg.synthesize(problem, 24, value=value, relation="exact").certificate
+    certificate = cg.synthesize(problem, 24, search=cg.SearchOptions(value=value), relation="exact").certificate
     assert certificate.gap is not None
     report = cg.check(certificate)
     assert report and report.above is not None
@@ -80,7 +80,7 @@ def test_mass_goes_where_dense_programming_says() -> None:
 def test_runs_into_cells_without_a_choice_may_succeed(value: str) -> None:
     """Controllers go on where policies have no choice; 40,000 rollouts, seed 2: refuted with probability 1e-6."""
     problem = two_agents("F (a & d)", horizon=6, B=[[0.35]], input_low=[-0.32], input_high=[0.32])
-    certificate = cg.synthesize(problem, 16, value=value, relation="exact").certificate
+    certificate = cg.synthesize(problem, 16, search=cg.SearchOptions(value=value), relation="exact").certificate
     assert any(np.any(part.policy < 0) for part in certificate.proof.agents)
     assert certificate.gap is not None and certificate.gap > 1e-3
     report = cg.check(certificate)
@@ -143,7 +143,9 @@ def test_what_rounding_may_have_taken_is_counted() -> None:
 def test_tasks_that_are_done_before_the_first_letter_have_an_upper_end(value: str) -> None:
     """Half of the start box lies outside the workspace of each agent."""
     box: dict[str, Any] = {"initial_state": None, "initial_low": [-5.0], "initial_high": [-3.0]}
-    certificate = cg.synthesize(two_agents("true", horizon=2, **box), 16, value=value, relation="exact").certificate
+    certificate = cg.synthesize(
+        two_agents("true", horizon=2, **box), 16, search=cg.SearchOptions(value=value), relation="exact"
+    ).certificate
     report = cg.check(certificate)
     assert report, report
     assert report.above == pytest.approx(0.25, abs=1e-7)
@@ -180,7 +182,9 @@ def test_upper_ends_count_everything_that_was_left_out() -> None:
 
 @pytest.fixture(scope="module", params=["tree", "train"])
 def certificate(request: pytest.FixtureRequest) -> OnGrid:
-    return cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value=request.param, relation="exact").certificate
+    return cg.synthesize(
+        two_agents("F (a & F c)", horizon=5), 40, search=cg.SearchOptions(value=request.param), relation="exact"
+    ).certificate
 
 
 def claim_nothing_above(c: OnGrid) -> OnGrid:
@@ -246,7 +250,9 @@ def test_cells_in_other_coordinates_have_no_upper_end(certificate: OnGrid) -> No
 
 def test_a_pruned_tree_is_found_out() -> None:
     """A tree without its largest term proves less, and says nothing about the probability from above."""
-    c = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree", relation="exact").certificate
+    c = cg.synthesize(
+        two_agents("F (a & F c)", horizon=5), 40, search=cg.SearchOptions(value="tree"), relation="exact"
+    ).certificate
     q = c.problem.initial_q
     assert q is not None and c.proof.terms is not None
     first, terms = c.proof.merge_log[0], c.proof.terms
@@ -304,7 +310,9 @@ def test_uncertain_cells_have_no_upper_end() -> None:
 
 
 def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree", relation="exact").certificate
+    certificate = cg.synthesize(
+        two_agents("F (a & F c)", horizon=5), 40, search=cg.SearchOptions(value="tree"), relation="exact"
+    ).certificate
     exactly = attained(certificate)
     monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_bound.SPARED", 1e9)
     coarse = attained(certificate)
@@ -327,7 +335,7 @@ def test_a_single_agent_has_trains_too() -> None:
         propositions={"goal": cg.Proposition("a", [1.0], [3.0])},
         specification=cg.Specification("F goal", "co-safe"),
     )
-    certificate = cg.synthesize(problem, 16, value="train", relation="exact").certificate
+    certificate = cg.synthesize(problem, 16, search=cg.SearchOptions(value="train"), relation="exact").certificate
     report = cg.check(certificate)
     assert report and report.above is not None and certificate.gap is not None
     assert (

@@ -53,7 +53,11 @@ def test_with_fewer_steps_left_it_is_what_those_policies_are_certified_for(value
     certificate = value.certificate
     short = certificate.problem.replace(horizon=3)
     tail = cg.synthesize(
-        short, 60, relation=certificate.proof.agents[0].relation["kind"], max_sweeps=0, start=certificate
+        short,
+        60,
+        relation=certificate.proof.agents[0].relation["kind"],
+        search=cg.SearchOptions(max_sweeps=0),
+        start=certificate,
     )
     same = [
         np.array_equal(part.policy, whole.policy[2:])
@@ -76,7 +80,11 @@ def test_runs_from_the_middle_reach_what_is_promised(value: ValueInTime) -> None
         bound = float(value.at(state, int(at), 3)[0])
         short = problem.replace(horizon=3, initial_state=state)
         tail = cg.synthesize(
-            short, 60, relation=certificate.proof.agents[0].relation["kind"], max_sweeps=0, start=certificate
+            short,
+            60,
+            relation=certificate.proof.agents[0].relation["kind"],
+            search=cg.SearchOptions(max_sweeps=0),
+            start=certificate,
         ).certificate
         report = cg.validate(tail, 20_000, confidence=1.0 - FALSE_ALARM / 12)
         assert report.ci_high >= bound
@@ -93,7 +101,7 @@ def test_wrong_questions_are_refused(value: ValueInTime, q: object, steps_left: 
 
 def test_trains_are_read_too() -> None:
     problem = cg.make_problem("reach-avoid-v0", horizon=4)
-    certificate = cg.synthesize(problem, 50, relation="exact", value="train").certificate
+    certificate = cg.synthesize(problem, 50, relation="exact", search=cg.SearchOptions(value="train")).certificate
     states = states_of(problem, 100, 4)
     q = letters_read(problem, states)
     undecided = ~problem.automaton.absorbing[q]

@@ -100,7 +100,7 @@ def test_inputs_in_common_are_known_by_name_and_place() -> None:
     alike = four("0.6*x + 0.5*p.u - 0.5*q.u + 0.3*u")
     against = four("0.6*x + 0.5*q.u - 0.5*p.u + 0.3*u")
     assert against.agents[2].model_key == against.agents[3].model_key
-    found: Any = cg.synthesize(alike, 10, relation="boxes", common=True).certificate
+    found: Any = cg.synthesize(alike, 10, relation="boxes", search=cg.SearchOptions(common=True)).certificate
     assert found.lower_bound > 0.99 and cg.check(found)
     *others, third, last = found.proof.agents
     copied = replace(last, policy=third.policy, relation=third.relation)

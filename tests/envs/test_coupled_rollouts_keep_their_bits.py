@@ -45,10 +45,14 @@ CASES: dict[str, tuple[cg.Problem, Any, dict[str, Any]]] = {
     "paper, F = 0": (
         two_agents(horizon=5, noise_covariance=[[0.6]]),
         48,
-        {"relation": "paper", "epsilon": 0.3, "feedback": -0.4},
+        {"relation": "paper", "search": cg.SearchOptions(epsilon=0.3, feedback=-0.4)},
     ),
-    "paper": (two_agents(horizon=5, noise_covariance=[[0.6]]), 64, {"relation": "paper", "epsilon": 0.1}),
-    "ellipsoid": (cart_reach(cart()), [32, 32], {"relation": "ellipsoid", "delta": 0.01}),
+    "paper": (
+        two_agents(horizon=5, noise_covariance=[[0.6]]),
+        64,
+        {"relation": "paper", "search": cg.SearchOptions(epsilon=0.1)},
+    ),
+    "ellipsoid": (cart_reach(cart()), [32, 32], {"relation": "ellipsoid", "search": cg.SearchOptions(delta=0.01)}),
 }
 DRAWING = {"paper", "ellipsoid"}
 
@@ -58,7 +62,8 @@ def case(name: str) -> tuple[cg.Problem, Controller]:
     if name == "ellipsoid":
         pytest.importorskip("cvxpy", reason="the extra lmi is not installed")
     problem, cells, settings = CASES[name]
-    controller = cg.synthesize(problem, cells, max_sweeps=0, **settings).controller
+    search = replace(settings.get("search", cg.SearchOptions()), max_sweeps=0)
+    controller = cg.synthesize(problem, cells, **{**settings, "search": search}).controller
     assert isinstance(controller, Controller)
     return problem, controller
 

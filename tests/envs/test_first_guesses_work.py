@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
+import pytest
 
 import certigym as cg
+from certigym.cli.main import main
 
 
 def robot() -> cg.LinearAgent:
@@ -34,3 +40,115 @@ def test_results_and_controllers_have_the_names_of_others() -> None:
 def test_make_is_that_of_gymnasium() -> None:
     env, same = cg.make("reach-avoid-v0"), cg.central_env("reach-avoid-v0")
     assert np.array_equal(env.reset(seed=3)[0], same.reset(seed=3)[0]) and env.action_space == same.action_space
+
+
+def test_one_agent_needs_no_names_and_windows_say_the_horizon() -> None:
+    goal = cg.Proposition("robot", 0.5, 2)
+    same = cg.Problem(horizon=6, agents=robot(), propositions={"goal": goal}, specification="F[0,6] goal")
+    for region in (goal, (0.5, 2), ([0.5], [2]), {"low": 0.5, "high": 2}, {"agent": "robot", "low": 0.5, "high": 2}):
+        regions: Any = {"goal": region}
+        problem = cg.Problem(agents=robot(), propositions=regions, specification="F[0,6] goal")
+        assert problem.fingerprint == same.fingerprint, region
+    assert cg.Problem(agents=robot(), propositions={"goal": goal}, specification="F goal").horizon == 100
+    with pytest.raises(ValueError, match="`horizon` is missing"):
+        cg.Problem(agents=robot(), propositions={"goal": goal}, specification=cg.Specification("G goal"))
+    pair: Any = {"goal": (0.5, 2)}
+    with pytest.raises(ValueError, match=r"`propositions.goal`: expected a Proposition, a Pair, or a dict"):
+        cg.Problem(
+            horizon=6, agents=[robot(), robot().replace(name="other")], propositions=pair, specification="F goal"
+        )
+
+
+@pytest.mark.parametrize("id", ["reach-avoid-v0", "car-park-v0"])
+def test_controllers_predict_in_the_environment_of_make(id: str) -> None:
+    """The same inputs as those that they return by agents, each mapped to [-1, 1]; an episode is played with them."""
+    env = cg.make(id)
+    controller: Any = cg.synthesize(id, 40, relation="exact").controller
+    (observation, _), agents = env.reset(seed=0), env.problem.agents
+    d = sum(agent.n_states for agent in agents)
+    own = {
+        agent.name: np.concatenate([x, observation[d:]])
+        for agent, x in zip(
+            agents, np.split(observation[:d], np.cumsum([a.n_states for a in agents])[:-1]), strict=True
+        )
+    }
+    action, state = controller.predict(observation)
+    middle, half = (np.concatenate([getattr(a.input_box, k) for a in agents]) for k in ("center", "high"))
+    inputs = np.concatenate([*controller.act(own).values()])
+    assert state is None and action.dtype == np.float32 and action == pytest.approx((inputs - middle) / (half - middle))
+    assert np.array_equal(controller.predict(observation[None])[0], action[None])
+    over = False
+    while not over:
+        action, _ = controller.predict(observation, deterministic=True)
+        assert env.action_space.contains(action)
+        observation, _, ended, cut, _info = env.step(action)
+        over = ended or cut
+    with pytest.raises(ValueError, match="`observation`: expected a mapping by agents, or"):
+        controller.predict(np.zeros(2))
+
+
+def stay(x: Any, q: Any, t: Any) -> Any:
+    return np.zeros(1)
+
+
+PROBLEM = "reach-avoid-v0"
+SIMULATE: dict[str, Callable[..., Any]] = {
+    "rollout": lambda **named: cg.rollout(PROBLEM, stay, **named),
+    "compare": lambda **named: cg.compare(PROBLEM, {"idle": stay}, **named),
+    "validate": lambda **named: cg.validate("c.npz", **named),
+    "stress": lambda **named: cg.stress("c.npz", **named),
+    "audit": lambda **named: cg.audit("c.npz", **named),
+    "validate_field": lambda **named: cg.validate_field("c.npz", [], **named),
+    "report": lambda **named: cg.report("c.npz", "page.html", **named),
+    "probe": lambda **named: cg.probe(PROBLEM, **named),
+    "leaderboard": lambda **named: cg.leaderboard([], **named),
+}
+OTHERS: dict[str, Callable[..., Any]] = {
+    "synthesize": lambda **named: cg.synthesize(PROBLEM, **named),
+    "certify": lambda **named: cg.certify(PROBLEM, stay, **named),
+    "improve": lambda **named: cg.improve(PROBLEM, stay, **named),
+    "abstract": lambda **named: cg.abstract(PROBLEM, **named),
+    "check": lambda **named: cg.check("c.npz", **named),
+    "save": lambda **named: cg.save(None, "c.npz", **named),
+    "load": lambda **named: cg.load("c.npz", **named),
+    "record": lambda **named: cg.record(PROBLEM, stay, **named),
+    "shield": lambda **named: cg.shield(PROBLEM, "c.npz", **named),
+    "Problem": lambda **named: cg.Problem(**named),
+    "Specification": lambda **named: cg.Specification("F a", **named),
+}
+
+
+@pytest.mark.parametrize("verb", [*SIMULATE, *OTHERS])
+def test_unknown_keywords_name_the_verb_and_nothing_inside_it(verb: str) -> None:
+    call = (SIMULATE | OTHERS)[verb]
+    for name in ("verbose", "timeout", "n_episodes", "method", "qwertz"):
+        with pytest.raises(
+            ValueError, match=rf"^`{name}`: expected an argument of `{verb}`, got .*; (did you|the arg)"
+        ):
+            call(**{name: 1})
+
+
+@pytest.mark.parametrize("verb", SIMULATE)
+def test_what_others_call_episodes_and_progress_is_named(verb: str) -> None:
+    for name, meant in (("verbose", "progress"), ("n_episodes", "episodes"), ("random_state", "seed"), ("sed", "seed")):
+        with pytest.raises(ValueError, match=f"did you mean `{meant}`"):
+            SIMULATE[verb](**{name: 1})
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [("timeout", "seconds"), ("method", "algorithm"), ("n_envs", "worlds"), ("batch_sise", "batch_size")],
+)
+def test_settings_that_no_learner_has_are_refused_before_anything_is_learned(name: str, meant: str) -> None:
+    if importlib.util.find_spec("stable_baselines3") is None:
+        pytest.skip("needs the extra `rl`")
+    named: Any = {name: 1}
+    with pytest.raises(ValueError, match=rf"^`{name}`: expected an argument of `train`, got .*did you mean `{meant}`"):
+        cg.train(PROBLEM, **named)
+
+
+def test_options_of_the_command_line_are_guessed_too(capsys: pytest.CaptureFixture[str]) -> None:
+    for option, meant in (("--timeout", "--seconds"), ("--n-episodes", "--episodes"), ("--method", "--relation")):
+        with pytest.raises(SystemExit):
+            main(["run", PROBLEM, option, "3"])
+        assert f"did you mean `{meant}`?" in capsys.readouterr().err

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from adversary import problem_of
+from adversary import arguments_of, problem_of
 from certigym.envs.tasks.automata import translate, translation, within
 from certigym.validation.presentation.paper import reproduce
 from hostile import limited, outcome, problem, scalar
@@ -55,7 +55,7 @@ def test_what_random_problems_found(seed: int) -> None:
     """An agent without propositions crashed the check; means that creep along crashed a synthesis."""
     spec = random_spec(seed)
     try:
-        result = cg.synthesize(problem_of(spec), **spec["options"])
+        result = cg.synthesize(problem_of(spec), **arguments_of(spec))
     except ValueError:
         return
     assert cg.check(result), cg.check(result)

@@ -90,7 +90,7 @@ BAD = [
     (TOML.replace("horizon = 12", "horizon = 1.5"), "task.toml: `horizon`: expected a whole number"),
     (
         TOML.replace("noise_covariance = [[0.25]]", ""),
-        "number 1 ('left'): `noise`: expected `noise`, `noise_covariance` or, in a file, `noise_std`, got none",
+        "number 1 ('left'): `noise`: expected `noise`, `noise_covariance` or `noise_std`, got none",
     ),
     (TOML.replace("A = [[0.9]]", "A = [['0.9']]"), "task.toml: [[agents]] number 1 ('left'): `A`: expected numbers"),
     (TOML.replace("input_low", "input_lo", 1), "unknown key 'input_lo'; did you mean `input_low`?"),

@@ -128,7 +128,10 @@ def test_leaving_settled_worlds_changes_no_outcome(
     """Chunks side by side, without the worlds that are settled, against each chunk to the end with all of them."""
     problem = cg.make_problem(name)
     controller = synthesized(
-        problem, 12 if "planar" in name or "door" in name else 30, relation="quick", max_sweeps=0
+        problem,
+        12 if "planar" in name or "door" in name else 30,
+        relation="quick",
+        search=cg.SearchOptions(max_sweeps=0),
     ).controller
     loop = Loop(problem, controller, seed=4, chunk=150, mismatch=mismatch)
     dynamics, policy = loop.arranged

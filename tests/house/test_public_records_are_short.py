@@ -80,6 +80,7 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
         "Problem": lambda: problem,
         "Proposition": lambda: cg.Proposition("agent", np.zeros(200), np.ones(200)),
         "Rollouts": lambda: cg.rollout(problem, result, EPISODES),
+        "SearchOptions": lambda: cg.SearchOptions(max_sweeps=2, value="tree"),
         "Shield": lambda: shield_of(exact_one(), 1e-3),
         "Specification": lambda: cg.Specification(formula, "co-safe"),
         "StressReport": lambda: cg.stress(result, EPISODES),

@@ -62,7 +62,7 @@ def test_results_carry_the_verdict(boastful: None, monkeypatch: pytest.MonkeyPat
         *several,
         cg.certify(PROBLEM, actor, 20, relation="exact"),
         cg.certify(PROBLEM, actor, 20),
-        cg.improve(PROBLEM, actor, 20, relation="exact", max_sweeps=1),
+        cg.improve(PROBLEM, actor, 20, relation="exact", search=cg.SearchOptions(max_sweeps=1)),
         cg.improve(PROBLEM, actor, 20, as_is=True),
     ):
         assert found.checked is not None and not found.checked

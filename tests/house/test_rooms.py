@@ -47,7 +47,7 @@ MAY_IMPORT = {
     "synthesis.certificates.value_functions synthesis.certificates.cell_probabilities "
     "synthesis.certificates.controllers",
     "synthesis.abstraction.kernels": f"{ENVS} synthesis.relations synthesis.certificates.value_functions",
-    "synthesis.abstraction.models": f"{ENVS} envs.suite synthesis.relations synthesis.certificates.value_functions "
+    "synthesis.abstraction.models": f"{ENVS} synthesis.relations synthesis.certificates.value_functions "
     "synthesis.abstraction.kernels",
     "synthesis.extended_check.steps": f"{ENVS} {CERTIFICATES}",
     "synthesis.extended_check.claims": f"{ENVS} envs.suite {CERTIFICATES} synthesis.checker "

@@ -228,7 +228,7 @@ def test_corners_are_enclosed_by_intervals_of_the_check() -> None:
 # --- refusals --------------------------------------------------------------------------------------------------
 REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
     "no deadline": (lambda: cg.synthesize(follow(robot()), horizon=None), "the same at every step"),
-    "stationary": (lambda: cg.synthesize(follow(robot()), 30, stationary=True), "stationary"),
+    "stationary": (lambda: cg.synthesize(follow(robot()), 30, search=cg.SearchOptions(stationary=True)), "stationary"),
     "exact targets": (lambda: cg.synthesize(follow(robot()), 30, relation="exact"), "`linear`, `boxes` or `path`"),
     "coupled": (lambda: cg.synthesize(follow(robot()), 30, relation="tube"), "name the time|`t`"),
     "models": (lambda: cg.abstract(follow(still()), 30), "the same at every step"),

@@ -83,8 +83,8 @@ def test_the_paired_test_keeps_its_level() -> None:
 
 
 def test_bounds_seconds_and_information_are_stated() -> None:
-    synthesis = cg.synthesize(PROBLEM, 40, max_sweeps=1)
-    coupled = cg.synthesize(PROBLEM, 80, relation="paper", epsilon=0.3, max_sweeps=0)
+    synthesis = cg.synthesize(PROBLEM, 40, search=cg.SearchOptions(max_sweeps=1))
+    coupled = cg.synthesize(PROBLEM, 80, relation="paper", search=cg.SearchOptions(epsilon=0.3, max_sweeps=0))
     policies = {"ours": synthesis, "saved": synthesis.certificate, "coupled": coupled, "again": [head, head]}
     result = cg.compare(PROBLEM, policies, 500)
     ours, saved, remembering, *seeds = result.entries
@@ -98,7 +98,7 @@ def test_bounds_seconds_and_information_are_stated() -> None:
 
 
 def test_wrong_comparisons_are_refused() -> None:
-    other = cg.synthesize(PROBLEM.replace(horizon=2), 20, max_sweeps=0)
+    other = cg.synthesize(PROBLEM.replace(horizon=2), 20, search=cg.SearchOptions(max_sweeps=0))
     cases: list[tuple[dict[str, Any], str]] = [
         ({}, "at least one policy"),
         ({"other": other}, "is about another problem"),

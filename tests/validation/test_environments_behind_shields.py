@@ -114,7 +114,9 @@ def test_teams_see_budgets_of_their_worlds(problem: cg.Problem, shield: Shield) 
 
 @pytest.mark.thorough
 def test_tasks_side_by_side_are_shielded_one_by_one() -> None:
-    certificate = cg.synthesize(pairs(10, starts=(-2.0, -1.5)), 24, relation="exact", value="tree").certificate
+    certificate = cg.synthesize(
+        pairs(10, starts=(-2.0, -1.5)), 24, relation="exact", search=cg.SearchOptions(value="tree")
+    ).certificate
     env = cg.shield(certificate.problem, certificate, probability=0.9 * certificate.lower_bound)
     _, infos = env.reset(seed=0)
     risk_budget = np.prod([infos[task.possible_agents[0]]["budget"] for task in env.tasks])

@@ -41,7 +41,9 @@ def test_a_map_shows_the_bounds_of_the_certificate(certificate: cg.Certificate) 
 
 
 def test_a_bound_against_the_horizon_is_drawn_as_a_bound(certificate: cg.Certificate) -> None:
-    found = cg.synthesize(certificate.problem, 20, horizon=[1, 2], relation="paper", epsilon=0.7)
+    found = cg.synthesize(
+        certificate.problem, 20, horizon=[1, 2], relation="paper", search=cg.SearchOptions(epsilon=0.7)
+    )
     reports = [cg.validate(result, 200) for result in found]
     figure = figures.horizon_figure(reports)
     (plot,) = figure.axes

@@ -92,7 +92,7 @@ def test_lower_bounds_with_cut_cells_and_correlated_noise_hold() -> None:
 def test_boxes_and_points_may_be_mixed_among_the_starts() -> None:
     """One-sided, 1e-6: the scalar agent starts in a box, the one with correlated noise at a point."""
     problem = correlated().replace(initial_low={"line": [-0.5]}, initial_high={"line": [0.5]})
-    result = cg.synthesize(problem, {"plane": [24, 24], "line": 40}, max_sweeps=1)
+    result = cg.synthesize(problem, {"plane": [24, 24], "line": 40}, search=cg.SearchOptions(max_sweeps=1))
     assert start_of_claim(result.certificate) == "mean" and cg.check(result.certificate)
     report = cg.validate(result, episodes=30_000, seed=5, confidence=1 - FALSE_ALARM)
     assert report.verdict != REFUTED and report.lower_bound > 0.3, str(report)

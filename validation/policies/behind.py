@@ -9,6 +9,7 @@ import numpy as np
 
 from ...envs.interfaces import CentralEnv, ProblemEnv, ProblemVectorEnv, TasksEnv, TeamEnv
 from ...envs.suite import as_problem, parallel_env
+from ...envs.systems.arguments import names_arguments
 from ...envs.tasks.problem import Problem
 from ...synthesis.extended_check.shields import ProductShield, Shield, shield_of
 from ...synthesis.interop import as_policy
@@ -20,6 +21,7 @@ ENVIRONMENTS = (ProblemEnv, TasksEnv, CentralEnv, ProblemVectorEnv, TeamEnv)
 """Environments that go behind shields."""
 
 
+@names_arguments()
 def shield(guarded: Any, certificate: Any, *, probability: float | None = None, form: str = "joint") -> Any:
     """Put an environment or a policy behind a shield: every episode succeeds with at least ``probability``.
 

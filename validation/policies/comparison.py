@@ -38,6 +38,7 @@ from ..statistical_tests import (
     holm,
     html_table,
     mean_limits,
+    names_plan,
     p_at_least,
     planned,
     rollout,
@@ -235,6 +236,7 @@ class Comparison(Saved):
         ]
 
 
+@names_plan
 def compare(
     problem: Any,
     policies: Mapping[str, Any],

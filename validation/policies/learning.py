@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...envs.systems.arguments import unknown_argument
 from ...synthesis.interop import TORCH_ACTIVATIONS
 from .actors import Actor, Network, actor_of
 from .settings import Phase, Settings
@@ -17,6 +19,19 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 Progress = Callable[[int, float], None]
+
+
+def check_settings(algorithm: str, settings: Mapping[str, Any], known: Sequence[str]) -> None:
+    """Raise ValueError at a setting that neither ``train`` nor the learner has, and name the nearest one."""
+    try:
+        from stable_baselines3 import PPO, SAC
+    except ImportError as error:
+        raise ValueError('training needs Stable-Baselines3: install "certigym[rl]"') from error
+    kind = SAC if algorithm == "sac" else PPO
+    taken = [name for name in signature(kind.__init__).parameters if name not in ("self", "policy", "env")]
+    for name in settings:
+        if name not in (*known, *taken):
+            raise unknown_argument(name, "`train`", [*known, *taken])
 
 
 def new_learner(algorithm: str, view: View, settings: Settings, seed: int) -> BaseAlgorithm:

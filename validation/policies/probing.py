@@ -37,6 +37,7 @@ from ..statistical_tests import (
     TrialOptions,
     TrialPlan,
     clopper_pearson,
+    names_plan,
     paired_difference,
     planned,
     rollout,
@@ -171,6 +172,7 @@ class Probe(Saved):
         return f"{successes / self.episodes:.5f}   [{low:.5f}, {high:.5f}]"
 
 
+@names_plan
 @on_one_thread
 def probe(
     problem: Any,

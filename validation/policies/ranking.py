@@ -34,6 +34,7 @@ from ..statistical_tests import (
     TrialPlan,
     clopper_pearson,
     frames,
+    names_plan,
     planned,
     rollout,
 )
@@ -160,6 +161,7 @@ class Leaderboard:
         return tree_text(f"Leaderboard: {counted(len(problems), 'problem')}", rows)
 
 
+@names_plan
 def leaderboard(
     ids: Iterable[Any] | None = None,
     policies: Sequence[str] = POLICIES,

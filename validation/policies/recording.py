@@ -20,7 +20,7 @@ from ...envs.interfaces import CentralEnv
 from ...envs.simulation import Dynamics, Worlds, joint
 from ...envs.simulation import batch_simulator as core
 from ...envs.suite import as_problem, central_env, problem_ids
-from ...envs.systems.arguments import counted, tree_text, write_bytes
+from ...envs.systems.arguments import counted, names_arguments, tree_text, write_bytes
 from ...envs.tasks.problem import Problem
 from ..statistical_tests import CHUNK, BatchPolicy, Loop, chunks_of, frames
 from .comparison import contestants_of
@@ -168,6 +168,7 @@ def _central_env(problem: Problem) -> CentralEnv:
     return CentralEnv(problem, actions="input")
 
 
+@names_arguments()
 def record(problem: Any, policy: Any, episodes: int = 1000, seed: int = 0, chunk: int = CHUNK) -> Recording:
     """Return episodes of a policy as arrays.
 

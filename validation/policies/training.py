@@ -35,7 +35,7 @@ from ...synthesis.verbs.synthesize import synthesize
 from ..statistical_tests import rollout
 from .actors import Actor, networks_of, save_actor
 from .imitation import clone, demonstrate
-from .learning import Progress, actor_now, enter, learn, new_learner, new_watcher, numbers_of
+from .learning import Progress, actor_now, check_settings, enter, learn, new_learner, new_watcher, numbers_of
 from .settings import Phase, Settings, settings_for
 from .views import CentralView, SharedView, TeamView, View
 
@@ -146,6 +146,13 @@ class Training:
         return target / "actor.npz"
 
 
+KEYWORDS = (
+    *("problem", "algorithm", "steps", "seed", "warm_start", "resume", "shield", "progress"),
+    *("worlds", "reward", "spread", "learning_rate", "deviation", "fixed", "hidden", "phases", "seconds"),
+)
+"""Arguments of ``train`` that are not the learner's."""
+
+
 def train(
     problem: Any,
     algorithm: str = "ppo",
@@ -193,6 +200,7 @@ def train(
     problem = as_problem(problem)
     _check(algorithm, seed, warm_start, resume, steps=steps, worlds=settings.get("worlds"))
     _check_shield(problem, shield)
+    check_settings(algorithm, settings, KEYWORDS)
     view = view_of(problem, algorithm)
     before = None if resume is None else _record(Path(resume), problem, algorithm)
     if before is not None:

@@ -33,7 +33,7 @@ from .stress_test import LADDERS, StressReport, stress
 from .success_rate import MEANINGS, NOT_CERTIFIED, ValidationReport, told_of, tried_lines, validate
 from .sweeps import each_report, synthesize_best
 from .task_paths import task_tracks
-from .trials import Plan, TrialOptions, TrialPlan, collect, planned
+from .trials import Plan, TrialOptions, TrialPlan, collect, names_plan, planned
 from .value_at import bound_by_steps_left, standing_cells
 
 __all__ = [
@@ -64,6 +64,7 @@ __all__ = [
     "SequentialState",
     "StressReport",
     "TrialOptions",
+    "names_plan",
     "TrialPlan",
     "VACUOUS",
     "ValidationReport",

@@ -33,7 +33,7 @@ from .mismatch import Mismatch
 from .report_text import INTERRUPTED, Rows, Saved, html_table, labelled_lines
 from .rollouts import stream
 from .starts import corner_starts, neighbours, random_starts
-from .trials import TrialOptions, TrialPlan, collect, planned
+from .trials import TrialOptions, TrialPlan, collect, names_plan, planned
 
 CANDIDATES = 192
 """Random states with which a search begins; with up to 64 corners they make 256, enough for five rounds."""
@@ -183,6 +183,7 @@ class FieldReport(Saved):
         ]
 
 
+@names_plan
 def validate_field(
     certificate: Any,
     states: Any,

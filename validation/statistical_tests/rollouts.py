@@ -27,7 +27,7 @@ from .chunks import ChunkResult, chunk_results, chunks_of
 from .loop import Loop
 from .mismatch import Mismatch
 from .spread import AHEAD, Executor, in_order
-from .trials import TrialOptions, TrialPlan, collect, planned
+from .trials import TrialOptions, TrialPlan, collect, names_plan, planned
 
 NUMBERS_SIDE_BY_SIDE = 65536
 """Most numbers in the states of chunks that are simulated side by side: half a MiB, which fits into the cache."""
@@ -73,6 +73,7 @@ class Rollouts:
         return int(self.success.sum())
 
 
+@names_plan
 def rollout(
     problem: Any,
     controller: Any,

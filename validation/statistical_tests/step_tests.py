@@ -45,7 +45,7 @@ from .chunks import Frame, chunks_of, frames
 from .loop import Batchable, Loop
 from .spread import in_order
 from .step_log import STAKES, StepLog
-from .trials import Plan, TrialOptions, TrialPlan, collect, planned
+from .trials import Plan, TrialOptions, TrialPlan, collect, names_plan, planned
 from .value_at import Charge, charge_of, remembers, standing_cells, values_between
 
 INCREMENT_SLACK = 1e-9
@@ -68,6 +68,7 @@ class _Setup:
     charge: Charge | None
 
 
+@names_plan
 def audit(
     certificate: Any,
     plan: TrialPlan | int | None = None,

@@ -27,7 +27,7 @@ from .mismatch import FAMILIES, Mismatch
 from .report_text import Rows, Saved, html_table, labelled_lines
 from .rollouts import rollout
 from .success_rate import claim_at
-from .trials import TrialOptions, TrialPlan, planned
+from .trials import TrialOptions, TrialPlan, names_plan, planned
 
 LADDERS: dict[str, tuple[Mismatch, ...]] = {
     "noise scale": tuple(Mismatch(noise_scale=s) for s in (1.05, 1.1, 1.2, 1.35, 1.5, 2.0)),
@@ -161,6 +161,7 @@ class StressReport(Saved):
         return texts
 
 
+@names_plan
 def stress(
     certificate: Any,
     plan: TrialPlan | int | None = None,

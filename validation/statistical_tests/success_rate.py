@@ -35,7 +35,7 @@ from .mismatch import Mismatch
 from .report_text import INTERRUPTED, Rows, Saved, html_table, labelled_lines
 from .rollouts import stream
 from .sequential import SequentialState, confidence_sequence
-from .trials import Plan, TrialOptions, TrialPlan, collect, planned
+from .trials import Plan, TrialOptions, TrialPlan, collect, names_plan, planned
 
 MEANINGS = {
     CONFIRMED: "such rollouts would be unlikely if the claim were false",
@@ -258,6 +258,7 @@ _ABOUT_SEARCH = ("abstract_upper_bound", "continuous_upper_bound", "unilateral_g
 """Statistics of a synthesis that a report repeats."""
 
 
+@names_plan
 def validate(
     result: Any,
     plan: TrialPlan | int | None = None,

@@ -50,7 +50,7 @@ def synthesize_best(
     ----------
     problem : Problem
     attempts : sequence of mappings
-        Arguments of ``synthesize`` of each attempt, such as ``{"cells": 100, "max_sweeps": 12}``.
+        Arguments of ``synthesize`` of each attempt, such as ``{"cells": 100, "relation": "exact"}``.
     executor : Executor, optional
         Where the attempts run; default: in this process, one after the other.
 

@@ -12,7 +12,7 @@ from typing import TypedDict, TypeVar
 
 from tqdm import tqdm
 
-from ...envs.systems.arguments import checked_count
+from ...envs.systems.arguments import checked_count, names_arguments
 from .loop import CHUNK
 from .spread import Executor, interrupts_at_checkpoints
 
@@ -28,6 +28,10 @@ class TrialOptions(TypedDict, total=False):
     chunk: int
     executor: Executor | None
     progress: Callable[[int], None] | bool | None
+
+
+names_plan = names_arguments(*TrialOptions.__annotations__)
+"""Decorator of verbs that take these: another keyword is refused, and the nearest one named."""
 
 
 @dataclass(frozen=True)

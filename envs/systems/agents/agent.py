@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ..arguments import counted, float_array, matrix_text, read_only, shown, tre
 from ..distributions import Law
 from ..expressions import Tree, affine
 from .any_agent import AnyAgent, checked_added, is_passive, shared_fields, summary_rows
+from .declaration import declared
 from .declared_names import checked_names
 from .products import linear
 
@@ -52,26 +53,28 @@ class LinearAgent(AnyAgent):
         State matrix.
     B : array_like, shape (d, m)
         Input matrix.
-    noise_covariance : array_like, shape (d, d), optional
-        **Covariance** (not standard deviation) of Gaussian noise: exactly symmetric, positive semidefinite.
-    noise : sequence of d mappings or laws, optional
-        Laws of independent components instead, such as `{"law": "uniform", "low": -0.1, "high": 0.1}`.
-    noise_axes : array_like, shape (d, d), optional
-        Directions of those components, as columns; the states by default.
-    state_low, state_high : array_like, shape (d,)
-        Workspace, a closed box. An agent that leaves it violates every task.
-    input_low, input_high : array_like, shape (m,)
+    noise : number, array_like, laws or mapping
+        Noise, independent over time. A number, or one for each state: **standard deviations** of Gaussian noise. A
+        matrix (d, d): its **covariance**, exactly symmetric and positive semidefinite. A law such as `{"law":
+        "uniform", "low": -0.1, "high": 0.1}`, or one for each state. A mapping: `{"laws": ..., "axes": ...}`, where the
+        columns of `axes`, shape (d, d), are the directions of the components with those laws.
+    state_space : pair (low, high) of array_like, shape (d,)
+        Workspace, a closed box; one number stands for all axes. An agent that leaves it violates every task.
+    input_space : pair (low, high) of array_like, shape (m,)
         Input box, closed. An agent that nobody steers has neither `B` nor a box, and is given an input that is 0.
-    initial_state : array_like, shape (d,), optional
-        Start. Alternatively give a box `initial_low`, `initial_high`, from which the start is drawn uniformly.
+    start : array_like, shape (d,), or pair (low, high) of these, optional
+        Start: a point, or a box from which it is drawn uniformly.
     output_matrix : array_like, shape (p, d), optional
         C; the identity by default.
     offset : array_like, shape (d,), optional
         Affine term c; zero by default.
-    added_outputs : int, optional
-        How many of the last outputs are there for shapes alone: problems say it of the agents that they make.
     states, inputs : sequence of str, optional
         Names, by which shapes, joint noise and pictures speak of them; they have numbers alone by default.
+    **keys
+        Keys of problem files: `state_low` and `state_high`, `input_low` and `input_high` for the spaces;
+        `initial_state`, or `initial_low` and `initial_high`, for the start; `noise_std`, `noise_covariance` and
+        `noise_axes` for the noise. `added_outputs`: how many of the last outputs are there for shapes only;
+        problems say it of the agents that they make.
 
     Raises
     ------
@@ -81,8 +84,7 @@ class LinearAgent(AnyAgent):
     Examples
     --------
     >>> agent = LinearAgent(
-    ...     name="left", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.25]],
-    ...     state_low=[-20], state_high=[5], input_low=[-5], input_high=[5], initial_state=[-10],
+    ...     name="left", A=0.9, B=0.5, noise=0.5, state_space=(-20, 5), input_space=(-5, 5), start=-10
     ... )
     >>> agent.noise_factor
     array([[0.5]])
@@ -106,35 +108,38 @@ class LinearAgent(AnyAgent):
     states: tuple[str, ...]
     inputs: tuple[str, ...]
 
-    # Nineteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    needed_keys: ClassVar[tuple[str, ...]] = ("name", "A", "state_low", "state_high")
+    """Keys that it must have in problem files."""
+
+    other_keys: ClassVar[tuple[str, ...]] = (
+        *("B", "noise_covariance", "input_low", "input_high", "initial_state", "initial_low", "initial_high"),
+        *("output_matrix", "offset", "noise", "noise_std", "noise_axes", "added_outputs", "states", "inputs"),
+    )
+    """Keys that it may have there."""
+
     def __init__(
         self,
         *,
         name: str,
         A: Any,
         B: Any = None,
-        noise_covariance: Any = None,
-        state_low: Any,
-        state_high: Any,
-        input_low: Any = None,
-        input_high: Any = None,
-        initial_state: Any = None,
-        initial_low: Any = None,
-        initial_high: Any = None,
+        noise: Any = None,
+        state_space: Any = None,
+        input_space: Any = None,
+        start: Any = None,
         output_matrix: Any = None,
         offset: Any = None,
-        noise: Any = None,
-        noise_axes: Any = None,
-        added_outputs: Any = 0,
         states: Any = None,
         inputs: Any = None,
+        **keys: Any,
     ) -> None:
-        given = locals()  # the arguments by name: what all agents declare is checked in one place
+        named = {key: value for key, value in locals().items() if key not in ("self", "keys")}
         # A fixes the number of states d, B the number of inputs m; all other lengths follow.
         matrix = float_array(A, "A", (None, None), "[[0.9]]")
         d = matrix.shape[0]
         if matrix.shape != (d, d):
             raise ValueError(f"`A`: expected a square matrix, got shape {matrix.shape[0]} x {matrix.shape[1]}")
+        given = declared("LinearAgent", d, named, keys, ("added_outputs",))
         if is_passive(B, given):
             B = np.zeros((d, 1))
             given |= {"input_low": [0.0], "input_high": [0.0]}
@@ -152,7 +157,7 @@ class LinearAgent(AnyAgent):
             ),
             "offset": float_array(zero if offset is None else offset, "offset", (d,), f"{[0.0] * d}"),
         }
-        values["added_outputs"] = checked_added(added_outputs, len(values["output_matrix"]))
+        values["added_outputs"] = checked_added(given["added_outputs"], len(values["output_matrix"]))
         for key, value in values.items():
             object.__setattr__(self, key, value)  # the record is frozen
 

@@ -16,12 +16,13 @@ from ..backends import is_host, namespace
 from ..distributions import Law, declared_noise
 from ..expressions import Tree, affine_form, computed, names_in
 from .box import Box
+from .declaration import SPACES, STARTS
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 """Names of agents and propositions: what can stand in a formula."""
 
 
-NOISE_KEYS = {"noise", "noise_covariance", "noise_axes", "noise_scale"}
+NOISE_KEYS = {"noise", "noise_covariance", "noise_std", "noise_axes", "noise_scale"}
 """Arguments that declare noise."""
 
 
@@ -76,6 +77,9 @@ class AnyAgent(ABC):
     def has_identity_output(self) -> bool:
         """Whether y = x exactly."""
         return self.n_outputs == self.n_states and self._begins_with_states
+
+    needed_keys: ClassVar[tuple[str, ...]]
+    other_keys: ClassVar[tuple[str, ...]]
 
     is_affine: ClassVar[bool]
     """Whether means are known to be affine in state and input, `A x + B u + c`: matrices say how it moves."""
@@ -267,9 +271,11 @@ class AnyAgent(ABC):
         """Return a copy with some constructor arguments changed; a new start or noise replaces the whole old one."""
         # A new start may be a point or a box: drop both old corners, not just the one that is named.
         data = self.to_dict()
-        if any(key.startswith("initial_") for key in changes):
+        if {"start", *STARTS} & {*changes}:
             data.pop("initial_low", None)
             data.pop("initial_high", None)
+        for space in SPACES.keys() & {*changes}:
+            data = {key: value for key, value in data.items() if key not in SPACES[space]}
         if self.laws is not None:
             data["noise"] = self.laws
         if NOISE_KEYS & {*changes}:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from ..distributions import Law, ScipyLaw, laws_of
 from ..expressions import Affine, Name, Number, Tree, computed, enclosed, names_in, read_expression, substituted
 from .angles import TURN, checked_angles, refuse_uneven
 from .any_agent import IDLE, AnyAgent, checked_added, is_passive, shared_fields, summary_rows
+from .declaration import declared
 from .declared_names import MOST_OUTPUTS, TIME, checked_names, checked_numbers, checked_ranges, checked_texts
 from .neighbours import neighbour, states_of_others, with_numbers
 
@@ -69,32 +70,33 @@ class Agent(AnyAgent):
     disturbances : mapping from str to (low, high), optional
         Bounded unknowns by name: anything in the closed interval, at every step anew. Certificates hold for all of
         them; environments say how they behave.
-    noise : sequence of mappings or laws, optional
-        One law per state, such as `{"law": "gaussian", "std": 0.05}`. Alternatively give a covariance.
-    noise_axes : array_like, shape (d, d), optional
-        Directions of the components with those laws, as columns; the states by default.
-    noise_scale : sequence of str, optional
-        What the noise of each state is multiplied with, such as `0.1 + 0.05*abs(x)`: expressions in states, inputs,
-        parameters, disturbances and `t`, positive in the workspace. They go with `noise`, one law for each state.
-    noise_covariance : array_like, shape (d, d), optional
-        **Covariance** (not standard deviation) of the noise: exactly symmetric, positive semidefinite.
-    state_low, state_high : array_like, shape (d,)
-        Workspace, a closed box. An agent that leaves it violates every task.
-    input_low, input_high : array_like, shape (m,)
+    noise : number, array_like, laws or mapping
+        Noise, independent over time. A number, or one for each state: **standard deviations** of Gaussian noise. A
+        matrix (d, d): its **covariance**, exactly symmetric and positive semidefinite. A law such as `{"law":
+        "uniform", "low": -0.1, "high": 0.1}`, or one for each state. A mapping: `{"laws": ..., "axes": ...}`, where the
+        columns of `axes`, shape (d, d), are the directions of the components with those laws; or `{"std": ...,
+        "scale": ...}`, or `laws` in place of `std`, where `scale` is what the noise of each state is multiplied with,
+        such as `0.1 + 0.05*abs(x)`: expressions in states, inputs, parameters, disturbances and `t`, positive in the
+        workspace.
+    state_space : pair (low, high) of array_like, shape (d,)
+        Workspace, a closed box; one number stands for all axes. An agent that leaves it violates every task.
+    input_space : pair (low, high) of array_like, shape (m,)
         Input box, closed. An agent that nobody steers has neither inputs nor a box, and is given an input that is 0.
-    initial_state : array_like, shape (d,), optional
-        Start. Alternatively give a box `initial_low`, `initial_high`, from which the start is drawn uniformly.
-    communicated : sequence of str, optional
-        Names of the other agents whose states the agent is told at every step. Controllers then cancel what these do
-        where an input reaches it. Of all others certificates assume anything in their workspaces, and of
-        inputs anything in their boxes, unless these are chosen in common.
+    start : array_like, shape (d,), or pair (low, high) of these, optional
+        Start: a point, or a box from which it is drawn uniformly.
     outputs : sequence of str, optional
         Expressions in states and parameters that propositions are about; the states by default.
     angles : sequence of str, optional
         States that are angles, in radians: they wrap, so that nothing leaves the workspace by turning. Their workspace
         is one turn, from -pi to pi or from 0 to 2 pi, and the dynamics must be the same a turn further on.
-    added_outputs : int, optional
-        How many of the last outputs are there for shapes alone: problems say it of the agents that they make.
+    **keys
+        Keys of problem files: `state_low` and `state_high`, `input_low` and `input_high` for the spaces;
+        `initial_state`, or `initial_low` and `initial_high`, for the start; `noise_std`, `noise_covariance`,
+        `noise_axes` and `noise_scale` for the noise. `added_outputs`: how many of the last outputs are there for
+        shapes only; problems say it of the agents that they make.
+        `communicated`: names of the other agents whose states the agent is told at every step. Controllers then cancel
+        what these do where an input reaches it. Of all others certificates assume anything in their workspaces, and of
+        inputs anything in their boxes, unless these are chosen in common.
 
     Raises
     ------
@@ -106,8 +108,7 @@ class Agent(AnyAgent):
     >>> agent = Agent(
     ...     name="pendulum", states=["angle", "rate"], inputs=["torque"], parameters={"damping": 0.2},
     ...     dynamics=["angle + 0.1*rate", "rate + 0.1*(sin(angle) - damping*rate + 2*torque)"],
-    ...     noise=[{"law": "gaussian", "std": 0.05}, {"law": "gaussian", "std": 0.05}],
-    ...     state_low=[-1.5, -2], state_high=[1.5, 2], input_low=[-1], input_high=[1], initial_state=[0.8, 0],
+    ...     noise=[0.05, 0.05], state_space=([-1.5, -2], [1.5, 2]), input_space=(-1, 1), start=[0.8, 0],
     ... )
     >>> agent.mean(np.array([0.0, 1.0]), np.array([0.5]))
     array([0.1 , 1.08])
@@ -138,7 +139,16 @@ class Agent(AnyAgent):
     angles: tuple[str, ...]
     unrolled: tuple[str, ...]
 
-    # Twenty-two keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    needed_keys: ClassVar[tuple[str, ...]] = ("name", "states", "dynamics", "state_low", "state_high")
+    """Keys that it must have in problem files."""
+
+    other_keys: ClassVar[tuple[str, ...]] = (
+        *("inputs", "input_low", "input_high", "parameters", "disturbances", "noise", "noise_covariance", "noise_std"),
+        *("noise_axes", "noise_scale", "initial_state", "initial_low", "initial_high", "communicated", "outputs"),
+        *("added_outputs", "angles"),
+    )
+    """Keys that it may have there."""
+
     def __init__(
         self,
         *,
@@ -146,31 +156,25 @@ class Agent(AnyAgent):
         states: Any,
         inputs: Any = None,
         dynamics: Any,
-        state_low: Any,
-        state_high: Any,
-        input_low: Any = None,
-        input_high: Any = None,
         parameters: Any = None,
         disturbances: Any = None,
         noise: Any = None,
-        noise_covariance: Any = None,
-        noise_axes: Any = None,
-        noise_scale: Any = None,
-        initial_state: Any = None,
-        initial_low: Any = None,
-        initial_high: Any = None,
-        communicated: Any = None,
+        state_space: Any = None,
+        input_space: Any = None,
+        start: Any = None,
         outputs: Any = None,
-        added_outputs: Any = 0,
         angles: Any = None,
+        **keys: Any,
     ) -> None:
-        given = locals()  # the arguments by name: what all agents declare is checked in one place
+        named = {key: value for key, value in locals().items() if key not in ("self", "keys")}
         state_names = checked_names(states, "states")
+        given = declared("Agent", len(state_names), named, keys, ("noise_scale", "communicated", "added_outputs"))
         if is_passive(inputs, given):
             inputs = [next(name for name in (IDLE + "_" * k for k in count()) if name not in state_names)]
             given |= {"input_low": [0.0], "input_high": [0.0]}
         input_names = checked_names(inputs, "inputs")
         d, m = len(state_names), len(input_names)
+        scale, told = given["noise_scale"], given["communicated"]
         values = {
             **shared_fields(d, m, given),
             "states": state_names,
@@ -178,7 +182,7 @@ class Agent(AnyAgent):
             "dynamics": checked_texts(dynamics, "dynamics", d),
             "parameters": MappingProxyType(checked_numbers(parameters)),
             "disturbances": MappingProxyType(checked_ranges(disturbances)),
-            "communicated": () if not communicated else checked_texts(communicated, "communicated", None),
+            "communicated": () if not told else checked_texts(told, "communicated", None),
             "neighbour_ranges": None,
             "neighbour_inputs": (),
             "has_clock": False,
@@ -187,16 +191,16 @@ class Agent(AnyAgent):
             "output_expressions": state_names
             if outputs is None
             else checked_texts(outputs, "outputs", None, MOST_OUTPUTS),
-            "noise_scale": None if noise_scale is None else checked_texts(noise_scale, "noise_scale", d),
+            "noise_scale": None if scale is None else checked_texts(scale, "noise_scale", d),
         }
-        values["added_outputs"] = checked_added(added_outputs, len(values["output_expressions"]))
+        values["added_outputs"] = checked_added(given["added_outputs"], len(values["output_expressions"]))
         for key, value in values.items():
             object.__setattr__(self, key, value)  # the record is frozen
         self._check_names()
         # Read all expressions now, so that mistakes show where they are made.
         assert self.timed_trees and self.output_trees
         if self.noise_scale is not None:
-            self._scale_noise(noise)
+            self._scale_noise(given["noise"])
         refuse_uneven(self)
 
     def _scale_noise(self, noise: Any) -> None:

@@ -5,11 +5,14 @@ Arguments checked, records printed shortly, and files written completely or not 
 
 from .checks import (
     MOST_AGENTS,
+    OTHER_NAMES,
     UnknownArgument,
     checked_count,
     checked_states,
     float_array,
     for_all_axes,
+    names_arguments,
+    near,
     read_only,
     shown,
     slices_of,
@@ -19,6 +22,7 @@ from .printing import box_text, counted, matrix_text, names_text, shortened, tre
 from .saving import write_bytes, write_json, write_text
 
 __all__ = [
+    "OTHER_NAMES",
     "MOST_AGENTS",
     "UnknownArgument",
     "box_text",
@@ -34,6 +38,8 @@ __all__ = [
     "shown",
     "slices_of",
     "tree_text",
+    "names_arguments",
+    "near",
     "unknown_argument",
     "vector_text",
     "write_bytes",

@@ -5,11 +5,13 @@ Every array that enters a problem passes through `float_array`, whether it comes
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
+from functools import wraps
+from inspect import signature
 from itertools import accumulate, pairwise
 from numbers import Real
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +34,83 @@ class UnknownArgument(ValueError, TypeError):
     """
 
 
-def unknown_argument(name: str, owner: str, known: Iterable[str]) -> UnknownArgument:
-    """Return the error about the argument `name` of `owner`, with the known argument that it resembles, or all."""
+OTHER_NAMES = {
+    "algo": ("algorithm",),
+    "budget": ("effort", "seconds"),
+    "callback": ("progress",),
+    "grid": ("cells",),
+    "iterations": ("max_sweeps", "steps"),
+    "max_iter": ("max_sweeps", "steps"),
+    "max_time": ("seconds",),
+    "method": ("relation", "algorithm"),
+    "model": ("policy", "controller", "result"),
+    "n": ("episodes", "cells"),
+    "n_envs": ("worlds",),
+    "n_episodes": ("episodes",),
+    "n_jobs": ("executor",),
+    "n_steps": ("steps", "horizon"),
+    "n_workers": ("executor",),
+    "num_episodes": ("episodes",),
+    "random_state": ("seed",),
+    "resolution": ("cells",),
+    "rng": ("seed",),
+    "runs": ("episodes",),
+    "samples": ("episodes",),
+    "time_limit": ("seconds",),
+    "timeout": ("seconds", "effort"),
+    "timesteps": ("steps",),
+    "total_timesteps": ("steps",),
+    "trials": ("episodes",),
+    "upper_bound": ("above",),
+    "verbose": ("progress",),
+    "warm_start": ("start",),
+    "workers": ("executor",),
+}
+"""Names that other libraries give to arguments, and ours for them: what a first guess means."""
+
+
+def near(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that an unknown one means or resembles, if there is one."""
     known = list(known)
-    close = get_close_matches(name, known, n=1)
-    remedy = f"did you mean `{close[0]}`?" if close else f"the arguments are {', '.join(known)}"
-    return UnknownArgument(f"`{name}`: got an unexpected keyword argument {name!r} of {owner}; {remedy}")
+    meant = [one for one in OTHER_NAMES.get(name, ()) if one in known]
+    return next(iter(meant or get_close_matches(name, known, n=1)), None)
+
+
+def unknown_argument(name: str, owner: str, known: Iterable[str], meant: str | None = None) -> UnknownArgument:
+    """Return the error about the argument `name` of `owner`, with what was meant, by default the nearest, or all."""
+    known = list(known)
+    meant = meant or near(name, known)
+    remedy = f"did you mean `{meant}`?" if meant else f"the arguments are {', '.join(known)}"
+    return UnknownArgument(
+        f"`{name}`: expected an argument of {owner}, got an unexpected keyword argument {name!r}; {remedy}"
+    )
+
+
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
+
+def names_arguments(*more: str) -> Callable[[Callable[Parameters, Result]], Callable[Parameters, Result]]:
+    """Return a decorator of functions that refuse a keyword which does not exist, and name the one that was meant.
+
+    ``more`` are keywords that a function takes besides those in its signature.
+    """
+
+    def decorated(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+        own = [one.name for one in signature(function).parameters.values() if one.kind is not one.VAR_KEYWORD]
+        known = [*(name for name in own if name != "self"), *more]
+        owner = function.__qualname__.removesuffix(".__init__")
+
+        @wraps(function)
+        def called(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:
+            for name in named:
+                if name not in known:
+                    raise unknown_argument(name, f"`{owner}`", known)
+            return function(*arguments, **named)
+
+        return called
+
+    return decorated
 
 
 def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: str) -> FloatArray:

@@ -169,7 +169,7 @@ def declared_noise(noise: Any, covariance: Any, axes: Any, d: int) -> Noise:
     """
     if noise is None and covariance is None:
         raise ValueError(
-            "`noise`: expected `noise`, `noise_covariance` or, in a file, `noise_std`, got none; give one, such as "
+            "`noise`: expected `noise`, `noise_covariance` or `noise_std`, got none; give one, such as "
             f"`noise_std = {[0.1] * d}`, with 0.0 for a state without noise"
         )
     if noise is not None and covariance is not None:

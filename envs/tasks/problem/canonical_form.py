@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...systems.agents import TIME
-from ...systems.arguments import float_array, for_all_axes, shown
+from ...systems.arguments import shown
 from ...systems.expressions import ExpressionError, Tree, computed, names_in, read_expression
 
 CONSTANTS = ("state_low", "state_high", "initial_low", "initial_high", "initial_state", "noise_std")
@@ -46,7 +46,7 @@ def in_canonical_form(table: Any, horizon: Any, others: Sequence[Any]) -> Any:
         return table
     table = _with_scales(dict(table))
     table = {key: _numbers(value, key) if key in CONSTANTS else value for key, value in table.items()}
-    return _with_covariance(_with_moving_inputs(table, horizon, others))
+    return _with_moving_inputs(table, horizon, others)
 
 
 def starts_of_copies(table: Mapping[str, Any], copies: int) -> list[Mapping[str, Any]] | None:
@@ -180,21 +180,3 @@ def _texts(table: Any, key: str) -> list[str]:
 def _n_states(table: Mapping[str, Any]) -> int | None:
     """Return how many states the table of an agent has, by the first list that says so; None if none does."""
     return next((len(table[key]) for key in ("states", "A", "state_low") if isinstance(table.get(key), list)), None)
-
-
-def _with_covariance(table: dict[str, Any]) -> dict[str, Any]:
-    """Return the table of an agent with a covariance, or laws, where it has standard deviations."""
-    if "noise_std" not in table:
-        return table
-    for other in ("noise_covariance", "noise"):
-        if other in table:
-            raise ValueError(f"`noise_std`: expected no `{other}` beside it; leave one of them out")
-    deviations = float_array(for_all_axes(table["noise_std"], _n_states(table)), "noise_std", (None,), "[0.1, 0.1]")
-    states = table.get("state_low")
-    wrong_length = isinstance(states, list) and len(states) != len(deviations)
-    if wrong_length or np.any(deviations < 0.0):
-        raise ValueError(f"`noise_std`: expected numbers >= 0, one for each state, got {shown(table['noise_std'])}")
-    rest = {key: value for key, value in table.items() if key != "noise_std"}
-    if "noise_scale" in table:  # which multiplies laws
-        return {**rest, "noise": [{"law": "gaussian", "std": deviation} for deviation in deviations.tolist()]}
-    return {**rest, "noise_covariance": np.diag(deviations**2).tolist()}

@@ -55,8 +55,10 @@ def refuse_shape(value: Mapping[str, Any], where: str) -> None:
         )
 
 
-def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
+def checked_propositions(propositions: Any, agents: Sequence[str] = ()) -> dict[str, AnyProposition]:
     """Return a mapping from valid names to propositions; a value may be a dict of the arguments of one.
+
+    With one agent a box may be a pair (low, high), and a dict need not name the agent.
 
     Raises
     ------
@@ -70,6 +72,7 @@ def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
         checked_name(name, "propositions")
         if name in RESERVED:
             raise ValueError(f"`propositions.{name}`: expected a name, got a word of the formula language; rename it")
+        value = _of_one_agent(value, agents)
         # A dict of the arguments stands for a proposition, as in problem files.
         if about_pairs(value):
             refuse_shape(value, f"`propositions.{name}`")
@@ -83,6 +86,17 @@ def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
             )
         checked[name] = value
     return checked
+
+
+def _of_one_agent(value: Any, agents: Sequence[str]) -> Any:
+    """Return a region with the only agent that there is, where it names none."""
+    if len(agents) != 1:
+        return value
+    if isinstance(value, tuple | list) and len(value) == 2:
+        return {"agent": agents[0], "low": value[0], "high": value[1]}
+    if isinstance(value, Mapping) and not {"agent", "agents"} & {*value}:
+        return {"agent": agents[0], **value}
+    return value
 
 
 def expand(

@@ -32,7 +32,6 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -229,7 +228,7 @@ def _of_table(table: Any, horizon: Any, tables: Sequence[Any], most: int) -> Seq
     table = in_canonical_form(table, horizon, tables)
     required, besides = _keys(kind)
     _refuse_nested_agents(table)
-    _check_keys(table, "", required, [*besides, "noise_std"])
+    _check_keys(table, "", required, besides)
     copies = table.get("copies")
     given = {key: value for key, value in table.items() if key != "copies"}
     if copies is None:
@@ -266,9 +265,7 @@ def _kind(table: Any) -> type[AnyAgent]:
 
 def _keys(kind: type[AnyAgent]) -> tuple[list[str], list[str]]:
     """Return the keys that a table of an agent must have, and those that it may have."""
-    arguments = signature(kind).parameters.values()
-    required = [argument.name for argument in arguments if argument.default is argument.empty]
-    return required, [*(argument.name for argument in arguments if argument.name not in required), "copies"]
+    return [*kind.needed_keys], [*kind.other_keys, "copies"]
 
 
 def _propositions(table: Any) -> dict[str, AnyProposition]:

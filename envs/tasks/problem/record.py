@@ -21,9 +21,19 @@ from typing import Any
 import numpy as np
 
 from ...systems.agents import AnyAgent, tied
-from ...systems.arguments import checked_count, counted, float_array, names_text, shortened, shown, slices_of
+from ...systems.arguments import (
+    checked_count,
+    counted,
+    float_array,
+    names_arguments,
+    names_text,
+    shortened,
+    shown,
+    slices_of,
+)
 from ..automata import Automaton, Formula, over_propositions, translate, with_meanings, within
 from ..regions import Labeling, PairRegion, Piece, Proposition, inside
+from .default_horizon import default_horizon
 from .families import AnyProposition, checked_propositions, expand
 from .groups import MOST_STATES, Group, independent_groups, joint_automaton
 from .joint_noise import checked_sources, scaled_sources, with_sources
@@ -48,11 +58,13 @@ class Problem:
     Parameters
     ----------
     name : str
-    horizon : int
-        Number of control steps T, at least 1.
+    horizon : int, optional
+        Number of control steps T, at least 1. Default: the last step of the windows of the formula; without windows,
+        100 for a co-safe task. Other tasks need one.
     agents : LinearAgent or Agent, or a sequence of them
         Each with a start. Those with propositions of other shapes than boxes get outputs for them.
     propositions : mapping from str to Proposition or Pair, or to a dict of its arguments
+        With one agent a box may be a pair (low, high), and a dict need not name the agent.
         A proposition belongs to one agent, or to a pair. An agent name with one `*` makes a family: one member per
         agent that matches, named by what the `*` stands for (`safe` on `drone_*` gives `safe_0`, `safe_1`, ...), or per
         pair (`near` on pairs of `drone_*` gives `near_0_1`, `near_0_2`, ...).
@@ -124,11 +136,12 @@ class Problem:
     shared_noise: tuple[np.ndarray, ...]
     _automaton: Automaton | None
 
+    @names_arguments()
     def __init__(
         self,
         *,
         name: str = "problem",
-        horizon: int,
+        horizon: int | None = None,
         agents: AnyAgent | Sequence[AnyAgent],
         propositions: Mapping[str, AnyProposition | Mapping[str, Any]],
         specification: Specification | str,
@@ -137,11 +150,13 @@ class Problem:
         title = _checked_title(name)
         specification = Specification(specification) if isinstance(specification, str) else specification
         agents = [agents] if isinstance(agents, AnyAgent) else agents
+        if horizon is None:
+            horizon = default_horizon({"formula": specification.formula, "semantics": specification.semantics})
         if not isinstance(specification, Specification):
             raise ValueError(f"`specification`: expected a Specification, got {shown(specification)}")
         # Expand families first: the labelling, the groups and the automaton all speak of single propositions.
         written_agents = _checked_agents(agents)
-        declared = checked_propositions(propositions)
+        declared = checked_propositions(propositions, [agent.name for agent in written_agents])
         expanded, families = expand(declared, [agent.name for agent in written_agents])
         steps = checked_horizon(horizon)
         regions = regions_of(written_agents, expanded, families, steps)

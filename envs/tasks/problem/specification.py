@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ...systems.arguments import shortened, shown
+from ...systems.arguments import names_arguments, shortened, shown
 from ..automata import SEMANTICS, Automaton, Formula, FormulaError, NormalForm, parse_formula
 
 
@@ -33,6 +33,7 @@ class Specification:
     semantics: str
     automaton: Automaton | None
 
+    @names_arguments()
     def __init__(
         self, formula: str | None = None, semantics: str | None = None, *, automaton: Automaton | None = None
     ) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from ..envs.suite import make_problem, problem_ids
 from ..envs.systems.arguments import write_json as save_json
 from ..envs.tasks.problem import Problem, load_problem, split_axes
+from ..synthesis.verbs.search_options import SearchOptions
 from .terminal import on_terminal
 
 SIZE = re.compile(r"([0-9]+(?:\.[0-9]*)?)([KMGkmg]?)(?:i?[Bb])?")
@@ -103,9 +104,9 @@ def _bytes(option: str, text: str) -> float:
 
 
 def relation_of(options: Namespace) -> dict[str, Any]:
-    """Return ``--relation``, and ``--delta`` and ``--targets`` if given, as keyword arguments of ``synthesize``.
+    """Return ``--relation`` and the options of the search, as keyword arguments of ``synthesize``.
 
-    The option holds one name for all agents, or ``AGENT=NAME`` for some of them.
+    The option ``--relation`` holds one name for all agents, or ``AGENT=NAME`` for some of them.
     """
     # Blanks and commas both separate words; an equals sign tells names by agent from one name for all.
     words = [word for text in options.relation for word in text.split(",") if word]
@@ -118,14 +119,14 @@ def relation_of(options: Namespace) -> dict[str, Any]:
                     f"`--relation`: expected one name, or AGENT=NAME once per agent, got {' '.join(words)!r}"
                 )
             relation[agent] = name
-    settings = {"delta": options.delta, "targets_per_cell": options.targets}
-    return {"relation": relation, **{name: value for name, value in settings.items() if value is not None}}
+    return {"relation": relation, "search": search_of(options)}
 
 
-def search_of(options: Namespace) -> dict[str, Any]:
-    """Return what options of the search ask for, as keyword arguments of ``synthesize``."""
-    asked = ("restarts", "stationary", "device", "above")
-    return {name: getattr(options, name) for name in asked}
+def search_of(options: Namespace) -> SearchOptions:
+    """Return what options of the search ask for; commands that have none of them get the defaults."""
+    names = {"restarts": "restarts", "stationary": "stationary", "device": "device"}
+    names |= {"delta": "delta", "targets_per_cell": "targets"}
+    return SearchOptions(**{name: getattr(options, given) for name, given in names.items() if hasattr(options, given)})
 
 
 def show(options: Namespace, text: Any, data: Any) -> None:

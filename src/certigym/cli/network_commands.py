@@ -15,6 +15,7 @@ from ..synthesis.verbs.certify import OF_NETWORKS
 from ..synthesis.verbs.certify import certify as certify_policy
 from ..synthesis.verbs.certify import improve as improve_policy
 from ..synthesis.verbs.raw_networks import WeakPlaces
+from ..synthesis.verbs.search_options import SearchOptions
 from ..validation.policies import compare as compare_policies
 from ..validation.presentation.figures import network_figure, save_figure
 from .given import cells_of, named_problem, show
@@ -50,14 +51,14 @@ def is_wrapping(options: Namespace) -> bool:
 def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
     """Certify networks as they are, and repaired; the status is 1 if check or rollouts refute a bound."""
     cells = cells_of(options)
-    settings: dict[str, Any] = {} if options.targets is None else {"targets_per_cell": options.targets}
+    search = SearchOptions(targets_per_cell=options.targets)
     policies: dict[str, Any] = {"deployed": policy}
-    found = certify_policy(problem, policy, cells, relation=options.relation[0], above=options.above, **settings)
+    found = certify_policy(problem, policy, cells, relation=options.relation[0], above=options.above, search=search)
     last = policies["certified"] = found
     places: WeakPlaces | None = None
     if options.repair is not None:
         last = policies["repaired"] = improve_policy(
-            problem, policy, cells, as_is=True, share=options.repair, **settings
+            problem, policy, cells, as_is=True, share=options.repair, search=search
         )
         facts: dict[str, Any] = last.stats
         places = facts["weak_places"]

@@ -173,9 +173,12 @@ def elsewhere(parser: argparse.ArgumentParser, command: str, unknown: Sequence[s
     names = [word.partition("=")[0] for word in unknown if word.startswith("--")]
     if not names:
         return ""
+    from ..envs.systems.arguments import OTHER_NAMES  # only where something is wrong: `--help` is quick
+
     commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     known = [name.lstrip("-") for name in commands.choices[command]._option_string_actions]
-    if close := get_close_matches(names[0].lstrip("-"), known, n=1, cutoff=0.75):
+    meant = [one for one in OTHER_NAMES.get(names[0].lstrip("-").replace("-", "_"), ()) if one in known]
+    if close := meant or get_close_matches(names[0].lstrip("-"), known, n=1, cutoff=0.75):
         return f"; did you mean `--{close[0]}`?"
     if command == "run" and names[0].lstrip("-").replace("-", "_") in USUAL:
         return "; `certigym synthesize` and `certigym validate` have all options, `run` has the ten that matter most"

@@ -29,7 +29,7 @@ from ..validation.statistical_tests import audit as audit_certificate
 from ..validation.statistical_tests import stress as stress_certificate
 from ..validation.statistical_tests import validate as validate_certificate
 from ..validation.statistical_tests import validate_field as field_of
-from .given import budget_of, cells_of, limit_of, problem_of, relation_of, say, search_of, show, state_of, write_json
+from .given import budget_of, cells_of, limit_of, problem_of, relation_of, say, show, state_of, write_json
 from .work import checked_again, trials
 
 NOTES = (("checker", "checker"), ("no deadline", "no_deadline"), ("note", "note"))
@@ -100,7 +100,7 @@ def _headline(report: ValidationReport) -> str:
 def print_horizons(options: Namespace, horizons: Sequence[int]) -> int:
     """Synthesize and validate at several horizons, and print each row when it is ready; Ctrl-C keeps finished rows."""
     problem = problem_of(options)
-    settings = {"cells": cells_of(options), **relation_of(options), **budget_of(options), **search_of(options)}
+    settings = {"cells": cells_of(options), **relation_of(options), **budget_of(options), "above": options.above}
     say(options, problem.name)
     reports: list[ValidationReport] = []
     interrupted = False

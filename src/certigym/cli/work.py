@@ -21,7 +21,7 @@ from ..synthesis.verbs.synthesize import synthesize
 from ..validation.policies import Training
 from ..validation.policies import train as train_baseline
 from ..validation.statistical_tests import TrialPlan, executor_for
-from .given import budget_of, cells_of, is_endless, problem_of, relation_of, search_of
+from .given import budget_of, cells_of, is_endless, problem_of, relation_of
 
 Part = TypeVar("Part")
 
@@ -38,7 +38,7 @@ def synthesized(options: Namespace) -> Synthesis:
             print(f"certigym: note: {why}", file=sys.stderr)
     with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
         report = shown_on(bar)
-        chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
+        chosen = {**relation_of(options), **budget_of(options), "above": options.above}
         if is_endless(options):
             chosen["horizon"] = None
         return synthesize(problem, cells, **chosen, progress=report)

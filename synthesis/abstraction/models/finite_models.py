@@ -1,7 +1,7 @@
 """Finite model of every agent: grid, relation, kernel, choices and labels of the cells.
 
-``abstract`` turns a problem into one ``AgentModel`` per agent. Agents with the same dynamics and the same grid share
-kernel and choices; those with the same labels, too, share the model object itself.
+``abstraction_of`` turns a problem into one ``AgentModel`` per agent. Agents with the same dynamics and the same grid
+share kernel and choices; those with the same labels, too, share the model object itself.
 
 Grid coordinates: the kernel is separable when the noise covariance is diagonal. An agent with a full covariance is
 gridded in coordinates ``x = L x_grid`` with ``Sigma = L D L'`` (L unit lower triangular), where the noise is diagonal;
@@ -13,18 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from difflib import get_close_matches
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ....envs.suite import as_problem
 from ....envs.systems.agents import AnyAgent, with_expressions
 from ....envs.systems.arguments import checked_count, counted, tree_text
-from ....envs.systems.backends import on_one_thread
 from ....envs.tasks.problem import Problem
 from ...certificates.value_functions import Residents
 from ...relations.grids import (
@@ -290,39 +286,6 @@ class Settings:
         return used
 
 
-@on_one_thread
-def abstract(
-    problem: Problem | str | Path, cells: CellCounts = None, *, relation: Relations = "auto", **settings: Any
-) -> Abstraction:
-    """Return finite models of the agents of ``problem``.
-
-    Parameters
-    ----------
-    problem : Problem, id or path
-    cells : int, sequence of int, or mapping from agent name to one of these, optional
-        Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
-    relation : str, or mapping from agent name to str
-        ``"exact"``: inputs reach every mean (B of full row rank, or expressions like it), delta = 0. ``"tube"``:
-        stabilisable agents, delta = 0. ``"ellipsoid"``: any agent for which an ellipsoid is found, delta >= 0 (needs
-        the extra ``lmi``). ``"paper"``: scalar agents, delta >= 0 in closed form. ``"linear"``: any agent, delta = 0,
-        losses of second order. ``"boxes"``: any agent, delta = 0, nothing but boxes around means is used. ``"quick"``:
-        for each agent ``exact`` where it applies and the inputs are strong enough for the cells, else ``tube``; agents
-        that a mapping leaves out get this, too. ``"auto"`` is the same here: only a synthesis can tell which relation
-        certifies most (see ``synthesize``).
-    **settings
-        Settings of the relations, see ``Settings``.
-
-    Raises
-    ------
-    ValueError
-        If the relation does not apply to an agent, or a number is out of range.
-    """
-    problem = as_problem(problem)
-    check_names("cells", cells, problem)
-    check_settings(settings)
-    return abstraction_of(problem, cells, relations_of(problem, relation), Settings(**settings))
-
-
 def abstraction_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], settings: Settings) -> Abstraction:
     """Return finite models under one kind of relation per agent; settings that no agent uses are refused."""
     refuse_shared_noise(problem)
@@ -466,13 +429,3 @@ def check_names(argument: str, value: object, problem: Problem) -> None:
         if name not in problem.agent_names:
             known = ", ".join(problem.agent_names[:8])
             raise ValueError(f"`{argument}`: expected names of agents among {known}, got {name!r}; correct the name")
-
-
-def check_settings(settings: Mapping[str, object]) -> None:
-    """Raise ValueError at a setting that ``abstract`` does not have, and name the nearest one that it has."""
-    known = ["relation", *(field.name for field in fields(Settings))]
-    for name in settings:
-        if name not in known:
-            close = get_close_matches(name, ["cells", *known, "max_sweeps", "limits", "progress"], n=1)
-            remedy = f"did you mean `{close[0]}`?" if close else f"settings are {', '.join(known)}"
-            raise ValueError(f"`{name}`: expected a setting of the relation, got an unknown one; {remedy}")

@@ -97,7 +97,7 @@ def safety_rate(certificate: Any) -> SafetyRate:
     ----------
     certificate : Synthesis, certificate or path
         Of one task, or of independent ones: a safety task (semantics "finite-trace",
-        satisfied as long as it has not failed), with stationary policies (``synthesize(..., stationary=True)``) and a
+        satisfied as long as it has not failed), with stationary policies (``SearchOptions(stationary=True)``) and a
         horizon of at least 4. A longer horizon gives a better v.
 
     Returns
@@ -155,7 +155,9 @@ def _refuse_other_kinds(certificate: OnGrid) -> None:
     if not is_safety(certificate.problem.automaton):
         raise ValueError("`certificate`: expected a safety task, which is satisfied until it fails, such as `G safe`")
     if not certificate.proof.stationary:
-        raise ValueError("`certificate`: expected stationary policies; synthesize them with `stationary=True`")
+        raise ValueError(
+            "`certificate`: expected stationary policies; synthesize them with `search=SearchOptions(stationary=True)`"
+        )
     if certificate.proof.terms is None:
         raise ValueError(
             "`certificate`: expected one with a value tree, got tensor trains, whose factors have both signs: the "

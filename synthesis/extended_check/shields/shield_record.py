@@ -237,7 +237,7 @@ def _check_certificate(certificate: OnGrid) -> None:
         raise ValueError(
             "`certificate`: expected one with a value tree, got tensor trains, whose factors have both signs: shields "
             "judge by least factors, which bound no such sum; grow a tree of the same policies, "
-            '`synthesize(problem, start=certificate, value="tree")`'
+            '`synthesize(problem, start=certificate, search=SearchOptions(value="tree"))`'
         )
     for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True):
         relation = part.relation_of(agent)

@@ -25,9 +25,11 @@ import numpy as np
 from ....envs.interfaces import AGENTS
 from ....envs.suite import make_problem
 from ....envs.systems.arguments import counted, write_bytes, write_text
-from ....synthesis.abstraction.models import abstract, join, start_of
+from ....synthesis.abstraction.models import join, start_of
 from ....synthesis.certificates.proofs import rounded_down
 from ....synthesis.policy_search.ascent import start_value
+from ....synthesis.verbs.abstract import abstract
+from ....synthesis.verbs.search_options import SearchOptions
 from ....synthesis.verbs.synthesize import synthesize
 from ...statistical_tests import clopper_pearson, rollout
 from .heuristics import paper_steps
@@ -75,7 +77,7 @@ def _fig3_bounds(t: int, cells: int) -> PieceResult:
     """Return what is certified at one horizon: every kind of bound for the policies that are best in it."""
     problem = make_problem("reach-avoid-v0", horizon=t)
     exact = synthesize(problem, cells, relation="exact").certificate
-    paper: Any = synthesize(problem, cells, relation="paper", epsilon=0.1).stats["largest_bounds"]
+    paper: Any = synthesize(problem, cells, relation="paper", search=SearchOptions(epsilon=0.1)).stats["largest_bounds"]
     bounds = {
         "robust_tree_certified": paper["robust tree"],
         "a_posteriori": paper["a-posteriori"],
@@ -118,7 +120,7 @@ def fig4(horizon: int = 7) -> Reproduction:
 def _fig4_columns(setting: str, n: int, horizon: int) -> PieceResult:
     """Return both columns of one setting, for horizons 1, 2, ..."""
     problem = make_problem("invariance-v0", n_agents=n, setting=setting, horizon=horizon)
-    joint = join(problem, abstract(problem, 100, relation="paper", epsilon=0.1))
+    joint = join(problem, abstract(problem, 100, relation="paper", search=SearchOptions(epsilon=0.1)))
     q = int(np.flatnonzero(~joint.absorbing)[0])
     starts = np.array([[cell] * n for cell in FIGURE_4_CELLS])
     # The paper's method gives all horizons in one pass, the exact relation one certificate per horizon.
@@ -158,7 +160,7 @@ def _bytes(name: str, cells: int, published_joint: float, published_term: float)
     # A short horizon and one sweep are enough to count bytes.
     problem = make_problem(name)
     small = problem.replace(horizon=min(problem.horizon, 7))
-    certificate = synthesize(small, cells, max_sweeps=1).certificate
+    certificate = synthesize(small, cells, search=SearchOptions(max_sweeps=1)).certificate
     sizes = [agent.grid.n_cells for agent in certificate.proof.agents]
     measured = sum(factors.nbytes for factors in certificate.proof.tree.factors)
     terms = sum(len(index) for index in certificate.proof.tree.index)
@@ -190,7 +192,7 @@ def _paper_at_points(cells: int) -> PieceResult:
     """Return what the paper's method certifies from each point."""
     # It does not depend on the start, so one run serves all points.
     problem = make_problem("package-delivery-v0")
-    joint = join(problem, abstract(problem, cells, relation="paper", epsilon=0.1))
+    joint = join(problem, abstract(problem, cells, relation="paper", search=SearchOptions(epsilon=0.1)))
     *_, last = paper_steps(joint, "robust tree")
     starts = [start_of(problem.replace(initial_state=list(point)), joint) for point, _ in TABLE_2]
     bounds = [start_value(start, last.terms) for start in starts]

@@ -32,6 +32,7 @@ from ...statistical_tests import (
     TrialPlan,
     audit,
     bound_by_steps_left,
+    names_plan,
     paths,
     planned,
     slice_axes,
@@ -57,6 +58,7 @@ AFTER_INTERRUPT = 1000
 """Episodes of audit and map if Ctrl-C ended the validation: a short test that completes the page."""
 
 
+@names_plan
 def report(
     certificate: Any,
     path: str | Path,

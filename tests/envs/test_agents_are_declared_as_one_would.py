@@ -1,0 +1,106 @@
+"""Agents take spaces, noise and start as pairs and numbers, with at most 12 arguments, and the keys of files, too."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import certigym as cg
+
+ONE: dict[str, Any] = {"name": "a", "A": 0.9, "B": 0.5}
+TWO: dict[str, Any] = {"name": "a", "A": 0.9 * np.eye(2), "B": np.eye(2)}
+KEYS: dict[str, Any] = {
+    "state_low": [-2.0, -3.0],
+    "state_high": [2.0, 3.0],
+    "input_low": [-1, -1],
+    "input_high": [1, 1],
+}
+SPACES: dict[str, Any] = {"state_space": ([-2, -3], [2, 3]), "input_space": (-1, 1)}
+WRITTEN: dict[str, Any] = {
+    "name": "a",
+    "states": ["x", "y"],
+    "inputs": ["u", "v"],
+    "dynamics": ["0.9*x + u", "0.9*y + v"],
+}
+
+
+@pytest.mark.parametrize("kind", [cg.Agent, cg.LinearAgent])
+def test_signatures_have_at_most_twelve_arguments(kind: type) -> None:
+    parameters = inspect.signature(kind).parameters.values()
+    assert len([one for one in parameters if one.kind is not one.VAR_KEYWORD]) <= 12
+    assert all(one.name in (kind.__doc__ or "") for one in parameters)
+
+
+@pytest.mark.parametrize(("make", "own"), [(cg.LinearAgent, TWO), (cg.Agent, WRITTEN)])
+def test_spaces_noise_and_start_say_what_keys_of_files_say(make: Any, own: dict[str, Any]) -> None:
+    plain = make(**own, **KEYS, noise_covariance=np.diag([0.0625, 0.0625]), initial_state=[0.5, 1.0])
+    assert make(**own, **SPACES, noise=0.25, start=[0.5, 1.0]).to_dict() == plain.to_dict()
+    assert make(**own, **SPACES, noise=[0.25, 0.25], start=(0.5, 1.0)).to_dict() == plain.to_dict()
+    assert make(**own, **SPACES, noise_std=0.25, start=np.array([0.5, 1.0])).to_dict() == plain.to_dict()
+    assert make(**own, **SPACES, noise=[[0.0625, 0.0], [0.0, 0.0625]], start=[0.5, 1.0]).to_dict() == plain.to_dict()
+    assert make(**own, **SPACES, noise={"std": 0.25}, start=[0.5, 1.0]).to_dict() == plain.to_dict()
+    box = make(**own, **KEYS, noise_std=0.25, initial_low=[0, 0], initial_high=[1, 2])
+    assert make(**own, **SPACES, noise=0.25, start=([0, 0], [1, 2])).to_dict() == box.to_dict()
+    assert make(**own, **SPACES, noise=0.25, start=np.array([[0, 0], [1, 2]])).to_dict() == box.to_dict()
+    law = {"law": "laplace", "scale": 0.1}
+    laws = make(**own, **KEYS, noise=[law, law])
+    assert make(**own, **SPACES, noise=law).to_dict() == laws.to_dict()
+    turned = [[0.8, 0.6], [-0.6, 0.8]]
+    assert (
+        make(**own, **SPACES, noise={"laws": [law, law], "axes": turned}).to_dict()
+        == make(**own, **KEYS, noise=[law, law], noise_axes=turned).to_dict()
+    )
+
+
+def test_spaces_of_gymnasium_and_numbers_for_one_axis() -> None:
+    space = gym.spaces.Box(np.array([-2.0, -3.0]), np.array([2.0, 3.0]), dtype=np.float64)
+    agent = cg.LinearAgent(**TWO, state_space=space, input_space=(-1, 1), noise=0.1)
+    assert agent.state_low.tolist() == [-2.0, -3.0] and agent.input_high.tolist() == [1.0, 1.0]
+    one = cg.LinearAgent(**ONE, noise=0.1, state_space=(-1, 1), input_space=(-1, 1), start=(-0.5, 0.5))
+    assert (one.initial.low, one.initial.high) == (-0.5, 0.5), "two numbers are corners for an agent of one state"
+    assert cg.LinearAgent(**ONE, noise=0.1, state_space=(-1, 1), input_space=(-1, 1), start=0.25).initial.is_point
+
+
+def test_scaled_noise_is_a_mapping() -> None:
+    scale = ["0.1 + 0.05*abs(x)", "0.1"]
+    agent = cg.Agent(**WRITTEN, **SPACES, noise={"std": 1.0, "scale": scale})
+    law = {"law": "gaussian", "std": 1.0}
+    assert agent.to_dict() == cg.Agent(**WRITTEN, **KEYS, noise=[law, law], noise_scale=scale).to_dict()
+
+
+def test_copies_take_them_too() -> None:
+    agent = cg.LinearAgent(**TWO, **SPACES, noise=0.1, start=([0, 0], [1, 1]))
+    assert agent.replace(start=[0, 1]).initial.is_point
+    moved = agent.replace(state_space=(-5, 5), noise=[0.3, 0.4])
+    assert moved.state_high.tolist() == [5.0, 5.0] and np.diag(moved.noise_covariance) == pytest.approx([0.09, 0.16])
+    assert np.diag(agent.replace(noise_std=0.5).noise_covariance).tolist() == [0.25, 0.25]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"state_lo": -1}, "`state_lo`: expected an argument of `LinearAgent`.*did you mean `state_low`"),
+        ({"state_spaces": (-1, 1)}, "did you mean `state_space`"),
+        ({"noise_sd": 0.1}, "did you mean `noise_std`"),
+        ({"noise_scale": ["1", "1"]}, "`noise_scale`: expected an argument of `LinearAgent`"),
+        ({"state_low": [-1, -1]}, "`state_space`: expected none beside `state_low`"),
+        ({"state_space": (1, 2, 3)}, r"`state_space`: expected a pair \(low, high\)"),
+        ({"start": [0, 0], "initial_state": [0, 0]}, "`start`: expected none beside `initial_state`"),
+        ({"start": [0, 0, 0]}, "`initial_state`: expected"),
+        ({"noise": 0.1, "noise_std": 0.1}, "`noise`: expected none beside `noise_std`"),
+        ({"noise": [0.1, 0.1, 0.1]}, "`noise_std`: expected numbers >= 0, one for each state"),
+        ({"noise": -0.1}, "`noise_std`: expected numbers >= 0"),
+        ({"noise": {"sdt": 0.1}}, "`sdt`: expected an argument of `noise`.*did you mean `std`"),
+        ({"noise": None}, "`noise`: expected `noise`, `noise_covariance` or `noise_std`, got none"),
+        ({"state_space": None}, "`state_low` is missing"),
+        ({"input_space": None}, "`input_low` is missing"),
+    ],
+)
+def test_mistakes_are_named(changes: dict[str, Any], message: str) -> None:
+    usual = {**TWO, **SPACES, "noise": 0.1, **changes}
+    with pytest.raises(ValueError, match=message):
+        cg.LinearAgent(**usual)
