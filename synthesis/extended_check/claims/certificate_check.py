@@ -43,6 +43,7 @@ from ...certificates.proofs import (
     ProductProof,
     TimedProof,
     UnionBoundProof,
+    alarm_of,
     alike_members,
     certificate_from,
     delta_of,
@@ -158,7 +159,7 @@ def _check_timed(certificate: Certificate, problem: Problem) -> CheckReport:
 def _check_path(certificate: AlongPath, problem: Problem) -> CheckReport:
     """Verify a certificate along a path: the checker proves it, from what its file holds."""
     failures: list[str] = []
-    failure = 1.0
+    failure, told = 1.0, ""
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
     if not failures:
@@ -167,13 +168,13 @@ def _check_path(certificate: AlongPath, problem: Problem) -> CheckReport:
         except NotCanonicalError as reason:
             failures.append(str(reason))
         else:
-            failure = verdict.recomputed
+            failure, told = verdict.recomputed, alarm_of(certificate, verdict)
             failures += [verdict.reason] if not verdict.proved else []
     if not failures and not failure <= certificate.proof.failure:
         claimed = f"it says that it fails with probability {certificate.proof.failure:.6g} at most"
         failures.append(f"{claimed}, but what was recomputed is {failure:.6g}")
     recomputed = float("nan") if failures else bound_of(failure)
-    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
+    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), alarm=told)
 
 
 def _check_one(certificate: OnGrid, problem: Problem) -> CheckReport:
