@@ -662,7 +662,7 @@ MUTANTS = [
     ),
     *_in(
         "fields",
-        ("if key not in keys and key not in optional:", "if False:"),
+        ("if unknown := [key for key in found if key not in (*keys, *optional)]:", "if False:"),
         ("if type(self.value) is not int or not least <= self.value < below:", "if not least <= self.value < below:"),
         (
             "if type(self.value) not in (int, float) or not abs(self.value) <= LARGEST:",
