@@ -277,6 +277,13 @@ def test_an_initial_state_that_accepts_is_asked_for_the_formula() -> None:
         assert wrong_automaton(wrong, parse(text)), text
 
 
+def test_a_co_safe_run_that_has_accepted_stays_where_it_is() -> None:
+    """Whatever the automaton would do then; on finite traces it goes on."""
+    for semantics, after in ((CO_SAFE, {0}), (FINITE_TRACE, {1})):
+        once = Automaton(NAMES, semantics, 0, (True, False), (-2, -2), (), (), ())
+        assert followed(once, {0}, {}) == after and followed(once, {1}, {}) == {1}
+
+
 @pytest.mark.parametrize("made", [two_carts, two_tanks, one_crane])
 def test_every_sabotage_of_an_automaton_of_a_file_is_refused_or_harmless(made: Any) -> None:
     """One entry changed, another initial or accepting state: what passes accepts no wrong word of three letters."""
