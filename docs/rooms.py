@@ -19,7 +19,7 @@ ORDER = {
     "synthesis": {
         "checker": "",
         "relations": "grids kinds",
-        "certificates": "value_functions cell_probabilities controllers proofs",
+        "certificates": "value_functions cell_probabilities controllers beliefs proofs",
         "abstraction": "kernels models",
         "extended_check": "steps claims shields",
         "interop": "",

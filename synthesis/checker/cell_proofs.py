@@ -70,8 +70,8 @@ class CellProof:
         return () if isinstance(self.tree, Tree) else ("trains",)
 
 
-def failure_of(problem: Problem, proof: CellProof) -> tuple[float, str]:
-    """Return an upper bound on the probability that the task fails, with no more words; ``Refused`` if none follows."""
+def failure_of(problem: Problem, proof: CellProof) -> tuple[float, str, list[Any]]:
+    """Return an upper bound on the probability that the task fails, and no more; ``Refused`` if none follows."""
     if problem.pairs:
         raise Refused("the task is about pairs of agents, and cells know single agents")
     if any(np.any(agent.shared_noise) for agent in problem.agents):
@@ -89,7 +89,7 @@ def failure_of(problem: Problem, proof: CellProof) -> tuple[float, str]:
     cells = [own.cells(agent, problem, kernels) for own, agent in zip(proof.cells, problem.agents, strict=True)]
     team, tree = Team(problem.automaton, problem.horizon, cells, proof.guards, start), proof.tree
     value = value_at_start(team, tree) if isinstance(tree, Tree) else by_trains(team, tree)
-    return min(1.0, float(np.nextafter(1.0 - value, 2.0))), ""
+    return min(1.0, float(np.nextafter(1.0 - value, 2.0))), "", []
 
 
 # Reading.

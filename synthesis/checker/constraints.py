@@ -81,11 +81,13 @@ class Constraints:
         each = [_failure_of(rows[:, here], kinds[here]) for here in members]
         return min(1.0, (_union(np.array(each)) + self.lost) * ROUNDED)
 
-    def likeliest(self) -> str:
-        """Return which constraint fails most probably, in words."""
+    def nearest(self) -> dict[int, tuple[float, str]]:
+        """Return, by times, how many deviations the nearest end of a constraint is away (from below), and of which."""
         low, high, width, variance, _ = np.concatenate(self.rows, axis=1)
-        each = tails(np.minimum(np.minimum(low, high), width), variance)
-        return self.labels[int(np.argmax(each))]
+        away, found = _in_deviations(np.minimum(np.minimum(low, high), width), variance), dict[int, tuple[float, str]]()
+        for k in np.argsort(away, kind="stable"):
+            found.setdefault(int(self.labels[k].rpartition(" ")[2]), (float(away[k]), self.labels[k]))
+        return found
 
 
 def _components(sources: Truth) -> Whole:

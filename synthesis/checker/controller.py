@@ -22,8 +22,7 @@ from .steps import Trajectory
 
 def along_trajectory(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
     """Return inputs (m,) of an agent at a time t < S, from its state (d,)."""
-    u = own.inputs[t] + own.gains[t] @ _error(agent, own, t, x)
-    return np.clip(u, agent.input_box[0], agent.input_box[1])
+    return np.clip(own.inputs[t] + own.gains[t] @ _error(agent, own, t, x), *agent.input_box)
 
 
 def rounding(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
@@ -53,5 +52,4 @@ def on_cells(agent: Agent, own: AgentCells, t: int, q: int, x: Array) -> Array |
     A, _, b = affine_dynamics(agent)
     if own.inverse is None:
         raise Refused(f"`{agent.name}` chooses a target, and no matrix says by which inputs")
-    u = own.inverse @ (z - A @ x - b)
-    return np.clip(u, agent.input_box[0], agent.input_box[1])
+    return np.clip(own.inverse @ (z - A @ x - b), *agent.input_box)

@@ -107,5 +107,4 @@ def _largest(layer: Layer) -> Array:
 def _joined(layers: list[Layer]) -> Layer:
     """Return layers of one number each as one of several."""
     h, C, size = (np.concatenate([getattr(own, key) for own in layers]) for key in ("h", "C", "size"))
-    rest = np.concatenate([own.rest() for own in layers], axis=1)
-    return Layer(h, C, ((None, rest),), size, layers[0].far)
+    return Layer(h, C, ((None, np.concatenate([own.rest() for own in layers], axis=1)),), size, layers[0].far)

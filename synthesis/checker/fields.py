@@ -57,12 +57,10 @@ class Entry(NamedTuple):
     def table(self, keys: Collection[str], optional: Collection[str] = ()) -> dict[str, Entry]:
         """Return the entries of a table that has all keys, and no other than these and the optional ones."""
         found = self.entries_by_name()
-        for key in keys:
-            if key not in found:
-                raise self.wrong(f"`{key}` is missing")
-        for key in found:
-            if key not in keys and key not in optional:
-                raise self.wrong(f"{key[:40]!r} is no key of this format")
+        if missing := [key for key in keys if key not in found]:
+            raise self.wrong(f"`{missing[0]}` is missing")
+        if unknown := [key for key in found if key not in (*keys, *optional)]:
+            raise self.wrong(f"{unknown[0][:40]!r} is no key of this format")
         return found
 
     def entries_by_name(self) -> dict[str, Entry]:

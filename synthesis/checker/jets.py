@@ -231,8 +231,7 @@ def _quadratic(bend: Array, box: Array) -> Array:
 
 def value_on(tree: Tree, names: Mapping[str, Array]) -> Array:
     """Return intervals (2, n) around a tree where its names lie between ends (2, n): values alone."""
-    leaves = {name: Jet.variable(ends, np.zeros((0, ends.shape[1]))) for name, ends in names.items()}
-    return jet(tree, leaves, {}).value
+    return jet(tree, {name: Jet.variable(own, np.zeros((0, own.shape[1]))) for name, own in names.items()}, {}).value
 
 
 def expanded(

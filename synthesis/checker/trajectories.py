@@ -95,15 +95,15 @@ def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Tra
     return Trajectory(inputs, gains, states, widths, noise_widths, network, radius)
 
 
-def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, str]:
-    """Return an upper bound on the probability that the task fails, and what fails most probably, in words.
+def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, str, list[Any]]:
+    """Return an upper bound on the probability that the task fails, what fails most probably, and steps.
 
     ``Refused`` if words that agree with the letters are not accepted, or nothing is known beyond a step.
     """
     # What is asked of the problem and of words, before anything moves.
     check_angles(problem)
     check_words(problem, proof.letters, proof.faces)
-    joint, before = Joint.of(problem, proof.trajectories, proof.letters), None
+    joint, before, spreads = Joint.of(problem, proof.trajectories, proof.letters), None, list[Array]()
     for tube in walk(joint):
         # The start has no noise, and its letter was read from its box: nothing is asked at time 0.
         if before is not None:
@@ -113,7 +113,10 @@ def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, str]:
             _ask_states(joint, tube, asked)
             _ask_jumps(joint, before, tube, jumps(problem, proof.letters, proof.faces, tube.t))
         before = tube
-    return joint.constraints.failure(), f"; most probable: {joint.constraints.likeliest()}"
+        spreads.append(np.sqrt(tube.forms.variance))
+    nearest = joint.constraints.nearest()
+    steps = [(*nearest.get(t, (np.inf, "nothing")), spread) for t, spread in enumerate(spreads)]
+    return joint.constraints.failure(), f"; most probable: {min(nearest.values())[1]}", steps
 
 
 def walk(joint: Joint) -> Iterator[Tube]:

@@ -7,7 +7,7 @@ by the module of its kind. A claim is proved if the bound that is recomputed is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,9 @@ from .fields import Entry, Refused
 from .file import MOST_BYTES, Contents, read_file
 from .formula import wrong_automaton
 from .problem import read_problem
-from .rigorous import wrong_arithmetic
+from .rigorous import Array, wrong_arithmetic
 
-KINDS: dict[str, tuple[tuple[str, ...], Callable[..., Any], Callable[..., tuple[float, str]]]] = {
+KINDS: dict[str, tuple[tuple[str, ...], Callable[..., Any], Callable[..., tuple[float, str, Any]]]] = {
     "trajectory": (("trajectories", "letters", "constraints"), trajectories.read_proof, trajectories.failure_of),
     "cells": (("cells", "motions", "tables", "tree"), cell_proofs.read_proof, cell_proofs.failure_of),
 }
@@ -34,7 +34,8 @@ class Verdict:
 
     ``claimed`` is the upper bound on the probability that the task fails, as the file claims it, ``recomputed`` the one
     that was proved here (1 if none was), by ``modules`` of the checker. The ``reason`` says why the claim is refused,
-    or in which sense it is proved.
+    or in which sense it is proved. Along a trajectory ``steps`` says at each time how many deviations the nearest end
+    of a constraint is away, which, and deviations (D,) of errors, to compare with a search's; nothing rests on them.
     """
 
     proved: bool
@@ -42,6 +43,7 @@ class Verdict:
     recomputed: float
     modules: tuple[str, ...]
     reason: str
+    steps: Sequence[tuple[float, str, Array]] = ()
 
     def __bool__(self) -> bool:
         return self.proved
@@ -83,16 +85,15 @@ def check_contents(contents: Contents) -> Verdict:
             modules += proof.more
             if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
                 raise Refused(f"the automaton is not that of the formula: {wrong}")
-            failure, worst = failure_of(problem, proof)
-    except Refused as refused:
-        return Verdict(False, claimed, 1.0, modules, str(refused))
-    except RecursionError:  # trees are followed by functions that call themselves
-        return Verdict(False, claimed, 1.0, modules, "a formula or an expression is nested too deeply to be proved")
+            failure, worst, steps = failure_of(problem, proof)
+    except (Refused, RecursionError) as error:  # trees are followed by functions that call themselves
+        deep = "a formula or an expression is nested too deeply to be proved"
+        return Verdict(False, claimed, 1.0, modules, str(error) if isinstance(error, Refused) else deep)
     if not failure <= claimed:  # nan proves nothing
         reason = f"a failure of at most {failure:.5g} follows, not {claimed:.5g}{worst}"
-        return Verdict(False, claimed, failure, modules, reason)
+        return Verdict(False, claimed, failure, modules, reason, steps)
     given = "" if problem.formula is not None else "; the task is the automaton in the file, which has no formula"
-    return Verdict(True, claimed, failure, modules, given)
+    return Verdict(True, claimed, failure, modules, given, steps)
 
 
 def bound_of(failure: float) -> float:

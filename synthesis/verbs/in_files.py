@@ -8,16 +8,17 @@ from typing import Any
 from ...envs.suite import as_problem
 from ...envs.systems.arguments import names_arguments
 from ...envs.tasks.problem import load_problem
+from ..certificates.beliefs import alarm_in
 from ..certificates.proofs import (
     MAX_BYTES,
     Certificate,
     CheckReport,
     Synthesis,
-    check_file,
     load_certificate,
+    require_about,
     save_certificate,
 )
-from ..checker import bound_of, is_certificate
+from ..checker import bound_of, check_contents, is_certificate, read_file
 from ..extended_check.claims import check as check_certificate
 from ..interop import is_written_policy, save_policy
 
@@ -104,7 +105,10 @@ def check(claim: Any, problem: Any = None) -> CheckReport:
         If it is none of these.
     """
     if isinstance(claim, str | Path) and Path(claim).is_file() and is_certificate(claim):
-        verdict = check_file(claim, None if problem is None else as_problem(problem))
+        contents = read_file(claim)
+        require_about(contents, None if problem is None else as_problem(problem))
+        verdict = check_contents(contents)
         numbers = bound_of(verdict.claimed), bound_of(verdict.recomputed)
-        return CheckReport(verdict.proved, *numbers, () if verdict.proved else (verdict.reason,))
+        failures = () if verdict.proved else (verdict.reason,)
+        return CheckReport(verdict.proved, *numbers, failures, alarm=alarm_in(contents, verdict))
     return check_certificate(claim, problem)

@@ -268,9 +268,20 @@ def test_an_initial_state_that_accepts_is_asked_for_the_formula() -> None:
     assert wrong_automaton(at_once, parse("a | !a")) == ""
     for text in ("!a U b", "a U b", "F a", "a", "X true & a", "true U a"):
         assert wrong_automaton(at_once, parse(text)), text
+    # also where no state accepts after the first letter: the run is satisfied by then
+    once = Automaton(NAMES, CO_SAFE, 0, (True, False), (-2, -2), (), (), ())
+    for text in ("!a U b", "F a", "a & !a"):
+        assert "accepts before any letter" in wrong_automaton(once, parse(text)), text
     for text in ("G (a -> b)", "!a U b", "X a"):
         wrong = Automaton(NAMES, FINITE_TRACE, 0, (True,), (-1,), (), (), ())
         assert wrong_automaton(wrong, parse(text)), text
+
+
+def test_a_co_safe_run_that_has_accepted_stays_where_it_is() -> None:
+    """Whatever the automaton would do then; on finite traces it goes on."""
+    for semantics, after in ((CO_SAFE, {0}), (FINITE_TRACE, {1})):
+        once = Automaton(NAMES, semantics, 0, (True, False), (-2, -2), (), (), ())
+        assert followed(once, {0}, {}) == after and followed(once, {1}, {}) == {1}
 
 
 @pytest.mark.parametrize("made", [two_carts, two_tanks, one_crane])

@@ -162,6 +162,22 @@ def test_cells_are_unreadable_with(what: str) -> None:
         verdict_of(two_tanks, NONSENSE[what])
 
 
+TWICE: dict[str, Change] = {
+    "agents": lambda header, arrays: agent(header, 1).update(name="left"),
+    "states": with_agent(0, states=["x", "x"], dynamics=["x + u", "x"]),
+    "a state and an input": with_agent(0, inputs=["x"]),
+    "a state and a disturbance": with_agent(0, disturbances={"x": [0.0, 0.0]}),
+    "regions": lambda header, arrays: header["problem"]["regions"][1].update(name="goal_0"),
+    "a region and a pair": lambda header, arrays: header["problem"]["pairs"][0].update(name="rock"),
+}
+
+
+@pytest.mark.parametrize("what", TWICE)
+def test_a_name_stands_for_one_thing(what: str) -> None:
+    with pytest.raises(Unreadable, match="a name stands there twice"):
+        verdict_of(two_carts, TWICE[what])
+
+
 def test_agents_that_differ_in_one_number_share_no_kernel() -> None:
     """Two equal tanks; the second one gets more noise, other inputs, another matrix: only then its value is another."""
 

@@ -277,3 +277,12 @@ def test_tables_refuse_cells_without_noise_or_width() -> None:
     for edges, deviation in bad:
         with pytest.raises(Refused):
             tables.normal_table(np.array([0.0]), np.array(edges), deviation, False)
+
+
+def test_inverses_are_proved_on_both_sides() -> None:
+    """A guess that is off proves one side alone; the other one is not known."""
+    x = np.array([0.1, 1.0, 7.0])
+    for off, known in ((-1e-3, (True, False)), (0.0, (True, True)), (1e-3, (False, True))):
+        ends = rigorous._proved_inverse(np.log(x) + off, rigorous.exp, x, np.full(3, 1e-9))
+        assert tuple(bool(np.all(np.isfinite(end))) for end in ends) == known
+        assert all(np.all(np.isnan(end)) for end, is_known in zip(ends, known, strict=True) if not is_known)

@@ -260,10 +260,23 @@ def test_forms_with_a_source_of_another_kind_are_of_that_kind() -> None:
 def test_noise_that_is_given_up_is_added() -> None:
     constraints = Constraints(np.array([NORMAL]))
     far = np.array([9.0])
-    constraints.add(far, far, far, forms_of([[True]], [1.0]), ["only"])
+    constraints.add(far, far, far, forms_of([[True]], [1.0]), ["`goal` at time 3"])
     constraints.lost = 0.25
     assert 0.25 <= constraints.failure() < 0.2501
-    assert constraints.likeliest() == "only"
+
+
+def test_the_nearest_end_of_each_time_is_told() -> None:
+    constraints, forms = Constraints(np.array([NORMAL])), forms_of([[True]] * 3, [4.0, 1.0, 0.0])
+    far = np.full(3, np.inf)
+    labels = ["`goal` at time 3", "input `u` of `a` at time 3", "state 0 at time 2"]
+    constraints.add([3.0, 2.0, 1.0], [9.0, 5.0, 1.0], far, forms, labels)
+    constraints.add(far, far, [1.0, 9.0, 9.0], forms, ["state 0 at time 4", "state 1 at time 4", "state 0 at time 5"])
+    found = constraints.nearest()
+    assert {t: label for t, (_, label) in found.items()} == {
+        3: labels[0], 2: labels[2], 4: "state 0 at time 4", 5: "state 0 at time 5"
+    }  # fmt: skip
+    assert 1.5 * (1 - 1e-12) < found[3][0] <= 1.5 and 0.5 * (1 - 1e-12) < found[4][0] <= 0.5
+    assert found[2][0] == found[5][0] == np.inf
 
 
 def test_many_constraints_do_not_lose_what_their_sum_is_rounded_by() -> None:

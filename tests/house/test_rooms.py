@@ -43,8 +43,9 @@ MAY_IMPORT = {
     "synthesis.certificates.value_functions": "envs.systems.backends",
     "synthesis.certificates.cell_probabilities": f"{ENVS} synthesis.relations synthesis.certificates.value_functions",
     "synthesis.certificates.controllers": f"{ENVS} synthesis.relations",
+    "synthesis.certificates.beliefs": "synthesis.checker",
     "synthesis.certificates.proofs": f"{ENVS} synthesis.checker synthesis.relations "
-    "synthesis.certificates.value_functions synthesis.certificates.cell_probabilities "
+    "synthesis.certificates.beliefs synthesis.certificates.value_functions synthesis.certificates.cell_probabilities "
     "synthesis.certificates.controllers",
     "synthesis.abstraction.kernels": f"{ENVS} synthesis.relations synthesis.certificates.value_functions",
     "synthesis.abstraction.models": f"{ENVS} synthesis.relations synthesis.certificates.value_functions "

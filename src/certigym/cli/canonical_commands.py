@@ -10,7 +10,8 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from ..synthesis.checker import MOST_BYTES, Verdict, check_contents, is_certificate, read_file, shown
+from ..synthesis.certificates.beliefs import alarm_in
+from ..synthesis.checker import MOST_BYTES, check_contents, is_certificate, read_file, shown
 from .terminal import on_terminal
 
 
@@ -21,7 +22,14 @@ def check(options: Namespace) -> int:
         from .synthesis_commands import check as check_of_0_3
 
         return check_of_0_3(options)
-    verdict = _verdict(options)
+    contents = read_file(path, _most_bytes(options))
+    if options.problem is not None:  # the rest of the package is loaded only where a problem has to be compared
+        from ..synthesis.certificates.proofs.canonical import require_about
+        from .given import named_problem
+
+        require_about(contents, named_problem(options.problem, options.horizon))
+    verdict = check_contents(contents)
+    told = alarm_in(contents, verdict)
     outcome = {
         "valid": verdict.proved,
         "lower_bound": verdict.lower_bound,
@@ -29,8 +37,9 @@ def check(options: Namespace) -> int:
         "proved_failure": verdict.recomputed,
         "modules": list(verdict.modules),
         "reason": verdict.reason,
+        "alarm": told,
     }
-    _show(options, f"{Path(path).name}: {verdict}", outcome)
+    _show(options, f"{Path(path).name}: {verdict}" + (f"\n{told}" if told else ""), outcome)
     return 0 if verdict else 1
 
 
@@ -41,16 +50,6 @@ def _most_bytes(options: Namespace) -> int:
     from .given import limit_of
 
     return limit_of(options)
-
-
-def _verdict(options: Namespace) -> Verdict:
-    """Return the verdict; the rest of the package is loaded only where a problem has to be compared."""
-    if options.problem is None:
-        return check_contents(read_file(options.certificate, _most_bytes(options)))
-    from ..synthesis.certificates.proofs.canonical import check_file
-    from .given import named_problem
-
-    return check_file(options.certificate, named_problem(options.problem, options.horizon), _most_bytes(options))
 
 
 def canonical(options: Namespace) -> int:
@@ -65,10 +64,18 @@ def canonical(options: Namespace) -> int:
         raise ValueError(f"`--out`: expected with a certificate file (.npz), got {options.source!r}; leave `--out` out")
     from ..envs.systems.arguments import write_bytes
     from ..synthesis.certificates.proofs import load_certificate
-    from ..synthesis.certificates.proofs.canonical import canonical_bytes
+    from ..synthesis.certificates.proofs.canonical import ClaimsMoreError, canonical_bytes
 
     certificate = load_certificate(source)
-    write_bytes(options.out, canonical_bytes(certificate))
+    try:
+        raw = canonical_bytes(certificate, options.claim)
+    except ClaimsMoreError as error:
+        more = {"claimed": error.claimed, "proved": error.proved, "certificate": None}
+        reason = f"REFUSED: P >= {error.claimed:.15g} is claimed, and the checker proves P >= {error.proved:.15g}"
+        text = f"{reason}; nothing was written. `--claim proved` writes what is proved"
+        _show(options, f"{certificate.problem.name}: {text}", {"problem": certificate.problem.name, **more})
+        return 1
+    write_bytes(options.out, raw)
     failure = read_file(options.out).header["claim"]["failure"]
     outcome = {"problem": certificate.problem.name, "failure": failure, "certificate": options.out}
     _show(options, f"{certificate.problem.name}: P >= {shown(failure)}\nsaved to {options.out}", outcome)

@@ -223,6 +223,12 @@ def _add_synthesis(commands: Any) -> None:
     )
     canonical.add_argument("source", metavar="ID|FILE|CERT", help="suite id, problem file or certificate")
     canonical.add_argument("--out", metavar="CERT", help="certificate file to write: that of CERT in canonical form")
+    canonical.add_argument(
+        "--claim",
+        choices=("same", "proved"),
+        default="same",
+        help="proved: where CERT claims more than the checker proves, claim that, and do not refuse it",
+    )
 
 
 def _add_validation(commands: Any) -> None:

@@ -5,12 +5,14 @@ What a claim rests on, one kind of proof a file, and certificates in files.
 
 from .archive import MAX_BYTES, check_sizes, packed
 from .canonical import (
+    ClaimsMoreError,
     NotCanonicalError,
+    alarm_of,
     canonical_bytes,
     canonical_problem,
-    check_file,
     checker_text,
     contents_of,
+    require_about,
     save_canonical,
     verdict_of,
     wrong_angles,
@@ -57,9 +59,11 @@ from .union_bound_proof import UnionBoundProof
 
 __all__ = [
     "NotCanonicalError",
+    "ClaimsMoreError",
+    "alarm_of",
     "canonical_bytes",
     "canonical_problem",
-    "check_file",
+    "require_about",
     "checker_text",
     "contents_of",
     "save_canonical",

@@ -25,7 +25,6 @@ from ....envs.tasks.automata import Formula, parse_formula
 from ....envs.tasks.problem import Problem
 from ...checker import (
     FORMAT,
-    MOST_BYTES,
     VERSION,
     CheckedAgent,
     Contents,
@@ -33,14 +32,15 @@ from ...checker import (
     Unreadable,
     Verdict,
     affine_dynamics,
+    bound_of,
     check_angles,
     check_contents,
-    read_file,
     read_problem,
     shown,
 )
 from ...relations.grids import FloatArray
 from ...relations.kinds import SymbolicPolicy
+from ..beliefs import alarm
 from ..cell_probabilities import AgentRecord
 from .certificate import Certificate
 from .grid_proof import GridProof
@@ -71,20 +71,52 @@ def canonical_problem(problem: Problem) -> dict[str, Any]:
     }
 
 
-def canonical_bytes(certificate: Certificate) -> bytes:
+class ClaimsMoreError(ValueError):
+    """A certificate claims more than the checker proves of it, by more than rounding; its numbers are lower bounds."""
+
+    def __init__(self, claimed: float, proved: float) -> None:
+        self.claimed, self.proved = claimed, proved
+        text = f"it claims P >= {claimed:.15g}, and the checker proves P >= {proved:.15g} of it"
+        super().__init__(f'`certificate`: {text}; claim what is proved (`claim="proved"`), or make it anew')
+
+
+def canonical_bytes(certificate: Certificate, claim: str = "same") -> bytes:
     """Return the file of a certificate in canonical form, with the bound that the checker proves of it.
+
+    What the search believed of it stands in the notes, on which nothing rests.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    claim : "same" or "proved"
+        Whether a certificate that claims more than the checker proves is refused, or claims what is proved.
 
     Raises
     ------
     NotCanonicalError
         If its problem or its proof has no canonical form yet.
+    ClaimsMoreError
+        If it claims more than the checker proves, and nobody said that it may claim less.
     ValueError
         If the checker refuses it.
     """
+    if claim not in ("same", "proved"):
+        raise ValueError(f"`claim`: expected same or proved, got {claim!r}")
     header, arrays, verdict = _judged(certificate)
     if not verdict.proved:
         raise ValueError(f"`certificate`: the checker refuses it: {verdict.reason}")
-    return archive({**header, "claim": {"failure": min(1.0, verdict.recomputed * CLAIMED)}}, arrays)
+    claimed = certificate.proof.failure if isinstance(certificate.proof, PathProof) else 1.0 - certificate.lower_bound
+    # what is no number claims more, too
+    if claim == "same" and not verdict.recomputed <= claimed * (1.0 + SLACK) + LEAST:
+        raise ClaimsMoreError(certificate.lower_bound, bound_of(verdict.recomputed))
+    believed = certificate.settings.get("believed")
+    notes = {} if believed is None else {"notes": {"believed": believed}}
+    return archive({**header, "claim": {"failure": min(1.0, verdict.recomputed * CLAIMED)}, **notes}, arrays)
+
+
+def alarm_of(certificate: Certificate, verdict: Verdict) -> str:
+    """Return how what the search believed of a certificate differs from what the checker recomputed, in words."""
+    return alarm(certificate.settings.get("believed"), verdict)
 
 
 def verdict_of(certificate: Certificate) -> Verdict:
@@ -131,7 +163,9 @@ def checker_text(certificate: Certificate) -> str:
         return f"extended check: the small checker does not read it yet ({reason})"
     if not verdict.proved:
         return f"extended check: the small checker proves nothing ({verdict.reason})"
-    return f"the small checker proves P >= {shown(verdict.recomputed)} by {', '.join(verdict.modules)}"
+    told = alarm_of(certificate, verdict)
+    more = f"; {told}" if told else ""
+    return f"the small checker proves P >= {shown(verdict.recomputed)} by {', '.join(verdict.modules)}{more}"
 
 
 def _judged(certificate: Certificate) -> tuple[dict[str, Any], list[np.ndarray], Verdict]:
@@ -177,26 +211,21 @@ def _contents(certificate: Certificate) -> tuple[dict[str, Any], list[np.ndarray
 CLAIMED = 1.0 + 1e-9
 """Factor on the failure that is claimed: other machines add in another order, and prove the same up to rounding."""
 
+SLACK, LEAST = 1e-6, 1e-12
+"""By how much what is proved may fail more often than what is claimed, relatively and besides: by rounding."""
 
-def check_file(path: str | Path, problem: Problem | None = None, most_bytes: int = MOST_BYTES) -> Verdict:
-    """Return the checker's verdict on a file in canonical form.
 
-    Raises
-    ------
-    ValueError
-        If it is none, or about another problem than the one that is given.
-    """
-    contents = read_file(path, most_bytes)
+def require_about(contents: Contents, problem: Problem | None) -> None:
+    """Raise ValueError if a file is about another problem than the one that is given."""
     if problem is not None:
         inside, asked = contents.header["problem"], json.loads(json.dumps(canonical_problem(problem)))
         if differing := [key for key in asked if asked[key] != inside.get(key)]:
             raise ValueError(f"`problem`: the certificate is about another one, with other {', '.join(differing)}")
-    return check_contents(contents)
 
 
-def save_canonical(certificate: Certificate, path: str | Path) -> None:
-    """Write the file of a certificate in canonical form."""
-    write_bytes(path, canonical_bytes(certificate))
+def save_canonical(certificate: Certificate, path: str | Path, claim: str = "same") -> None:
+    """Write the file of a certificate in canonical form (see ``canonical_bytes``)."""
+    write_bytes(path, canonical_bytes(certificate, claim))
 
 
 def archive(header: Mapping[str, Any], arrays: Sequence[np.ndarray]) -> bytes:

@@ -25,6 +25,8 @@ class CheckReport:
         certificate claims none, or if it was too large a computation (``gap`` is unverified then).
     assumed : tuple of str
         Laws of noise, of scipy or of users, whose probabilities are numbers that their authors state.
+    alarm : str
+        How what the search believed differs from what the checker recomputed, in words; empty if it does not.
     """
 
     valid: bool
@@ -33,16 +35,18 @@ class CheckReport:
     failures: tuple[str, ...]
     above: float | None = None
     assumed: tuple[str, ...] = ()
+    alarm: str = ""
 
     def __bool__(self) -> bool:
         return self.valid
 
     def __str__(self) -> str:
+        told = f"; {self.alarm}" if self.alarm else ""
         if self.valid:
             above = "" if self.above is None else f", at most {significant_up(self.above, 9)}"
             lower, again = (significant_down(number, 9) for number in (self.claimed, self.recomputed))
-            return f"valid: lower bound {lower}, recomputed {again}{above}{told_assumed(self.assumed)}"
-        return "NOT valid: " + "; ".join(self.failures)
+            return f"valid: lower bound {lower}, recomputed {again}{above}{told_assumed(self.assumed)}{told}"
+        return "NOT valid: " + "; ".join(self.failures) + told
 
 
 def told_assumed(laws: tuple[str, ...]) -> str:

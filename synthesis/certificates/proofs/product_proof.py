@@ -82,10 +82,11 @@ class ProductProof(Proof):
         return max(part.proof.rank for part in self.parts)
 
     def settings_of_parts(self) -> dict[str, Any]:
-        """Return the settings of the parts: each that occurs, and which parts have it."""
+        """Return the settings of the parts, but for what was believed of them: each that occurs, and which have it."""
         by_text: dict[str, dict[str, Any]] = {}
         for k, part in enumerate(self.parts):
-            by_text.setdefault(json.dumps(part.settings), {"settings": part.settings, "parts": []})["parts"].append(k)
+            own = {key: value for key, value in part.settings.items() if key != "believed"}
+            by_text.setdefault(json.dumps(own), {"settings": own, "parts": []})["parts"].append(k)
         return {"parts": list(by_text.values())}
 
     def agents_of(self, problem: Problem) -> tuple[AgentRecord, ...]:

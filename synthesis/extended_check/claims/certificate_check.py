@@ -43,6 +43,7 @@ from ...certificates.proofs import (
     ProductProof,
     TimedProof,
     UnionBoundProof,
+    alarm_of,
     alike_members,
     certificate_from,
     delta_of,
@@ -50,7 +51,7 @@ from ...certificates.proofs import (
     wrong_angles,
 )
 from ...certificates.value_functions import UNIT, Terms
-from ...checker import bound_of
+from ...checker import Verdict, bound_of
 from ...relations.grids import FloatArray, lattice_axes
 from ..steps import execution_of, label_margin, places_of, verify_relation, wrong_actions, wrong_common
 from .complement_task import other_controllers, wrong_complement
@@ -158,7 +159,7 @@ def _check_timed(certificate: Certificate, problem: Problem) -> CheckReport:
 def _check_path(certificate: AlongPath, problem: Problem) -> CheckReport:
     """Verify a certificate along a path: the checker proves it, from what its file holds."""
     failures: list[str] = []
-    failure = 1.0
+    failure, told = 1.0, ""
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
     if not failures:
@@ -167,19 +168,19 @@ def _check_path(certificate: AlongPath, problem: Problem) -> CheckReport:
         except NotCanonicalError as reason:
             failures.append(str(reason))
         else:
-            failure = verdict.recomputed
+            failure, told = verdict.recomputed, alarm_of(certificate, verdict)
             failures += [verdict.reason] if not verdict.proved else []
     if not failures and not failure <= certificate.proof.failure:
         claimed = f"it says that it fails with probability {certificate.proof.failure:.6g} at most"
         failures.append(f"{claimed}, but what was recomputed is {failure:.6g}")
     recomputed = float("nan") if failures else bound_of(failure)
-    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
+    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), alarm=told)
 
 
 def _check_one(certificate: OnGrid, problem: Problem) -> CheckReport:
     """Verify the certificate of one task."""
     failures: list[str] = []
-    recomputed, above = float("nan"), None
+    recomputed, above, told = float("nan"), None, ""
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
     for step in (_check_form, wrong_grids, wrong_networks):
@@ -197,9 +198,10 @@ def _check_one(certificate: OnGrid, problem: Problem) -> CheckReport:
             recomputed = _start_value(certificate, value, loss)
             state("sums", certificate, recomputed, loss)
             failures += _check_values(certificate, value, recomputed)
+            told = "" if failures else alarm_of(certificate, Verdict(True, 1.0, 1.0 - recomputed - loss, (), ""))
             if certificate.gap is not None and not failures:
                 above, failures = _check_above(certificate, certificate.gap, loss)
-    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), above)
+    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), above, alarm=told)
 
 
 def _check_product(product: Certificate[ProductProof], problem: Problem) -> CheckReport:
@@ -207,7 +209,7 @@ def _check_product(product: Certificate[ProductProof], problem: Problem) -> Chec
     if product.fingerprint != problem.fingerprint:
         failures = ["it was made for another problem (the fingerprints differ)"]
         return CheckReport(False, product.lower_bound, float("nan"), tuple(failures))
-    failures, recomputed, above = [], 1.0, 1.0
+    failures, recomputed, above, told = [], 1.0, 1.0, ""
     if [part.fingerprint for part in product.proof.parts] != [task.fingerprint for task in problem.tasks]:
         failures.append("its parts are not the independent tasks of its problem")
     for same in alike_members(product):
@@ -215,9 +217,10 @@ def _check_product(product: Certificate[ProductProof], problem: Problem) -> Chec
         recomputed *= report.recomputed ** len(same)
         above *= (np.nan if report.above is None else report.above) ** len(same)
         failures += [f"{part.problem.name}: {failure}" for failure in report.failures]
+        told = told or report.alarm
     known = not failures and product.gap is not None and above >= 0.0
     most = min(1.0, above * (1.0 + 4.0 * len(product.proof.parts) * UNIT)) if known else None
-    return CheckReport(not failures, product.lower_bound, recomputed, tuple(failures), most)
+    return CheckReport(not failures, product.lower_bound, recomputed, tuple(failures), most, alarm=told)
 
 
 def _check_form(certificate: OnGrid) -> list[str]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ....envs.tasks.problem import Problem
 from ...abstraction.models import Abstraction, JointModel, start_of
+from ...certificates.beliefs import believed_on_cells
 from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import Certificate, GridProof, OnGrid, Synthesis, delta_of
 from ...certificates.value_functions import Terms, start_above
@@ -115,6 +116,9 @@ def certificate_of(
         rank=grown.rank,
         rounding=grown.rounding if isinstance(grown, TrainSweep) else None,
     )
+    if abstraction.is_exact and isinstance(grown, Sweep) and bound.name == "nominal":
+        # elsewhere search and checker interpolate, and cut trains, with charges of their own
+        settings = {**settings, "believed": believed_on_cells(float(grown.value))}
     return Certificate(problem, proof, settings)
 
 

@@ -4,7 +4,7 @@ Chance constraints along a trajectory: constraint tightening by noise and linear
 """
 
 from .feedback_bounds import Feedback, NominalPath, Spreads, worth_of
-from .limit_rows import OUTWARD, Worth
+from .limit_rows import OUTWARD, Worth, least_by_times, nearest_by_times
 from .linearization_errors import LinearizationErrors
 from .noise_free_runs import most_missed, satisfies
 from .nonlinear_model import NonlinearModel
@@ -36,9 +36,11 @@ __all__ = [
     "farthest_sides",
     "input_strips",
     "key_of",
+    "least_by_times",
     "limits_along",
     "limits_of",
     "most_missed",
+    "nearest_by_times",
     "pair_limits",
     "pair_rows",
     "satisfies",

@@ -5,7 +5,7 @@ The mathematics is that of docs/theory/paths.md, "Agents of any dynamics", in pl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -121,6 +121,11 @@ class Worth:
         costs = self._soft[candidate]
         return self.names[int(np.argmax(costs))] if len(costs) else "nothing"
 
+    def nearest(self, candidate: int = 0) -> dict[int, float]:
+        """Return, by times, how many deviations the nearest limit or strip of a candidate is away."""
+        low, high, strip, variance, *_ = (part[candidate] for part in self._all)
+        return nearest_by_times([int(name.rpartition(" ")[2]) for name in self.names], low, high, strip, variance)
+
     @cached_property
     def _all(self) -> tuple[FloatArray, ...]:
         return tuple(np.concatenate(part, axis=1) for part in self._parts)
@@ -174,6 +179,23 @@ class Worth:
             each = [np.minimum(side, other).sum(axis=1) for side, other in zip(sides, others, strict=True)]
             best = np.where(self.stopped, np.add(*each), best)
         return np.minimum(1.0, best * OUTWARD)
+
+
+def nearest_by_times(
+    times: Sequence[int], low: FloatArray, high: FloatArray, strip: FloatArray, variance: FloatArray
+) -> dict[int, float]:
+    """Return how many deviations the nearest of some distances (J,) is away, by their times; infinite without noise."""
+    distance = np.minimum(np.minimum(low, high), strip)
+    away = np.where(variance > 0.0, _quotient(distance, variance), np.where(distance > 0.0, np.inf, -np.inf))
+    found = dict[int, float]()
+    for t, own in zip(times, away.tolist(), strict=True):
+        found[t] = min(own, found.get(t, np.inf))
+    return found
+
+
+def least_by_times(each: Sequence[Mapping[int, float]]) -> dict[int, float]:
+    """Return the least of what is known at each time."""
+    return {t: min(own.get(t, np.inf) for own in each) for t in sorted({t for own in each for t in own})}
 
 
 def _quotient(distance: FloatArray, variance: FloatArray) -> FloatArray:

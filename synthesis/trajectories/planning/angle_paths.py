@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,14 @@ def _rolled(problem: Problem, flat: Unrolled, found: AlongPath) -> AlongPath:
         crossed = found.proof.faces[:, columns][np.arange(len(own)), np.argmax(own, axis=1)]
         faces[:, p] = np.where(letters[:, p] == SOMETIME, crossed, sides)
     has_side = (letters < 0) | (letters == SOMETIME)
-    return changed(replace(found, problem=problem), letters=letters, faces=np.where(has_side, faces, -1))
+    found = replace(found, problem=problem, settings=_without_limits(found.settings))
+    return changed(found, letters=letters, faces=np.where(has_side, faces, -1))
+
+
+def _without_limits(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return settings without how near limits are: the search may have asked for another copy of a region."""
+    believed = {key: value for key, value in settings.get("believed", {}).items() if key != "nearest"}
+    return {**settings, **({"believed": believed} if believed else {})}
 
 
 def _sides(problem: Problem, flat: Unrolled, found: AlongPath, name: str, columns: list[int]) -> NDArray[np.int64]:

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent
 from ....envs.tasks.problem import Problem
+from ...certificates.beliefs import believed_along
 from ...certificates.proofs import Certificate, PathProof, Synthesis
 from ...relations.grids import FloatArray, NoRunFound, RelationRefused
-from ..chance_constraints import corners_along, most_missed, satisfies
+from ..chance_constraints import corners_along, least_by_times, most_missed, satisfies
 from ..words import HALVES, Plan, letters_of, with_windows
 from .counted_work import CountedWork
 from .coupled_trajectories import Ties
@@ -53,6 +54,9 @@ FAIR = 1e-3
 
 FEW_PAIRS = 15
 """Pairs up to which times of jumps are moved: plans of larger teams take seconds."""
+
+EXACT = 1e-9
+"""Linearization errors up to which there are none: the rest is rounding."""
 
 HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a nonlinear path counts as impossible."""
@@ -93,7 +97,8 @@ def refuse_other_noise(agent: AnyAgent) -> None:
 class Refined:
     """Times of jumps, letters, and the nominal paths of all agents, with an upper bound on the probability of failing.
 
-    ``normals`` are the directions of pairs of the certificate; None without pairs.
+    ``normals`` are the directions of pairs of the certificate, and ``together`` says how near limits are to the team;
+    None without pairs.
     """
 
     times: tuple[int, ...]
@@ -102,11 +107,27 @@ class Refined:
     failure: float
     weakest: str
     normals: FloatArray | None = None
+    together: Callable[[], dict[int, float]] | None = None
 
     @property
     def states(self) -> list[FloatArray]:
         """Nominal states (S + 1, d) of each agent."""
         return [one.nominal.states for one in self.found]
+
+    def nearest(self) -> dict[int, float]:
+        """Return, by times, how many deviations the nearest limit of the team is away, as the search has it."""
+        if self.together is not None:
+            return self.together()
+        return least_by_times([one.nominal.worth(one.feedback)[0].nearest() for one in self.found])
+
+    def believed(self) -> dict[str, Any]:
+        """Return what the search believed of it; how near limits are where nothing is linearized, and so charged."""
+        charges = [
+            part for one in self.found for each in (one.spreads.states, one.spreads.outputs) for part in each[1:]
+        ]
+        charged = max(float(np.max(np.abs(part), initial=0.0)) for part in charges)
+        spreads = np.concatenate([one.spreads.states[0] for one in self.found], axis=1)
+        return believed_along(self.failure, spreads, self.nearest() if charged <= EXACT else None)
 
 
 class _Apart:
@@ -354,7 +375,7 @@ class _Together:
 
 def _refined_team(times: tuple[int, ...], letters: NDArray[np.int8], team: TeamFound) -> Refined:
     """Return a plan of agents that were planned together."""
-    return Refined(times, letters, team.found, team.failure, team.weakest, team.rows.normals)
+    return Refined(times, letters, team.found, team.failure, team.weakest, team.rows.normals, team.nearest)
 
 
 def nonlinear_certificate(problem: Problem, sources: Sequence[PlansOf], work: CountedWork) -> Synthesis:
@@ -391,6 +412,9 @@ def nonlinear_certificate(problem: Problem, sources: Sequence[PlansOf], work: Co
     settings = {
         "relation": "path", "jumps": list(best.times), "candidates": tried, "weakest": best.weakest,
     }  # fmt: skip
+    if failure < 1.0 and not any(agent.others or agent.noise_scale for agent in problem.agents):
+        # What others do, and what varies, is enclosed here by ranges: deviations are other upper bounds then.
+        settings["believed"] = best.believed()
     paths = tuple(one.path for one in best.found)
     certificate = Certificate(problem, PathProof(paths, best.letters, faces, failure, best.normals), settings)
     seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}

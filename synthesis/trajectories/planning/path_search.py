@@ -16,6 +16,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ....envs.systems.agents import LinearAgent, with_matrices
 from ....envs.tasks.problem import Problem, crossed_starts
+from ...certificates.beliefs import believed_along
 from ...certificates.controllers import covariances_of, nominal_states
 from ...certificates.proofs import AgentPath, Certificate, PathProof, Synthesis
 from ...relations.grids import FloatArray, NoRunFound, RelationRefused
@@ -26,7 +27,9 @@ from ..chance_constraints import (
     failure_of,
     farthest_sides,
     input_strips,
+    least_by_times,
     limits_of,
+    nearest_by_times,
     state_strips,
     without_far_ends,
 )
@@ -140,7 +143,12 @@ def linear_certificate(problem: Problem, work: CountedWork) -> tuple[Synthesis, 
     if best is None or best[0] >= HOPELESS:
         return None
     failure, plan, (paths, letters, faces) = best
-    settings = {"relation": "path", "jumps": list(plan.times), "plans": finder.tried}
+    nearest = [finder.nearest(i, path, letters, faces) for i, path in enumerate(paths)]
+    each = zip(problem.agents, paths, strict=True)
+    covariances = [covariances_of(with_matrices(agent), path.gain, path.n_steps) for agent, path in each]
+    spreads = [np.sqrt(np.maximum(np.diagonal(own, axis1=1, axis2=2), 0.0)) for own in covariances]
+    believed = believed_along(failure, np.concatenate(spreads, axis=1), least_by_times(nearest))
+    settings = {"relation": "path", "jumps": list(plan.times), "plans": finder.tried, "believed": believed}
     certificate = Certificate(problem, PathProof(tuple(paths), letters, faces, failure), settings)
     seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
@@ -353,6 +361,22 @@ class _Finder:
         failure, path, chosen = self.known[key]
         faces[:, own] = chosen
         return failure, path
+
+    def nearest(self, i: int, path: AgentPath, letters: NDArray[np.int8], faces: NDArray[np.int64]) -> dict[int, float]:
+        """Return, by times, how many deviations the nearest limit of an agent is away along its path."""
+        agent, steps = with_matrices(self.problem.agents[i]), path.n_steps
+        covariances, x = covariances_of(agent, path.gain, steps), nominal_states(agent, path.inputs)
+        states = state_strips(limits_of(self.problem, i, letters, faces), covariances)
+        inputs = input_strips(agent, path.gain, covariances, steps)
+        at = np.einsum("jd,jd->j", states.rows, x[states.times]), path.inputs.ravel()
+        moved = inputs.deviations > 0.0
+        # times, distances to either limit and variances of states, and of inputs that a feedback moves
+        each = [
+            (own.times[some], (value - own.low)[some], (own.high - value)[some], own.deviations[some] ** 2)
+            for own, value, some in zip((states, inputs), at, (np.full(len(states.times), True), moved), strict=True)
+        ]
+        times, low, high, variance = (np.concatenate(parts) for parts in zip(*each, strict=True))
+        return nearest_by_times(times.tolist(), low, high, np.full(len(low), np.inf), variance)
 
     def gain(self, i: int, number: int) -> FloatArray | None:
         """Return a feedback of agent i, made when it is asked for."""

@@ -7,7 +7,7 @@ what the others add to the rows of pairs held as it is, and the plan is made ane
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -83,6 +83,7 @@ class TeamFound:
     faces: NDArray[np.int64]
     rows: PairRows
     weakest: str
+    nearest: Callable[[], dict[int, float]]
 
 
 class TeamSearch:
@@ -428,7 +429,7 @@ class TeamSearch:
         # Of nominal states outside of a workspace no certificate is made.
         inside = all(is_inside(one.nominal) for one in team)
         failure = float(total.failures()[0]) if inside else 1.0
-        return TeamFound(float(total.scores()[0]), failure, team, faces, rows, total.weakest())
+        return TeamFound(float(total.scores()[0]), failure, team, faces, rows, total.weakest(), total.nearest)
 
 
 def search_key(search: NonlinearSearch) -> object:
