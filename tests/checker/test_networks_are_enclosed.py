@@ -24,7 +24,8 @@ from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicP
 from certigym.synthesis.trajectories.planning import networks_along
 
 KINDS = [
-    (act, output, sees) for act in (*SMOOTH, "relu") for output in ("clip", "tanh", "box") for sees in ("scaled", "raw")
+    *((act, out, sees) for act in ("tanh", "relu") for out in ("clip", "tanh", "box") for sees in ("scaled", "raw")),
+    *((act, "clip", "scaled") for act in SMOOTH if act != "tanh"),
 ]
 
 
