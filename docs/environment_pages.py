@@ -505,8 +505,13 @@ def _ends(problem: cg.Problem) -> str:
 def _arguments(id: str) -> str:
     make, _ = made_by(id)
     rows = [(name, json.dumps(p.default), "of the problem") for name, p in signature(make).parameters.items()]
+    own = f"{_rows_of(rows)}\n\nBesides, all" if rows else "All"
+    return f"{own} [arguments of environments](README.md#arguments)."
+
+
+def _rows_of(rows: Sequence[tuple[str, str, str]]) -> str:
     lines = ["| argument | default | |", "|---|---|---|"]
-    return "\n".join([*lines, *(f"| `{name}` | {default} | {text} |" for name, default, text in [*rows, *OPTIONS])])
+    return "\n".join([*lines, *(f"| `{name}` | {default} | {text} |" for name, default, text in rows)])
 
 
 def _numbers(problem: cg.Problem, measured: dict[str, Any] | None) -> str:
@@ -584,6 +589,9 @@ def _index(measured: dict[str, Any]) -> str:
         *_cards([id for domain in DOMAINS for id in members(domain)], measured),
         "\n## Use\n",
         USE,
+        "## Arguments\n",
+        "Every environment takes these, and its page says which ones it has besides.\n",
+        f"{_rows_of(OPTIONS)}\n",
     ]
     lines += ["## Measured\n", MEASURED_WITH, *_measured_rows(measured)]
     return "\n".join(lines) + "\n\n*Written by `python docs/environment_pages.py`.*\n"
