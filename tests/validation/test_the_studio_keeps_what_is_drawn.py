@@ -446,7 +446,9 @@ def test_a_process_that_ends_is_told_and_replaced(tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_what_was_certified_outlives_its_process(tmp_path: Path) -> None:
     """Stopped twice while it certifies again, and killed: the certificate before is there to be played and saved."""
-    (tmp_path / "a.toml").write_text((ROOT / "validation" / "studio" / "template_first.toml").read_text())
+    (tmp_path / "a.toml").write_text(
+        (ROOT / "validation" / "presentation" / "studio" / "template_first.toml").read_text()
+    )
     page = Studio(tmp_path, "a.toml").start()
 
     def waited(over: tuple[str, ...]) -> dict[str, Any]:
