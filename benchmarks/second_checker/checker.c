@@ -1401,6 +1401,7 @@ typedef struct { /* a row of the linear error at one time */
     double *c;
     I rest; /* everything in c e that is not noise */
     double deviation, below, above; int source;
+    I *moved; long t; /* what each source adds at each step before time t, at [s sources + j] */
 } Row;
 static List rows;
 static int *group;
@@ -1431,6 +1432,7 @@ static void follow(const double *c, long t, Row *row) {
                                 sum = add(sum, mul(y[paths[a].at + k], shared ? agents[a].M[k * agents[a].K + j]
                                                                              : agents[a].N[k * agents[a].k + j]));
                     if (is_zero(sum)) continue;
+                    row->moved[s * sources + (shared ? own_sources : paths[i].source) + j] = sum;
                     variance = add(variance, square(sum)); FROM(shared ? own_sources + j : paths[i].source + j);
                 }
         for (int k = 0; k < D; k++) next[k] = ZERO;
@@ -1459,6 +1461,7 @@ static Row *row_of(const double *c, long t, size_t first) {
     }
     Row *row = more(&rows, sizeof(Row)); row->c = room((size_t)D, sizeof *c);
     for (int k = 0; k < D; k++) row->c[k] = c[k] == 0 ? 0 : c[k];
+    row->t = t; row->moved = room((size_t)(t * sources) + 1, sizeof(I));
     row->below = row->above = INFINITY; follow(c, t, row); return row;
 }
 /* low <= value + c e < high with a value that is known up to an interval */
@@ -1802,9 +1805,54 @@ static void check_trajectory(const Json *proof) {
 /* One less a product of (1 - p), p one after the other. */
 static double either(double f, double p) { return p >= 1 || f >= 1 ? 1 : least(1, up(f + up(p * up(1 - f)))); }
 
+
+
+/* P(X > a, Y <= b) from above, for normal numbers whose correlation is at least rho: an integral over Y in pieces. */
+static double beyond_both(double a, double b, double rho) {
+    I one_less = mul(sub(ONE, point(rho)), add(ONE, point(rho))), r = root(one_less); double y = b, total = 0;
+    I below = tail_at(-y), tail = tail_at(divide(sub(point(a), mul(point(rho), point(y))), r).lo);
+    for (int k = 0; k < 64; k++) {
+        double y_next = y - 0.1 * r.lo / rho; I c = divide(sub(point(a), mul(point(rho), point(y_next))), r);
+        I below_next = tail_at(-y_next), tail_next = tail_at(c.lo);
+        /* where the normal tail is convex, and the density falls, the mean of both ends is enough */
+        int chord = y_next >= 0 && divide(sub(point(a), mul(point(rho), point(y))), r).lo >= 0;
+        double q = chord ? up(0.5 * up(tail.hi + tail_next.hi)) : tail.hi;
+        total = up(total + up(most(sub(below, below_next).hi, 0) * q));
+        y = y_next, below = below_next, tail = tail_next;
+    }
+    return up(total + up(below.hi * tail.hi));
+}
+
+/* What a row adds to the failure of earlier ones at one end: it fails, and one of them holds. Of each of three times it
+   is the one that leaves the row farthest from its end. */
+static double first_failure(size_t number, int above, double plain) {
+    const Row *row = (Row *)rows.data + number; double best = plain, away = -INFINITY, a = 0, b = 0, rho = 0;
+    if (plain <= 1e-8) return plain;
+    for (size_t k = number; k-- > 0;) {
+        const Row *old = (Row *)rows.data + k; I together = ZERO, alone = ZERO;
+        if (old->t < row->t - 2) break;
+        if (old->source < 0 || group_of(old->source) != group_of(row->source)) continue;
+        for (long s = 0; s < old->t * sources; s++) {
+            if (is_zero(old->moved[s])) continue;
+            add_product(&alone, old->moved[s], old->moved[s]);
+            if (s < row->t * sources) add_product(&together, old->moved[s], row->moved[s]);
+        }
+        int same = together.lo > 0; double size = same ? together.lo : -together.hi, deviation = root(alone).lo,
+            end = same == above ? old->above : old->below, own = dn((above ? row->above : row->below) / row->deviation),
+            r = least(dn(dn(size / up(row->deviation * old->deviation)) * (1 - 0x1p-50)), 1 - 1e-9);
+        if (r > 0.1 && isfinite(end) && deviation > 0) {
+            double far = (own - r * up(end / deviation)) / sqrt(1 - r * r);
+            if (far > away) away = far, a = own, b = up(end / deviation), rho = r;
+        }
+        if (away > -INFINITY && (k == 0 || ((Row *)rows.data + k - 1)->t < old->t))
+            best = least(best, beyond_both(a, b, rho)), away = -INFINITY;
+    }
+    return best;
+}
+
 static double failure_of_rows(void) {
     double *all = doubles((size_t)sources + 1), *strips = doubles((size_t)sources + 1),
-        *left = doubles((size_t)sources + 1), f = 0;
+        *left = doubles((size_t)sources + 1), *first = doubles((size_t)sources + 1), f = 0;
     for (size_t k = 0; k < rows.count; k++) {
         const Row *row = (Row *)rows.data + k;
         if (row->below == INFINITY && row->above == INFINITY) continue;
@@ -1817,8 +1865,10 @@ static double failure_of_rows(void) {
         /* the strip up to the near side; or that up to the far side, and what is left between them */
         all[g] = either(all[g], near > 0 ? 2 * p.hi : 1); strips[g] = either(strips[g], far > 0 ? 2 * q.hi : 1);
         left[g] = up(left[g] + up(p.hi - q.lo));
+        double low = row->below < row->above ? p.hi : q.hi, high = row->below < row->above ? q.hi : p.hi;
+        first[g] = up(first[g] + up(first_failure(k, 0, near > 0 ? low : 1) + first_failure(k, 1, near > 0 ? high : 1)));
     }
-    for (int g = 0; g < sources; g++) f = either(f, least(1, least(all[g], up(strips[g] + left[g]))));
+    for (int g = 0; g < sources; g++) f = either(f, least(1, least(least(all[g], first[g]), up(strips[g] + left[g]))));
     return f;
 }
 

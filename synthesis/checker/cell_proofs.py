@@ -92,8 +92,6 @@ def failure_of(problem: Problem, proof: CellProof) -> tuple[float, str, list[Any
     return min(1.0, float(np.nextafter(1.0 - value, 2.0))), "", []
 
 
-# Reading.
-
 KEYS = ("edges", "lattice", "values", "parts", "inputs", "inverse", "sets", "start_sets", "policy")
 
 

@@ -202,8 +202,7 @@ def _by_place(numbers: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def _differences(values: Array, reach: list[int]) -> list[Array]:
-    """Return the largest differences around blocks of lattice points: second ones along each axis that are positive,
-    mixed ones of each pair of axes, and first ones along each axis, the last two without sign."""
+    """Return the largest positive second, mixed and first differences (these without sign) around blocks of points."""
     d, tables = values.ndim - 1, []
     for k in range(1, d + 1):
         tables.append(_placed(np.maximum(np.diff(values, 2, axis=k), 0.0), values.shape, (k,), 1))

@@ -3,52 +3,46 @@
 Each constraint is about a linear form g of the noise, of mean 0: ``-low <= g <= high``, and, where a tube needs it,
 ``|g| <= width``. V is an upper bound on its variance, or on that of what is above the noise (``distributions``).
 
-**Theorem.** For normal noise, any choice of strips ``|g_j| <= d_j`` and of tails beyond them,
-
-    P(a constraint fails) <= 1 - prod_j (1 - P(|g_j| > d_j)) + sum of tails.
+**Theorem** (strips). For normal noise P(a constraint fails) <= 1 - prod_j (1 - P(|g_j| > d_j)), d_j the nearest end.
 
 *Proof.* Strips hold together at least as probably as if the numbers were independent (Sidak, Journal of the American
-Statistical Association 62, 1967: each strip is about one normal number). What is left of a constraint beyond its strip
-is one tail, taken off by the union bound. A larger variance only makes each bound larger. QED
+Statistical Association 62, 1967: each strip is about one normal number). A larger variance only lowers the product. QED
+
+**Theorem** (first failures). For events A_1, A_2, .., and for any of them an earlier one, ``e(k) < k``, or none,
+P(some A_k) <= sum_k P(A_k and not A_e(k)). *Proof.* If some of them happen there is a first one, A_k, and no earlier
+one happens, A_e(k) among them. QED
+
+**Theorem** (``beyond``). Let X and Y be standard normal with a correlation of at least rho, 0 < rho < 1. With
+Q(z) = P(X > z), c(y) = (a - rho y) / r, r^2 = 1 - rho^2, and any numbers b = y_0 > y_1 > .. > y_n,
+
+    P(X > a, Y <= b) <= sum_i P(y_(i+1) < Y <= y_i) q_i + P(Y <= y_n) Q(c(y_n)),
+
+where q_i = Q(c(y_i)), or the mean of that and Q(c(y_(i+1))) where y_(i+1) >= 0 and c(y_i) >= 0. *Proof.* It falls as
+the correlation grows (Slepian, Bell System Technical Journal 41, 1962). If that is rho, it is the integral of
+phi(y) Q(c(y)) up to b, where Q(c(y)) grows with y. For c >= 0 it is convex, below its chord; for y >= 0 phi falls, so
+that the mean of the chord, which grows, is at most that of its ends (Chebyshev). QED It grows with b, and as a falls.
 
 Where the size of normal noise depends on the past, g is a Brownian motion read at a random time of at most V: it
 exceeds d with at most twice the tail of a normal number with the variance V (reflection principle). Other noise has the
 tails of its exponential moments. In both cases all tails are added up.
-
-Constraints whose forms are made of disjoint sources of noise are independent: probabilities of keeping all of one
-component are multiplied.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from . import rigorous
 from .distributions import LIGHT, NORMAL, STOPPED
+from .error_system import Forms, covariance_of
 from .intervals import down, up
 from .rigorous import Array, Truth, U, Whole
 
-
-class Forms(NamedTuple):
-    """Linear forms of noise, of mean 0: upper bounds on their variances (J,) and on what one step adds to them (J,).
-
-    ``sources`` (J, W) says of which sources of noise they are made.
-    """
-
-    variance: Array
-    largest: Array
-    sources: Truth
-
-    def at(self, places: Truth) -> Forms:
-        """Return some of these forms."""
-        return Forms(self.variance[places], self.largest[places], self.sources[places])
-
-
-# Guesses of the product, for each of which strips or tails are chosen by what they cost; any choice is a bound.
-SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+EARLIER, LEAST = 4, 1e-8  # last times that some were asked for before; tails that count as they are
+LEAST_RHO, MOST_RHO = 0.1, 1.0 - 1e-9  # correlations that are looked at, and what larger ones are taken for
+PIECES, PIECE = 64, 0.1  # pieces of the integral, and how far c moves in each
 # More than sums and products of 8,000 numbers of one sign are rounded by; longer sums count it once per 8,000.
 ROUNDED = 1.0 + 2.0**-40
 
@@ -62,29 +56,48 @@ class Constraints:
     def __init__(self, kinds: Whole) -> None:
         self.kinds, self.lost = kinds, 0.0
         self.rows: list[Array] = []
+        self.first: list[Array] = []
+        self.earlier: list[tuple[Array, Forms]] = []
         self.sources: list[Truth] = []
         self.labels: list[str] = []
 
     def add(self, low: Any, high: Any, width: Any, forms: Forms, labels: Sequence[str]) -> None:
         """Ask for ``-low <= g <= high`` and ``|g| <= width`` (J,); what is nan is not kept at all."""
-        limits = (np.where(np.isnan(end), -np.inf, end) for end in (low, high, width))
-        self.rows.append(np.stack(np.broadcast_arrays(*limits, forms.variance, forms.largest)))
+        sides = [np.minimum(end, width) + 0.0 * forms.variance for end in (low, high)]  # nan stays nan
+        ends = np.where(np.isnan(sides), -np.inf, sides)
+        self.rows.append(np.concatenate([ends, forms.variance[None]]))
         self.sources.append(forms.sources)
         self.labels += labels
+        # What each adds to the failure of those before it: of normal ones together with some of these.
+        kinds = self._kinds(forms.sources)
+        each = np.stack([_tails_by_kind(end, forms.variance, forms.largest, kinds) for end in ends])
+        normal = np.flatnonzero(kinds == NORMAL)
+        here = normal[each[:, normal].max(axis=0, initial=0.0) > LEAST]
+        for before, earlier in self.earlier if len(here) else ():
+            each[:, here] = np.minimum(each[:, here], _first_failures(ends[:, here], forms.at(here), before, earlier))
+        self.first.append(each.sum(axis=0))
+        if len(normal):
+            self.earlier = [*self.earlier, (ends[:, normal], forms.at(normal))][-EARLIER:]
+
+    def _kinds(self, sources: Truth) -> Whole:
+        """Return of which kind forms (J,) are: of the heaviest one among their sources (J, W)."""
+        return np.asarray(np.where(sources, self.kinds, NORMAL).max(axis=1, initial=NORMAL))
 
     def failure(self) -> float:
         """Return an upper bound on the probability that one of them fails."""
-        rows, sources = np.concatenate(self.rows, axis=1), np.concatenate(self.sources)
-        # A form is of the heaviest kind among its sources; forms that share none are independent.
-        component, kinds = _components(sources), np.where(sources, self.kinds, NORMAL).max(axis=1, initial=NORMAL)
+        low, high, variance = np.concatenate(self.rows, axis=1)
+        sources, first = np.concatenate(self.sources), np.concatenate(self.first)
+        strips = np.minimum(2.0 * tails(np.minimum(low, high), variance), 1.0)
+        # Forms that share no source are independent; of the strips of others than normal ones nothing is known.
+        component, strips = _components(sources), np.where(self._kinds(sources) == NORMAL, strips, 1.0)
         members = [component == k for k in range(int(component.max(initial=-1)) + 1)]
-        each = [_failure_of(rows[:, here], kinds[here]) for here in members]
+        each = [min(1.0, _union(strips[own]), float(first[own].sum()) * _rounded(int(own.sum()))) for own in members]
         return min(1.0, (_union(np.array(each)) + self.lost) * ROUNDED)
 
     def nearest(self) -> dict[int, tuple[float, str]]:
         """Return, by times, how many deviations the nearest end of a constraint is away (from below), and of which."""
-        low, high, width, variance, _ = np.concatenate(self.rows, axis=1)
-        away, found = _in_deviations(np.minimum(np.minimum(low, high), width), variance), dict[int, tuple[float, str]]()
+        low, high, variance = np.concatenate(self.rows, axis=1)
+        away, found = _in_deviations(np.minimum(low, high), variance), dict[int, tuple[float, str]]()
         for k in np.argsort(away, kind="stable"):
             found.setdefault(int(self.labels[k].rpartition(" ")[2]), (float(away[k]), self.labels[k]))
         return found
@@ -100,23 +113,36 @@ def _components(sources: Truth) -> Whole:
     return np.unique(component, return_inverse=True)[1].reshape(-1)
 
 
-def _failure_of(rows: Array, kinds: Whole) -> float:
-    """Return an upper bound on the probability that one of some constraints, rows (5, J), fails."""
-    low, high, width, variance, largest = rows
-    if np.any(kinds != NORMAL):
-        ends = (np.minimum(end, width) for end in (low, high))
-        total = sum(float(np.sum(_tails_by_kind(end, variance, largest, kinds))) for end in ends)
-        return min(1.0, total * _rounded(2 * len(low)))
-    # As a strip: both tails beyond the nearest end. Or the strip of the tube, and tails beyond it.
-    both = np.minimum(2.0 * tails(np.minimum(np.minimum(low, high), width), variance), 1.0)
-    inner = np.minimum(2.0 * tails(width, variance), 1.0)
-    outer = np.where(low < width, tails(low, variance), 0.0) + np.where(high < width, tails(high, variance), 0.0)
-    found = 1.0
-    for share in SHARES:
-        strip = share * both <= share * inner + outer
-        tail = float(np.sum(np.where(strip, 0.0, outer))) * _rounded(len(outer))
-        found = min(found, _union(np.where(strip, both, inner)) + tail)
-    return found
+def _first_failures(ends: Array, forms: Forms, before: Array, earlier: Forms) -> Array:
+    """Return upper bounds (2, J) on P(a form is beyond an end (2, J), and some earlier one (2, K) is kept)."""
+    covariance, off = covariance_of(forms, earlier)
+    # Earlier ends in deviations from above, correlations from below, with either sign.
+    least = np.maximum(2.0 * np.abs(earlier.moved) - earlier.size, 0.0)
+    least = np.sqrt(np.einsum("jtw,jtw->j", least, least) * (1.0 - 4.0 * U * (8.0 + least[0].size)))
+    own, found = np.sqrt(forms.variance)[:, None], []
+    with np.errstate(all="ignore"):
+        rho = (np.abs(covariance) - off) / (own * np.sqrt(earlier.variance)) * (1.0 - 16.0 * U)
+        rho = np.where(rho > LEAST_RHO, np.minimum(rho, MOST_RHO), np.nan)
+        for side, end in enumerate(ends):
+            b = np.where((covariance > 0.0) == bool(side), before[1], before[0]) / least * (1.0 + 8.0 * U)
+            a = end[:, None] / own * (1.0 - 8.0 * U) + 0.0 * rho
+            away = (a - rho * b) / np.sqrt(1.0 - rho * rho)
+            best = np.where(np.isfinite(away), away, -np.inf).argmax(axis=1)[:, None]
+            more = beyond(*(np.take_along_axis(part, best, axis=1) for part in (a, b, rho)))
+            found.append(np.where(np.isnan(more), 1.0, more))
+    return np.array(found)
+
+
+def beyond(a: Array, b: Array, rho: Array) -> Array:
+    """Return upper bounds (J,) on P(X > a, Y <= b) for columns (J, 1), correlations being at least rho."""
+    r, one = np.sqrt((1.0 - rho) * (1.0 + rho)), np.ones(1)
+    y = b - PIECE * (r / rho) * np.arange(PIECES + 1)
+    c = (a - rho * y) / r - 16.0 * U * (np.abs(a) + np.abs(y)) / r
+    tail, below = tails(c, one), tails(-y, one)
+    mass = np.maximum(below[:, :-1] + tails(y, one)[:, 1:] - 1.0 + 4.0 * U, 0.0)
+    chord = (y[:, 1:] >= 0.0) & (c[:, :-1] >= 0.0)
+    mean = np.where(chord, 0.5 * (tail[:, :-1] + tail[:, 1:]), tail[:, :-1])
+    return np.asarray((np.sum(mass * mean, axis=1) + below[:, -1] * tail[:, -1]) * ROUNDED)
 
 
 def _union(each: Array) -> float:

@@ -5,7 +5,7 @@
   input ``P (z - A x - b)``.
 
 Claims hold for *every* controller whose inputs differ from these, in real numbers and clipped to the input box, by at
-most ``rounding``: in whatever order it adds, on whatever device that computes in double precision.
+most what the check charges: in whatever order it adds, on whatever device that computes in double precision.
 """
 
 from __future__ import annotations
@@ -16,19 +16,13 @@ from .cell_proofs import AgentCells
 from .fields import Refused
 from .motions import affine_dynamics
 from .problem import TURN, Agent
-from .rigorous import Array, U
+from .rigorous import Array
 from .steps import Trajectory
 
 
 def along_trajectory(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
     """Return inputs (m,) of an agent at a time t < S, from its state (d,)."""
     return np.clip(own.inputs[t] + own.gains[t] @ _error(agent, own, t, x), *agent.input_box)
-
-
-def rounding(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
-    """Return by how much inputs (m,) may differ from the law in real numbers: the check charges at least this."""
-    size = np.abs(_error(agent, own, t, x)) + U * np.abs(own.states[t])
-    return np.asarray(4.0 * (len(x) + 3.0) * U * (np.abs(own.inputs[t]) + np.abs(own.gains[t]) @ size))
 
 
 def _error(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:

@@ -43,8 +43,7 @@ def _one_window(letters: Whole, faces: Whole, t: int, p: int) -> bool:
 
 
 def _in_windows(problem: Problem, letters: Whole, faces: Whole, t: int) -> Iterator[Window]:
-    """Yield regions in a window at a time, the output of the face, whether it is the upper one, and the first and last
-    time of the window."""
+    """Yield regions in a window at a time, output and side of the face, whether the window begins and ends here."""
     for p, region in enumerate(problem.regions):
         if letters[t, p] == SOMETIME:
             k, from_above = divmod(int(faces[t, p]), 2)

@@ -38,6 +38,7 @@ OUTWARD = 1.0 + 1e-12  # factor on deviations: more than some square roots and p
 ROUNDED = 1e-12  # share of the size of a distribution by which its mean may be off as it is computed
 # Probability, about, of a component's noise that is given up in a step; what a tail of ``scipy`` may be off by.
 GIVEN_UP, TAILS_OFF = 1e-7, 1e-12
+LOGISTIC = math.pi / math.sqrt(3.0)  # deviation of the logistic distribution of scale 1
 ORDERS = 40  # half the orders up to which moments are compared one by one; from there on (S/b^2)^(1/j) counts as 1
 
 
@@ -67,10 +68,6 @@ def _positive(value: float, name: str, least: float = 5e-324) -> float:
     if not value >= least:
         raise Unreadable(f"a distribution has {name} = {value}, which is not above 0")
     return value
-
-
-def _long(deviation: float, lost: float = 0.0) -> Envelope:
-    return Envelope(0.0, 0.0, deviation * OUTWARD, LONG, lost)
 
 
 def _bounded(low: float, high: float, mean: float, deviation: float) -> Envelope:
@@ -110,7 +107,7 @@ def _student(scale: float, df: float) -> Envelope:
     for j in range(1, ORDERS + 1):
         share = square / (cut * cut) if j < ORDERS else 1.0
         most = max(most, (share / math.factorial(2 * j)) ** (1.0 / j))
-    return _long(cut * math.sqrt(2.0 * most), lost)
+    return Envelope(0.0, 0.0, cut * math.sqrt(2.0 * most) * OUTWARD, LONG, lost)
 
 
 def _mixture(entry: Entry) -> Envelope:
@@ -135,8 +132,8 @@ LAWS: dict[str, tuple[tuple[str, ...], Callable[..., Envelope] | None]] = {
     "uniform": (("low", "high"), lambda a, b: _bounded(a, b, 0.5 * a + 0.5 * b, 0.5 * (b - a) / math.sqrt(3.0))),
     "triangular": (("low", "mode", "high"), _triangular),
     "truncated-gaussian": (("spread", "low", "high"), _cut_normal),
-    "laplace": (("scale",), lambda scale: _long(_positive(scale, "scale") * math.sqrt(2.0))),
-    "logistic": (("scale",), lambda scale: _long(_positive(scale, "scale") * math.pi / math.sqrt(3.0))),
+    "laplace": (("scale",), lambda b: Envelope(0.0, 0.0, _positive(b, "scale") * math.sqrt(2.0) * OUTWARD, LONG)),
+    "logistic": (("scale",), lambda s: Envelope(0.0, 0.0, _positive(s, "scale") * LOGISTIC * OUTWARD, LONG)),
     "student-t": (("scale", "df"), _student),
     "mixture": (("parts",), None),
 }

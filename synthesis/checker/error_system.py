@@ -15,23 +15,45 @@ is linear in c. A row ``c e_t + b e_(t-1)`` is the same with y_(t-1) moved by b.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from .constraints import Forms
-from .rigorous import Array, Truth, U
+from .rigorous import Array, Truth, U, Whole
+
+
+class Forms(NamedTuple):
+    """Linear forms of noise, of mean 0: upper bounds on their variances (J,) and on what one step adds to them (J,).
+
+    They are made of ``sources`` (J, W), step by step ``moved`` (J, t, W) of them up to rounding; of no steps, where
+    that is not known. ``size`` is above what is moved and what that is off by.
+    """
+
+    variance: Array
+    largest: Array
+    sources: Truth
+    moved: Array
+    size: Array
+
+    def at(self, places: Truth | Whole) -> Forms:
+        """Return some of these forms."""
+        return Forms._make(own[places] for own in self)
 
 
 class ErrorSystem:
-    """What entered the errors at each step: F (D, D), boxes (2, D) of m + r, half widths (D,) of e, and the noise."""
+    """What entered the errors at each step: F (D, D), boxes (2, D) of m + r, half widths (D,) of e, and the noise.
+
+    Of the noise there are factors (D, W), and what they may be off by.
+    """
 
     def __init__(self, spread: Array, n_sources: int) -> None:
         self.spread, self.n_sources = spread, n_sources
         self.products = self.before = np.eye(len(spread))[None]  # of all F from each time on: (t + 1, D, D)
-        self.steps: list[tuple[Array, Array, Array, Array]] = []
+        self.steps: list[tuple[Array, ...]] = []
 
-    def step(self, matrix: Array, pushed: Array, reach: Array, noise: Array) -> None:
+    def step(self, matrix: Array, pushed: Array, reach: Array, noise: Array, off: Array | float = 0.0) -> None:
         """Add a step: ``e' = matrix e + pushed + noise w`` for all |e| <= reach."""
-        self.steps.append((matrix, pushed, reach, noise))
+        self.steps.append((matrix, pushed, reach, noise, off + 0.0 * noise))
         self.before = self.products
         # Products F_t-1 .. F_s of all earlier times, made longer by one factor.
         self.products = np.concatenate([np.matmul(matrix, self.products), np.eye(len(matrix))[None]])
@@ -48,7 +70,8 @@ class ErrorSystem:
         spare = (np.abs(y[0]) + (d + 2.0) * U * most[0]) @ self.spread * counted
         if not t:
             still = np.zeros(len(c))
-            return np.stack([-spare, spare]), Forms(still, still, np.zeros((len(c), self.n_sources), dtype=bool))
+            nothing = np.zeros((len(c), 0, self.n_sources))
+            return np.stack([-spare, spare]), Forms(still, still, np.zeros(nothing.shape[::2], bool), nothing, nothing)
         before, after, size = y[:-1].copy(), y[1:], most[1:]
         if earlier is not None:
             before[-1] -= earlier
@@ -64,21 +87,14 @@ class ErrorSystem:
         spare += np.einsum("sjd,sd->j", each, half + 2 * U * np.abs(middle)) * counted
         spare += (d * t + d + 8.0) * U * shifted + 1e-290
         moved, off = self._moved(after, size)
-        moved = np.abs(moved) + off
+        size = np.abs(moved) + off
         # What each step adds to the variance; the largest one matters for long tails.
-        each = np.einsum("sjw,sjw->sj", moved, moved)
+        each = np.einsum("sjw,sjw->sj", size, size)
         more = counted + 4.0 * U * t * moved.shape[2]
-        sources: Truth = np.any(moved > 0.0, axis=0)
-        forms = Forms(each.sum(axis=0) * more, each.max(axis=0) * more, sources)
+        sources: Truth = np.any(size > 0.0, axis=0)
+        variances = each.sum(axis=0) * more, each.max(axis=0) * more
+        forms = Forms(*variances, sources, moved.swapaxes(0, 1), size.swapaxes(0, 1))
         return np.stack([shift - spare, shift + spare]), forms
-
-    def covariance(self, c: Array) -> tuple[Array, Array]:
-        """Return the covariance (J, J) of the forms of rows c, and what its entries are off by."""
-        y, most = self._pulled(c, None)
-        moved, off = self._moved(y[1:], most[1:])
-        size, count = np.abs(moved) + off, moved.shape[0] * moved.shape[2]
-        found, inner, outer = (np.einsum("siw,sjw->ij", part, part) for part in (moved, np.abs(moved), size))
-        return found, (outer - inner) + (count + 16.0) * 4.0 * U * outer + 1e-290
 
     def _pulled(self, c: Array, earlier: Array | None) -> tuple[Array, Array]:
         """Return all ``y_s = c F_(t-1) .. F_s`` (t + 1, J, D) as they are rounded, and sizes of their roundings."""
@@ -90,6 +106,14 @@ class ErrorSystem:
 
     def _moved(self, after: Array, size: Array) -> tuple[Array, Array]:
         """Return ``y L`` (t, J, W) as it is rounded, and what it is off by; its square enters the variance."""
-        noises, d = np.array([noise for *_, noise in self.steps]), after.shape[2]
-        moved = np.matmul(after, noises)
-        return moved, (2.0 * d + 6.0) * U * np.matmul(size, np.abs(noises)) + np.where(moved != 0.0, 1e-160, 0.0)
+        noises, offs, d = *(np.array(own) for own in [*zip(*self.steps)][3:]), after.shape[2]
+        moved, unit = np.matmul(after, noises), (2.0 * d + 6.0) * U
+        return moved, np.matmul(size, unit * np.abs(noises) + offs) + np.where(moved != 0.0, 1e-160, 0.0)
+
+
+def covariance_of(first: Forms, second: Forms) -> tuple[Array, Array]:
+    """Return covariances (J, K) of forms, the noise of whose common steps is known, and what they are off by."""
+    t = min(first.moved.shape[1], second.moved.shape[1])
+    pairs = [(getattr(first, key)[:, :t], getattr(second, key)[:, :t]) for key in ("moved", "size")]
+    found, inner, outer = (np.einsum("isw,jsw->ij", *pair) for pair in (pairs[0], map(np.abs, pairs[0]), pairs[1]))
+    return found, (outer - inner) + (t * first.moved.shape[2] + 16.0) * 4.0 * U * outer + 1e-290

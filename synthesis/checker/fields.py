@@ -139,8 +139,6 @@ class Entry(NamedTuple):
         rows = self.entries(horizon + 1) if moves else [self] * (horizon + 1)
         return np.array([row.vector(count, unlimited) for row in rows]).reshape(horizon + 1, count)
 
-    # Arrays of the file, by number.
-
     def _array(self, shape: Shape) -> NDArray[Any]:
         number = self.whole(0, len(self.arrays))
         if self.used is not None:

@@ -18,10 +18,6 @@ lies in the hull of the slopes on both sides, which is what is returned there.
 3. the same with W replaced by T z + offset, |offset| <= off: products of what follows one z are squares of z.
 
 The narrowest one that is known is returned. Form 1 needs no second derivatives, so it holds at kinks, too.
-
-So an expression on a box around a point is a matrix, the middle of its slopes there, and what that leaves out between
-ends (``on_boxes``). Sums of multiples of names are their own linear part (``expanded``): nothing is left out but what
-they are rounded by.
 """
 
 from __future__ import annotations

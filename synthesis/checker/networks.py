@@ -35,7 +35,7 @@ import numpy as np
 
 from . import rigorous
 from .automaton import followed
-from .error_system import ErrorSystem
+from .error_system import ErrorSystem, covariance_of
 from .fields import Entry, Refused
 from .intervals import add, down, exp, interval, mul, neg, recip, tanh, up
 from .letters import known_at, known_at_start
@@ -242,14 +242,15 @@ class Ellipsoid:
     def of(cls, errors: ErrorSystem, places: slice, radius: float) -> Ellipsoid:
         """Return the ellipsoid of an agent now, and the probability that its errors are outside."""
         D = len(errors.spread)
-        covariance = errors.covariance(np.eye(D)[places])[0]
+        (_, now), d = errors.rows(np.eye(D)[places]), places.stop - places.start
+        covariance = covariance_of(now, now)[0]
         # Any root will do: states that no noise has reached get a little of their own.
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
-        d = len(scale)
         root = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-10 * np.eye(d)) * scale[:, None]
         rows = np.zeros((d, D))
         rows[:, places] = np.linalg.inv(root)
-        found, off = errors.covariance(rows)
+        _, white = errors.rows(rows)
+        found, off = covariance_of(white, white)
         largest = float(np.max(np.sum(np.abs(found) + off, axis=1))) * (1.0 + 4.0 * U * d)
         return cls(root, rows[:, places], radius, chi_tail(radius, d, largest))
 

@@ -136,8 +136,6 @@ def read_problem(header: dict[str, Any]) -> Problem:
     return Problem(horizon, agents, regions, pairs, automaton, formula)
 
 
-# Agents.
-
 TURN = 6.283185307179586  # the double below a turn
 REQUIRED = (
     "name", "states", "inputs", "outputs", "state_low", "state_high", "input_low", "input_high", "start_low",
@@ -167,7 +165,9 @@ def _read_agents(entry: Entry) -> tuple[Agent, ...]:
 def _agent(i: int, own: dict[str, Entry], names: tuple[str, ...], variables: list[Any]) -> Agent:
     states, inputs = variables[i]
     d = len(states)
-    disturbances = {key: _ends(entry) for key, entry in _numbers(own, "disturbances").items()}
+    disturbances = {key: entry.vector(2).tolist() for key, entry in _numbers(own, "disturbances").items()}
+    if any(low > high for low, high in disturbances.values()):
+        raise own["disturbances"].wrong("the lower end of one is above its upper end")
     parameters = {key: entry.number() for key, entry in _numbers(own, "parameters").items()}
     local = (*states, *inputs, *disturbances)
     distinct(local, own["name"].place)
@@ -206,13 +206,6 @@ def _numbers(own: dict[str, Entry], key: str) -> dict[str, Entry]:
     return {Entry(name, own[key].place).name(): entry for name, entry in found.items()}
 
 
-def _ends(entry: Entry) -> tuple[float, float]:
-    low, high = entry.vector(2).tolist()
-    if low > high:
-        raise entry.wrong("its lower end is above its upper end")
-    return low, high
-
-
 def _angles(own: dict[str, Entry], states: tuple[str, ...], workspace: Array) -> tuple[str, ...]:
     """Return the states that wrap, whose workspaces are one turn."""
     angles = own["angles"].names() if "angles" in own else ()
@@ -241,9 +234,6 @@ def _dynamics(
         raise own["name"].wrong("expected either `dynamics`, or `A`, `B` and `c`")
     A, B, c = own["A"].matrix(d, d), own["B"].matrix(d, len(moved) - d), own["c"].vector(d)
     return tuple(affine((*A[k], *B[k]), moved, c[k]) for k in range(d))
-
-
-# Propositions and the task.
 
 
 def _region(entry: Entry, agents: tuple[Agent, ...], horizon: int) -> Proposition:

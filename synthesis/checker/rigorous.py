@@ -166,7 +166,6 @@ def _convergent(x: Array, count: int) -> Array:
     return 1.0 / fraction
 
 
-# Hard cases of quotients and roots.
 QUOTIENTS = ((1.0, 3.0), (5e-324, 3.0), (1.0 + 2.0**-52, 1.0 - 2.0**-53), (2.0**1023, 1.0 + 2.0**-52))
 ROOTS = (2.0, 1.0 - 2.0**-53, 1.0 + 2.0**-52, 5e-324, 1.7976931348623157e308)
 

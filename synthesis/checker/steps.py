@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from .angles import HALF_TURN, OFF
-from .constraints import ROUNDED, Constraints, Forms
-from .error_system import ErrorSystem
+from .constraints import ROUNDED, Constraints
+from .error_system import ErrorSystem, Forms
 from .expressions import names_in
 from .feedbacks import Feedback, enclosed_feedback
 from .fields import Refused
@@ -40,15 +40,13 @@ LARGEST_ERROR = 1e100  # linearization errors beyond it end the check: what foll
 class Trajectory:
     """Of one agent: inputs (S, m), feedback gains (S, m, d), states (S + 1, d), widths (S + 1, d + m) of the tube.
 
-    Where the size of its noise depends on something, ``noise_widths`` (S, d) are those of strips of the noise. Where a
-    network acts, inputs and gains are not looked at, and its errors keep in an ellipsoid of a ``radius``.
+    Where a network acts, inputs and gains are not looked at, and its errors keep in an ellipsoid of a ``radius``.
     """
 
     inputs: Array
     gains: Array
     states: Array
     widths: Array
-    noise_widths: Array
     network: Network | Feedback | None = None
     radius: float = np.inf
 
@@ -132,7 +130,7 @@ class Joint:
             raise Refused(f"state {wrong[0, 1]} of the nominal trajectory leaves the workspace at time {wrong[0, 0]}")
         networked = np.repeat([o.network is not None for o in trajectories], [len(agent.inputs) for agent in agents])
         seen = automaton_states(problem, letters) if any(isinstance(o.network, Network) for o in trajectories) else []
-        kinds = kinds_of(problem, [own.noise_widths for own in trajectories])
+        kinds = kinds_of(problem)
         return cls(
             problem, trajectories, [_Reads.of(problem, i) for i in range(len(agents))], box, input_box, states, inputs,
             widths, input_widths, spread, turning, networked, seen,
@@ -195,6 +193,7 @@ def advance(joint: Joint, tube: Tube) -> None:
     """One step of all agents: inputs stay in their boxes, and the next error is F e and something in a box."""
     D, t = len(joint.spread), tube.t
     matrix, pushed, noise = np.zeros((D, D)), np.zeros((2, D)), joint.problem.noise.copy()
+    off = np.zeros(noise.shape)
     # All inputs first: dynamics may name those of other agents.
     moves = _inputs(joint, tube)
     for i, (agent, here) in enumerate(zip(joint.problem.agents, joint.problem.slices, strict=True)):
@@ -203,14 +202,13 @@ def advance(joint: Joint, tube: Tube) -> None:
         matrix[here, joint.reads[i].columns] = rows
         mean = mean_of(agent)
         if agent.scale:
-            leaves, width = _leaves(joint, moves, tube, i), joint.trajectories[i].noise_widths[t]
-            noise[here], mean = sized(agent, noise[here], width, leaves, joint.constraints, t)
+            noise[here], off[here], mean = sized(agent, noise[here], _leaves(joint, moves, tube, i), t)
         pushed[:, here] = add(add(ends, neg(interval(joint.states[t + 1, here]))), mean)
     # angles wrap at the double next to a turn
     pushed = add(pushed, np.array([[-OFF], [OFF]]) * joint.turning)
     if not np.all(np.isfinite(matrix)) or not np.abs(pushed).max() <= LARGEST_ERROR or not np.all(np.isfinite(noise)):
         raise Refused(f"the linearization error grows beyond all limits at time {t}")
-    joint.errors.step(matrix, pushed, np.abs(tube.ends).max(axis=0), noise)
+    joint.errors.step(matrix, pushed, np.abs(tube.ends).max(axis=0), noise, off)
 
 
 def _inputs(joint: Joint, tube: Tube) -> _Moves:
@@ -296,13 +294,12 @@ def _around(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[Array, Arr
     return point, np.concatenate([tube.ends[:, reads.columns], moves.deviation[:, reads.inputs], away], axis=1)
 
 
-def _leaves(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return ends (2, 1) of the names of an agent on the nominal trajectory, and on the tube."""
+def _leaves(joint: Joint, moves: _Moves, tube: Tube, i: int) -> dict[str, Array]:
+    """Return ends (2, 1) of the names of an agent on the tube; it may have something of its own that is called t."""
     point, box = _around(joint, moves, tube, i)
-    time, ends = {"t": interval(np.full(1, float(tube.t)))}, (interval(point), add(interval(point), box))
-    # an agent may have something of its own that is called t
-    first, second = ({name: own[:, k : k + 1] for name, k in joint.reads[i].places.items()} for own in ends)
-    return time | first, time | second
+    ends = add(interval(point), box)
+    own = {name: ends[:, k : k + 1] for name, k in joint.reads[i].places.items()}
+    return {"t": interval(np.full(1, float(tube.t)))} | own
 
 
 def _step(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[Array, Array]:

@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 
 from .angles import check_angles, of_copies
-from .constraints import ROUNDED, Forms
+from .constraints import ROUNDED
 from .crossings import SOMETIME, check_words, crossed, jumps
 from .distributions import NORMAL
+from .error_system import Forms
 from .feedbacks import Feedback, read_feedback
 from .fields import Entry
 from .file import Contents
@@ -72,16 +73,15 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
 
 def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Trajectory:
     """Return the trajectory of an agent, and the network that acts for it, if there is one."""
-    own = entry.table(("inputs", "gains", "states", "widths"), ("noise_widths", "network", "feedback", "radius"))
+    own = entry.table(("inputs", "gains", "states", "widths"), ("network", "feedback", "radius"))
     d, m = len(agent.states), len(agent.inputs)
-    widths, strips = own["widths"].floats((steps + 1, d + m), infinite=True), own.get("noise_widths")
-    noise_widths = np.full((steps, d), np.inf) if strips is None else strips.floats((steps, d), infinite=True)
-    if np.any(widths < 0.0) or np.any(noise_widths < 0.0):
+    widths = own["widths"].floats((steps + 1, d + m), infinite=True)
+    if np.any(widths < 0.0):
         raise entry.wrong("a width is negative")
     inputs, gains = own["inputs"].floats((steps, m)), own["gains"].floats((steps, m, d))
     states = own["states"].floats((steps + 1, d))
     if not own.keys() & {"network", "feedback"}:
-        return Trajectory(inputs, gains, states, widths, noise_widths)
+        return Trajectory(inputs, gains, states, widths)
     if own.keys() >= {"network", "feedback"}:
         raise entry.wrong("a network and a feedback cannot both act")
     # Networks act where what is between the widths is an ellipsoid of one Gaussian.
@@ -92,7 +92,7 @@ def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Tra
         raise entry.wrong("where a network acts, `radius` is above 0")
     seen, given = len(problem.automaton.accepting), own.get("feedback")
     network = read_feedback(given, agent) if given is not None else read_network(own["network"], agent, seen)
-    return Trajectory(inputs, gains, states, widths, noise_widths, network, radius)
+    return Trajectory(inputs, gains, states, widths, network, radius)
 
 
 def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, str, list[Any]]:

@@ -8,12 +8,24 @@ import numpy as np
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs.canonical import canonical_bytes
-from certigym.synthesis.checker import cell_proofs, parse_file, read_problem, trajectories
-from certigym.synthesis.checker.controller import along_trajectory, on_cells, rounding
+from certigym.synthesis.checker import CheckedAgent, cell_proofs, parse_file, read_problem, trajectories
+from certigym.synthesis.checker.controller import along_trajectory, on_cells
+from certigym.synthesis.checker.problem import TURN
+from certigym.synthesis.checker.steps import Trajectory
 from kinds import mostly_thorough
 
 OWN = Path(__file__).parents[2] / "examples" / "own"
 STATES = 200
+
+
+def rounding(agent: CheckedAgent, own: Trajectory, t: int, x: np.ndarray) -> np.ndarray:
+    """By how much inputs (m,) may differ from the law in real numbers: the check charges at least this."""
+    off = x - own.states[t]
+    for angle in agent.angles:
+        k = agent.states.index(angle)
+        off[k] -= TURN * np.rint(off[k] / TURN)
+    size = np.abs(off) + 2.0**-53 * np.abs(own.states[t])
+    return np.asarray(4.0 * (len(x) + 3.0) * 2.0**-53 * (np.abs(own.inputs[t]) + np.abs(own.gains[t]) @ size))
 
 
 @mostly_thorough("name", ["integrator-chain-v0", "swing_up.toml", "satellite.toml"])

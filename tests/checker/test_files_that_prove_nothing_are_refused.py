@@ -19,7 +19,7 @@ from certigym.synthesis.checker import Unreadable, check_contents, parse_file, r
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED, read_distribution
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.intervals import mul
-from certigym.synthesis.checker.noise_sizes import kinds_of, mean_of
+from certigym.synthesis.checker.noise_sizes import kinds_of, mean_of, sized
 from certigym.synthesis.checker.verdict import Verdict
 
 Change = Callable[[dict[str, Any], list[np.ndarray]], None]
@@ -280,10 +280,38 @@ def test_sizes_of_noise_that_states_share_and_that_turn_are_refused() -> None:
     assert "turn further" in verdict_of(one_crane, with_agent(0, noise_scale=["1", "a"])).reason
 
 
-def kinds_in(header: dict[str, Any]) -> list[int]:
-    """What is known of the tails of all sources where no strip is asked for."""
+def sized_in(header: dict[str, Any], t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Factors of the noise of the first agent at a time, what they may be off by, and what they are before."""
     problem = read_problem(header)
-    found: list[int] = kinds_of(problem, [np.full((1, len(agent.states)), np.inf) for agent in problem.agents]).tolist()
+    factor = problem.noise[problem.slices[0]]
+    found, off, _ = sized(problem.agents[0], factor, {"t": np.full((2, 1), float(t))}, t)
+    return found, off, factor
+
+
+def test_sizes_that_name_the_time_are_known_with_their_signs() -> None:
+    """One source moves two states in opposite directions; factors are off by no more than is said, and that is tiny."""
+    header, _ = one_crane()
+    agent(header).update(
+        noise=[[0.3], [0.2]], noise_scale=["1 + 0.5*sin(t)", "-exp(0.1*t)"], shared_noise=[[0.7], [0.4]]
+    )
+    del agent(header)["distributions"]
+    for t in range(5):
+        found, off, factor = sized_in(header, t)
+        true = np.array([[0.3 * (1.0 + 0.5 * np.sin(t)), 0.7], [-0.2 * np.exp(0.1 * t), 0.4]])
+        assert np.all(np.abs(found - true) <= off + 1e-16 * np.abs(true)) and np.all(off <= 1e-13)
+        assert np.all(off[:, 0] > 0.0) and np.array_equal(found[:, 1], factor[:, 1]) and np.all(off[:, 1] == 0.0)
+
+
+def test_sources_that_move_some_of_the_states_are_read_at_random_times() -> None:
+    header, _ = one_crane()
+    agent(header).update(noise=[[0.3, 0.0], [0.0, 0.2]], noise_scale=["1 + 0.1*y", "1"])
+    agent(header).pop("distributions")
+    assert kinds_in(header) == [STOPPED, STOPPED]
+
+
+def kinds_in(header: dict[str, Any]) -> list[int]:
+    """What is known of the tails of all sources."""
+    found: list[int] = kinds_of(read_problem(header)).tolist()
     return found
 
 

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical, canonical_problem, contents_of
 from certigym.synthesis.checker import Joint, networks, read_problem, read_trajectories, steps, walk
-from certigym.synthesis.checker.error_system import ErrorSystem
+from certigym.synthesis.checker.error_system import ErrorSystem, covariance_of
 from certigym.synthesis.checker.feedbacks import enclosed_feedback, read_feedback
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.intervals import interval
@@ -143,7 +143,8 @@ def test_forms_keep_in_ellipsoids_as_often_as_is_said() -> None:
         covariance = np.zeros((d, d))
         for F, L in zip(loops, noises, strict=True):
             covariance = F @ covariance @ F.T + L @ L.T
-        found, off = errors.covariance(np.eye(d))
+        _, forms = errors.rows(np.eye(d))
+        found, off = covariance_of(forms, forms)
         assert np.all(np.abs(found - covariance) <= off + 1e-14) and np.all(off < 1e-12)
         ellipsoid = Ellipsoid.of(errors, slice(0, d), float(rng.uniform(1.0, 3.0)))
         g = rng.standard_normal((200_000, d)) @ np.linalg.cholesky(covariance + 1e-300 * np.eye(d)).T if np.all(

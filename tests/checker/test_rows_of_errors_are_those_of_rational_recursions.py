@@ -13,9 +13,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from certigym.synthesis.checker.constraints import Constraints, Forms
+from certigym.synthesis.checker.constraints import Constraints
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED
-from certigym.synthesis.checker.error_system import ErrorSystem
+from certigym.synthesis.checker.error_system import ErrorSystem, Forms
 
 Exact = list[list[Fraction]]
 
@@ -171,7 +171,8 @@ def test_small_noise_is_not_taken_for_none() -> None:
 
 
 def forms_of(sources: list[list[bool]], variance: list[float], largest: list[float] | None = None) -> Forms:
-    return Forms(np.array(variance), np.array(largest or variance), np.array(sources))
+    unknown = np.zeros((len(variance), 0, len(sources[0])))
+    return Forms(np.array(variance), np.array(largest or variance), np.array(sources), unknown, unknown)
 
 
 def failure(kinds: list[int], low: list[float], high: list[float], width: list[float], forms: Forms) -> float:
@@ -284,7 +285,7 @@ def test_many_constraints_do_not_lose_what_their_sum_is_rounded_by() -> None:
     J = 10_000
     low = np.full(J, 4.0)
     inf = np.full(J, np.inf)
-    forms = Forms(np.ones(J), np.ones(J), np.ones((J, 1), dtype=bool))
+    forms = forms_of([[True]] * J, [1.0] * J)
     one = failure([NORMAL], [4.0], [np.inf], [np.inf], forms_of([[True]], [1.0]))
     constraints = Constraints(np.array([NORMAL]))
     constraints.add(low, inf, inf, forms, [""] * J)

@@ -20,11 +20,8 @@ from canonical_simulator import FUNCTIONS, Simulator
 from certificate_files import file_of, one_crane
 from certigym.synthesis.checker import check_contents, parse_file, read_problem, trajectories
 from certigym.synthesis.checker.crossings import crossed, jumps
-from certigym.synthesis.checker.distributions import NORMAL, STOPPED
 from certigym.synthesis.checker.error_system import ErrorSystem
-from certigym.synthesis.checker.expressions import names_in
 from certigym.synthesis.checker.fields import Refused
-from certigym.synthesis.checker.noise_sizes import kinds_of
 
 RUNS, COMPARISONS = 8000, 1000
 ALARM = math.log(COMPARISONS / 1e-6)
@@ -228,7 +225,7 @@ def with_limits(team: Team) -> tuple[Header, Arrays] | None:
         return None
     size = float(rng.uniform(2.0, 5.0))
     arrays: Arrays = []
-    entries, boxes, strips = [], [], list[tuple[int, np.ndarray]]()
+    entries, boxes = [], []
     for i, agent in enumerate(team.agents):
         deviation = np.array([np.sqrt((step["e"][i] ** 2).mean(axis=1)) for step in wide]) + 1e-6
         asked = [np.abs(step["asked"][i] - team.inputs[i][step["t"]][:, None]) for step in wide[:-1]]
@@ -246,13 +243,6 @@ def with_limits(team: Team) -> tuple[Header, Arrays] | None:
         k = 3 + len(arrays)
         entries.append({"inputs": k, "gains": k + 1, "states": k + 2, "widths": k + 3})
         arrays += [team.inputs[i], team.gains[i], states[i], widths]
-        if agent.get("noise_scale") and "distributions" not in agent and "shared_noise" not in agent:
-            strips.append((i, rng.uniform(2.5, 5.0) * np.tile(np.linalg.norm(agent["noise"], axis=1), (T, 1))))
-            strips[-1][1][:, rng.random(len(low_of(agent))) < 0.4] = np.inf
-    if rng.random() < 0.6:  # noise of a size in strips, of which some components have none
-        for i, strip in strips:
-            entries[i]["noise_widths"] = 3 + len(arrays)
-            arrays.append(strip)
     letters, faces, task = _letters(team, world, wide)
     team.header["problem"]["task"] = task
     proof = {"kind": "trajectory", "letters": 0, "faces": 1, "normals": 2, "agents": entries}
@@ -406,7 +396,7 @@ def check_paths(team: Team, header: Header, arrays: Arrays, spied: Spied, mode: 
         t = step["t"]
         e = np.concatenate([world.errors(i, step["x"][i], t) for i in range(len(nominal))])
         if before is not None:  # the step from t - 1, of runs that kept everything until then
-            F, pushed, _, _ = spied.steps[t - 1]
+            F, pushed, _, _, _ = spied.steps[t - 1]
             rest = e - F @ before - noise
             rest[turning] = np.mod(rest[turning] + np.pi, 2 * np.pi) - np.pi
             spare = 1e-9 * (1.0 + np.abs(e).max() + np.abs(before).max())
@@ -425,49 +415,19 @@ def check_paths(team: Team, header: Header, arrays: Arrays, spied: Spied, mode: 
             kept &= np.all((asked >= box[0][:, None]) & (asked <= box[1][:, None]), axis=0)
         count += int(kept.sum())
         noise, sizes = centred(team, problem, step)
-        F, _, reach, factor = spied.steps[t]
+        F, _, reach, factor, _ = spied.steps[t]
         assert np.all(np.abs(tube) <= reach + 1e-9)
         # sizes of noise on the tube are at most those of the proof
         own = problem.noise
         most = np.abs(own)[:, :, None] * np.abs(sizes[:, None, :] if any(a.scale for a in problem.agents) else 1.0)
         if any(a.scale for a in problem.agents):
             shared = own.shape[1] - problem.agents[0].shared_noise.shape[1]
-            free = np.isinf(strips_of(team, header, arrays, t))
-            assert np.all((most[:, :shared][:, :, kept] <= np.abs(factor[:, :shared])[:, :, None] + 1e-9)[free])
+            assert np.all(most[:, :shared][:, :, kept] <= np.abs(factor[:, :shared])[:, :, None] + 1e-9)
         else:
             assert np.array_equal(np.abs(factor), np.abs(own))
-        noise, inside = in_strips(team, header, arrays, problem.noise, factor, noise, sizes, t)
-        kept &= inside
         g = F @ g + noise
         before = e
     return count, float(1.0 - kept.mean())
-
-
-def low_of(agent: dict[str, Any]) -> list[float]:
-    return list(agent["state_low"])
-
-
-def strips_of(team: Team, header: Header, arrays: Arrays, t: int) -> np.ndarray:
-    """Widths (D,) of the strips of noise at a step; infinite where there are none."""
-    rows = []
-    for agent, entry in zip(team.agents, header["proof"]["agents"], strict=True):
-        nothing = np.full(len(agent["state_low"]), np.inf)
-        rows.append(arrays[entry["noise_widths"]][t] if "noise_widths" in entry else nothing)
-    return np.concatenate(rows)
-
-
-def in_strips(
-    team: Team, header: Header, arrays: Arrays, own: np.ndarray, factor: np.ndarray, noise: np.ndarray,
-    sizes: np.ndarray, t: int,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Noise (D, n) as the forms have it, at its nominal size in strips, and which runs keep in these."""
-    strips, noise, inside = strips_of(team, header, arrays, t), noise.copy(), np.ones(noise.shape[1], dtype=bool)
-    for k in np.flatnonzero(np.isfinite(strips) & np.any(own != 0.0, axis=1)):
-        plain = np.where(sizes[k] != 0.0, noise[k] / np.where(sizes[k] != 0.0, sizes[k], 1.0), 0.0)
-        inside &= np.abs(plain) <= strips[k]
-        j = int(np.argmax(np.abs(own[k])))
-        noise[k] = factor[k, j] / own[k, j] * plain
-    return noise, inside
 
 
 def excess(share: float, claim: float) -> float:
@@ -590,31 +550,3 @@ def broken_in_windows(header: Header, arrays: Arrays, rng: np.random.Generator) 
         drift, noise = simulator.means(x, u, [{}], t), simulator.noise(rng, x, u, t, [{}])
         x = simulator.wrapped([drift[0] + noise[0]])
     return float(1.0 - kept.mean())
-
-
-def test_sources_are_normal_only_where_all_they_move_keeps_in_strips_at_all_times() -> None:
-    rng = np.random.default_rng(5)
-    teams = (random_team(rng, "sizes") for _ in range(200))
-    team = next(t for t in teams if any("noise_scale" in a and len(a["states"]) > 1 for a in t.agents))
-    made = with_limits(team)
-    assert made is not None
-    problem = read_problem(made[0])
-    narrow = [np.ones((team.T, len(agent.states))) for agent in problem.agents]
-    assert np.all(kinds_of(problem, narrow) == NORMAL)
-    # without strips: what the noise is made of, and whether its size names anything that moves
-    named = [names_in(agent.scale) - {"t"} for agent in problem.agents]
-    tails = [(own.tail, bool(names)) for agent, names in zip(problem.agents, named) for own in agent.envelopes]
-    shared = [NORMAL] * problem.agents[0].shared_noise.shape[1]
-    kinds = np.array([*(STOPPED if names and tail == NORMAL else tail for tail, names in tails), *shared])
-    assert np.array_equal(kinds_of(problem, [np.inf * own for own in narrow]), kinds)
-    first = 0
-    for i, agent in enumerate(problem.agents):
-        for k in range(len(agent.states)):
-            widths = [own.copy() for own in narrow]
-            widths[i][team.T - 1, k] = np.inf
-            moved = np.flatnonzero(agent.noise[k]) + first
-            stopped = np.zeros(len(kinds), dtype=bool)
-            stopped[moved] = kinds[moved] == STOPPED
-            assert np.array_equal(kinds_of(problem, widths) == STOPPED, stopped)
-        first += agent.noise.shape[1]
-    assert np.any(kinds == STOPPED)

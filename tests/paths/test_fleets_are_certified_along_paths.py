@@ -192,7 +192,7 @@ def test_pairs_at_a_face_without_noise_are_not_apart() -> None:
     agents = [walker("first", [0.0], 0.1, **still), walker("second", [1.0], 0.1, **still)]
     problem = problem_of(agents, {"near": cg.Pair(["first", "second"], [-1.0], [0.5])}, "N G !near", 1)
     path = [
-        AgentPath(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full((2, 1), x), np.full((2, 3), np.inf))
+        AgentPath(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full((2, 1), x), np.full((2, 2), np.inf))
         for x in (0.0, 1.0)
     ]
     letters = np.array([[0], [-1]], dtype=np.int8)

@@ -304,8 +304,8 @@ def test_noise_that_grows_with_the_state_is_certified_at_any_size() -> None:
     )  # fmt: skip
     regions = {"good": cg.Proposition("plant", [0.5, 1.4], [3.0, 2.2]), "full": cg.Proposition("plant", [0, 3], [4, 4])}
     certificate = path_of(problem_of([agent], regions, "(!full) U good", 25))
-    assert certificate.lower_bound > 0.97  # with strips on the noise alone .85
-    assert cg.check(certificate) and np.any(np.isinf(certificate.proof.paths[0].strips[1:-1, 3:]))  # type: ignore[index]
+    assert certificate.lower_bound > 0.97
+    assert cg.check(certificate)
     assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
 
 
@@ -316,7 +316,7 @@ def test_outputs_of_which_nothing_is_known_on_the_tube_certify_nothing() -> None
         state_high=[1], input_low=[-1], input_high=[1], initial_state=[0.505], outputs=["log(x)"],
     )  # fmt: skip
     problem = problem_of([agent], {"bad": cg.Proposition("one", [-9.0], [-0.69])}, "G !bad", 1)
-    path = AgentPath(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full((2, 1), 0.505), np.full((2, 3), np.inf))
+    path = AgentPath(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full((2, 1), 0.505), np.full((2, 2), np.inf))
     letters, faces = np.array([[0], [-1]], dtype=np.int8), np.array([[-1], [1]])
     for failure in (0.6, 0.99):
         assert not cg.check(cg.Certificate(problem, PathProof((path,), letters, faces, failure), {}))

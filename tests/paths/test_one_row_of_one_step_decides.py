@@ -88,7 +88,7 @@ def along(
         np.zeros((steps, 1)) if inputs is None else np.array(inputs)[:, None],
         np.zeros((steps, 1, d)),
         np.zeros((steps + 1, d)) if states is None else np.array(states),
-        np.concatenate([np.array(strips), np.full((steps + 1, d + 1), np.inf)], axis=1),
+        np.concatenate([np.array(strips), np.full((steps + 1, 1), np.inf)], axis=1),
     )
     path.gain[1:, :, 0] = gain
     normals = np.zeros((steps + 1, 1)) if problem.labeling.pairs else None

@@ -149,7 +149,7 @@ SABOTAGES = {
     "variance for deviation": (strip_constraints.StripConstraints, "failure", None),
     "noise of one step less": (path_search, "covariances_of", lambda f: lambda a, g, s: np.roll(f(a, g, s), 1, axis=0)),
     "workspace left out": (
-        path_search, "limits_of", lambda f: lambda p, i, le, fa: [x for x in f(p, i, le, fa) if x[0] > 3],
+        path_search, "limits_of", lambda f: lambda p, i, le, fa: [x for x in f(p, i, le, fa) if x[0] > 4],
     ),
     "smaller noise": (path_search, "covariances_of", lambda f: lambda a, g, s: 0.98 * f(a, g, s)),
 }  # fmt: skip

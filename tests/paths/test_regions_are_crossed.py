@@ -39,7 +39,7 @@ def crossing(problem: cg.Problem, window: tuple[int, int] = (1, STEPS), sign: fl
     p = names.index("goal")
     letters[window[0] : window[1] + 1, p] = SOMETIME
     faces[window[0] : window[1] + 1, p] = 0 if sign > 0.0 else 1
-    path = AgentPath(np.full((STEPS, 1), sign * PACE), np.zeros((STEPS, 1, 1)), x, np.full((STEPS + 1, 3), np.inf))
+    path = AgentPath(np.full((STEPS, 1), sign * PACE), np.zeros((STEPS, 1, 1)), x, np.full((STEPS + 1, 2), np.inf))
     return Certificate(problem, PathProof((path,), letters, faces, 1.0), {"relation": "path"})
 
 
@@ -203,7 +203,7 @@ def crossing_robot(problem: cg.Problem, along: str) -> AlongPath:
     states = np.array([0.0, 2.0]) + 0.2 * np.concatenate([np.zeros((1, 2)), np.cumsum(u, axis=0)])
     letters, faces = np.zeros((13, 1), dtype=np.int8), np.full((13, 1), -1)
     letters[1:], faces[1:] = SOMETIME, 2 * axis
-    strips = np.full((13, 6), np.inf)
+    strips = np.full((13, 4), np.inf)
     strips[:, 1] = 2.0  # an angle has to be known up to half a turn
     path = AgentPath(u, np.zeros((12, 2, 2)), states, strips)
     return Certificate(problem, PathProof((path,), letters, faces, 1.0), {"relation": "path"})

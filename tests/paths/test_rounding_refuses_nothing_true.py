@@ -112,8 +112,9 @@ def test_the_check_of_paths_proves_the_same_in_all_units(unit: list[float]) -> N
     certificate = straight(turned(unit))
     report = cg.check(certificate)
     assert report, report.failures
-    assert report.recomputed == pytest.approx(plain.recomputed, rel=1e-9)
-    assert not cg.check(changed(certificate, failure=0.9999 * certificate.proof.failure))
+    # which of two earlier constraints is looked at may hang on the last bits
+    assert report.recomputed == pytest.approx(plain.recomputed, rel=1e-8)
+    assert not cg.check(changed(certificate, failure=0.9999 * (1.0 - report.recomputed)))
 
 
 def test_rollouts_agree_in_uneven_units() -> None:

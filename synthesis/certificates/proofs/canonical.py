@@ -469,15 +469,8 @@ def _network_of(proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
 def _trajectory(agent: AnyAgent, path: AgentPath, states: FloatArray) -> dict[str, FloatArray]:
     """Return nominal inputs, gains, states and widths of the tube of one agent."""
     steps, d, m = path.n_steps, agent.n_states, agent.n_inputs
-    widths = np.full((steps + 1, d + m), np.inf) if path.strips is None else path.strips[:, : d + m]
-    entry = {"inputs": path.inputs, "gains": np.array(path.gains), "states": states, "widths": widths}
-    if agent.noise_scale is not None and path.strips is not None:
-        # strips are in deviations of what the scale multiplies
-        deviations = [law.std for law in agent.laws or ()] or np.ones(agent.noise_axes.shape[1])
-        size = np.linalg.norm(agent.noise_axes * deviations, axis=1)
-        strips = path.strips[:-1, d + m :]
-        entry["noise_widths"] = np.where(np.isinf(strips), np.inf, np.where(np.isinf(strips), 0.0, strips) * size)
-    return entry
+    widths = np.full((steps + 1, d + m), np.inf) if path.strips is None else path.strips
+    return {"inputs": path.inputs, "gains": np.array(path.gains), "states": states, "widths": widths}
 
 
 def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> dict[str, Any]:

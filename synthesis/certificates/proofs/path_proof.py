@@ -47,9 +47,9 @@ class AgentPath:
         Feedback K on the deviation from the nominal path, one for all times or one for each; 0 for none.
     states : (S + 1, d) array, optional
         Nominal states of a nonlinear path. Without, they are those that the inputs lead a linear agent to.
-    strips : (S + 1, 2 d + m) array, optional
-        Of a nonlinear path: what the linear deviation of each state is kept within, that of each input (in the last row
-        they say nothing), and the noise of each state in its standard deviations; infinite where nothing is asked.
+    strips : (S + 1, d + m) array, optional
+        Of a nonlinear path: what the linear deviation of each state is kept within, and that of each input (in the last
+        row they say nothing); infinite where nothing is asked.
     """
 
     inputs: FloatArray
@@ -191,8 +191,14 @@ class PathProof(Proof):
         for agent, numbers in zip(problem.agents, entries, strict=True):
             steps, d, m = len(letters) - 1, agent.n_states, agent.n_inputs
             shapes = [(steps, m), (m, d)] if len(numbers) == 2 else [(steps, m), (steps, m, d)]
-            shapes += [] if len(numbers) == 2 else [(steps + 1, d), (steps + 1, 2 * d + m)]
+            shapes += [] if len(numbers) == 2 else [(steps + 1, d), (steps + 1, d + m)]
             arrays = [stored.numbers(number) for number in numbers]
+            if (
+                len(arrays) == 4
+                and arrays[3].shape == (steps + 1, 2 * d + m)
+                and np.all(arrays[3][:, d + m :] == np.inf)
+            ):
+                arrays[3] = arrays[3][:, : d + m]  # up to version 0.4 noise could have strips, too
             if [array.shape for array in arrays] != shapes or not all(np.all(np.isfinite(a)) for a in arrays[:3]):
                 raise ValueError(f"the inputs of agent {agent.name!r} do not fit")
             if len(numbers) == 4 and not np.all(arrays[3] >= 0.0):

@@ -34,7 +34,7 @@ Both = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Candidates: gains (N, S, m, d), and strips (N, S + 1, 2 d + m) in deviations of states, inputs and noises."""
+    """Candidates: gains (N, S, m, d), and strips (N, S + 1, d + m) in deviations of states and inputs."""
 
     gains: FloatArray
     strips: FloatArray
@@ -44,7 +44,7 @@ class Feedback:
 class Spreads:
     """Deviations, linearization errors and shifts of candidates, by which a nominal path is planned anew.
 
-    Arrays (S + 1, .., d), (S + 1, .., p) and (S, .., m) of states, outputs and inputs; ``strips`` (S + 1, .., 2 d + m)
+    Arrays (S + 1, .., d), (S + 1, .., p) and (S, .., m) of states, outputs and inputs; ``strips`` (S + 1, .., d + m)
     are those of the certificate. Between times and numbers stand the candidates, if there are several. True values are
     within a linearization error of linear deviations around shifted nominal values.
     """
@@ -313,7 +313,7 @@ class _Walk:
         d, m, n, steps, bent = self.d, self.m, self.n, self.steps, self.model.bent
         states, outputs = np.zeros((3, steps + 1, n, d)), np.zeros((3, steps + 1, n, self.agent.n_outputs))
         inputs, pairs = np.zeros((3, steps, n, m)), dict[int, tuple[FloatArray, ...]]()
-        strips = np.full((steps + 1, n, 2 * d + m), np.inf)
+        strips = np.full((steps + 1, n, d + m), np.inf)
         eye = np.eye(d)
         for t in range(steps + 1):
             x = self.x[t]
@@ -474,21 +474,20 @@ class _Walk:
         return Tube.around(at, (sides[0], sides[1]), self.ends, self.feedback.gains[:, t])
 
     def _step(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Go on by a step; return deviations, errors, shifts and strips of inputs, and strips of noises."""
+        """Go on by a step; return deviations, errors, shifts and strips of inputs."""
         inputs, strip, around = self._inputs(t, reach)
         tube = self._tube(t, reach, around)
         curved = tube.curved(self.model.step_parts)
         middle, off = (part.T for part in remainders(curved[: self.d], tube, self.forms[t], self.centres[t]))
-        noise_strip, more, noise = self._varied_noise(t, tube, curved[self.d :], reach)
+        noise = self._varied_noise(t, tube, curved[self.d :], reach)
         # What is lost stays so; numbers remain finite, so that scores can be compared.
-        off = off + more
         is_known = np.isfinite(off) & np.isfinite(middle) & (np.abs(middle) < self.lost)
         middle = np.where(is_known, middle, 0.0)
         off = np.where(is_known, np.minimum(off, self.lost), self.lost)
         closed = self.A[t] + np.matmul(self.B[t], self.feedback.gains[:, t])
         self.jumped = self._jump(t, reach, closed, (middle, off, noise))
         self._advance(t, closed, (middle, off, noise))
-        return *inputs, np.concatenate([strip, noise_strip], axis=1)
+        return *inputs, strip
 
     def _inputs(self, t: int, reach: Both) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray, Both]:
         """Add the limits of inputs; return deviations, linearization errors, shifts, strips, and their reach."""
@@ -511,34 +510,24 @@ class _Walk:
         self._ask(t, gain)
         return (sd, linearization_error, shift), strip, (below, above)
 
-    def _varied_noise(
-        self, t: int, tube: Tube, curved: Curved, reach: Both
-    ) -> tuple[FloatArray, FloatArray | float, FloatArray]:
-        """Return strips of the noises of a step, what their scales add to its remainder, and covariances (N, d, d)."""
-        d, noise, nothing = self.d, self.noises[t], np.full((self.n, self.d), np.inf)
+    def _varied_noise(self, t: int, tube: Tube, curved: Curved, reach: Both) -> FloatArray:
+        """Return covariances (N, d, d) of the noise of a step: scales are anything up to the largest on the tube."""
+        d, noise = self.d, self.noises[t]
         if self.model.scale is None:
-            return nothing, 0.0, noise
+            return noise
         slopes, deviations = self.slope_forms[t], self.model.deviations
         bent, more = remainders(curved, tube, np.zeros_like(slopes), np.abs(slopes), follows=False)
         varied = (np.abs(bent) + more).T * deviations
         is_varied = self.model.varied & (deviations > 0.0)
-        strips = self.feedback.strips[:, t, d + self.m :]
-        strip = np.where(is_varied, strips, np.inf) if self.model.tail == Tail.NORMAL else nothing
-        is_bounded = np.isfinite(strip)
-        off = np.where(is_bounded, varied * np.where(is_bounded, strip, 0.0), 0.0)
-        # Without a strip the scale is anything up to the largest one on the tube.
-        is_stopped = is_varied & ~is_bounded
-        own = np.where(is_stopped, np.sqrt(np.einsum("nkk->nk", noise)) + varied * OUTWARD, 0.0)
-        noise = np.where(is_stopped[:, :, None] * np.eye(d, dtype=bool), own[:, :, None] ** 2, noise)
-        self.worth.stop(np.any(is_stopped, axis=1))
-        names = [f"noise of {name} at step {t}" for name in self.model.names[:d]]
-        self.worth.add(nothing, nothing, strip, np.ones((self.n, d)), names)
+        own = np.where(is_varied, np.sqrt(np.einsum("nkk->nk", noise)) + varied * OUTWARD, 0.0)
+        noise = np.where(is_varied[:, None] * np.eye(d, dtype=bool), own[:, :, None] ** 2, noise)
+        self.worth.stop(np.full(self.n, bool(np.any(is_varied))))
         if self.moments is not None:
             own_rows = (np.arange(len(slopes[0])) < d + self.m)[:, None]
             form, centre = np.where(own_rows, slopes, 0.0), np.where(own_rows, 0.0, np.abs(slopes))
             curve, off_line = (part.T for part in remainders(curved, tube, form, centre))
             self._tilt(t, self.scales[t] + curve, off_line, (reach, noise))
-        return strip, off, noise
+        return noise
 
     def _advance(self, t: int, closed: FloatArray, step: tuple[FloatArray, FloatArray, FloatArray]) -> None:
         """Go on by a closed loop (N, d, d), to which a step adds a middle and a half width (N, d), and noise."""

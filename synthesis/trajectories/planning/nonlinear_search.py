@@ -214,7 +214,7 @@ class NonlinearSearch:
     def _sizes(self) -> FloatArray:
         """By how much logarithms of weights and strips differ: of the latter little."""
         d, m = self.agent.n_states, self.agent.n_inputs
-        return np.concatenate([np.full(d + m, 2.0), [1.0], np.full(2 * d + m, 0.3)])
+        return np.concatenate([np.full(d + m, 2.0), [1.0], np.full(d + m, 0.3)])
 
     @property
     def _round(self) -> FloatArray:
@@ -431,12 +431,8 @@ def feedback_of(
     d, m = search.agent.n_states, search.agent.n_inputs
     base = np.concatenate([1.0 / (0.05 * search.width) ** 2, 1.0 / search.half**2, [1.0]])
     weights = base * np.exp(np.clip(thetas[:, : d + m + 1], -16.0, 16.0))
-    strips = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 : 3 * d + 2 * m + 1], -1.5, 1.5))
+    strips = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 : 2 * (d + m) + 1], -1.5, 1.5))
     strips[:, list(search.model.watched)] = search.model.width
-    # Noise that varies has a strip, or none at all.
-    strips[:, d + m :] = np.where(
-        thetas[:, 2 * d + 2 * m + 1 : 3 * d + 2 * m + 1] > 0.0, np.inf, 1.4 * strips[:, d + m :]
-    )
     low, high = search.agent.input_low, search.agent.input_high
     A, B = (np.stack([path.linear[k] for path in paths], axis=1)[:, which] for k in (0, 1))
     inputs = np.stack([path.inputs for path in paths], axis=1)[:, which]

@@ -227,7 +227,7 @@ def _certificate(
     steps, paths = len(letters) - 1, []
     for agent, states, inputs in zip(problem.agents, run.states, run.inputs, strict=True):
         d, m = agent.n_states, agent.n_inputs
-        strips = np.full((steps + 1, 2 * d + m), np.inf)
+        strips = np.full((steps + 1, d + m), np.inf)
         paths.append(AgentPath(inputs[:steps], np.zeros((steps, m, d)), states[: steps + 1], strips))
     faces = np.full(letters.shape, -1) if margins is None else margins.faces[: steps + 1]
     normals = None
