@@ -284,7 +284,6 @@ MUTANTS = [
         ("(covariance > 0.0) == bool(side)", "(covariance > 0.0) != bool(side)"),
         ("before[1], before[0]) / least", "before[1], before[0]) * 0.9 / least"),
         ("a = end[:, None] / own * (1.0 - 8.0 * U)", "a = end[:, None] / own * 1.01"),
-        ("np.where(np.isnan(more), 1.0, more)", "np.nan_to_num(more)"),
         ("below[:, -1] * tail[:, -1]", "0.0 * tail[:, -1]"),
         ("mean = np.where(chord, 0.5 * (tail[:, :-1] + tail[:, 1:]), tail[:, :-1])", "mean = tail[:, 1:]"),
         ("chord = (y[:, 1:] >= 0.0) & (c[:, :-1] >= 0.0)", "chord = y[:, 1:] > -9.0"),

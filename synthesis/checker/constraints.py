@@ -128,8 +128,8 @@ def _first_failures(ends: Array, forms: Forms, before: Array, earlier: Forms) ->
             a = end[:, None] / own * (1.0 - 8.0 * U) + 0.0 * rho
             away = (a - rho * b) / np.sqrt(1.0 - rho * rho)
             best = np.where(np.isfinite(away), away, -np.inf).argmax(axis=1)[:, None]
-            more = beyond(*(np.take_along_axis(part, best, axis=1) for part in (a, b, rho)))
-            found.append(np.where(np.isnan(more), 1.0, more))
+            # without an earlier one these are nan, of which nothing is known
+            found.append(beyond(*(np.take_along_axis(part, best, axis=1) for part in (a, b, rho))))
     return np.array(found)
 
 

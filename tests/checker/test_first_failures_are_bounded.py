@@ -145,11 +145,13 @@ def test_only_normal_forms_are_looked_at_together() -> None:
 def test_what_is_mixed_once_says_nothing_of_normal_forms_that_follow() -> None:
     """A form of a normal and another source, and then one of the normal source alone."""
     for kind in (STOPPED, LIGHT, LONG):
-        system, constraints = ErrorSystem(np.zeros(2), 2), Constraints(np.array([NORMAL, kind]))
-        system.step(np.eye(2), np.zeros((2, 2)), np.zeros(2), np.array([[1.0, 1e-3], [1.0, 0.0]]))
-        _, forms = system.rows(np.eye(2))
-        for k in (0, 1):
-            constraints.add(np.array([3.0]), np.array([3.0]), np.inf, forms.at(np.array([k])), ["x at time 1"])
+        system, constraints = ErrorSystem(np.zeros(3), 3), Constraints(np.array([NORMAL, kind, NORMAL]))
+        noise = np.array([[1.0, 1e-3, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+        system.step(np.eye(3), np.zeros((2, 3)), np.zeros(3), noise)
+        _, forms = system.rows(np.eye(3))
+        for places in (np.array([0, 1]), np.array([2])):
+            ends = np.full(len(places), 3.0)
+            constraints.add(ends, ends, np.inf, forms.at(places), ["x at time 1"] * len(places))
         assert constraints.first[1][0] >= 2.0 * ndtr(-3.0)
 
 
