@@ -30,7 +30,7 @@ def by_hand(problem: cg.Problem, seed: int) -> tuple[float, float] | None:
                 plan = cg.synthesize(task.replace(disturbance_scale=share), relation="path").certificate
             except ValueError:
                 continue
-            follower = PathController(task, tuple(_followed(task, i, path) for i, path in enumerate(plan.paths)))
+            follower = PathController(task, tuple(_followed(task, i, path) for i, path in enumerate(plan.proof.paths)))
             tried.append((cg.rollout(task, follower, TrialPlan(TRIED, seed + 1)).successes, follower))
         if not tried:
             return None

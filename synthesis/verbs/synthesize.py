@@ -43,7 +43,9 @@ from .upper_bounds import synthesis_above
 OWN = "own"
 """Stands for the horizon of the problem."""
 
-KEYWORDS = ("problem", "cells", "horizon", "relation", "effort", "seconds", "progress", "start", "above", "search")
+KEYWORDS = (
+    "problem", "cells", "horizon", "relation", "effort", "seconds", "until", "progress", "start", "above", "search",
+)  # fmt: skip
 """Names in the signature of ``synthesize``."""
 
 
@@ -67,6 +69,7 @@ def synthesize(
     relation: Relations = "auto",
     effort: float | None = None,
     seconds: float | None = None,
+    until: float | None = None,
     progress: Callable[[str, float], None] | bool | None = None,
     start: Any = None,
     above: bool | None = None,
@@ -105,6 +108,8 @@ def synthesize(
     seconds : float, optional
         Seconds of the clock after which the best certificate so far is returned, or the first one, if that takes
         longer. It depends on the machine what they are enough for. Work is then limited only by ``effort``, if given.
+    until : float, optional
+        Lower bound in (0, 1] that is enough: the search ends with the first certificate that has it.
     progress : callable or True, optional
         Called with a short text and the best value so far after each sweep; True: a bar, in notebooks, too.
     start : Synthesis, Certificate or path, optional
@@ -146,7 +151,7 @@ def synthesize(
         settings = options.of_relations
         if begun is not None and not task.groups and not task.labeling.pairs:
             settings = {**_settings_of_start(task, relation, checked_certificate(begun, "start")), **settings}
-        plan = Plan(Settings(**settings), ascent, Effort(effort, seconds, progress=told))
+        plan = Plan(Settings(**settings), ascent, Effort(effort, seconds, progress=told, until=until))
         try:
             found = _of_problem(task, cells, relation, plan, begun)
             if above or (above is None and is_single and not plan.effort.is_over):

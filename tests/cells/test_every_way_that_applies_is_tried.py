@@ -91,6 +91,35 @@ def test_what_leaves_nothing_to_gain_ends_the_search(table: Table) -> None:
 
 
 @pytest.mark.full_search
+def test_a_bound_that_is_enough_ends_the_search(table: Table) -> None:
+    strategies = [table.strategy("short", 0.6, 1.0), table.strategy("long", 0.8, 2.0), table.strategy("last", 0.9, 3.0)]
+    found = best_of(strategies, Effort(until=0.7))
+    assert table.run == ["short", "long"] and found.certificate.lower_bound == 0.8
+    assert "`long` has the bound that was asked for" in tried_of(found)["last"]
+    assert best_of(strategies, Effort(until=0.95)).certificate.lower_bound == 0.9
+
+
+@pytest.mark.parametrize("until", [0.0, -0.5, 1.5, "0.9", True])
+def test_what_is_no_bound_is_enough_for_nothing(until: Any) -> None:
+    with pytest.raises(ValueError, match="`until`: expected a lower bound above 0, 1 at most"):
+        cg.synthesize("invariance-v0", until=until)
+
+
+@pytest.mark.full_search
+@pytest.mark.parametrize(
+    ("name", "relation", "until", "most"),
+    [("car-park-planar-v0", "auto", 0.98, 0.99), ("car-park-planar-v0", "linear", 0.9, 0.993),
+     ("car-slalom-v0", "path", 0.3, 0.9999999)],
+)  # fmt: skip
+def test_searches_on_cells_and_along_paths_end_with_the_bound(
+    name: str, relation: str, until: float, most: float
+) -> None:
+    """Defaults go on to .9994 and to a failure of 1e-9."""
+    found = cg.synthesize(name, relation=relation, until=until)
+    assert until <= found.certificate.lower_bound < most and cg.check(found.certificate)
+
+
+@pytest.mark.full_search
 def test_what_needs_another_way_comes_after_it(table: Table) -> None:
     strategies = [
         table.strategy("finer", 0.7, after="coarse"),

@@ -86,7 +86,7 @@ def cells_of(options: Namespace) -> int | list[int] | None:
 
 def budget_of(options: Namespace) -> dict[str, Any]:
     """Return the budgets of the options, if any, as keyword arguments of ``synthesize``."""
-    given = {name: getattr(options, name) for name in ("effort", "seconds")}
+    given = {name: getattr(options, name) for name in ("effort", "seconds", "until")}
     return {name: value for name, value in given.items() if value is not None}
 
 

@@ -118,6 +118,9 @@ def add_effort(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, metavar="S", help="the best certificate that the clock leaves time for (no default)"
     )
+    parser.add_argument(
+        "--until", type=float, metavar="P", help="end with the first certificate whose lower bound is P (no default)"
+    )
     add_above(parser)
 
 

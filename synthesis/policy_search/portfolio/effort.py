@@ -54,11 +54,13 @@ class Effort:
         given up, as soon as there is a certificate.
     progress : callable, optional
         Told which way or level begins, as ``"strategy: ..."``, with the largest bound so far.
+    until : float, optional
+        Lower bound in (0, 1] that is enough: nothing further is begun once a certificate has it.
 
     Raises
     ------
     ValueError
-        If one of them is not a positive number.
+        If one of them is not a positive number, or ``until`` no probability.
     """
 
     work: float | None = None
@@ -84,12 +86,16 @@ class Effort:
     """Whether what was given up last took more work than it was allowed."""
     begun: tuple[str, float] = ("", 0.0)
     """Which way or level was told last, and the largest bound then."""
+    until: float | None = None
 
     def __post_init__(self) -> None:
         for name, value, what in (("effort", self.work, "of core seconds"), ("seconds", self.seconds, "of the clock")):
             number = isinstance(value, int | float) and not isinstance(value, bool)
             if value is not None and not (number and value > 0):
                 raise ValueError(f"`{name}`: expected a positive number ({what}), got {value!r}; leave it out")
+        number = isinstance(self.until, int | float) and not isinstance(self.until, bool)
+        if self.until is not None and not (number and 0.0 < self.until <= 1.0):
+            raise ValueError(f"`until`: expected a lower bound above 0, 1 at most, got {self.until!r}; leave it out")
         self.began = time.perf_counter()
         self.limit = self.work if self.work is not None else EFFORT if self.seconds is None else math.inf
 
@@ -100,7 +106,11 @@ class Effort:
     def anew(self) -> Effort:
         """Return the effort of another task: as much work, and the seconds that are left."""
         seconds = None if self.seconds is None else max(1e-9, self.seconds - self.elapsed)
-        return Effort(self.work, seconds, progress=self.progress)
+        return Effort(self.work, seconds, progress=self.progress, until=self.until)
+
+    def suffices(self, bound: float) -> bool:
+        """Return whether a lower bound is what was asked for."""
+        return self.until is not None and bound >= self.until
 
     @property
     def is_over(self) -> bool:

@@ -302,7 +302,8 @@ class _Levels:
             self.effort.spent -= unused
             # Where little is to be gained, further levels are made only if they cost next to nothing.
             gained = None if is_first or result.certificate.lower_bound <= 0.0 else (self.bound - bound, finer)
-            if result.certificate.lower_bound >= self.solved or (not is_first and finer < FINER[0]):
+            bound = result.certificate.lower_bound
+            if bound >= self.solved or self.effort.suffices(bound) or (not is_first and finer < FINER[0]):
                 return
             width /= finer
 

@@ -143,7 +143,9 @@ def best_of(strategies: Sequence[Strategy], effort: Effort) -> Synthesis:
         results[strategy.name], effort.has_result = result, True
         effort.above = min(effort.above, _above(result))
         tried |= _outcomes(strategy, result)
-        if result.certificate.lower_bound >= strategy.ends:
+        if effort.suffices(result.certificate.lower_bound):
+            ended_by = f"`{strategy.name}` has the bound that was asked for"
+        elif result.certificate.lower_bound >= strategy.ends:
             ended_by = f"at most {1.0 - result.certificate.lower_bound:.2g} is left to gain after `{strategy.name}`"
             if strategy.ends <= 0.0 and result.certificate.lower_bound < HARDLY_LEFT:
                 ended_by = f"agents have more states than grids hold as a rule, which `{strategy.name}` is for"

@@ -43,6 +43,8 @@ class CountedWork:
         Told the work so far, once for each core second.
     is_hopeless : bool
         Whether it is known that the task is out of reach: then what comes near has to do.
+    suffices : callable
+        Whether a lower bound is what was asked for: then it is not improved.
     """
 
     limit: float = math.inf
@@ -52,6 +54,7 @@ class CountedWork:
     counted: Callable[[float], None] = lambda spent: None
     largest: float = 0.0
     is_hopeless: bool = False
+    suffices: Callable[[float], bool] = lambda bound: False
 
     def tell(self, failure: float) -> None:
         """Tell of a path that was found, by an upper bound on its probability of failing, if it is the best so far."""
@@ -65,7 +68,7 @@ class CountedWork:
 
     def allows(self, work: float) -> bool:
         """Return whether further work may be done."""
-        return self.spent + work <= self.limit and not self.is_broken_off()
+        return self.spent + work <= self.limit and not self.is_broken_off() and not self.suffices(self.largest)
 
     @contextmanager
     def within(self, work: float) -> Iterator[None]:
