@@ -557,7 +557,7 @@ def _cards(ids: list[str]) -> list[str]:
             f"{counted(max(agent.n_states for agent in problem.agents), 'state')} each",
             "linear" if linear else "nonlinear",
             counted(problem.horizon, "step"),
-            tier_of_id(id),
+            " and ".join(dict.fromkeys(tier_of_id(name) for name in variants_of(id))),
             numbers.proved(kept[id]),
         ]
         picture = f"[![{name}]({id}.png)]({id}.md)"

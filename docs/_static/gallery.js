@@ -6,7 +6,7 @@ document.addEventListener("DOMContentLoaded", function () {
   var cards = Array.from(home.querySelectorAll("tbody tr")).map(function (row) {
     var text = row.textContent;
     return { row: row, agents: number(text, /(\d+) agents?,/), states: number(text, /, (\d+) states? each/),
-             tier: (text.match(/, (solved|open|hard|unrated),/) || [])[1],
+             tier: (text.match(/, ((?:solved|open|hard|unrated| and )+),/) || [])[1] || "",
              dynamics: /, nonlinear,/.test(text) ? "nonlinear" : "linear",
              domain: (text.match(/(Robots|Deliveries|Vehicles|Plants|Scaling),/) || [])[1],
              // From .99 on a card says the failure.
@@ -22,9 +22,9 @@ document.addEventListener("DOMContentLoaded", function () {
     "states of an agent": { any: all, one: within("states", 1, 1), two: within("states", 2, 2), "3 and more": within("states", 3, 1e9) },
     dynamics: { any: all, linear: function (c) { return c.dynamics === "linear"; },
                 nonlinear: function (c) { return c.dynamics === "nonlinear"; } },
-    "left to learn": { any: all, open: function (c) { return c.tier === "open"; },
-                       hard: function (c) { return c.tier === "hard"; }, solved: function (c) { return c.tier === "solved"; },
-                       unrated: function (c) { return c.tier === "unrated"; } },
+    "left to learn": { any: all, open: function (c) { return c.tier.includes("open"); },
+                       hard: function (c) { return c.tier.includes("hard"); }, solved: function (c) { return c.tier.includes("solved"); },
+                       unrated: function (c) { return c.tier.includes("unrated"); } },
     "certified": { any: all, "above .99": function (c) { return c.bound > .99; },
                    ".5 to .99": within("bound", .5, .99), "below .5": function (c) { return !(c.bound >= .5); } }
   };
