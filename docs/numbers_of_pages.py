@@ -105,9 +105,12 @@ def random_inputs(entry: dict[str, Any]) -> str:
 
 
 def at_most(entry: dict[str, Any]) -> str:
-    """Return the upper bound for any policy of the continuous system, on the scale of the certified bound."""
+    """Return the upper bound for any policy of the continuous system, on the scale of the certified bound.
+
+    A dash where none is computed, or where it says no more than that probabilities are at most 1.
+    """
     above = entry["any policy"]
-    if above is None:
+    if above is None or above >= 1.0 or (entry["certified"] < FAILURE_FROM and rounded_up(above, 4) == "1.0000"):
         return "-"
     if entry["certified"] < FAILURE_FROM:
         return f"P <= {rounded_up(above, 4)}"
@@ -143,8 +146,8 @@ All {count} problems with an id and no options (`certigym run ID`): the numbers 
 - *proved*: the certified lower bound, which `certigym check` verified. From .99 on it is written as a failure
   probability, rounded up.
 - *measured*: {episodes:,} rollouts of the certified controllers with exact 99.9 % limits, on the scale of the bound.
-- *any policy*: an upper bound on what any policy of the continuous system attains. None is computed for agents with
-  expressions, nor for tasks about pairs of agents.
+- *any policy*: an upper bound on what any policy of the continuous system attains. A dash: none is computed (agents
+  with expressions, pairs of agents), or it is 1.
 - *seconds*: CPU seconds of one process for the synthesis. Rank, peak memory, random inputs: `defaults.json`.
 
 `python benchmarks/defaults.py` measures them, `python docs/numbers_of_pages.py` writes them to the pages. The order in
@@ -298,7 +301,7 @@ SHOWN = (
     ("quadrotor-v0", "a quadrotor with twelve states flies through a gate of 1 m"),
     ("fleet-v0", "twenty vehicles on a circle swap places and keep apart"),
     ("invariance-b-100-v0", "a hundred agents stay in a safe set under unit noise"),
-    ("package-delivery-kinematic-v0", "eight robots with velocities deliver packages"),
+    ("package-delivery-kinematic-v0", "four robots with velocities deliver packages"),
     ("patrol-recharge-v0", "two robots guard a post and recharge"),
 )
 """Rows of README: an id, and its task in words."""
