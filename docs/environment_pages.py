@@ -266,8 +266,6 @@ def _summary(id: str, problem: cg.Problem) -> str:
         ("Action", f"{', '.join(shapes)} in {_ranges([(a.input_low, a.input_high) for a in problem.agents])}"),
         ("Observation", f"{', '.join(seen)}, {problem.automaton.n_states} automaton states"),
         ("State", f"{env.state_space.shape}"),
-        ("Central action", f"{(sum(a.n_inputs for a in problem.agents),)}"),
-        ("Horizon", f"{problem.horizon} time steps"),
     ]
     return "| | |\n|---|---|\n" + "\n".join(f"| {key} | {value} |" for key, value in rows)
 
