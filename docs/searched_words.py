@@ -45,7 +45,13 @@ class SearchedWords(SphinxTransform):
             sections[0].insert(1, addnodes.index(entries=entries))
 
 
+def outdated(*event: Any) -> list[str]:
+    """Return the pages that every build reads again: entries of pages that are not read are lost from the search."""
+    return list(SEARCHED)
+
+
 def setup(app: Any) -> dict[str, bool]:
     """Register the extension."""
     app.add_transform(SearchedWords)
+    app.connect("env-get-outdated", outdated)
     return {"parallel_read_safe": True}
