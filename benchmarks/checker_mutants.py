@@ -833,17 +833,19 @@ MARK = "<!-- what came out -->"
 
 
 def write_page(rows: list[dict[str, str]]) -> None:
-    """Write the table below its mark in the page."""
+    """Write the table below its mark in the page: how many mutants of each file are noticed, and by how many tests."""
     noticed = sum(bool(row["test"]) for row in rows)
     lines = [
-        f"{len(rows)} mutants, of which tests notice {noticed}.",
+        f"{len(rows)} mutants, of which tests notice {noticed}. Each line and the first test that fails:",
+        "[checker_mutations.json](checker_mutations.json).",
         "",
-        "| file | line | noticed by |",
-        "|---|---|---|",
+        "| file | mutants | noticed | first tests |",
+        "|---|---|---|---|",
     ]
-    for row in rows:
-        line = " ".join(row["new"].split())[:70].replace("|", "\\|") or "(left out)"
-        lines.append(f"| {row['file']} | `{line}` | {row['test'] or '**nothing**'} |")
+    for file in dict.fromkeys(row["file"] for row in rows):
+        own = [row for row in rows if row["file"] == file]
+        tests = {row["test"].split("[")[0] for row in own if row["test"]}
+        lines.append(f"| {file} | {len(own)} | {sum(bool(row['test']) for row in own)} | {len(tests)} |")
     head = PAGE.read_text(encoding="utf-8").split(MARK)[0]
     PAGE.write_text(f"{head}{MARK}\n\n" + "\n".join(lines) + "\n", encoding="utf-8")
 

@@ -1,49 +1,36 @@
-"""What every suite problem certifies with an id and no options: bound, rollouts, relation, cells, seconds.
+"""What every suite problem certifies with an id and no options: the one source of the numbers on the pages.
 
-``python benchmarks/defaults.py [--out docs/defaults.md] [ID ...]`` measures problems (all by default), keeps what it
-found in a JSON file beside the page, and writes the page. The bounds of version 0.1, with its defaults, stand beside
-those of today. With ``--longer`` settings are tried that take up to ten minutes, where these could certify more by .02.
-Seconds are CPU seconds of one process, and depend on the machine.
+``python benchmarks/defaults.py [ID ...]`` measures problems (all by default), each in a process of its own, so that its
+peak memory is its own, and keeps what it found in ``docs/defaults.json``. ``python docs/numbers_of_pages.py`` then
+writes the pages that show these numbers. With ``--longer`` settings are tried that take up to ten minutes, where these
+could certify more by .02. Seconds are CPU seconds of one process, and depend on the machine. All problems take an hour
+on one core.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import resource
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import certigym as cg
-from certigym.synthesis.certificates.proofs import rounded_down, rounded_up
+from certigym.synthesis.certificates.proofs import is_exact, start_of_claim
+from certigym.validation.policies.rollout_policies import RandomController
+from certigym.validation.statistical_tests.binomial import clopper_pearson
+from certigym.validation.statistical_tests.rollouts import rollout
 
-BEFORE = {
-    "building-automation-v0": 0.2597,
-    "car-park-planar-v0": 0.9751,
-    "car-park-v0": 0.8967,
-    "cyclic-delivery-v0": 0.9683,
-    "decoupled-chain-14-v0": 0.0007,
-    "decoupled-chain-v0": 0.3514,
-    "door-formation-v0": 0.9998,
-    "integrator-chain-v0": 0.3241,
-    "invariance-20-v0": 1.0,
-    "invariance-4-v0": 1.0,
-    "invariance-b-100-v0": 0.9991,
-    "invariance-b-20-v0": 0.9998,
-    "invariance-v0": 1.0,
-    "meeting-v0": 0.5325,
-    "package-delivery-eased-v0": 0.9996,
-    "package-delivery-kinematic-v0": 0.2455,
-    "package-delivery-single-v0": 0.9964,
-    "package-delivery-v0": 0.0458,
-    "patrol-recharge-v0": 0.9855,
-    "reach-avoid-20-v0": 0.9687,
-    "reach-avoid-kinematic-v0": 0.9449,
-    "reach-avoid-n-v0": 0.9936,
-    "reach-avoid-planar-v0": 0.4279,
-    "reach-avoid-v0": 0.99998,
-}
-"""Bounds of version 0.1 with its defaults."""
+DOCS = Path(__file__).parents[1] / "docs"
+DEFAULTS = DOCS / "defaults.json"
+CERTIFICATES = DOCS / "_certificates"
+"""Where the certificates are kept (not in the repository): the scripts that draw the gallery read them."""
+
+EPISODES, SEED, CONFIDENCE = 100_000, 0, 0.999
+"""Of rollouts: a success rate of 1 then has a lower limit above .9999."""
 
 LONGER: dict[str, list[dict[str, Any]]] = {
     "reach-avoid-planar-v0": [
@@ -58,56 +45,46 @@ LONGER: dict[str, list[dict[str, Any]]] = {
 }
 """Settings for about ten minutes, of problems whose bound for any policy is .02 or more above what defaults certify."""
 
-HEAD = """# What the defaults certify
-
-Every problem of the suite with its id and no options (`certigym run ID`), beside version 0.1. Bounds are certified
-lower bounds, rounded down, checked by `certigym check`; rollouts are the share of 100,000 episodes that satisfied the
-task, an estimate with a standard error of up to .0016; "any policy" is an upper bound, rounded up, on what any policy
-of the continuous system attains. Seconds are CPU seconds. Made by `python benchmarks/defaults.py`.
-
-What is tried, in which order, and where that ends is [one table](how-to/choose_cells.md#the-default), by work that is
-counted and not measured. A path is kept where its bound is .99 or more and it was cheaper than grids, or where every
-grid that was tried fails more than 1.05 times as often: a grid has values, shields and starts everywhere besides.
-
-| id | 0.1 | certified | rollouts | any policy | relation | cells | rank | seconds | check |
-|---|---|---|---|---|---|---|---|---|---|
-"""
-
-TAIL = """
-No upper bound for any policy is known of agents with expressions, nor of tasks about pairs of agents.
-
-## What ten minutes certify
-
-A setting cannot certify more than the upper bound for any policy, or than 1. So the defaults are within .02 of the
-best bound that any setting can give wherever these are that near. For the other problems settings were tried that take
-minutes (`python benchmarks/defaults.py --longer`):
-
-| id | defaults | settings | certified | seconds |
-|---|---|---|---|---|
-"""
-
 
 def measured(name: str) -> dict[str, Any]:
     """Synthesize, check and simulate one problem with the defaults."""
+    problem = cg.make_problem(name)
     began = time.process_time()
-    result = cg.synthesize(name)
+    result = cg.synthesize(problem)
     seconds = time.process_time() - began
     certificate = result.certificate
+    CERTIFICATES.mkdir(exist_ok=True)
+    cg.save(certificate, CERTIFICATES / f"{name}.npz")
     parts = certificate.proof.factors or (certificate,)
+    grids = [agent.grid.shape for part in parts for agent in _on_grids(part)]
     above = result.stats.get("continuous_upper_bound")
     return {
+        "fingerprint": problem.fingerprint,
         "certified": float(certificate.lower_bound),
-        "rollouts": cg.validate(certificate, 100_000).estimate,
+        "failure": float(getattr(certificate.proof, "failure", 1.0 - certificate.lower_bound)),
+        "gap": certificate.gap,
+        "exact": is_exact(certificate),
         "any policy": above if isinstance(above, float) else None,
+        "these models": result.stats.get("abstract_upper_bound"),
+        "start": start_of_claim(certificate),
+        "method": certificate.proof.method,
         "relation": "/".join(dict.fromkeys(kind for part in parts for kind in _kinds(part))),
-        "cells": ", ".join(
-            dict.fromkeys(" x ".join(map(str, agent.grid.shape)) for part in parts for agent in _on_grids(part))
-        )
-        or "-",
+        "cells": ", ".join(dict.fromkeys(" x ".join(map(str, shape)) for shape in grids)) or "-",
         "rank": max(part.proof.rank for part in parts),
-        "seconds": round(seconds),
+        "seconds": round(seconds, 1),
+        "mebibytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
         "check": "valid" if cg.check(certificate) else "NOT valid",
+        "rollouts": _rollouts(problem, certificate.controller),
+        "random": _rollouts(problem, RandomController()),
     }
+
+
+def _rollouts(problem: cg.Problem, policy: Any) -> dict[str, Any]:
+    """Return how many episodes satisfied the task, and the exact limits of their probability."""
+    runs = rollout(problem, policy, episodes=EPISODES, seed=SEED)
+    low, high = clopper_pearson(runs.successes, runs.episodes, CONFIDENCE)
+    limits = {"confidence": CONFIDENCE, "low": low, "high": high}
+    return {"episodes": EPISODES, "seed": SEED, "successes": runs.successes, **limits}
 
 
 def _on_grids(part: Any) -> tuple[Any, ...]:
@@ -134,46 +111,30 @@ def longer(name: str) -> list[dict[str, Any]]:
     return found
 
 
-def row(name: str, found: dict[str, Any]) -> str:
-    """Return the row of the table."""
-    before = f"{BEFORE[name]:.4f}" if name in BEFORE else "-"
-    most = "none" if found["any policy"] is None else rounded_up(found["any policy"], 4)
-    numbers = f"{before} | {rounded_down(found['certified'], 4)} | {found['rollouts']:.4f} | {most}"
-    rest = " | ".join(str(found[key]) for key in ("relation", "cells", "rank", "seconds", "check"))
-    return f"| {name} | {numbers} | {rest} |"
-
-
-def page(kept: dict[str, Any]) -> str:
-    """Return the page of all that was measured."""
-    names = [name for name in cg.problem_ids() if name in kept]
-    rows = "\n".join(row(name, kept[name]) for name in names)
-    slow = [
-        f"| {name} | {rounded_down(kept[name]['certified'], 4)} | {one['settings']} | "
-        f"{rounded_down(one['certified'], 4)} | {one['seconds']} |"
-        for name in names
-        for one in kept[name].get("longer", [])
-    ]
-    return HEAD + rows + "\n" + TAIL + "\n".join(slow) + "\n"
-
-
 def main() -> None:
-    """Measure, and write the page and the file beside it."""
+    """Measure, and write the file after each problem."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("ids", nargs="*", default=cg.problem_ids())
-    parser.add_argument("--out", type=Path, default=Path("docs/defaults.md"))
-    parser.add_argument("--longer", action="store_true")
+    parser.add_argument("--out", type=Path, default=DEFAULTS)
+    parser.add_argument("--longer", action="store_true", help="settings of about ten minutes")
+    parser.add_argument("--entry", action="store_true", help="print the entry of one problem")
     options = parser.parse_args()
-    file = options.out.with_suffix(".json")
+    if options.entry:
+        print(json.dumps(measured(options.ids[0])))
+        return
     for name in options.ids:
-        kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+        kept = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
         if options.longer:
             if name in LONGER:
                 kept.setdefault(name, {})["longer"] = longer(name)
         else:
-            kept[name] = {**kept.get(name, {}), **measured(name)}
-            print(row(name, kept[name]), flush=True)
-        file.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-        options.out.write_text(page(kept), encoding="utf-8")
+            run = subprocess.run(
+                [sys.executable, __file__, "--entry", name], capture_output=True, text=True, check=True
+            )
+            slow = {key: kept[name][key] for key in ("longer",) if key in kept.get(name, {})}
+            kept[name] = json.loads(run.stdout.splitlines()[-1]) | slow
+            print(name, kept[name]["certified"], kept[name]["seconds"], flush=True)
+        options.out.write_text(json.dumps(dict(sorted(kept.items())), indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

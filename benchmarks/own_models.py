@@ -16,26 +16,26 @@ from typing import Any
 import certigym as cg
 from by_hand import by_hand
 from certigym.envs.systems.arguments import write_json, write_text
-from certigym.synthesis.certificates.proofs import significant_down
+from certigym.synthesis.certificates.proofs import significant_up
 
 ROOT = Path(__file__).parent.parent
 FOLDER, PAGE, NUMBERS = ROOT / "examples" / "own", ROOT / "docs" / "own_models.md", ROOT / "docs" / "own_models.json"
 
 EPISODES, SEED = 100_000, 0
 
-HEAD = """# Models as strangers bring them
+HEAD = """# Models from textbooks, with no options
 
-Files of `examples/own`, written as a newcomer would:
-from textbooks, and without an eye on what the package is good at. Each was certified **without any option**, checked,
-and met by 100,000 rollouts: `python benchmarks/own_models.py`. Seconds are processor seconds of search and check on one
-core. "Failure at most" is one less the certified bound; rollouts say how often the certified controller succeeded.
+The files of `examples/own`, written as a newcomer would, without an eye on what the package is good at. Each was
+certified **without any option** and checked (all valid): `python benchmarks/own_models.py`.
 
-"By hand" is what an engineer does first, and promises nothing: a plan made with less noise, or with all of it, and
-textbook linear-quadratic feedback around it, cut off at the input box (`benchmarks/by_hand.py`): the best of three.
-Its numbers are exact 99.9 % limits from 20,000 rollouts.
+- *size*: states/inputs of the agents, and time steps; *way*: the method that was kept, `+` with finer cells;
+- *by hand*: success of what an engineer does first, a plan with textbook linear-quadratic feedback, clipped at the
+  input box, the best of three (`benchmarks/by_hand.py`): exact 99.9 % limits from 20,000 rollouts;
+- *failure at most*: proved, rounded up; *rollouts*: success rate of the certified controllers in 100,000 rollouts;
+- *seconds*: of one core for search and check.
 
-| file | what it is | by hand | way | certified | failure at most | rollouts | seconds | check |
-|---|---|---|---|---|---|---|---|---|
+| file | size | by hand | way | failure at most | rollouts | seconds |
+|---|---|---|---|---|---|---|
 """
 
 
@@ -80,18 +80,25 @@ def _what(problem: cg.Problem) -> str:
     return f"{n} agent{'s' * (n > 1)} (states/inputs {kinds}), {problem.horizon} steps"
 
 
+def _short(what: str) -> str:
+    """Return agents, states, inputs and steps without the words between, as the head of the table says."""
+    return what.split("inputs ")[1].replace(" x ", "x").replace("), ", "; ").removesuffix(" steps")
+
+
 def page(rows: list[dict[str, Any]]) -> str:
     """Return the page."""
     lines = []
     for row in rows:
         if "refused" in row:
-            lines.append(f"| {row['file']} | {row['what']} | | refused: {row['refused']} | | | | {row['seconds']} | |")
+            lines.append(
+                f"| {row['file']} | {_short(row['what'])} | | refused: {row['refused']} | | | {row['seconds']} |"
+            )
             continue
         hand = row.get("by_hand")
-        limits = f"{hand[0]:.4f} to {hand[1]:.4f}" if hand else "no plan" if "by_hand" in row else ""
+        limits = f"[{hand[0]:.4f}, {hand[1]:.4f}]" if hand else "no plan" if "by_hand" in row else ""
         lines.append(
-            f"| {row['file']} | {row['what']} | {limits} | {row['way']} | {significant_down(row['certified'], 6)} "
-            f"| {1.0 - row['certified']:.2g} | {row['rollouts']:.5f} | {row['seconds']} | {row['check']} |"
+            f"| {row['file']} | {_short(row['what'])} | {limits} | {row['way'].replace(', finer cells', '+')} "
+            f"| {significant_up(1.0 - row['certified'], 2)} | {row['rollouts']:.5f} | {row['seconds']} |"
         )
     return HEAD + "\n".join(lines) + "\n"
 

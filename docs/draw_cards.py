@@ -1,7 +1,7 @@
 """Draw the cards of the gallery: ``python docs/draw_cards.py [ID ...]``.
 
 A card shows whole episodes under certified controllers, large enough to be read at a width of 300 pixels: on a map, or
-against time where agents have one coordinate. Certificates are those that ``measure_environments.py`` has kept.
+against time where agents have one coordinate. Certificates are those that ``benchmarks/defaults.py`` has kept.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ import numpy as np
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-import certigym as cg
 from certigym.envs.interfaces import LOOKS, Panel, Region, agent_color, panels
 from certigym.synthesis.certificates.proofs import certificate_from
 from certigym.validation.presentation.figures.figure_style import FAILURE, INK, SOFT, new_figure
 from certigym.validation.statistical_tests import Loop, paths
 from draw_gallery import certificate
-from environment_pages import FOLDER
+from environment_pages import FOLDER, filmed
 
 INCHES, DOTS = (3.0, 2.2), 200
 """Size of a card, and dots to the inch: two for each pixel of a card that is 300 pixels wide."""
@@ -123,7 +122,7 @@ def _episodes(plot: Any, panel: Panel, states: Any, success: Any) -> None:
 def main(ids: list[str]) -> None:
     """Draw the cards of some environments, or of all, as PNG with a palette."""
     total = 0
-    for id in ids or cg.problem_ids():
+    for id in ids or filmed():
         buffer, path = io.BytesIO(), FOLDER / f"{id}.png"
         card(id).savefig(buffer, format="png", dpi=DOTS)
         Image.open(buffer).convert("RGB").quantize(COLORS, dither=Image.Dither.NONE).save(path, optimize=True)

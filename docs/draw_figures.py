@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
+import re
+import shlex
 import sys
+import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import certigym as cg
-import environment_pages
+import numbers_of_pages
+from certigym.cli.main import main as main_of_certigym
 from certigym.envs.interfaces import AGENTS
 from certigym.validation.policies.tier_rule import ALONE
 from certigym.validation.presentation.figures import certificate_figures as figures
@@ -24,32 +30,9 @@ def _reach_avoid(horizon: int, cells: int, **settings: Any) -> cg.Certificate:
     return cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=horizon), cells=cells, **settings).certificate
 
 
-def relation() -> Any:
-    """A position-velocity agent in its tube."""
-    problem = cg.make_problem("reach-avoid-kinematic-v0", horizon=8)
-    result = cg.synthesize(problem, cells=60, relation="tube", search=cg.SearchOptions(max_sweeps=0))
-    return figures.relation_figure(result.certificate, seed=1)
-
-
 def tree() -> Any:
     """The tree of a short task."""
     return figure_scenes.tree_figure(_reach_avoid(3, 200))
-
-
-def _each(problem: cg.Problem, horizons: range, **settings: Any) -> list[Any]:
-    """Reports of one problem at several horizons."""
-    return [cg.validate(found, 4000) for found in cg.synthesize(problem, 250, horizon=horizons, **settings)]
-
-
-def bounds() -> Any:
-    """One task under two relations."""
-    problem, horizons = cg.make_problem("reach-avoid-v0"), range(1, 11)
-    return figures.horizon_figure(
-        {
-            "exact relation": _each(problem, horizons),
-            "paper relation": _each(problem, horizons, relation="paper"),
-        }
-    )
 
 
 def value() -> Any:
@@ -68,16 +51,16 @@ def automaton() -> Any:
 
 
 TIERS = {
-    "solved": "Solved: a learner alone is there",
     "open": "Open: half of the way, or more",
     "hard": "Hard: less than half of the way",
     "unrated": "Unrated: no learner was judged",
+    "solved": "Solved: a learner alone is there",
 }
 """What the figure of the suite says of each tier."""
 
 
 def suite() -> Any:
-    """Success on every problem of the suite, by tier; narrow, so that a phone shows its words large."""
+    """Success on open and hard problems, and how many are solved; narrow, so that a phone shows its words large."""
     rates = _rates()
     kinds = {
         "random": ("x", SOFT, "random inputs"),
@@ -88,13 +71,16 @@ def suite() -> Any:
     # From the top: what a tier is, its problems, from those that learners reach to those that they do not, a gap.
     heights, names, y = {}, [], 0.0
     for tier, title in TIERS.items():
-        names.append((y, title))
-        for id in sorted(cg.problem_ids(tier), key=lambda id: (-rates[id].get("alone", 0.0), id)):
+        ids = cg.problem_ids(tier)
+        names += [(y, f"{title} ({len(ids)})")] if ids else []
+        if tier == "solved" or not ids:
+            continue
+        for id in sorted(ids, key=lambda id: (-rates[id].get("alone", 0.0), id)):
             y -= 1.0
             heights[id] = y
         y -= 1.7
     order = list(heights)
-    figure, (plot,) = new_figure(4.4, 0.2 * -y + 1.1)
+    figure, (plot,) = new_figure(4.4, 0.2 * -y + 1.4)
     for policy, (mark, color, name) in kinds.items():
         points = [(rates[id][policy], heights[id]) for id in order if policy in rates[id]]
         face = color if mark in "ox" else "white"
@@ -111,7 +97,7 @@ def suite() -> Any:
             fontsize=9.5, fontweight="bold", va="center", ha="left", annotation_clip=False,
             bbox={"boxstyle": "square,pad=0.25", "facecolor": "white", "edgecolor": "none"},
         )  # fmt: skip
-    plot.set_ylim(y + 1.1, 0.8)
+    plot.set_ylim(y - 0.7, 0.8)
     plot.set_xlim(-0.03, 1.03)
     plot.set_xticks([0.0, 0.5, 1.0], ["0", ".5", "1"])
     plot.set_xlabel("probability of success")
@@ -148,11 +134,15 @@ def learning_curves() -> Any:
     return figure
 
 
+RUNS = {"random": "random", "certified": "rollouts"}
+"""Rates of the figure of the suite, and where `defaults.json` has them."""
+
+
 def _rates() -> dict[str, dict[str, float]]:
     """Return by problem the success rates of its policies, and the bound that is certified.
 
-    They are those of the leaderboard; of problems that it does not have, those on their pages. Of learners without
-    help the best one counts (``alone``), as in the rule of tiers.
+    Learners are those of the leaderboard, bounds and the other rates those of the defaults. Of learners without help
+    the best one counts (``alone``), as in the rule of tiers.
     """
     rows = json.loads((FOLDER.parent / "leaderboard.json").read_text(encoding="utf-8"))["rows"]
     rates: dict[str, dict[str, float]] = {}
@@ -162,19 +152,44 @@ def _rates() -> dict[str, dict[str, float]]:
         here[row["policy"]] = rate
         if row["policy"] in ALONE:
             here["alone"] = max(rate, here.get("alone", 0.0))
-        if row["policy"] == "certified":
-            here["bound"] = row["lower_bound"]
-    for id, found in json.loads(environment_pages.MEASURED.read_text(encoding="utf-8")).items():
-        if id not in rates:
-            runs = {"random": found["random"], "certified": found["certificate"]["rollouts"]}
-            rates[id] = {policy: run["successes"] / run["episodes"] for policy, run in runs.items()}
-            rates[id]["bound"] = found["certificate"]["lower_bound"]
+    for id, found in numbers_of_pages.table("defaults").items():
+        here = rates.setdefault(id, {})
+        here |= {kind: found[key]["successes"] / found[key]["episodes"] for kind, key in RUNS.items()}
+        here["bound"] = found["certified"]
     return rates
 
 
-FIGURES: dict[str, Callable[[], Any]] = {
-    draw.__name__: draw for draw in (relation, tree, bounds, value, ranks, automaton, suite, learning_curves)
+def tutorial(name: str, file: str) -> Any:
+    """Return the picture that the blocks of a tutorial write, run in order in a folder of their own."""
+    from PIL import Image
+
+    names: dict[str, Any] = {}
+    page = (FOLDER.parent / "tutorials" / f"{name}.md").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        for language, block in re.findall(r"^```(toml|python|console)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL):
+            if language == "toml":
+                Path(f"{name}.toml").write_text(block, encoding="utf-8")
+            elif language == "python":
+                exec(compile(block, name, "exec"), names)
+            else:
+                lines = re.sub(r"\\\n +", "", block).splitlines()
+                for line in lines:
+                    assert main_of_certigym(shlex.split(line, comments=True)[2:]) == 0, line
+        return Image.open(file).convert("RGB")
+
+
+TUTORIALS = {
+    "tutorial_robot": ("my_robot", "robot.png"),
+    "tutorial_policy": ("sb3_policy", "policy.png"),
+    "tutorial_shield": ("safety_filter", "shield.png"),
+    "tutorial_check": ("check_a_certificate", "claim.png"),
+    "tutorial_paper": ("paper_plot", "horizon.png"),
 }
+"""Pictures of tutorials: the page, and the file that it writes."""
+
+FIGURES: dict[str, Callable[[], Any]] = {
+    draw.__name__: draw for draw in (tree, value, ranks, automaton, suite, learning_curves)
+} | {name: partial(tutorial, *page) for name, page in TUTORIALS.items()}
 
 
 def main(names: list[str]) -> None:
@@ -183,10 +198,12 @@ def main(names: list[str]) -> None:
 
     FOLDER.mkdir(exist_ok=True)
     for name in names or list(FIGURES):
-        buffer = io.BytesIO()
-        FIGURES[name]().savefig(buffer, format="png", dpi=130)
+        buffer, drawn = io.BytesIO(), FIGURES[name]()
+        if not isinstance(drawn, Image.Image):
+            drawn.savefig(buffer, format="png", dpi=130)
+            drawn = Image.open(buffer).convert("RGB")
         path = FOLDER / f"{name}.png"
-        Image.open(buffer).convert("RGB").quantize(192, dither=Image.Dither.NONE).save(path, optimize=True)
+        drawn.quantize(192, dither=Image.Dither.NONE).save(path, optimize=True)
         print(f"{path.name}: {path.stat().st_size // 1024} KiB")
 
 

@@ -1,7 +1,7 @@
 """Draw the moving pictures of README and gallery: ``python docs/draw_gallery.py [ID ...]``.
 
 Every environment gets a small film of one episode under certified controllers. The certificates are those that
-``measure_environments.py`` has kept; one that is missing is made with the defaults.
+``benchmarks/defaults.py`` has kept; one that is missing is made with the defaults.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ from PIL import Image
 import certigym as cg
 from certigym.cli.moving_pictures import Player, film
 from certigym.envs.interfaces.rendering import SIDE, WIDTH
-from environment_pages import FOLDER
-from measure_environments import CERTIFICATES
+from environment_pages import FOLDER, filmed
 
 FIGURES = Path(__file__).parent / "figures"
+CERTIFICATES = Path(__file__).parent / "_certificates"
+"""Where ``benchmarks/defaults.py`` keeps certificates; not in the repository."""
+
 WAIT, HOLD = 250, 1500
 """Milliseconds for which each picture stays, and the last one."""
 
@@ -70,7 +72,7 @@ def _panels(frames: list[np.ndarray]) -> list[np.ndarray]:
 
 def main(ids: list[str]) -> None:
     """Draw the films of some environments, or of all, and with ``door-formation-v0`` that of the README."""
-    for id in ids or cg.problem_ids():
+    for id in ids or filmed():
         claim = certificate(id)
         frames, _ = film(claim.problem, Player.of("certified", claim), seed=1)
         panels = _panels(frames)

@@ -37,7 +37,7 @@ def with_table(page: str, text: str) -> str:
 
 def main() -> None:
     """Write the table into the page."""
-    sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "tests" / "claims")]
+    sys.path[:0] = [str(ROOT / folder) for folder in ("tests", "tests/claims", "tests/oracle")]
     from test_everything_composes import CANNOT
 
     PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8"), table(CANNOT)), encoding="utf-8")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 import certigym as cg
 import environment_pages
+import numbers_of_pages
 from certigym.envs.interfaces import edges
 from certigym.envs.simulation import batch_simulator as core
 
@@ -19,27 +18,36 @@ def texts() -> dict[str, str]:
 
 
 def test_pages_have_not_drifted(texts: dict[str, str]) -> None:
-    present = {path.name for path in environment_pages.FOLDER.iterdir()} - {environment_pages.MEASURED.name}
+    present = {path.name for path in environment_pages.FOLDER.iterdir()}
+    filmed = environment_pages.filmed()
     films, cards = ({name for name in present if name.endswith(ending)} for ending in (".gif", ".png"))
-    assert films == {f"{id}.gif" for id in cg.problem_ids()}, "run `python docs/draw_gallery.py`"
-    assert cards == {f"{id}.png" for id in cg.problem_ids()}, "run `python docs/draw_cards.py`"
+    assert films == {f"{id}.gif" for id in filmed}, "run `python docs/draw_gallery.py`"
+    assert cards == {f"{id}.png" for id in filmed}, "run `python docs/draw_cards.py`"
     assert present - films - cards == set(texts)
     for name, text in texts.items():
         written = (environment_pages.FOLDER / name).read_text(encoding="utf-8")
         assert written == text, f"{name} has drifted; run `python docs/environment_pages.py`"
 
 
+def test_every_id_has_a_place_on_one_page(texts: dict[str, str]) -> None:
+    """A variant is a row on the page of its base, and no base is a variant."""
+    for id in cg.problem_ids():
+        page = environment_pages.page_of_id(id)
+        assert environment_pages.page_of_id(page) == page
+        assert id in environment_pages.variants_of(page)
+        assert f"`{id}`" in texts[f"{page}.md"] or f"certigym/{id}" in texts[f"{page}.md"]
+
+
 def test_measured_numbers_are_about_these_problems() -> None:
-    measured = json.loads(environment_pages.MEASURED.read_text(encoding="utf-8"))
-    assert set(measured) == set(cg.problem_ids())
-    for id, entry in measured.items():
-        remedy = f"{id} has changed; run `python docs/measure_environments.py {id}`"
+    kept = numbers_of_pages.table("defaults")
+    assert set(kept) == set(cg.problem_ids())
+    for id, entry in kept.items():
+        remedy = f"{id} has changed; run `python benchmarks/defaults.py {id}`"
         assert entry["fingerprint"] == cg.make_problem(id).fingerprint, remedy
-        if entry["certificate"] is not None:
-            assert environment_pages.verdict(entry["certificate"]) in ("confirmed", "consistent")
-            assert entry["certificate"]["rollouts"]["episodes"] >= 100_000
-            most = entry["certificate"]["abstract_upper_bound"]  # unknown under mean boxes
-            assert entry["certificate"]["lower_bound"] <= (1.0 if most is None else most)
+        assert numbers_of_pages.verdict(entry) in ("confirmed", "consistent")
+        assert entry["rollouts"]["episodes"] >= 100_000 and entry["check"] == "valid"
+        most = entry["these models"]  # unknown under mean boxes
+        assert entry["certified"] <= (1.0 if most is None else most)
 
 
 @pytest.mark.parametrize("id", ["reach-avoid-v0", "meeting-v0", "door-formation-v0", "patrol-recharge-v0"])

@@ -55,7 +55,9 @@ QUICKER: dict[str, dict[str, str]] = {
     "networks.md": {"steps=2_000": "steps=512"},
     "probe.md": {"episodes=5000, steps=2000": "episodes=500, steps=256"},
     "scale_out.md": {"--episodes 100000": "--episodes 10000", "200_000": "20_000"},
-    "shields.md": {"steps=2000": "steps=256", "episodes=2000": "episodes=500"},
+    "my_robot.md": {"(0.04, 0.06)": "(0.04,)"},
+    "safety_filter.md": {"steps=8_000": "steps=512", "episodes=4000": "episodes=500"},
+    "sb3_policy.md": {"30_000": "4_096", "episodes=4000": "episodes=500"},
     "validate.md": {"--episodes 100000": "--episodes 20000", "--episodes 200000": "--episodes 20000"},
 }
 """Numbers of pages that say how long something takes, and smaller ones with which it is run here."""
@@ -103,7 +105,7 @@ def toml_name(block: str) -> str:
 
 
 EXECUTED = [page for page in PAGES if any(language in ("python", "console", "toml") for language, _ in blocks(page))]
-LEARNING = {"learned_policies.md", "probe.md"}
+LEARNING = {"learned_policies.md", "probe.md", "safety_filter.md", "sb3_policy.md"}
 
 
 @pytest.mark.pages
