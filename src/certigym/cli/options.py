@@ -16,6 +16,7 @@ USUAL: dict[str, Any] = {
     "targets": None,
     "restarts": 0,
     "stationary": False,
+    "above": None,
     "device": "numpy",
     "confidence": 0.999,
     "workers": None,
@@ -108,7 +109,7 @@ def add_models(parser: argparse.ArgumentParser, automatic: str = "what certifies
 
 
 def add_effort(parser: argparse.ArgumentParser) -> None:
-    """Add how much is spent on the search, and whether the claim has an upper end."""
+    """Add how much is spent on the search, and which bound is enough."""
     parser.add_argument(
         "--effort",
         type=float,
@@ -121,12 +122,12 @@ def add_effort(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--until", type=float, metavar="P", help="end with the first certificate whose lower bound is P (no default)"
     )
-    add_above(parser)
 
 
 def add_search(parser: argparse.ArgumentParser) -> None:
     """Add how cells and policies are searched for."""
     add_effort(parser)
+    add_above(parser)
     parser.add_argument(
         "--restarts", type=int, default=0, metavar="N", help="further searches from perturbed plans (default: 0)"
     )
