@@ -292,7 +292,7 @@ def _pair_gaps(dynamics: Dynamics, number: int, held: np.ndarray, rates: Any) ->
     def gaps(worlds: Worlds) -> np.ndarray:
         outputs = {b: dynamics.blocks[b].outputs(worlds.states[b]) for b in pairs.blocks}
         low, high, radius = pairs.regions(worlds.time)
-        d = core.difference(pairs, outputs)[:, places]
+        d = pairs.difference(outputs)[:, places]
         return _joined(d, low[:, places], high[:, places], scales, radius[places])
 
     return gaps

@@ -22,7 +22,7 @@ Reference: docs/theory/setting.md, "Satisfaction".
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import and_
@@ -35,7 +35,7 @@ from ..systems.arguments import counted, read_only, shortened, tree_text
 from ..systems.backends import concatenated, double, is_host, namespace, to_host
 from ..tasks.automata import Automaton
 from ..tasks.problem import Problem
-from ..tasks.regions import contains, holds, inside
+from ..tasks.regions import contains, inside
 from .blocks import Block, PairBlock, Put, WrittenMotion, block_of, pair_blocks, placed
 from .diagrams import Diagrams
 from .disturbances import Behaviour, checked_behaviour, named_disturbances
@@ -526,21 +526,10 @@ def letters(dynamics: Dynamics, states: Sequence[np.ndarray], time: Any = None) 
             y = outputs[b][:, block.owners]
             rows.append(contains(y, *block.regions(time)))
     for pairs in dynamics.pairs:
-        with np.errstate(over="ignore", invalid="ignore"):
-            rows.append(holds(difference(pairs, outputs), *pairs.regions(time)))
+        rows.append(pairs.hold(outputs, time))
     if not rows:
         return dynamics.put(np.zeros((0, states[0].shape[-1]), dtype=bool))
     return concatenated(rows)[dynamics.proposition_rows]
-
-
-def difference(pairs: PairBlock, outputs: Mapping[int, np.ndarray]) -> np.ndarray:
-    """Return the differences (p, k, M) of the outputs that pairs compare, from the outputs (p', n, M) per block."""
-    first, second = (
-        outputs[b][axes[:, None], places[None]] for b, axes, places in zip(pairs.blocks, pairs.outputs, pairs.places)
-    )
-    with np.errstate(over="ignore", invalid="ignore"):  # infinity less infinity is near nothing
-        result: np.ndarray = first - second
-        return result
 
 
 def satisfied(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:

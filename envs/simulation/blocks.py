@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from ..systems.arguments import counted, read_only
 from ..systems.backends import double, is_host, is_whole, namespace
 from ..systems.expressions import Compiled
 from ..tasks.problem import Problem
-from ..tasks.regions import MOVING_REFUSAL, PairRegion
+from ..tasks.regions import MOVING_REFUSAL, PairRegion, holds
 
 Put = Callable[[np.ndarray], Any]
 """How arrays get to where worlds live: see `arrays.device_put`."""
@@ -27,6 +28,10 @@ Sparse = tuple[tuple[Row, ...], tuple[int, ...]]
 
 Entries that are 0 for all agents are left out; one stays if all are 0.
 """
+
+
+RUN = 4
+"""Pairs in a run, on average, from which they are read run by run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,6 +317,46 @@ class PairBlock:
 
     def __repr__(self) -> str:
         return f"PairBlock({counted(len(self.propositions), 'pair')} of blocks {self.blocks[0]} and {self.blocks[1]})"
+
+    def difference(self, outputs: Mapping[int, np.ndarray]) -> np.ndarray:
+        """Return the differences (p, k, M) of the outputs that pairs compare, from the outputs (p', n, M) per block."""
+        first, second = (
+            outputs[b][axes[:, None], places[None]] for b, axes, places in zip(self.blocks, self.outputs, self.places)
+        )
+        with np.errstate(over="ignore", invalid="ignore"):  # infinity less infinity is near nothing
+            result: np.ndarray = first - second
+            return result
+
+    def hold(self, outputs: Mapping[int, np.ndarray], time: Any) -> np.ndarray:
+        """Return which pairs hold, bool (k, M); on this machine run by run, so that numbers stay in the cache."""
+        low, high, radius = self.regions(time)
+        first, second = (outputs[b] for b in self.blocks)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if not is_host(first) or len(self.propositions) < RUN * len(self._runs):
+                return np.asarray(holds(self.difference(outputs), low, high, radius))
+            result = np.empty((len(self.propositions), first.shape[-1]), dtype=bool)
+            for rows, one, others in self._runs:
+                apart = [first[a, one] - second[b, others] for a, b in zip(*self.outputs, strict=True)]
+                if self._is_round:  # no box: what is no number is not near, either
+                    squares = reduce(add, (own * own for own in apart))
+                    np.less(squares, radius[rows] * radius[rows], out=result[rows])
+                else:
+                    result[rows] = holds(apart, low[:, rows], high[:, rows], radius[rows])
+        return result
+
+    @cached_property
+    def _is_round(self) -> bool:
+        """Whether all pairs stand still and have radii alone."""
+        boundless = np.all(self.low == -np.inf) and np.all(self.high == np.inf)
+        return bool(self.low.ndim == 3 and boundless and np.all(self.radius < np.inf))
+
+    @cached_property
+    def _runs(self) -> list[tuple[slice, int, slice]]:
+        """Pairs in a row of one agent and others that stand in a row: which pairs, the agent, and the others."""
+        first, second = (places.tolist() for places in self.places)
+        begins = [k for k in range(len(first)) if not k or first[k] != first[k - 1] or second[k] != second[k - 1] + 1]
+        ends = [*begins[1:], len(first)]
+        return [(slice(a, b), first[a], slice(second[a], second[a] + b - a)) for a, b in zip(begins, ends, strict=True)]
 
     def regions(self, time: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return boxes (p, k, 1) and radii (k, 1) at a time, or with an axis (M) last at a time for each world."""

@@ -44,6 +44,10 @@ _TABLE_PROPOSITIONS = 12
 _TABLE_ENTRIES = 1 << 22
 """Most entries of that table (16 MiB); beyond them the diagrams are followed."""
 
+_LONG_CHAIN, _MANY = 8, 0.25
+"""Nodes with one exit from which they are read at once, and the share of entries that have to stand at the first one:
+to look for it takes as long as some levels."""
+
 
 @dataclass(frozen=True, eq=False)
 class Automaton:
@@ -192,10 +196,41 @@ class Automaton:
         active = np.flatnonzero(at >= 0)
         while active.size:
             node = at[active]
-            at[active] = np.where(flat[self.variable[node], active], self.high[node], self.low[node])
+            here = active[node == node[0]]
+            variables, wanted, leaves, goes_on = self._chain(int(node[0]))
+            if len(variables) < _LONG_CHAIN or here.size < _MANY * active.size:
+                at[active] = np.where(flat[self.variable[node], active], self.high[node], self.low[node])
+            else:
+                # All that stand at this node read the whole chain at once; the others wait.
+                rows = flat[variables] if here.size == q.size else flat[variables][:, here]
+                at[here] = np.where((rows == wanted).all(axis=0), goes_on, leaves)
             active = active[at[active] >= 0]
         result: np.ndarray = (-1 - at).astype(np.int32).reshape(q.shape)[()]
         return result
+
+    def _chain(self, node: int) -> tuple[np.ndarray, np.ndarray, int, int]:
+        """Return the longest chain of nodes from one on that all have one exit, such as those of a conjunction.
+
+        That are the propositions (k,) that are read, what each is to be (k, 1) for the chain to go on, the entry to
+        which any other value leaves, and the one at which the chain ends.
+        """
+        if node not in self._chains:
+            best: tuple[np.ndarray, np.ndarray, int, int] | None = None
+            for leaves in {int(self.low[node]), int(self.high[node])}:
+                variables, wanted, at = list[int](), list[bool](), node
+                while at >= 0 and (self.low[at] == leaves) != (self.high[at] == leaves):
+                    variables.append(int(self.variable[at]))
+                    wanted.append(bool(self.low[at] == leaves))
+                    at = int(self.high[at] if wanted[-1] else self.low[at])
+                if best is None or len(variables) > len(best[0]):
+                    best = np.array(variables, dtype=np.int64), np.array(wanted)[:, None], leaves, at
+            assert best is not None
+            self._chains[node] = best
+        return self._chains[node]
+
+    @cached_property
+    def _chains(self) -> dict[int, tuple[np.ndarray, np.ndarray, int, int]]:
+        return {}
 
     @cached_property
     def _table(self) -> np.ndarray | None:
