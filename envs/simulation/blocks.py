@@ -333,7 +333,8 @@ class PairBlock:
         first, second = (outputs[b] for b in self.blocks)
         with np.errstate(over="ignore", invalid="ignore"):
             if not is_host(first) or len(self.propositions) < RUN * len(self._runs):
-                return np.asarray(holds(self.difference(outputs), low, high, radius))
+                whole: np.ndarray = holds(self.difference(outputs), low, high, radius)
+                return whole
             result = np.empty((len(self.propositions), first.shape[-1]), dtype=bool)
             for rows, one, others in self._runs:
                 apart = [first[a, one] - second[b, others] for a, b in zip(*self.outputs, strict=True)]
