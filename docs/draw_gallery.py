@@ -1,4 +1,4 @@
-"""Draw the moving pictures of README and gallery: ``python docs/draw_gallery.py [ID ...]``.
+"""Draw the moving pictures of the gallery: ``python docs/draw_gallery.py [ID ...]``.
 
 Every environment gets a small film of one episode under certified controllers. The certificates are those that
 ``benchmarks/defaults.py`` has kept; one that is missing is made with the defaults.
@@ -17,7 +17,6 @@ from certigym.cli.moving_pictures import Player, film
 from certigym.envs.interfaces.rendering import SIDE, WIDTH
 from environment_pages import FOLDER, filmed
 
-FIGURES = Path(__file__).parent / "figures"
 CERTIFICATES = Path(__file__).parent / "_certificates"
 """Where ``benchmarks/defaults.py`` keeps certificates; not in the repository."""
 
@@ -71,15 +70,13 @@ def _panels(frames: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def main(ids: list[str]) -> None:
-    """Draw the films of some environments, or of all, and with ``door-formation-v0`` that of the README."""
+    """Draw the films of some environments, or of all."""
     for id in ids or filmed():
         claim = certificate(id)
         frames, _ = film(claim.problem, Player.of("certified", claim), seed=1)
         panels = _panels(frames)
         high, wide = (round(SMALLER * pixels) for pixels in panels[0].shape[:2])
         write(panels, FOLDER / f"{id}.gif", wide, high)
-        if id == "door-formation-v0":
-            write(frames, FIGURES / "door.gif", WIDTH, frames[0].shape[0])
 
 
 if __name__ == "__main__":
