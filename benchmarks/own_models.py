@@ -41,7 +41,7 @@ TABLE = """
 """
 
 MARK = "# large noise"
-"""Beginning of the first line of files whose noise is large: what is certified of them says more than a row of nines."""
+"""Beginning of files whose noise is large: what is certified of them says more than a row of nines."""
 
 
 def measured(file: Path) -> dict[str, Any]:
