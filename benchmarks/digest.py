@@ -116,8 +116,6 @@ def episode() -> dict[str, Any]:
 CASES: dict[str, Callable[[], dict[str, Any]]] = {
     "exact, T = 6": synthesized("reach-avoid-v0", cells=600, arguments={"horizon": 6}),
     "exact, default cells": synthesized("reach-avoid-v0"),
-    "tube": synthesized("reach-avoid-v0", cells=200, relation="tube", arguments={"horizon": 4}),
-    "ellipsoid": synthesized("reach-avoid-v0", cells=200, relation="ellipsoid", arguments={"horizon": 4}),
     "paper": synthesized(
         "reach-avoid-v0", cells=400, relation="paper", search=cg.SearchOptions(epsilon=0.1), arguments={"horizon": 4}
     ),

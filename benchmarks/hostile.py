@@ -135,18 +135,22 @@ def nested_header(folder: Path) -> object:
 
 
 def many_cells(folder: Path) -> object:
-    """Three agents in the plane, 7 cells per axis, tubes: few cells, and many lattice points."""
+    """Three agents in the plane, 7 cells per axis with 64 targets each: few cells, and many lattice points."""
     d, agents = 2, []
     for i in range(3):
-        agent = scalar(name=f"robot_{i}", A=[[0.4, 0.05 + 0.01 * i], [0.03, 0.3]], B=[[0.0], [1.0]])
+        agent = scalar(name=f"robot_{i}", A=[[0.4, 0.05 + 0.01 * i], [0.03, 0.3]], B=np.eye(d).tolist())
         agent |= {"noise_covariance": (0.2 * np.eye(d)).tolist(), "initial_state": [0.9] * d}
-        agent |= {"state_low": [-1.0] * d, "state_high": [1.0] * d, "input_low": [-3.0], "input_high": [3.0]}
+        agent |= {"state_low": [-1.0] * d, "state_high": [1.0] * d, "input_low": [-3.0] * d, "input_high": [3.0] * d}
         agents.append(cg.LinearAgent(**agent))
     regions = {f"g{i}": cg.Proposition(f"robot_{i}", [-0.7] * d, [0.7] * d) for i in range(3)}
-    task = cg.Specification("F (g0 & g1 & g2)", "co-safe")
-    return cg.synthesize(
-        cg.Problem(name="many", horizon=3, agents=agents, propositions=regions, specification=task), 7, relation="tube"
+    task = cg.Problem(
+        name="many",
+        horizon=3,
+        agents=agents,
+        propositions=regions,
+        specification=cg.Specification("F (g0 & g1 & g2)", "co-safe"),
     )
+    return cg.synthesize(task, 7, relation="exact", search=cg.SearchOptions(targets_per_cell=8))
 
 
 def problem_file(text: str) -> Case:
@@ -175,9 +179,8 @@ CASES: dict[str, Case] = {
     "no agents": _in_header("agents", []),
     "guards are text": _in_header("guards", "abc"),
     "skeleton is deep": _in_header("skeleton", json.loads("[" * 50 + "]" * 50)),
-    "scalar inputs of a tube": _in_relation("inputs", 0.0, relation="tube"),
-    "snap below 0": _in_relation("snap", [-1.0], relation="tube"),
-    "feedback 1e308": _in_relation("feedback", [[1e308]], relation="tube"),
+    "relation of 0.3": _in_relation("kind", "tube", relation="paper"),
+    "feedback 1e308": _in_relation("feedback", 1e308, relation="paper"),
     "paper inputs 5e8": _in_relation("inputs", 500_000_000, relation="paper"),
     "paper inputs of 400 digits": _in_relation("inputs", 10**400, relation="paper"),
     "paper epsilon 1e308": _in_relation("epsilon", 1e308, relation="paper"),

@@ -186,11 +186,9 @@ def _options(rng: np.random.Generator, agents: list[Spec]) -> Spec:
         most = {1: 60, 2: 14, 3: 5}[d] if len(agents) < 3 else {1: 24, 2: 8, 3: 4}[d]
         cells[agent["name"]] = [int(rng.integers(most // 3, most + 1)) for _ in range(d)]
     options: Spec = {"cells": cells, "max_sweeps": int(rng.integers(0, 3))}
-    relation = str(rng.choice(["auto", "auto", "quick", "exact", "tube", "ellipsoid", "paper"]))
+    relation = str(rng.choice(["auto", "auto", "quick", "exact", "linear", "boxes", "paper"]))
     if relation != "auto":
         options["relation"] = relation
-    if relation == "ellipsoid":
-        options["delta"] = float(rng.choice([0.0, 0.001, 0.01]))
     if relation == "paper":
         options["delta"] = float(rng.choice([0.001, 0.01, 0.05]))
     if rng.random() < 0.2:

@@ -99,16 +99,7 @@ class ToTheEnd:
 
 
 COUPLED: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
-    ("reach-avoid-v0", {}, {"cells": 200, "relation": "tube"}),
     ("reach-avoid-v0", {}, {"cells": 200, "relation": "paper", "search": cg.SearchOptions(epsilon=0.2)}),
-    ("reach-avoid-planar-v0", {}, {"cells": 40, "relation": "tube"}),
-    ("reach-avoid-kinematic-v0", {}, {"cells": 40}),
-    ("building-automation-v0", {}, {"cells": 80}),
-    (
-        "reach-avoid-kinematic-v0",
-        {"horizon": 8, "initial_state": [-6.0, 0.0, -4.0, 0.0]},
-        {"cells": 40, "relation": "ellipsoid", "search": cg.SearchOptions(delta=0.001)},
-    ),
 )
 """Controllers that remember an abstract state: problem, what is replaced in it, and settings."""
 

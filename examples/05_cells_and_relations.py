@@ -8,7 +8,7 @@ from certigym.validation.statistical_tests import synthesize_best
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
 
-for relation in ("exact", "tube", "paper"):
+for relation in ("exact", "linear", "paper"):
     abstraction = cg.abstract(problem, 250, relation=relation)
     model = abstraction.models[0]
     grid: Grid = model.grid

@@ -161,11 +161,6 @@ ROWS: dict[str, Row] = {
     "exact Laplace": Row(lambda: task(lawful()), 24, {"relation": "exact"}),
     "exact correlated": Row(lambda: task(matrices(**PLANAR, noise_covariance=CORRELATED)), 14, {"relation": "exact"}),
     "exact expressions": Row(lambda: task(expressions()), 24, {"relation": "exact"}),
-    "tube": Row(lambda: task(cart()), 24, {"relation": "tube"}),
-    "ellipsoid": Row(lambda: task(matrices()), 40, {"relation": "ellipsoid"}),
-    "ellipsoid with delta": Row(
-        lambda: task(matrices()), 40, {"relation": "ellipsoid", "search": cg.SearchOptions(delta=0.001)}
-    ),
     "paper": Row(
         lambda: task(matrices()), 60, {"relation": "paper", "search": cg.SearchOptions(epsilon=0.1, inputs=10)}
     ),

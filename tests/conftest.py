@@ -7,7 +7,6 @@ same code. Tests of how much is found say so: ``pytest.mark.full_search``.
 from __future__ import annotations
 
 import gc
-import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,10 +15,9 @@ import pytest
 from hypothesis import settings
 
 import certigym as cg
-from certigym.synthesis.abstraction.models import box_model, common_choices, ellipsoid_program, ellipsoid_search
+from certigym.synthesis.abstraction.models import box_model, common_choices
 from certigym.synthesis.policy_search.cell_certificates import agreement
 from certigym.synthesis.policy_search.portfolio import effort
-from certigym.synthesis.relations.grids import in_grid_coordinates
 from certigym.synthesis.trajectories.planning import nonlinear_search, nonlinear_team
 from certigym.validation.policies import imitation, probing
 from certigym.validation.presentation.reports import explorer
@@ -35,10 +33,6 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     (effort, "EFFORT", 2.0),
     # Quick upper ends, which users have by default: an evaluation more of each certificate, in file and check, too.
     (effort, "SHARE_ABOVE", 0.0),
-    # An eighth of the semidefinite programs, of which each ellipsoid takes hundreds.
-    (ellipsoid_search, "LABEL_SHARES", (2.0, 1.0, 0.7, 0.45, 0.2, 0.1)),
-    (ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95)),
-    (ellipsoid_search, "LAST_STEP", 2e-2),
     # Menus of inputs: less than half of them in each dimension.
     *((module, "INPUT_LEVELS", {1: 7, 2: 5, 3: 3}) for module in (box_model, common_choices)),
     # Paths are planned with more times, refined and moved a little a hundred times: the first few gain the most.
@@ -62,22 +56,7 @@ def smaller_searches() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for module, name, value in SMALLER:
             patch.setattr(module, name, value)
-        patch.setattr(ellipsoid_search, "EllipsoidProgram", known_program)
         yield
-
-
-PROGRAMS: dict[tuple[Any, ...], ellipsoid_program.EllipsoidProgram] = {}
-
-
-def known_program(agent: cg.LinearAgent, *numbers: Any) -> ellipsoid_program.EllipsoidProgram:
-    """The semidefinite program of an ellipsoid: one with the same numbers is compiled, and asked the same, once."""
-    coordinates, half, room, delta = numbers
-    moves, box = in_grid_coordinates(agent, coordinates), agent.input_box
-    arrays = (moves.A, moves.B, moves.covariance, box.low, box.high, coordinates, half, room)
-    key = (delta, *((np.shape(array), np.asarray(array, dtype=float).tobytes()) for array in arrays))
-    if key not in PROGRAMS or sys.modules.get("cvxpy") is None:
-        PROGRAMS[key] = ellipsoid_program.EllipsoidProgram(agent, *numbers)
-    return PROGRAMS[key]
 
 
 USUAL = [getattr(module, name) for module, name, _ in SMALLER]

@@ -30,16 +30,15 @@ def abstract(
     cells : int, sequence of int, or mapping from agent name to one of these, optional
         Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
     relation : str, or mapping from agent name to str
-        ``"exact"``: inputs reach every mean (B of full row rank, or expressions like it), delta = 0. ``"tube"``:
-        stabilisable agents, delta = 0. ``"ellipsoid"``: any agent for which an ellipsoid is found, delta >= 0 (needs
-        the extra ``lmi``). ``"paper"``: scalar agents, delta >= 0 in closed form. ``"linear"``: any agent, delta = 0,
-        losses of second order. ``"boxes"``: any agent, delta = 0, nothing but boxes around means is used. ``"quick"``:
-        for each agent ``exact`` where it applies and the inputs are strong enough for the cells, else ``tube``; agents
-        that a mapping leaves out get this, too. ``"auto"`` is the same here: only a synthesis can tell which relation
+        ``"exact"``: inputs reach every mean (B of full row rank, or expressions like it), delta = 0. ``"linear"``: any
+        agent, delta = 0, losses of second order. ``"boxes"``: any agent, delta = 0, nothing but boxes around means is
+        used. ``"paper"``: scalar agents, delta >= 0 in closed form. ``"quick"``: for each agent ``exact`` where it
+        applies and the inputs are strong enough for the cells, else ``linear`` (``boxes`` for expressions); agents that
+        a mapping leaves out get this, too. ``"auto"`` is the same here: only a synthesis can tell which relation
         certifies most (see ``synthesize``).
     search : SearchOptions, optional
-        Its options of relations: ``targets_per_cell``, ``epsilon``, ``feedback``, ``inputs``, ``delta``, ``share`` and
-        ``common``; others are refused.
+        Its options of relations: ``targets_per_cell``, ``epsilon``, ``feedback``, ``inputs``, ``delta`` and ``common``;
+        others are refused.
     **old
         The same options as keywords, as until 0.3: they work until 0.5, with a DeprecationWarning.
 

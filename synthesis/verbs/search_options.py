@@ -56,10 +56,8 @@ class SearchOptions:
     inputs : int, optional
         Relation ``paper``: number of abstract inputs. Default: 10.
     delta : float, optional
-        Largest probability per step and agent that the relation is lost, in [0, 1). ``paper``: used in place of the
-        smaller closed form. ``ellipsoid``: default 0; a larger one makes labels and inputs lose less.
-    share : float, optional
-        Relation ``ellipsoid``: share of the inputs that the feedback may use, in [0, 1). Default: chosen.
+        Relation ``paper``: largest probability per step and agent that the relation is lost, in [0, 1), in place of the
+        smaller closed form.
     common : bool, optional
         Relation ``boxes``: whether inputs that expressions of other agents name are chosen in common, by automaton
         state and time only, and are known to these agents. Otherwise such inputs may be anything in their boxes.
@@ -92,7 +90,6 @@ class SearchOptions:
     feedback: float | None = None
     inputs: int | None = None
     delta: float | None = None
-    share: float | None = None
     common: bool | None = None
 
     def __post_init__(self) -> None:

@@ -85,7 +85,7 @@ def synthesize(
         (``problem.groups``) is certified task by task, and gives a certificate that is a product.
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis. More cells cost time and raise the bound. The default depends on the dimension (see
-        ``abstract``); it is doubled where relations are compared and none applies.
+        ``abstract``).
     horizon : int, iterable of int or None, optional
         Control steps (default: the problem's). Several give a list of syntheses, in their order: each search begins
         with the policies of the next shorter one. None: no deadline. Then policies do not look at the time, and the
@@ -93,13 +93,11 @@ def synthesize(
         than 1e-6.
     relation : str, or mapping from agent name to str
         ``"exact"`` (inputs reach every mean), ``"linear"`` and ``"boxes"`` (any agent), ``"path"`` (no cells, any
-        number of states), or ``"coupled"``: the best of its three sets, which may also be asked for by their names
-        ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the caller's choice) and ``"paper"`` (scalar
-        agents). ``"auto"``, which also holds for agents that a mapping leaves out,
-        takes ``exact`` where it leaves most of the inputs to the policy; elsewhere it tries those of ``exact``,
-        ``tube`` and ``ellipsoid`` that apply, and ``linear`` where these leave much open, and keeps the largest bound
-        (see ``relation_choice``); agents that no grid can hold get a path. ``"best"`` tries all of these without any
-        shortcut, and ``paper``. ``"quick"`` takes ``exact`` or ``tube`` without comparing (see ``abstract``).
+        number of states), or ``"paper"`` (scalar agents; may be lost with a probability delta per step). ``"auto"``,
+        which also holds for agents that a mapping leaves out, takes ``exact`` where it leaves most of the inputs to the
+        policy, tries ``linear`` and ``boxes`` where much is left open, and keeps the largest bound (see
+        ``relation_choice``); agents that no grid can hold get a path. ``"best"`` tries all of these without any
+        shortcut, and ``paper``. ``"quick"`` takes ``exact`` or ``linear`` without comparing (see ``abstract``).
     effort : float, optional
         Work that may be spent, in core seconds: what one core of 2024 does in about a second (default: 80, of each
         independent task). It is estimated before anything is computed, and not taken from a clock: the same problem and

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...envs.systems.agents import Agent
+from ...envs.systems.agents import Agent, LinearAgent
 from ...envs.tasks.problem import Problem, unrolled_in_time
 from ..abstraction.models import (
     Abstraction,
@@ -97,8 +97,7 @@ def strategies_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], pla
         if asked == {"linear"} and cells is None and usual:
             return [_linear(problem, plan, few=True)]
         name = "/".join(dict.fromkeys(kinds))
-        run = compared if "coupled" in asked else plain
-        return [Strategy(name, lambda results: run(problem, cells, kinds, plan))]
+        return [Strategy(name, lambda results: plain(problem, cells, kinds, plan))]
     if cells is not None or asked != {"auto"} or not usual:
         first = Strategy("others", lambda results: compared(problem, cells, kinds, plan))
         given = cells is not None and len(asked) == 1 and may_be_linear(problem, plan)
@@ -181,6 +180,13 @@ def may_be_linear(problem: Problem, plan: Plan) -> bool:
     return plain_settings and has_usual_search(plan) and all(map(has_linear_cells, problem.agents))
 
 
+def has_linear_cells_only(problem: Problem) -> bool:
+    """Return whether all agents are linear, with Gaussian noise, and have fewer inputs than states."""
+    return all(
+        isinstance(agent, LinearAgent) and agent.laws is None and not agent.has_full_rank for agent in problem.agents
+    )
+
+
 def is_scalar(problem: Problem) -> bool:
     """Return whether all agents are linear with a single state."""
     return all(agent.n_states == 1 and not isinstance(agent, Agent) for agent in problem.agents)
@@ -189,7 +195,7 @@ def is_scalar(problem: Problem) -> bool:
 def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strategy]:
     """Return the ways on grids where nothing but the problem is given."""
     linear = may_be_linear(problem, plan)
-    strategies = [_others(problem, kinds, plan, linear)]
+    strategies = [] if linear and has_linear_cells_only(problem) else [_others(problem, kinds, plan, linear)]
     exact = 0.0
     if any(agent.n_states > 1 for agent in problem.agents) and all(map(reaches_every_mean, problem.agents)):
         strategies.append(_exact(problem, plan))

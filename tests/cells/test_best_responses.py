@@ -36,8 +36,10 @@ AGENTS = {
 }
 
 
-@pytest.mark.parametrize("relation", ["exact", "tube"])
-@pytest.mark.parametrize("name", AGENTS)
+OPTIONS = {"exact": cg.SearchOptions(), "paper": cg.SearchOptions(epsilon=0.3)}
+
+
+@pytest.mark.parametrize(("name", "relation"), [*((name, "exact") for name in AGENTS), ("scalar", "paper")])
 @pytest.mark.parametrize("n_objectives", [1, 3])
 def test_best_choices_are_the_brute_force_maxima(name: str, relation: str, n_objectives: int) -> None:
     agent = AGENTS[name]
@@ -49,7 +51,11 @@ def test_best_choices_are_the_brute_force_maxima(name: str, relation: str, n_obj
         propositions={"g": region},
         specification=cg.Specification("F g", "co-safe"),
     )
-    choices = abstract(problem, 40 if name == "scalar" else [13, 11], relation=relation).models[0].choices
+    choices = (
+        abstract(problem, 40 if name == "scalar" else [13, 11], relation=relation, search=OPTIONS[relation])
+        .models[0]
+        .choices
+    )
     assert isinstance(choices, InputSet | TargetWindows)
     kernel_size = int(np.prod(choices.shape)) if isinstance(choices, TargetWindows) else int(choices.leads_to.max()) + 1
     rng = np.random.default_rng(0)
@@ -90,17 +96,21 @@ def test_the_incumbent_stays_where_nothing_is_better() -> None:
     np.testing.assert_array_equal(choices.best(np.ones((40, 1)), flat * (1 + 1e-14), policy), policy)
 
 
-@pytest.mark.parametrize("relation", ["exact", "tube"])
-def test_cells_of_no_weight_keep_their_choice_and_do_not_disturb_others(relation: str) -> None:
-    agent = AGENTS["diagonal"]
+@pytest.mark.parametrize(("name", "relation"), [("diagonal", "exact"), ("scalar", "paper")])
+def test_cells_of_no_weight_keep_their_choice_and_do_not_disturb_others(name: str, relation: str) -> None:
+    agent = AGENTS[name]
     problem = cg.Problem(
         name="p",
         horizon=1,
         agents=[agent],
-        propositions={"g": cg.Proposition("one", [0.5, 0.5], [1.5, 1.5])},
+        propositions={"g": cg.Proposition("one", [0.5] * agent.n_states, [1.5] * agent.n_states)},
         specification=cg.Specification("F g", "co-safe"),
     )
-    choices = abstract(problem, [40, 30], relation=relation).models[0].choices
+    choices = (
+        abstract(problem, 1200 if name == "scalar" else [40, 30], relation=relation, search=OPTIONS[relation])
+        .models[0]
+        .choices
+    )
     assert isinstance(choices, InputSet | TargetWindows)
     points = int(np.prod(choices.shape)) if isinstance(choices, TargetWindows) else int(choices.leads_to.max()) + 1
     rng = np.random.default_rng(1)

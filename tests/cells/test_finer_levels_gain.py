@@ -7,7 +7,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
 
 import certigym as cg
 from certigym.synthesis.abstraction.models import BoxChoices, Settings, abstraction_of
@@ -17,6 +16,7 @@ from certigym.synthesis.policy_search.portfolio import Effort
 from certigym.synthesis.policy_search.portfolio.carrying import carried_over
 from certigym.synthesis.relations.kinds import BoxRelation, CoupledRelation
 from certigym.synthesis.verbs import task_strategies
+from problems import two_agents
 
 
 def coordinate(name: str) -> cg.LinearAgent:
@@ -42,24 +42,31 @@ def crossing(n_agents: int, horizon: int = 6) -> cg.Problem:
     return cg.Problem(name="crossing", agents=agents, propositions=goals, specification=task, horizon=horizon)
 
 
-@pytest.mark.parametrize("kind", ["tube", "boxes"])
-def test_inputs_stay_the_same_on_finer_cells(kind: str) -> None:
-    """The input of a fine cell is that of the coarse cell around it, or the nearest one of a smaller menu."""
+def test_inputs_stay_the_same_on_finer_cells() -> None:
+    """The input of a fine cell is that of the coarse cell around it."""
     problem = crossing(1)
-    coarse, fine = (abstraction_of(problem, cells, [kind], Settings()) for cells in ((40, 16), (80, 32)))
+    coarse, fine = (abstraction_of(problem, cells, ["boxes"], Settings()) for cells in ((40, 16), (80, 32)))
     before, after = coarse.models[0], fine.models[0]
     choices = np.random.default_rng(0).integers(0, 3, (2, 2, before.n_cells)).astype(np.int32)
     (carried,) = carried_over(coarse, fine, (choices,))
     cell = before.grid.cell_of(after.grid.centres.T)
     assert carried.shape == (2, 2, after.n_cells)
-    if kind == "boxes":
-        np.testing.assert_array_equal(carried, choices[..., cell])
-    else:
-        assert isinstance(before.relation, CoupledRelation) and isinstance(after.relation, CoupledRelation)
-        old, new = before.relation.inputs, after.relation.inputs
-        apart = np.abs(old[choices[..., cell]] - new[carried])
-        nearest = np.abs(old[choices[..., cell]][..., None, :] - new).min(axis=-2)
-        np.testing.assert_array_equal(apart, nearest)
+    np.testing.assert_array_equal(carried, choices[..., cell])
+
+
+def test_inputs_are_the_nearest_ones_of_a_smaller_menu() -> None:
+    """Finer cells leave the feedback of the paper's relation more of the inputs, which are other ones then."""
+    problem = two_agents(horizon=2)
+    coarse, fine = (
+        abstraction_of(problem, 40, ["paper"] * 2, Settings(epsilon=epsilon, feedback=-0.5)) for epsilon in (0.4, 0.2)
+    )
+    before, after = coarse.models[0].relation, fine.models[0].relation
+    assert isinstance(before, CoupledRelation) and isinstance(after, CoupledRelation)
+    choices = np.random.default_rng(0).integers(0, 10, (2, 2, 40)).astype(np.int32)
+    carried, _ = carried_over(coarse, fine, (choices, choices))
+    apart = np.abs(before.inputs[choices] - after.inputs[carried])
+    nearest = np.abs(before.inputs[choices][..., None, :] - after.inputs).min(axis=-2)
+    np.testing.assert_array_equal(apart, nearest)
 
 
 def test_a_menu_that_finer_cells_shorten_or_lengthen_carries_over() -> None:
@@ -82,7 +89,7 @@ def test_a_menu_that_finer_cells_shorten_or_lengthen_carries_over() -> None:
 def test_policies_without_a_choice_rest_on_finer_cells() -> None:
     """Where coarse cells had no choice, fine ones take that which stays nearest to them."""
     problem = crossing(1)
-    coarse, fine = (abstraction_of(problem, cells, ["tube"], Settings()) for cells in ((40, 16), (80, 32)))
+    coarse, fine = (abstraction_of(problem, cells, ["boxes"], Settings()) for cells in ((40, 16), (80, 32)))
     nothing = np.full((1, 2, coarse.models[0].n_cells), -1, dtype=np.int32)
     (carried,) = carried_over(coarse, fine, (nothing,))
     np.testing.assert_array_equal(carried[0, 0], fine.models[0].choices.resting_choice)

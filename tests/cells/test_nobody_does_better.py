@@ -86,7 +86,7 @@ def test_one_step_in_the_plane_with_correlated_noise() -> None:
         propositions={"a": cg.Proposition("one", [1.0, 1.0], [3.0, 3.0])},
         specification=cg.Specification("F a", "co-safe"),
     )
-    model = abstract(problem, 24, relation="tube").models[0]
+    model = abstract(problem, 24, relation="linear").models[0]
     optimist, rng = Optimist.of(agent, model), np.random.default_rng(0)
     assert optimist is not None
     value = rng.random(4 * model.grid.n_cells) ** 8

@@ -289,7 +289,7 @@ def test_nothing_moves_without_noise() -> None:
     assert cg.synthesize(beyond, 40).certificate.lower_bound == 0.0
 
 
-@pytest.mark.parametrize("relation", ["exact", "linear", "tube", "ellipsoid", "paper"])
+@pytest.mark.parametrize("relation", ["exact", "linear", "paper"])
 def test_other_relations_refuse_such_noise_in_words(relation: str) -> None:
     for problem in (task(walker()), docking()):
         with pytest.raises(RelationRefused, match="ask for `boxes`"):

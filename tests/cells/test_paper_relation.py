@@ -13,14 +13,17 @@ from scipy.stats import binomtest, kstest, norm
 import certigym as cg
 from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.simulation.batch_simulator import Dynamics
+from certigym.synthesis.abstraction.models import finite_models
 from certigym.synthesis.abstraction.models.input_sets import InputSet
 from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.certificates.controllers.abstract_state import Memory, Tracker
+from certigym.synthesis.certificates.controllers.controller import BatchMemory
 from certigym.synthesis.certificates.proofs import changed
 from certigym.synthesis.policy_search.ascent.coordinate_ascent import resting_policies, start_value, sweep
 from certigym.synthesis.policy_search.ascent.limits import Limits
 from certigym.synthesis.policy_search.ascent.occupancy import forward
 from certigym.synthesis.policy_search.bounds.certified import plain_loss, robust_loss, undecided_steps
+from certigym.synthesis.relations.grids.labels import cell_labels
 from certigym.synthesis.relations.kinds.coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from certigym.synthesis.relations.kinds.scalar import paper_relation
 from certigym.synthesis.verbs.abstract import abstract
@@ -119,6 +122,45 @@ def test_claiming_the_nominal_value_in_spite_of_delta_is_refused() -> None:
     assert not cg.check(changed(certificate, agents=(part, certificate.proof.agents[1])))
     part = replace(certificate.proof.agents[0], relation={**certificate.proof.agents[0].relation, "epsilon": 0.2})
     assert not cg.check(changed(certificate, agents=(part, certificate.proof.agents[1])))
+
+
+def test_a_relation_that_takes_more_inputs_than_there_are_is_refused() -> None:
+    """Of the second of two equal agents, too."""
+    agents = [scalar_agent(name) for name in ("one", "two")]
+    regions = {name: cg.Proposition(name, [-3.5], [3.5]) for name in ("one", "two")}
+    task = cg.Specification("G (one & two)", "finite-trace")
+    problem = cg.Problem(name="alike", horizon=3, agents=agents, propositions=regions, specification=task)
+    certificate = cg.synthesize(problem, 64, relation="paper", search=cg.SearchOptions(epsilon=0.2)).certificate
+    part = certificate.proof.agents[0]
+    assert cg.check(changed(certificate, agents=(part, part)))
+    for changes in ({"feedback": -1.0}, {"inputs": 12}):
+        wrong = replace(part, relation={**part.relation, **changes})
+        assert not cg.check(changed(certificate, agents=(part, wrong)))
+
+
+def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(finite_models, "error_labels", lambda p, i, g, c, reach: cell_labels(p, i, g, c))
+    options = cg.SearchOptions(epsilon=0.3, feedback=-0.5)
+    certificate = cg.synthesize(two_agents(horizon=4), 64, relation="paper", search=options).certificate
+    assert certificate.proof.bound == "nominal" and not cg.check(certificate)
+
+
+def test_relations_without_delta_are_never_lost_and_inputs_are_admissible() -> None:
+    problem = two_agents(horizon=4)
+    options = cg.SearchOptions(epsilon=0.3, feedback=-0.5)
+    controller = cg.synthesize(problem, 64, relation="paper", search=options).controller
+    dynamics = Dynamics.of(problem)
+    policy, rng = controller.batch(dynamics), np.random.default_rng(2)
+    worlds = core.initial(dynamics, rng, 20_000)
+    memory = policy.begin(worlds, np.random.default_rng(1))
+    assert all(agent.relation.delta == 0.0 for agent in controller.agents)
+    for _ in range(problem.horizon):
+        inputs, memory = policy.act(worlds, memory)
+        undecided = ~worlds.failed & ~worlds.accepted
+        assert all(np.all(np.abs(own[:, :, undecided]) <= 2.0) for own in inputs)
+        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 20_000))
+    assert isinstance(memory, BatchMemory) and memory.lost is not None
+    assert not np.any(memory.lost & ~worlds.failed & ~worlds.accepted)
 
 
 def test_undecided_steps_are_what_rollouts_of_the_abstract_chain_count() -> None:

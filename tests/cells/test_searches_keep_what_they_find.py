@@ -25,7 +25,7 @@ from certigym.synthesis.relations.grids import start_share
 from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.binomial import REFUTED
 from kinds import mostly_thorough
-from problems import cart, cart_reach, two_agents
+from problems import two_agents
 
 FALSE_ALARM = 1e-6
 
@@ -256,10 +256,10 @@ def test_the_bound_from_above_is_a_mean_over_boxes() -> None:
 
 
 def test_dense_programming_chooses_from_menus_of_inputs() -> None:
-    """Under the tube relation agents choose inputs; one agent alone comes to the optimum. Relaxations lie above."""
-    problem = cart_reach(cart(), horizon=10)
-    result = cg.synthesize(problem, 48, relation="tube")
-    joint = join(problem, abstract(problem, 48, relation="tube"))
+    """Under the paper's relation agents choose inputs; one agent alone comes to the optimum. Relaxations lie above."""
+    problem, options = one_agent(), cg.SearchOptions(epsilon=0.3, feedback=-1.0)
+    result = cg.synthesize(problem, 48, relation="paper", search=options)
+    joint = join(problem, abstract(problem, 48, relation="paper", search=options))
     (alone,) = relax(problem, joint)
     dense = dense_optimum(problem, list(joint.models))
     assert np.all(dense <= alone.values * (1 + 2 * 10 * TIE) + 1e-15)  # incumbents stay that close to the best

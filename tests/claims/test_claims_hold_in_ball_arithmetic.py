@@ -55,8 +55,6 @@ def synthesized(name: str, cells: int, **options: Any) -> Any:
 
 KINDS: dict[str, tuple[str, int, dict[str, Any]]] = {
     "scalar agents": ("reach-avoid-v0", 60, {}),
-    "a tube": ("reach-avoid-v0", 100, {"relation": "tube"}),
-    "a tube in the plane": ("car-park-planar-v0", 24, {"relation": "tube", "horizon": 20}),
     "independent tasks": ("invariance-4-v0", 40, {}),
     "twenty agents": ("reach-avoid-20-v0", 40, {"relation": "exact"}),
     "expressions": ("van-der-pol-v0", 10, {}),
@@ -278,7 +276,7 @@ def rounded_sines(patch: pytest.MonkeyPatch) -> None:
 SABOTAGE: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None], str]] = {
     "the complementary error function": ("exact matrices", times(checked_kernel, "erfc", UP), "a cell mass"),
     "a normal law of trains": ("train", times(checked_kernel, "erfc", UP), "a cell mass"),
-    "a normal law of tubes": ("tube", times(checked_kernel, "erfc", UP), "a cell mass"),
+    "a normal law of menus": ("paper", times(checked_kernel, "erfc", UP), "a cell mass"),
     "correlated noise": ("exact correlated", times(checked_kernel, "erfc", UP), "a cell mass"),
     "the Laplace law": ("exact Laplace", times(checked_laws, "probability_below", UP), "a cell mass"),
     "masses of boxes": ("boxes Laplace", times(checked_laws, "probability_below", UP), "a cell mass"),
@@ -291,9 +289,6 @@ SABOTAGE: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None], str]] = {
     "boxes of matrices": ("boxes matrices", narrow_boxes, "were not shown to hold"),
     "elementary functions": ("boxes expressions", rounded_sines, "values of the function `sin`"),
     "near pairs": ("subtraction", times(pairs_check, "erfc", DOWN), "two agents are near"),
-    "tubes": ("tube", times(relation_check, "_tube_support", DOWN), "a tube was not proved"),
-    "ellipsoids": ("ellipsoid", times(relation_check, "ellipsoid_support", 1.0 - 1e-3), "how far an ellipsoid"),
-    "couplings": ("ellipsoid with delta", times(relation_check, "ellipsoid_failure", 0.9), "how often a coupling"),
     "couplings of intervals": ("paper", times(relation_check, "erf", 1.0 - 1e-6), "a distance between"),
 }  # fmt: skip
 

@@ -53,7 +53,6 @@ BOTH_SIGNS = Reason(
     "factors have both signs",
     "factors of trains have both signs: no least value of such a sum is read off the least factors",
 )
-ABSTRACT_STATE = Reason("without memory", "a tube has an abstract state that nobody sees but its controller")
 MAY_BE_LOST = Reason("delta = 0", "what may be lost at every step cannot be promised to others, nor for all times")
 RELIED_ON = Reason(
     "chosen in common", "inputs that other agents rely on cannot be left open, cell by cell or to a learner"
@@ -74,8 +73,7 @@ CANNOT: dict[str, dict[str, Reason]] = {
     "opposite end": dict.fromkeys(PATHS, PATHS_HAVE_NO_END),
     "shield": {
         "train": BOTH_SIGNS,
-        **dict.fromkeys(["tube", "ellipsoid"], ABSTRACT_STATE),
-        **dict.fromkeys(["ellipsoid with delta", "paper"], MAY_BE_LOST),
+        "paper": MAY_BE_LOST,
         "boxes common input": RELIED_ON,
         **dict.fromkeys(PATHS, ON_PATHS),
         "subtraction": BY_SUBTRACTION,
@@ -87,7 +85,7 @@ CANNOT: dict[str, dict[str, Reason]] = {
     "field": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": BY_SUBTRACTION},
     "safety rate": {
         "train": BOTH_SIGNS,
-        **dict.fromkeys(["ellipsoid with delta", "paper"], MAY_BE_LOST),
+        "paper": MAY_BE_LOST,
         "boxes no noise": RUNS_EMPTY,
         **dict.fromkeys(TIMED, LOOK_AT_TIME),
         **dict.fromkeys(PATHS, ON_PATHS),

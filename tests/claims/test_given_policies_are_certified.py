@@ -157,10 +157,10 @@ def test_the_nearest_admissible_target_is_taken(form: str) -> None:
 def test_a_cell_without_admissible_target_gets_none() -> None:
     weak: dict[str, Any] = {"A": [[2.0]], "input_low": [-0.1], "input_high": [0.1]}
     problem = two_agents(horizon=2, **weak)
-    abstraction = abstract(problem, 8)
+    abstraction = abstract(problem, 8, relation="exact")
     for policy in wrap(problem, abstraction, decentralised(problem, stay)):
         assert np.all(policy == -1)
-    assert cg.certify(problem, stay, 8).certificate.lower_bound == 0.0
+    assert cg.certify(problem, stay, 8, relation="exact").certificate.lower_bound == 0.0
 
 
 def test_other_relations_choose_the_nearest_input() -> None:
@@ -169,8 +169,8 @@ def test_other_relations_choose_the_nearest_input() -> None:
     assert cg.check(result.certificate, PROBLEM)
 
 
-def test_agents_with_fewer_inputs_than_states_are_wrapped_in_tubes() -> None:
-    """A double integrator: its controllers remember an abstract state, and the bound holds (1e-6)."""
+def test_agents_with_fewer_inputs_than_states_are_wrapped_on_linear_cells() -> None:
+    """A double integrator: the bound holds (1e-6)."""
     cart = cg.LinearAgent(
         name="cart",
         A=[[1.0, 0.5], [0.0, 1.0]],
@@ -194,14 +194,12 @@ def test_agents_with_fewer_inputs_than_states_are_wrapped_in_tubes() -> None:
         return [0.6 * (1.0 - x[0]) - x[1]]
 
     result = cg.certify(problem, pull, 40)
-    assert all(agent.is_coupled for agent in result.controller.agents)
+    assert result.certificate.settings["relation"] == "linear"
     assert 0.2 < result.certificate.lower_bound < 0.99
     assert cg.check(result.certificate, problem)
     assert cg.validate(result, 20_000, confidence=1 - 1e-6).verdict != "refuted"
     better = cg.improve(problem, pull, 40, search=cg.SearchOptions(max_sweeps=2)).certificate
     assert better.lower_bound >= result.certificate.lower_bound
-    with pytest.raises(ValueError, match="without memory"):
-        cg.certify(problem, result.controller, 40)
 
 
 def test_a_stationary_table_holds_at_all_times() -> None:

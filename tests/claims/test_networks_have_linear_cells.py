@@ -208,6 +208,6 @@ def test_files_with_other_choices_than_modes_are_refused() -> None:
 def test_relations_that_are_not_known_are_refused() -> None:
     problem = reach(scalar_agent("a"))
     with pytest.raises(ValueError, match="relation"):
-        certify_network(problem, proportional(problem), 30, relation="tube")
+        certify_network(problem, proportional(problem), 30, relation="paper")
     model = network_abstraction(problem, [proportional(problem).agent_policy(0)], 30).models[0]
     assert model.relation.kind == "linear"

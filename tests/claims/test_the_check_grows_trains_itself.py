@@ -67,7 +67,7 @@ def everywhere(train: ErrorBoundedTrain | Train | None, shape: tuple[int, ...]) 
 
 def exactly(certificate: cg.Certificate, cells: int) -> Any:
     """Value at time 0 by dense programming, (n_states, S_1, ..)."""
-    models = abstract(certificate.problem, cells).models
+    models = abstract(certificate.problem, cells, relation="exact").models
     return dense_value(certificate.problem, models, tuple(part.policy for part in certificate.proof.agents))
 
 

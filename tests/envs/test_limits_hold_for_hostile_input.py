@@ -22,7 +22,7 @@ from random_problems import random_spec
 ROOT = Path(__file__).resolve().parents[2]
 
 QUICK = [
-    "rank of 400 digits", "rank below 0", "bounds of 400 digits", "gap of 400 digits", "scalar inputs of a tube",
+    "rank of 400 digits", "rank below 0", "bounds of 400 digits", "gap of 400 digits",
     "feedback 1e308", "paper epsilon 1e308", "region up to 2.66e-239", "noise of 1e-300", "nested header",
     "half a pickle", "bound of 400 digits", "ten thousand brackets",
 ]  # fmt: skip

@@ -32,7 +32,7 @@ COMMANDS: dict[str, list[list[str]]] = {
     "synthesize": [
         [*TASK, "--out", "made.npz"],
         [*TASK, "--stationary", "--restarts", "1", "--out", "made.npz"],
-        [*TASK, "--relation", "ellipsoid", "--delta", "0.01", "--out", "made.npz"],
+        ["task.toml", "--cells", "60", "--relation", "paper", "--delta", "0.9", "--out", "made.npz"],
     ],
     "check": [["c.npz"]],
     "canonical": [["task.toml"]],

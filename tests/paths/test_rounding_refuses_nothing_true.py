@@ -43,7 +43,7 @@ def beside(steps: int, **changes: Any) -> cg.Problem:
     )
 
 
-@pytest.mark.parametrize("relation", ["exact", "tube", "ellipsoid", "paper", "linear", "boxes", "auto", "best"])
+@pytest.mark.parametrize("relation", ["exact", "paper", "linear", "boxes", "auto", "best"])
 @mostly_thorough("steps", [1, 1000])
 def test_edges_that_differ_by_rounding_are_certified(relation: str, steps: int) -> None:
     """Cells between them hold no mass; relations that feed the place in a cell back get little, and by default others

@@ -230,7 +230,7 @@ REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
     "no deadline": (lambda: cg.synthesize(follow(robot()), horizon=None), "the same at every step"),
     "stationary": (lambda: cg.synthesize(follow(robot()), 30, search=cg.SearchOptions(stationary=True)), "stationary"),
     "exact targets": (lambda: cg.synthesize(follow(robot()), 30, relation="exact"), "`linear`, `boxes` or `path`"),
-    "coupled": (lambda: cg.synthesize(follow(robot()), 30, relation="tube"), "name the time|`t`"),
+    "coupled": (lambda: cg.synthesize(follow(robot()), 30, relation="paper"), "name the time|`t`"),
     "models": (lambda: cg.abstract(follow(still()), 30), "the same at every step"),
     "a rate": (lambda: cg.safety_rate(certified("exact")), "names the time"),
 }

@@ -204,28 +204,18 @@ def test_coupled_controllers_pass_at_their_own_cells_and_louder_noise_is_refuted
     assert report.refuted, str(report)
 
 
-def test_tube_controllers_pass_and_louder_noise_is_refuted() -> None:
-    """An agent with fewer inputs than states: the abstract state is remembered, delta is 0."""
-    cart = cg.LinearAgent(
-        name="cart",
-        A=[[1, 0.5], [0, 1]],
-        B=[[0.125], [0.5]],
-        noise_covariance=[[0.02, 0], [0, 0.02]],
-        state_low=[-4, -2],
-        state_high=[4, 2],
-        input_low=[-2],
-        input_high=[2],
-        initial_state=[-2, 0],
-    )
+def test_controllers_with_memory_pass_and_louder_noise_is_refuted() -> None:
+    """The abstract state is remembered, delta is 0."""
     problem = cg.Problem(
-        name="cart",
+        name="one",
         horizon=6,
-        agents=[cart],
-        propositions={"g": cg.Proposition("cart", [0, -2], [4, 2])},
+        agents=[scalar_agent("one", noise_covariance=[[0.1]], initial_state=[-2.0])],
+        propositions={"g": cg.Proposition("one", [0.0], [4.0])},
         specification=cg.Specification("F g", "co-safe"),
     )
-    certificate = cg.synthesize(problem, {"cart": [60, 40]}, relation="tube").certificate
-    assert certificate.lower_bound > 0.9
+    options = cg.SearchOptions(epsilon=0.2, feedback=-0.4)
+    certificate = cg.synthesize(problem, 80, relation="paper", search=options).certificate
+    assert certificate.lower_bound > 0.9 and certificate.controller.agents[0].relation.delta == 0.0
     report = audit(certificate, EPISODES, confidence=CONFIDENCE)
     assert not report.refuted and report.contradictions == 0, str(report)
     louder = replace(certificate, problem=problem.replace(disturbance_scale=2.5))

@@ -91,8 +91,8 @@ def add_cells(parser: argparse.ArgumentParser, automatic: str = "what certifies 
         nargs="+",
         metavar="NAME",
         default=["auto"],
-        help=f"auto (default: {automatic}), best (no shortcut), exact, linear, boxes, coupled (tube, ellipsoid or "
-        "paper) or path (no grid); AGENT=NAME for single agents",
+        help=f"auto (default: {automatic}), best (no shortcut), exact, linear, boxes, paper or path (no grid); "
+        "AGENT=NAME for single agents",
     )
     parser.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
 
@@ -100,9 +100,7 @@ def add_cells(parser: argparse.ArgumentParser, automatic: str = "what certifies 
 def add_models(parser: argparse.ArgumentParser, automatic: str = "what certifies most") -> None:
     """Add relation and cells of the finite models, and what some relations are told besides."""
     add_cells(parser, automatic)
-    parser.add_argument(
-        "--delta", type=float, metavar="P", help="failure probability per step and agent of `ellipsoid` or `paper`"
-    )
+    parser.add_argument("--delta", type=float, metavar="P", help="failure probability per step and agent of `paper`")
     parser.add_argument(
         "--targets", type=int, metavar="N", help="target means per cell and axis (default: by relation and dimension)"
     )

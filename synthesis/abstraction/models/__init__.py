@@ -4,14 +4,12 @@ The finite model of each agent, the guards of the task, and both joined.
 """
 
 from .action_tables import TIE, ActionTable, Policies, StepPolicy, best_offered, gather, shifted
-from .agent_models import SNAPPED_POINTS, reaches_every_mean
+from .agent_models import reaches_every_mean
 from .box_choices import BoxChoices
 from .box_model import INPUT_LEVELS
 from .common_choices import CommonGroup, common_inputs_of
 from .corner_choices import CornerChoices
 from .finite_models import (
-    COUPLED,
-    KINDS_WITH,
     RELATIONS,
     Abstraction,
     AgentModel,
@@ -19,6 +17,7 @@ from .finite_models import (
     Settings,
     abstraction_of,
     check_names,
+    lost_beside,
     models_of,
     relations_of,
 )
@@ -38,13 +37,10 @@ __all__ = [
     "CommonGroup",
     "INPUT_LEVELS",
     "InputSet",
-    "COUPLED",
-    "KINDS_WITH",
     "RELATIONS",
     "JointModel",
     "Policies",
     "Relations",
-    "SNAPPED_POINTS",
     "Settings",
     "StepPolicy",
     "TIE",
@@ -57,6 +53,7 @@ __all__ = [
     "gather",
     "reaches_every_mean",
     "join",
+    "lost_beside",
     "models_of",
     "network_abstraction",
     "network_tables",

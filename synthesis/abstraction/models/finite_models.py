@@ -36,7 +36,6 @@ from ...relations.grids import (
     cells_of_agent,
     error_labels,
     hat_share_of,
-    label_room,
     linear_agent,
     of_cells,
     refuse_angles,
@@ -46,18 +45,15 @@ from ...relations.grids import (
     spread,
     start_share,
 )
-from ...relations.kinds import CommonInputs, Relation
+from ...relations.kinds import GONE, CommonInputs, Relation
 from ..kernels import Kernel
 from .action_tables import ActionTable, shifted
 from .agent_models import (
     STRANDED_CELLS,
     SharedModel,
-    cheapest_model,
-    ellipsoid_model,
     exact_model,
     paper_model,
     reaches_every_mean,
-    tube_model,
 )
 from .box_model import box_model
 from .common_choices import common_inputs_of, common_relation
@@ -66,15 +62,8 @@ from .corner_model import corner_model
 Relations = str | Mapping[str, str]
 """Relation of all agents, or of each by its name."""
 
-COUPLED = ("tube", "ellipsoid", "paper")
-"""Ways to make the set of a coupled relation: the state stays near that of a finite model which moves by itself."""
-
-RELATIONS = ("auto", "boxes", "coupled", "exact", "ellipsoid", "linear", "paper", "quick", "tube")
+RELATIONS = ("auto", "boxes", "exact", "linear", "paper", "quick")
 """Relations that can be asked for."""
-
-KINDS_WITH = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
-"""Settings that only these relations have; refused with all others."""
-
 
 TIME_REFUSAL = (
     "`problem`: expected one that is the same at every step, got one whose dynamics or regions name the time `t`, of "
@@ -229,10 +218,7 @@ class Settings:
     epsilon, feedback, inputs
         ``paper``: half width of the relation, K of the interface, number of abstract inputs.
     delta : float, optional
-        ``paper``: a failure probability to be used in place of the (smaller) closed form. ``ellipsoid``: the largest
-        failure probability per step and agent, in [0, 1), default 0; a larger one makes labels and inputs lose less.
-    share : float, optional
-        ``ellipsoid``: share of the inputs that the feedback may use, in [0, 1); default: chosen (``ellipsoid_search``).
+        ``paper``: a failure probability to be used in place of the (smaller) closed form, in [0, 1).
     common : bool, optional
         ``boxes``: whether inputs that expressions of other agents name are chosen in common, by automaton state and
         time alone, and known to these agents; otherwise such inputs may be anything in their boxes. By default a
@@ -249,7 +235,6 @@ class Settings:
     feedback: float = 0.0
     inputs: int = 10
     delta: float | None = None
-    share: float | None = None
     common: bool | None = None
 
     def __post_init__(self) -> None:
@@ -257,30 +242,27 @@ class Settings:
             raise ValueError(f"`common`: expected True or False, got {self.common!r}")
         if self.targets_per_cell is not None:
             object.__setattr__(self, "targets_per_cell", checked_count(self.targets_per_cell, "targets_per_cell"))
-        for name in ("delta", "share"):
-            value = getattr(self, name)
-            if value is not None and (
-                isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1
-            ):
-                raise ValueError(f"`{name}`: expected a number of at least 0 and below 1, got {value!r}")
-
-    @property
-    def given(self) -> tuple[str, ...]:
-        """Names of the given settings that only some relations have."""
-        return tuple(name for name in KINDS_WITH if getattr(self, name) is not None)
+        value = self.delta
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1):
+            raise ValueError(f"`delta`: expected a number of at least 0 and below 1, got {value!r}")
 
     def of_kinds(self, kinds: Sequence[str]) -> Settings:
         """Return the settings without those that no relation of these kinds has."""
-        unused: dict[str, Any] = {name: None for name in self.given if not KINDS_WITH[name] & {*kinds}}
-        return replace(self, **unused)
+        return self if "paper" in kinds else replace(self, delta=None)
+
+    def refuse_foreign(self, kinds: Sequence[str]) -> None:
+        """Refuse a setting that no relation of these kinds has."""
+        if self.delta is not None and not {"paper", "best"} & {*kinds}:
+            asked = "/".join(sorted({*kinds}))
+            raise ValueError(f"`delta`: expected none with relation `{asked}`, got {self.delta!r}; ask for `paper`")
 
     def used_by(self, models: Sequence[AgentModel]) -> dict[str, object]:
         """Return relations and cells of the models, and the settings that some of them depend on, as plain values."""
         kinds = sorted({model.relation.kind for model in models})
         used: dict[str, object] = {"relation": "/".join(kinds), "cells": [list(model.grid.shape) for model in models]}
-        names = {"paper": ("epsilon", "feedback", "inputs", "delta"), "ellipsoid": ("delta", "share")}
         for kind in kinds:
-            used |= {name: getattr(self, name) for name in names.get(kind, ("targets_per_cell",))}
+            names = ("epsilon", "feedback", "inputs", "delta") if kind == "paper" else ("targets_per_cell",)
+            used |= {name: getattr(self, name) for name in names}
         if any(model.relation.common for model in models):
             used["common"] = True
         return used
@@ -291,20 +273,21 @@ def abstraction_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], se
     refuse_shared_noise(problem)
     if problem.names_time:
         raise RelationRefused(TIME_REFUSAL)
-    foreign = set(settings.given) - set(settings.of_kinds(kinds).given)
-    for name in sorted(foreign):
-        asked, value = "/".join(sorted({*kinds})), getattr(settings, name)
-        raise ValueError(f"`{name}`: expected none with relation `{asked}`, got {value!r}; ask for `ellipsoid`")
+    settings.refuse_foreign(kinds)
     models = models_of(problem, cells, dict(enumerate(kinds)), settings)
     ordered = tuple(models[i] for i in range(problem.n_agents))
-    lossy = sorted({model.relation.kind for model in ordered if model.delta > 0})
-    beside = sorted({model.relation.kind for model in ordered if not model.is_additive})
-    if lossy and beside:
-        raise ValueError(
-            f"`relation`: expected relations that are never lost beside `{beside[0]}`, got `{lossy[0]}`; ask for "
-            "`exact` or `tube`, or for `ellipsoid` with `delta=0`"
-        )
+    if why := lost_beside(ordered):
+        raise ValueError(why)
     return Abstraction(ordered, settings.used_by(ordered))
+
+
+def lost_beside(models: Sequence[AgentModel]) -> str:
+    """Return why models cannot be those of one team, as relations may be lost beside others; nothing if they can."""
+    lossy = sorted({model.relation.kind for model in models if model.delta > 0})
+    beside = sorted({model.relation.kind for model in models if not model.is_additive})
+    if not (lossy and beside):
+        return ""
+    return f"`relation`: expected relations that are never lost beside `{beside[0]}`, got `{lossy[0]}`; ask for `exact`"
 
 
 def relations_of(problem: Problem, relation: Relations) -> list[str]:
@@ -318,6 +301,8 @@ def relations_of(problem: Problem, relation: Relations) -> list[str]:
     check_names("relation", relation, problem)
     asked = relation if isinstance(relation, Mapping) else dict.fromkeys(problem.agent_names, relation)
     for name in asked.values():
+        if name in (*GONE, "coupled"):
+            raise ValueError(f"`relation`: {name!r} is gone since 0.4; write 'linear', or 'paper' for scalar agents")
         if name not in RELATIONS:
             raise ValueError(f"`relation`: expected one of {', '.join(RELATIONS)}, got {name!r}")
     return [asked.get(name, "auto") for name in problem.agent_names]
@@ -335,24 +320,21 @@ def models_of(
     for i, kind in kinds.items():
         agent = problem.agents[i]
         grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, cells))
-        room = label_room(problem, i)
-        # Agents with equal dynamics, grids and wishes share a model. The room of their labels matters only where a
-        # feedback is chosen by it.
+        # Agents with equal dynamics, grids and wishes share a model.
         alike = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
-        depends_on_room = kind in ("tube", "ellipsoid") or not agent.has_full_rank
         known = common.get(i)
         # Numbers go by names, which agents with equal dynamics may have in other places.
         numbers_known = b"" if known is None else repr((known.description, getattr(agent, "others", ()))).encode()
-        wish = (*alike, room.tobytes() if depends_on_room else b"", numbers_known)
+        wish = (*alike, numbers_known)
         if wish not in by_wish:
             if known is not None and agent.has_clock:
                 raise RelationRefused(f"agent `{agent.name}`: inputs in common beside the time `t` are not certified")
             if known is None:
-                model = _shared_model(agent, kind, grid, coordinates, room, settings, problem.n_agents == 1)
+                model = _shared_model(agent, kind, grid, coordinates, settings, problem.n_agents == 1)
             else:
                 model = _common_model(agent, kind, grid, coordinates, settings.targets_per_cell, known)
             numbers = (*alike, *(a.tobytes() for a in model[0].arrays))
-            by_wish[wish] = by_relation.setdefault(numbers, model)  # different rooms often lead to the same relation
+            by_wish[wish] = by_relation.setdefault(numbers, model)
         relation, lattice, kernel, choices = by_wish[wish]
         # Arriving in a cell an agent may be anywhere within E of its centre; at the start it is in the cell itself.
         start_labels = cell_labels(problem, i, grid, coordinates)
@@ -368,7 +350,7 @@ def models_of(
 
 
 def _shared_model(
-    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, room: FloatArray, settings: Settings, alone: bool
+    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, settings: Settings, alone: bool
 ) -> SharedModel:
     """Return relation, lattice, kernel and choices of one agent, which may have no team."""
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
@@ -387,29 +369,23 @@ def _shared_model(
         refuse_uneven_noise(agent, kind)
     if kind == "boxes":
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
-    if is_any and not agent.is_affine:
+    if is_any and agent.is_affine and agent.laws is not None:
+        kind = "exact" if agent.has_full_rank else "boxes"
+        return _shared_model(agent, kind, grid, coordinates, settings, alone)
+    if is_any:
+        # Exact targets, unless weak inputs leave many cells without one.
         if reaches_every_mean(agent):
             exact = exact_model(agent, grid, coordinates, per_cell)
             if np.mean(exact[3].resting_choice < 0) <= STRANDED_CELLS:
                 return exact
-        return box_model(agent, grid, coordinates, settings.targets_per_cell)
-    if is_any and agent.laws is not None:
-        kind = "exact" if agent.has_full_rank else "boxes"
-        return _shared_model(agent, kind, grid, coordinates, room, settings, alone)
+        kind = "linear" if agent.is_affine else "boxes"
+        return _shared_model(agent, kind, grid, coordinates, settings, alone)
     if kind == "linear":
         return corner_model(agent, grid, coordinates, settings.targets_per_cell, alone)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
-    agent = linear_agent(agent, kind)
-    if kind in ("tube", "coupled"):
-        return tube_model(agent, grid, coordinates, room)
-    if kind == "ellipsoid":
-        delta = 0.0 if settings.delta is None else settings.delta
-        return ellipsoid_model(agent, grid, coordinates, room, delta, settings.share)
-    if kind == "paper":
-        names = ("epsilon", "feedback", "inputs", "delta")
-        return paper_model(agent, grid, {name: getattr(settings, name) for name in names})
-    return cheapest_model(agent, grid, coordinates, per_cell, room)
+    names = ("epsilon", "feedback", "inputs", "delta")
+    return paper_model(linear_agent(agent, kind), grid, {name: getattr(settings, name) for name in names})
 
 
 def _common_model(

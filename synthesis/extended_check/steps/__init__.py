@@ -11,7 +11,7 @@ from .linear_check import by_cell, hat_weights, masks_of, places_of
 from .map_enclosures import networked_maps
 from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales
 from .network_enclosures import driven_spans, network_maps, network_modes, network_spans
-from .relation_check import MOST_TERMS, label_margin, verify_relation, wrong_for_uneven_noise
+from .relation_check import label_margin, verify_relation, wrong_for_uneven_noise
 from .step_backups import StepBackup, step_backup_of, step_backups_of
 from .step_regions import RegionSpan
 
@@ -29,7 +29,6 @@ __all__ = [
     "is_identity",
     "label_margin",
     "masks_of",
-    "MOST_TERMS",
     "network_maps",
     "network_modes",
     "network_spans",

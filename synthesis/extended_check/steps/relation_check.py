@@ -3,8 +3,7 @@
 For every agent: the error stays in a set E under the coupled step, rounding of the controller included; the abstract
 means are what the relation says; every input that a policy can ask for is admissible from every related state; and
 ``delta`` is at least the probability that the coupling fails. Comparisons carry their tolerance on the restrictive
-side. The set of a tube is not the one of the search: every number of terms gives an invariant zonotope, so does what
-they have in common, and its supports are computed here.
+side.
 """
 
 from __future__ import annotations
@@ -26,17 +25,10 @@ from ...relations.kinds import (
     MapRelation,
     Relation,
     SymbolicTargets,
-    ellipsoid_factor,
-    ellipsoid_failure,
-    ellipsoid_is_invariant,
-    ellipsoid_support,
 )
 from .execution import Execution, targets_alone
 from .geometry import cell_boxes
 from .target_enclosures import wrong_targets
-
-MOST_TERMS = 400
-"""Most terms of the zonotopes around a tube."""
 
 OUTWARD = 1.0 + 1e-12
 """Widening of half widths and supports, far above their rounding and far below that of the relations themselves."""
@@ -80,21 +72,12 @@ def label_margin(part: AgentRecord, relation: Relation, execution: Execution) ->
     """How far (d,) related states may be from the centres of their cells, in state units; None if in the same cell."""
     if relation.is_cell:
         return None
-    return error_support(part, relation, execution, part.coordinates)  # type: ignore[arg-type]  # coupled
+    return error_support(relation, part.coordinates)  # type: ignore[arg-type]  # coupled
 
 
-def error_support(part: AgentRecord, relation: CoupledRelation, execution: Execution, rows: FloatArray) -> FloatArray:
+def error_support(relation: CoupledRelation, rows: FloatArray) -> FloatArray:
     """Upper bounds (n,) on ``rows @ e`` for all errors of a coupled relation, rows (n, d) in grid coordinates."""
-    if relation.shape is not None:
-        support = ellipsoid_support(relation.shape, relation.epsilon, rows)
-        state("ellipsoid support", relation.shape, relation.epsilon, rows, support)
-        return support
-    if relation.kind == "paper":
-        return np.asarray(np.abs(rows) @ relation.reach * WIDENED)
-    disturbance = _disturbance(part, relation, execution)
-    support = _tube_support(relation.A + relation.B @ relation.feedback, disturbance, rows)
-    state("tube", relation, disturbance, rows, support)
-    return support
+    return np.asarray(np.abs(rows) @ relation.reach * WIDENED)
 
 
 def _verify_maps(agent: AnyAgent, part: AgentRecord, relation: MapRelation, execution: Execution) -> list[str]:
@@ -165,15 +148,8 @@ def _verify_coupled(agent: AnyAgent, part: AgentRecord, relation: CoupledRelatio
     variances = np.diag(_grid_noise(agent, part))
     if np.any(np.abs(relation.covariance - variances) > 1e-12 * variances):
         failures.append("its noise is not that of its agent")
-    if relation.shape is not None:
-        failures += _verify_ellipsoid(relation, relation.shape, closed, disturbance, variances)
-    elif relation.kind == "paper":
-        failures += _verify_interval(part, relation, closed, disturbance, variances)
-    elif np.any(relation.coupling):
-        failures.append("its tube is said to have a coupling")
-    reserve = error_support(part, relation, execution, relation.feedback) + execution.inputs
-    if not np.all(np.isfinite(reserve)):
-        return [*failures, "its tube is not invariant"]
+    failures += _verify_interval(part, relation, closed, disturbance, variances)
+    reserve = error_support(relation, relation.feedback) + execution.inputs
     low, high = relation.inputs - reserve, relation.inputs + reserve
     if np.any(low < agent.input_box.low) or np.any(high > agent.input_box.high):
         failures.append("its abstract inputs leave no room for the feedback")
@@ -194,24 +170,6 @@ def _disturbance(part: AgentRecord, relation: CoupledRelation, execution: Execut
     return result
 
 
-def _tube_support(closed: FloatArray, disturbance: FloatArray, rows: FloatArray) -> FloatArray:
-    """Upper bounds (n,) on ``rows @ e`` over an invariant set; infinite if none was found.
-
-    For every s with ``closed^s W inside alpha W``, ``alpha < 1``, the zonotope of the first s powers over
-    ``1 - alpha`` is invariant; so is the intersection of all of them.
-    """
-    power, total, best = np.diag(disturbance), np.zeros(len(rows)), np.full(len(rows), np.inf)
-    for _ in range(MOST_TERMS):
-        total = total + np.abs(rows @ power).sum(axis=1)
-        power = closed @ power
-        alpha = float(np.max(np.abs(power).sum(axis=1) / disturbance)) * OUTWARD
-        if alpha < 1.0:
-            best = np.minimum(best, total / (1.0 - alpha))
-        if alpha < 1e-15 or not np.isfinite(alpha):
-            break
-    return np.asarray(best * (1.0 + 1e-11))
-
-
 def _verify_interval(
     part: AgentRecord, relation: CoupledRelation, closed: FloatArray, disturbance: FloatArray, variances: FloatArray
 ) -> list[str]:
@@ -230,23 +188,6 @@ def _verify_interval(
         failures.append("its relation is not invariant")
     distance = coupling * epsilon / (2.0 * np.sqrt(2.0 * variances[0]))
     state("erf", distance, lost := float(erf(distance)) * (1.0 + 1e-14))
-    if relation.delta < lost:
-        failures.append("its delta is smaller than the probability that the coupling fails")
-    return failures
-
-
-def _verify_ellipsoid(
-    relation: CoupledRelation, shape: FloatArray, closed: FloatArray, disturbance: FloatArray, variances: FloatArray
-) -> list[str]:
-    """Invariance for every vertex of W, and coupling; ``closed`` is ``A + B K - F``."""
-    epsilon = relation.epsilon
-    if ellipsoid_factor(shape) is None or not epsilon > 0:
-        return ["its ellipsoid is none: its matrix is not positive definite, or badly conditioned"]
-    failures = []
-    if not ellipsoid_is_invariant(shape, epsilon, closed, disturbance):
-        failures.append("its ellipsoid was not proved invariant")
-    lost = ellipsoid_failure(shape, epsilon, relation.coupling, variances)
-    state("ellipsoid", relation, disturbance, variances, lost)
     if relation.delta < lost:
         failures.append("its delta is smaller than the probability that the coupling fails")
     return failures

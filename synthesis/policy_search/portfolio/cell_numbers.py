@@ -2,13 +2,8 @@
 
 A *resolution* is a number of cells per standard deviation of the noise, the same for all axes of all agents: what cells
 lose depends on their width against the noise. Near the number that a resolution asks for on an axis, those numbers are
-preferred
-
-- for which the region boundaries cut the axis into whole numbers of equal cells (no slivers, which would cost inputs
-  and labels as much as a wide cell, and more lattice points);
-- under relations with a menu of inputs, for which the means fall on few lattice points per cell: with equal cells of
-  widths h the means of axis k lie on the multiples of ``h_k / q`` where ``A_kj h_j / h_k`` has the denominator q. For
-  position and velocity, ``p' = p + s v``, cells of width ``h_v = h_p / s`` (or twice that) have q = 1 (or 2).
+preferred for which the region boundaries cut the axis into whole numbers of equal cells (no slivers, which would
+cost inputs and labels as much as a wide cell, and more lattice points).
 """
 
 from __future__ import annotations
@@ -21,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from ....envs.systems.agents import AnyAgent, LinearAgent, with_expressions
+from ....envs.systems.agents import AnyAgent, with_expressions
 from ....envs.tasks.problem import Problem
-from ...abstraction.models import SNAPPED_POINTS
-from ...relations.grids import DEFAULT_TARGETS, FloatArray, deviations_of, region_boundaries
+from ...relations.grids import FloatArray, deviations_of, region_boundaries
 from ...relations.kinds import commands_of
 
 Shape = tuple[int, ...]
@@ -41,9 +35,6 @@ MOST_NUMBERS = 24
 MOST_COMBINATIONS = MOST_NUMBERS**3
 """Combinations of numbers of cells that are compared: all of three axes; of more axes fewer numbers each."""
 
-POINTS_OF_BOXES = 4
-"""Lattice points per cell and axis under the relation ``boxes``, about."""
-
 WEIGHING_STATES, DIFFERENCE = 64, 1e-5
 """States at which Jacobians are taken, and the step for it, as a share of the workspace."""
 
@@ -51,7 +42,7 @@ LEAST_WEIGHT = 0.15
 """Least weight of an axis: wider cells on commanded axes would cost inputs and labels too much."""
 
 
-def cells_at(problem: Problem, resolution: float, kinds: Sequence[str]) -> dict[str, Shape]:
+def cells_at(problem: Problem, resolution: float) -> dict[str, Shape]:
     """Return cells per axis of every agent at about ``resolution`` cells per standard deviation of noise.
 
     Parameters
@@ -59,20 +50,18 @@ def cells_at(problem: Problem, resolution: float, kinds: Sequence[str]) -> dict[
     problem : Problem
     resolution : float
         Cells per standard deviation of the noise (dimensionless), positive.
-    kinds : sequence of str
-        Relation of each agent.
     """
     alike: dict[tuple[Any, ...], list[int]] = {}
     for i, agent in enumerate(problem.agents):
         corners = (agent.state_low, agent.state_high, agent.input_low, agent.input_high)
-        key = (kinds[i], *agent.motion_key, *agent.noise_key, *(a.tobytes() for a in corners))
+        key = (*agent.motion_key, *agent.noise_key, *(a.tobytes() for a in corners))
         alike.setdefault(key, []).append(i)
     cells_of: dict[int, Shape] = {}
-    for (kind, *_), members in alike.items():
+    for members in alike.values():
         first = problem.agents[members[0]]
         # The boundaries of all members, so that they share edges, and with them kernels.
         axes = [{b for i in members for b in region_boundaries(problem, i, k)} for k in range(first.n_states)]
-        cells = _agent_cells(first, [sorted(axis) for axis in axes], resolution, kind)
+        cells = _agent_cells(first, [sorted(axis) for axis in axes], resolution)
         cells_of |= dict.fromkeys(members, cells)
     return {agent.name: cells_of[i] for i, agent in enumerate(problem.agents)}
 
@@ -110,8 +99,8 @@ def axis_weights(agent: AnyAgent) -> FloatArray:
     return np.asarray(np.maximum(cost / np.max(cost), LEAST_WEIGHT))
 
 
-def _agent_cells(agent: AnyAgent, boundaries: Sequence[list[float]], resolution: float, relation: str) -> Shape:
-    """Return the cells per axis of one agent: of numbers near the resolution those with the fewest lattice points."""
+def _agent_cells(agent: AnyAgent, boundaries: Sequence[list[float]], resolution: float) -> Shape:
+    """Return the cells per axis of one agent: of numbers near the resolution those with most axes of equal cells."""
     span = agent.state_high - agent.state_low
     deviations = deviations_of(agent)
     fineness = resolution * axis_weights(agent)
@@ -123,21 +112,13 @@ def _agent_cells(agent: AnyAgent, boundaries: Sequence[list[float]], resolution:
     if math.prod(map(len, options)) > MOST_COMBINATIONS:
         few = max(1, int(MOST_COMBINATIONS ** (1.0 / agent.n_states)))
         options = [_nearest(own, number)[:few] for own, number in zip(options, wanted, strict=True)]
-    automatic = ("auto", "best", "quick")
-    by_target = relation == "exact" or (relation in automatic and agent.has_full_rank)
-    # Compare all combinations: fewest lattice points first, then most axes of equal cells, then nearest to the wish.
+    # Compare all combinations: most axes of equal cells first, then nearest to the wish.
     scored = []
     for choice in product(*options):
         shape, even = tuple(n for n, _ in choice), tuple(e for _, e in choice)
-        if not isinstance(agent, LinearAgent):
-            per_cell = (POINTS_OF_BOXES,) * agent.n_states
-        elif by_target:
-            per_cell = (DEFAULT_TARGETS.get(agent.n_states, 1),) * agent.n_states
-        else:
-            per_cell = _points_per_cell(agent, np.array(shape), even)
         axes = zip(shape, wanted, boundaries, strict=True)
         far = sum(abs(math.log(n / max(number, len(inside) + 1))) for n, number, inside in axes)
-        scored.append((math.prod(per_cell), -sum(even), far, shape))
+        scored.append((-sum(even), far, shape))
     return min(scored)[-1]
 
 
@@ -182,24 +163,3 @@ def _equal_parts(low: float, high: float, inside: Sequence[float]) -> int | None
         if n_parts > MOST_CELLS_PER_AXIS:
             return None
     return n_parts
-
-
-def _points_per_cell(agent: LinearAgent, shape: np.ndarray, even: Sequence[bool]) -> tuple[int, ...]:
-    """Return the lattice points per cell and axis that the means of equal cells need, ``SNAPPED_POINTS`` at most."""
-    widths = (agent.state_high - agent.state_low) / shape
-    per_cell = []
-    for k in range(agent.n_states):
-        # What moves the mean along axis k: a cell of each axis, and half a step of each input.
-        moves = [agent.A[k, j] * widths[j] for j in range(agent.n_states)]
-        for column in agent.B.T:
-            if column[k] != 0:
-                used = column != 0
-                moves.append(0.5 * column[k] * float(np.min(widths[used] / np.abs(column[used]))))
-        # The common denominator of these moves, in cells.
-        q = 1 if all(even) else SNAPPED_POINTS
-        for move in moves:
-            share = Fraction(float(move / widths[k])).limit_denominator(SNAPPED_POINTS)
-            q = math.lcm(q, share.denominator) if abs(float(share) - move / widths[k]) <= 1e-9 else SNAPPED_POINTS
-            q = min(q, SNAPPED_POINTS)
-        per_cell.append(q)
-    return tuple(per_cell)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ....envs.systems.agents import AnyAgent
 from ....envs.tasks.problem import Problem
-from ...abstraction.models import KINDS_WITH, Abstraction, AgentModel, Policies, Settings
+from ...abstraction.models import Abstraction, AgentModel, Policies, Settings
 from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import OnGrid, checked_certificate
 
@@ -66,7 +66,8 @@ def settings_of(certificate: OnGrid, kinds: Sequence[str]) -> dict[str, Any]:
     """
     names = [field.name for field in fields(Settings)]
     found = {name: certificate.settings[name] for name in names if certificate.settings.get(name) is not None}
-    found = {name: value for name, value in found.items() if KINDS_WITH.get(name, {*kinds}) & {*kinds}}
+    if "paper" not in kinds:
+        found.pop("delta", None)
     try:
         for name, kinds_of_number in NUMBERS.items():
             if name in found and type(found[name]) not in kinds_of_number:

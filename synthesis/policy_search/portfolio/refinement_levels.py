@@ -40,8 +40,8 @@ from .strategies import SOLVED
 FIRST_WIDTH = 2.5
 """Width of the first cells, in standard deviations of the noise."""
 
-FIRST_TUBE_WIDTH = 2.0
-"""The same for agents whose inputs do not reach every mean: tubes need narrower cells."""
+FIRST_BOX_WIDTH = 2.0
+"""The same for agents with expressions whose inputs do not reach every mean: boxes need narrower cells."""
 
 WIDER, MOST_FIRST_WORK = 1.25, 40.0
 """By how much these first cells are widened until they take no more work than this: where noise is small against the
@@ -160,7 +160,7 @@ def finer_levels(
     shapes = {agent.name: part.grid.shape for agent, part in zip(problem.agents, parts, strict=True)}
 
     def cells_of(width: float) -> dict[str, tuple[int, ...]]:
-        return cells_at(problem, 1.0 / width, kinds)
+        return cells_at(problem, 1.0 / width)
 
     levels = _Levels(problem, settings, kinds, cells_of, run, effort)
     try:
@@ -174,25 +174,23 @@ def finer_levels(
 
 
 def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
-    """Return cells to begin with for agents whose inputs do not reach every mean; None without such.
+    """Return cells to begin with for agents with expressions whose inputs do not reach every mean; None without such.
 
-    Means of linear agents with two states fall on few lattice points if cells fit together, which default cells do not
-    care for. Those of agents with expressions have default cells on no axis that would suit all of them.
+    Default cells suit no axis of theirs.
     """
     reached: dict[object, bool] = {}
     for agent in problem.agents:
         if agent.model_key not in reached:
-            reached[agent.model_key] = reaches_every_mean(agent)
+            reached[agent.model_key] = not isinstance(agent, Agent) or reaches_every_mean(agent)
     if all(reached.values()):
         return None
     cells: dict[str, tuple[int, ...]] = {}
     for number in range(MOST_WIDENINGS + 1):
-        fitting = cells_at(problem, 1.0 / (FIRST_TUBE_WIDTH * WIDER**number), ["tube"] * problem.n_agents)
+        fitting = cells_at(problem, 1.0 / (FIRST_BOX_WIDTH * WIDER**number))
         cells = {
             agent.name: fitting[agent.name]
             for agent in problem.agents
             if not reached[agent.model_key]
-            and (isinstance(agent, Agent) or agent.n_states == 2)
             and math.prod(fitting[agent.name]) <= MOST_CELLS  # others have default cells, which always fit
         }
         if box_work(problem, cells) <= MOST_FIRST_WORK:
@@ -204,7 +202,7 @@ def box_work(problem: Problem, cells: Mapping[str, tuple[int, ...]]) -> float:
     """Return an estimate of the work of boxes on the cells of some agents, before any model is made."""
     total = 0.0
     for agent in problem.agents:
-        if agent.name in cells and isinstance(agent, Agent):  # boxes of linear agents take little beside tubes
+        if agent.name in cells and isinstance(agent, Agent):
             grid, coordinates = agent_grid(problem, problem.agent_names.index(agent.name), cells[agent.name])
             points = points_per_cell(grid, grid_laws(agent, coordinates))
             lattice = math.prod(n * count for n, count in zip(grid.shape, points, strict=True))

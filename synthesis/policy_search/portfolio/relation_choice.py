@@ -10,24 +10,17 @@ searches grows with the number of groups, not of combinations; it is not claimed
 (docs/theory/relations.md, "Which relation certifies most?").
 
 An agent for which ``exact`` applies is *settled*, and nothing else is looked at, if no cell is without a target and the
-reserve takes at most ``SETTLED`` of its inputs. No theorem says that it is then the best on the same cells: a tube
-around an open-loop stable agent needs no reserve, and its labels may lose nothing. Among random problems of one agent
-with one or two states, none of 163 below half of ``SETTLED``, and 2 of 135 above it, had a tube with a bound larger by
-more than 1e-6.
+reserve takes at most ``SETTLED`` of its inputs. No theorem says that it is then the best on the same cells.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 from ....envs.systems.agents import Agent, AnyAgent, LinearAgent
 from ....envs.tasks.problem import Problem
 from ...abstraction.models import (
-    COUPLED,
     Abstraction,
     AgentModel,
     JointModel,
@@ -35,6 +28,7 @@ from ...abstraction.models import (
     check_names,
     common_inputs_of,
     join,
+    lost_beside,
     models_of,
     reaches_every_mean,
     start_of,
@@ -54,12 +48,6 @@ PROMISING = 0.5
 
 MOST_LINEAR_AGENTS = 2
 """Agents of a task up to which linear cells are tried without being asked for, unless each has a single state."""
-
-DOUBLINGS, MOST_CELLS = 2, 200_000
-"""How often default cells are doubled where no relation applies to them, and to how many of one agent."""
-
-ALL_RELATIONS = ("exact", *COUPLED)
-"""Relations in the order in which they are preferred among equals."""
 
 Combination = tuple[str, ...]
 """Relation of each group."""
@@ -99,31 +87,13 @@ def groups_of(problem: Problem, cells: CellCounts, asked: Sequence[str], setting
         If no relation applies to a group.
     """
     check_names("cells", cells, problem)
+    settings.refuse_foreign(asked)
     # Equal arrays, cells and wishes make equal models: compare once for all members.
     alike: dict[object, list[int]] = {}
     for i, agent in enumerate(problem.agents):
         key = (asked[i], cells_of_agent(agent, cells), *agent.model_key)
         alike.setdefault(key, []).append(i)
-    return [_on_cells(problem, cells, asked[members[0]], tuple(members), settings) for members in alike.values()]
-
-
-def _on_cells(
-    problem: Problem, cells: CellCounts, asked: str, members: tuple[int, ...], settings: Settings
-) -> AgentGroup:
-    """Return the group on the cells that are asked for; default ones are doubled where no relation applies to them."""
-    first, names = problem.agents[members[0]], [problem.agents[i].name for i in members]
-    shape = cells_of_agent(first, cells)
-    is_given = cells is not None and (not isinstance(cells, Mapping) or first.name in cells)
-    refusals: list[RelationRefused] = []
-    for k in range(1 if is_given else 1 + DOUBLINGS):
-        finer = tuple(n << k for n in shape)
-        if refusals and math.prod(finer) > MOST_CELLS:
-            break
-        try:
-            return _group(problem, dict.fromkeys(names, finer), asked, members, settings)
-        except RelationRefused as error:
-            refusals.append(error)
-    raise refusals[0]
+    return [_group(problem, cells, asked[members[0]], tuple(members), settings) for members in alike.values()]
 
 
 def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, ...], settings: Settings) -> AgentGroup:
@@ -133,8 +103,8 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
     first = problem.agents[members[0]]
     if asked in ("auto", "best") and not first.has_plain_noise:
         asked = "boxes"
-    automatic = ALL_RELATIONS[:3] if first.has_full_rank else ALL_RELATIONS[1:3]
-    wanted: dict[str, tuple[str, ...]] = {"auto": automatic, "best": ALL_RELATIONS}
+    automatic = ("exact",) if first.has_full_rank else ("linear",)
+    wanted: dict[str, tuple[str, ...]] = {"auto": automatic, "best": (*automatic, "paper")}
     if not isinstance(first, LinearAgent):
         is_smooth = problem.n_agents <= MOST_LINEAR_AGENTS and has_linear_cells(first)
         first_try = ("exact",) if reaches_every_mean(first) else ()
@@ -143,7 +113,6 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
         wanted = dict.fromkeys(wanted, ("exact", "boxes") if first.has_full_rank else ("boxes",))
     if settings.common and {*members} & {*common_inputs_of(problem)}:
         wanted = dict.fromkeys(wanted, ("boxes",))  # no other relation knows of inputs that are chosen in common
-    wanted["coupled"] = COUPLED
     for relation in wanted.get(asked, (asked,)):
         try:
             member_models = models_of(problem, cells, dict.fromkeys(members, relation), settings)
@@ -152,14 +121,11 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
             continue
         kinds = {model.relation.kind for model in member_models.values()}
         models["/".join(sorted(kinds)) if relation == "quick" else relation] = member_models
-        if asked == "auto" and settings.delta is None and all(map(is_settled, member_models.values())):
+        if asked == "auto" and all(map(is_settled, member_models.values())):
             break
     if not models:
-        # What all sets of a coupled relation are refused for is said once.
-        several = {relation: "coupled" if asked == "coupled" else relation for relation in refused}
-        reasons = {why.replace(f"`{relation}`", f"`{several[relation]}`"): None for relation, why in refused.items()}
-        if len(reasons) == 1:
-            raise RelationRefused(*reasons)
+        if len({*refused.values()}) == 1:
+            raise RelationRefused(*{*refused.values()})
         name = problem.agents[members[0]].name
         listed = "; ".join(f"{relation}: {reason}" for relation, reason in refused.items())
         raise RelationRefused(f"`relation`: expected one that applies to agent `{name}`, got none: {listed}")
@@ -223,6 +189,9 @@ class Tries:
             models = dict(item for group, relation in pairs for item in group.models[relation].items())
             ordered = tuple(models[i] for i in range(self.problem.n_agents))
             abstraction = Abstraction(ordered, self.settings.used_by(ordered))
+            if why := lost_beside(ordered):
+                self._joined[combination] = why
+                return why
             try:
                 self._joined[combination] = abstraction, join(self.problem, abstraction, self.device)
             except RelationRefused as error:  # labels that are not certain can mean too many guards
@@ -325,9 +294,6 @@ class Tries:
         lower, most = best.certificate.lower_bound, self.most(combination)
         if 0.0 <= most <= lower + LEAST_GAIN:
             return f"at most {rounded_up(most)}, not computed"
-        these, others = self.models(combination), self.models(chosen)
-        if not isinstance(these, str) and not isinstance(others, str) and _same_models(these[0], others[0]):
-            return f"the same finite models as {self.name(chosen)}"
         if 0.0 <= self.value(combination) < PROMISING * lower:
             return f"{self.value(combination):.3g} after one sweep, not gone on with"
         return None
@@ -336,21 +302,3 @@ class Tries:
 def _changed(combination: Combination, g: int, relation: str) -> Combination:
     """Return the combination with another relation of group g."""
     return (*combination[:g], relation, *combination[g + 1 :])
-
-
-def _same_models(first: Abstraction, second: Abstraction) -> bool:
-    """Return whether two abstractions are the same up to rounding, though their relations are not."""
-    pairs = zip(first.models, second.models, strict=True)
-    return all(model is counterpart or _same_model(model, counterpart) for model, counterpart in pairs)
-
-
-def _same_model(first: AgentModel, second: AgentModel) -> bool:
-    """Return whether two models with menus have equal labels, menus and delta, and lattices up to rounding."""
-    a, b = first.choices.input_set, second.choices.input_set
-    if a is None or b is None or first.delta != second.delta:
-        return False
-    if first.labels.key != second.labels.key or [len(x) for x in first.lattice] != [len(x) for x in second.lattice]:
-        return False
-    axes = zip(first.lattice, second.lattice, strict=True)
-    close = all(np.allclose(x, y, rtol=1e-9, atol=1e-12) for x, y in axes)
-    return close and np.array_equal(a, b)

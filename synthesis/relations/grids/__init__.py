@@ -10,7 +10,6 @@ from .agent_grids import (
     agent_grid,
     cells_of_agent,
     fewest_cells,
-    label_room,
     region_boundaries,
 )
 from .axes_of_lattices import (
@@ -74,7 +73,6 @@ __all__ = [
     "grid_laws",
     "sharpness",
     "in_grid_coordinates",
-    "label_room",
     "lattice_axes",
     "linear_agent",
     "near_windows",

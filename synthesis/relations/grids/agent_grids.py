@@ -24,12 +24,6 @@ DEFAULT_TARGETS = {1: 2, 2: 2}
 SINGULAR = 1e-12
 """Smallest eigenvalue of the correlations of a noise up to which its covariance counts as singular."""
 
-LEAST_ROOM_SHARE = 0.1
-"""Share of the room in a region that counts at least, however near its face the start lies.
-
-A start on the face itself would leave no room, and feedbacks are judged by the share of the room that they take.
-"""
-
 MOST_MORE = 3
 """Most cells that an axis gets beyond those asked for, to have its edges off the start."""
 
@@ -141,33 +135,6 @@ def fewest_cells(problem: Problem) -> dict[str, tuple[int, ...]]:
         agent.name: tuple(1 + len({*region_boundaries(problem, i, k)}) for k in range(agent.n_states))
         for i, agent in enumerate(problem.agents)
     }
-
-
-def label_room(problem: Problem, i: int) -> FloatArray:
-    """Return the half width (d,), per state of agent i, of its narrowest region along that state, or of the workspace.
-
-    The room counts as less if the start lies near a face of the workspace, or of a region that it is in.
-    """
-    agent = problem.agents[i]
-    # Begin with the workspace, and narrow it down region by region.
-    room = 0.5 * (agent.workspace.high - agent.workspace.low)
-    near = np.minimum(agent.initial.low - agent.workspace.low, agent.workspace.high - agent.initial.high)
-    for proposition in problem.propositions.values():
-        if proposition.agent != agent.name:
-            continue
-        for output, (low, high) in enumerate(zip(proposition.low, proposition.high, strict=True)):
-            found = agent.output_axis(output)
-            if found is not None:
-                k, factor = found
-                inside = np.clip(
-                    np.sort([low / factor, high / factor]), agent.workspace.low[k], agent.workspace.high[k]
-                )
-                if inside[1] > inside[0]:
-                    room[k] = min(room[k], 0.5 * float(inside[1] - inside[0]))
-                    # Negative if the start lies outside this region: its faces then do not matter.
-                    distance = min(agent.initial.low[k] - inside[0], inside[1] - agent.initial.high[k])
-                    near[k] = min(near[k], distance) if distance >= 0 else near[k]
-    return np.asarray(np.minimum(room, np.maximum(near, LEAST_ROOM_SHARE * room)))
 
 
 def cells_of_agent(agent: AnyAgent, cells: CellCounts) -> tuple[int, ...]:

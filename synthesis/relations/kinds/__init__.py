@@ -8,9 +8,7 @@ from .boxes import BoxRelation, LinearMeans, MeanBoxes, NetworkMeans, box_relati
 from .commands import Command, commands_of
 from .common_means import CommonInputs, CommonMeans
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
-from .description import Relation, check_description, describe_relation, relation_from
-from .ellipsoid import Ellipsoid, ellipsoid_relation
-from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
+from .description import GONE, Relation, check_description, describe_relation, relation_from
 from .exact import ExactOnCells, ExactRelation, aimed_relation, exact_relation
 from .input_forms import Turn
 from .inverse_means import SymbolicOnCells, SymbolicTargets, symbolic_targets
@@ -32,7 +30,6 @@ from .rows import Row, product, rows_of, times
 from .scalar import paper_relation
 from .symbolic_means import SymbolicMeans
 from .symbolic_policies import SymbolicPolicy
-from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
 
 __all__ = [
     "SymbolicPolicy",
@@ -44,7 +41,7 @@ __all__ = [
     "CommonInputs",
     "CommonMeans",
     "CoupledRelation",
-    "Ellipsoid",
+    "GONE",
     "ExactOnCells",
     "ExactRelation",
     "LinearMeans",
@@ -65,7 +62,6 @@ __all__ = [
     "SymbolicOnCells",
     "SymbolicTargets",
     "aimed_relation",
-    "best_feedback",
     "block_of",
     "box_relation",
     "check_description",
@@ -73,12 +69,6 @@ __all__ = [
     "couple",
     "coupling_failure",
     "describe_relation",
-    "disturbance_of",
-    "ellipsoid_factor",
-    "ellipsoid_failure",
-    "ellipsoid_is_invariant",
-    "ellipsoid_relation",
-    "ellipsoid_support",
     "exact_relation",
     "inputs_of",
     "joint_delta",
@@ -93,8 +83,6 @@ __all__ = [
     "rows_of",
     "scaled",
     "times",
-    "tube_generators",
-    "tube_relation",
     "write_task",
     "symbolic_targets",
 ]

@@ -1,20 +1,18 @@
-"""Relations in which the controller remembers the abstract state (``paper``, ``tube`` and ``ellipsoid``).
+"""The (epsilon, delta) simulation relation, in which the controller remembers the abstract state (``paper``).
 
 Error ``e = x - xhat`` in grid coordinates, interface ``u = uhat + K e``, noise coupling ``what = w + F e``:
 
-    e' = (A + B K - F) e + beta,      |beta| <= half a cell (+ half a lattice spacing where means are snapped).
+    e' = (A + B K - F) e + beta,      |beta| <= half a cell.
 
 A set E with ``(A + B K - F) E + beta inside E`` gives the relation ``x - xhat in E`` (docs/theory/relations.md,
-"Errors"). The files ``scalar``, ``tube`` and ``ellipsoid`` say what bounds E, why it is invariant, and how likely the
-coupling fails.
+"Errors"). The file ``scalar`` says what bounds E, why it is invariant, and how likely the coupling fails.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,7 +24,6 @@ from ....envs.systems.arguments import box_text, counted, tree_text
 from ..grids import FloatArray, linear_agent
 from .coordinates import ReadsByRows
 from .rounding import COUPLING, error_rounding, missed_cells, sizes_of
-from .rows import Row, rows_of, times
 
 FORGIVEN = 1e-12
 """Share of the set of errors by which a computed error may lie outside: rounding.
@@ -35,19 +32,8 @@ Labels and inputs allow for a set larger by ``1e-9``.
 """
 
 
-COUPLED_NUMBERS: dict[str, tuple[str, ...]] = {
-    "paper": ("epsilon", "feedback", "inputs", "delta"),
-    "tube": (),
-    "ellipsoid": ("epsilon", "delta"),
-}
-"""Entries of descriptions that are numbers, by kind."""
-
-COUPLED_ARRAYS: dict[str, tuple[str, ...]] = {
-    "paper": (),
-    "tube": ("feedback", "inputs", "snap"),
-    "ellipsoid": ("shape", "feedback", "coupling", "inputs", "snap"),
-}
-"""Entries of descriptions that are arrays, by kind."""
+COUPLED_NUMBERS = ("epsilon", "feedback", "inputs", "delta")
+"""Entries of its description: numbers."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,8 +42,6 @@ class CoupledRelation(ReadsByRows):
 
     Parameters
     ----------
-    kind : str
-        ``"paper"``, ``"tube"`` or ``"ellipsoid"``.
     A, B : (d, d), (d, m) arrays
     drift : (d,) array
         Affine term.
@@ -79,15 +63,8 @@ class CoupledRelation(ReadsByRows):
         Grid coordinates to state.
     is_cell : bool
         Whether related states lie in the same cell.
-    snap : (d,) array
-        Half lattice spacings that means may be rounded by.
-    shape : (d, d) array or None
-        D of an ellipsoid ``E = {e'D e <= epsilon^2}``; None if E is judged by the box around it.
-    epsilon : float
-        Radius of the ellipsoid; 0 if there is none.
     """
 
-    kind: str
     A: FloatArray
     B: FloatArray
     drift: FloatArray
@@ -102,9 +79,6 @@ class CoupledRelation(ReadsByRows):
     input_high: FloatArray
     coordinates: FloatArray
     is_cell: bool = False
-    snap: FloatArray = field(default_factory=lambda: np.zeros(1))
-    shape: FloatArray | None = None
-    epsilon: float = 0.0
 
     def __repr__(self) -> str:
         d, m = self.B.shape
@@ -113,22 +87,20 @@ class CoupledRelation(ReadsByRows):
             ("inputs", f"{len(self.inputs)} of {box_text(self.inputs.min(axis=0), self.inputs.max(axis=0))}"),
             ("delta", f"at most {self.delta:.3g} per step"),
         ]
-        return tree_text(f"CoupledRelation {self.kind!r}: {counted(d, 'state')}, {counted(m, 'input')}", rows)
+        return tree_text(f"CoupledRelation: {counted(d, 'state')}, {counted(m, 'input')}", rows)
 
+    kind = "paper"
     has_memory = True
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""
-        if self.kind == "paper":
-            return {
-                "kind": "paper",
-                "epsilon": float(self.reach[0]),
-                "feedback": float(self.feedback[0, 0]),
-                "inputs": len(self.inputs),
-                "delta": self.delta,
-            }
-        arrays = {name: getattr(self, name).tolist() for name in COUPLED_ARRAYS[self.kind]}
-        return {"kind": self.kind, **arrays, **{name: getattr(self, name) for name in COUPLED_NUMBERS[self.kind]}}
+        return {
+            "kind": "paper",
+            "epsilon": float(self.reach[0]),
+            "feedback": float(self.feedback[0, 0]),
+            "inputs": len(self.inputs),
+            "delta": self.delta,
+        }
 
     def nearest_choices(self, other: CoupledRelation) -> NDArray[np.intp]:
         """Return the abstract input that is nearest to each one (A',) of another relation of the agent."""
@@ -150,8 +122,7 @@ class CoupledRelation(ReadsByRows):
             self.input_low,
             self.input_high,
             self.coordinates,
-            np.array([self.delta, self.epsilon]),
-            np.zeros((0, 0)) if self.shape is None else self.shape,
+            np.array([self.delta]),
         )
 
     def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
@@ -167,26 +138,14 @@ class CoupledRelation(ReadsByRows):
         return (centres @ self.A.T + self.drift)[:, None, :] + (self.inputs @ self.B.T)[None]
 
     def related(self, error: FloatArray) -> NDArray[np.bool_]:
-        """Return whether errors (d, ...) lie in the ellipsoid, or in the box around E, which is E for scalar agents.
+        """Return whether errors (d, ...) lie in the box around E, which is E for scalar agents.
 
         The last digits are forgiven (``FORGIVEN``).
         """
-        # e'D e, row by row: the same bits in a batch and for one world.
-        if self.shape is not None:
-            size = error[0] * times(self._shape_rows[0], error)
-            for component, row in zip(error[1:], self._shape_rows[1:], strict=True):
-                size += component * times(row, error)
-            return np.asarray(size <= self.epsilon**2 * (1 + FORGIVEN))
         result = np.ones(error.shape[1:], dtype=bool)
         for component, reach in zip(error, (self.reach * (1 + FORGIVEN)).tolist(), strict=True):
             result &= np.abs(component) <= reach
         return result
-
-    @cached_property
-    def _shape_rows(self) -> tuple[Row, ...]:
-        """Rows of D as plain numbers."""
-        assert self.shape is not None
-        return rows_of(self.shape)
 
 
 def coupling_failure(distance: float) -> float:

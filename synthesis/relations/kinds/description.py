@@ -4,10 +4,8 @@
 expressions, and ``"common"`` where inputs are chosen in common; with ``"parts"`` and ``"network"`` where networks move
 agents), ``{"kind": "linear", "input_set", "parts", "cuts", "reach", "blocks"}``
 (with ``"mean_targets"`` where targets are offered beside the menu, and ``"network"`` where networks move agents),
-``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
-"tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
-"inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them
-is trusted.
+and ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``; matrices
+are nested lists in grid coordinates. They come from files, and nothing in them is trusted.
 """
 
 from __future__ import annotations
@@ -20,25 +18,26 @@ from ....envs.systems.agents import AnyAgent
 from ..grids import FloatArray, Grid, linear_agent
 from .affine_means import MapRelation, map_relation
 from .boxes import BoxRelation, box_relation
-from .coupled import COUPLED_ARRAYS, COUPLED_NUMBERS, CoupledRelation
-from .ellipsoid import Ellipsoid, ellipsoid_relation
+from .coupled import COUPLED_NUMBERS, CoupledRelation
 from .exact import ExactRelation, aimed_relation
 from .inverse_means import SymbolicTargets
 from .network_maps import network_linear_relation
 from .networks import ON_CELLS, check_network, network_policy
 from .scalar import paper_relation
-from .tube import tube_relation
 
 Relation = BoxRelation | ExactRelation | MapRelation | CoupledRelation | SymbolicTargets
 """What ties one agent to its cells."""
 
-NUMBER_ENTRIES = {"boxes": (), "exact": (), "linear": ("parts",), **COUPLED_NUMBERS}
+GONE = ("tube", "ellipsoid")
+"""Kinds of relations of 0.3."""
+
+NUMBER_ENTRIES = {"boxes": (), "exact": (), "linear": ("parts",), "paper": COUPLED_NUMBERS}
 """Entries that are numbers, by kind."""
 
 LARGEST = 1e60
 """Largest number of a description: products of a few such numbers are still numbers."""
 
-ARRAY_ENTRIES = {"boxes": ("menu", "gains"), "exact": (), "linear": ("menu",), **COUPLED_ARRAYS}
+ARRAY_ENTRIES = {"boxes": ("menu", "gains"), "exact": (), "linear": ("menu",), "paper": ()}
 """Entries that are arrays, by kind."""
 
 
@@ -81,18 +80,10 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     if kind == "linear":
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
         return network_linear_relation(agent, coordinates, network_policy(description["network"], agent), numbers)
+    if not np.array_equal(coordinates, np.eye(len(coordinates))):
+        raise ValueError("the `paper` relation is for grids in state coordinates")
     agent = linear_agent(agent, kind)
-    if kind == "paper":
-        if not np.array_equal(coordinates, np.eye(len(coordinates))):
-            raise ValueError("the `paper` relation is for grids in state coordinates")
-        return paper_relation(agent, grid.edges[0], **{name: description[name] for name in NUMBER_ENTRIES["paper"]})
-    arrays = {name: np.array(description[name], dtype=float) for name in ARRAY_ENTRIES[kind]}
-    if kind == "tube":
-        return tube_relation(agent, grid, coordinates, arrays["feedback"], arrays["inputs"], arrays["snap"])
-    ellipsoid = Ellipsoid(arrays["shape"], description["epsilon"], arrays["feedback"], arrays["coupling"])
-    return ellipsoid_relation(
-        agent, grid, coordinates, ellipsoid, arrays["inputs"], arrays["snap"], description["delta"]
-    )
+    return paper_relation(agent, grid.edges[0], **{name: description[name] for name in NUMBER_ENTRIES["paper"]})
 
 
 def check_description(description: Any, agent: AnyAgent) -> None:
@@ -103,6 +94,8 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     ValueError
         If the kind is unknown, or if its numbers and arrays are not all there, finite and of the right shape.
     """
+    if isinstance(description, dict) and description.get("kind") in GONE:
+        raise ValueError(f"relations {description['kind']!r} are gone since 0.4; synthesize anew, relation='linear'")
     if not isinstance(description, dict) or description.get("kind") not in NUMBER_ENTRIES:
         raise ValueError("it has a relation of an unknown kind")
     numbers = [description[name] for name in NUMBER_ENTRIES[description["kind"]]]
@@ -143,9 +136,8 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     elif "common" in description:
         raise ValueError("it has inputs that are chosen in common for an agent that has no names for them")
     d, m = agent.n_states, agent.n_inputs
-    # -1 stands for any length: the number of abstract inputs.
-    shapes = {"shape": (d, d), "feedback": (m, d), "coupling": (d, d), "inputs": (-1, m), "snap": (d,)}
-    shapes |= {"menu": (-1, m), "gains": (-1, m, d)}
+    # -1 stands for any length: the number of choices.
+    shapes = {"menu": (-1, m), "gains": (-1, m, d)}
     for name in ARRAY_ENTRIES[description["kind"]]:
         array = np.array(description[name], dtype=float)
         if name == "menu" and description["kind"] == "linear" and array.shape == (0,):

@@ -20,7 +20,6 @@ from ....envs.systems.arguments import checked_count
 from ..grids import FloatArray, RelationRefused
 from .coupled import CoupledRelation, coupling_failure
 from .rounding import error_rounding, feedback_rounding, sizes_of
-from .tube import refuse_rounding
 
 OUTWARDS = 1.0 + 1e-12
 """Factor on the width of cells, far above its rounding."""
@@ -28,6 +27,9 @@ OUTWARDS = 1.0 + 1e-12
 WIDENED = 1.0 + 2e-9
 """Factor on epsilon in labels, inputs and delta: room for the rounding of controllers; restrictive everywhere."""
 
+
+ENLARGED = 1e-9
+"""Share by which labels and inputs allow for a wider interval of errors."""
 
 MOST_INPUTS = 100_000
 """Most abstract inputs."""
@@ -67,7 +69,7 @@ def paper_relation(
     if (agent.n_states, agent.n_inputs, agent.n_outputs) != (1, 1, 1):
         raise RelationRefused(
             f"agent `{agent.name}`: the `paper` relation is for scalar agents, got {agent.n_states} states; "
-            "take `exact` or `tube`"
+            "take `exact` or `linear`"
         )
     # With epsilon at half a cell of equal ones, related states share their cell: labels need no margin then.
     widths = np.diff(edges)
@@ -91,7 +93,12 @@ def paper_relation(
             f"`feedback`: expected |K| epsilon within the inputs of agent `{agent.name}`, got K = {feedback!r}"
         )
     if not is_cell:
-        refuse_rounding(agent, np.array([width]), error_rounding(sizes, np.array([[feedback]]), np.array([[closed]])))
+        rounding = error_rounding(sizes, np.array([[feedback]]), np.array([[closed]]))
+        if np.any(rounding > 0.5 * ENLARGED * width):
+            raise RelationRefused(
+                f"agent `{agent.name}`: its states, inputs or offset are so large next to its cells that rounding "
+                "would count; measure states from a point nearby, or ask for fewer `cells`"
+            )
     # The smallest |F| that keeps the interval invariant, rounded up; without noise no shift can be hidden.
     coupling = float(np.sign(closed)) * max(0.0, abs(closed) - 1.0 + width / (2 * epsilon) + 1e-15)
     least = (
@@ -103,7 +110,6 @@ def paper_relation(
         raise RelationRefused(f"`delta`: expected a number from {least:.7g} (the closed form) to 1, got {delta!r}")
     grid = np.linspace(low, high, inputs) if inputs > 1 else np.array([0.5 * (low + high)])
     return CoupledRelation(
-        kind="paper",
         A=agent.A,
         B=agent.B,
         drift=agent.offset,

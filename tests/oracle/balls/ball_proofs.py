@@ -13,14 +13,14 @@ from collections.abc import Callable
 from .ball_masses import hats, lost, masses, near
 from .ball_memory import Proof
 from .ball_numbers import angles, error_function, function, interpolation_error, spans, start
-from .ball_relations import disturbance, ellipsoid, ellipsoid_support, mean_targets, targets, tube
+from .ball_relations import disturbance, mean_targets, targets
 from .ball_sums import differences, spare, sums
 
 PROOFS: dict[str, Callable[..., Proof]] = {
     "masses": masses, "lost": lost, "hats": hats, "near": near, "charge": interpolation_error, "erf": error_function,
     "function": function, "spans": spans,
     "aims": mean_targets, "targets": targets,
-    "disturbance": disturbance, "tube": tube, "ellipsoid support": ellipsoid_support, "ellipsoid": ellipsoid,
+    "disturbance": disturbance,
     "spare": spare, "angles": angles, "start": start, "sums": sums, "differences": differences,
 }  # fmt: skip
 """By the names of statements."""
