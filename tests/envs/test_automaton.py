@@ -16,7 +16,7 @@ from certigym.envs.interfaces import automaton_to_dot
 from certigym.envs.tasks.automata.automaton import Automaton
 from certigym.envs.tasks.automata.by_hand import automaton_from_transitions
 from certigym.envs.tasks.automata.decision_diagram import DecisionDiagrams, DiagramSizeError
-from certigym.envs.tasks.automata.minimal import minimise
+from certigym.envs.tasks.automata.minimal import StateGraph, minimal_automaton
 from certigym.envs.tasks.automata.parser import FormulaError
 from certigym.envs.tasks.automata.rebuilt import over_propositions
 from certigym.envs.tasks.automata.translation import translate
@@ -121,7 +121,7 @@ def test_automata_by_hand_equal_the_translation() -> None:
         states=["start", "done", "lost"],
     )
     assert automaton.state_names == ("start", "done", "lost")
-    assert minimise(automaton).to_dict() == translate("(!b | c) U a", ABC, "co-safe").to_dict()
+    assert minimal(automaton).to_dict() == translate("(!b | c) U a", ABC, "co-safe").to_dict()
 
 
 def test_random_automata_by_hand_equal_the_translation() -> None:
@@ -181,14 +181,21 @@ def test_the_caret_of_a_guard_points_into_the_guard() -> None:
     assert (caught.value.start, caught.value.end) == (4, 7)
 
 
-def test_minimise_merges_and_renumbers() -> None:
+def minimal(automaton: Any) -> Any:
+    """The minimal automaton of the same language."""
+    diagrams, roots = automaton.diagrams()
+    graph = StateGraph(automaton.propositions, diagrams, roots, list(automaton.accepting), automaton.initial)
+    return minimal_automaton(graph, automaton.semantics)
+
+
+def test_minimal_automata_are_merged_and_renumbered() -> None:
     split = by_hand(
         [("start", "a", "s2"), ("start", "!a", "s1"), ("s1", "a", "s2"), ("s1", "!a", "start"), ("s2", "true", "done")],
         propositions=["a"],
         states=["unused", "start", "s1", "s2", "done"],
         otherwise="unused",
     )
-    assert minimise(split).to_dict() == translate("F (a & X true)", ["a"], "finite-trace").to_dict() | {
+    assert minimal(split).to_dict() == translate("F (a & X true)", ["a"], "finite-trace").to_dict() | {
         "semantics": "co-safe"
     }
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import random
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from certigym.envs.tasks.automata.hoa import automaton_from_hoa, automaton_to_hoa
+from certigym.envs.tasks.automata.hoa import automaton_from_hoa
 from certigym.envs.tasks.automata.translation import translate
-from temporal_oracle import random_co_safe, text
 
 AB = ("a", "b")
 UNTIL = """HOA: v1
@@ -118,18 +115,6 @@ def test_everything_else_is_refused_with_its_reason(name: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:
         automaton_from_hoa(hoa, AB)
     assert str(caught.value).startswith("`hoa`") and "\n" not in str(caught.value)
-
-
-def test_written_automata_are_read_back() -> None:
-    rng = random.Random(4)
-    for _ in range(80):
-        automaton = translate(text(random_co_safe(rng, AB, 3)), AB, "co-safe")
-        assert automaton_from_hoa(automaton_to_hoa(automaton, 'a "task"'), AB).to_dict() == automaton.to_dict()
-    with pytest.raises(ValueError, match="finite traces"):
-        automaton_to_hoa(translate("a", AB, "finite-trace"))
-    parity = " <-> ".join(f"a{i}" for i in range(16))
-    with pytest.raises(ValueError, match="cubes"):
-        automaton_to_hoa(translate(f"F ({parity})", [f"a{i}" for i in range(16)], "co-safe"))
 
 
 @settings(max_examples=300, deadline=None)

@@ -13,7 +13,8 @@ import certigym as cg
 from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.synthesis.certificates.proofs import OnGrid, changed, is_exact, start_of_claim
 from certigym.validation.statistical_tests.binomial import CONFIRMED, CONSISTENT, REFUTED, clopper_pearson, verdict
-from certigym.validation.statistical_tests.chunks import run_chunk
+from certigym.validation.statistical_tests.chunks import chunk_results
+from certigym.validation.statistical_tests.loop import Loop
 from kinds import mostly_thorough
 from problems import two_agents
 
@@ -217,9 +218,8 @@ def test_rollouts_depend_on_seed_and_chunk_only() -> None:
     other = cg.rollout(problem, controller, 5000, seed=1)
     np.testing.assert_array_equal(first.success, again.success[:5000])
     assert not np.array_equal(first.success, other.success)
-    dynamics = Dynamics.of(problem)
-    alone = run_chunk(dynamics, controller.batch(dynamics), 0, 1, first.chunk)
-    np.testing.assert_array_equal(alone, first.success[first.chunk : 2 * first.chunk])
+    (alone,) = chunk_results(Loop(problem, controller, 0, first.chunk), [(1, first.chunk)])
+    np.testing.assert_array_equal(alone.success, first.success[first.chunk : 2 * first.chunk])
 
 
 @pytest.mark.parametrize(("successes", "episodes"), [(0, 10), (10, 10), (3, 17), (99, 1000), (99_990, 100_000)])

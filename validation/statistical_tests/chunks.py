@@ -84,22 +84,6 @@ def _outcomes(loop: Loop, numbers: Sequence[int]) -> list[Outcome]:
     return [_to_the_end(loop, dynamics, policy, number) for number in numbers]
 
 
-def run_chunk(dynamics: Dynamics, policy: BatchPolicy, seed: int, number: int, size: int) -> NDArray[np.bool_]:
-    """Return the success (size,) of the worlds of one chunk under a policy that is arranged for ``dynamics``."""
-    loop = Loop(dynamics.problem, _Arranged(policy), seed, size)
-    return chunk_results(loop, [(number, size)])[0].success
-
-
-@dataclass(frozen=True, eq=False)
-class _Arranged:
-    """A batch policy in the place of a controller: ``batch`` returns the policy itself."""
-
-    policy: BatchPolicy
-
-    def batch(self, dynamics: Dynamics) -> BatchPolicy:
-        return self.policy
-
-
 def frames(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number: int) -> Iterator[Frame]:
     """Yield the worlds of one chunk at every time until all are decided; always ``loop.chunk`` of them.
 

@@ -1,4 +1,4 @@
-"""Tasks from automata in the Hanoi Omega-Automata format, and back.
+"""Tasks from automata in the Hanoi Omega-Automata format.
 
 The reader takes deterministic *terminal* Buchi automata (``Acceptance: 1 Inf(0)``): every accepting mark lies on a
 state that no letter leaves, or on an edge into such a state. To visit the mark infinitely often then means to reach
@@ -18,9 +18,6 @@ from .decision_diagram import FALSE, TRUE, DecisionDiagrams
 from .guard_diagrams import CONFLICT, completed, joined_guards, letter_text
 from .hoa_text import HoaReader, HoaState, HoaText, hoa_error
 from .minimal import StateGraph, minimal_automaton, saturated
-
-_MAX_CUBES = 10_000
-"""Most cubes of a state when writing: some hundred kilobytes per state, as much as other programs read with ease."""
 
 
 @dataclass(frozen=True)
@@ -154,35 +151,3 @@ def _graph(
             )
         roots.append(completed(diagrams, root, 0))
     return StateGraph(names, diagrams, roots, [False, *(state in sinks for state in number)], number[start])
-
-
-def automaton_to_hoa(automaton: Automaton, name: str = "") -> str:
-    """Return a co-safe automaton as a terminal deterministic Buchi automaton in HOA version 1 (exact).
-
-    Raises
-    ------
-    ValueError
-        If the automaton judges finite traces, or a state needs more than 10,000 cubes.
-    """
-    if automaton.semantics != "co-safe":
-        raise ValueError("`automaton`: expected co-safe semantics; HOA has no acceptance for finite traces")
-    manager, roots = automaton.diagrams()
-    atoms = " ".join([str(len(automaton.propositions)), *map(_quoted, automaton.propositions)])
-    lines = ["HOA: v1", *([f"name: {_quoted(name)}"] if name else []), f"States: {automaton.n_states}"]
-    lines += [f"Start: {automaton.initial}", f"AP: {atoms}", "acc-name: Buchi", "Acceptance: 1 Inf(0)"]
-    lines += ["properties: explicit-labels state-acc complete deterministic terminal", "--BODY--"]
-    for q, root in enumerate(roots):
-        lines.append(f"State: {q} {_quoted(automaton.state_names[q])}" + (" {0}" if automaton.accepting[q] else ""))
-        # The paths of a diagram are disjoint cubes; those with one target share a label.
-        cubes: dict[int, list[str]] = {}
-        for count, (assignment, target) in enumerate(manager.paths(root)):
-            if count >= _MAX_CUBES:
-                raise ValueError(f"`automaton`: state {automaton.state_names[q]!r} needs more than {_MAX_CUBES} cubes")
-            cube = "&".join(("" if value else "!") + str(p) for p, value in sorted(assignment.items()))
-            cubes.setdefault(target, []).append(cube or "t")
-        lines += [f"[{' | '.join(labels)}] {target}" for target, labels in cubes.items()]
-    return "\n".join([*lines, "--END--", ""])
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

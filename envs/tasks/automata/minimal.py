@@ -27,13 +27,6 @@ class StateGraph:
     initial: int
 
 
-def minimise(automaton: Automaton) -> Automaton:
-    """Return the minimal automaton of the same language and semantics, with new names of states."""
-    diagrams, roots = automaton.diagrams()
-    graph = StateGraph(automaton.propositions, diagrams, roots, list(automaton.accepting), automaton.initial)
-    return minimal_automaton(graph, automaton.semantics)
-
-
 def saturated(graph: StateGraph) -> StateGraph:
     """Return the co-safe automaton of `graph`: accepting states absorb, and so do states that must reach them.
 

@@ -175,8 +175,3 @@ def _clip(result: dict[str, Any], table: Mapping[str, Any], moving: Sequence[int
 def _texts(table: Any, key: str) -> list[str]:
     found = table.get(key) if isinstance(table, Mapping) else None
     return [text for text in found if isinstance(text, str)] if isinstance(found, list) else []
-
-
-def _n_states(table: Mapping[str, Any]) -> int | None:
-    """Return how many states the table of an agent has, by the first list that says so; None if none does."""
-    return next((len(table[key]) for key in ("states", "A", "state_low") if isinstance(table.get(key), list)), None)

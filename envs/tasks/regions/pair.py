@@ -296,11 +296,6 @@ def _checked_outputs(outputs: Any, length: int | None) -> tuple[tuple[str | int,
     return result[0], result[1]
 
 
-def _is_number(entry: Any) -> bool:
-    """Return whether an entry of ``outputs`` is the number of one."""
-    return isinstance(entry, int | np.integer) and not isinstance(entry, bool) and bool(entry >= 0)
-
-
 def _is_name(entry: Any) -> bool:
     """Return whether an entry of ``outputs`` is the name of one."""
     return isinstance(entry, str) and entry != ""
