@@ -126,7 +126,7 @@ def _numbers(low: float, high: float, boundaries: Sequence[float], wanted: float
     """Return numbers of cells to consider for one axis, and whether all cells are equal with each."""
     inside = sorted({b for b in boundaries if low < b < high})
     least = len(inside) + 1
-    unit = _equal_parts(low, high, inside)
+    unit = equal_parts(low, high, inside)
     centre = min(MOST_CELLS_PER_AXIS, max(least, round(wanted)))
     if unit is None:
         return [(centre, False)]
@@ -152,14 +152,14 @@ def _roughness(number: int) -> int:
     return max(largest, number) if number > 1 else largest
 
 
-def _equal_parts(low: float, high: float, inside: Sequence[float]) -> int | None:
-    """Return the fewest equal cells that have all boundaries on their edges; None if that takes too many."""
+def equal_parts(low: float, high: float, boundaries: Sequence[float], most: int = MOST_CELLS_PER_AXIS) -> int | None:
+    """Return the fewest equal cells that have all boundaries on their edges; None if that takes more than ``most``."""
     n_parts = 1
-    for boundary in inside:
-        share = Fraction((boundary - low) / (high - low)).limit_denominator(MOST_CELLS_PER_AXIS)
+    for boundary in boundaries:
+        share = Fraction((boundary - low) / (high - low)).limit_denominator(most)
         if abs(float(share) * (high - low) + low - boundary) > 1e-9 * (high - low):
             return None
         n_parts = math.lcm(n_parts, share.denominator)
-        if n_parts > MOST_CELLS_PER_AXIS:
+        if n_parts > most:
             return None
     return n_parts

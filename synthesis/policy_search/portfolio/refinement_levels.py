@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ from ...certificates.proofs import Synthesis
 from ...relations.grids import MOST_CELLS, RelationRefused, agent_grid, deviations_of, grid_laws, region_boundaries
 from ..ascent import RELAXED
 from .carrying import carried_over
-from .cell_numbers import axis_weights, cells_at
+from .cell_numbers import axis_weights, cells_at, equal_parts
 from .effort import Effort, OutOfTime
 from .strategies import SOLVED
 
@@ -438,26 +437,13 @@ def _cells(problem: Problem, i: int, agent: AnyAgent, width: float) -> tuple[int
         wanted = max(FEWEST, float(span[k]) / (width * float(deviations[k])))
         low, high = float(agent.state_low[k]), float(agent.state_high[k])
         inside = sorted({b for b in region_boundaries(problem, i, k) if low < b < high})
-        unit = _equal_parts(low, high, inside)
+        unit = equal_parts(low, high, inside, MOST_PARTS)
         if unit is None:
             number = max(len(inside) + 1, round(wanted))
         else:
             number = unit * max(1, round(wanted / unit))
         numbers.append(min(MOST_PER_AXIS, number))
     return tuple(numbers)
-
-
-def _equal_parts(low: float, high: float, inside: list[float]) -> int | None:
-    """Return the fewest equal cells that have all boundaries on their edges; None if that takes too many."""
-    parts = 1
-    for boundary in inside:
-        share = Fraction((boundary - low) / (high - low)).limit_denominator(MOST_PARTS)
-        if abs(float(share) * (high - low) + low - boundary) > 1e-9 * (high - low):
-            return None
-        parts = math.lcm(parts, share.denominator)
-        if parts > MOST_PARTS:
-            return None
-    return parts
 
 
 def work_of(abstraction: Abstraction, problem: Problem, rank: int | None = None) -> float:
