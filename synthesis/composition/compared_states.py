@@ -13,8 +13,8 @@ from ...envs.tasks.regions import PairRegion
 from ..relations.grids import FloatArray, RelationRefused, refuse_uneven_noise
 
 
-def compared_axes(problem: Problem, pair: PairRegion, sides: Sequence[int] = (0, 1)) -> tuple[list[int], list[int]]:
-    """Return the states of both agents that a pair compares; of one side alone where the other one is not on a grid.
+def compared_axes(problem: Problem, pair: PairRegion) -> tuple[list[int], list[int]]:
+    """Return the states of both agents that a pair compares.
 
     Raises
     ------
@@ -22,10 +22,7 @@ def compared_axes(problem: Problem, pair: PairRegion, sides: Sequence[int] = (0,
         If an output compared is no state, or the noise is not Gaussian and independent along the states.
     """
     result: list[list[int]] = []
-    for side, (i, outputs) in enumerate(zip((pair.first, pair.second), pair.outputs, strict=True)):
-        if side not in sides:
-            result.append([])
-            continue
+    for i, outputs in zip((pair.first, pair.second), pair.outputs, strict=True):
         agent = problem.agents[i]
         _check_noise(agent)
         axes = [agent.output_axis(k) for k in outputs]

@@ -13,7 +13,10 @@ from ..certificates.proofs import Certificate, Synthesis
 from ..extended_check.claims import SHORTEST, is_safety, safety_rate
 
 TOLERANCE = 1e-6
-"""Gain of a doubled horizon at which ``without_deadline`` stops: a smaller gain is not worth twice the time."""
+"""Gain of a doubled horizon at which ``without_deadline`` stops: a smaller gain is not worth twice the time.
+
+It is an observation, not a bound on what longer horizons would add.
+"""
 
 LONGEST = 1000
 """Longest horizon that ``without_deadline`` tries: seven doublings of the horizon 7."""
@@ -57,13 +60,13 @@ def _begun_with(last: Synthesis | None, problem: Problem) -> Certificate | None:
     return last.certificate if same else None
 
 
-def without_deadline(problem: Problem, once: Once, tolerance: float = TOLERANCE) -> Synthesis:
+def without_deadline(problem: Problem, once: Once) -> Synthesis:
     """Compute policies for a task without a deadline, and what is certified about them.
 
     For a co-safe task that is a lower bound on the probability of ever satisfying it: the horizon of the problem is
-    doubled until the bound gains less than ``tolerance``. For a safety task nothing lasts for ever under unbounded
+    doubled until the bound gains less than ``TOLERANCE``. For a safety task nothing lasts for ever under unbounded
     noise; ``safety_rate`` of the result bounds the probability of being safe for every number of steps at once, and the
-    horizon is doubled until its rate gains less than ``tolerance``.
+    horizon is doubled until its rate gains less than ``TOLERANCE``.
 
     Parameters
     ----------
@@ -71,8 +74,6 @@ def without_deadline(problem: Problem, once: Once, tolerance: float = TOLERANCE)
         One co-safe or safety task; the search begins with its horizon.
     once : callable
         Synthesizes stationary policies.
-    tolerance : float
-        Gain at which to stop. It is an observation, not a bound on what longer horizons would add.
 
     Returns
     -------
@@ -103,7 +104,7 @@ def without_deadline(problem: Problem, once: Once, tolerance: float = TOLERANCE)
     while (doubled := 2 * best.certificate.problem.horizon) <= LONGEST:
         task = problem.replace(horizon=doubled)
         longer = once(task, _begun_with(best, task))
-        if _worth(longer) <= _worth(best) + tolerance:
+        if _worth(longer) <= _worth(best) + TOLERANCE:
             return max(best, longer, key=_worth)
         best = longer
     return best

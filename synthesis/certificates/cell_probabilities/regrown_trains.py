@@ -23,11 +23,9 @@ from ..value_functions import (
     Rounding,
     Train,
     Trains,
-    added,
     arrival,
     assembled,
     core_backup,
-    counted_as_failed,
     ones,
     routes,
 )
@@ -45,11 +43,8 @@ def regrow_trains(
     guards: Guards,
     rounding: Rounding,
     each: Callable[[int, Trains], None] | None = None,
-    above: bool = False,
 ) -> Trains:
     """Value function at time 0 as tensor trains, with their errors; ``each(t, value)`` at t = T - 1 .. 0.
-
-    With ``above`` what the value counts as failed and the continuous system may survive is added (``bounds.above``).
 
     Raises
     ------
@@ -65,7 +60,7 @@ def regrow_trains(
     smooths = [partial(backup, tables=axes) for axes in kernels]
     shapes = [[table.shape[1] for table in axes] for axes in kernels]
     value = Trains(tuple(ones(n_cells, visited[-1]) if yes else None for yes in automaton.accepting))
-    # One step back in every automaton state: sum over the guards, smooth by the kernels, count losses if asked to.
+    # One step back in every automaton state: sum over the guards, smooth by the kernels.
     for t in reversed(range(problem.horizon)):
         states: list[Train | None] = []
         for q in range(automaton.n_states):
@@ -77,9 +72,7 @@ def regrow_trains(
                 states.append(None)
                 continue
             points = [part.points(t, q) for part in agents]
-            before = _moved(arriving, points, smooths, shapes, n_cells, visited[t])
-            failed = counted_as_failed(points, smooths, n_cells, visited[t], visited[t + 1]) if above else None
-            states.append(added(before, failed))
+            states.append(_moved(arriving, points, smooths, shapes, n_cells, visited[t]))
         value = Trains(tuple(states))
         if each is not None:
             each(t, value)

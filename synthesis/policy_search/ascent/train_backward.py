@@ -110,13 +110,7 @@ def backward(
     return value
 
 
-def evaluate(
-    joint: JointModel,
-    policies: Policies,
-    tolerance: float,
-    each: Callable[[int, Trains], None] | None = None,
-    visited: Sequence[Cells] | None = None,
-) -> Trains:
+def evaluate(joint: JointModel, policies: Policies, tolerance: float, visited: Sequence[Cells] | None = None) -> Trains:
     """Return the value function at time 0 of given policies, with its certified error; see ``backward``."""
     ways = routes(joint.guards, joint.masks, joint.n_states)
-    return backward(joint, ways, lambda t, q, _: [policy[t, q] for policy in policies], tolerance, each, visited)
+    return backward(joint, ways, lambda t, q, _: [policy[t, q] for policy in policies], tolerance, None, visited)

@@ -14,7 +14,6 @@ is lost at region and workspace edges (``Abstraction.is_exact``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -25,12 +24,10 @@ from ...certificates.value_functions import Rounding, Train, Trains, counted_as_
 from ..ascent import backward
 
 
-def evaluate_above(
-    joint: JointModel, policies: Policies, rounding: Rounding, each: Callable[[int, Trains], None] | None = None
-) -> Trains:
+def evaluate_above(joint: JointModel, policies: Policies, rounding: Rounding) -> Trains:
     """Return the function U of the module's text at time 0, an upper bound once its error is added.
 
-    It is rounded as the lower bound was. ``each(t, value)`` is called with U at every time.
+    It is rounded as the lower bound was.
     """
 
     def beside(t: int, q: int) -> Train | None:
@@ -40,7 +37,7 @@ def evaluate_above(
 
     ways = routes(joint.guards, joint.masks, joint.n_states)
     choose = partial(_frozen, policies)
-    return backward(joint, ways, choose, rounding.tolerance, each, rounding.visited, beside)
+    return backward(joint, ways, choose, rounding.tolerance, None, rounding.visited, beside)
 
 
 def _frozen(policies: Policies, t: int, q: int, _: Train) -> list[NDArray[np.int32]]:
