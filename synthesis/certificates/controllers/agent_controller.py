@@ -5,8 +5,8 @@ Each agent sees its own state, the shared automaton state and the time (docs/the
 ``exact``   the cell of its state decides the target mean, and the input puts the mean of the next state on it.
 ``linear``  the cell of its state decides an affine map, and the input puts the mean of the next state where it says.
 ``boxes``   the cell of its state decides an input, and what is fed back of the state inside the cell.
-coupled     (``paper``, ``tube``, ``ellipsoid``) the agent remembers an abstract state xhat (``abstract_state``), whose
-            cell decides the input uhat; the interface adds ``K (x - xhat)``.
+``paper``   the agent remembers an abstract state xhat (``abstract_state``), whose cell decides the input uhat; the
+            interface adds ``K (x - xhat)``.
 
 Controllers are total: outside the workspace, in states and at times that no certificate speaks of, the input is that of
 the nearest cell, and always admissible.

@@ -157,7 +157,7 @@ def _verify_coupled(agent: AnyAgent, part: AgentRecord, relation: CoupledRelatio
 
 
 def _disturbance(part: AgentRecord, relation: CoupledRelation, execution: Execution) -> FloatArray:
-    """Half widths (d,) of W: half the largest cell, what means are snapped by, and rounding."""
+    """Half widths (d,) of W: half the largest cell, how far means are from lattice points, and rounding."""
     assert part.input_set is not None
     low, high = cell_boxes(part)
     means = (0.5 * (low + high) @ relation.A.T + relation.drift)[:, None, :] + (relation.inputs @ relation.B.T)[None]

@@ -65,7 +65,7 @@ class Explored:
     bounds : (N,) array
         Lower bounds from these starts, at the start of an episode; NaN where none is known.
     times : tuple of int
-        Times of ``values``: all of them, or evenly many if there are too many; none for independent tasks.
+        Times of ``values``: all of them, or evenly many if there are too many; none along a path.
     values : (len(times), Q, N) array
         Lower bounds in the middle of a run: at a time, in an automaton state, at a joint state.
     states : (T + 1, N * EPISODES, D) array
@@ -152,7 +152,7 @@ def _shape(problem: Problem, axes: int) -> tuple[int, ...]:
 
 
 def _in_time(certificate: Any, starts: NDArray[Any]) -> tuple[tuple[int, ...], NDArray[Any]]:
-    """Return times, and lower bounds (times, Q, N) in the middle of a run; none of either for independent tasks."""
+    """Return times, and lower bounds (times, Q, N) in the middle of a run; none of either along a path."""
     if on_cells(certificate) is None:
         return (), np.zeros((0, 0, len(starts)))
     horizon, n_states = certificate.problem.horizon, certificate.problem.automaton.n_states
