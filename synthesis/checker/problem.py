@@ -165,7 +165,7 @@ def _read_agents(entry: Entry) -> tuple[Agent, ...]:
 def _agent(i: int, own: dict[str, Entry], names: tuple[str, ...], variables: list[Any]) -> Agent:
     states, inputs = variables[i]
     d = len(states)
-    disturbances = {key: entry.vector(2).tolist() for key, entry in _numbers(own, "disturbances").items()}
+    disturbances = {key: (*entry.vector(2).tolist(),) for key, entry in _numbers(own, "disturbances").items()}
     if any(low > high for low, high in disturbances.values()):
         raise own["disturbances"].wrong("the lower end of one is above its upper end")
     parameters = {key: entry.number() for key, entry in _numbers(own, "parameters").items()}

@@ -120,8 +120,8 @@ def test_the_command_shows_the_alarm(
 STEP, ADD = error_system.ErrorSystem.step, constraints.Constraints.add
 
 
-def with_less_noise(self: Any, matrix: Any, pushed: Any, reach: Any, noise: Any) -> None:
-    STEP(self, matrix, pushed, reach, 0.5 * noise)
+def with_less_noise(self: Any, matrix: Any, pushed: Any, reach: Any, noise: Any, off: Any) -> None:
+    STEP(self, matrix, pushed, reach, 0.5 * noise, 0.5 * off)
 
 
 def with_far_ends(self: Any, low: Any, high: Any, *rest: Any) -> None:
@@ -131,7 +131,7 @@ def with_far_ends(self: Any, low: Any, high: Any, *rest: Any) -> None:
 FAULTS: dict[str, tuple[Any, str, Any]] = {
     "noise of half the size": (error_system.ErrorSystem, "step", with_less_noise),
     "ends of constraints farther away": (constraints.Constraints, "add", with_far_ends),
-    "tails that vanish": (constraints, "_failure_of", lambda rows, kinds: 0.0),
+    "tails that vanish": (constraints.Constraints, "failure", lambda self: 0.0),
 }
 
 
