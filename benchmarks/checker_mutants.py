@@ -295,6 +295,8 @@ MUTANTS = [
             "np.where(sources, self.kinds, NORMAL).min(axis=1, initial=LIGHT)",
         ),
         ("np.where(np.isnan(sides), -np.inf, sides)", "np.where(np.isnan(sides), np.inf, sides)"),
+        ("each = np.where(ends < 0.0, 1.0, known)", "each = np.stack(known)"),
+        ("(np.where(some >= 0.0, some, np.nan) for some in (ends, before))", "(ends, before)"),
         ("np.minimum(2.0 * normal, light)", "np.minimum(normal, light)"),
         ("z = np.where(np.isnan(variance), -np.inf, distance) / np.sqrt(variance)", "z = distance / variance"),
         (

@@ -1840,7 +1840,7 @@ static double first_failure(size_t number, int above, double plain) {
         int same = together.lo > 0; double size = same ? together.lo : -together.hi, deviation = root(alone).lo,
             end = same == above ? old->above : old->below, own = dn((above ? row->above : row->below) / row->deviation),
             r = least(dn(dn(size / up(row->deviation * old->deviation)) * (1 - 0x1p-50)), 1 - 1e-9);
-        if (r > 0.1 && isfinite(end) && deviation > 0) {
+        if (r > 0.1 && isfinite(end) && end >= 0 && own >= 0 && deviation > 0) {
             double far = (own - r * up(end / deviation)) / sqrt(1 - r * r);
             if (far > away) away = far, a = own, b = up(end / deviation), rho = r;
         }

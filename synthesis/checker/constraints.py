@@ -48,10 +48,7 @@ ROUNDED = 1.0 + 2.0**-40
 
 
 class Constraints:
-    """Distances from 0 at which constraints end, and their forms, as they are asked for.
-
-    ``kinds`` (W,) are those of the sources of noise; ``lost`` is a probability of noise that is given up.
-    """
+    """Constraints and their forms; ``kinds`` (W,) of sources of noise, and a probability of noise that is given up."""
 
     def __init__(self, kinds: Whole) -> None:
         self.kinds, self.lost = kinds, 0.0
@@ -70,9 +67,10 @@ class Constraints:
         self.labels += labels
         # What each adds to the failure of those before it: of normal ones together with some of these.
         kinds = self._kinds(forms.sources)
-        each = np.stack([_tails_by_kind(end, forms.variance, forms.largest, kinds) for end in ends])
+        known = [_tails_by_kind(end, forms.variance, forms.largest, kinds) for end in ends]
+        each = np.where(ends < 0.0, 1.0, known)  # below 0 a larger variance makes tails smaller
         normal = np.flatnonzero(kinds == NORMAL)
-        here = normal[each[:, normal].max(axis=0, initial=0.0) > LEAST]
+        here = normal[np.any((each > LEAST) & (each < 1.0), axis=0)[normal]]
         for before, earlier in self.earlier if len(here) else ():
             each[:, here] = np.minimum(each[:, here], _first_failures(ends[:, here], forms.at(here), before, earlier))
         self.first.append(each.sum(axis=0))
@@ -116,7 +114,8 @@ def _components(sources: Truth) -> Whole:
 def _first_failures(ends: Array, forms: Forms, before: Array, earlier: Forms) -> Array:
     """Return upper bounds (2, J) on P(a form is beyond an end (2, J), and some earlier one (2, K) is kept)."""
     covariance, off = covariance_of(forms, earlier)
-    # Earlier ends in deviations from above, correlations from below, with either sign.
+    # Earlier ends in deviations from above, correlations from below, with either sign; of ends below 0 nothing is said.
+    ends, before = (np.where(some >= 0.0, some, np.nan) for some in (ends, before))
     least = np.maximum(2.0 * np.abs(earlier.moved) - earlier.size, 0.0)
     least = np.sqrt(np.einsum("jtw,jtw->j", least, least) * (1.0 - 4.0 * U * (8.0 + least[0].size)))
     own, found = np.sqrt(forms.variance)[:, None], []

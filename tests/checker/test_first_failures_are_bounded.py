@@ -166,6 +166,23 @@ def test_forms_that_share_no_noise_add_all_of_their_tails() -> None:
     assert each + each * (1.0 - each) <= constraints.failure() <= 2.0 * each * 1.0001
 
 
+def test_ends_on_the_other_side_of_0_are_passed_for_sure() -> None:
+    """A larger variance makes what is beyond them less probable, and variances are upper bounds."""
+    system = ErrorSystem(np.zeros(1), 1)
+    system.step(np.eye(1), np.zeros((2, 1)), np.zeros(1), np.eye(1))
+    _, forms = system.rows(np.eye(1))
+    wide = forms._replace(variance=4.0 * forms.variance)
+    for below, above in ((-0.5, 3.0), (3.0, -0.5)):
+        constraints = Constraints(np.array([NORMAL]))
+        constraints.add(np.array([below]), np.array([above]), np.inf, wide, ["x at time 1"])
+        assert constraints.first[0][0] >= 1.0 and constraints.failure() == 1.0
+    # As an earlier one it says nothing: both of its ends are negative here.
+    constraints = Constraints(np.array([NORMAL]))
+    for ends in (np.array([-0.1]), np.array([3.0])):
+        constraints.add(ends, ends, np.inf, forms, ["x at time 1"])
+    assert constraints.first[1][0] >= 2.0 * ndtr(-3.0)
+
+
 def test_random_systems_of_constraints_fail_no_more_often_than_is_said() -> None:
     """Several states, rows of states and of differences, uneven ends: against 200,000 runs each, at 1e-7 in all."""
     rng = np.random.default_rng(11)
