@@ -214,7 +214,8 @@ class NonlinearSearch:
     def _sizes(self) -> FloatArray:
         """By how much logarithms of weights and strips differ: of the latter little."""
         d, m = self.agent.n_states, self.agent.n_inputs
-        return np.concatenate([np.full(d + m, 2.0), [1.0], np.full(d + m, 0.3)])
+        # The last d are spare: what a search draws hangs on how many numbers it draws, and these draws are tried.
+        return np.concatenate([np.full(d + m, 2.0), [1.0], np.full(2 * d + m, 0.3)])
 
     @property
     def _round(self) -> FloatArray:
