@@ -59,7 +59,7 @@ def certified(monkeypatch: pytest.MonkeyPatch, look: float, problem: Any, **opti
     [
         (lambda: robots(1), {"effort": 0.2}),
         (lambda: robots(1), {"cells": 10}),
-        (lambda: cart_reach(cart(), horizon=4), {"cells": 24}),
+        (lambda: cart_reach(cart(), horizon=9), {"cells": 40}),
     ],
 )
 def test_slow_and_fast_machines_certify_the_same(

@@ -68,7 +68,7 @@ def test_it_runs_from_its_folder_and_its_status_is_the_verdict(alone: Path, tmp_
     assert "PROVED: P >= 0.899999" in done.stdout and "trajectories" in done.stdout
     done = run(alone, str(bad))
     assert done.returncode == 1
-    assert "a failure of at most 0.05363" in done.stdout and "not 0.01" in done.stdout and "goal_0" in done.stdout
+    assert "a failure of at most 0.05361" in done.stdout and "not 0.01" in done.stdout and "goal_0" in done.stdout
     for path in (none, tmp_path / "missing.npz"):
         done = run(alone, str(path))
         assert done.returncode == 2 and "UNREADABLE" in done.stdout
