@@ -59,8 +59,8 @@ def synthesize(
 ) -> list[Synthesis]: ...
 
 
-@judged
 @on_one_thread
+@judged
 def synthesize(
     problem: Any,
     cells: CellCounts = None,

@@ -67,7 +67,7 @@ def test_slow_and_fast_machines_certify_the_same(
 ) -> None:
     slow, fast = (certified(monkeypatch, look, problem(), **options) for look in (100.0, 1e-6))
     assert slow.certificate.lower_bound == fast.certificate.lower_bound > 0.0
-    assert slow.stats["tried"] == fast.stats["tried"]
+    assert slow.stats.get("tried") == fast.stats.get("tried")
     for one, other in zip(slow.certificate.proof.agents, fast.certificate.proof.agents, strict=True):
         np.testing.assert_array_equal(one.policy, other.policy)
 
