@@ -60,8 +60,8 @@ WORTHWHILE = 1e-7
 """Relative gain below which ``improve`` stops: far above rounding, and too little for the cost of another sweep."""
 
 
-@judged
 @on_one_thread
+@judged
 def certify(
     problem: Any,
     policy: Any = None,
@@ -211,8 +211,8 @@ def _by_subtraction(problem: Problem, policy: Decentralised, cells: CellCounts, 
     return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})
 
 
-@judged
 @on_one_thread
+@judged
 def improve(
     problem: Any,
     policy: Any,
