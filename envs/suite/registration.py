@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
-from .ids import IDS, NAMESPACE, gymnasium_id
+from .ids import CENTRAL_ENTRY, IDS, NAMESPACE, VECTOR_ENTRY, gymnasium_id
 
 
 def register_suite() -> None:
@@ -38,8 +38,8 @@ def _in_gymnasium() -> None:
         if name not in gymnasium.registry:
             gymnasium.register(
                 name,
-                entry_point="certigym.envs.suite.constructors:central_env",
-                vector_entry_point="certigym.envs.suite.constructors:vector_env",
+                entry_point=CENTRAL_ENTRY,
+                vector_entry_point=VECTOR_ENTRY,
                 kwargs={"problem": id},
             )
 
