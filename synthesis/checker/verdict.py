@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,5 @@ def bound_of(failure: float) -> float:
 def shown(failure: float) -> str:
     """Return the lower bound that follows from a failure as text: rounded down, near 1 by what it lacks."""
     if 0.0 < failure < 1e-3:
-        step = 10.0 ** (math.floor(math.log10(failure)) - 3)
-        return f"1 - {math.ceil(failure / step) * step:.4g}"
-    return f"{math.floor(bound_of(failure) * 1e6) / 1e6:.6f}"
+        return f"1 - {float(Context(4, rounding=ROUND_CEILING).create_decimal(failure)):.4g}"
+    return str(Decimal(bound_of(failure)).quantize(Decimal("0.000001"), ROUND_FLOOR))
