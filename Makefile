@@ -25,7 +25,8 @@ test: .venv/test lint
 
 # what searches as long as users do, or repeats a question for more problems, laws and seeds; and types
 thorough: .venv/test
-	@$(BIN)/python -m mypy & types=$$!; $(PYTEST) -m "thorough and not pages" $(ARGS); tests=$$?; wait $$types && exit $$tests
+	@$(BIN)/python -m mypy > .venv/types.txt & types=$$!; $(PYTEST) -m "thorough and not pages" $(ARGS); tests=$$?; \
+		wait $$types; typed=$$?; cat .venv/types.txt; exit $$((tests + typed))
 
 lint: .venv/test
 	$(BIN)/python -m ruff check .
