@@ -24,9 +24,9 @@ from .rigorous import Array, Truth, U
 FAR, FAR_TAIL, FAR_DENSITY = 10.0, 1e-23, 1e-21
 
 
-def normal_table(points: Array, edges: Array, deviation: float, hats: bool) -> tuple[Array, float]:
+def normal_table(points: Array, edges: Array, deviation: float | Array, hats: bool) -> tuple[Array, float]:
     """Return probabilities (Z, S) of cells, or means (Z, 2 S) of their hats, and what a row lacks at most."""
-    if not (0.0 < deviation < np.inf and np.all(np.diff(edges) > 0)):
+    if not (np.all(np.greater(deviation, 0) & np.less(deviation, np.inf)) and np.all(np.diff(edges) > 0)):
         raise Refused("cells need noise along every axis, and edges that increase")
     # Faces of cells as seen from the lattice points, in deviations.
     x = (edges - points[:, None]) / deviation

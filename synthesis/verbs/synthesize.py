@@ -27,6 +27,7 @@ from ..composition import each_horizon, horizons_of, joint_strategies, synthesiz
 from ..policy_search.ascent import Search, sweep_bar
 from ..policy_search.cell_certificates import Plan, along_path, continued, judged
 from ..policy_search.portfolio import Effort, Strategy, best_of, in_order, settings_of
+from ..policy_search.vertex_values import vertex_grid_certificate
 from ..relations.grids import CellCounts, RelationRefused, to_who_asked_for_none
 from .search_options import SearchOptions, options_of
 from .task_strategies import (
@@ -93,7 +94,8 @@ def synthesize(
         than 1e-6.
     relation : str, or mapping from agent name to str
         ``"exact"`` (inputs reach every mean), ``"linear"`` and ``"boxes"`` (any agent), ``"path"`` (no cells, any
-        number of states), or ``"paper"`` (scalar agents; may be lost with a probability delta per step). ``"auto"``,
+        number of states), ``"vertices"`` (one agent of few states; inputs interpolated between vertices), or
+        ``"paper"`` (scalar agents; may be lost with a probability delta per step). ``"auto"``,
         which also holds for agents that a mapping leaves out, takes ``exact`` where it leaves most of the inputs to the
         policy, tries ``linear`` and ``boxes`` where much is left open, and keeps the largest bound (see
         ``relation_choice``); agents that no grid can hold get a path. ``"best"`` tries all of these without any
@@ -212,10 +214,12 @@ def _of_task(
         base: OnGrid = start.proof.base
         plan = replace(plan, settings=Settings(**settings_of(base, ["exact"] * problem.n_agents)))
         return best_of(joint_strategies(problem, cells, relation, plan, base), plan.effort)
-    if relation == "path":
+    if relation in ("path", "vertices"):
         if cells is not None or start is not None:
-            raise ValueError("`relation`: expected no cells or start with 'path', which has no grid; leave out")
-        return along_path(problem, plan.along_paths)
+            raise ValueError(
+                f"`relation`: expected no cells or start with {relation!r}, which chooses its own; leave out"
+            )
+        return (along_path if relation == "path" else vertex_grid_certificate)(problem, plan.along_paths)
     if problem.names_time:
         return _in_time(problem, cells, relation, plan, start)
     if plan.settings.common is None and start is None and names_inputs(problem):

@@ -45,6 +45,7 @@ from ..policy_search.portfolio import (
     with_settings,
     work_of,
 )
+from ..policy_search.vertex_values import first_work, refuse_vertex_grid, vertex_grid_certificate
 from ..relations.grids import CellCounts, RelationRefused, cells_of_agent, fewest_cells
 from ..trajectories.planning import refuse_without_path
 
@@ -86,6 +87,9 @@ NEAR_PATH = 0.5
 MOST_CELLS_OF_LOST = 100_000
 """Cells of an agent up to which a task that is out of reach has a grid, where no run comes near."""
 
+SHARE_OF_VERTICES = 0.6
+"""Share of the effort that is left, which grids of vertices may take before others are tried."""
+
 GOOD_CARRIED = 0.5
 """Share of the upper bound from which policies of coarser cells are gone on with alone: those tried many starts."""
 
@@ -109,7 +113,8 @@ def strategies_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], pla
         ends = GOOD if any(np.any(agent.still_axes) for agent in problem.agents) else 0.0
         path = replace(path_strategy(problem, plan), work=0.0, ends=ends)
         on_grids = Strategy("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
-        return [path, on_grids] if plan.paths else [on_grids]
+        ways = [vertex_strategy(problem, plan)] if problem.n_agents == 1 else []
+        return [path, *ways, on_grids] if plan.paths else [*ways, on_grids]
     return [*_on_grids(problem, kinds, plan), *([path_strategy(problem, plan)] if plan.paths else [])]
 
 
@@ -151,7 +156,8 @@ def still_problem(problem: Problem) -> Problem:
 def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synthesis]) -> list[Strategy]:
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
-    return [path, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS)]
+    ways = [vertex_strategy(problem, plan)] if problem.n_agents == 1 else []
+    return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS)]
 
 
 def names_inputs(problem: Problem) -> bool:
@@ -205,6 +211,8 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
         levels = _linear(problem, plan, few=problem.n_agents <= FEW_AGENTS or is_scalar(problem))
         # Trees of many terms take long whatever the cells are.
         strategies.append(replace(levels, work=max(levels.work, exact, _tree_work(problem))))
+    if problem.n_agents == 1 and not all(map(reaches_every_mean, problem.agents)):
+        strategies.append(vertex_strategy(problem, plan))
     if is_scalar(problem) and problem.n_agents > FEW_AGENTS:
         strategies.append(_doubled(problem, kinds, plan))
     elif not is_scalar(problem) or not linear:
@@ -223,6 +231,21 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
     # Boxes and round regions cost grids of agents with expressions a hundredth that paths do not lose.
     enough = WRITTEN_ENOUGH if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
     return Strategy("path", lambda results: along_path(problem, plan.along_paths), work, enough=enough, ends=PATH_ENDS)
+
+
+def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
+    """Return the way on grids whose vertices have inputs: one agent with few states, noise of any size."""
+    try:
+        refuse_vertex_grid(problem)
+    except RelationRefused as error:
+        return refused("vertices", error)
+    work = plan.along_paths
+
+    def run(results: Results) -> Synthesis:
+        with work.within(SHARE_OF_VERTICES * work.limit):
+            return vertex_grid_certificate(problem, work)
+
+    return Strategy("vertices", run, first_work(problem), enough=SOLVED)
 
 
 def _exact(problem: Problem, plan: Plan) -> Strategy:
@@ -303,7 +326,11 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
     def run(results: Results) -> Synthesis:
         return compared(problem, cells, kinds, plan, None if cells or any(written) else results.get("exact"))
 
-    return Strategy("others", run, work, enough=SOLVED if scalar or not linear else GOOD)
+    def why_not(results: Results) -> str | None:
+        found = None if linear else results.get("vertices")
+        return None if found is None else "skipped: vertices bound values more closely than boxes do"
+
+    return Strategy("others", run, work, enough=SOLVED if scalar or not linear else GOOD, why_not=why_not)
 
 
 def _tree_work(problem: Problem) -> float:

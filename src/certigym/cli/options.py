@@ -91,8 +91,8 @@ def add_cells(parser: argparse.ArgumentParser, automatic: str = "what certifies 
         nargs="+",
         metavar="NAME",
         default=["auto"],
-        help=f"auto (default: {automatic}), best (no shortcut), exact, linear, boxes, paper or path (no grid); "
-        "AGENT=NAME for single agents",
+        help=f"auto (default: {automatic}), best (no shortcut), exact, linear, boxes, paper, path (no grid) or "
+        "vertices (one agent, few states); AGENT=NAME for single agents",
     )
     parser.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
 

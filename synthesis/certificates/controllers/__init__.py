@@ -11,6 +11,7 @@ from .path_controller import PathController, covariances_of, nominal_states
 from .path_covariances import covariances_along
 from .product_controller import ProductController
 from .timed_controller import TimedController
+from .vertex_controller import VertexController, interpolated
 
 __all__ = [
     "AgentController",
@@ -24,9 +25,11 @@ __all__ = [
     "Vectorized",
     "ProductController",
     "TimedController",
+    "VertexController",
     "covariances_along",
     "covariances_of",
     "decentralised",
+    "interpolated",
     "nominal_states",
     "vectorized",
 ]

@@ -56,6 +56,7 @@ from .proof import Capability, Proof
 from .result import Synthesis
 from .timed_proof import TimedProof, timed_certificate
 from .union_bound_proof import UnionBoundProof
+from .vertex_proof import VertexProof
 
 __all__ = [
     "NotCanonicalError",
@@ -90,6 +91,7 @@ __all__ = [
     "TimedProof",
     "Tube",
     "UNREADABLE",
+    "VertexProof",
     "alike_members",
     "path_under",
     "as_certificate",

@@ -22,11 +22,12 @@ from .proof import Proof
 from .result import Synthesis
 from .timed_proof import TimedProof
 from .union_bound_proof import UnionBoundProof
+from .vertex_proof import VertexProof
 
 PROOFS: dict[str, type[Proof]] = {
     proof.kind: proof
     for proof in (
-        GridProof, PathProof, UnionBoundProof, TimedProof, ProductProof
+        GridProof, PathProof, UnionBoundProof, TimedProof, ProductProof, VertexProof
     )
 }  # fmt: skip
 """Kinds of proofs, by their names in files."""

@@ -43,17 +43,20 @@ from ...certificates.proofs import (
     ProductProof,
     TimedProof,
     UnionBoundProof,
+    VertexProof,
     alarm_of,
     alike_members,
+    canonical_problem,
     certificate_from,
     delta_of,
     verdict_of,
     wrong_angles,
 )
 from ...certificates.value_functions import UNIT, Terms
-from ...checker import Verdict, bound_of
+from ...checker import Refused, Unreadable, Verdict, bound_of, read_problem
 from ...relations.grids import FloatArray, lattice_axes
 from ..steps import execution_of, label_margin, places_of, verify_relation, wrong_actions, wrong_common
+from ..vertex_grids import failure_of
 from .complement_task import other_controllers, wrong_complement
 from .forward_occupancy import TooManyProducts, masses
 from .grid_check import uneven_lattices, wrong_grids
@@ -175,6 +178,25 @@ def _check_path(certificate: AlongPath, problem: Problem) -> CheckReport:
         failures.append(f"{claimed}, but what was recomputed is {failure:.6g}")
     recomputed = float("nan") if failures else bound_of(failure)
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), alarm=told)
+
+
+def _check_vertices(certificate: Certificate[VertexProof], problem: Problem) -> CheckReport:
+    """Verify a certificate on a grid of vertices: backup by backup, for the problem in the checker's form."""
+    proof, failures, failure = certificate.proof, list[str](), 1.0
+    if certificate.fingerprint != problem.fingerprint:
+        failures.append("it was made for another problem (the fingerprints differ)")
+    if not failures:
+        try:
+            with np.errstate(all="ignore"):
+                checked = read_problem({"problem": canonical_problem(problem)})
+                failure = failure_of(checked, proof.edges, proof.inputs, proof.laws, proof.jumps)
+        except (NotCanonicalError, Refused, Unreadable) as reason:
+            failures.append(str(reason))
+    if not failures and not failure <= proof.failure:
+        claimed = f"it says that it fails with probability {proof.failure:.6g} at most"
+        failures.append(f"{claimed}, but what was recomputed is {failure:.6g}")
+    recomputed = float("nan") if failures else bound_of(failure)
+    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
 
 
 def _check_one(certificate: OnGrid, problem: Problem) -> CheckReport:
@@ -384,6 +406,7 @@ def _check_values(certificate: OnGrid, terms: Terms | Value, recomputed: float) 
 CHECKS: dict[type, Callable[[Any, Problem], CheckReport]] = {
     GridProof: _check_one,
     PathProof: _check_path,
+    VertexProof: _check_vertices,
     UnionBoundProof: _check_pairs,
     TimedProof: _check_timed,
 }

@@ -1,0 +1,108 @@
+"""Proofs on grids whose vertices have inputs: one agent, few states, noise of any size."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....envs.systems.backends import is_whole
+from ....envs.tasks.problem import Problem
+from ...relations.grids import FloatArray
+from ..controllers import VertexController
+from .archive import Pool, Stored
+from .digits import significant_up
+from .path_proof import ONE_RUN, OTHER_STARTS, probability
+from .proof import Capability, Proof
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class VertexProof(Proof):
+    """A bound by value iteration on a grid whose vertices have inputs (docs/theory/vertex_grids.md).
+
+    Parameters
+    ----------
+    edges : d arrays (n + 1,)
+        Edges of cells along each axis, which tile the workspace of the agent.
+    inputs : (L, Q, V, m) array
+        Inputs at vertices, the last axis running fastest, in each automaton state; between them they are interpolated.
+    laws : (T,) int array
+        Which of them acts at each time.
+    jumps : d bools
+        Along which axes values may jump from cell to cell; along others they are made continuous.
+    failure : float
+        Upper bound on the probability that the task is not satisfied.
+    """
+
+    edges: tuple[FloatArray, ...]
+    inputs: FloatArray
+    laws: NDArray[np.int64]
+    jumps: tuple[bool, ...]
+    failure: float
+
+    kind = "vertex-grid"
+    unsupported = MappingProxyType({
+        Capability.VALUES: ONE_RUN.replace("along a path", "on a grid of vertices"),
+        Capability.OTHER_STARTS: OTHER_STARTS.replace("along a path", "on a grid of vertices"),
+    })  # fmt: skip
+    bound = "vertex grid"
+    gap = None
+    rank = 1
+    parts = ()
+
+    @property
+    def about(self) -> dict[str, str]:  # type: ignore[override]
+        """What summaries say of it besides: how it may fail."""
+        return {"failure": f"at most {significant_up(self.failure, 3)}"}
+
+    @property
+    def lower_bound(self) -> float:
+        """Certified lower bound on the probability that the task is satisfied, rounded down."""
+        return max(0.0, math.nextafter(1.0 - self.failure, 0.0))
+
+    @property
+    def method(self) -> str:
+        """How the bound was found, in words."""
+        cells = " x ".join(str(len(axis) - 1) for axis in self.edges)
+        return f"value iteration on {cells} cells, inputs interpolated between vertices"
+
+    def controller(self, problem: Problem) -> VertexController:
+        """Return the controller the bound belongs to."""
+        return VertexController(problem, (), self.edges, self.inputs, self.laws)
+
+    def written(self, pool: Pool) -> dict[str, Any]:
+        """Return the entries of its file."""
+        return {
+            "failure": float(self.failure),
+            "edges": [pool.put(axis) for axis in self.edges],
+            "inputs": pool.put(self.inputs),
+            "laws": pool.put(self.laws),
+            "jumps": list(self.jumps),
+        }
+
+    @classmethod
+    def read(cls, problem: Problem, stored: Stored) -> Self:
+        """Return the proof in a file; raise ValueError if there is none."""
+        if problem.n_agents != 1:
+            raise ValueError("its problem has several agents, and a grid of vertices is of one")
+        agent, entries = problem.agents[0], stored.entry["edges"]
+        edges = tuple(stored.numbers(number) for number in entries)
+        fits = len(edges) == agent.n_states and all(
+            axis.ndim == 1 and len(axis) > 1 and np.all(np.isfinite(axis)) and np.all(np.diff(axis) > 0.0)
+            for axis in edges
+        )
+        inputs, laws = stored.numbers(stored.entry["inputs"]), stored.array(stored.entry["laws"])
+        shape = (problem.automaton.n_states, math.prod(len(axis) for axis in edges) if fits else 0, agent.n_inputs)
+        if not fits or inputs.ndim != 4 or inputs.shape[1:] != shape or not np.all(np.isfinite(inputs)):
+            raise ValueError("its inputs do not fit its grid")
+        whole = is_whole(laws, signed=True) and laws.shape == (problem.horizon,)
+        if not whole or laws.min() < 0 or laws.max() >= len(inputs):
+            raise ValueError("its laws do not fit the horizon")
+        jumps = tuple(stored.entry["jumps"])
+        if len(jumps) != agent.n_states or not all(isinstance(own, bool) for own in jumps):
+            raise ValueError("it does not say along which axes values may jump")
+        return cls(edges, inputs, laws.astype(np.int64), jumps, probability(stored.entry["failure"]))

@@ -1,0 +1,501 @@
+"""Value iteration on grids whose vertices have inputs: one agent, normal noise along each axis or none, of any size.
+
+At time t and in automaton state q the value V_t(q, .) is multilinear on each cell, or 0 on all of it, and 0 outside the
+workspace. Let W be V_(t+1) in the state that the letter leads to (the least one if it is not known), made continuous
+from below along axes without noise and others that are named, and F(x) = E W(y(x) + noise), y the image under
+interpolated inputs (``closed_loops``), sigma the sizes of the noise.
+
+**Theorem.** If on every cell V_t(q, .) <= F or V_t(q, .) = 0, for all t and q, and V_T is 1 where the automaton accepts
+and else 0, then V_0 at the start, after its letter, is at most the probability that the task is satisfied. *Proof.* So
+is V_t(q, x), by induction over T - t: that probability is at least 0, and at least E W. QED
+
+**Theorem** (one cell). Let D_k be at least the positive part of the second derivative of F along axis k of a cell,
+times its side squared. Along that axis F is at least its chord less D_k s (1 - s) / 2, s the share of the way, and so
+at least the chord of both ends less a and b, if ``sqrt a + sqrt b >= sqrt(D_k / 2)``: D_k / 8 at both, or more at one.
+Taken one axis after the other, with a and b that may depend on the ends of axes before, this leaves a multilinear
+function below F. *Proof.* D s (1 - s) / 2 <= a (1 - s) + b s is tangent to the parabola, or above it. QED
+
+Along an axis W is a sum of jumps j_e at planes e, of kinks kappa_e (y - e)^+, and of nothing else. With tau = (e - y) /
+sigma, and derivatives along the side of a cell, the mean of (y + noise - e)^+ has the second derivative
+
+    phi(tau) (y' + tau sigma')^2 / sigma + phi(tau) sigma'' + P(y + noise > e) y'',
+
+so that only kinks upward count in its first term. That of the probability of a jump is in size at most
+
+    phi(tau) (|tau| (y' + tau sigma')^2 + sigma |y'' + tau sigma''| + 2 |sigma' (y' + tau sigma')|) / sigma^2.
+
+A kink that y crosses leaves at most kappa (|y'| + |y''|) s (1 - s), since between two crossings y turns; also with
+noise w, for y + sigma w in the place of y, where the mean of |w| is below 1. Means along several axes multiply, and
+mixed derivatives are products of first ones. All of these are sums over planes and cells of numbers of W, with weights
+that are bounded on the image of the cell. *Proof* and more: docs/theory/vertex_grids.md.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ...checker import CheckedAgent, CheckedProblem, Refused, rigorous
+from ...checker.cells import start_weights
+from ...checker.intervals import down, up
+from ...checker.motions import Labels, cell_labels
+from ...checker.problem import STANDARD
+from ...checker.rigorous import Array, Truth, U, Whole
+from ...checker.tables import normal_table
+from ...checker.tree import finished
+from .closed_loops import ClosedLoop, closed_loop, corners_of, names_time
+
+FINEST = 1e6  # how many sides of a cell the ends of an axis may be away from 0
+FAR = 38.0  # deviations beyond which densities count as at them
+ROUNDED = 1.0 + 2.0**-26  # more than sums of 2^22 products of numbers of one sign, and their factors, are rounded by
+AT_ONCE, KEPT = 2**22, 4e7  # numbers that are formed at once, and that are kept of images
+
+
+def failure_of(
+    problem: CheckedProblem, edges: tuple[Array, ...], inputs: Array, laws: Whole, jumps: tuple[bool, ...]
+) -> float:
+    """Return an upper bound on the probability that the task fails; ``Refused`` if none follows.
+
+    The law of time t is ``inputs[laws[t]]``, inputs (Q, V, m) at the vertices of the cells between ``edges``.
+    """
+    steps = Backups(problem, edges, jumps)
+    if laws.shape != (problem.horizon,) or np.any((laws < 0) | (laws >= len(inputs))):
+        raise Refused("it does not say which law acts at every time")
+    values, given_up = steps.at_end()
+    for t in range(problem.horizon - 1, -1, -1):
+        values, given_up = steps.backup(values, given_up, inputs[laws[t]], t)
+    return steps.failure(values, given_up)
+
+
+@dataclass(eq=False)
+class Backups:
+    """One Bellman backup after the other on a grid, from the end of the horizon; what laws lead to is kept."""
+
+    problem: CheckedProblem
+    edges: tuple[Array, ...]
+    jumps: tuple[bool, ...]
+    images: dict[tuple[int, bytes], Images] = field(default_factory=dict)
+    labels: dict[int, Labels] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if len(self.problem.agents) != 1 or self.problem.pairs:
+            raise Refused("the task is about several agents, and a grid of vertices is of one")
+        agent = self.agent
+        if agent.angles or agent.shared_noise.any() or any(own != STANDARD for own in agent.envelopes):
+            raise Refused(f"`{agent.name}` has angles, or noise that is not normal, and grids of vertices know neither")
+        used = agent.noise != 0.0
+        if np.any(used.sum(axis=1) > 1) or np.any(used.sum(axis=0) > 1):
+            raise Refused(f"the noise of `{agent.name}` is not independent along each of its states")
+        for axis in self.edges:
+            if len(axis) < 2 or np.any(np.diff(axis) <= 0.0) or np.abs(axis).max() > FINEST * np.diff(axis).min():
+                raise Refused("an axis has fewer than two numbers, does not increase, or is too fine")
+        low, high = (np.array([axis[k] for axis in self.edges]) for k in (0, -1))
+        if not np.array_equal(low, agent.state_box[0]) or not np.array_equal(high, agent.state_box[1]):
+            raise Refused(f"the cells of `{agent.name}` do not tile its workspace")
+
+    @property
+    def agent(self) -> CheckedAgent:
+        """The agent."""
+        return self.problem.agents[0]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Numbers of cells along the axes."""
+        return tuple(len(axis) - 1 for axis in self.edges)
+
+    @property
+    def noisy(self) -> list[bool]:
+        """Which axes have noise."""
+        return [bool(row.any()) for row in self.agent.noise]
+
+    def at_end(self) -> tuple[Array, Truth]:
+        """Return numbers (Q, n_1 + 1, ..) at vertices at the end, and which cells (Q, n_1, ..) are 0: none."""
+        accepting = np.array(self.problem.automaton.accepting)
+        values = np.zeros((len(accepting), *(n + 1 for n in self.shape)))
+        values[accepting] = 1.0
+        return values, np.zeros((len(accepting), *self.shape), dtype=bool)
+
+    def backup(self, values: Array, given_up: Truth, inputs: Array, t: int) -> tuple[Array, Truth]:
+        """Return the same one step earlier, for inputs (Q, V, m) at the vertices."""
+        below, nothing = np.zeros_like(values), np.ones_like(given_up)
+        dead, done = self.problem.automaton.dead(), finished(self.problem.automaton)
+        memory: dict[bytes, tuple[Array, Truth]] = {}
+        for q in range(len(values)):
+            if done[q]:
+                below[q], nothing[q] = 1.0, False
+            elif not dead[q]:
+                W = self.after_letter(values, given_up, q, t + 1)
+                key = W.tobytes() + inputs[q].tobytes()
+                if key not in memory:
+                    memory[key] = self.below(W, self.images_of(inputs[q], t))
+                below[q], nothing[q] = memory[key]
+        return below, nothing
+
+    def images_of(self, inputs: Array, t: int) -> Images:
+        """Return where inputs (V, m) lead, made once where that does not depend on the time."""
+        key = t if names_time(self.agent) else 0, inputs.tobytes()
+        if key not in self.images:
+            low, high = self.agent.input_box
+            if not np.all((low <= inputs) & (inputs <= high)):
+                raise Refused("an input at a vertex is outside its box")
+            if sum(own.size for own in self.images.values()) > KEPT:
+                self.images.clear()
+            self.images[key] = Images.of(closed_loop(self.agent, self.edges, inputs, t), self.edges, self.noisy)
+        return self.images[key]
+
+    def after_letter(self, values: Array, given_up: Truth, q: int, t: int) -> Array:
+        """Return V in the state that the letter of a time leads q to: numbers (2 n_1, ..) at both ends of intervals.
+
+        Where the letter is not known it is the least of those of all states that it may lead to.
+        """
+        automaton = self.problem.automaton
+        moves = any(np.any(own.low != own.low[0]) or np.any(own.high != own.high[0]) for own in self.problem.regions)
+        t = t if moves else 0
+        if t not in self.labels:
+            here = [replace(own, low=own.low[[t]], high=own.high[[t]]) for own in self.problem.regions]
+            self.labels[t] = cell_labels(replace(self.problem, regions=tuple(here)), 0, self.edges)[1]
+        kinds, which = np.unique(self.labels[t], axis=0, return_inverse=True)
+        mine = [p for p, region in enumerate(self.problem.regions) if region.agents == (0,)]
+        result = np.zeros(tuple(2 * n for n in self.shape))
+        for k, kind in enumerate(kinds.tolist()):
+            known = {p: label > 0 for p, label in zip(mine, kind, strict=True) if label}
+            each = [self._on_cells(values[target], given_up[target]) for target in automaton.targets(q, known)]
+            here = doubled(which.reshape(self.shape) == k)
+            result = np.where(here, np.min(each, axis=0), result)
+        return result
+
+    def _on_cells(self, values: Array, given_up: Truth) -> Array:
+        for k in range(values.ndim):
+            values = np.repeat(values, 2, axis=k)
+            values = np.take(values, range(1, values.shape[k] - 1), axis=k)
+        return np.where(doubled(given_up), 0.0, values)
+
+    def below(self, W: Array, images: Images) -> tuple[Array, Truth]:
+        """Return numbers (n_1 + 1, ..) at vertices of a function that is at most F, and the cells on which it is 0."""
+        for k, jumps in enumerate(self.jumps):
+            if not (jumps and self.noisy[k]):
+                W = _continuous(W, k)
+        at, d = images.means(W), len(self.shape)
+        always, bends = self.charge(W, images)
+        low = corners_of(at.reshape(tuple(n + 1 for n in self.shape)), d).reshape(-1, *(2,) * d)
+        low = low - always.reshape(-1, *(1,) * d)
+        # Numbers stay above 0, of whichever order of the axes leaves more; where none does V is 0.
+        orders = [_lessened(low, bends, order) for order in (range(d), range(d)[::-1])]
+        table = np.where(_sums(orders[0]) >= _sums(orders[1]), *orders)
+        nothing = ~images.known | ~np.all(table >= 0.0, axis=tuple(range(1, d + 1))) | ~(_sums(table).ravel() > 0.0)
+        table = np.where(nothing.reshape(-1, *(1,) * d), np.inf, table).reshape(*self.shape, *(2,) * d)
+        result = np.full(tuple(n + 1 for n in self.shape), np.inf)
+        for corner in itertools.product((0, 1), repeat=d):
+            here = tuple(slice(c, n + c) for c, n in zip(corner, self.shape, strict=True))
+            np.minimum(result[here], table[(slice(None),) * d + corner], out=result[here])
+        return np.where(np.isinf(result), 0.0, result), nothing.reshape(self.shape)
+
+    def charge(self, W: Array, images: Images) -> tuple[Array, Array]:
+        """Return what is taken off all corners of each cell (S,), and what F may bend along each axis (d, S)."""
+        return images.cost(W, self.edges)
+
+    def failure(self, values: Array, given_up: Truth) -> float:
+        """Return an upper bound on the failure: 1 less the mean of V_0 over the start, after the letter of time 0."""
+        automaton = self.problem.automaton
+        W = self.after_letter(values, given_up, automaton.initial, 0)
+        # Weights are lower bounds, and no number is negative.
+        weights = start_weights(self.agent.start, self.edges, True)
+        value = max(0.0, float(weights @ W.ravel()) * (1.0 - 4.0 * U * W.size))
+        return float(np.clip(up(1.0 - value), 0.0, 1.0))
+
+
+def _sums(table: Array) -> Array:
+    return np.sum(table, axis=tuple(range(1, table.ndim)), keepdims=True)
+
+
+def _lessened(corners: Array, bends: Array, order: Sequence[int]) -> Array:
+    """Return corners (S, 2, .., 2) of a multilinear function below F, from those of F: one axis after the other.
+
+    What F bends is taken off at both ends alike, unless one has less than that: then that one becomes 0.
+    """
+    d, before = corners.ndim - 1, list[int]()
+    for k in order:
+        rest = tuple(1 + j for j in range(d) if j != k and j not in before)
+        least = np.moveaxis(np.min(corners, axis=rest, keepdims=True), 1 + k, 0)
+        bend = bends[k].reshape(-1, *(1,) * (d - 1))
+        both, low = bend / 8.0, np.maximum(least, 0.0)
+        less = np.minimum(both, low)
+        # the other end has the rest of the root, and what both are rounded by
+        other = (np.sqrt(0.5 * bend) * (1.0 + 2.0**-40) - np.sqrt(less[::-1])) ** 2 * (1.0 + 2.0**-40)
+        taken = np.where(less < both, less, np.maximum(both, other))
+        short = np.all(low < both, axis=0)
+        corners = np.where(short[None], -1.0, np.moveaxis(corners, 1 + k, 0) - taken)
+        corners = np.moveaxis(corners, 0, 1 + k)
+        before.append(k)
+    return corners
+
+
+def doubled(cells: Any) -> Any:
+    """Return what is said of cells, at both ends of every interval."""
+    for k in range(cells.ndim):
+        cells = np.repeat(cells, 2, axis=k)
+    return cells
+
+
+def _continuous(W: Array, k: int) -> Array:
+    """Return numbers at both ends of intervals that do not jump along axis k, not to 0 beyond it, and are no larger."""
+    ends = np.moveaxis(W, k, 0)
+    least, none = np.minimum(ends[1:-1:2], ends[2::2]), np.zeros_like(ends[:1])
+    return np.moveaxis(np.concatenate([none, np.repeat(least, 2, axis=0), none]), 0, k)
+
+
+# What along an axis W is a sum of: kinks at planes, jumps at planes, slopes on intervals.
+
+
+def _features(W: Array, k: int, edges: Array) -> Array:
+    """Return kinks (n + 1), jumps (n + 1) and slopes (n), one after the other along axis k of numbers (.., 2 n, ..)."""
+    ends = np.moveaxis(W, k, -1)
+    low, high, nothing = ends[..., ::2], ends[..., 1::2], np.zeros((*ends.shape[:-1], 1))
+    slopes = (high - low) / np.diff(edges)
+    kinks = np.diff(np.concatenate([nothing, slopes, nothing], axis=-1), axis=-1)
+    jumps = np.concatenate([low, nothing], axis=-1) - np.concatenate([nothing, high], axis=-1)
+    return np.moveaxis(np.concatenate([kinks, jumps, slopes], axis=-1), -1, k)
+
+
+def _largest_ends(table: Array, axes: Sequence[int]) -> Array:
+    """Return the larger number of both ends of every interval along some axes."""
+    for k in axes:
+        ends = np.moveaxis(table, k, 0)
+        table = np.moveaxis(np.maximum(ends[::2], ends[1::2]), 0, k)
+    return table
+
+
+def contracted(table: Array, weights: Sequence[Array], last: Sequence[Sequence[Array]] = ((),)) -> Array:
+    """Return sums (.., n) over a table, each number times a weight (n, .) along every axis.
+
+    ``last`` are choices of the weights of the axes that remain, one or two: a row of sums for each of them.
+    """
+    n = len((*weights, *last[0])[0])
+    result, flat = np.empty((len(last), n)), table.reshape(len(table), -1)
+    for some in np.array_split(np.arange(n), n * flat.shape[1] // AT_ONCE + 1):
+        total = table[None]
+        if weights:
+            total = (weights[0][some] @ flat).reshape(len(some), *table.shape[1:])
+        for weight in weights[1:]:
+            total = np.einsum("na,na...->n...", weight[some], total)
+        for row, own in zip(result, last, strict=True):
+            # all axes but the last one are gone after this
+            each = total if len(own) < 2 else own[0][some] @ table if not weights else _product(own[0][some], total)
+            row[some] = np.einsum("na,na->n", own[-1][some], each) if own else total
+    return result if last[0] else result[0]
+
+
+def _product(weights: Array, tables: Array) -> Array:
+    return np.asarray((weights[:, None] @ tables)[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class Images:
+    """Where a closed loop leads: weights of means at vertices, and bounds on weights on the images of cells.
+
+    Attributes
+    ----------
+    vertices : d arrays (V, 2 n)
+        Means of both hats of all intervals of an axis, from below; a row lacks at most ``lack`` along all axes.
+    masses : d arrays (S, n)
+        Largest probabilities of intervals on the images of cells.
+    first : (d axes, d directions) arrays (S, 3 n + 2)
+        Of features in size: what bounds first derivatives along a direction.
+    second : (d axes, d directions) arrays (S, 4 n + 3)
+        Of kinks upward, and of features in size: what bounds second derivatives along a direction.
+    off : d arrays (S, 3 n + 2)
+        Of features in size: what ``rho`` may cost.
+    known : (S,) bool
+        Cells whose images are known.
+    """
+
+    vertices: list[Array]
+    lack: float
+    masses: list[Array]
+    first: list[list[Array]]
+    second: list[list[Array]]
+    off: list[Array]
+    known: Truth
+
+    @property
+    def size(self) -> int:
+        """How many numbers it holds."""
+        rows = (*self.first, *self.second)
+        return sum(own.size for own in itertools.chain(self.vertices, self.masses, self.off, *rows))
+
+    @classmethod
+    def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noisy: Sequence[bool]) -> Images:
+        """Return the images of a closed loop."""
+        d = len(edges)
+        # Sizes may have either sign: normal noise has none.
+        ends, size = loop.ends.copy(), np.abs(loop.centre[d:])
+        ends[:, d:] = np.where(ends[0, d:] < 0.0, -ends[::-1, d:], ends[:, d:])
+        known = np.all(np.isfinite(ends), axis=(0, 1)) & np.all(np.isfinite(loop.slopes + loop.bends), axis=(0, 1))
+        # What is read at a vertex, and where it may lead, belongs to the images of cells, too.
+        shape, at = tuple(len(axis) for axis in edges), loop.centre.copy()
+        at[d:] = size
+        rho, least, most = (
+            np.stack([corners_of(own.reshape(shape), d).reshape(len(known), -1).max(axis=1) for own in table])
+            for table in (loop.rho, loop.rho - at, at + loop.rho)
+        )
+        ends = np.stack([np.minimum(ends[0], down(-least)), np.maximum(ends[1], up(most))])
+        known &= np.all(np.isfinite(rho), axis=0)
+        for k, axis in enumerate(edges):
+            inside = ends[0, d + k] > 0.0 if noisy[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
+            known &= inside
+        vertices, masses, first, second, beside, lack = [], [], [], [], [], 0.0
+        for k, axis in enumerate(edges):
+            # y and sigma of cells, and how both move in each direction
+            y, sigma = (np.where(known, ends[:, j], 1.0) for j in (k, d + k))
+            moves = [
+                [np.where(known, own[n, j], 0.0)[:, None] for own in (loop.slopes, loop.bends) for j in (k, d + k)]
+                for n in range(d)
+            ]
+            off = [np.where(known, rho[j], 0.0)[:, None] for j in (k, d + k)]
+            table, missing = hats_at(loop.centre[k], size[k], axis, noisy[k])
+            planes = Planes.of(y, sigma, axis) if noisy[k] else Crossed.of(y, axis)
+            vertices.append(table)
+            lack += missing
+            masses.append(planes.mass)
+            first.append([planes.first(*move[:2]) for move in moves])
+            second.append([planes.second(*move) for move in moves])
+            beside.append(planes.first(*off))
+        return cls(vertices, lack, masses, first, second, beside, known)
+
+    def means(self, W: Array) -> Array:
+        """Return means of W around the images of vertices (V,), less what they may be above."""
+        count = sum(table.shape[1] for table in self.vertices)
+        off = 1.01 * self.lack + 4.0 * U * (count + 8.0) * 2 ** len(self.vertices)
+        return contracted(W, self.vertices) - float(np.abs(W).max()) * off
+
+    def cost(self, W: Array, edges: tuple[Array, ...]) -> tuple[Array, Array]:
+        """Return what ``rho`` may cost on each cell (S,), and bounds on second derivatives of F along axes (d, S)."""
+        d, largest = W.ndim, float(np.abs(W).max())
+        # What each feature is rounded by, as a share of the largest number.
+        grain = [
+            np.repeat(
+                [4.0 / np.diff(axis).min(), 2.0, 2.0 / np.diff(axis).min()], [len(axis), len(axis), len(axis) - 1]
+            )
+            for axis in edges
+        ]
+        always, bends = np.zeros(len(self.known)), np.zeros((d, len(self.known)))
+        for i in range(d):
+            signed, others = _features(W, i, edges[i]), [k for k in range(d) if k != i]
+            size = np.abs(signed) + _along(64.0 * U * largest * grain[i], i, d)
+            upward = np.maximum(np.take(signed, range(len(edges[i])), axis=i), 0.0)
+            upward = upward + 64.0 * U * largest * grain[i][0]
+            weights = [self.masses[k] for k in others]
+            table = np.moveaxis(_largest_ends(np.concatenate([upward, size], axis=i), others), i, -1)
+            bends += contracted(table, weights, [(own,) for own in self.second[i]])
+            always += contracted(table[..., len(edges[i]) :], weights, [(self.off[i],)])[0]
+            for j in range(i + 1, d):
+                both = np.abs(_features(signed, j, edges[j]))
+                both = both + 256.0 * U * largest * _along(grain[i], i, d) * _along(grain[j], j, d)
+                rest = [k for k in others if k != j]
+                table = np.moveaxis(_largest_ends(both, rest), (i, j), (-2, -1))
+                pairs = [(self.first[i][n], self.first[j][n]) for n in range(d)]
+                bends += 2.0 * contracted(table, [self.masses[k] for k in rest], pairs)
+        return always * ROUNDED, bends * ROUNDED
+
+
+def _along(numbers: Array, k: int, d: int) -> Array:
+    return numbers.reshape([-1 if axis == k else 1 for axis in range(d)])
+
+
+def hats_at(points: Array, sizes: Array, axis: Array, noisy: bool) -> tuple[Array, float]:
+    """Return means (V, 2 n) of both hats of all intervals around points (V,), and what a row lacks at most.
+
+    Without noise they are the hats themselves. What is not known is taken for something else: its cells are given up.
+    """
+    points = np.where(np.isfinite(points), points, axis[0])
+    if noisy:
+        return normal_table(points, axis, np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)[:, None], True)
+    place = np.clip(np.searchsorted(axis, points, side="right") - 1, 0, len(axis) - 2)
+    share = np.clip((points - axis[place]) / np.diff(axis)[place], 0.0, 1.0)
+    table = np.zeros((len(points), 2 * len(axis) - 2))
+    table[np.arange(len(points)), 2 * place] = 1.0 - share
+    table[np.arange(len(points)), 2 * place + 1] = share
+    return table, 16.0 * U * (2.0 + float(np.abs(axis).max() / np.diff(axis).min()))
+
+
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """Planes of an axis as seen from images.
+
+    ``mass`` (S, n) are largest probabilities of intervals, ``powers`` the largest ``|tau|^p phi(tau)`` at each plane
+    (S, n + 1), p = 0 .. 3, and ``least`` (S, 1) the least sigma.
+    """
+
+    mass: Array
+    powers: list[Array]
+    least: Array
+
+    @classmethod
+    def of(cls, y: Array, sigma: Array, axis: Array) -> Planes:
+        """Return planes as seen from y and sigma between ends (2, S)."""
+        low, high, least, most = y[0][:, None], y[1][:, None], sigma[0][:, None], sigma[1][:, None]
+        before, after = down(axis - high), up(axis - low)
+        near = np.maximum(np.maximum(before, -after), 0.0) / most * (1.0 - 4.0 * U)
+        far = np.maximum(np.abs(before), np.abs(after)) / least * (1.0 + 4.0 * U)
+        powers = []
+        for p in range(4):
+            # t^p phi(t) rises up to the root of p, and falls after it
+            t = np.minimum(np.clip(np.sqrt(p), near, np.maximum(near, far)), FAR)
+            powers.append(t**p * rigorous.density_at(t, 4.0)[1] * (1.0 + 2.0**-36))
+        return cls(_masses(before, after, least, most), powers, least)
+
+    def first(self, y: Array, sigma: Array) -> Array:
+        """Return weights (S, 3 n + 2) of features in size, for first derivatives of y and sigma up to these (S, 1)."""
+        phi, tau = self.powers[:2]
+        return np.concatenate([phi * sigma, (phi * y + tau * sigma) / self.least, self.mass * y], axis=1)
+
+    def second(self, y: Array, sigma: Array, bend: Array, bend_of_sigma: Array) -> Array:
+        """Return weights (S, 4 n + 3) of kinks upward and of features in size, for derivatives up to these (S, 1)."""
+        phi, tau, square, cube = self.powers
+        upward = (phi * y * y + 2.0 * tau * y * sigma + square * sigma * sigma) / self.least
+        upward = np.minimum(upward, 2.0 * (y + sigma + bend + bend_of_sigma))
+        jumps = (tau * y * y + 2.0 * square * y * sigma + cube * sigma * sigma) / self.least
+        jumps = (
+            jumps + 2.0 * sigma * (phi * y + tau * sigma) / self.least + phi * bend + tau * bend_of_sigma
+        ) / self.least
+        return np.concatenate([upward, phi * bend_of_sigma, jumps, self.mass * bend], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Crossed:
+    """Planes of an axis without noise: intervals that images meet, as masses (S, n), and planes (S, n + 1)."""
+
+    mass: Array
+    met: Array
+
+    @classmethod
+    def of(cls, y: Array, axis: Array) -> Crossed:
+        """Return what means between ends (2, S) meet."""
+        met = (axis <= y[1][:, None]) & (axis >= y[0][:, None])
+        return cls(((axis[:-1] <= y[1][:, None]) & (axis[1:] >= y[0][:, None])).astype(float), met.astype(float))
+
+    def first(self, y: Array, sigma: Array) -> Array:
+        """Return weights (S, 3 n + 2) of features in size; there are no jumps."""
+        none = np.zeros_like(self.met)
+        return np.concatenate([none, none, self.mass * y], axis=1)
+
+    def second(self, y: Array, sigma: Array, bend: Array, bend_of_sigma: Array) -> Array:
+        """Return weights (S, 4 n + 3): a kink costs a quarter of what y moves, as a bend of twice that does."""
+        none = np.zeros_like(self.met)
+        return np.concatenate([2.0 * self.met * (y + bend), none, none, self.mass * bend], axis=1)
+
+
+def _masses(before: Array, after: Array, least: Array, most: Array) -> Array:
+    """Return upper bounds (S, n) on the probabilities of intervals between planes: ``e - y`` is between both ends."""
+    x, z = after[:, 1:], before[:, :-1]
+    x = np.where(x > 0.0, x / least, x / most)
+    z = np.where(z > 0.0, z / most, z / least)
+    # tails at both ends, rounded outward; of the same side where both ends are on it
+    x, z = x + 4.0 * U * np.abs(x), z - 4.0 * U * np.abs(z)
+    (x_low, x_high), (z_low, z_high) = rigorous.tail(np.abs(x)), rigorous.tail(np.abs(z))
+    mass = np.select([z >= 0.0, x <= 0.0], [z_high - x_low, x_high - z_low], 1.0 - x_low - z_low)
+    return np.clip(mass + 4.0 * U, 0.0, 1.0)

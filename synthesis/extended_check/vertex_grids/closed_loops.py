@@ -1,0 +1,132 @@
+"""Closed loops on grids whose vertices have inputs: where cells lead, how large their noise is, how fast both bend.
+
+Inside a cell the input u(x) is the multilinear interpolation of those of its vertices, so no input leaves its box. A
+step leads to the *image* y(x): the means of the next state, and the size of the noise of each.
+
+**Theorem.** (a) At a vertex y is within ``rho`` of ``centre``, whatever disturbances do and however inputs are rounded.
+(b) On a cell y lies between ``ends``, and along axis k, for any fixed disturbance and rounding, its first and second
+derivatives, times the side of the cell and its square, are at most ``slopes[k]`` and ``bends[k]`` in size.
+
+*Proof.* Along axis k, u is linear: its slope is between those of the 2^(d-1) edges along that axis, and its second
+derivative is 0. So jets with the one direction k enclose y and both derivatives (``jets``). For (b) every point of a
+cell is reached from each corner along one axis after the other, so that all of these ranges hold, too. QED
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...checker.expressions import names_in
+from ...checker.intervals import add, down, interval, mul, neg, up
+from ...checker.jets import Jet, Memory, jet
+from ...checker.motions import cell_boxes
+from ...checker.problem import Agent
+from ...checker.rigorous import Array
+
+INPUT_OFF = 1e-9  # of the size of an input: by how much controllers may differ from the interpolation of vertices
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """Images, means first and sizes after.
+
+    ``centre`` and ``rho`` (2 d, V) are of vertices; of cells ``ends`` (2, 2 d, S), and ``slopes`` and ``bends``
+    (d, 2 d, S) along each axis.
+    """
+
+    centre: Array
+    rho: Array
+    ends: Array
+    slopes: Array
+    bends: Array
+
+
+def corners_of(values: Array, d: int) -> Array:
+    """Return numbers (.., 2, .., 2) at the corners of all cells, from a table (n_1 + 1, .., n_d + 1) of vertices."""
+    for k in range(d):
+        ends = (np.take(values, range(side, values.shape[k] - 1 + side), axis=k) for side in (0, 1))
+        values = np.stack([*ends], axis=-1)
+    return values
+
+
+def vertices_of(edges: tuple[Array, ...]) -> Array:
+    """Return the vertices (d, V) of a grid, the last axis running fastest."""
+    return np.stack(np.meshgrid(*edges, indexing="ij")).reshape(len(edges), -1)
+
+
+def closed_loop(agent: Agent, edges: tuple[Array, ...], inputs: Array, t: int) -> ClosedLoop:
+    """Return the closed loop of a time, for inputs (V, m) at the vertices of a grid; what is unknown is nan."""
+    d, shape, box = len(edges), tuple(len(axis) for axis in edges), agent.input_box
+    off = INPUT_OFF * np.abs(box).max(axis=0)
+    centre, rho = images_at(agent, vertices_of(edges), inputs, t)
+    # On cells, along one axis after the other: states have the slope 1 on it, inputs those of edges.
+    low, high = (corner.T for corner in cell_boxes(edges))
+    corners = np.stack([corners_of(own.reshape(shape), d).reshape(-1, *(2,) * d) for own in inputs.T])
+    flat = corners.reshape(*corners.shape[:2], -1)
+    wide = np.stack([down(flat.min(axis=2) - off[:, None]), up(flat.max(axis=2) + off[:, None])])
+    on_cells, slopes, bends = None, [], []
+    for k in range(d):
+        change = np.diff(corners, axis=2 + k).reshape(*corners.shape[:2], -1)
+        moves = np.zeros((2, d + len(off), low.shape[1]))
+        moves[:, k] = down(high[k] - low[k]), up(high[k] - low[k])
+        moves[:, d:] = down(change.min(axis=2)), up(change.max(axis=2))
+        on_cells, slope, bend = _image(agent, np.stack([low, high]), wide, moves, t)
+        slopes.append(slope)
+        bends.append(np.abs(bend).max(axis=0))
+    assert on_cells is not None
+    # From every corner as far as slopes lead: tighter where what acts on a state cancels.
+    least, most = (
+        np.stack([corners_of(own.reshape(shape), d).reshape(low.shape[1], -1) for own in end])
+        for end in (down(centre - rho), up(centre + rho))
+    )
+    for v, corner in enumerate(itertools.product((0, 1), repeat=d)):
+        reached = np.stack([least[..., v], most[..., v]])
+        for slope, side in zip(slopes, corner, strict=True):
+            way = neg(slope) if side else slope
+            reached = add(reached, np.stack([np.minimum(way[0], 0.0), np.maximum(way[1], 0.0)]))
+        on_cells = np.stack([np.maximum(on_cells[0], reached[0]), np.minimum(on_cells[1], reached[1])])
+    return ClosedLoop(centre, rho, on_cells, np.abs(np.stack(slopes)).max(axis=1), np.stack(bends))
+
+
+def images_at(agent: Agent, states: Array, inputs: Array, t: int) -> tuple[Array, Array]:
+    """Return centre and rho (2 d, n) of the images of points (d, n) under inputs (n, m): nothing moves there."""
+    off = INPUT_OFF * np.abs(agent.input_box).max(axis=0)
+    given = np.stack([down(inputs - off), up(inputs + off)]).transpose(0, 2, 1)
+    ends = _image(agent, interval(states), given, np.zeros((2, len(states) + len(off), states.shape[1])), t)[0]
+    centre = 0.5 * ends[0] + 0.5 * ends[1]
+    return centre, np.maximum(up(ends[1] - centre), up(centre - ends[0]))
+
+
+def _image(agent: Agent, states: Array, inputs: Array, moves: Array, t: int) -> tuple[Array, Array, Array]:
+    """Return ends (2, 2 d, n) of images and of both derivatives, for states and inputs that move by ``moves``."""
+    ranges, n = np.concatenate([states, inputs], axis=1), states.shape[2]
+    flat = np.zeros((2, 1, 1, n))
+    names = (*agent.states, *agent.inputs)
+    leaves = {name: Jet(ranges[:, k], moves[:, k, None], flat) for k, name in enumerate(names)}
+    for name, own in (*agent.disturbances.items(), ("t", (float(t), float(t)))):
+        leaves.setdefault(name, Jet.variable(np.repeat(np.array(own)[:, None], n, axis=1), np.zeros((1, n))))
+    # The size of each component is its deviation, times its scale.
+    memory: Memory = {}
+    made = [jet(tree, leaves, memory) for tree in (*agent.dynamics, *agent.scale)]
+    none = np.zeros((2, n))
+    parts = [(own.value + none, own.slope[:, 0] + none, own.bend[:, 0, 0] + none) for own in made]
+    deviations = np.abs(agent.noise).sum(axis=1)
+    if not agent.scale:
+        parts += [(interval(np.full(n, s)), none, none) for s in deviations.tolist()]
+    else:
+        sized = parts[len(deviations) :]
+        parts[len(deviations) :] = [
+            tuple(mul(interval(np.full(n, s)), own) for own in part)  # type: ignore[misc]
+            for s, part in zip(deviations.tolist(), sized, strict=True)
+        ]
+    value, slope, bend = (np.stack(each, axis=1) for each in zip(*parts, strict=True))
+    return value, slope, bend
+
+
+def names_time(agent: Agent) -> bool:
+    """Return whether dynamics or scales of an agent name the time."""
+    own = {*agent.states, *agent.inputs, *agent.disturbances}
+    return "t" in names_in((*agent.dynamics, *agent.scale)) - own

@@ -1,0 +1,118 @@
+"""Edges of cells: narrow where noise is small and runs pass, along all axes in proportion to the noise, at faces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...checker import CheckedProblem
+from ...extended_check.vertex_grids import images_at
+from ...relations.grids import FloatArray
+
+SAMPLES, PIECES = 512, 400
+"""Points at which the noise is looked at, and pieces of an axis."""
+
+FEWEST = 4
+"""Cells of an axis at least."""
+
+OUTSIDE = 0.25
+"""How dense cells are where no run came, as a share of how dense they are elsewhere."""
+
+NEAREST = 0.35
+"""Share of a cell from which an edge is moved to a face of a region."""
+
+
+def spreads_of(problem: CheckedProblem) -> FloatArray:
+    """Return the size of the noise (d, ``PIECES``) along each axis, in the middle of pieces of it (no bound).
+
+    It is a mean over the other states and inputs, or what others bring to the state in a step, if that is more.
+    """
+    agent, rng = problem.agents[0], np.random.default_rng(20261127)
+    (low, high), box, d = agent.state_box, agent.input_box, len(agent.states)
+    states = rng.uniform(low[:, None], high[:, None], (d, SAMPLES))
+    inputs = rng.uniform(box[0], box[1], (SAMPLES, len(agent.inputs)))
+    result = np.empty((d, PIECES))
+    for k in range(d):
+        middles = low[k] + (high[k] - low[k]) * (np.arange(PIECES) + 0.5) / PIECES
+        sizes = np.empty((d, PIECES))
+        for p, x in enumerate(middles[:: PIECES // 40]):
+            here = states[:, :64].copy()
+            here[k] = x
+            sizes[:, p] = np.nanmean(np.abs(images_at(agent, here, inputs[:64], 0)[0][d:]), axis=1)
+        result[k] = np.repeat(sizes[k, :40], PIECES // 40)
+    # What moves with others, in a step: differences of means along each axis, times the noise there.
+    own = images_at(agent, states, inputs, 0)[0]
+    brought = np.zeros(d)
+    for j in range(d):
+        step, moved = 1e-4 * (high[j] - low[j]), states.copy()
+        moved[j] = np.minimum(moved[j] + step, high[j])
+        slope = np.abs(images_at(agent, moved, inputs, 0)[0][:d] - own[:d]) / step
+        brought += (np.arange(d) != j) * np.nan_to_num(np.median(slope, axis=1)) * np.nanmean(np.abs(own[d + j]))
+    least = np.maximum(brought, 1e-3 * (high - low))[:, None]
+    return np.maximum(np.nan_to_num(result), least)
+
+
+def grid_of(
+    problem: CheckedProblem, spreads: FloatArray, vertices: int, window: FloatArray, finer: FloatArray
+) -> tuple[FloatArray, ...]:
+    """Return edges of about so many vertices, most of them in a window (2, d) of states.
+
+    ``finer`` (d,) are factors on how many cells there are to a deviation along each axis.
+    """
+    agent = problem.agents[0]
+    (low, high), d = agent.state_box, len(agent.states)
+    density = 1.0 / spreads
+    for k in range(d):
+        middles = low[k] + (high[k] - low[k]) * (np.arange(PIECES) + 0.5) / PIECES
+        density[k] *= np.where((middles >= window[0, k]) & (middles <= window[1, k]), 1.0, OUTSIDE)
+    lengths = finer * density.sum(axis=1) * (high - low) / PIECES  # cells of an axis, one for each deviation
+    # As many cells per deviation along every axis, unless one has too few already.
+    counts, free = np.full(d, float(FEWEST)), list(range(d))
+    while free:
+        share = (vertices / np.prod(counts[[k for k in range(d) if k not in free]] + 1.0)) ** (1.0 / len(free))
+        factor = share / np.prod(lengths[free]) ** (1.0 / len(free))
+        few = [k for k in free if factor * lengths[k] < FEWEST]
+        if not few:
+            counts[free] = factor * lengths[free]
+            break
+        free = [k for k in free if k not in few]
+    return tuple(_axis(problem, k, density[k], round(counts[k])) for k in range(d))
+
+
+def _axis(problem: CheckedProblem, k: int, density: FloatArray, cells: int) -> FloatArray:
+    """Return edges along axis k, with as much density in every cell, and edges at faces of regions."""
+    agent = problem.agents[0]
+    low, high = agent.state_box[:, k].tolist()
+    grid = low + (high - low) * np.arange(PIECES + 1) / PIECES
+    edges = np.interp(
+        np.linspace(0.0, 1.0, cells + 1), np.concatenate([[0.0], np.cumsum(density)]) / density.sum(), grid
+    )
+    edges[0], edges[-1] = low, high
+    for face in _faces(problem, k):
+        width = np.interp(face, 0.5 * (edges[1:] + edges[:-1]), np.diff(edges))
+        nearest = int(np.argmin(np.abs(edges - face)))
+        if 0 < nearest < len(edges) - 1 and abs(edges[nearest] - face) <= NEAREST * width:
+            edges[nearest] = face
+        elif np.abs(edges - face).min() > 0.0:
+            edges = np.sort(np.append(edges, face))
+    wide = np.concatenate([[True], np.diff(edges) > 1e-6 * (high - low)])
+    edges = edges[wide]
+    edges[-1] = high
+    return edges
+
+
+def _faces(problem: CheckedProblem, k: int) -> Sequence[float]:
+    """Return the faces of regions across axis k that lie inside of the workspace."""
+    agent = problem.agents[0]
+    faces = set[float]()
+    for region in problem.regions:
+        for column, output in enumerate(region.outputs[0]):
+            if agent.outputs[output] == agent.states[k]:
+                faces |= {*region.low[:, column].tolist(), *region.high[:, column].tolist()}
+    low, high = agent.state_box[:, k].tolist()
+    return sorted(face for face in faces if low < face < high)[:MOST_FACES]
+
+
+MOST_FACES = 24
+"""Faces of an axis that edges are moved to: regions that move have one for each time."""
