@@ -22,7 +22,7 @@ from .proof import Capability, Proof
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VertexProof(Proof):
-    """A bound by value iteration on a grid whose vertices have inputs (docs/theory/vertex_grids.md).
+    """A bound by value iteration on a grid whose vertices have inputs (docs/theory/vertices.md).
 
     Parameters
     ----------

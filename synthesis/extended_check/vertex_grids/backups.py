@@ -27,7 +27,7 @@ so that only kinks upward count in its first term. That of the probability of a 
 A kink that y crosses leaves at most kappa (|y'| + |y''|) s (1 - s), since between two crossings y turns; also with
 noise w, for y + sigma w in the place of y, where the mean of |w| is below 1. Means along several axes multiply, and
 mixed derivatives are products of first ones. All of these are sums over planes and cells of numbers of W, with weights
-that are bounded on the image of the cell. *Proof* and more: docs/theory/vertex_grids.md.
+that are bounded on the image of the cell. *Proof* and more: docs/theory/vertices.md.
 """
 
 from __future__ import annotations
