@@ -41,9 +41,9 @@ import numpy as np
 
 from ...checker import CheckedAgent, CheckedProblem, Refused, rigorous
 from ...checker.cells import start_weights
+from ...checker.distributions import NORMAL
 from ...checker.intervals import down, up
 from ...checker.motions import Labels, cell_labels
-from ...checker.problem import STANDARD
 from ...checker.rigorous import Array, Truth, U, Whole
 from ...checker.tables import normal_table
 from ...checker.tree import finished
@@ -85,7 +85,8 @@ class Backups:
         if len(self.problem.agents) != 1 or self.problem.pairs:
             raise Refused("the task is about several agents, and a grid of vertices is of one")
         agent = self.agent
-        if agent.angles or agent.shared_noise.any() or any(own != STANDARD for own in agent.envelopes):
+        normal = all(own.tail == NORMAL and own.mean == own.off == own.lost == 0.0 for own in agent.envelopes)
+        if agent.angles or agent.shared_noise.any() or not normal:
             raise Refused(f"`{agent.name}` has angles, or noise that is not normal, and grids of vertices know neither")
         used = agent.noise != 0.0
         if np.any(used.sum(axis=1) > 1) or np.any(used.sum(axis=0) > 1):

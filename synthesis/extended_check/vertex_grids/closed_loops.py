@@ -113,15 +113,15 @@ def _image(agent: Agent, states: Array, inputs: Array, moves: Array, t: int) -> 
     made = [jet(tree, leaves, memory) for tree in (*agent.dynamics, *agent.scale)]
     none = np.zeros((2, n))
     parts = [(own.value + none, own.slope[:, 0] + none, own.bend[:, 0, 0] + none) for own in made]
-    deviations = np.abs(agent.noise).sum(axis=1)
+    # One source of noise at most moves each state (``Backups``).
+    sources = np.array([envelope.deviation for envelope in agent.envelopes])
+    deviations = mul(interval(np.abs(agent.noise)), interval(sources)).sum(axis=2)
+    each = [interval(np.full(n, least), np.full(n, most)) for least, most in deviations.T]
     if not agent.scale:
-        parts += [(interval(np.full(n, s)), none, none) for s in deviations.tolist()]
+        parts += [(deviation, none, none) for deviation in each]
     else:
-        sized = parts[len(deviations) :]
-        parts[len(deviations) :] = [
-            tuple(mul(interval(np.full(n, s)), own) for own in part)  # type: ignore[misc]
-            for s, part in zip(deviations.tolist(), sized, strict=True)
-        ]
+        sized = zip(each, parts[len(each) :], strict=True)
+        parts[len(each) :] = [(mul(s, a), mul(s, b), mul(s, c)) for s, (a, b, c) in sized]
     value, slope, bend = (np.stack(each, axis=1) for each in zip(*parts, strict=True))
     return value, slope, bend
 
