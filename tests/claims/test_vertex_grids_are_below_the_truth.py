@@ -16,6 +16,8 @@ import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical_problem
 from certigym.synthesis.checker import CheckedProblem, read_problem
 from certigym.synthesis.extended_check.vertex_grids import Backups, Images, backups, failure_of
+from certigym.synthesis.policy_search.vertex_values import value_iteration
+from certigym.synthesis.trajectories.planning import CountedWork
 
 DYNAMICS: dict[str, dict[str, Any]] = {
     "one state, its noise grows with it": {
@@ -46,7 +48,7 @@ def problem_of(name: str, **more: Any) -> cg.Problem:
     if "noise" in more:
         del options["noise_std"]
     d = len(options["states"])
-    agent = cg.Agent(name="a", initial_state=[0.9] * d, **options)
+    agent = cg.Agent(name="a", **{"initial_state": [0.9] * d, **options})
     goal = cg.Proposition("a", [-0.5] * d, [0.5] * d)
     return cg.Problem(name="p", agents=[agent], propositions={"goal": goal}, specification="F goal", horizon=6)
 
@@ -215,3 +217,24 @@ def test_more_agents_or_other_noise_are_refused_in_words() -> None:
     with pytest.raises(ValueError, match="noise that is not normal"):
         cg.synthesize(problem, relation="vertices")
     assert failure_of.__doc__
+
+
+def test_what_was_found_is_returned_at_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def iterated(steps: Backups) -> Any:
+        calls.append(steps)
+        if len(calls) == 3:  # a coarse grid, the first one, and the next one, which is broken off
+            raise KeyboardInterrupt
+        return found(steps)
+
+    found = value_iteration.iterated
+    monkeypatch.setattr(value_iteration, "iterated", iterated)
+    work = CountedWork(1e3)
+    result = value_iteration.vertex_grid_certificate(problem_of("one state, its noise grows with it"), work)
+    assert len(calls) == 3 and work.is_interrupted and cg.check(result.certificate)
+
+
+def test_noise_by_state_gets_a_grid_of_vertices_by_default() -> None:
+    found = cg.synthesize(problem_of("one state, its noise grows with it", noise_std=[2.5]), effort=10.0)
+    assert "vertices" in found.stats["tried"] and found.certificate.proof.kind == "vertex-grid"

@@ -136,7 +136,13 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
         edges = grid_of(checked, spreads, round(vertices), window, finer)
         jumps = jumps_of(checked, edges)
         steps = Charged(checked, edges, jumps)
-        inputs, laws, failure = iterated(steps)
+        try:
+            inputs, laws, failure = iterated(steps)
+        except KeyboardInterrupt:
+            if best is None or best.failure >= 1.0:
+                raise
+            work.is_interrupted = True
+            break
         finer = finer * steps.finer()
         levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
         last = 1.0 if best is None else best.failure

@@ -45,6 +45,8 @@ class CountedWork:
         Whether it is known that the task is out of reach: then what comes near has to do.
     suffices : callable
         Whether a lower bound is what was asked for: then it is not improved.
+    is_interrupted : bool
+        Whether the user broke off (Ctrl-C), and what was found so far was returned.
     """
 
     limit: float = math.inf
@@ -55,6 +57,7 @@ class CountedWork:
     largest: float = 0.0
     is_hopeless: bool = False
     suffices: Callable[[float], bool] = lambda bound: False
+    is_interrupted: bool = False
 
     def tell(self, failure: float) -> None:
         """Tell of a path that was found, by an upper bound on its probability of failing, if it is the best so far."""
