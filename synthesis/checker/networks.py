@@ -23,6 +23,11 @@ where ``|W g| <= R`` every row c satisfies ``|c g| <= R |a| + |c - a W| |g|``, f
 ``c g = a W g + (c - a W) g``. QED Eigenvalues are bounded by absolute sums of rows (Gershgorin); W is about the inverse
 of a root of the covariance of g, so that v is 1 up to rounding, and a is c times that root.
 
+Of noise that is sub-Gaussian (``distributions``), also where its size depends on the past, ``P(|W g| > R)`` is at most
+``(y / d)^(d/2) exp((d - y) / 2)``, y = R^2 / v > d. *Proof.* E exp(a W g) <= exp(v |a|^2 / 2) for all a. For
+0 < s < 1 take the mean over normal a of variance s / v: E exp(s |W g|^2 / 2 v) <= (1 - s)^(-d/2). Markov's inequality
+at s = 1 - d / y (Hsu, Kakade, Zhang, Electronic Communications in Probability 17, 2012). QED
+
 By hand: a smooth activation f is off by 2^-21 max(1, |f|) at most. Reference: docs/theory/paths.md, "Networks".
 """
 
@@ -35,6 +40,7 @@ import numpy as np
 
 from . import rigorous
 from .automaton import followed
+from .distributions import LIGHT, NORMAL
 from .error_system import ErrorSystem, covariance_of
 from .fields import Entry, Refused
 from .intervals import add, down, exp, interval, mul, neg, recip, tanh, up
@@ -239,8 +245,8 @@ class Ellipsoid:
     lost: float
 
     @classmethod
-    def of(cls, errors: ErrorSystem, places: slice, radius: float) -> Ellipsoid:
-        """Return the ellipsoid of an agent now, and the probability that its errors are outside."""
+    def of(cls, errors: ErrorSystem, places: slice, radius: float, kinds: Whole) -> Ellipsoid:
+        """Return the ellipsoid of an agent now, and the probability that its errors are outside; ``kinds`` of sources."""
         D = len(errors.spread)
         (_, now), d = errors.rows(np.eye(D)[places]), places.stop - places.start
         covariance = covariance_of(now, now)[0]
@@ -252,7 +258,9 @@ class Ellipsoid:
         _, white = errors.rows(rows)
         found, off = covariance_of(white, white)
         largest = float(np.max(np.sum(np.abs(found) + off, axis=1))) * (1.0 + 4.0 * U * d)
-        return cls(root, rows[:, places], radius, chi_tail(radius, d, largest))
+        kind = int(np.where(white.sources, kinds, NORMAL).max(initial=NORMAL))
+        lost = chi_tail(radius, d, largest) if kind == NORMAL else light_tail(radius, d, largest) if kind <= LIGHT else 1.0
+        return cls(root, rows[:, places], radius, lost)
 
     @property
     def widths(self) -> Array:
@@ -296,3 +304,12 @@ def chi_tail(radius: float, d: int, largest: float) -> float:
         total = add(total, term)
         term = mul(term, mul(interval(x), recip((k + 1.0 + half) * one)))
     return min(1.0, float(total[1, 0]))
+
+
+def light_tail(radius: float, d: int, largest: float) -> float:
+    """Return an upper bound on ``P(|W g| > radius)`` for sub-Gaussian noise, by the theorem above."""
+    y = radius * radius / largest * (1.0 - 8.0 * U)
+    if not d < y < np.inf:
+        return 1.0
+    exponent = 0.5 * (d * (float(rigorous.log(np.full(1, up(y / d)))[1][0]) + 1.0) - y)
+    return min(1.0, float(rigorous.exp(np.full(1, exponent + 16.0 * U * (d + y)))[1][0]))

@@ -165,7 +165,8 @@ class Tube:
         width = joint.widths[t].copy() if t else np.zeros(len(joint.spread))
         ellipsoids: list[Ellipsoid | None] = []
         for own, here in zip(joint.trajectories, joint.problem.slices, strict=True):
-            ellipsoids.append(Ellipsoid.of(joint.errors, here, own.radius) if own.network is not None and t else None)
+            acts = own.network is not None and t
+            ellipsoids.append(Ellipsoid.of(joint.errors, here, own.radius, joint.constraints.kinds) if acts else None)
             if (found := ellipsoids[-1]) is not None:
                 width[here] = np.minimum(width[here], found.widths)
         still = (drift == 0).all(axis=0) & (width == 0)

@@ -25,7 +25,6 @@ import numpy as np
 from .angles import check_angles, of_copies
 from .constraints import ROUNDED
 from .crossings import SOMETIME, check_words, crossed, jumps
-from .distributions import NORMAL
 from .error_system import Forms
 from .feedbacks import Feedback, read_feedback
 from .fields import Entry
@@ -84,9 +83,8 @@ def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Tra
         return Trajectory(inputs, gains, states, widths)
     if own.keys() >= {"network", "feedback"}:
         raise entry.wrong("a network and a feedback cannot both act")
-    # Networks act where what is between the widths is an ellipsoid of one Gaussian.
-    if agent.scale or agent.angles or any(envelope.tail != NORMAL for envelope in agent.envelopes):
-        raise entry.wrong("networks act where noise is normal, of one size, and no state is an angle")
+    if agent.angles:
+        raise entry.wrong("networks act where no state is an angle")
     radius = own["radius"].number() if "radius" in own else -1.0
     if not radius > 0.0:
         raise entry.wrong("where a network acts, `radius` is above 0")

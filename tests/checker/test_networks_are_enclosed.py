@@ -146,7 +146,7 @@ def test_forms_keep_in_ellipsoids_as_often_as_is_said() -> None:
         _, forms = errors.rows(np.eye(d))
         found, off = covariance_of(forms, forms)
         assert np.all(np.abs(found - covariance) <= off + 1e-14) and np.all(off < 1e-12)
-        ellipsoid = Ellipsoid.of(errors, slice(0, d), float(rng.uniform(1.0, 3.0)))
+        ellipsoid = Ellipsoid.of(errors, slice(0, d), float(rng.uniform(1.0, 3.0)), np.zeros(d, int))
         g = rng.standard_normal((200_000, d)) @ np.linalg.cholesky(covariance + 1e-300 * np.eye(d)).T if np.all(
             np.linalg.eigvalsh(covariance) > 1e-12) else None  # fmt: skip
         if g is None:
@@ -270,8 +270,8 @@ def test_sabotage_claims_less_failure_or_another_network(name: str, monkeypatch:
     if attribute == "of":
         honest: Any = Ellipsoid.of
 
-        def fewer(errors: ErrorSystem, places: slice, radius: float) -> Ellipsoid:
-            own = honest(errors, places, radius)
+        def fewer(errors: ErrorSystem, places: slice, radius: float, kinds: Any) -> Ellipsoid:
+            own = honest(errors, places, radius, kinds)
             return replace(own, lost=chi_tail(radius, len(own.root) - 1, 1.0))
 
         monkeypatch.setattr(owner, attribute, staticmethod(fewer))

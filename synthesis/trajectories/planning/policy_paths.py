@@ -33,6 +33,9 @@ from ...checker import (
     check_words,
     demands,
     failure_of,
+    followed,
+    known_at,
+    known_at_start,
     linear_forms,
     read_problem,
     read_trajectories,
@@ -47,6 +50,9 @@ LOST = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
 
 MOST_TIMES = 8
 """Times at which the task may be counted as done that are looked at."""
+
+MOST_ACCEPTED = 12
+"""Steps for which a run goes on after it has been accepted: later times are hardly ever better."""
 
 TRIED = 2
 """How many of these are tried with every radius."""
@@ -187,6 +193,8 @@ def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkP
             q = int(automaton.next_state(q, holds))
         if automaton.accepting[q] and (automaton.is_co_safe or t + 1 == T):
             accepted.append(t + 1)
+        if len(accepted) == MOST_ACCEPTED:
+            break
     letters[0] = np.zeros(count)
     return _Run(
         [np.array(own) for own in states],
@@ -323,20 +331,55 @@ def _words(problem: Problem, known: CheckedProblem, run: _Run, margins: _Margins
     held = np.where(run.letters > 0, margins.deviations, np.inf).min(axis=1, initial=np.inf)
     # Times at which what then holds is held most surely; all of them if there are few.
     times = sorted(run.accepted, key=lambda t: -float(np.minimum(held[t], FAR)))[:MOST_TIMES]
-    found = []
+    found, count = [], run.letters.shape[1]
     for last in times:
-        letters = run.letters[: last + 1].copy()
-        if not _is_accepted(known, letters, margins.faces):
-            continue
         order = np.argsort(margins.deviations[: last + 1], axis=None, kind="stable")
-        for t, p in zip(*np.unravel_index(order, letters.shape), strict=True):
-            if letters[t, p]:
-                kept, letters[t, p] = letters[t, p], 0
-                if not _is_accepted(known, letters, margins.faces):
-                    letters[t, p] = kept
+        letters = _fewest(known, run.letters[: last + 1], list(zip(*np.unravel_index(order, (last + 1, count)))))
+        if letters is None or not _is_accepted(known, letters, margins.faces):
+            continue
         asked = margins.deviations[: last + 1][letters != 0]
         found.append((float(np.sum(2.0 * ndtr(-np.minimum(asked, FAR)))), last, letters))
     return [letters for _, _, letters in sorted(found, key=lambda one: one[:2])]
+
+
+def _fewest(
+    known: CheckedProblem, letters: NDArray[np.int8], order: Sequence[tuple[Any, Any]]
+) -> NDArray[np.int8] | None:
+    """Return letters (S + 1, P) less those, in an order of places, without which the word is accepted as well.
+
+    At every time the networks see one automaton state; None if the word is not accepted, or they may see several.
+    """
+    automaton, last = known.automaton, len(letters) - 1
+    done = {q for q, accepting in enumerate(automaton.accepting) if accepting}
+
+    def after(states: set[int], t: int) -> set[int]:
+        """Letters of a time; what is accepted stays so if the task is co-safe, and is not followed any more."""
+        reached = followed(automaton, states, known_at(known, letters[t].astype(np.int64), t))
+        return reached - done if automaton.is_co_safe else reached
+
+    def is_right(states: set[int], t: int) -> bool:
+        return len(states) <= 1 and (t < last or states <= (set() if automaton.is_co_safe else done))
+
+    letters, first = letters.copy(), followed(automaton, {automaton.initial}, known_at_start(known))
+    reached = [first - done if automaton.is_co_safe else first]
+    for t in range(1, last + 1):
+        reached.append(after(reached[-1], t))
+    if not all(map(is_right, reached, range(last + 1))):
+        return None
+    for t, p in order:
+        if not letters[t, p]:
+            continue
+        kept, letters[t, p], changed = letters[t, p], 0, []
+        # what follows is the same from the first time on at which the state is
+        for s in range(t, last + 1):
+            changed.append(after(changed[-1] if changed else reached[t - 1], s))
+            if changed[-1] == reached[s] or not is_right(changed[-1], s):
+                break
+        if is_right(changed[-1], t + len(changed) - 1):
+            reached[t : t + len(changed)] = changed
+        else:
+            letters[t, p] = kept
+    return letters
 
 
 def _is_accepted(known: CheckedProblem, letters: NDArray[np.int8], faces: NDArray[np.int64]) -> bool:
