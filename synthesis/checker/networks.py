@@ -1,8 +1,9 @@
 """Feed-forward networks as feedbacks: ``u + J e + rho`` for all errors e that are possible.
 
-A network sees a row: the state of its agent, ``(x - middle) / half``, filled up with zeros; the automaton state,
-one-hot; the share of time left; which agent it is, one-hot. Layers ``z = W h + b`` have an activation between them; the
-outputs are cut off at -1 and 1, or go through tanh, and stand for the box of inputs; or they are cut off at that box.
+A network sees a row ``V x + b`` of the states of its agent, or of all; in it stand the automaton state, one-hot, and
+the share of time left. Layers ``z = W h + b`` have an activation between them; the outputs are cut off at -1 and 1, or
+go through tanh, and stand for the box of inputs; or they are cut off at that box. The row may be off by some units of
+its sizes, in double precision, before it is rounded to single.
 
 **Theorem** (``enclosed``). If rows C of e lie between ``reach(C)``, and |e| <= far, then the input is within
 ``u + J e + rho``, with rho between the ends that are returned, whatever the order of the network's sums is, in single
@@ -15,7 +16,7 @@ within ``h^2 sup |f''| / 8`` of the hull of those at two points h apart that d l
 
 Errors keep in *ellipsoids*, which are narrower for many rows at once than a strip for each.
 
-**Theorem** (``Ellipsoid``). Let g be the form of the errors of one agent (``error_system``), W any matrix, and V the
+**Theorem** (``Ellipsoid``). Let g be the form of the errors that a network sees (``error_system``), W a matrix, V the
 covariance of W g. Then ``P(|W g| > R) <= P(chi2_d > R^2 / v)``, where v is at least the largest eigenvalue of V; and
 where ``|W g| <= R`` every row c satisfies ``|c g| <= R |a| + |c - a W| |g|``, for any a.
 
@@ -48,38 +49,40 @@ from .letters import known_at, known_at_start
 from .problem import Agent, Problem
 from .rigorous import Array, U, Whole
 
-OUTPUTS, SEES = ("clip", "tanh", "box"), ("scaled", "raw")
+OUTPUTS = ("clip", "tanh", "box")
 SINGLE = 2.0**-24  # relative rounding of one operation in single precision
 ACTIVATION_OFF = 2.0**-21  # share of the larger of 1 and its size by which a smooth activation may be off
 PIECES = 128  # parts of an interval at whose ends smooth activations are looked at
-MOST_UNITS = 4096
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Layers of one agent: weights (n', n) and biases (n',), and what its row holds."""
+    """Layers of one agent: weights (n', n) and biases (n',), and its row.
+
+    Of the joint state it sees ``places`` (k,), those of its agent among them, by ``view`` (n, k) and ``offset`` (n,);
+    the automaton state and the time are added from ``told`` on.
+    """
 
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
     activation: str
     output: str
-    sees: str
-    width: int
-    agents: int
-    number: int
+    view: Array
+    offset: Array
+    told: int
+    places: Whole
 
 
-def read_network(entry: Entry, agent: Agent, states: int) -> Network:
-    """Return the network of an agent in a file; raise ``Unreadable`` if it does not fit."""
-    own = entry.table(("weights", "biases", "activation", "output", "sees", "width", "agents", "number"))
+def read_network(entry: Entry, agent: Agent, own_places: slice, count: int, states: int) -> Network:
+    """Return the network of an agent in a file; raise ``Unreadable`` if it does not fit ``count`` states of all."""
+    own = entry.table(("weights", "biases", "activation", "output", "view", "offset", "told"))
     activation, output = own["activation"].one_of((*SMOOTH, "relu")), own["output"].one_of(OUTPUTS)
-    sees = own["sees"].one_of(SEES)
-    width, agents = (own[key].whole(0, MOST_UNITS) for key in ("width", "agents"))
-    number = own["number"].whole(0, max(1, agents))
-    if width < len(agent.states):
-        raise own["width"].wrong(f"the row has no room for the state of `{agent.name}`")
+    view = own["view"].floats((None, count))
+    offset, told = own["offset"].floats((len(view),)), own["told"].whole(0, len(view) - states)
+    used = np.any(view != 0.0, axis=0)
+    used[own_places] = True
     # Each layer takes what the one before answers, the first one the row.
-    weights, biases, count = [], [], width + states + 1 + agents
+    weights, biases, count = [], [], len(view)
     layers = [own[key].entries() for key in ("weights", "biases")]
     for weight, bias in zip(*layers, strict=False):
         biases.append(bias.floats((None,)))
@@ -87,7 +90,8 @@ def read_network(entry: Entry, agent: Agent, states: int) -> Network:
         count = len(biases[-1])
     if not weights or len(layers[0]) != len(layers[1]) or count < len(agent.inputs):
         raise entry.wrong(f"its layers do not answer with the inputs of `{agent.name}`")
-    return Network(tuple(weights), tuple(biases), activation, output, sees, width, agents, number)
+    places = np.flatnonzero(used)
+    return Network(tuple(weights), tuple(biases), activation, output, view[:, places], offset, told, places)
 
 
 def automaton_states(problem: Problem, letters: Whole) -> list[int]:
@@ -111,12 +115,12 @@ def automaton_states(problem: Problem, letters: Whole) -> list[int]:
 def enclosed(
     network: Network, agent: Agent, at: Array, row: tuple[int, int, float], reach: Callable[[Array], Array], far: Array
 ) -> tuple[Array, Array, Array]:
-    """Return u (m,), J (m, d) and ends (2, m) of rho, for the errors around a state ``at`` (d,).
+    """Return u (m,), J (m, k) and ends (2, m) of rho, for the errors around states ``at`` (k,) that it sees.
 
-    ``row`` are the automaton state, how many there are, and the share of time left; ``reach`` takes rows C (n, d) to
-    ends (2, n) of C e, and ``far`` (d,) is above |e|.
+    ``row`` are the automaton state, how many there are, and the share of time left; ``reach`` takes rows C (n, k) to
+    ends (2, n) of C e, and ``far`` (k,) is above |e|.
     """
-    forms, m, (low, high) = _first(network, agent, at, row, far), len(agent.inputs), agent.input_box
+    forms, m, (low, high) = _first(network, at, row, far), len(agent.inputs), agent.input_box
     for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
         forms = forms.times(weight, bias, SINGLE).through(network.activation, np.zeros(0), np.zeros(0), reach)
     last, ones = forms.times(network.weights[-1][:m], network.biases[-1][:m], SINGLE), np.ones(m)
@@ -184,22 +188,15 @@ class Layer:
         return Layer(value, slope[:, None] * self.C, (*parts, (None, rest)), size * (1.0 + 8.0 * U), self.far)
 
 
-def _first(network: Network, agent: Agent, at: Array, row: tuple[int, int, float], far: Array) -> Layer:
+def _first(network: Network, at: Array, row: tuple[int, int, float], far: Array) -> Layer:
     """Return the row that a network sees."""
-    (q, states, left), d, (low, high) = row, len(at), agent.state_box
-    scaled = network.sees != "raw"
-    middle, half = (0.5 * (low + high), 0.5 * (high - low)) if scaled else (np.zeros(d), np.ones(d))
-    # After the state: the automaton state, the share of time left, and which agent it is.
-    told = np.zeros(states + 1 + network.agents)
-    told[max(q, 0)], told[states] = 1.0, left
-    told[states + 1 :][network.number : network.number + 1] = 1.0
-    h = np.concatenate([(at - middle) / half, np.zeros(network.width - d), told])
-    C, size = np.eye(len(h))[:, :d] / half, np.abs(h)
-    size[:d] += far / half
-    # the row is scaled in double precision, and rounded to single
-    off = SINGLE * size[:d] * 1.01 + 32.0 * U * (np.abs(at) + far + np.abs(low) + np.abs(high)) / half + 1e-45
-    size[:d] += off
-    return Layer(h, C, ((np.eye(len(h))[:, :d], np.stack([-off, off])),), size, far)
+    (q, states, left), h = row, network.view @ at + network.offset
+    h[network.told : network.told + states + 1] += np.append(np.arange(states) == max(q, 0), left)
+    # the row is computed in double precision, there and here, and rounded to single
+    reach = np.abs(network.view) @ far
+    most = reach + np.abs(network.view) @ np.abs(at) + np.abs(network.offset) + 1.0
+    off = 1.01 * SINGLE * (np.abs(h) + reach) + (64.0 + 4.0 * len(at)) * U * most + 1e-45
+    return Layer(h, network.view, (), np.abs(h) + reach + off, far).off_by(off)
 
 
 def _logistic(x: Array) -> Array:
@@ -245,10 +242,10 @@ class Ellipsoid:
     lost: float
 
     @classmethod
-    def of(cls, errors: ErrorSystem, places: slice, radius: float, kinds: Whole) -> Ellipsoid:
-        """Return the ellipsoid of an agent now, and the probability that its errors are outside; ``kinds`` of sources."""
+    def of(cls, errors: ErrorSystem, places: Whole, radius: float, kinds: Whole) -> Ellipsoid:
+        """Return the ellipsoid of errors now, and the probability that they are outside; ``kinds`` of sources."""
         D = len(errors.spread)
-        (_, now), d = errors.rows(np.eye(D)[places]), places.stop - places.start
+        (_, now), d = errors.rows(np.eye(D)[places]), len(places)
         covariance = covariance_of(now, now)[0]
         # Any root will do: states that no noise has reached get a little of their own.
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
@@ -259,7 +256,9 @@ class Ellipsoid:
         found, off = covariance_of(white, white)
         largest = float(np.max(np.sum(np.abs(found) + off, axis=1))) * (1.0 + 4.0 * U * d)
         kind = int(np.where(white.sources, kinds, NORMAL).max(initial=NORMAL))
-        lost = chi_tail(radius, d, largest) if kind == NORMAL else light_tail(radius, d, largest) if kind <= LIGHT else 1.0
+        lost = (
+            chi_tail(radius, d, largest) if kind == NORMAL else light_tail(radius, d, largest) if kind <= LIGHT else 1.0
+        )
         return cls(root, rows[:, places], radius, lost)
 
     @property

@@ -16,7 +16,9 @@ tubes of earlier times bound (``error_system``); strips ``|g| <= width`` are ask
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +66,7 @@ class _Reads:
     places: dict[str, int]
 
     @classmethod
-    def of(cls, problem: Problem, i: int) -> _Reads:
+    def of(cls, problem: Problem, i: int, followed: Sequence[Any]) -> _Reads:
         agent, slices, inputs_at = problem.agents[i], problem.slices, problem.input_slices
         named = names_in(agent.dynamics)
         states = {name: at for name, at in agent.states_of_others.items() if name in named}
@@ -72,8 +74,8 @@ class _Reads:
         inputs |= {name: at for name, at in agent.inputs_of_others.items() if name in named}
         columns = [*range(slices[i].start, slices[i].stop)]
         columns += [slices[j].start + k for j, k in states.values()]
-        for j, _ in inputs.values():  # an input follows the errors of its own agent
-            columns += range(slices[j].start, slices[j].stop)
+        for j, _ in inputs.values():  # an input follows the errors of its own agent, or what a network sees
+            columns += [*followed[j]]
         columns = list(dict.fromkeys(columns))
         places = {name: k for k, name in enumerate(agent.states)}
         places |= {name: columns.index(slices[j].start + k) for name, (j, k) in states.items()}
@@ -130,10 +132,14 @@ class Joint:
             raise Refused(f"state {wrong[0, 1]} of the nominal trajectory leaves the workspace at time {wrong[0, 0]}")
         networked = np.repeat([o.network is not None for o in trajectories], [len(agent.inputs) for agent in agents])
         seen = automaton_states(problem, letters) if any(isinstance(o.network, Network) for o in trajectories) else []
-        kinds = kinds_of(problem)
+        own_places = zip(trajectories, problem.slices, strict=True)
+        places = [
+            np.arange(len(spread))[here if own.network is None else own.network.places] for own, here in own_places
+        ]
+        kinds, reads = kinds_of(problem), [_Reads.of(problem, i, places) for i in range(len(agents))]
         return cls(
-            problem, trajectories, [_Reads.of(problem, i) for i in range(len(agents))], box, input_box, states, inputs,
-            widths, input_widths, spread, turning, networked, seen,
+            problem, trajectories, reads, box, input_box, states, inputs, widths, input_widths, spread, turning,
+            networked, seen,
             ErrorSystem(spread, len(kinds)), Constraints(kinds),
         )  # fmt: skip
 
@@ -164,11 +170,12 @@ class Tube:
         # |g| <= width is asked at times from 1 on; at time 0 there is no noise.
         width = joint.widths[t].copy() if t else np.zeros(len(joint.spread))
         ellipsoids: list[Ellipsoid | None] = []
-        for own, here in zip(joint.trajectories, joint.problem.slices, strict=True):
-            acts = own.network is not None and t
-            ellipsoids.append(Ellipsoid.of(joint.errors, here, own.radius, joint.constraints.kinds) if acts else None)
-            if (found := ellipsoids[-1]) is not None:
-                width[here] = np.minimum(width[here], found.widths)
+        for own in joint.trajectories:
+            found = None
+            if own.network is not None and t:
+                found = Ellipsoid.of(joint.errors, own.network.places, own.radius, joint.constraints.kinds)
+                width[own.network.places] = np.minimum(width[own.network.places], found.widths)
+            ellipsoids.append(found)
         still = (drift == 0).all(axis=0) & (width == 0)
         low, high = np.minimum(down(drift[0] - width), 0.0), np.maximum(up(drift[1] + width), 0.0)
         # states are in their workspaces, too; the tube holds 0, where the dynamics are expanded
@@ -219,8 +226,7 @@ def _inputs(joint: Joint, tube: Tube) -> _Moves:
     for k in np.flatnonzero(((u < low) | (u > high)) & ~joint.networked)[:1]:
         raise Refused(f"the nominal {names[k]} leaves its box at time {t}")
     gain, reach = np.zeros((len(u), len(joint.spread))), np.abs(tube.ends).max(axis=0)
-    places = list(zip(joint.trajectories, joint.problem.input_slices, joint.problem.slices, strict=True))
-    for own, rows, here in places:
+    for own, rows, here in zip(joint.trajectories, joint.problem.input_slices, joint.problem.slices, strict=True):
         gain[rows, here] = own.gains[t] if own.network is None else 0.0
     # inputs that no error reaches are their nominal values to the last bit
     moved = np.any((gain != 0.0) & (reach > 0.0), axis=1)
@@ -243,16 +249,15 @@ def _inputs(joint: Joint, tube: Tube) -> _Moves:
     if labels:
         below, above = down(value[0] - low[moved]), down(high[moved] - value[1])
         joint.constraints.add(below, above, width[moved], forms.at(moved), labels)
-    for i, (own, rows, here) in enumerate(places):
+    for i, own in enumerate(joint.trajectories):
         if own.network is not None:
-            found = _network_inputs(joint, own.network, tube, i)
-            moves.nominal[rows], moves.deviation[:, rows], moves.rounding[rows], moves.gains[rows, here] = found
+            _move_by_network(joint, own.network, tube, i, moves)
     return moves
 
 
-def _network_inputs(joint: Joint, network: Network | Feedback, tube: Tube, i: int) -> tuple[Array, Array, Array, Array]:
-    """Return what the inputs of a network may be, as ``_Moves`` of its agent: in their box, whatever it answers."""
-    agent, here, own, t = joint.problem.agents[i], joint.problem.slices[i], tube.ellipsoids[i], tube.t
+def _move_by_network(joint: Joint, network: Network | Feedback, tube: Tube, i: int, moves: _Moves) -> None:
+    """Say what the inputs of a network may be: in their box, whatever it answers."""
+    agent, here, own, t = joint.problem.agents[i], network.places, tube.ellipsoids[i], tube.t
     ends, far = tube.ends[:, here], np.abs(tube.ends[:, here]).max(axis=0)
 
     def reach(rows: Array) -> Array:
@@ -262,9 +267,11 @@ def _network_inputs(joint: Joint, network: Network | Feedback, tube: Tube, i: in
         box = np.stack([low.sum(axis=1) - spare, high.sum(axis=1) + spare])
         if own is None:
             return box
-        drift = joint.errors.rows(joint.row(i, rows))[0]
-        wide = own.reach(rows, up(far + np.abs(tube.drift[:, here]).max(axis=0)))
-        return np.stack([np.maximum(box[0], down(drift[0] - wide)), np.minimum(box[1], up(drift[1] + wide))])
+        wide = np.zeros((len(rows), len(joint.spread)))
+        wide[:, here] = rows
+        drift = joint.errors.rows(wide)[0]
+        most = own.reach(rows, up(far + np.abs(tube.drift[:, here]).max(axis=0)))
+        return np.stack([np.maximum(box[0], down(drift[0] - most)), np.minimum(box[1], up(drift[1] + most))])
 
     if isinstance(network, Feedback):
         u, gains, rest = enclosed_feedback(network, agent, joint.states[t, here], t, ends, reach)
@@ -282,7 +289,9 @@ def _network_inputs(joint: Joint, network: Network | Feedback, tube: Tube, i: in
     moved = reach(gains) + np.stack([-spare, spare])
     least = np.maximum(np.minimum(moved[0], 0.0), down(low - nominal))
     most = np.minimum(np.maximum(moved[1], 0.0), up(high - nominal))
-    return nominal, np.stack([least, most]), spare, gains
+    rows = joint.problem.input_slices[i]
+    moves.nominal[rows], moves.deviation[:, rows], moves.rounding[rows] = nominal, np.stack([least, most]), spare
+    moves.gains[rows, here] = gains
 
 
 def _around(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[Array, Array]:

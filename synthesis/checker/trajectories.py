@@ -33,7 +33,7 @@ from .intervals import add, down, interval, mul, neg
 from .jets import expanded
 from .letters import Demand, demands
 from .networks import Network, read_network
-from .problem import Agent, Problem
+from .problem import Problem
 from .rigorous import Array, U, Whole
 from .steps import Joint, Trajectory, Tube, advance
 
@@ -65,13 +65,14 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
     # the face of a proposition of which nothing is said is never looked at
     faces = own["faces"].integers((steps + 1, propositions), -1, 2**31)
     normals = own["normals"].floats((steps + 1, compared))
-    entries = zip(own["agents"].entries(len(problem.agents)), problem.agents, strict=True)
-    trajectories = tuple(_trajectory(entry, agent, problem, steps) for entry, agent in entries)
+    entries = enumerate(own["agents"].entries(len(problem.agents)))
+    trajectories = tuple(_trajectory(entry, i, problem, steps) for i, entry in entries)
     return TrajectoryProof(trajectories, letters, faces, normals)
 
 
-def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Trajectory:
-    """Return the trajectory of an agent, and the network that acts for it, if there is one."""
+def _trajectory(entry: Entry, i: int, problem: Problem, steps: int) -> Trajectory:
+    """Return the trajectory of agent i, and the network that acts for it, if there is one."""
+    agent, here, count = problem.agents[i], problem.slices[i], problem.slices[-1].stop
     own = entry.table(("inputs", "gains", "states", "widths"), ("network", "feedback", "radius"))
     d, m = len(agent.states), len(agent.inputs)
     widths = own["widths"].floats((steps + 1, d + m), infinite=True)
@@ -83,13 +84,18 @@ def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Tra
         return Trajectory(inputs, gains, states, widths)
     if own.keys() >= {"network", "feedback"}:
         raise entry.wrong("a network and a feedback cannot both act")
-    if agent.angles:
-        raise entry.wrong("networks act where no state is an angle")
     radius = own["radius"].number() if "radius" in own else -1.0
     if not radius > 0.0:
         raise entry.wrong("where a network acts, `radius` is above 0")
     seen, given = len(problem.automaton.accepting), own.get("feedback")
-    network = read_feedback(given, agent) if given is not None else read_network(own["network"], agent, seen)
+    network: Network | Feedback
+    if given is not None:
+        network = read_feedback(given, agent, here)
+    else:
+        network = read_network(own["network"], agent, here, count, seen)
+    turning = np.array([name in each.angles for each in problem.agents for name in each.states])
+    if np.any(turning[network.places]):
+        raise entry.wrong("a network, or a feedback, acts where no state that it sees is an angle")
     return Trajectory(inputs, gains, states, widths, network, radius)
 
 

@@ -159,7 +159,7 @@ def certified_as_it_is(
     is_written, per_cell = isinstance(actor, SymbolicPolicies), points_of_networks(settings)
     if (cells is not None or relation in RELATIONS) and not is_written:
         return certify_network(problem, actor, cells, relation=relation, targets_per_cell=per_cell)
-    policies = actor.policies if is_written else _policies(problem, actor)
+    policies = actor.policies if is_written else _policies(problem, actor, along=True)
     began, tried, found = time.perf_counter(), dict[str, Any](), None
     try:
         certificate = networks_along(problem, policies)
@@ -170,7 +170,8 @@ def certified_as_it_is(
         tried["path"] = str(refused)
         if relation == "path" or is_written:
             raise
-    is_small = not is_written and all(agent.n_states <= FEW_STATES for agent in problem.agents)
+    own = not is_written and not any(policy.sees_all for policy in policies)
+    is_small = own and all(agent.n_states <= FEW_STATES for agent in problem.agents)
     if is_small and (found is None or 1.0 - found.certificate.lower_bound > PLENTY):
         try:
             on_cells = certify_network(problem, actor, cells, targets_per_cell=per_cell)
@@ -305,9 +306,9 @@ def _boxes_of(certificate: OnGrid) -> int:
     return sum(part.policy.size for part in certificate.proof.agents)
 
 
-def _policies(problem: Problem, actor: Any) -> list[NetworkPolicy]:
+def _policies(problem: Problem, actor: Any, along: bool = False) -> list[Any]:
     """Return the networks of all agents, or raise ValueError if they see more than is certified."""
-    actor = certifiable(problem, actor)
+    actor = certifiable(problem, actor, along)
     if not hasattr(actor, "agent_policy"):
         raise ValueError(
             f"`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
@@ -319,7 +320,7 @@ def _policies(problem: Problem, actor: Any) -> list[NetworkPolicy]:
     for policy in policies:
         if any(layer.dtype != np.float32 for layer in (*policy.network.weights, *policy.network.biases)):
             raise ValueError("`policy`: expected networks with weights of single precision (float32), got others")
-        if policy.network.weights[0].shape[1] != policy.view.size:
+        if not policy.sees_all and policy.network.weights[0].shape[1] != policy.view.size:
             raise ValueError("`policy`: expected networks for the agents of this problem, got others")
     return policies
 

@@ -20,7 +20,7 @@ from certigym.synthesis.checker.intervals import interval
 from certigym.synthesis.checker.networks import SMOOTH, Ellipsoid, Network, automaton_states, chi_tail, enclosed
 from certigym.synthesis.relations.kinds import ACTIVATIONS as SINGLE
 from certigym.synthesis.relations.kinds import Network as Layers
-from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicPolicy
+from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicPolicy, seen_jointly
 from certigym.synthesis.trajectories.planning import networks_along
 
 KINDS = [
@@ -58,7 +58,8 @@ def test_answers_are_enclosed(activation: str, output: str, sees: str, size: flo
     plain = Layers(tuple(weights), tuple(biases), activation, output == "tanh", "box" if output == "box" else "unit")
     policy = NetworkPolicy(plain, view, problem.agents[0].workspace, problem.agents[0].input_box)
     exact = (tuple(w.astype(float) for w in weights), tuple(b.astype(float) for b in biases))
-    network = Network(*exact, activation, output, sees, d + 1, 1, 0)
+    row = seen_jointly(policy, 0, d)
+    network = Network(*exact, activation, output, row.matrix, row.offset, row.told, np.arange(d))
     for _ in range(6):
         at, q, t = rng.uniform(-1.0, 1.5, d), int(rng.integers(states)), int(rng.integers(7))
         root, radius = 0.1 * rng.standard_normal((d, d)), 2.0
@@ -106,11 +107,11 @@ def test_nothing_is_known_of_a_neuron_that_may_get_anything(activation: str) -> 
 @pytest.mark.parametrize("sees", ["scaled", "raw"])
 def test_what_a_network_sees_is_no_larger_than_its_size(sees: str) -> None:
     """At the corners of what errors may be: sizes are what single precision is charged by."""
-    _, agent = an_agent(3, 1)
     none = (np.zeros((1, 9)), np.zeros(1))
-    network = Network((none[0],), (none[1],), "relu", "clip", sees, 4, 1, 0)
+    view = np.eye(9)[:, :3] * (1.0 if sees == "raw" else np.array([0.3, 2.0, 0.7]))
+    network = Network((none[0],), (none[1],), "relu", "clip", view, np.linspace(-1.0, 1.0, 9), 4, np.arange(3))
     at, far = np.array([0.5, -1.0, 2.0]), np.array([0.2, 0.1, 0.4])
-    first = networks._first(network, agent, at, (1, 3, 0.5), far)
+    first = networks._first(network, at, (1, 3, 0.5), far)
     for signs in itertools.product((-1.0, 1.0), repeat=3):
         row = first.h + first.C @ (np.array(signs) * far) + np.abs(first.rest()).max(axis=0)
         assert np.all(np.abs(row) <= first.size * (1.0 + 1e-12) + 1e-280), signs
@@ -146,7 +147,7 @@ def test_forms_keep_in_ellipsoids_as_often_as_is_said() -> None:
         _, forms = errors.rows(np.eye(d))
         found, off = covariance_of(forms, forms)
         assert np.all(np.abs(found - covariance) <= off + 1e-14) and np.all(off < 1e-12)
-        ellipsoid = Ellipsoid.of(errors, slice(0, d), float(rng.uniform(1.0, 3.0)), np.zeros(d, int))
+        ellipsoid = Ellipsoid.of(errors, np.arange(d), float(rng.uniform(1.0, 3.0)), np.zeros(d, int))
         g = rng.standard_normal((200_000, d)) @ np.linalg.cholesky(covariance + 1e-300 * np.eye(d)).T if np.all(
             np.linalg.eigvalsh(covariance) > 1e-12) else None  # fmt: skip
         if g is None:
@@ -270,7 +271,7 @@ def test_sabotage_claims_less_failure_or_another_network(name: str, monkeypatch:
     if attribute == "of":
         honest: Any = Ellipsoid.of
 
-        def fewer(errors: ErrorSystem, places: slice, radius: float, kinds: Any) -> Ellipsoid:
+        def fewer(errors: ErrorSystem, places: Any, radius: float, kinds: Any) -> Ellipsoid:
             own = honest(errors, places, radius, kinds)
             return replace(own, lost=chi_tail(radius, len(own.root) - 1, 1.0))
 
@@ -305,7 +306,7 @@ def test_expressions_are_enclosed(text: str) -> None:
     problem = cg.Problem(name="p", horizon=5, agents=[agent], specification=cg.Specification("F b"),
                          propositions={"b": cg.Proposition("a", [0, 0], [1, 1])})  # fmt: skip
     own = read_problem({"problem": canonical_problem(problem)}).agents[0]
-    feedback, policy = read_feedback(Entry([text], "feedback"), own), SymbolicPolicy.of(agent, [text])
+    feedback, policy = read_feedback(Entry([text], "feedback"), own, slice(0, 2)), SymbolicPolicy.of(agent, [text])
     for _ in range(20):
         at, t = rng.uniform(-1.0, 1.0, 2), int(rng.integers(5))
         ends = np.stack([-rng.uniform(0.0, 0.4, 2), rng.uniform(0.0, 0.4, 2)])

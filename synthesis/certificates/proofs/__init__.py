@@ -48,7 +48,7 @@ from .given_certificate import (
     speaks_of_one_start,
 )
 from .grid_proof import GridProof, OnGrid, delta_of, value_of
-from .path_proof import SOMETIME, AgentPath, AlongPath, PathProof
+from .path_proof import SOMETIME, AgentPath, AlongPath, GivenPolicy, PathProof
 from .path_tube import KEPT, Tube, tube_along
 from .product_proof import ProductProof, product_certificate, split
 from .projection import RunProjection
@@ -80,6 +80,7 @@ __all__ = [
     "MAX_BYTES",
     "Capability",
     "OnGrid",
+    "GivenPolicy",
     "PathProof",
     "ProductProof",
     "Proof",

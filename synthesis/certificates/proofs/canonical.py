@@ -39,7 +39,7 @@ from ...checker import (
     shown,
 )
 from ...relations.grids import FloatArray
-from ...relations.kinds import SymbolicPolicy
+from ...relations.kinds import JointNetworkPolicy, SymbolicPolicy, seen_jointly
 from ..beliefs import alarm
 from ..cell_probabilities import AgentRecord
 from .certificate import Certificate
@@ -428,7 +428,7 @@ def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndar
         "faces": put(proof.faces, np.int32),
         "normals": put(np.zeros((proof.n_steps + 1, 0)) if proof.normals is None else proof.normals),
         "agents": [
-            {key: put(array) for key, array in _trajectory(*each).items()} | _network_of(proof, i, put)
+            {key: put(array) for key, array in _trajectory(*each).items()} | _network_of(problem, proof, i, put)
             for i, each in enumerate(zip(problem.agents, proof.paths, nominal, strict=True))
         ],
     }
@@ -441,16 +441,20 @@ def _written(policy: SymbolicPolicy, text: str) -> str:
     return text
 
 
-def _network_of(proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
+def _network_of(problem: Problem, proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
     """Return the entries of the network of agent i; none where nominal inputs act."""
     if proof.networks is None:
         return {}
     policy = proof.networks[i]
     if isinstance(policy, SymbolicPolicy):
         return {"radius": float(proof.radii[i]), "feedback": [_written(policy, text) for text in policy.expressions]}
-    network, view = policy.network, policy.view
-    if view.told or policy.has_clock:
-        raise NotCanonicalError("networks of problems that are written otherwise have no canonical form")
+    if not isinstance(policy, JointNetworkPolicy):
+        if policy.view.told or policy.has_clock:
+            raise NotCanonicalError("networks of problems that are written otherwise have no canonical form")
+        policy = seen_jointly(policy, problem.columns[i].start, problem.n_states)
+    if (policy.horizon, policy.states) != (problem.horizon, problem.automaton.n_states):
+        raise NotCanonicalError("a network was made for another horizon, or another number of automaton states")
+    network = policy.network
     return {
         "radius": float(proof.radii[i]),
         "network": {
@@ -458,10 +462,9 @@ def _network_of(proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
             "biases": [put(bias) for bias in network.biases],
             "activation": network.activation,
             "output": "box" if network.outputs == "box" else "tanh" if network.squashed else "clip",
-            "sees": "raw" if view.scale == "raw" else "scaled",
-            "width": view.width,
-            "agents": view.agents,
-            "number": view.agent,
+            "view": put(policy.matrix),
+            "offset": put(policy.offset),
+            "told": policy.told,
         },
     }
 

@@ -19,6 +19,7 @@ from ...certificates.proofs import (
     AgentPath,
     AlongPath,
     Certificate,
+    GivenPolicy,
     PathProof,
     canonical_problem,
     changed,
@@ -43,7 +44,7 @@ from ...checker import (
     walk,
 )
 from ...relations.grids import FloatArray, RelationRefused
-from ...relations.kinds import ON_CELLS, NetworkPolicy, SymbolicPolicy
+from ...relations.kinds import ON_CELLS, NetworkPolicy
 
 LOST = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
 """Probabilities, of all ellipsoids of an agent together, that radii are chosen for, the widest tubes first."""
@@ -86,7 +87,7 @@ class _Margins:
     normals: FloatArray
 
 
-def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | SymbolicPolicy]) -> AlongPath:
+def networks_along(problem: Problem, policies: Sequence[GivenPolicy]) -> AlongPath:
     """Return the best certificate of networks as they are, along their run without noise.
 
     Raises
@@ -128,7 +129,7 @@ def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | Symbolic
 
 def _proved(
     problem: Problem,
-    policies: Sequence[NetworkPolicy | SymbolicPolicy],
+    policies: Sequence[GivenPolicy],
     run: _Run,
     letters: NDArray[np.int8],
     margins: _Margins,
@@ -141,7 +142,7 @@ def _proved(
 
 def _widest(
     problem: Problem,
-    policies: Sequence[NetworkPolicy | SymbolicPolicy],
+    policies: Sequence[GivenPolicy],
     run: _Run,
     margins: _Margins,
     best: AlongPath,
@@ -160,8 +161,10 @@ def _widest(
     return best
 
 
-def _may_have_cells(policy: NetworkPolicy | SymbolicPolicy) -> bool:
-    return not isinstance(policy, NetworkPolicy) or policy.network.activation in ON_CELLS
+def _may_have_cells(policy: GivenPolicy) -> bool:
+    if isinstance(policy, NetworkPolicy):
+        return policy.network.activation in ON_CELLS
+    return not policy.sees_all
 
 
 def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
@@ -170,7 +173,7 @@ def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
     return f"most probable is that {worst.removeprefix('; most probable: ')} fails"
 
 
-def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkPolicy | SymbolicPolicy]) -> _Run:
+def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[GivenPolicy]) -> _Run:
     """Return the run without noise, and the times by which it has been accepted."""
     x = [0.5 * (agent.initial.low + agent.initial.high) for agent in problem.agents]
     q, automaton, T = int(problem.initial_q or 0), problem.automaton, problem.horizon
@@ -178,7 +181,8 @@ def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkP
     inputs: list[list[FloatArray]] = [[] for _ in x]
     count = len(automaton.propositions)
     for t in range(T):
-        u = [policy.inputs(own[:, None], np.array([q]), t)[:, 0] for policy, own in zip(policies, x, strict=True)]
+        seen = [np.concatenate(x) if policy.sees_all else own for policy, own in zip(policies, x, strict=True)]
+        u = [policy.inputs(own[:, None], np.array([q]), t)[:, 0] for policy, own in zip(policies, seen, strict=True)]
         x = _moved(known, x, u, t)
         if not all(
             np.all((a.state_low <= own) & (own <= a.state_high)) for a, own in zip(problem.agents, x, strict=True)
@@ -217,15 +221,27 @@ def _moved(known: CheckedProblem, x: Sequence[FloatArray], u: Sequence[FloatArra
     return result
 
 
-def _radii(problem: Problem, steps: int, lost: float) -> tuple[float, ...]:
+def _radii(problem: Problem, policies: Sequence[GivenPolicy], steps: int, lost: float) -> tuple[float, ...]:
     """Return radii of the ellipsoids of all agents, which errors leave with about this probability in all."""
     share = lost / (steps * problem.n_agents)
-    return tuple(float(np.sqrt(chdtri(agent.n_states, share))) for agent in problem.agents)
+    sizes = [problem.n_states if policy.sees_all else a.n_states for policy, a in zip(policies, problem.agents)]
+    return tuple(_radius(d, share, all(a.laws is None for a in problem.agents)) for d in sizes)
+
+
+def _radius(d: int, share: float, normal: bool) -> float:
+    """Return the radius of an ellipsoid in d dimensions that errors leave with about this probability."""
+    if normal:
+        return float(np.sqrt(chdtri(d, share)))
+    # (y / d)^(d/2) exp((d - y) / 2) = share: the checker's bound for sub-Gaussian noise, solved by a few steps
+    y = 2.0 * d
+    for _ in range(60):
+        y = d * (1.0 + np.log(y / d)) - 2.0 * np.log(share)
+    return float(np.sqrt(y))
 
 
 def _certificate(
     problem: Problem,
-    policies: Sequence[NetworkPolicy | SymbolicPolicy],
+    policies: Sequence[GivenPolicy],
     run: _Run,
     letters: NDArray[np.int8],
     margins: _Margins | None,
@@ -242,13 +258,13 @@ def _certificate(
     if problem.labeling.pairs:
         size = sum(pair.size for pair in problem.labeling.pairs)
         normals = np.zeros((steps + 1, size)) if margins is None else margins.normals[: steps + 1]
-    radii = _radii(problem, steps, lost)
+    radii = _radii(problem, policies, steps, lost)
     proof = PathProof(tuple(paths), letters, faces, 1.0, normals, tuple(policies), radii)
     return Certificate(problem, proof, {"relation": "path", "policy": "as it is"})
 
 
 def _margins(
-    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[NetworkPolicy | SymbolicPolicy], lost: float
+    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[GivenPolicy], lost: float
 ) -> _Margins:
     """Return how far all literals of the run are away, in deviations, on the tube of some radii."""
     certificate = _certificate(problem, policies, run, run.letters, None, lost)
@@ -369,14 +385,14 @@ def _fewest(
     for t, p in order:
         if not letters[t, p]:
             continue
-        kept, letters[t, p], changed = letters[t, p], 0, []
+        kept, letters[t, p], later = letters[t, p], 0, list[set[int]]()
         # what follows is the same from the first time on at which the state is
         for s in range(t, last + 1):
-            changed.append(after(changed[-1] if changed else reached[t - 1], s))
-            if changed[-1] == reached[s] or not is_right(changed[-1], s):
+            later.append(after(later[-1] if later else reached[t - 1], s))
+            if later[-1] == reached[s] or not is_right(later[-1], s):
                 break
-        if is_right(changed[-1], t + len(changed) - 1):
-            reached[t : t + len(changed)] = changed
+        if is_right(later[-1], t + len(later) - 1):
+            reached[t : t + len(later)] = later
         else:
             letters[t, p] = kept
     return letters
