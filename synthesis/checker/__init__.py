@@ -3,14 +3,14 @@
 Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``problem`` (with
 ``distributions``); ``automaton``, ``formula``; ``letters``, ``angles``, ``crossings``, ``constraints``,
 ``error_system``, ``steps``, ``trajectories``; ``tables``, ``motions``, ``cells``,
-``tree``, ``trains``, ``cell_proofs``; ``verdict``, ``controller``. Each file begins with its theorem.
+``tree``, ``trains``, ``cell_proofs``; ``starts``, ``verdict``. Each file begins with its theorem.
 """
 
 from .angles import check_angles
 from .automaton import followed
 from .crossings import check_words
 from .fields import Refused, Unreadable
-from .file import FORMAT, MOST_BYTES, VERSION, Contents, is_certificate, parse_file, read_file
+from .file import FORMAT, MOST_BYTES, VERSION, Contents, parse_file, read_file
 from .jets import value_on
 from .letters import demands, known_at, known_at_start
 from .motions import affine_dynamics
@@ -26,6 +26,6 @@ from .verdict import Verdict, bound_of, check, check_contents, shown
 __all__ = [
     "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "CheckedProblem", "Contents", "Joint", "Refused", "Unreadable",
     "Verdict", "affine_dynamics", "automaton_states", "bound_of", "check", "check_angles", "check_contents",
-    "check_words", "demands", "failure_of", "followed", "is_certificate", "known_at", "known_at_start", "linear_forms",
+    "check_words", "demands", "failure_of", "followed", "known_at", "known_at_start", "linear_forms",
     "parse_file", "read_file", "read_problem", "read_trajectories", "shown", "value_on", "walk",
 ]  # fmt: skip

@@ -21,21 +21,20 @@ from .intervals import add, interval, neg, up
 from .jets import expanded
 from .networks import Layer
 from .problem import Agent
-from .rigorous import Array, Whole
+from .rigorous import Array
 
 OFF = 1e-9  # share of inputs, and one, that controllers may be off by: far above what numpy's functions round by
 
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Inputs of one agent as expressions (m,) of its states, at ``places``, and ``t``, cut off at ends (2, m)."""
+    """Inputs of one agent as expressions (m,) of its states and ``t``, cut off at ends (2, m)."""
 
     inputs: tuple[Tree, ...]
     ends: Array
-    places: Whole
 
 
-def read_feedback(entry: Entry, agent: Agent, own_places: slice) -> Feedback:
+def read_feedback(entry: Entry, agent: Agent) -> Feedback:
     """Return the feedback of an agent in a file; raise ``Unreadable`` if it does not fit."""
     names, entries = (*agent.states, *(() if "t" in agent.states else ("t",))), entry.entries(len(agent.inputs))
     trees = [own.made(partial(read_expression, own.value, names, {})) for own in entries]
@@ -46,7 +45,7 @@ def read_feedback(entry: Entry, agent: Agent, own_places: slice) -> Feedback:
             case ("min", ("max", inner, float(low)), float(high)) if low <= high:
                 trees[k], (first, last) = inner, np.clip(ends[:, k], low, high)
                 ends[:, k] = np.clip((low, high), *ends[:, k]) if first == last else (first, last)
-    return Feedback(tuple(trees), ends, np.arange(own_places.start, own_places.stop))
+    return Feedback(tuple(trees), ends)
 
 
 def enclosed_feedback(

@@ -57,11 +57,7 @@ PIECES = 128  # parts of an interval at whose ends smooth activations are looked
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Layers of one agent: weights (n', n) and biases (n',), and its row.
-
-    Of the joint state it sees ``places`` (k,), those of its agent among them, by ``view`` (n, k) and ``offset`` (n,);
-    the automaton state and the time are added from ``told`` on.
-    """
+    """Layers: weights (n', n), biases (n',); ``view`` (n, D) and ``offset`` (n,) of a row; q from ``told`` on."""
 
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
@@ -70,17 +66,14 @@ class Network:
     view: Array
     offset: Array
     told: int
-    places: Whole
 
 
-def read_network(entry: Entry, agent: Agent, own_places: slice, count: int, states: int) -> Network:
-    """Return the network of an agent in a file; raise ``Unreadable`` if it does not fit ``count`` states of all."""
+def read_network(entry: Entry, agent: Agent, seen: int, states: int) -> Network:
+    """Return the network of an agent in a file; ``Unreadable`` unless it fits what is ``seen``: states of all."""
     own = entry.table(("weights", "biases", "activation", "output", "view", "offset", "told"))
     activation, output = own["activation"].one_of((*SMOOTH, "relu")), own["output"].one_of(OUTPUTS)
-    view = own["view"].floats((None, count))
+    view = own["view"].floats((None, seen))
     offset, told = own["offset"].floats((len(view),)), own["told"].whole(0, len(view) - states)
-    used = np.any(view != 0.0, axis=0)
-    used[own_places] = True
     # Each layer takes what the one before answers, the first one the row.
     weights, biases, count = [], [], len(view)
     layers = [own[key].entries() for key in ("weights", "biases")]
@@ -90,8 +83,7 @@ def read_network(entry: Entry, agent: Agent, own_places: slice, count: int, stat
         count = len(biases[-1])
     if not weights or len(layers[0]) != len(layers[1]) or count < len(agent.inputs):
         raise entry.wrong(f"its layers do not answer with the inputs of `{agent.name}`")
-    places = np.flatnonzero(used)
-    return Network(tuple(weights), tuple(biases), activation, output, view[:, places], offset, told, places)
+    return Network(tuple(weights), tuple(biases), activation, output, view, offset, told)
 
 
 def automaton_states(problem: Problem, letters: Whole) -> list[int]:
@@ -125,11 +117,10 @@ def enclosed(
         forms = forms.times(weight, bias, SINGLE).through(network.activation, np.zeros(0), np.zeros(0), reach)
     last, ones = forms.times(network.weights[-1][:m], network.biases[-1][:m], SINGLE), np.ones(m)
     # Outputs are inputs, cut off at their box, or stand for it between -1 and 1.
-    if network.output == "box":
-        forms, middle, half = last.through("clip", low, high, reach), 0.0 * ones, ones
-    else:
-        forms = last.through("tanh" if network.output == "tanh" else "clip", -ones, ones, reach)
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    in_box = network.output == "box"
+    middle, half = (0.0 * ones, ones) if in_box else (0.5 * (low + high), 0.5 * (high - low))
+    ends = np.stack([low, high]) if in_box else np.stack([-ones, ones])
+    forms = last.through("tanh" if network.output == "tanh" else "clip", ends[0], ends[1], reach)
     # the move onto the box of inputs, as floating point computes it
     spare = 16.0 * U * (np.abs(low) + np.abs(high) + np.abs(middle) + half * (1.0 + np.abs(forms.C) @ far)) + 1e-290
     u, J = middle + half * forms.h, half[:, None] * forms.C
@@ -256,21 +247,16 @@ class Ellipsoid:
         found, off = covariance_of(white, white)
         largest = float(np.max(np.sum(np.abs(found) + off, axis=1))) * (1.0 + 4.0 * U * d)
         kind = int(np.where(white.sources, kinds, NORMAL).max(initial=NORMAL))
-        lost = (
-            chi_tail(radius, d, largest) if kind == NORMAL else light_tail(radius, d, largest) if kind <= LIGHT else 1.0
-        )
-        return cls(root, rows[:, places], radius, lost)
+        return cls(root, rows[:, places], radius, length_tail(radius, d, largest, kind))
 
     @property
     def widths(self) -> Array:
         """Upper bounds (d,) on |g|."""
-        # g = root h + (1 - root W) g: what the root misses is small, and g is at most twice root h
-        d = len(self.root)
+        # g = root h + (1 - root W) g: what the root misses is small, and g is hardly more than root h
+        d, most = len(self.root), 1.01 * self.radius * np.sqrt(np.max(np.sum(self.root**2, axis=1)))
         off = np.abs(np.eye(d) - self.root @ self.white) + (d + 4.0) * U * np.abs(self.root) @ np.abs(self.white)
-        plain = self.radius * np.sqrt(np.sum(self.root**2, axis=1)) * (1.0 + (d + 8.0) * U)
-        if not np.max(off.sum(axis=1)) <= 1e-3:
-            return np.full(d, np.inf)
-        return np.asarray(up(plain + 1.01 * off @ np.full(d, plain.max()) * (1.0 + 4.0 * d * U)))
+        known = np.max(off.sum(axis=1)) <= 1e-3
+        return self.reach(np.eye(d), np.full(d, most)) if known else np.full(d, np.inf)
 
     def reach(self, rows: Array, most: Array) -> Array:
         """Return upper bounds (n,) on ``|c g|`` for rows (n, d), where ``|g| <= most`` (d,)."""
@@ -281,34 +267,26 @@ class Ellipsoid:
         return np.asarray(up(self.radius * length) + (missed @ most) * (1.0 + (d + 4.0) * U) + 1e-290)
 
 
-def chi_tail(radius: float, d: int, largest: float) -> float:
-    """Return an upper bound on ``P(chi2_d > radius^2 / largest)``.
+def length_tail(radius: float, d: int, largest: float, kind: int = NORMAL) -> float:
+    """Return an upper bound on P(|W g| > radius) for noise of a kind of tails, by the theorems above.
 
-    With x = radius^2 / (2 largest) it is, for even d, ``exp(-x)`` times the sum of ``x^k / k!`` for k < d / 2; for odd
-    d, twice the normal tail at sqrt(2 x), and ``exp(-x)`` times the sum of ``x^(k + 1/2) / Gamma(k + 3/2)``.
+    For normal noise, and x = radius^2 / (2 largest), it is ``exp(-x)`` times the sum of ``x^k / k!`` for k < d / 2 if d
+    is even; else twice the normal tail at sqrt(2 x), and ``exp(-x)`` times the sum of ``x^(k + 1/2) / Gamma(k + 3/2)``.
     """
-    if not (radius > 0.0 and 0.0 < largest < np.inf):
+    if not (radius > 0.0 and 0.0 < largest < np.inf) or kind > LIGHT:
         return 1.0
-    x = down(np.full(1, radius * radius / (2.0 * largest)) * (1.0 - 4.0 * U))
-    if not x[0] < 700.0:
-        return chi_tail(37.0, d, 1.0)
+    y = min(radius * radius / largest, 1360.0) * (1.0 - 8.0 * U)
+    if kind != NORMAL:
+        exponent = 0.5 * (d * (float(rigorous.log(np.full(1, up(y / d)))[1][0]) + 1.0) - y) + 16.0 * U * (d + y)
+        return min(1.0, float(rigorous.exp(np.full(1, exponent))[1][0])) if y > d else 1.0
     # The first term, and what each is more than the one before: half-odd powers if d is odd.
-    half, one, root = 0.5 * (d % 2), interval(np.ones(1)), np.sqrt(x)
+    x, half, one = np.full(1, 0.5 * y), 0.5 * (d % 2), interval(np.ones(1))
     term, total = exp(-interval(x)[::-1]), np.zeros((2, 1))
     if half:
         factor = np.array([[1.1283791670955125], [1.1283791670955128]])  # 1 / Gamma(3/2) = 2 / sqrt(pi)
-        term = mul(mul(term, np.stack([down(root), up(root)])), factor)
+        term = mul(mul(term, np.stack([down(np.sqrt(x)), up(np.sqrt(x))])), factor)
         total = 2.0 * np.stack(rigorous.tail(np.minimum(down(np.sqrt(2.0 * x)), 37.0)))
     for k in range(d // 2):
         total = add(total, term)
         term = mul(term, mul(interval(x), recip((k + 1.0 + half) * one)))
     return min(1.0, float(total[1, 0]))
-
-
-def light_tail(radius: float, d: int, largest: float) -> float:
-    """Return an upper bound on ``P(|W g| > radius)`` for sub-Gaussian noise, by the theorem above."""
-    y = radius * radius / largest * (1.0 - 8.0 * U)
-    if not d < y < np.inf:
-        return 1.0
-    exponent = 0.5 * (d * (float(rigorous.log(np.full(1, up(y / d)))[1][0]) + 1.0) - y)
-    return min(1.0, float(rigorous.exp(np.full(1, exponent + 16.0 * U * (d + y)))[1][0]))

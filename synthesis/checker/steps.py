@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -42,13 +41,15 @@ LARGEST_ERROR = 1e100  # linearization errors beyond it end the check: what foll
 class Trajectory:
     """Of one agent: inputs (S, m), feedback gains (S, m, d), states (S + 1, d), widths (S + 1, d + m) of the tube.
 
-    Where a network acts, inputs and gains are not looked at, and its errors keep in an ellipsoid of a ``radius``.
+    Inputs follow errors at ``places`` (k,) of the joint state: its own, or what a network sees. Where one acts, inputs
+    and gains are not looked at, and these errors keep in an ellipsoid of a ``radius``.
     """
 
     inputs: Array
     gains: Array
     states: Array
     widths: Array
+    places: Whole
     network: Network | Feedback | None = None
     radius: float = np.inf
 
@@ -66,7 +67,7 @@ class _Reads:
     places: dict[str, int]
 
     @classmethod
-    def of(cls, problem: Problem, i: int, followed: Sequence[Any]) -> _Reads:
+    def of(cls, problem: Problem, i: int, followed: Sequence[Whole]) -> _Reads:
         agent, slices, inputs_at = problem.agents[i], problem.slices, problem.input_slices
         named = names_in(agent.dynamics)
         states = {name: at for name, at in agent.states_of_others.items() if name in named}
@@ -132,22 +133,18 @@ class Joint:
             raise Refused(f"state {wrong[0, 1]} of the nominal trajectory leaves the workspace at time {wrong[0, 0]}")
         networked = np.repeat([o.network is not None for o in trajectories], [len(agent.inputs) for agent in agents])
         seen = automaton_states(problem, letters) if any(isinstance(o.network, Network) for o in trajectories) else []
-        own_places = zip(trajectories, problem.slices, strict=True)
-        places = [
-            np.arange(len(spread))[here if own.network is None else own.network.places] for own, here in own_places
-        ]
-        kinds, reads = kinds_of(problem), [_Reads.of(problem, i, places) for i in range(len(agents))]
+        kinds, places = kinds_of(problem), [own.places for own in trajectories]
         return cls(
-            problem, trajectories, reads, box, input_box, states, inputs, widths, input_widths, spread, turning,
-            networked, seen,
+            problem, trajectories, [_Reads.of(problem, i, places) for i in range(len(agents))], box, input_box,
+            states, inputs, widths, input_widths, spread, turning, networked, seen,
             ErrorSystem(spread, len(kinds)), Constraints(kinds),
         )  # fmt: skip
 
-    def row(self, i: int, part: Array) -> Array:
-        """Return rows (.., D) of the joint state that are ``part`` (.., d) for agent i."""
-        row = np.zeros((*part.shape[:-1], len(self.spread)))
-        row[..., self.problem.slices[i]] = part
-        return row
+    def rows(self, places: Whole | slice, part: Array) -> Array:
+        """Return rows (n, D) of the joint state that are ``part`` (n, d) at some places."""
+        rows = np.zeros((len(part), len(self.spread)))
+        rows[:, places] = part
+        return rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +170,8 @@ class Tube:
         for own in joint.trajectories:
             found = None
             if own.network is not None and t:
-                found = Ellipsoid.of(joint.errors, own.network.places, own.radius, joint.constraints.kinds)
-                width[own.network.places] = np.minimum(width[own.network.places], found.widths)
+                found = Ellipsoid.of(joint.errors, own.places, own.radius, joint.constraints.kinds)
+                width[own.places] = np.minimum(width[own.places], found.widths)
             ellipsoids.append(found)
         still = (drift == 0).all(axis=0) & (width == 0)
         low, high = np.minimum(down(drift[0] - width), 0.0), np.maximum(up(drift[1] + width), 0.0)
@@ -226,8 +223,8 @@ def _inputs(joint: Joint, tube: Tube) -> _Moves:
     for k in np.flatnonzero(((u < low) | (u > high)) & ~joint.networked)[:1]:
         raise Refused(f"the nominal {names[k]} leaves its box at time {t}")
     gain, reach = np.zeros((len(u), len(joint.spread))), np.abs(tube.ends).max(axis=0)
-    for own, rows, here in zip(joint.trajectories, joint.problem.input_slices, joint.problem.slices, strict=True):
-        gain[rows, here] = own.gains[t] if own.network is None else 0.0
+    for own, rows in zip(joint.trajectories, joint.problem.input_slices, strict=True):
+        gain[rows, own.places] = own.gains[t] if own.network is None else 0.0
     # inputs that no error reaches are their nominal values to the last bit
     moved = np.any((gain != 0.0) & (reach > 0.0), axis=1)
     # u + K (x - xbar) as floating point computes it: d products and sums, and the difference of states
@@ -257,7 +254,7 @@ def _inputs(joint: Joint, tube: Tube) -> _Moves:
 
 def _move_by_network(joint: Joint, network: Network | Feedback, tube: Tube, i: int, moves: _Moves) -> None:
     """Say what the inputs of a network may be: in their box, whatever it answers."""
-    agent, here, own, t = joint.problem.agents[i], network.places, tube.ellipsoids[i], tube.t
+    agent, here, own, t = joint.problem.agents[i], joint.trajectories[i].places, tube.ellipsoids[i], tube.t
     ends, far = tube.ends[:, here], np.abs(tube.ends[:, here]).max(axis=0)
 
     def reach(rows: Array) -> Array:
@@ -267,9 +264,7 @@ def _move_by_network(joint: Joint, network: Network | Feedback, tube: Tube, i: i
         box = np.stack([low.sum(axis=1) - spare, high.sum(axis=1) + spare])
         if own is None:
             return box
-        wide = np.zeros((len(rows), len(joint.spread)))
-        wide[:, here] = rows
-        drift = joint.errors.rows(wide)[0]
+        drift = joint.errors.rows(joint.rows(here, rows))[0]
         most = own.reach(rows, up(far + np.abs(tube.drift[:, here]).max(axis=0)))
         return np.stack([np.maximum(box[0], down(drift[0] - most)), np.minimum(box[1], up(drift[1] + most))])
 

@@ -17,7 +17,7 @@ Reference: docs/theory/paths.md, "Agents of any dynamics", "Teams".
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -54,9 +54,9 @@ class TrajectoryProof:
         return tuple(n for n, kind in kinds.items() if any(isinstance(own.network, kind) for own in self.trajectories))
 
 
-def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
-    """Return the proof in a file; raise ``Unreadable`` if there is none of this kind."""
-    own = contents.entry("proof").table(("kind", "letters", "faces", "normals", "agents"))
+def read_proof(contents: Contents, problem: Problem, entry: Entry | None = None) -> TrajectoryProof:
+    """Return the proof in a file, or in a part of it; raise ``Unreadable`` if there is none of this kind."""
+    own = (entry or contents.entry("proof")).table(("kind", "letters", "faces", "normals", "agents"))
     propositions, compared = len(problem.automaton.propositions), sum(len(pair.outputs[0]) for pair in problem.pairs)
     letters = own["letters"].integers((None, propositions), -1, SOMETIME + 1)
     steps = len(letters) - 1
@@ -72,31 +72,30 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
 
 def _trajectory(entry: Entry, i: int, problem: Problem, steps: int) -> Trajectory:
     """Return the trajectory of agent i, and the network that acts for it, if there is one."""
-    agent, here, count = problem.agents[i], problem.slices[i], problem.slices[-1].stop
-    own = entry.table(("inputs", "gains", "states", "widths"), ("network", "feedback", "radius"))
-    d, m = len(agent.states), len(agent.inputs)
+    agent, own = (
+        problem.agents[i],
+        entry.table(("inputs", "gains", "states", "widths"), ("network", "feedback", "radius")),
+    )
+    d, m, count = len(agent.states), len(agent.inputs), problem.slices[-1].stop
     widths = own["widths"].floats((steps + 1, d + m), infinite=True)
     if np.any(widths < 0.0):
         raise entry.wrong("a width is negative")
-    inputs, gains = own["inputs"].floats((steps, m)), own["gains"].floats((steps, m, d))
-    states = own["states"].floats((steps + 1, d))
+    path = own["inputs"].floats((steps, m)), own["gains"].floats((steps, m, d)), own["states"].floats((steps + 1, d))
+    seen = np.isin(np.arange(count), np.arange(count)[problem.slices[i]])
     if not own.keys() & {"network", "feedback"}:
-        return Trajectory(inputs, gains, states, widths)
-    if own.keys() >= {"network", "feedback"}:
-        raise entry.wrong("a network and a feedback cannot both act")
-    radius = own["radius"].number() if "radius" in own else -1.0
-    if not radius > 0.0:
-        raise entry.wrong("where a network acts, `radius` is above 0")
-    seen, given = len(problem.automaton.accepting), own.get("feedback")
+        return Trajectory(*path, widths, np.flatnonzero(seen))
+    if own.keys() >= {"network", "feedback"} or "radius" not in own or not own["radius"].number() > 0.0:
+        raise entry.wrong("a network or a feedback acts, with a `radius` above 0")
     network: Network | Feedback
-    if given is not None:
-        network = read_feedback(given, agent, here)
+    if "feedback" in own:
+        network = read_feedback(own["feedback"], agent)
     else:
-        network = read_network(own["network"], agent, here, count, seen)
-    turning = np.array([name in each.angles for each in problem.agents for name in each.states])
-    if np.any(turning[network.places]):
+        network = read_network(own["network"], agent, count, len(problem.automaton.accepting))
+        seen = seen | np.any(network.view != 0.0, axis=0)
+        network = replace(network, view=network.view[:, seen])
+    if np.any(seen & np.array([name in each.angles for each in problem.agents for name in each.states])):
         raise entry.wrong("a network, or a feedback, acts where no state that it sees is an angle")
-    return Trajectory(inputs, gains, states, widths, network, radius)
+    return Trajectory(*path, widths, np.flatnonzero(seen), network, own["radius"].number())
 
 
 def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, str, list[Any]]:
@@ -183,7 +182,7 @@ def linear_forms(joint: Joint, tube: Tube, asked: Sequence[Demand]) -> tuple[Arr
         places = {name: k for k, name in enumerate(agent.states)}
         trees = [agent.outputs[k] for k in used]
         matrix, ends = expanded(trees, joint.states[tube.t, here], places, tube.ends[:, here], tube.t, len(places))
-        known.update({(i, k): (row, ends[:, n]) for n, (k, row) in enumerate(zip(used, joint.row(i, matrix)))})
+        known.update({(i, k): (row, ends[:, n]) for n, (k, row) in enumerate(zip(used, joint.rows(here, matrix)))})
     rows, values = np.zeros((len(asked), len(joint.spread))), np.zeros((2, len(asked)))
     far = np.abs(tube.ends).max(axis=0)
     for n, demand in enumerate(asked):

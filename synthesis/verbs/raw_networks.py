@@ -26,7 +26,7 @@ from ..policy_search.ascent import FINAL, Limits, Stage, sweep
 from ..policy_search.cell_certificates import certificate_of
 from ..relations.grids import CellCounts, FloatArray, RelationRefused
 from ..relations.kinds import NetworkPolicy, network_policy
-from ..trajectories.planning import networks_along
+from ..trajectories.planning import networks_from
 from .time_unrolled_networks import told_in_time
 
 RELATIONS = ("linear", "boxes")
@@ -162,7 +162,7 @@ def certified_as_it_is(
     policies = actor.policies if is_written else _policies(problem, actor, along=True)
     began, tried, found = time.perf_counter(), dict[str, Any](), None
     try:
-        certificate = networks_along(problem, policies)
+        certificate = networks_from(problem, policies)
         seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
         found = Synthesis(certificate, certificate.controller, {"seconds": seconds})
         tried["path"] = certificate.lower_bound

@@ -17,7 +17,7 @@ from certigym.synthesis.checker.error_system import ErrorSystem, covariance_of
 from certigym.synthesis.checker.feedbacks import enclosed_feedback, read_feedback
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.intervals import interval
-from certigym.synthesis.checker.networks import SMOOTH, Ellipsoid, Network, automaton_states, chi_tail, enclosed
+from certigym.synthesis.checker.networks import SMOOTH, Ellipsoid, Network, automaton_states, enclosed, length_tail
 from certigym.synthesis.relations.kinds import ACTIVATIONS as SINGLE
 from certigym.synthesis.relations.kinds import Network as Layers
 from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicPolicy, seen_jointly
@@ -59,7 +59,7 @@ def test_answers_are_enclosed(activation: str, output: str, sees: str, size: flo
     policy = NetworkPolicy(plain, view, problem.agents[0].workspace, problem.agents[0].input_box)
     exact = (tuple(w.astype(float) for w in weights), tuple(b.astype(float) for b in biases))
     row = seen_jointly(policy, 0, d)
-    network = Network(*exact, activation, output, row.matrix, row.offset, row.told, np.arange(d))
+    network = Network(*exact, activation, output, row.matrix, row.offset, row.told)
     for _ in range(6):
         at, q, t = rng.uniform(-1.0, 1.5, d), int(rng.integers(states)), int(rng.integers(7))
         root, radius = 0.1 * rng.standard_normal((d, d)), 2.0
@@ -109,7 +109,7 @@ def test_what_a_network_sees_is_no_larger_than_its_size(sees: str) -> None:
     """At the corners of what errors may be: sizes are what single precision is charged by."""
     none = (np.zeros((1, 9)), np.zeros(1))
     view = np.eye(9)[:, :3] * (1.0 if sees == "raw" else np.array([0.3, 2.0, 0.7]))
-    network = Network((none[0],), (none[1],), "relu", "clip", view, np.linspace(-1.0, 1.0, 9), 4, np.arange(3))
+    network = Network((none[0],), (none[1],), "relu", "clip", view, np.linspace(-1.0, 1.0, 9), 4)
     at, far = np.array([0.5, -1.0, 2.0]), np.array([0.2, 0.1, 0.4])
     first = networks._first(network, at, (1, 3, 0.5), far)
     for signs in itertools.product((-1.0, 1.0), repeat=3):
@@ -121,9 +121,9 @@ def test_what_a_network_sees_is_no_larger_than_its_size(sees: str) -> None:
 def test_tails_of_lengths_are_those_of_the_chi_square_distribution(d: int) -> None:
     for radius in (0.3, 1.0, 3.0, 6.0, 9.0):
         for largest in (1.0, 1.3):
-            truth, found = chi2.sf(radius**2 / largest, d), chi_tail(radius, d, largest)
+            truth, found = chi2.sf(radius**2 / largest, d), length_tail(radius, d, largest)
             assert truth * (1.0 - 1e-12) <= found <= truth * (1.0 + 1e-9) + 1e-300
-    assert chi_tail(-1.0, d, 1.0) == chi_tail(2.0, d, np.inf) == 1.0
+    assert length_tail(-1.0, d, 1.0) == length_tail(2.0, d, np.inf) == 1.0
 
 
 def a_system(rng: np.random.Generator, d: int, steps: int) -> tuple[ErrorSystem, list[np.ndarray], list[np.ndarray]]:
@@ -273,7 +273,7 @@ def test_sabotage_claims_less_failure_or_another_network(name: str, monkeypatch:
 
         def fewer(errors: ErrorSystem, places: Any, radius: float, kinds: Any) -> Ellipsoid:
             own = honest(errors, places, radius, kinds)
-            return replace(own, lost=chi_tail(radius, len(own.root) - 1, 1.0))
+            return replace(own, lost=length_tail(radius, len(own.root) - 1, 1.0))
 
         monkeypatch.setattr(owner, attribute, staticmethod(fewer))
     elif attribute == "rest":
@@ -306,7 +306,7 @@ def test_expressions_are_enclosed(text: str) -> None:
     problem = cg.Problem(name="p", horizon=5, agents=[agent], specification=cg.Specification("F b"),
                          propositions={"b": cg.Proposition("a", [0, 0], [1, 1])})  # fmt: skip
     own = read_problem({"problem": canonical_problem(problem)}).agents[0]
-    feedback, policy = read_feedback(Entry([text], "feedback"), own, slice(0, 2)), SymbolicPolicy.of(agent, [text])
+    feedback, policy = read_feedback(Entry([text], "feedback"), own), SymbolicPolicy.of(agent, [text])
     for _ in range(20):
         at, t = rng.uniform(-1.0, 1.0, 2), int(rng.integers(5))
         ends = np.stack([-rng.uniform(0.0, 0.4, 2), rng.uniform(0.0, 0.4, 2)])

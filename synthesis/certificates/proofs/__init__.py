@@ -54,6 +54,7 @@ from .product_proof import ProductProof, product_certificate, split
 from .projection import RunProjection
 from .proof import Capability, Proof
 from .result import Synthesis
+from .starts_proof import Cut, OfStarts, StartsProof
 from .timed_proof import TimedProof, timed_certificate
 from .union_bound_proof import UnionBoundProof
 
@@ -87,6 +88,9 @@ __all__ = [
     "SOMETIME",
     "RunProjection",
     "UnionBoundProof",
+    "Cut",
+    "OfStarts",
+    "StartsProof",
     "Synthesis",
     "TimedProof",
     "Tube",

@@ -45,6 +45,7 @@ from ..cell_probabilities import AgentRecord
 from .certificate import Certificate
 from .grid_proof import GridProof
 from .path_proof import AgentPath, PathProof
+from .starts_proof import Cut, StartsProof
 
 
 class NotCanonicalError(ValueError):
@@ -105,7 +106,11 @@ def canonical_bytes(certificate: Certificate, claim: str = "same") -> bytes:
     header, arrays, verdict = _judged(certificate)
     if not verdict.proved:
         raise ValueError(f"`certificate`: the checker refuses it: {verdict.reason}")
-    claimed = certificate.proof.failure if isinstance(certificate.proof, PathProof) else 1.0 - certificate.lower_bound
+    claimed = (
+        certificate.proof.failure
+        if isinstance(certificate.proof, PathProof | StartsProof)
+        else 1.0 - certificate.lower_bound
+    )
     # what is no number claims more, too
     if claim == "same" and not verdict.recomputed <= claimed * (1.0 + SLACK) + LEAST:
         raise ClaimsMoreError(certificate.lower_bound, bound_of(verdict.recomputed))
@@ -415,9 +420,25 @@ class _Pool:
         return self.numbers[key]
 
 
-def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndarray]) -> dict[str, Any]:
-    """Return the entry of a proof along trajectories, and add its arrays to those of the file."""
+def _from_starts(problem: Problem, proof: StartsProof, arrays: list[np.ndarray]) -> dict[str, Any]:
+    """Return the entry of a proof from a box of starts that is cut, and add its arrays to those of the file."""
     put = _Pool(arrays)
+
+    def entry(part: Cut | PathProof | None) -> Any:
+        if not isinstance(part, Cut):
+            return None if part is None else _along_trajectories(problem, part, arrays, put)
+        sides = {"below": entry(part.below), "above": entry(part.above)}
+        return {"kind": "starts", "agent": part.agent, "state": part.state, "cut": float(part.at), **sides}
+
+    whole: dict[str, Any] = entry(proof.cut)
+    return whole
+
+
+def _along_trajectories(
+    problem: Problem, proof: PathProof, arrays: list[np.ndarray], put: _Pool | None = None
+) -> dict[str, Any]:
+    """Return the entry of a proof along trajectories, and add its arrays to those of the file."""
+    put = put or _Pool(arrays)
     for agent, path in zip(problem.agents, proof.paths):
         if path.states is None and not isinstance(agent, LinearAgent):
             raise NotCanonicalError(f"the trajectory of agent `{agent.name}` has no nominal states")
@@ -555,5 +576,6 @@ PARTS_OF_BOXES = 8
 
 _WRITERS: dict[type, Callable[[Problem, Any, list[np.ndarray]], dict[str, Any]]] = {
     PathProof: _along_trajectories,
+    StartsProof: _from_starts,
     GridProof: _on_cells,
 }

@@ -20,13 +20,14 @@ from .path_proof import PathProof
 from .product_proof import ProductProof
 from .proof import Proof
 from .result import Synthesis
+from .starts_proof import StartsProof
 from .timed_proof import TimedProof
 from .union_bound_proof import UnionBoundProof
 
 PROOFS: dict[str, type[Proof]] = {
     proof.kind: proof
     for proof in (
-        GridProof, PathProof, UnionBoundProof, TimedProof, ProductProof
+        GridProof, PathProof, StartsProof, UnionBoundProof, TimedProof, ProductProof
     )
 }  # fmt: skip
 """Kinds of proofs, by their names in files."""

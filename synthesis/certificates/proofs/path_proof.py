@@ -244,11 +244,18 @@ def _networks(problem: Problem, stored: Stored) -> tuple[tuple[GivenPolicy, ...]
     """Return the networks in a file and the radii of their ellipsoids; None where nominal inputs act."""
     if "networks" not in stored.entry:
         return None, ()
-    networks, radii = stored.entry["networks"], stored.entry["radii"]
-    if len(networks) != problem.n_agents or len(radii) != problem.n_agents:
+    radii = stored.entry["radii"]
+    if len(radii) != problem.n_agents:
         raise ValueError("its networks are not those of its agents")
     if any(isinstance(radius, bool) or not isinstance(radius, int | float) or not radius > 0.0 for radius in radii):
         raise ValueError("the radii of its ellipsoids are none")
+    return networks_in(problem, stored.entry["networks"]), tuple(float(radius) for radius in radii)
+
+
+def networks_in(problem: Problem, networks: Any) -> tuple[GivenPolicy, ...]:
+    """Return the policies of all agents in a file; raise ValueError if they are not those of the problem."""
+    if not isinstance(networks, list) or len(networks) != problem.n_agents:
+        raise ValueError("its networks are not those of its agents")
     made = list[GivenPolicy]()
     for description, agent in zip(networks, problem.agents, strict=True):
         if isinstance(description, dict) and "expressions" in description:
@@ -259,7 +266,7 @@ def _networks(problem: Problem, stored: Stored) -> tuple[tuple[GivenPolicy, ...]
             continue
         check_network(description, agent, 2**31)
         made.append(network_policy(description, agent))
-    return tuple(made), tuple(float(radius) for radius in radii)
+    return tuple(made)
 
 
 def _normals(problem: Problem, stored: Stored, times: int) -> NDArray[np.float64] | None:

@@ -87,20 +87,24 @@ class _Margins:
     normals: FloatArray
 
 
-def networks_along(problem: Problem, policies: Sequence[GivenPolicy]) -> AlongPath:
+def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: float = 0.0) -> AlongPath:
     """Return the best certificate of networks as they are, along their run without noise.
+
+    Where a failure of ``enough`` will do, radii are taken that seem to allow it, and no others are tried.
 
     Raises
     ------
     RelationRefused
         If the run does not satisfy the task, or nothing is proved; the message says why, and what would help.
     """
-    if problem.initial_q is None or problem.groups:
-        raise RelationRefused("policies along a trajectory have one start, and one task that does not fall apart")
+    if problem.groups:
+        raise RelationRefused("policies along a trajectory have one task, which does not fall apart")
     known = read_problem({"problem": canonical_problem(problem)})
     run = _run_of(problem, known, policies)
     if not run.accepted:
         raise RelationRefused("the run of the policies without noise does not satisfy the task: train on, or elsewhere")
+    if enough > 0.0:
+        return _soon(problem, known, run, policies, enough)
     best: AlongPath | None = None
     why, before = "nothing is known of the policies on any tube around their run", 0.0
     for lost in LOST:
@@ -109,8 +113,7 @@ def networks_along(problem: Problem, policies: Sequence[GivenPolicy]) -> AlongPa
         except Refused as refused:
             why, before = str(refused), lost
             continue
-        words = _words(problem, known, run, margins)[:TRIED]
-        for letters in words:
+        for _, letters in _words(problem, known, run, margins)[:TRIED]:
             found = _proved(problem, policies, run, letters, margins, lost)
             best = found if best is None or found.proof.failure < best.proof.failure else best
         # Narrower tubes are for policies that bend: what is proved with room is hardly proved better without.
@@ -125,6 +128,30 @@ def networks_along(problem: Problem, policies: Sequence[GivenPolicy]) -> AlongPa
             + (", or cells (`cells=`)" if all(map(_may_have_cells, policies)) else "")
         )
     return best
+
+
+def _soon(
+    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[GivenPolicy], enough: float
+) -> AlongPath:
+    """Return the certificate for the radii of which most may be expected, the first ones that seem to be enough."""
+    best, why = None, "nothing is known of the policies on any tube around their run"
+    for lost in (0.01 * enough, 0.3 * enough, 1e-4):
+        try:
+            margins = _margins(problem, known, run, policies, lost)
+        except Refused as refused:
+            why = str(refused)
+            continue
+        for fails, letters in _words(problem, known, run, margins)[:1]:
+            if best is None or lost + fails < best[0]:
+                best = lost + fails, letters, margins, lost
+        if best is not None and best[0] <= enough:
+            break
+    found = None if best is None else _proved(problem, policies, run, *best[1:])
+    if found is None or found.proof.failure >= 1.0:
+        raise RelationRefused(
+            f"nothing is proved along their run: {why if found is None else _likeliest(found, known)}"
+        )
+    return found
 
 
 def _proved(
@@ -176,7 +203,7 @@ def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
 def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[GivenPolicy]) -> _Run:
     """Return the run without noise, and the times by which it has been accepted."""
     x = [0.5 * (agent.initial.low + agent.initial.high) for agent in problem.agents]
-    q, automaton, T = int(problem.initial_q or 0), problem.automaton, problem.horizon
+    q, automaton, T = _first_state(known), problem.automaton, problem.horizon
     states, letters, accepted = [[own] for own in x], [np.zeros(0)], list[int]()
     inputs: list[list[FloatArray]] = [[] for _ in x]
     count = len(automaton.propositions)
@@ -206,6 +233,23 @@ def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[GivenPol
         np.array(letters, dtype=np.int8).reshape(-1, count),
         accepted,
     )
+
+
+def states_along(problem: Problem, policies: Sequence[GivenPolicy], start: FloatArray) -> FloatArray:
+    """Return the joint states (S + 1, D) of the run without noise from a start (D,), as far as it goes."""
+    begun = problem.replace(initial_state=start.tolist())
+    run = _run_of(begun, read_problem({"problem": canonical_problem(begun)}), policies)
+    return np.concatenate(run.states, axis=1)
+
+
+def _first_state(known: CheckedProblem) -> int:
+    """Return the automaton state after the letter of time 0: of runs that are not accepted, wherever they start."""
+    automaton = known.automaton
+    reached = followed(automaton, {automaton.initial}, known_at_start(known))
+    undecided = {q for q in reached if not (automaton.is_co_safe and automaton.accepting[q])}
+    if len(undecided) > 1:
+        raise RelationRefused("the starts lie in and out of a region, so that policies begin in two automaton states")
+    return min(undecided or reached)
 
 
 def _moved(known: CheckedProblem, x: Sequence[FloatArray], u: Sequence[FloatArray], t: int) -> list[FloatArray]:
@@ -342,8 +386,10 @@ def _demands(
         return []
 
 
-def _words(problem: Problem, known: CheckedProblem, run: _Run, margins: _Margins) -> list[NDArray[np.int8]]:
-    """Return words of the run that are accepted and ask for little, the most probable first."""
+def _words(
+    problem: Problem, known: CheckedProblem, run: _Run, margins: _Margins
+) -> list[tuple[float, NDArray[np.int8]]]:
+    """Return words of the run that are accepted and ask for little, and about how they fail, the least first."""
     held = np.where(run.letters > 0, margins.deviations, np.inf).min(axis=1, initial=np.inf)
     # Times at which what then holds is held most surely; all of them if there are few.
     times = sorted(run.accepted, key=lambda t: -float(np.minimum(held[t], FAR)))[:MOST_TIMES]
@@ -355,7 +401,7 @@ def _words(problem: Problem, known: CheckedProblem, run: _Run, margins: _Margins
             continue
         asked = margins.deviations[: last + 1][letters != 0]
         found.append((float(np.sum(2.0 * ndtr(-np.minimum(asked, FAR)))), last, letters))
-    return [letters for _, _, letters in sorted(found, key=lambda one: one[:2])]
+    return [(fails, letters) for fails, _, letters in sorted(found, key=lambda one: one[:2])]
 
 
 def _fewest(
