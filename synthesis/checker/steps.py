@@ -260,8 +260,8 @@ def _move_by_network(joint: Joint, network: Network | Feedback, tube: Tube, i: i
     def reach(rows: Array) -> Array:
         """Rows of the errors: on the box of the tube, and on the ellipsoid and what rows are besides."""
         spare = (len(far) + 4.0) * U * (np.abs(rows) @ far) + 1e-290
-        low, high = (np.minimum(rows * ends[0], rows * ends[1]), np.maximum(rows * ends[0], rows * ends[1]))
-        box = np.stack([low.sum(axis=1) - spare, high.sum(axis=1) + spare])
+        products = rows * ends[:, None]
+        box = np.stack([products.min(axis=0).sum(axis=1) - spare, products.max(axis=0).sum(axis=1) + spare])
         if own is None:
             return box
         drift = joint.errors.rows(joint.rows(here, rows))[0]
@@ -271,8 +271,7 @@ def _move_by_network(joint: Joint, network: Network | Feedback, tube: Tube, i: i
     if isinstance(network, Feedback):
         u, gains, rest = enclosed_feedback(network, agent, joint.states[t, here], t, ends, reach)
     else:
-        left = float(np.float32(1.0 - t / joint.problem.horizon))
-        row = joint.seen[t], len(joint.problem.automaton.accepting), left
+        row = joint.seen[t], len(joint.problem.automaton.accepting), float(np.float32(1.0 - t / joint.problem.horizon))
         u, gains, rest = enclosed(network, agent, joint.states[t, here], row, reach, far)
     if not np.all(np.isfinite(rest)):
         raise Refused(f"nothing is known of the network of `{agent.name}` at time {t}")
@@ -284,9 +283,9 @@ def _move_by_network(joint: Joint, network: Network | Feedback, tube: Tube, i: i
     moved = reach(gains) + np.stack([-spare, spare])
     least = np.maximum(np.minimum(moved[0], 0.0), down(low - nominal))
     most = np.minimum(np.maximum(moved[1], 0.0), up(high - nominal))
-    rows = joint.problem.input_slices[i]
-    moves.nominal[rows], moves.deviation[:, rows], moves.rounding[rows] = nominal, np.stack([least, most]), spare
-    moves.gains[rows, here] = gains
+    mine = joint.problem.input_slices[i]
+    moves.nominal[mine], moves.deviation[:, mine], moves.rounding[mine] = nominal, np.stack([least, most]), spare
+    moves.gains[mine, here] = gains
 
 
 def _around(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[Array, Array]:

@@ -267,7 +267,8 @@ def _add_validation(commands: Any) -> None:
         "reproduce",
         help="recompute the paper's figures and tables, and the field's benchmarks, beside the published values",
     )
-    reproduce.add_argument("what", choices=["all", "fig3", "fig4", "table1", "table2", "refutation", "arch"])
+    reproduce.add_argument("what", choices=["all", "fig3", "fig4", "table1", "table2", "refutation", "arch", "lograsm"])
+    reproduce.add_argument("--weights", metavar="DIR", help="of lograsm: folder with its networks, which are not ours")
     reproduce.add_argument("--row", metavar="NAME", help="one row of arch alone")
     reproduce.add_argument("--out", metavar="DIR", help="folder for numbers and figures (default: reproduced)")
     reproduce.add_argument("--workers", type=int, default=2, metavar="N", help="processes side by side (default: 2)")

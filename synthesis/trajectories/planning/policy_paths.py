@@ -135,7 +135,7 @@ def _soon(
 ) -> AlongPath:
     """Return the certificate for the radii of which most may be expected, the first ones that seem to be enough."""
     best, why = None, "nothing is known of the policies on any tube around their run"
-    for lost in (0.01 * enough, 0.3 * enough, 1e-4):
+    for lost in (1e-4 * enough, 0.3 * enough, 1e-4):
         try:
             margins = _margins(problem, known, run, policies, lost)
         except Refused as refused:

@@ -24,6 +24,9 @@ from ...certificates.proofs import (
 from ...relations.grids import FloatArray, RelationRefused
 from .policy_paths import networks_along, states_along
 
+AS_IT_IS = {"relation": "path", "policy": "as it is"}
+"""Settings of certificates of given policies along their run."""
+
 LITTLE = 1e-6
 """Probability of failing from a cell of starts below which it is not cut any more."""
 
@@ -62,10 +65,12 @@ def networks_from(problem: Problem, policies: Sequence[GivenPolicy]) -> AlongPat
         return networks_along(problem, policies)
     corners = np.stack([np.concatenate([getattr(a.initial, side) for a in problem.agents]) for side in ("low", "high")])
     whole = _cell(problem, policies, corners, 1.0)
-    divided = None if whole.lost <= LITTLE else _of_cells(problem, policies, whole)
+    if whole.found is not None and whole.lost <= LITTLE:
+        return Certificate(problem, whole.found, dict(AS_IT_IS))
+    divided = _of_cells(problem, policies, whole)
     if divided is not None and divided.proof.failure <= LITTLE:
         return divided
-    # Radii are chosen with more care where the box as a whole may do, or cells do not help.
+    # Radii are chosen with more care where cells do not help.
     try:
         undivided = networks_along(problem, policies)
     except RelationRefused:
@@ -82,7 +87,7 @@ def _of_cells(problem: Problem, policies: Sequence[GivenPolicy], whole: _Cell) -
     if not isinstance(root, Cut) or all(cell.found is None for cell in cells):
         return None
     proof = StartsProof(root, tuple(policies), 1.0, 1.0)
-    certificate = Certificate(problem, proof, {"relation": "path", "policy": "as it is", "cells": len(cells)})
+    certificate = Certificate(problem, proof, {**AS_IT_IS, "cells": len(cells)})
     verdict = verdict_of(certificate)
     worst = max((failure for failure, *_ in verdict.steps), default=1.0)
     failure = min(1.0, verdict.recomputed * (1.0 + 1e-9))
