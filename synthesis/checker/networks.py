@@ -112,7 +112,7 @@ def enclosed(
     ``row`` are the automaton state, how many there are, and the share of time left; ``reach`` takes rows C (n, k) to
     ends (2, n) of C e, and ``far`` (k,) is above |e|.
     """
-    forms, m, (low, high) = _first(network, at, row, far), len(agent.inputs), agent.input_box
+    forms, m, (low, high) = row_seen(network, at, row, far), len(agent.inputs), agent.input_box
     for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
         forms = forms.times(weight, bias, SINGLE).through(network.activation, np.zeros(0), np.zeros(0), reach)
     last, ones = forms.times(network.weights[-1][:m], network.biases[-1][:m], SINGLE), np.ones(m)
@@ -179,7 +179,7 @@ class Layer:
         return Layer(value, slope[:, None] * self.C, (*parts, (None, rest)), size * (1.0 + 8.0 * U), self.far)
 
 
-def _first(network: Network, at: Array, row: tuple[int, int, float], far: Array) -> Layer:
+def row_seen(network: Network, at: Array, row: tuple[int, int, float], far: Array) -> Layer:
     """Return the row that a network sees."""
     (q, states, left), h = row, network.view @ at + network.offset
     h[network.told : network.told + states + 1] += np.append(np.arange(states) == max(q, 0), left)

@@ -111,7 +111,7 @@ def test_what_a_network_sees_is_no_larger_than_its_size(sees: str) -> None:
     view = np.eye(9)[:, :3] * (1.0 if sees == "raw" else np.array([0.3, 2.0, 0.7]))
     network = Network((none[0],), (none[1],), "relu", "clip", view, np.linspace(-1.0, 1.0, 9), 4)
     at, far = np.array([0.5, -1.0, 2.0]), np.array([0.2, 0.1, 0.4])
-    first = networks._first(network, at, (1, 3, 0.5), far)
+    first = networks.row_seen(network, at, (1, 3, 0.5), far)
     for signs in itertools.product((-1.0, 1.0), repeat=3):
         row = first.h + first.C @ (np.array(signs) * far) + np.abs(first.rest()).max(axis=0)
         assert np.all(np.abs(row) <= first.size * (1.0 + 1e-12) + 1e-280), signs

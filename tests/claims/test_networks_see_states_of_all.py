@@ -127,3 +127,10 @@ def test_tubes_of_noise_that_is_not_normal_hold() -> None:
     assert found.certificate.lower_bound > 0.5 and cg.check(found.certificate, problem)
     share = cg.rollout(problem, policy, episodes=EPISODES, seed=0).successes / EPISODES
     assert share >= found.certificate.lower_bound - 0.02
+
+
+def test_failures_name_the_layer_that_leaves_out_most() -> None:
+    """Second layers of weights five times as large bend on the tube of large noise: at the first step that has one."""
+    problem, policy = given("central_env", 0.25, activation="tanh")
+    with pytest.raises(ValueError, match=r"widens at step \d+: layer 1, whose neurons get \+-[\d.]+, leaves"):
+        cg.certify(problem, policy)

@@ -45,6 +45,7 @@ from ...checker import (
 )
 from ...relations.grids import FloatArray, RelationRefused
 from ...relations.kinds import ON_CELLS, NetworkPolicy
+from .policy_reasons import widening_layer
 
 LOST = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
 """Probabilities, of all ellipsoids of an agent together, that radii are chosen for, the widest tubes first."""
@@ -123,6 +124,8 @@ def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: fl
             return _widest(problem, policies, run, margins, best, (before, lost))
     if best is None or best.proof.failure >= 1.0:
         why = why if best is None else _likeliest(best, known)
+        layer = widening_layer(known, _joint(problem, known, run, policies, LOST[-1]))
+        why += "" if layer is None else f"; {layer}"
         raise RelationRefused(
             f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy"
             + (", or cells (`cells=`)" if all(map(_may_have_cells, policies)) else "")
@@ -307,13 +310,17 @@ def _certificate(
     return Certificate(problem, proof, {"relation": "path", "policy": "as it is"})
 
 
+def _joint(problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[GivenPolicy], lost: float) -> Joint:
+    """Return the checker's joint system along the run, on the tube of some radii, before its first step."""
+    read = read_trajectories(contents_of(_certificate(problem, policies, run, run.letters, None, lost)), known)
+    return Joint.of(known, read.trajectories, read.letters)
+
+
 def _margins(
     problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[GivenPolicy], lost: float
 ) -> _Margins:
     """Return how far all literals of the run are away, in deviations, on the tube of some radii."""
-    certificate = _certificate(problem, policies, run, run.letters, None, lost)
-    read = read_trajectories(contents_of(certificate), known)
-    joint = Joint.of(known, read.trajectories, read.letters)
+    joint = _joint(problem, known, run, policies, lost)
     shape, size = run.letters.shape, sum(pair.size for pair in problem.labeling.pairs)
     found = _Margins(np.full(shape, np.inf), np.full(shape, -1), np.zeros((shape[0], size)))
     for tube in walk(joint):
