@@ -14,8 +14,7 @@ from .file import FORMAT, MOST_BYTES, VERSION, Contents, parse_file, read_file
 from .jets import value_on
 from .letters import demands, known_at, known_at_start
 from .motions import affine_dynamics
-from .networks import Network as CheckedNetwork
-from .networks import automaton_states, row_seen
+from .networks import Network, automaton_states, row_seen
 from .problem import Agent as CheckedAgent
 from .problem import Problem as CheckedProblem
 from .problem import read_problem
@@ -25,7 +24,7 @@ from .trajectories import read_proof as read_trajectories
 from .verdict import Verdict, bound_of, check, check_contents, shown
 
 __all__ = [
-    "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "CheckedNetwork", "CheckedProblem", "Contents", "Joint",
+    "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "Network", "CheckedProblem", "Contents", "Joint",
     "Refused", "Trajectory", "Tube", "Unreadable", "Verdict", "affine_dynamics", "automaton_states", "bound_of",
     "check", "check_angles", "check_contents", "check_words", "demands", "failure_of", "followed", "known_at",
     "known_at_start", "linear_forms", "parse_file", "read_file", "read_problem", "read_trajectories", "row_seen",

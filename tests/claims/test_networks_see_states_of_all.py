@@ -130,7 +130,7 @@ def test_tubes_of_noise_that_is_not_normal_hold() -> None:
 
 
 def test_failures_name_the_layer_that_leaves_out_most() -> None:
-    """Second layers of weights five times as large bend on the tube of large noise: at the first step that has one."""
+    """Large noise bends a network of one hidden layer: the message says when, and by how much."""
     problem, policy = given("central_env", 0.25, activation="tanh")
     with pytest.raises(ValueError, match=r"widens at step \d+: layer 1, whose neurons get \+-[\d.]+, leaves"):
         cg.certify(problem, policy)

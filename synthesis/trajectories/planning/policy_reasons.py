@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...checker import CheckedNetwork, CheckedProblem, Joint, Refused, Tube, row_seen, walk
+from ...checker import CheckedProblem, Joint, Network, Refused, Tube, row_seen, walk
 from ...checker import Trajectory as CheckedTrajectory
 from ...relations.grids import FloatArray
 
@@ -48,7 +48,7 @@ def widening_layer(known: CheckedProblem, joint: Joint) -> WideLayer | None:
                 continue
             for i, own in enumerate(joint.trajectories):
                 network = own.network
-                found = _of_network(known, joint, tube, i, network) if isinstance(network, CheckedNetwork) else None
+                found = _of_network(known, joint, tube, i, network) if isinstance(network, Network) else None
                 if found is not None and (worst is None or _share(found) > _share(worst)):
                     worst = found
             if worst is not None and _share(worst) >= NOTICED:
@@ -62,7 +62,7 @@ def _share(found: WideLayer) -> float:
     return found.left_out / found.half_range
 
 
-def _of_network(known: CheckedProblem, joint: Joint, tube: Tube, i: int, network: CheckedNetwork) -> WideLayer | None:
+def _of_network(known: CheckedProblem, joint: Joint, tube: Tube, i: int, network: Network) -> WideLayer | None:
     """Return the layer of the network of agent i that leaves out most at a time."""
     own, agent = joint.trajectories[i], known.agents[i]
     at, far = joint.states[tube.t, own.places], np.abs(tube.ends[:, own.places]).max(axis=0)
