@@ -24,7 +24,7 @@ from ..composition import CollisionProbability, less_proximity, proximity, relev
 from ..interop import SymbolicPolicies, certifiable
 from ..policy_search.ascent import FINAL, Limits, Stage, sweep
 from ..policy_search.cell_certificates import certificate_of
-from ..relations.grids import CellCounts, FloatArray, RelationRefused
+from ..relations.grids import CellCounts, FloatArray, NoRunFound, RelationRefused
 from ..relations.kinds import NetworkPolicy, network_policy
 from ..trajectories.planning import networks_from
 from .time_unrolled_networks import told_in_time
@@ -161,13 +161,14 @@ def certified_as_it_is(
         return certify_network(problem, actor, cells, relation=relation, targets_per_cell=per_cell)
     policies = actor.policies if is_written else _policies(problem, actor, along=True)
     began, tried, found = time.perf_counter(), dict[str, Any](), None
+    kind: type[RelationRefused] = RelationRefused
     try:
         certificate = networks_from(problem, policies)
         seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
         found = Synthesis(certificate, certificate.controller, {"seconds": seconds})
         tried["path"] = certificate.lower_bound
     except ValueError as refused:
-        tried["path"] = str(refused)
+        tried["path"], kind = str(refused), NoRunFound if isinstance(refused, NoRunFound) else RelationRefused
         if relation == "path" or is_written:
             raise
     own = not is_written and not any(policy.sees_all for policy in policies)
@@ -181,7 +182,7 @@ def certified_as_it_is(
         except ValueError as refused:
             tried["cells"] = str(refused)
     if found is None:
-        raise RelationRefused(f"`policy`: nothing is certified of it as it is: {tried['path']}")
+        raise kind(f"`policy`: nothing is certified of it as it is: {tried['path']}")
     return replace(found, stats={**found.stats, "tried": tried})
 
 

@@ -11,6 +11,7 @@ import pytest
 import certigym as cg
 from certigym.synthesis.certificates.proofs import changed
 from certigym.synthesis.interop.environments import sight_of
+from certigym.synthesis.verbs.as_it_is import WORDS, as_it_is
 
 EPISODES = 20_000
 ENVS = {
@@ -134,3 +135,20 @@ def test_failures_name_the_layer_that_leaves_out_most() -> None:
     problem, policy = given("central_env", 0.25, activation="tanh")
     with pytest.raises(ValueError, match=r"widens at step \d+: layer 1, whose neurons get \+-[\d.]+, leaves"):
         cg.certify(problem, policy)
+
+
+def test_a_table_has_a_bound_or_a_word() -> None:
+    """For every policy of a leaderboard: a number where it is certified as it is, and else why not, in a word."""
+    env = "parallel_env(observation=neighbours;actions=unit;automaton=number)"
+    crowd, calm, wild = team(3), given("central_env"), given("central_env", 0.25, activation="tanh")
+    away = cg.as_policy([(np.zeros((7, 2), np.float32), np.zeros(2, np.float32))], calm[0], env="central_env")
+    found = [
+        as_it_is(*calm),
+        as_it_is(calm[0], away),
+        as_it_is(*wild),
+        as_it_is(crowd, cg.as_policy(fitted(crowd, env, 0, "relu"), crowd, env=env, activation="relu")),
+        as_it_is(crowd, lambda x, q, time: np.zeros(1)),
+    ]
+    assert [own.word for own in found] == ["", "off course", "wide tube", "neighbours", "layers"]
+    assert found[0].bound == cg.certify(*calm).certificate.lower_bound and str(found[0]).startswith("P >= ")
+    assert all(own.word in WORDS and own.why and own.bound is None for own in found[1:])

@@ -43,7 +43,7 @@ from ...checker import (
     value_on,
     walk,
 )
-from ...relations.grids import FloatArray, RelationRefused
+from ...relations.grids import FloatArray, NoRunFound, RelationRefused
 from ...relations.kinds import ON_CELLS, NetworkPolicy
 from .policy_reasons import widening_layer
 
@@ -103,7 +103,7 @@ def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: fl
     known = read_problem({"problem": canonical_problem(problem)})
     run = _run_of(problem, known, policies)
     if not run.accepted:
-        raise RelationRefused("the run of the policies without noise does not satisfy the task: train on, or elsewhere")
+        raise NoRunFound("the run of the policies without noise does not satisfy the task: train on, or elsewhere")
     if enough > 0.0:
         return _soon(problem, known, run, policies, enough)
     best: AlongPath | None = None
