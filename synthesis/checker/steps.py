@@ -166,13 +166,12 @@ class Tube:
         drift, forms = joint.errors.rows(np.eye(len(joint.spread)))
         # |g| <= width is asked at times from 1 on; at time 0 there is no noise.
         width = joint.widths[t].copy() if t else np.zeros(len(joint.spread))
-        ellipsoids: list[Ellipsoid | None] = []
-        for own in joint.trajectories:
-            found = None
-            if own.network is not None and t:
-                found = Ellipsoid.of(joint.errors, own.places, own.radius, joint.constraints.kinds)
-                width[own.places] = np.minimum(width[own.places], found.widths)
-            ellipsoids.append(found)
+        shared: dict[tuple[bytes, float], Ellipsoid] = {}  # one for all who see the same
+        keys = [(own.places.tobytes(), own.radius) for own in joint.trajectories]
+        for own, key in zip(joint.trajectories, keys):
+            if own.network is not None and t and key not in shared:
+                shared[key] = Ellipsoid.of(joint.errors, own.places, own.radius, joint.constraints.kinds)
+                width[own.places] = np.minimum(width[own.places], shared[key].widths)
         still = (drift == 0).all(axis=0) & (width == 0)
         low, high = np.minimum(down(drift[0] - width), 0.0), np.maximum(up(drift[1] + width), 0.0)
         # states are in their workspaces, too; the tube holds 0, where the dynamics are expanded
@@ -181,7 +180,7 @@ class Tube:
         ends = np.where(still, 0.0, np.stack([low, high]))
         if not np.all(np.abs(ends[:, joint.turning]) <= HALF_TURN):
             raise Refused(f"an angle may be half a turn from the trajectory at time {t}")
-        return cls(t, ends, drift, forms, ellipsoids)
+        return cls(t, ends, drift, forms, [shared.get(key) for key in keys])
 
 
 @dataclass(frozen=True, eq=False)

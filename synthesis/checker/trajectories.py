@@ -127,7 +127,7 @@ def walk(joint: Joint) -> Iterator[Tube]:
     given_up = sum(envelope.lost for agent in joint.problem.agents for envelope in agent.envelopes)
     for t in range(len(joint.states)):
         tube = Tube.at(joint, t)
-        joint.constraints.lost += sum(own.lost for own in tube.ellipsoids if own is not None)
+        joint.constraints.lost += sum(own.lost for own in dict.fromkeys(tube.ellipsoids) if own is not None)
         yield tube
         if t < len(joint.states) - 1:
             advance(joint, tube)

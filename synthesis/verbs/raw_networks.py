@@ -318,6 +318,12 @@ def _policies(problem: Problem, actor: Any, along: bool = False) -> list[Any]:
     if actor.problem.fingerprint != problem.fingerprint:
         actor = replace(actor, problem=problem)
     policies = [actor.agent_policy(i) for i in range(problem.n_agents)]
+    if not along and any(policy.sees_all for policy in policies):
+        raise ValueError(
+            "`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
+            "one that sees the states of all agents, which is certified along its run alone; leave `cells` out, or "
+            "train `ppo`, `ippo` or `mappo`"
+        )
     for policy in policies:
         if any(layer.dtype != np.float32 for layer in (*policy.network.weights, *policy.network.biases)):
             raise ValueError("`policy`: expected networks with weights of single precision (float32), got others")

@@ -311,6 +311,7 @@ def _add_learning(commands: Any) -> None:
         "--probability", type=float, metavar="P", help="success probability that the shield keeps while training"
     )
     train.add_argument("--out", metavar="DIR", required=True, help="folder for actor, record, curve and learner")
+    train.add_argument("--certify", action="store_true", help="certify the actor as it is, or a smoother one like it")
     add_picture(train, "the training curve")
     train.add_argument(
         "--bound", metavar="certificate|CERT", help="certificate whose bound --plot draws (default: of --warm-start)"

@@ -270,7 +270,8 @@ def _moved(known: CheckedProblem, x: Sequence[FloatArray], u: Sequence[FloatArra
 
 def _radii(problem: Problem, policies: Sequence[GivenPolicy], steps: int, lost: float) -> tuple[float, ...]:
     """Return radii of the ellipsoids of all agents, which errors leave with about this probability in all."""
-    share = lost / (steps * problem.n_agents)
+    # agents who see the states of all keep in one ellipsoid
+    share = lost / (steps * (1 if all(policy.sees_all for policy in policies) else problem.n_agents))
     sizes = [problem.n_states if policy.sees_all else a.n_states for policy, a in zip(policies, problem.agents)]
     return tuple(_radius(d, share, all(a.laws is None for a in problem.agents)) for d in sizes)
 
