@@ -152,3 +152,18 @@ def test_a_table_has_a_bound_or_a_word() -> None:
     assert [own.word for own in found] == ["", "off course", "wide tube", "neighbours", "layers"]
     assert found[0].bound == cg.certify(*calm).certificate.lower_bound and str(found[0]).startswith("P >= ")
     assert all(own.word in WORDS and own.why and own.bound is None for own in found[1:])
+
+
+@pytest.mark.parametrize("env", ENVS)
+def test_rows_are_affine_up_to_what_the_checker_charges(env: str) -> None:
+    """Rows as environments compute them, at random states of the workspaces, in units of double precision."""
+    problem, view, rng = team(ENVS[env]), sight_of(env), np.random.default_rng(0)
+    states = [rng.uniform(a.state_low[:, None], a.state_high[:, None], (a.n_states, 2000)) for a in problem.agents]
+    joint = np.concatenate(states)
+    for i in range(1 if view.central else problem.n_agents):
+        affine = view.affine(problem, i)
+        assert affine is not None
+        matrix, offset = affine
+        rows = view.rows(problem, i, states, np.zeros(2000, dtype=int), 3)[:, : len(offset)]
+        charged = 64.0 * 2.0**-53 * (np.abs(matrix) @ np.abs(joint) + np.abs(offset)[:, None] + 1.0)
+        assert np.all(np.abs(rows.T - (matrix @ joint + offset[:, None])) <= charged)
