@@ -13,6 +13,7 @@ from scipy.stats import chi2
 import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical, canonical_problem, contents_of
 from certigym.synthesis.checker import Joint, networks, read_problem, read_trajectories, steps, walk
+from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED
 from certigym.synthesis.checker.error_system import ErrorSystem, covariance_of
 from certigym.synthesis.checker.feedbacks import enclosed_feedback, read_feedback
 from certigym.synthesis.checker.fields import Entry
@@ -102,6 +103,34 @@ def test_nothing_is_known_of_a_neuron_that_may_get_anything(activation: str) -> 
     with np.errstate(all="ignore"):
         for z, ends in ((np.zeros(1), nan), (np.full(1, np.nan), limits), (np.full(1, np.nan), nan)):
             assert np.all(np.isnan(networks._line(activation, z, ends, *limits)[2]))
+
+
+@pytest.mark.parametrize("sees", ["scaled", "raw"])
+def test_rows_in_single_precision_are_between_their_ends(sees: str) -> None:
+    """As the package computes and rounds them; halves of what they may be off by are too narrow."""
+    problem, _ = an_agent(3, 1)
+    view = OwnView(0, 1, 4, 3, problem.horizon, scale="raw" if sees == "raw" else "unit")
+    plain = Layers((np.zeros((1, view.size), np.float32),), (np.zeros(1, np.float32),), "tanh", False)
+    agent, rng, most = problem.agents[0], np.random.default_rng(5), 0.0
+    row = seen_jointly(NetworkPolicy(plain, view, agent.workspace, agent.input_box), 0, 3)
+    layers = tuple(w.astype(float) for w in plain.weights), tuple(b.astype(float) for b in plain.biases)
+    network = Network(*layers, "tanh", "clip", row.matrix, row.offset, row.told)
+    for t in range(5):
+        at, far = rng.uniform(-1.0, 1.0, 3), rng.uniform(0.0, 0.5, 3)
+        e = rng.uniform(-far, far, (20_000, 3))
+        first = networks.row_seen(network, at, (1, 3, float(np.float32(1.0 - t / problem.horizon))), far)
+        rows = view.rows(agent.workspace, (at + e).T, np.full(len(e), 1), t).astype(float)
+        left, rest = rows - first.h - e @ first.C.T, first.rest()
+        assert np.all(left >= rest[0]) and np.all(left <= rest[1])
+        most = max(most, float(np.max(np.abs(left[:, :3]) / rest[1][:3])))
+    assert most > 0.4
+
+
+def test_ellipsoids_have_the_tails_of_their_noise() -> None:
+    """Those of sub-Gaussian noise are left more often than normal ones, and of others nothing is known."""
+    errors = a_system(np.random.default_rng(2), 2, 3)[0]
+    lost = [Ellipsoid.of(errors, np.arange(2), 4.0, np.full(2, kind)).lost for kind in (NORMAL, STOPPED, LIGHT, LONG)]
+    assert lost[0] < lost[1] == lost[2] < lost[3] == 1.0
 
 
 @pytest.mark.parametrize("sees", ["scaled", "raw"])

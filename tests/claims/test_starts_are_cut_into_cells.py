@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates.proofs import Cut, changed, contents_of
+from certigym.synthesis.certificates.proofs import Cut, PathProof, StartsProof, changed, contents_of
 from certigym.synthesis.certificates.proofs.canonical import canonical_bytes
 from certigym.synthesis.checker import check_contents, parse_file
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED
@@ -126,3 +126,16 @@ def test_lengths_of_sub_gaussian_vectors_have_these_tails() -> None:
     assert length_tail(3.0, 2, 1.0, LIGHT) == length_tail(3.0, 2, 1.0, STOPPED) > length_tail(3.0, 2, 1.0, NORMAL)
     assert length_tail(3.0, 2, 1.0, LONG) == length_tail(1.0, 2, 1.0, LIGHT) == 1.0
     assert 0.0 < length_tail(1e9, 3, 1.0, LIGHT) < 1e-200
+
+
+def test_shares_are_those_of_the_volume() -> None:
+    """A quarter of the starts, or three quarters, of which nothing is claimed."""
+    problem = swing(([0.25, -0.1], [0.35, 0.1]))
+    certificate = cg.certify(problem, given(problem)).certificate
+    path = certificate.proof
+    assert isinstance(path, PathProof) and path.networks is not None and path.failure < 1e-6
+    for below, above, share in ((None, path, 0.25), (path, None, 0.75)):
+        cut = Cut(0, 0, 0.275, below, above)
+        for failure, is_right in ((share + 1e-5, True), (share - 1e-5, False)):
+            proof = StartsProof(cut, path.networks, failure, 1.0)
+            assert bool(cg.check(replace(certificate, proof=proof), problem)) is is_right

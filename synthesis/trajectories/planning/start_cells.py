@@ -33,8 +33,11 @@ LITTLE = 1e-6
 GAIN = 0.8
 """Share of what a cell loses that both of its halves may lose, or else they are not cut again."""
 
-MOST_CELLS, HOPELESS = 128, 12
-"""Cells that are looked at, and how many of them without a certificate end the search."""
+MOST_CELLS, FEW_CELLS, HOPELESS = 128, 12, 12
+"""Cells that are looked at, of up to ``FEW_STATES`` states and of more, and how many without a certificate end it."""
+
+FEW_STATES = 3
+"""States up to which it pays to cut a box along all of them."""
 
 
 @dataclass(eq=False)
@@ -97,8 +100,9 @@ def _of_cells(problem: Problem, policies: Sequence[GivenPolicy], whole: _Cell) -
 def _divided(problem: Problem, policies: Sequence[GivenPolicy], whole: _Cell) -> list[_Cell]:
     """Cut cells that lose most, in the middle of one side, until little is lost; return those that are not cut."""
     count, order, last = 1, itertools.count(), [whole]
+    most = MOST_CELLS if problem.n_states <= FEW_STATES else FEW_CELLS
     waiting = [(-whole.lost, next(order), whole)]
-    while waiting and count < MOST_CELLS:
+    while waiting and count < most:
         cell = heapq.heappop(waiting)[2]
         cell.cut = _halves(problem, policies, cell)
         last = [one for one in last if one is not cell] + list(cell.cut[2:])
