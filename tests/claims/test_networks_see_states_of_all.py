@@ -167,3 +167,17 @@ def test_rows_are_affine_up_to_what_the_checker_charges(env: str) -> None:
         rows = view.rows(problem, i, states, np.zeros(2000, dtype=int), 3)[:, : len(offset)]
         charged = 64.0 * 2.0**-53 * (np.abs(matrix) @ np.abs(joint) + np.abs(offset)[:, None] + 1.0)
         assert np.all(np.abs(rows.T - (matrix @ joint + offset[:, None])) <= charged)
+
+
+def test_networks_do_not_see_angles() -> None:
+    """Where an angle wraps, what a network sees of it jumps: such a network is refused, whoever it moves."""
+    turning = cg.Agent(name="t", states=["a"], inputs=["w"], dynamics=["a + 0.1*w"], noise=0.01, angles=["a"],
+                       state_space=(-np.pi, np.pi), input_space=(-1, 1), start=[0.5])  # fmt: skip
+    cart = cg.LinearAgent(name="c", A=1.0, B=0.1, noise=0.01, state_space=(-2, 2), input_space=(-1, 1), start=[0.5])
+    goals = {"g": cg.Proposition("c", [-0.2], [0.7])}
+    problem = cg.Problem(name="p", horizon=4, agents=[turning, cart], propositions=goals,
+                         specification=cg.Specification("F g"))  # fmt: skip
+    rng = np.random.default_rng(0)
+    layers = [((0.1 * rng.standard_normal((5, 2))).astype(np.float32), np.zeros(2, np.float32))]
+    with pytest.raises(ValueError, match="acts where no state that it sees is an angle"):
+        cg.certify(problem, cg.as_policy(layers, problem, env="central_env"))
