@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates.proofs import changed
+from certigym.synthesis.certificates.proofs import canonical_problem, changed, contents_of
+from certigym.synthesis.checker import Joint, read_problem, read_trajectories, walk
 from certigym.synthesis.interop.environments import sight_of
 from certigym.synthesis.verbs.as_it_is import WORDS, as_it_is
 
@@ -181,3 +182,24 @@ def test_networks_do_not_see_angles() -> None:
     layers = [((0.1 * rng.standard_normal((5, 2))).astype(np.float32), np.zeros(2, np.float32))]
     with pytest.raises(ValueError, match="acts where no state that it sees is an angle"):
         cg.certify(problem, cg.as_policy(layers, problem, env="central_env"))
+
+
+def test_errors_of_one_agent_follow_those_that_its_network_sees() -> None:
+    """A linear layer that couples two agents strongly: the matrix of a step is that of the closed loop."""
+    agents = [
+        cg.LinearAgent(name=name, A=0.9, B=0.5, noise=0.01, state_space=(-2, 2), input_space=(-1, 1), start=[start])
+        for name, start in (("a", 0.6), ("b", -0.4))
+    ]
+    goals = {name: cg.Proposition(name, [-0.3], [0.5]) for name in ("a", "b")}
+    problem = cg.Problem(name="p", horizon=5, agents=agents, propositions=goals,
+                         specification=cg.Specification("F (a & b)"))  # fmt: skip
+    gains = np.array([[-0.3, 0.4], [-0.5, -0.2]])
+    layer = np.concatenate([gains.T, np.zeros((problem.automaton.n_states + 1, 2))]).astype(np.float32)
+    policy = cg.as_policy([(layer, np.zeros(2, np.float32))], problem, env="central_env")
+    certificate = cg.certify(problem, policy).certificate
+    known = read_problem({"problem": canonical_problem(problem)})
+    read = read_trajectories(contents_of(certificate), known)
+    joint = Joint.of(known, read.trajectories, read.letters)
+    assert len([*walk(joint)]) > 1
+    for matrix, *_ in joint.errors.steps:
+        assert np.allclose(matrix, 0.9 * np.eye(2) + 0.5 * gains, atol=1e-6)
