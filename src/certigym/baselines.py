@@ -16,6 +16,7 @@ from .validation.policies import (
     Sources,
     Training,
     load_actor,
+    smoothed,
     train,
 )
 
@@ -30,6 +31,7 @@ __all__ = [
     "Sources",
     "Training",
     "load_actor",
+    "smoothed",
     "train",
 ]
 

@@ -3,28 +3,30 @@
 Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``problem`` (with
 ``distributions``); ``automaton``, ``formula``; ``letters``, ``angles``, ``crossings``, ``constraints``,
 ``error_system``, ``steps``, ``trajectories``; ``tables``, ``motions``, ``cells``,
-``tree``, ``trains``, ``cell_proofs``; ``verdict``, ``controller``. Each file begins with its theorem.
+``tree``, ``trains``, ``cell_proofs``; ``starts``, ``verdict``. Each file begins with its theorem.
 """
 
 from .angles import check_angles
+from .automaton import followed
 from .crossings import check_words
 from .fields import Refused, Unreadable
-from .file import FORMAT, MOST_BYTES, VERSION, Contents, is_certificate, parse_file, read_file
+from .file import FORMAT, MOST_BYTES, VERSION, Contents, parse_file, read_file
 from .jets import value_on
-from .letters import demands
+from .letters import demands, known_at, known_at_start
 from .motions import affine_dynamics
-from .networks import automaton_states
+from .networks import Network, automaton_states, row_seen
 from .problem import Agent as CheckedAgent
 from .problem import Problem as CheckedProblem
 from .problem import read_problem
-from .steps import Joint
+from .steps import Joint, Trajectory, Tube
 from .trajectories import failure_of, linear_forms, walk
 from .trajectories import read_proof as read_trajectories
 from .verdict import Verdict, bound_of, check, check_contents, shown
 
 __all__ = [
-    "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "CheckedProblem", "Contents", "Joint", "Refused", "Unreadable",
-    "Verdict", "affine_dynamics", "automaton_states", "bound_of", "check", "check_angles", "check_contents",
-    "check_words", "demands", "failure_of", "is_certificate", "linear_forms", "parse_file", "read_file",
-    "read_problem", "read_trajectories", "shown", "value_on", "walk",
+    "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "Network", "CheckedProblem", "Contents", "Joint",
+    "Refused", "Trajectory", "Tube", "Unreadable", "Verdict", "affine_dynamics", "automaton_states", "bound_of",
+    "check", "check_angles", "check_contents", "check_words", "demands", "failure_of", "followed", "known_at",
+    "known_at_start", "linear_forms", "parse_file", "read_file", "read_problem", "read_trajectories", "row_seen",
+    "shown", "value_on", "walk",
 ]  # fmt: skip

@@ -97,10 +97,8 @@ def _slope(tree: Tree, angle: str) -> Fraction | None:
         return a + b if name == "+" else a - b
     if name in ("min", "max"):
         return a if a == b else None
-    if name == "*" and isinstance(arguments[0], float) and not known[0]:
-        return Fraction(arguments[0]) * b
-    if name == "*" and isinstance(arguments[1], float) and not known[1]:
-        return Fraction(arguments[1]) * a
+    # products with numbers, and quotients by them
+    factor = next((other for other in arguments[: 2 if name == "*" else 0] if isinstance(other, float)), None)
     if name == "/" and isinstance(arguments[1], float) and arguments[1]:
         return a / Fraction(arguments[1])
-    return None
+    return None if factor is None else Fraction(factor) * (b if factor is arguments[0] else a)

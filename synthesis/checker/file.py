@@ -62,13 +62,6 @@ def read_file(path: str | Path, most_bytes: int = MOST_BYTES) -> Contents:
     return parse_file(Path(path).read_bytes())
 
 
-def is_certificate(path: str | Path) -> bool:
-    """Return whether a file begins as one of this format does: with a stored member ``header.json``."""
-    with open(path, "rb") as file:
-        start = file.read(41)
-    return start[:4] == LOCAL and start[30:41] == b"header.json"
-
-
 def parse_file(raw: bytes) -> Contents:
     """Return header and arrays in the bytes of a file."""
     # Members in order: the header, then arrays by number.

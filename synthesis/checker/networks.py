@@ -1,8 +1,9 @@
 """Feed-forward networks as feedbacks: ``u + J e + rho`` for all errors e that are possible.
 
-A network sees a row: the state of its agent, ``(x - middle) / half``, filled up with zeros; the automaton state,
-one-hot; the share of time left; which agent it is, one-hot. Layers ``z = W h + b`` have an activation between them; the
-outputs are cut off at -1 and 1, or go through tanh, and stand for the box of inputs; or they are cut off at that box.
+A network sees a row ``V x + b`` of the states of its agent, or of all; in it stand the automaton state, one-hot, and
+the share of time left. Layers ``z = W h + b`` have an activation between them; the outputs are cut off at -1 and 1, or
+go through tanh, and stand for the box of inputs; or they are cut off at that box. The row may be off by some units of
+its sizes, in double precision, before it is rounded to single.
 
 **Theorem** (``enclosed``). If rows C of e lie between ``reach(C)``, and |e| <= far, then the input is within
 ``u + J e + rho``, with rho between the ends that are returned, whatever the order of the network's sums is, in single
@@ -15,13 +16,18 @@ within ``h^2 sup |f''| / 8`` of the hull of those at two points h apart that d l
 
 Errors keep in *ellipsoids*, which are narrower for many rows at once than a strip for each.
 
-**Theorem** (``Ellipsoid``). Let g be the form of the errors of one agent (``error_system``), W any matrix, and V the
+**Theorem** (``Ellipsoid``). Let g be the form of the errors that a network sees (``error_system``), W a matrix, V the
 covariance of W g. Then ``P(|W g| > R) <= P(chi2_d > R^2 / v)``, where v is at least the largest eigenvalue of V; and
 where ``|W g| <= R`` every row c satisfies ``|c g| <= R |a| + |c - a W| |g|``, for any a.
 
 *Proof.* W g has the distribution of V^(1/2) z with z standard normal, no longer than sqrt(v) |z|. And
 ``c g = a W g + (c - a W) g``. QED Eigenvalues are bounded by absolute sums of rows (Gershgorin); W is about the inverse
 of a root of the covariance of g, so that v is 1 up to rounding, and a is c times that root.
+
+Of noise that is sub-Gaussian (``distributions``), also where its size depends on the past, ``P(|W g| > R)`` is at most
+``(y / d)^(d/2) exp((d - y) / 2)``, y = R^2 / v > d. *Proof.* E exp(a W g) <= exp(v |a|^2 / 2) for all a. For
+0 < s < 1 take the mean over normal a of variance s / v: E exp(s |W g|^2 / 2 v) <= (1 - s)^(-d/2). Markov's inequality
+at s = 1 - d / y (Hsu, Kakade, Zhang, Electronic Communications in Probability 17, 2012). QED
 
 By hand: a smooth activation f is off by 2^-21 max(1, |f|) at most. Reference: docs/theory/paths.md, "Networks".
 """
@@ -35,6 +41,7 @@ import numpy as np
 
 from . import rigorous
 from .automaton import followed
+from .distributions import LIGHT, NORMAL
 from .error_system import ErrorSystem, covariance_of
 from .fields import Entry, Refused
 from .intervals import add, down, exp, interval, mul, neg, recip, tanh, up
@@ -42,38 +49,33 @@ from .letters import known_at, known_at_start
 from .problem import Agent, Problem
 from .rigorous import Array, U, Whole
 
-OUTPUTS, SEES = ("clip", "tanh", "box"), ("scaled", "raw")
+OUTPUTS = ("clip", "tanh", "box")
 SINGLE = 2.0**-24  # relative rounding of one operation in single precision
 ACTIVATION_OFF = 2.0**-21  # share of the larger of 1 and its size by which a smooth activation may be off
 PIECES = 128  # parts of an interval at whose ends smooth activations are looked at
-MOST_UNITS = 4096
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Layers of one agent: weights (n', n) and biases (n',), and what its row holds."""
+    """Layers: weights (n', n), biases (n',); ``view`` (n, D) and ``offset`` (n,) of a row; q from ``told`` on."""
 
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
     activation: str
     output: str
-    sees: str
-    width: int
-    agents: int
-    number: int
+    view: Array
+    offset: Array
+    told: int
 
 
-def read_network(entry: Entry, agent: Agent, states: int) -> Network:
-    """Return the network of an agent in a file; raise ``Unreadable`` if it does not fit."""
-    own = entry.table(("weights", "biases", "activation", "output", "sees", "width", "agents", "number"))
+def read_network(entry: Entry, agent: Agent, seen: int, states: int) -> Network:
+    """Return the network of an agent in a file; ``Unreadable`` unless it fits what is ``seen``: states of all."""
+    own = entry.table(("weights", "biases", "activation", "output", "view", "offset", "told"))
     activation, output = own["activation"].one_of((*SMOOTH, "relu")), own["output"].one_of(OUTPUTS)
-    sees = own["sees"].one_of(SEES)
-    width, agents = (own[key].whole(0, MOST_UNITS) for key in ("width", "agents"))
-    number = own["number"].whole(0, max(1, agents))
-    if width < len(agent.states):
-        raise own["width"].wrong(f"the row has no room for the state of `{agent.name}`")
+    view = own["view"].floats((None, seen))
+    offset, told = own["offset"].floats((len(view),)), own["told"].whole(0, len(view) - states)
     # Each layer takes what the one before answers, the first one the row.
-    weights, biases, count = [], [], width + states + 1 + agents
+    weights, biases, count = [], [], len(view)
     layers = [own[key].entries() for key in ("weights", "biases")]
     for weight, bias in zip(*layers, strict=False):
         biases.append(bias.floats((None,)))
@@ -81,7 +83,7 @@ def read_network(entry: Entry, agent: Agent, states: int) -> Network:
         count = len(biases[-1])
     if not weights or len(layers[0]) != len(layers[1]) or count < len(agent.inputs):
         raise entry.wrong(f"its layers do not answer with the inputs of `{agent.name}`")
-    return Network(tuple(weights), tuple(biases), activation, output, sees, width, agents, number)
+    return Network(tuple(weights), tuple(biases), activation, output, view, offset, told)
 
 
 def automaton_states(problem: Problem, letters: Whole) -> list[int]:
@@ -105,21 +107,20 @@ def automaton_states(problem: Problem, letters: Whole) -> list[int]:
 def enclosed(
     network: Network, agent: Agent, at: Array, row: tuple[int, int, float], reach: Callable[[Array], Array], far: Array
 ) -> tuple[Array, Array, Array]:
-    """Return u (m,), J (m, d) and ends (2, m) of rho, for the errors around a state ``at`` (d,).
+    """Return u (m,), J (m, k) and ends (2, m) of rho, for the errors around states ``at`` (k,) that it sees.
 
-    ``row`` are the automaton state, how many there are, and the share of time left; ``reach`` takes rows C (n, d) to
-    ends (2, n) of C e, and ``far`` (d,) is above |e|.
+    ``row`` are the automaton state, how many there are, and the share of time left; ``reach`` takes rows C (n, k) to
+    ends (2, n) of C e, and ``far`` (k,) is above |e|.
     """
-    forms, m, (low, high) = _first(network, agent, at, row, far), len(agent.inputs), agent.input_box
+    forms, m, (low, high) = row_seen(network, at, row, far), len(agent.inputs), agent.input_box
     for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
         forms = forms.times(weight, bias, SINGLE).through(network.activation, np.zeros(0), np.zeros(0), reach)
     last, ones = forms.times(network.weights[-1][:m], network.biases[-1][:m], SINGLE), np.ones(m)
     # Outputs are inputs, cut off at their box, or stand for it between -1 and 1.
-    if network.output == "box":
-        forms, middle, half = last.through("clip", low, high, reach), 0.0 * ones, ones
-    else:
-        forms = last.through("tanh" if network.output == "tanh" else "clip", -ones, ones, reach)
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    in_box = network.output == "box"
+    middle, half = (0.0 * ones, ones) if in_box else (0.5 * (low + high), 0.5 * (high - low))
+    ends = np.stack([low, high]) if in_box else np.stack([-ones, ones])
+    forms = last.through("tanh" if network.output == "tanh" else "clip", ends[0], ends[1], reach)
     # the move onto the box of inputs, as floating point computes it
     spare = 16.0 * U * (np.abs(low) + np.abs(high) + np.abs(middle) + half * (1.0 + np.abs(forms.C) @ far)) + 1e-290
     u, J = middle + half * forms.h, half[:, None] * forms.C
@@ -178,22 +179,15 @@ class Layer:
         return Layer(value, slope[:, None] * self.C, (*parts, (None, rest)), size * (1.0 + 8.0 * U), self.far)
 
 
-def _first(network: Network, agent: Agent, at: Array, row: tuple[int, int, float], far: Array) -> Layer:
+def row_seen(network: Network, at: Array, row: tuple[int, int, float], far: Array) -> Layer:
     """Return the row that a network sees."""
-    (q, states, left), d, (low, high) = row, len(at), agent.state_box
-    scaled = network.sees != "raw"
-    middle, half = (0.5 * (low + high), 0.5 * (high - low)) if scaled else (np.zeros(d), np.ones(d))
-    # After the state: the automaton state, the share of time left, and which agent it is.
-    told = np.zeros(states + 1 + network.agents)
-    told[max(q, 0)], told[states] = 1.0, left
-    told[states + 1 :][network.number : network.number + 1] = 1.0
-    h = np.concatenate([(at - middle) / half, np.zeros(network.width - d), told])
-    C, size = np.eye(len(h))[:, :d] / half, np.abs(h)
-    size[:d] += far / half
-    # the row is scaled in double precision, and rounded to single
-    off = SINGLE * size[:d] * 1.01 + 32.0 * U * (np.abs(at) + far + np.abs(low) + np.abs(high)) / half + 1e-45
-    size[:d] += off
-    return Layer(h, C, ((np.eye(len(h))[:, :d], np.stack([-off, off])),), size, far)
+    (q, states, left), h = row, network.view @ at + network.offset
+    h[network.told : network.told + states + 1] += np.append(np.arange(states) == max(q, 0), left)
+    # the row is computed in double precision, there and here, and rounded to single
+    reach = np.abs(network.view) @ far
+    most = reach + np.abs(network.view) @ np.abs(at) + np.abs(network.offset) + 1.0
+    off = 1.01 * SINGLE * (np.abs(h) + reach) + (64.0 + 4.0 * len(at)) * U * most + 1e-45
+    return Layer(h, network.view, (), np.abs(h) + reach + off, far).off_by(off)
 
 
 def _logistic(x: Array) -> Array:
@@ -239,10 +233,10 @@ class Ellipsoid:
     lost: float
 
     @classmethod
-    def of(cls, errors: ErrorSystem, places: slice, radius: float) -> Ellipsoid:
-        """Return the ellipsoid of an agent now, and the probability that its errors are outside."""
+    def of(cls, errors: ErrorSystem, places: Whole, radius: float, kinds: Whole) -> Ellipsoid:
+        """Return the ellipsoid of errors now, and the probability that they are outside; ``kinds`` of sources."""
         D = len(errors.spread)
-        (_, now), d = errors.rows(np.eye(D)[places]), places.stop - places.start
+        (_, now), d = errors.rows(np.eye(D)[places]), len(places)
         covariance = covariance_of(now, now)[0]
         # Any root will do: states that no noise has reached get a little of their own.
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
@@ -252,18 +246,17 @@ class Ellipsoid:
         _, white = errors.rows(rows)
         found, off = covariance_of(white, white)
         largest = float(np.max(np.sum(np.abs(found) + off, axis=1))) * (1.0 + 4.0 * U * d)
-        return cls(root, rows[:, places], radius, chi_tail(radius, d, largest))
+        kind = int(np.where(white.sources, kinds, NORMAL).max(initial=NORMAL))
+        return cls(root, rows[:, places], radius, length_tail(radius, d, largest, kind))
 
     @property
     def widths(self) -> Array:
         """Upper bounds (d,) on |g|."""
-        # g = root h + (1 - root W) g: what the root misses is small, and g is at most twice root h
-        d = len(self.root)
+        # g = root h + (1 - root W) g: what the root misses is small, and g is hardly more than root h
+        d, most = len(self.root), 1.01 * self.radius * np.sqrt(np.max(np.sum(self.root**2, axis=1)))
         off = np.abs(np.eye(d) - self.root @ self.white) + (d + 4.0) * U * np.abs(self.root) @ np.abs(self.white)
-        plain = self.radius * np.sqrt(np.sum(self.root**2, axis=1)) * (1.0 + (d + 8.0) * U)
-        if not np.max(off.sum(axis=1)) <= 1e-3:
-            return np.full(d, np.inf)
-        return np.asarray(up(plain + 1.01 * off @ np.full(d, plain.max()) * (1.0 + 4.0 * d * U)))
+        known = np.max(off.sum(axis=1)) <= 1e-3
+        return self.reach(np.eye(d), np.full(d, most)) if known else np.full(d, np.inf)
 
     def reach(self, rows: Array, most: Array) -> Array:
         """Return upper bounds (n,) on ``|c g|`` for rows (n, d), where ``|g| <= most`` (d,)."""
@@ -274,23 +267,24 @@ class Ellipsoid:
         return np.asarray(up(self.radius * length) + (missed @ most) * (1.0 + (d + 4.0) * U) + 1e-290)
 
 
-def chi_tail(radius: float, d: int, largest: float) -> float:
-    """Return an upper bound on ``P(chi2_d > radius^2 / largest)``.
+def length_tail(radius: float, d: int, largest: float, kind: int = NORMAL) -> float:
+    """Return an upper bound on P(|W g| > radius) for noise of a kind of tails, by the theorems above.
 
-    With x = radius^2 / (2 largest) it is, for even d, ``exp(-x)`` times the sum of ``x^k / k!`` for k < d / 2; for odd
-    d, twice the normal tail at sqrt(2 x), and ``exp(-x)`` times the sum of ``x^(k + 1/2) / Gamma(k + 3/2)``.
+    For normal noise, and x = radius^2 / (2 largest), it is ``exp(-x)`` times the sum of ``x^k / k!`` for k < d / 2 if d
+    is even; else twice the normal tail at sqrt(2 x), and ``exp(-x)`` times the sum of ``x^(k + 1/2) / Gamma(k + 3/2)``.
     """
-    if not (radius > 0.0 and 0.0 < largest < np.inf):
+    if not (radius > 0.0 and 0.0 < largest < np.inf) or kind > LIGHT:
         return 1.0
-    x = down(np.full(1, radius * radius / (2.0 * largest)) * (1.0 - 4.0 * U))
-    if not x[0] < 700.0:
-        return chi_tail(37.0, d, 1.0)
+    y = min(radius * radius / largest, 1360.0) * (1.0 - 8.0 * U)
+    if kind != NORMAL:
+        exponent = 0.5 * (d * (float(rigorous.log(np.full(1, up(y / d)))[1][0]) + 1.0) - y) + 16.0 * U * (d + y)
+        return min(1.0, float(rigorous.exp(np.full(1, exponent))[1][0])) if y > d else 1.0
     # The first term, and what each is more than the one before: half-odd powers if d is odd.
-    half, one, root = 0.5 * (d % 2), interval(np.ones(1)), np.sqrt(x)
+    x, half, one = np.full(1, 0.5 * y), 0.5 * (d % 2), interval(np.ones(1))
     term, total = exp(-interval(x)[::-1]), np.zeros((2, 1))
     if half:
         factor = np.array([[1.1283791670955125], [1.1283791670955128]])  # 1 / Gamma(3/2) = 2 / sqrt(pi)
-        term = mul(mul(term, np.stack([down(root), up(root)])), factor)
+        term = mul(mul(term, np.stack([down(np.sqrt(x)), up(np.sqrt(x))])), factor)
         total = 2.0 * np.stack(rigorous.tail(np.minimum(down(np.sqrt(2.0 * x)), 37.0)))
     for k in range(d // 2):
         total = add(total, term)

@@ -16,6 +16,7 @@ tubes of earlier times bound (``error_system``); strips ``|g| <= width`` are ask
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,13 +41,15 @@ LARGEST_ERROR = 1e100  # linearization errors beyond it end the check: what foll
 class Trajectory:
     """Of one agent: inputs (S, m), feedback gains (S, m, d), states (S + 1, d), widths (S + 1, d + m) of the tube.
 
-    Where a network acts, inputs and gains are not looked at, and its errors keep in an ellipsoid of a ``radius``.
+    Inputs follow errors at ``places`` (k,) of the joint state: its own, or what a network sees. Where one acts, inputs
+    and gains are not looked at, and these errors keep in an ellipsoid of a ``radius``.
     """
 
     inputs: Array
     gains: Array
     states: Array
     widths: Array
+    places: Whole
     network: Network | Feedback | None = None
     radius: float = np.inf
 
@@ -64,7 +67,7 @@ class _Reads:
     places: dict[str, int]
 
     @classmethod
-    def of(cls, problem: Problem, i: int) -> _Reads:
+    def of(cls, problem: Problem, i: int, followed: Sequence[Whole]) -> _Reads:
         agent, slices, inputs_at = problem.agents[i], problem.slices, problem.input_slices
         named = names_in(agent.dynamics)
         states = {name: at for name, at in agent.states_of_others.items() if name in named}
@@ -72,8 +75,8 @@ class _Reads:
         inputs |= {name: at for name, at in agent.inputs_of_others.items() if name in named}
         columns = [*range(slices[i].start, slices[i].stop)]
         columns += [slices[j].start + k for j, k in states.values()]
-        for j, _ in inputs.values():  # an input follows the errors of its own agent
-            columns += range(slices[j].start, slices[j].stop)
+        for j, _ in inputs.values():  # an input follows the errors of its own agent, or what a network sees
+            columns += [*followed[j]]
         columns = list(dict.fromkeys(columns))
         places = {name: k for k, name in enumerate(agent.states)}
         places |= {name: columns.index(slices[j].start + k) for name, (j, k) in states.items()}
@@ -130,18 +133,18 @@ class Joint:
             raise Refused(f"state {wrong[0, 1]} of the nominal trajectory leaves the workspace at time {wrong[0, 0]}")
         networked = np.repeat([o.network is not None for o in trajectories], [len(agent.inputs) for agent in agents])
         seen = automaton_states(problem, letters) if any(isinstance(o.network, Network) for o in trajectories) else []
-        kinds = kinds_of(problem)
+        kinds, places = kinds_of(problem), [own.places for own in trajectories]
         return cls(
-            problem, trajectories, [_Reads.of(problem, i) for i in range(len(agents))], box, input_box, states, inputs,
-            widths, input_widths, spread, turning, networked, seen,
+            problem, trajectories, [_Reads.of(problem, i, places) for i in range(len(agents))], box, input_box,
+            states, inputs, widths, input_widths, spread, turning, networked, seen,
             ErrorSystem(spread, len(kinds)), Constraints(kinds),
         )  # fmt: skip
 
-    def row(self, i: int, part: Array) -> Array:
-        """Return rows (.., D) of the joint state that are ``part`` (.., d) for agent i."""
-        row = np.zeros((*part.shape[:-1], len(self.spread)))
-        row[..., self.problem.slices[i]] = part
-        return row
+    def rows(self, places: Whole | slice, part: Array) -> Array:
+        """Return rows (n, D) of the joint state that are ``part`` (n, d) at some places."""
+        rows = np.zeros((len(part), len(self.spread)))
+        rows[:, places] = part
+        return rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,11 +166,12 @@ class Tube:
         drift, forms = joint.errors.rows(np.eye(len(joint.spread)))
         # |g| <= width is asked at times from 1 on; at time 0 there is no noise.
         width = joint.widths[t].copy() if t else np.zeros(len(joint.spread))
-        ellipsoids: list[Ellipsoid | None] = []
-        for own, here in zip(joint.trajectories, joint.problem.slices, strict=True):
-            ellipsoids.append(Ellipsoid.of(joint.errors, here, own.radius) if own.network is not None and t else None)
-            if (found := ellipsoids[-1]) is not None:
-                width[here] = np.minimum(width[here], found.widths)
+        shared: dict[tuple[bytes, float], Ellipsoid] = {}  # one for all who see the same
+        keys = [(own.places.tobytes(), own.radius) for own in joint.trajectories]
+        for own, key in zip(joint.trajectories, keys):
+            if own.network is not None and t and key not in shared:
+                shared[key] = Ellipsoid.of(joint.errors, own.places, own.radius, joint.constraints.kinds)
+                width[own.places] = np.minimum(width[own.places], shared[key].widths)
         still = (drift == 0).all(axis=0) & (width == 0)
         low, high = np.minimum(down(drift[0] - width), 0.0), np.maximum(up(drift[1] + width), 0.0)
         # states are in their workspaces, too; the tube holds 0, where the dynamics are expanded
@@ -176,7 +180,7 @@ class Tube:
         ends = np.where(still, 0.0, np.stack([low, high]))
         if not np.all(np.abs(ends[:, joint.turning]) <= HALF_TURN):
             raise Refused(f"an angle may be half a turn from the trajectory at time {t}")
-        return cls(t, ends, drift, forms, ellipsoids)
+        return cls(t, ends, drift, forms, [shared.get(key) for key in keys])
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,9 +222,8 @@ def _inputs(joint: Joint, tube: Tube) -> _Moves:
     for k in np.flatnonzero(((u < low) | (u > high)) & ~joint.networked)[:1]:
         raise Refused(f"the nominal {names[k]} leaves its box at time {t}")
     gain, reach = np.zeros((len(u), len(joint.spread))), np.abs(tube.ends).max(axis=0)
-    places = list(zip(joint.trajectories, joint.problem.input_slices, joint.problem.slices, strict=True))
-    for own, rows, here in places:
-        gain[rows, here] = own.gains[t] if own.network is None else 0.0
+    for own, rows in zip(joint.trajectories, joint.problem.input_slices, strict=True):
+        gain[rows, own.places] = own.gains[t] if own.network is None else 0.0
     # inputs that no error reaches are their nominal values to the last bit
     moved = np.any((gain != 0.0) & (reach > 0.0), axis=1)
     # u + K (x - xbar) as floating point computes it: d products and sums, and the difference of states
@@ -242,34 +245,32 @@ def _inputs(joint: Joint, tube: Tube) -> _Moves:
     if labels:
         below, above = down(value[0] - low[moved]), down(high[moved] - value[1])
         joint.constraints.add(below, above, width[moved], forms.at(moved), labels)
-    for i, (own, rows, here) in enumerate(places):
+    for i, own in enumerate(joint.trajectories):
         if own.network is not None:
-            found = _network_inputs(joint, own.network, tube, i)
-            moves.nominal[rows], moves.deviation[:, rows], moves.rounding[rows], moves.gains[rows, here] = found
+            _move_by_network(joint, own.network, tube, i, moves)
     return moves
 
 
-def _network_inputs(joint: Joint, network: Network | Feedback, tube: Tube, i: int) -> tuple[Array, Array, Array, Array]:
-    """Return what the inputs of a network may be, as ``_Moves`` of its agent: in their box, whatever it answers."""
-    agent, here, own, t = joint.problem.agents[i], joint.problem.slices[i], tube.ellipsoids[i], tube.t
+def _move_by_network(joint: Joint, network: Network | Feedback, tube: Tube, i: int, moves: _Moves) -> None:
+    """Say what the inputs of a network may be: in their box, whatever it answers."""
+    agent, here, own, t = joint.problem.agents[i], joint.trajectories[i].places, tube.ellipsoids[i], tube.t
     ends, far = tube.ends[:, here], np.abs(tube.ends[:, here]).max(axis=0)
 
     def reach(rows: Array) -> Array:
         """Rows of the errors: on the box of the tube, and on the ellipsoid and what rows are besides."""
         spare = (len(far) + 4.0) * U * (np.abs(rows) @ far) + 1e-290
-        low, high = (np.minimum(rows * ends[0], rows * ends[1]), np.maximum(rows * ends[0], rows * ends[1]))
-        box = np.stack([low.sum(axis=1) - spare, high.sum(axis=1) + spare])
+        products = rows * ends[:, None]
+        box = np.stack([products.min(axis=0).sum(axis=1) - spare, products.max(axis=0).sum(axis=1) + spare])
         if own is None:
             return box
-        drift = joint.errors.rows(joint.row(i, rows))[0]
-        wide = own.reach(rows, up(far + np.abs(tube.drift[:, here]).max(axis=0)))
-        return np.stack([np.maximum(box[0], down(drift[0] - wide)), np.minimum(box[1], up(drift[1] + wide))])
+        drift = joint.errors.rows(joint.rows(here, rows))[0]
+        most = own.reach(rows, up(far + np.abs(tube.drift[:, here]).max(axis=0)))
+        return np.stack([np.maximum(box[0], down(drift[0] - most)), np.minimum(box[1], up(drift[1] + most))])
 
     if isinstance(network, Feedback):
         u, gains, rest = enclosed_feedback(network, agent, joint.states[t, here], t, ends, reach)
     else:
-        left = float(np.float32(1.0 - t / joint.problem.horizon))
-        row = joint.seen[t], len(joint.problem.automaton.accepting), left
+        row = joint.seen[t], len(joint.problem.automaton.accepting), float(np.float32(1.0 - t / joint.problem.horizon))
         u, gains, rest = enclosed(network, agent, joint.states[t, here], row, reach, far)
     if not np.all(np.isfinite(rest)):
         raise Refused(f"nothing is known of the network of `{agent.name}` at time {t}")
@@ -281,7 +282,9 @@ def _network_inputs(joint: Joint, network: Network | Feedback, tube: Tube, i: in
     moved = reach(gains) + np.stack([-spare, spare])
     least = np.maximum(np.minimum(moved[0], 0.0), down(low - nominal))
     most = np.minimum(np.maximum(moved[1], 0.0), up(high - nominal))
-    return nominal, np.stack([least, most]), spare, gains
+    mine = joint.problem.input_slices[i]
+    moves.nominal[mine], moves.deviation[:, mine], moves.rounding[mine] = nominal, np.stack([least, most]), spare
+    moves.gains[mine, here] = gains
 
 
 def _around(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[Array, Array]:

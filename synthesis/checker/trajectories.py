@@ -17,7 +17,7 @@ Reference: docs/theory/paths.md, "Agents of any dynamics", "Teams".
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ import numpy as np
 from .angles import check_angles, of_copies
 from .constraints import ROUNDED
 from .crossings import SOMETIME, check_words, crossed, jumps
-from .distributions import NORMAL
 from .error_system import Forms
 from .feedbacks import Feedback, read_feedback
 from .fields import Entry
@@ -34,7 +33,7 @@ from .intervals import add, down, interval, mul, neg
 from .jets import expanded
 from .letters import Demand, demands
 from .networks import Network, read_network
-from .problem import Agent, Problem
+from .problem import Problem
 from .rigorous import Array, U, Whole
 from .steps import Joint, Trajectory, Tube, advance
 
@@ -55,9 +54,9 @@ class TrajectoryProof:
         return tuple(n for n, kind in kinds.items() if any(isinstance(own.network, kind) for own in self.trajectories))
 
 
-def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
-    """Return the proof in a file; raise ``Unreadable`` if there is none of this kind."""
-    own = contents.entry("proof").table(("kind", "letters", "faces", "normals", "agents"))
+def read_proof(contents: Contents, problem: Problem, entry: Entry | None = None) -> TrajectoryProof:
+    """Return the proof in a file, or in a part of it; raise ``Unreadable`` if there is none of this kind."""
+    own = (entry or contents.entry("proof")).table(("kind", "letters", "faces", "normals", "agents"))
     propositions, compared = len(problem.automaton.propositions), sum(len(pair.outputs[0]) for pair in problem.pairs)
     letters = own["letters"].integers((None, propositions), -1, SOMETIME + 1)
     steps = len(letters) - 1
@@ -66,33 +65,37 @@ def read_proof(contents: Contents, problem: Problem) -> TrajectoryProof:
     # the face of a proposition of which nothing is said is never looked at
     faces = own["faces"].integers((steps + 1, propositions), -1, 2**31)
     normals = own["normals"].floats((steps + 1, compared))
-    entries = zip(own["agents"].entries(len(problem.agents)), problem.agents, strict=True)
-    trajectories = tuple(_trajectory(entry, agent, problem, steps) for entry, agent in entries)
+    entries = enumerate(own["agents"].entries(len(problem.agents)))
+    trajectories = tuple(_trajectory(entry, i, problem, steps) for i, entry in entries)
     return TrajectoryProof(trajectories, letters, faces, normals)
 
 
-def _trajectory(entry: Entry, agent: Agent, problem: Problem, steps: int) -> Trajectory:
-    """Return the trajectory of an agent, and the network that acts for it, if there is one."""
-    own = entry.table(("inputs", "gains", "states", "widths"), ("network", "feedback", "radius"))
-    d, m = len(agent.states), len(agent.inputs)
+def _trajectory(entry: Entry, i: int, problem: Problem, steps: int) -> Trajectory:
+    """Return the trajectory of agent i, and the network that acts for it, if there is one."""
+    agent, own = (
+        problem.agents[i],
+        entry.table(("inputs", "gains", "states", "widths"), ("network", "feedback", "radius")),
+    )
+    d, m, count = len(agent.states), len(agent.inputs), problem.slices[-1].stop
     widths = own["widths"].floats((steps + 1, d + m), infinite=True)
     if np.any(widths < 0.0):
         raise entry.wrong("a width is negative")
-    inputs, gains = own["inputs"].floats((steps, m)), own["gains"].floats((steps, m, d))
-    states = own["states"].floats((steps + 1, d))
+    path = own["inputs"].floats((steps, m)), own["gains"].floats((steps, m, d)), own["states"].floats((steps + 1, d))
+    seen = np.isin(np.arange(count), np.arange(count)[problem.slices[i]])
     if not own.keys() & {"network", "feedback"}:
-        return Trajectory(inputs, gains, states, widths)
-    if own.keys() >= {"network", "feedback"}:
-        raise entry.wrong("a network and a feedback cannot both act")
-    # Networks act where what is between the widths is an ellipsoid of one Gaussian.
-    if agent.scale or agent.angles or any(envelope.tail != NORMAL for envelope in agent.envelopes):
-        raise entry.wrong("networks act where noise is normal, of one size, and no state is an angle")
-    radius = own["radius"].number() if "radius" in own else -1.0
-    if not radius > 0.0:
-        raise entry.wrong("where a network acts, `radius` is above 0")
-    seen, given = len(problem.automaton.accepting), own.get("feedback")
-    network = read_feedback(given, agent) if given is not None else read_network(own["network"], agent, seen)
-    return Trajectory(inputs, gains, states, widths, network, radius)
+        return Trajectory(*path, widths, np.flatnonzero(seen))
+    if own.keys() >= {"network", "feedback"} or "radius" not in own or not own["radius"].number() > 0.0:
+        raise entry.wrong("a network or a feedback acts, with a `radius` above 0")
+    network: Network | Feedback
+    if "feedback" in own:
+        network = read_feedback(own["feedback"], agent)
+    else:
+        network = read_network(own["network"], agent, count, len(problem.automaton.accepting))
+        seen = seen | np.any(network.view != 0.0, axis=0)
+        network = replace(network, view=network.view[:, seen])
+    if np.any(seen & np.array([name in each.angles for each in problem.agents for name in each.states])):
+        raise entry.wrong("a network, or a feedback, acts where no state that it sees is an angle")
+    return Trajectory(*path, widths, np.flatnonzero(seen), network, own["radius"].number())
 
 
 def failure_of(problem: Problem, proof: TrajectoryProof) -> tuple[float, str, list[Any]]:
@@ -124,7 +127,7 @@ def walk(joint: Joint) -> Iterator[Tube]:
     given_up = sum(envelope.lost for agent in joint.problem.agents for envelope in agent.envelopes)
     for t in range(len(joint.states)):
         tube = Tube.at(joint, t)
-        joint.constraints.lost += sum(own.lost for own in tube.ellipsoids if own is not None)
+        joint.constraints.lost += sum(own.lost for own in dict.fromkeys(tube.ellipsoids) if own is not None)
         yield tube
         if t < len(joint.states) - 1:
             advance(joint, tube)
@@ -179,7 +182,7 @@ def linear_forms(joint: Joint, tube: Tube, asked: Sequence[Demand]) -> tuple[Arr
         places = {name: k for k, name in enumerate(agent.states)}
         trees = [agent.outputs[k] for k in used]
         matrix, ends = expanded(trees, joint.states[tube.t, here], places, tube.ends[:, here], tube.t, len(places))
-        known.update({(i, k): (row, ends[:, n]) for n, (k, row) in enumerate(zip(used, joint.row(i, matrix)))})
+        known.update({(i, k): (row, ends[:, n]) for n, (k, row) in enumerate(zip(used, joint.rows(here, matrix)))})
     rows, values = np.zeros((len(asked), len(joint.spread))), np.zeros((2, len(asked)))
     far = np.abs(tube.ends).max(axis=0)
     for n, demand in enumerate(asked):

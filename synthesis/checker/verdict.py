@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from . import cell_proofs, trajectories
+from . import cell_proofs, starts, trajectories
 from .fields import Entry, Refused
 from .file import MOST_BYTES, Contents, read_file
 from .formula import wrong_automaton
@@ -24,6 +24,7 @@ from .rigorous import Array, wrong_arithmetic
 
 KINDS: dict[str, tuple[tuple[str, ...], Callable[..., Any], Callable[..., tuple[float, str, Any]]]] = {
     "trajectory": (("trajectories", "letters", "constraints"), trajectories.read_proof, trajectories.failure_of),
+    "starts": (("starts", "trajectories", "networks", "feedbacks"), starts.read_proof, starts.failure_of),
     "cells": (("cells", "motions", "tables", "tree"), cell_proofs.read_proof, cell_proofs.failure_of),
 }
 """Kinds of proofs: the modules of the checker that prove them, how they are read, and what follows from them."""
@@ -36,7 +37,8 @@ class Verdict:
     ``claimed`` is the upper bound on the probability that the task fails, as the file claims it, ``recomputed`` the one
     that was proved here (1 if none was), by ``modules`` of the checker. The ``reason`` says why the claim is refused,
     or in which sense it is proved. Along a trajectory ``steps`` says at each time how many deviations the nearest end
-    of a constraint is away, which, and deviations (D,) of errors, to compare with a search's; nothing rests on them.
+    of a constraint is away, which, and deviations (D,) of errors, to compare with a search's; of cells of starts,
+    what fails from each at most, its largest part, and its start. Nothing rests on them.
     """
 
     proved: bool
@@ -83,7 +85,7 @@ def check_contents(contents: Contents) -> Verdict:
         with np.errstate(all="ignore"):
             proof = read(contents, problem)
             contents.everything_was_used()  # what nobody asked for might mean something elsewhere
-            modules += proof.more
+            modules += getattr(proof, "more", ())
             if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
                 raise Refused(f"the automaton is not that of the formula: {wrong}")
             failure, worst, steps = failure_of(problem, proof)

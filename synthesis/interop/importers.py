@@ -152,10 +152,13 @@ def is_model(model: Any) -> bool:
     return _reader(model) is not None
 
 
-def certifiable(problem: Problem, policy: Any) -> Any:
-    """Return what ``decentralised`` takes of a policy in any form, or raise ValueError if it cannot be certified."""
+def certifiable(problem: Problem, policy: Any, along: bool = False) -> Any:
+    """Return what ``decentralised`` takes of a policy in any form, or raise ValueError if it cannot be certified.
+
+    Models that see other agents can be only ``along`` their run.
+    """
     policy = brought(policy, problem)
-    if isinstance(policy, TeamModels):
+    if isinstance(policy, TeamModels) and not (along and not policy.why_not_as_it_is):
         raise ValueError(
             f"`policy`: expected a policy of own state, automaton state and time, got {policy.models[0].found.name}: "
             f"{policy.why_not_certified}; judge it by rollouts (`compare`, `rollout`), or put it behind a shield"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...envs.simulation import Dynamics, Worlds
 from ...envs.systems.arguments import tree_text
 from ...envs.tasks.problem import Problem
-from ..relations.kinds import NetworkPolicy, OwnView, inputs_of
+from ..relations.kinds import JointNetworkPolicy, Network, NetworkPolicy, OwnView, inputs_of
 from .detected import Detected
 from .local_policies import LocalBatch
 from .observation_maps import ObservationMap
@@ -131,7 +131,7 @@ class OwnModels:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TeamModels:
-    """Models that see states of other agents, or remember: they are judged by rollouts, and not certified.
+    """Models that see states of other agents, certified along their run, or remember, which rollouts judge alone.
 
     Parameters
     ----------
@@ -154,12 +154,32 @@ class TeamModels:
 
     @property
     def why_not_certified(self) -> str:
-        """Why neither the models nor models wrapped on a grid are certified."""
+        """Why models wrapped on a grid are not certified."""
         if any(model.found.memory is not None for model in self.models):
             return "it remembers earlier observations"
         return f"it sees {self.models[0].observation_map.information}"
 
-    why_not_as_it_is = why_not_certified
+    @property
+    def why_not_as_it_is(self) -> str:
+        """Why the models are not certified along their run; empty if they can be."""
+        if any(model.found.memory is not None for model in self.models):
+            return "it remembers earlier observations"
+        if any(model.observation_map.affine(self.problem, 0) is None for model in self.models):
+            return f"it sees {self.models[0].observation_map.information}, and the nearest ones change places"
+        each = (why_not_as_it_is(self.problem, self.models[i % len(self.models)], i) for i in self._numbers)
+        return next(filter(None, each), "")
+
+    @property
+    def _numbers(self) -> range:
+        return range(self.problem.n_agents)
+
+    def agent_policy(self, agent: int) -> JointNetworkPolicy:
+        """Return the network of one agent; ValueError if it cannot be certified along its run."""
+        if why := self.why_not_as_it_is:
+            raise ValueError(
+                f"`policy`: expected a network that can be certified as it is: {why}; judge it by rollouts"
+            )
+        return joint_policy(self.problem, self.models[agent % len(self.models)], agent)
 
     def batch(self, dynamics: Dynamics) -> TeamBatch:
         """Return the policy for batched rollouts."""
@@ -225,7 +245,7 @@ def why_not_as_it_is(problem: Problem, model: Model, i: int) -> str:
     if in_units and network.squashed and found.action_space is None and not box_is_unit:
         return "its tanh answers with inputs between -1 and 1, not with shares of the input box"
     if observation_map.automaton == "number":
-        column = network.weights[0][:, agent.n_states]
+        column = network.weights[0][:, observation_map.size(problem, i) - 2 - problem.n_agents * observation_map.told]
         exact = np.multiply.outer(np.arange(problem.automaton.n_states), column.astype(float))
         if not np.array_equal(exact, exact.astype(np.float32)):
             return "it sees the automaton state as a number; train with automaton='one-hot'"
@@ -242,9 +262,38 @@ def network_policy(problem: Problem, model: Model, i: int) -> NetworkPolicy:
     network, n_q, n = found.networks[i % len(found.networks)], problem.automaton.n_states, problem.n_agents
     width = max(each.n_states for each in problem.agents)
     view = OwnView(i, n, width, n_q, problem.horizon, observation_map.scale)
-    first = network.weights[0]
-    wide = np.zeros((len(first), view.size), dtype=first.dtype)
     seen = width if observation_map.padded else agent.n_states
+    changed = _arranged(problem, model, network, seen, width)
+    return NetworkPolicy(changed, view, agent.workspace, agent.input_box)
+
+
+def joint_policy(problem: Problem, model: Model, i: int) -> JointNetworkPolicy:
+    """Return the network that moves agent i and sees states of others in the form in which it is certified."""
+    found, agent, n_q = model.found, problem.agents[i], problem.automaton.n_states
+    network, seen = found.networks[i % len(found.networks)], model.observation_map.affine(problem, i)
+    assert seen is not None
+    if model.observation_map.central:  # its answer moves all agents
+        own = problem.input_columns[i]
+        weights, biases = (
+            (*network.weights[:-1], network.weights[-1][own]),
+            (*network.biases[:-1], network.biases[-1][own]),
+        )
+        network = replace(network, weights=weights, biases=biases)
+    told = len(seen[1])
+    changed = _arranged(problem, model, network, told, told)
+    rest = np.zeros(changed.weights[0].shape[1] - told)
+    if model.observation_map.told:
+        rest[n_q + 1 + i] = 1.0
+    matrix = np.concatenate([seen[0], np.zeros((len(rest), problem.n_states))])
+    offset = np.concatenate([seen[1], rest])
+    return JointNetworkPolicy(changed, matrix, offset, told, n_q, problem.horizon, agent.input_box)
+
+
+def _arranged(problem: Problem, model: Model, network: Network, seen: int, width: int) -> Network:
+    """Return a network whose row holds states in ``width`` columns, the automaton state, the time, and who asks."""
+    observation_map, n_q, n = model.observation_map, problem.automaton.n_states, problem.n_agents
+    first = network.weights[0]
+    wide = np.zeros((len(first), width + n_q + 1 + n), dtype=first.dtype)
     wide[:, :seen] = first[:, :seen]
     tail = first[:, seen:]
     if observation_map.automaton == "one-hot":
@@ -254,9 +303,8 @@ def network_policy(problem: Problem, model: Model, i: int) -> NetworkPolicy:
     wide[:, width + n_q] = tail[:, 0]
     if observation_map.told:
         wide[:, width + n_q + 1 :] = tail[:, 1 : 1 + n]
-    outputs = "unit" if network.squashed or observation_map.actions == "unit" or found.shares else "box"
-    changed = replace(network, weights=(wide, *network.weights[1:]), outputs=outputs)
-    return NetworkPolicy(changed, view, agent.workspace, agent.input_box)
+    outputs = "unit" if network.squashed or observation_map.actions == "unit" or model.found.shares else "box"
+    return replace(network, weights=(wide, *network.weights[1:]), outputs=outputs)
 
 
 def _answered(answer: Any) -> Array:
@@ -270,7 +318,7 @@ def _rows(policy: OwnModels | TeamModels) -> list[tuple[str, str]]:
     how = "as it is, or wrapped on cells (`wrap=True`)"
     why = policy.why_not_as_it_is
     if isinstance(policy, TeamModels):
-        how = f"no, only by rollouts: {policy.why_not_certified}"
+        how = f"no, only by rollouts: {why}" if why else "as it is, along its run"
     elif why:
         how = f"wrapped on a grid, not as it is: {why}"
     kinds = [("agents", "one model for all")] if len(policy.models) == 1 else [("agents", "a model for each")]

@@ -128,6 +128,17 @@ class ObservationMap:
         left = np.full((1, n), 1.0 - time / problem.horizon)
         return np.concatenate([seen, known.get(self.automaton, np.zeros((0, n))), left, told]).T
 
+    def affine(self, problem: Problem, i: int) -> tuple[Array, Array] | None:
+        """Return a matrix (k, D) and an offset (k,): what agent i sees of the joint state; None if it is not so."""
+        if self.scope == "neighbours" and problem.n_agents > 2:
+            return None  # the nearest ones change places
+        rows = np.eye(problem.n_states)
+        matrix = self._seen(problem, i, [rows[columns] for columns in problem.columns])
+        low, high = self._range(problem, i)
+        if self.scale == "raw":
+            return matrix, np.zeros(len(matrix))
+        return 2.0 * matrix / (high - low)[:, None], -2.0 * low / (high - low) - 1.0
+
     def _range(self, problem: Problem, i: int) -> Bounds:
         """Return the range of the states that are seen, as environments scale them."""
         agent = problem.agents[i]

@@ -136,7 +136,7 @@ def _found(
 ) -> Synthesis:
     """Certify a policy from below, as it is or wrapped on cells."""
     problem = as_problem(problem)
-    policy = certifiable(problem, policy)
+    policy = certifiable(problem, policy, along=cells is None and not wrap and relation in ("auto", "quick", "path"))
     if is_certified_as_given(policy, cells) and not wrap and isinstance(relation, str) and relation in OF_NETWORKS:
         return certified_as_it_is(problem, policy, cells, "auto" if relation == "quick" else relation, settings)
     if problem.labeling.pairs:

@@ -8,7 +8,7 @@ from typing import Any
 from ...envs.suite import as_problem
 from ...envs.systems.arguments import names_arguments
 from ...envs.tasks.problem import load_problem
-from ..certificates.beliefs import alarm_in
+from ..certificates.beliefs import alarm_in, is_canonical
 from ..certificates.proofs import (
     MAX_BYTES,
     Certificate,
@@ -18,7 +18,7 @@ from ..certificates.proofs import (
     require_about,
     save_certificate,
 )
-from ..checker import bound_of, check_contents, is_certificate, read_file
+from ..checker import bound_of, check_contents, read_file
 from ..extended_check.claims import check as check_certificate
 from ..interop import is_written_policy, save_policy
 
@@ -104,7 +104,7 @@ def check(claim: Any, problem: Any = None) -> CheckReport:
     ValueError
         If it is none of these.
     """
-    if isinstance(claim, str | Path) and Path(claim).is_file() and is_certificate(claim):
+    if isinstance(claim, str | Path) and Path(claim).is_file() and is_canonical(claim):
         contents = read_file(claim)
         require_about(contents, None if problem is None else as_problem(problem))
         verdict = check_contents(contents)

@@ -24,9 +24,9 @@ from ..composition import CollisionProbability, less_proximity, proximity, relev
 from ..interop import SymbolicPolicies, certifiable
 from ..policy_search.ascent import FINAL, Limits, Stage, sweep
 from ..policy_search.cell_certificates import certificate_of
-from ..relations.grids import CellCounts, FloatArray, RelationRefused
+from ..relations.grids import CellCounts, FloatArray, NoRunFound, RelationRefused
 from ..relations.kinds import NetworkPolicy, network_policy
-from ..trajectories.planning import networks_along
+from ..trajectories.planning import networks_from
 from .time_unrolled_networks import told_in_time
 
 RELATIONS = ("linear", "boxes")
@@ -159,18 +159,20 @@ def certified_as_it_is(
     is_written, per_cell = isinstance(actor, SymbolicPolicies), points_of_networks(settings)
     if (cells is not None or relation in RELATIONS) and not is_written:
         return certify_network(problem, actor, cells, relation=relation, targets_per_cell=per_cell)
-    policies = actor.policies if is_written else _policies(problem, actor)
+    policies = actor.policies if is_written else _policies(problem, actor, along=True)
     began, tried, found = time.perf_counter(), dict[str, Any](), None
+    kind: type[RelationRefused] = RelationRefused
     try:
-        certificate = networks_along(problem, policies)
+        certificate = networks_from(problem, policies)
         seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
         found = Synthesis(certificate, certificate.controller, {"seconds": seconds})
         tried["path"] = certificate.lower_bound
     except ValueError as refused:
-        tried["path"] = str(refused)
+        tried["path"], kind = str(refused), NoRunFound if isinstance(refused, NoRunFound) else RelationRefused
         if relation == "path" or is_written:
             raise
-    is_small = not is_written and all(agent.n_states <= FEW_STATES for agent in problem.agents)
+    own = not is_written and not any(policy.sees_all for policy in policies)
+    is_small = own and all(agent.n_states <= FEW_STATES for agent in problem.agents)
     if is_small and (found is None or 1.0 - found.certificate.lower_bound > PLENTY):
         try:
             on_cells = certify_network(problem, actor, cells, targets_per_cell=per_cell)
@@ -180,7 +182,7 @@ def certified_as_it_is(
         except ValueError as refused:
             tried["cells"] = str(refused)
     if found is None:
-        raise RelationRefused(f"`policy`: nothing is certified of it as it is: {tried['path']}")
+        raise kind(f"`policy`: nothing is certified of it as it is: {tried['path']}")
     return replace(found, stats={**found.stats, "tried": tried})
 
 
@@ -305,9 +307,9 @@ def _boxes_of(certificate: OnGrid) -> int:
     return sum(part.policy.size for part in certificate.proof.agents)
 
 
-def _policies(problem: Problem, actor: Any) -> list[NetworkPolicy]:
+def _policies(problem: Problem, actor: Any, along: bool = False) -> list[Any]:
     """Return the networks of all agents, or raise ValueError if they see more than is certified."""
-    actor = certifiable(problem, actor)
+    actor = certifiable(problem, actor, along)
     if not hasattr(actor, "agent_policy"):
         raise ValueError(
             f"`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
@@ -316,10 +318,16 @@ def _policies(problem: Problem, actor: Any) -> list[NetworkPolicy]:
     if actor.problem.fingerprint != problem.fingerprint:
         actor = replace(actor, problem=problem)
     policies = [actor.agent_policy(i) for i in range(problem.n_agents)]
+    if not along and any(policy.sees_all for policy in policies):
+        raise ValueError(
+            "`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
+            "one that sees the states of all agents, which is certified along its run alone; leave `cells` out, or "
+            "train `ppo`, `ippo` or `mappo`"
+        )
     for policy in policies:
         if any(layer.dtype != np.float32 for layer in (*policy.network.weights, *policy.network.biases)):
             raise ValueError("`policy`: expected networks with weights of single precision (float32), got others")
-        if policy.network.weights[0].shape[1] != policy.view.size:
+        if not policy.sees_all and policy.network.weights[0].shape[1] != policy.view.size:
             raise ValueError("`policy`: expected networks for the agents of this problem, got others")
     return policies
 

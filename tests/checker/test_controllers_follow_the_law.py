@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 import certigym as cg
+from canonical_controller import along_trajectory, on_cells
 from certigym.synthesis.certificates.proofs.canonical import canonical_bytes
 from certigym.synthesis.checker import CheckedAgent, cell_proofs, parse_file, read_problem, trajectories
-from certigym.synthesis.checker.controller import along_trajectory, on_cells
 from certigym.synthesis.checker.problem import TURN
 from certigym.synthesis.checker.steps import Trajectory
 from kinds import mostly_thorough

@@ -13,14 +13,15 @@ from scipy.stats import chi2
 import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical, canonical_problem, contents_of
 from certigym.synthesis.checker import Joint, networks, read_problem, read_trajectories, steps, walk
+from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED
 from certigym.synthesis.checker.error_system import ErrorSystem, covariance_of
 from certigym.synthesis.checker.feedbacks import enclosed_feedback, read_feedback
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.intervals import interval
-from certigym.synthesis.checker.networks import SMOOTH, Ellipsoid, Network, automaton_states, chi_tail, enclosed
+from certigym.synthesis.checker.networks import SMOOTH, Ellipsoid, Network, automaton_states, enclosed, length_tail
 from certigym.synthesis.relations.kinds import ACTIVATIONS as SINGLE
 from certigym.synthesis.relations.kinds import Network as Layers
-from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicPolicy
+from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicPolicy, seen_jointly
 from certigym.synthesis.trajectories.planning import networks_along
 
 KINDS = [
@@ -58,7 +59,8 @@ def test_answers_are_enclosed(activation: str, output: str, sees: str, size: flo
     plain = Layers(tuple(weights), tuple(biases), activation, output == "tanh", "box" if output == "box" else "unit")
     policy = NetworkPolicy(plain, view, problem.agents[0].workspace, problem.agents[0].input_box)
     exact = (tuple(w.astype(float) for w in weights), tuple(b.astype(float) for b in biases))
-    network = Network(*exact, activation, output, sees, d + 1, 1, 0)
+    row = seen_jointly(policy, 0, d)
+    network = Network(*exact, activation, output, row.matrix, row.offset, row.told)
     for _ in range(6):
         at, q, t = rng.uniform(-1.0, 1.5, d), int(rng.integers(states)), int(rng.integers(7))
         root, radius = 0.1 * rng.standard_normal((d, d)), 2.0
@@ -104,13 +106,41 @@ def test_nothing_is_known_of_a_neuron_that_may_get_anything(activation: str) -> 
 
 
 @pytest.mark.parametrize("sees", ["scaled", "raw"])
+def test_rows_in_single_precision_are_between_their_ends(sees: str) -> None:
+    """As the package computes and rounds them; halves of what they may be off by are too narrow."""
+    problem, _ = an_agent(3, 1)
+    view = OwnView(0, 1, 4, 3, problem.horizon, scale="raw" if sees == "raw" else "unit")
+    plain = Layers((np.zeros((1, view.size), np.float32),), (np.zeros(1, np.float32),), "tanh", False)
+    agent, rng, most = problem.agents[0], np.random.default_rng(5), 0.0
+    row = seen_jointly(NetworkPolicy(plain, view, agent.workspace, agent.input_box), 0, 3)
+    layers = tuple(w.astype(float) for w in plain.weights), tuple(b.astype(float) for b in plain.biases)
+    network = Network(*layers, "tanh", "clip", row.matrix, row.offset, row.told)
+    for t in range(5):
+        at, far = rng.uniform(-1.0, 1.0, 3), rng.uniform(0.0, 0.5, 3)
+        e = rng.uniform(-far, far, (20_000, 3))
+        first = networks.row_seen(network, at, (1, 3, float(np.float32(1.0 - t / problem.horizon))), far)
+        rows = view.rows(agent.workspace, (at + e).T, np.full(len(e), 1), t).astype(float)
+        left, rest = rows - first.h - e @ first.C.T, first.rest()
+        assert np.all(left >= rest[0]) and np.all(left <= rest[1])
+        most = max(most, float(np.max(np.abs(left[:, :3]) / rest[1][:3])))
+    assert most > 0.4
+
+
+def test_ellipsoids_have_the_tails_of_their_noise() -> None:
+    """Those of sub-Gaussian noise are left more often than normal ones, and of others nothing is known."""
+    errors = a_system(np.random.default_rng(2), 2, 3)[0]
+    lost = [Ellipsoid.of(errors, np.arange(2), 4.0, np.full(2, kind)).lost for kind in (NORMAL, STOPPED, LIGHT, LONG)]
+    assert lost[0] < lost[1] == lost[2] < lost[3] == 1.0
+
+
+@pytest.mark.parametrize("sees", ["scaled", "raw"])
 def test_what_a_network_sees_is_no_larger_than_its_size(sees: str) -> None:
     """At the corners of what errors may be: sizes are what single precision is charged by."""
-    _, agent = an_agent(3, 1)
     none = (np.zeros((1, 9)), np.zeros(1))
-    network = Network((none[0],), (none[1],), "relu", "clip", sees, 4, 1, 0)
+    view = np.eye(9)[:, :3] * (1.0 if sees == "raw" else np.array([0.3, 2.0, 0.7]))
+    network = Network((none[0],), (none[1],), "relu", "clip", view, np.linspace(-1.0, 1.0, 9), 4)
     at, far = np.array([0.5, -1.0, 2.0]), np.array([0.2, 0.1, 0.4])
-    first = networks._first(network, agent, at, (1, 3, 0.5), far)
+    first = networks.row_seen(network, at, (1, 3, 0.5), far)
     for signs in itertools.product((-1.0, 1.0), repeat=3):
         row = first.h + first.C @ (np.array(signs) * far) + np.abs(first.rest()).max(axis=0)
         assert np.all(np.abs(row) <= first.size * (1.0 + 1e-12) + 1e-280), signs
@@ -120,9 +150,9 @@ def test_what_a_network_sees_is_no_larger_than_its_size(sees: str) -> None:
 def test_tails_of_lengths_are_those_of_the_chi_square_distribution(d: int) -> None:
     for radius in (0.3, 1.0, 3.0, 6.0, 9.0):
         for largest in (1.0, 1.3):
-            truth, found = chi2.sf(radius**2 / largest, d), chi_tail(radius, d, largest)
+            truth, found = chi2.sf(radius**2 / largest, d), length_tail(radius, d, largest)
             assert truth * (1.0 - 1e-12) <= found <= truth * (1.0 + 1e-9) + 1e-300
-    assert chi_tail(-1.0, d, 1.0) == chi_tail(2.0, d, np.inf) == 1.0
+    assert length_tail(-1.0, d, 1.0) == length_tail(2.0, d, np.inf) == 1.0
 
 
 def a_system(rng: np.random.Generator, d: int, steps: int) -> tuple[ErrorSystem, list[np.ndarray], list[np.ndarray]]:
@@ -146,7 +176,7 @@ def test_forms_keep_in_ellipsoids_as_often_as_is_said() -> None:
         _, forms = errors.rows(np.eye(d))
         found, off = covariance_of(forms, forms)
         assert np.all(np.abs(found - covariance) <= off + 1e-14) and np.all(off < 1e-12)
-        ellipsoid = Ellipsoid.of(errors, slice(0, d), float(rng.uniform(1.0, 3.0)))
+        ellipsoid = Ellipsoid.of(errors, np.arange(d), float(rng.uniform(1.0, 3.0)), np.zeros(d, int))
         g = rng.standard_normal((200_000, d)) @ np.linalg.cholesky(covariance + 1e-300 * np.eye(d)).T if np.all(
             np.linalg.eigvalsh(covariance) > 1e-12) else None  # fmt: skip
         if g is None:
@@ -270,9 +300,9 @@ def test_sabotage_claims_less_failure_or_another_network(name: str, monkeypatch:
     if attribute == "of":
         honest: Any = Ellipsoid.of
 
-        def fewer(errors: ErrorSystem, places: slice, radius: float) -> Ellipsoid:
-            own = honest(errors, places, radius)
-            return replace(own, lost=chi_tail(radius, len(own.root) - 1, 1.0))
+        def fewer(errors: ErrorSystem, places: Any, radius: float, kinds: Any) -> Ellipsoid:
+            own = honest(errors, places, radius, kinds)
+            return replace(own, lost=length_tail(radius, len(own.root) - 1, 1.0))
 
         monkeypatch.setattr(owner, attribute, staticmethod(fewer))
     elif attribute == "rest":

@@ -149,7 +149,7 @@ def test_states_of_neighbours_are_read_where_they_stand() -> None:
     """Each state that is named has its own column of the joint error, in whatever order an expression names them."""
     moved = ["x + 0.1*b.w + 0.2*b.v", "y + b.w"]
     agents = [agent("a", ["x", "y"], dynamics=moved), agent("b", ["u_", "v", "w"], dynamics=["u_", "v", "w"])]
-    reads = _Reads.of(problem_of(agents, []), 0)
+    reads = _Reads.of(problem_of(agents, []), 0, [np.arange(2), np.arange(2, 5)])
     named = {"x": 0, "y": 1, "b.v": 3, "b.w": 4}
     assert {name: reads.columns[reads.places[name]] for name in named} == named
 

@@ -83,7 +83,8 @@ MAY_IMPORT = {
     "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis.extended_check.claims "
     "synthesis.extended_check.shields synthesis.interop synthesis.verbs validation.statistical_tests",
     "validation.presentation.paper": f"{EVIDENCE} envs.interfaces envs.suite synthesis.abstraction.models "
-    "synthesis.policy_search.ascent synthesis.policy_search.bounds synthesis.verbs validation.statistical_tests",
+    "synthesis.checker synthesis.interop synthesis.policy_search.ascent synthesis.policy_search.bounds "
+    "synthesis.verbs validation.statistical_tests",
     "validation.presentation.reports": f"{EVIDENCE} envs.interfaces synthesis.extended_check.claims "
     "validation.statistical_tests",
     "validation.presentation.figures": f"{EVIDENCE} envs.interfaces envs.suite synthesis.extended_check.claims "

@@ -3,7 +3,7 @@
 Policies of any origin, trained, compared and run behind shields.
 """
 
-from .actors import NotAnActor, load_actor
+from .actors import NotAnActor, load_actor, save_actor
 from .behind import shield
 from .comparison import Comparison, compare
 from .competitors import LEARNERS, Sources, given, label_of
@@ -15,6 +15,7 @@ from .rollout_policies import IdleController, RandomController, as_controller
 from .shielded_batches import ShieldedTeamEnv, ShieldedVectorEnv
 from .shielded_envs import ShieldedCentralEnv, ShieldedEnv, ShieldedTasksEnv
 from .shielded_policy import ShieldedController
+from .smoothing import SmoothActor, smoothed
 from .tier_rule import tier_of
 from .training import ALGORITHMS, Training, certificate_of, train
 
@@ -35,6 +36,7 @@ __all__ = [
     "ShieldedTasksEnv",
     "ShieldedTeamEnv",
     "ShieldedVectorEnv",
+    "SmoothActor",
     "Sources",
     "Standing",
     "Training",
@@ -50,7 +52,9 @@ __all__ = [
     "page_of",
     "probe",
     "record",
+    "save_actor",
     "shield",
+    "smoothed",
     "tier_of",
     "train",
 ]

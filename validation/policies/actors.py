@@ -2,7 +2,7 @@
 
 An actor is the deterministic part of a learned policy: a small network from a row of its view (``views``) to an action
 in [-1, 1]. The shared actor, and a team of actors, are decentralised (``synthesis.controllers.decentralised``), so they
-can be certified. The central actor sees the states of all agents and cannot be certified.
+can be certified. The central actor sees the states of all agents, and can be certified along its run.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from ...envs.simulation import Dynamics, Worlds, joint
 from ...envs.suite import as_problem
 from ...envs.systems.arguments import write_bytes
 from ...envs.tasks.problem import Problem
-from ...synthesis.interop import LocalBatch, NotAnActor, stored
-from ...synthesis.relations.kinds import Network, NetworkPolicy, OwnView, inputs_of
+from ...synthesis.interop import LocalBatch, NotAnActor, as_policy, stored
+from ...synthesis.relations.kinds import JointNetworkPolicy, Network, NetworkPolicy, OwnView, inputs_of
 from ..statistical_tests import BatchPolicy
 from .views import CentralView, SharedView, View
 
@@ -112,14 +112,12 @@ class CentralActor:
     view = "central"
     information = CentralView.information
 
-    def agent_policy(self, agent: int) -> NetworkPolicy:
-        """Return the policy of the only agent; of several agents, ValueError: each sees the states of all."""
+    def agent_policy(self, agent: int) -> NetworkPolicy | JointNetworkPolicy:
+        """Return the policy of the only agent, or of one of several, which sees the states of all."""
         problem = self.problem
         if problem.n_agents > 1:
-            raise ValueError(
-                "`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
-                "one that sees the states of all agents; train `ppo`, `ippo` or `mappo`"
-            )
+            policy: JointNetworkPolicy = as_policy(self.network, problem, "central_vec_env").agent_policy(agent)
+            return policy
         alone = problem.agents[agent]
         view = OwnView(0, 0, alone.n_states, problem.automaton.n_states, problem.horizon)
         return NetworkPolicy(self.network, view, alone.workspace, alone.input_box)

@@ -65,7 +65,12 @@ class Demonstrations:
 
 
 def demonstrate(
-    view: View, controller: Batchable, episodes: int = EPISODES, seed: int = 0, disturbance: float = DISTURBANCE
+    view: View,
+    controller: Batchable,
+    episodes: int = EPISODES,
+    seed: int = 0,
+    disturbance: float = DISTURBANCE,
+    noise_factor: float = 1.0,
 ) -> Demonstrations:
     """Return what a controller does in episodes of its problem, in the rows of a view.
 
@@ -77,6 +82,8 @@ def demonstrate(
     episodes, seed : int
     disturbance : float
         Deviation of the inputs that are applied from those that are written down, in half widths of the input box.
+    noise_factor : float
+        What the noise of the problem is multiplied with.
     """
     dynamics = Dynamics.of(view.problem)
     policy = controller.batch(dynamics)
@@ -93,9 +100,9 @@ def demonstrate(
         time = np.full(going.size, worlds.time)
         rows = view.observations(joint(dynamics, worlds)[going], worlds.q[going], time)
         seen.append((rows, view.row_actions(_unit(dynamics, inputs)[going]), going))
-        worlds = core.transition(
-            dynamics, worlds, _disturbed(dynamics, inputs, disturbance, noise), core.noise(dynamics, noise, episodes)
-        )
+        moved = _disturbed(dynamics, inputs, disturbance, noise)
+        drawn = tuple(noise_factor * part for part in core.noise(dynamics, noise, episodes))
+        worlds = core.transition(dynamics, worlds, moved, drawn)
     satisfied = np.asarray(core.satisfied(dynamics, worlds))
     rows, actions = (np.concatenate([entry[k] for entry in seen]).astype(np.float32) for k in (0, 1))
     # All rows of a world share the outcome of its episode.

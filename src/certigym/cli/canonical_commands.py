@@ -10,15 +10,15 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from ..synthesis.certificates.beliefs import alarm_in
-from ..synthesis.checker import MOST_BYTES, check_contents, is_certificate, read_file, shown
+from ..synthesis.certificates.beliefs import alarm_in, is_canonical
+from ..synthesis.checker import MOST_BYTES, check_contents, read_file, shown
 from .terminal import on_terminal
 
 
 def check(options: Namespace) -> int:
     """Prove the claim of a certificate again: by the small checker, or, in the form of 0.3, by the one of its kind."""
     path = options.certificate
-    if not Path(path).is_file() or not is_certificate(path):
+    if not Path(path).is_file() or not is_canonical(path):
         from .synthesis_commands import check as check_of_0_3
 
         return check_of_0_3(options)
@@ -57,7 +57,7 @@ def canonical(options: Namespace) -> int:
     source = Path(options.source)
     is_archive = source.suffix == ".npz" and source.is_file()
     if options.out is None:
-        problem = read_file(source).header["problem"] if is_archive and is_certificate(source) else _problem(options)
+        problem = read_file(source).header["problem"] if is_archive and is_canonical(source) else _problem(options)
         _show(options, json.dumps(problem, indent=1), problem)
         return 0
     if not is_archive:

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from ..envs.suite import as_problem
 from ..envs.systems.arguments import counted, write_json, write_text
 from ..envs.tasks.problem import policy_in_file
-from ..synthesis.certificates.proofs import save_certificate
+from ..synthesis.certificates.proofs import save_certificate, shown_bound
 from ..synthesis.extended_check.claims import standing
 from ..synthesis.extended_check.shields import shield_of
 from ..synthesis.interop import as_policy
@@ -31,6 +31,8 @@ from ..validation.policies import (
     judging_plan,
     label_of,
     page_of,
+    save_actor,
+    smoothed,
 )
 from ..validation.policies import compare as compare_policies
 from ..validation.policies import leaderboard as fill_leaderboard
@@ -69,6 +71,7 @@ def train(options: Namespace) -> int:
             f"{problem.name}: {options.algo}, seed {seed}, {training.steps} world steps in {training.seconds:.1f} s; "
             f"success while exploring {last:.3f}; saved to {folder}"
         )
+        texts += _smoothed(training, folder) if options.certify else []
     if options.plot:
         draw_curves(trainings, options.plot, bound)
     texts += [f"agents see: {trainings[0].information}", f"settings: {trainings[0].settings}"]
@@ -79,6 +82,17 @@ def train(options: Namespace) -> int:
         data = {"trainings": [training.to_dict() for training in trainings], "comparison": result.to_dict()}
     show(options, "\n".join(texts), data)
     return 0
+
+
+def _smoothed(training: Any, folder: Path) -> list[str]:
+    """Certify an actor as it is, or a smoother one, which is saved with its certificate, and say what is certified."""
+    found = smoothed(training.actor, seed=training.seed)
+    if found.certified is None:
+        return [f"certified as it is: nothing; {text}" for text in found.tried.values()]
+    name = "actor.npz" if found.actor is training.actor else "smooth_actor.npz"
+    save_actor(found.actor, folder / name, algorithm=training.algorithm, seed=training.seed)
+    save_certificate(found.certified.certificate, folder / "certificate.npz")
+    return [f"certified as it is: {shown_bound(found.certified.certificate.lower_bound, None)} for {folder / name}"]
 
 
 def probe(options: Namespace) -> int:

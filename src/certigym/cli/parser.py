@@ -267,7 +267,8 @@ def _add_validation(commands: Any) -> None:
         "reproduce",
         help="recompute the paper's figures and tables, and the field's benchmarks, beside the published values",
     )
-    reproduce.add_argument("what", choices=["all", "fig3", "fig4", "table1", "table2", "refutation", "arch"])
+    reproduce.add_argument("what", choices=["all", "fig3", "fig4", "table1", "table2", "refutation", "arch", "lograsm"])
+    reproduce.add_argument("--weights", metavar="DIR", help="of lograsm: folder with its networks, which are not ours")
     reproduce.add_argument("--row", metavar="NAME", help="one row of arch alone")
     reproduce.add_argument("--out", metavar="DIR", help="folder for numbers and figures (default: reproduced)")
     reproduce.add_argument("--workers", type=int, default=2, metavar="N", help="processes side by side (default: 2)")
@@ -310,6 +311,7 @@ def _add_learning(commands: Any) -> None:
         "--probability", type=float, metavar="P", help="success probability that the shield keeps while training"
     )
     train.add_argument("--out", metavar="DIR", required=True, help="folder for actor, record, curve and learner")
+    train.add_argument("--certify", action="store_true", help="certify the actor as it is, or a smoother one like it")
     add_picture(train, "the training curve")
     train.add_argument(
         "--bound", metavar="certificate|CERT", help="certificate whose bound --plot draws (default: of --warm-start)"

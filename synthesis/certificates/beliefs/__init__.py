@@ -3,6 +3,6 @@
 What a search believed of its certificate, in numbers that the checker computes again: a difference is an alarm.
 """
 
-from .alarms import alarm, alarm_in, believed_along, believed_on_cells
+from .alarms import alarm, alarm_in, believed_along, believed_on_cells, is_canonical
 
-__all__ = ["alarm", "alarm_in", "believed_along", "believed_on_cells"]
+__all__ = ["alarm", "alarm_in", "believed_along", "believed_on_cells", "is_canonical"]

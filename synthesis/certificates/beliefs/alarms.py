@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -110,3 +111,10 @@ def _differing(believed: float, recomputed: float, most: float, digits: int) -> 
     if abs(believed - recomputed) <= most:  # nan is never as near
         return ""
     return f"ALARM: the search believed {believed:.{digits}g}, the checker recomputes {recomputed:.{digits}g}"
+
+
+def is_canonical(path: str | Path) -> bool:
+    """Return whether a file begins as one of the checker's format does: with a stored member ``header.json``."""
+    with open(path, "rb") as file:
+        start = file.read(41)
+    return start[:4] == b"PK\x03\x04" and start[30:41] == b"header.json"

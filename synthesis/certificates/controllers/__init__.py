@@ -6,7 +6,7 @@ Controllers that carry a policy out, and policies that come from elsewhere.
 from .agent_controller import AgentController
 from .controller import Controller
 from .given_policies import LOCAL, Decentralised, InputTable, Policy, Vectorized, decentralised, vectorized
-from .network_controller import NetworkController
+from .network_controller import JointNetworkController, NetworkController
 from .path_controller import PathController, covariances_of, nominal_states
 from .path_covariances import covariances_along
 from .product_controller import ProductController
@@ -19,6 +19,7 @@ __all__ = [
     "Decentralised",
     "InputTable",
     "LOCAL",
+    "JointNetworkController",
     "NetworkController",
     "PathController",
     "Policy",

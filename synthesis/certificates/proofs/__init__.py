@@ -48,12 +48,13 @@ from .given_certificate import (
     speaks_of_one_start,
 )
 from .grid_proof import GridProof, OnGrid, delta_of, value_of
-from .path_proof import SOMETIME, AgentPath, AlongPath, PathProof
+from .path_proof import SOMETIME, AgentPath, AlongPath, GivenPolicy, PathProof
 from .path_tube import KEPT, Tube, tube_along
 from .product_proof import ProductProof, product_certificate, split
 from .projection import RunProjection
 from .proof import Capability, Proof
 from .result import Synthesis
+from .starts_proof import Cut, OfStarts, StartsProof
 from .timed_proof import TimedProof, timed_certificate
 from .union_bound_proof import UnionBoundProof
 from .vertex_proof import VertexProof
@@ -81,12 +82,16 @@ __all__ = [
     "MAX_BYTES",
     "Capability",
     "OnGrid",
+    "GivenPolicy",
     "PathProof",
     "ProductProof",
     "Proof",
     "SOMETIME",
     "RunProjection",
     "UnionBoundProof",
+    "Cut",
+    "OfStarts",
+    "StartsProof",
     "Synthesis",
     "TimedProof",
     "Tube",

@@ -39,12 +39,13 @@ from ...checker import (
     shown,
 )
 from ...relations.grids import FloatArray
-from ...relations.kinds import SymbolicPolicy
+from ...relations.kinds import JointNetworkPolicy, SymbolicPolicy, seen_jointly
 from ..beliefs import alarm
 from ..cell_probabilities import AgentRecord
 from .certificate import Certificate
 from .grid_proof import GridProof
 from .path_proof import AgentPath, PathProof
+from .starts_proof import Cut, StartsProof
 
 
 class NotCanonicalError(ValueError):
@@ -105,7 +106,11 @@ def canonical_bytes(certificate: Certificate, claim: str = "same") -> bytes:
     header, arrays, verdict = _judged(certificate)
     if not verdict.proved:
         raise ValueError(f"`certificate`: the checker refuses it: {verdict.reason}")
-    claimed = certificate.proof.failure if isinstance(certificate.proof, PathProof) else 1.0 - certificate.lower_bound
+    claimed = (
+        certificate.proof.failure
+        if isinstance(certificate.proof, PathProof | StartsProof)
+        else 1.0 - certificate.lower_bound
+    )
     # what is no number claims more, too
     if claim == "same" and not verdict.recomputed <= claimed * (1.0 + SLACK) + LEAST:
         raise ClaimsMoreError(certificate.lower_bound, bound_of(verdict.recomputed))
@@ -415,9 +420,25 @@ class _Pool:
         return self.numbers[key]
 
 
-def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndarray]) -> dict[str, Any]:
-    """Return the entry of a proof along trajectories, and add its arrays to those of the file."""
+def _from_starts(problem: Problem, proof: StartsProof, arrays: list[np.ndarray]) -> dict[str, Any]:
+    """Return the entry of a proof from a box of starts that is cut, and add its arrays to those of the file."""
     put = _Pool(arrays)
+
+    def entry(part: Cut | PathProof | None) -> Any:
+        if not isinstance(part, Cut):
+            return None if part is None else _along_trajectories(problem, part, arrays, put)
+        sides = {"below": entry(part.below), "above": entry(part.above)}
+        return {"kind": "starts", "agent": part.agent, "state": part.state, "cut": float(part.at), **sides}
+
+    whole: dict[str, Any] = entry(proof.cut)
+    return whole
+
+
+def _along_trajectories(
+    problem: Problem, proof: PathProof, arrays: list[np.ndarray], put: _Pool | None = None
+) -> dict[str, Any]:
+    """Return the entry of a proof along trajectories, and add its arrays to those of the file."""
+    put = put or _Pool(arrays)
     for agent, path in zip(problem.agents, proof.paths):
         if path.states is None and not isinstance(agent, LinearAgent):
             raise NotCanonicalError(f"the trajectory of agent `{agent.name}` has no nominal states")
@@ -428,7 +449,7 @@ def _along_trajectories(problem: Problem, proof: PathProof, arrays: list[np.ndar
         "faces": put(proof.faces, np.int32),
         "normals": put(np.zeros((proof.n_steps + 1, 0)) if proof.normals is None else proof.normals),
         "agents": [
-            {key: put(array) for key, array in _trajectory(*each).items()} | _network_of(proof, i, put)
+            {key: put(array) for key, array in _trajectory(*each).items()} | _network_of(problem, proof, i, put)
             for i, each in enumerate(zip(problem.agents, proof.paths, nominal, strict=True))
         ],
     }
@@ -441,16 +462,20 @@ def _written(policy: SymbolicPolicy, text: str) -> str:
     return text
 
 
-def _network_of(proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
+def _network_of(problem: Problem, proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
     """Return the entries of the network of agent i; none where nominal inputs act."""
     if proof.networks is None:
         return {}
     policy = proof.networks[i]
     if isinstance(policy, SymbolicPolicy):
         return {"radius": float(proof.radii[i]), "feedback": [_written(policy, text) for text in policy.expressions]}
-    network, view = policy.network, policy.view
-    if view.told or policy.has_clock:
-        raise NotCanonicalError("networks of problems that are written otherwise have no canonical form")
+    if not isinstance(policy, JointNetworkPolicy):
+        if policy.view.told or policy.has_clock:
+            raise NotCanonicalError("networks of problems that are written otherwise have no canonical form")
+        policy = seen_jointly(policy, problem.columns[i].start, problem.n_states)
+    if (policy.horizon, policy.states) != (problem.horizon, problem.automaton.n_states):
+        raise NotCanonicalError("a network was made for another horizon, or another number of automaton states")
+    network = policy.network
     return {
         "radius": float(proof.radii[i]),
         "network": {
@@ -458,10 +483,9 @@ def _network_of(proof: PathProof, i: int, put: _Pool) -> dict[str, Any]:
             "biases": [put(bias) for bias in network.biases],
             "activation": network.activation,
             "output": "box" if network.outputs == "box" else "tanh" if network.squashed else "clip",
-            "sees": "raw" if view.scale == "raw" else "scaled",
-            "width": view.width,
-            "agents": view.agents,
-            "number": view.agent,
+            "view": put(policy.matrix),
+            "offset": put(policy.offset),
+            "told": policy.told,
         },
     }
 
@@ -552,5 +576,6 @@ PARTS_OF_BOXES = 8
 
 _WRITERS: dict[type, Callable[[Problem, Any, list[np.ndarray]], dict[str, Any]]] = {
     PathProof: _along_trajectories,
+    StartsProof: _from_starts,
     GridProof: _on_cells,
 }

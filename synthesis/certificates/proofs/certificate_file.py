@@ -20,6 +20,7 @@ from .path_proof import PathProof
 from .product_proof import ProductProof
 from .proof import Proof
 from .result import Synthesis
+from .starts_proof import StartsProof
 from .timed_proof import TimedProof
 from .union_bound_proof import UnionBoundProof
 from .vertex_proof import VertexProof
@@ -27,7 +28,7 @@ from .vertex_proof import VertexProof
 PROOFS: dict[str, type[Proof]] = {
     proof.kind: proof
     for proof in (
-        GridProof, PathProof, UnionBoundProof, TimedProof, ProductProof, VertexProof
+        GridProof, PathProof, StartsProof, UnionBoundProof, TimedProof, ProductProof, VertexProof
     )
 }  # fmt: skip
 """Kinds of proofs, by their names in files."""

@@ -21,14 +21,21 @@ from numpy.typing import NDArray
 from ....envs.systems.backends import is_whole
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
-from ...relations.kinds import NetworkPolicy, SymbolicPolicy, check_network, network_policy
-from ..controllers import NetworkController, PathController
+from ...relations.kinds import (
+    JointNetworkPolicy,
+    NetworkPolicy,
+    SymbolicPolicy,
+    check_network,
+    joint_network_policy,
+    network_policy,
+)
+from ..controllers import JointNetworkController, NetworkController, PathController
 from .archive import Pool, Stored
 from .certificate import Certificate
 from .digits import significant_up
 from .proof import Capability, Proof
 
-GivenPolicy = NetworkPolicy | SymbolicPolicy
+GivenPolicy = NetworkPolicy | JointNetworkPolicy | SymbolicPolicy
 """What acts where a policy was given."""
 
 SOMETIME = 2
@@ -153,7 +160,7 @@ class PathProof(Proof):
     @property
     def acts_by_networks(self) -> bool:
         """Whether networks act, and not nominal inputs or expressions."""
-        return any(isinstance(own, NetworkPolicy) for own in self.networks or ())
+        return any(not isinstance(own, SymbolicPolicy) for own in self.networks or ())
 
     def along(self, certificate: Certificate) -> Certificate:
         """Return the certificate itself."""
@@ -162,11 +169,10 @@ class PathProof(Proof):
     def controller(self, problem: Problem) -> PathController:
         """Return the controllers the bound belongs to."""
         paths = tuple((path.inputs, path.gain, path.states) for path in self.paths)
-        return (
-            PathController(problem, paths)
-            if self.networks is None
-            else NetworkController(problem, paths, self.networks)
-        )
+        if self.networks is None:
+            return PathController(problem, paths)
+        joint = any(own.sees_all for own in self.networks)
+        return (JointNetworkController if joint else NetworkController)(problem, paths, self.networks)
 
     def written(self, pool: Pool) -> dict[str, Any]:
         """Return the entries of its file."""
@@ -238,19 +244,29 @@ def _networks(problem: Problem, stored: Stored) -> tuple[tuple[GivenPolicy, ...]
     """Return the networks in a file and the radii of their ellipsoids; None where nominal inputs act."""
     if "networks" not in stored.entry:
         return None, ()
-    networks, radii = stored.entry["networks"], stored.entry["radii"]
-    if len(networks) != problem.n_agents or len(radii) != problem.n_agents:
+    radii = stored.entry["radii"]
+    if len(radii) != problem.n_agents:
         raise ValueError("its networks are not those of its agents")
     if any(isinstance(radius, bool) or not isinstance(radius, int | float) or not radius > 0.0 for radius in radii):
         raise ValueError("the radii of its ellipsoids are none")
+    return networks_in(problem, stored.entry["networks"]), tuple(float(radius) for radius in radii)
+
+
+def networks_in(problem: Problem, networks: Any) -> tuple[GivenPolicy, ...]:
+    """Return the policies of all agents in a file; raise ValueError if they are not those of the problem."""
+    if not isinstance(networks, list) or len(networks) != problem.n_agents:
+        raise ValueError("its networks are not those of its agents")
     made = list[GivenPolicy]()
     for description, agent in zip(networks, problem.agents, strict=True):
         if isinstance(description, dict) and "expressions" in description:
             made.append(SymbolicPolicy.of(agent, [str(text) for text in description["expressions"]]))
             continue
+        if isinstance(description, dict) and "matrix" in description:
+            made.append(joint_network_policy(description, agent, problem.n_states))
+            continue
         check_network(description, agent, 2**31)
         made.append(network_policy(description, agent))
-    return tuple(made), tuple(float(radius) for radius in radii)
+    return tuple(made)
 
 
 def _normals(problem: Problem, stored: Stored, times: int) -> NDArray[np.float64] | None:

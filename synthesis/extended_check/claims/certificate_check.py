@@ -38,9 +38,11 @@ from ...certificates.proofs import (
     CheckReport,
     GridProof,
     NotCanonicalError,
+    OfStarts,
     OnGrid,
     PathProof,
     ProductProof,
+    StartsProof,
     TimedProof,
     UnionBoundProof,
     VertexProof,
@@ -102,7 +104,7 @@ def _checked(certificate: Any, problem: Problem) -> CheckReport:
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     if proof is ProductProof and not problem.joint_noise:
         return _check_product(certificate, problem)
-    if problem.joint_noise and proof is not PathProof:
+    if problem.joint_noise and proof not in (PathProof, StartsProof):
         failures = ("its problem has agents that share noise, which it takes for independent",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     if problem.names_time and proof in (GridProof, UnionBoundProof):
@@ -111,7 +113,7 @@ def _checked(certificate: Any, problem: Problem) -> CheckReport:
     if problem.labeling.pairs and proof is GridProof:
         failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
-    if proof is not PathProof and (wrong := wrong_angles(problem)):
+    if proof not in (PathProof, StartsProof) and (wrong := wrong_angles(problem)):
         return CheckReport(False, certificate.lower_bound, float("nan"), (wrong,))
     try:
         # What overflows decides nothing: neither infinities nor numbers that are none are compared with anything.
@@ -159,8 +161,8 @@ def _check_timed(certificate: Certificate, problem: Problem) -> CheckReport:
     return check(certificate.proof.base)
 
 
-def _check_path(certificate: AlongPath, problem: Problem) -> CheckReport:
-    """Verify a certificate along a path: the checker proves it, from what its file holds."""
+def _check_path(certificate: AlongPath | OfStarts, problem: Problem) -> CheckReport:
+    """Verify a certificate along a path, or one from each cell of starts: the checker proves it from its file."""
     failures: list[str] = []
     failure, told = 1.0, ""
     if certificate.fingerprint != problem.fingerprint:
@@ -176,6 +178,11 @@ def _check_path(certificate: AlongPath, problem: Problem) -> CheckReport:
     if not failures and not failure <= certificate.proof.failure:
         claimed = f"it says that it fails with probability {certificate.proof.failure:.6g} at most"
         failures.append(f"{claimed}, but what was recomputed is {failure:.6g}")
+    if not failures and isinstance(certificate.proof, StartsProof):
+        worst = max(found for found, *_ in verdict.steps)
+        if not worst <= certificate.proof.worst:
+            claimed = f"it says that it fails with probability {certificate.proof.worst:.6g} at most from every start"
+            failures.append(f"{claimed}, but what was recomputed is {worst:.6g}")
     recomputed = float("nan") if failures else bound_of(failure)
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), alarm=told)
 
@@ -407,6 +414,7 @@ CHECKS: dict[type, Callable[[Any, Problem], CheckReport]] = {
     GridProof: _check_one,
     PathProof: _check_path,
     VertexProof: _check_vertices,
+    StartsProof: _check_path,
     UnionBoundProof: _check_pairs,
     TimedProof: _check_timed,
 }

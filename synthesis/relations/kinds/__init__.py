@@ -12,6 +12,7 @@ from .description import GONE, Relation, check_description, describe_relation, r
 from .exact import ExactOnCells, ExactRelation, aimed_relation, exact_relation
 from .input_forms import Turn
 from .inverse_means import SymbolicOnCells, SymbolicTargets, symbolic_targets
+from .joint_networks import JointNetworkPolicy, joint_network_policy, seen_jointly
 from .network_maps import NetworkMaps, network_linear_relation
 from .networks import (
     ACTIVATIONS,
@@ -44,6 +45,7 @@ __all__ = [
     "GONE",
     "ExactOnCells",
     "ExactRelation",
+    "JointNetworkPolicy",
     "LinearMeans",
     "MapRelation",
     "MatrixMaps",
@@ -72,6 +74,7 @@ __all__ = [
     "exact_relation",
     "inputs_of",
     "joint_delta",
+    "joint_network_policy",
     "map_relation",
     "mean_loss",
     "mean_off",
@@ -82,6 +85,7 @@ __all__ = [
     "relation_from",
     "rows_of",
     "scaled",
+    "seen_jointly",
     "times",
     "write_task",
     "symbolic_targets",

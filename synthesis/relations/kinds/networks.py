@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,6 +155,8 @@ class NetworkPolicy:
     input_box: Box
     has_clock: bool = False
 
+    sees_all: ClassVar[bool] = False
+
     @property
     def n_modes(self) -> int:
         """Number of modes."""
@@ -162,12 +164,8 @@ class NetworkPolicy:
 
     def inputs(self, states: FloatArray, q: Array, time: int) -> FloatArray:
         """Return the inputs (m, N) at states (d, N), automaton states (N,) and a time."""
-        actions = self.network.actions(self.view.rows(self.workspace, states, self.view.told_of(q), time))
-        own, box = actions[:, : self.input_box.dimension].T.astype(float), self.input_box
-        if self.network.outputs == "box":
-            inputs = np.clip(own, box.low[:, None], box.high[:, None])
-        else:
-            inputs = inputs_of(box, own)
+        rows = self.view.rows(self.workspace, states, self.view.told_of(q), time)
+        inputs = answered(self.network, rows, self.input_box)
         return np.concatenate([inputs, np.full((1, inputs.shape[1]), float(time))]) if self.has_clock else inputs
 
     def replaced(
@@ -306,6 +304,12 @@ def check_network(
     may_have_clock = not agent.is_affine and with_expressions(agent).inputs[-1] == TIME
     if size + may_have_clock < agent.n_inputs:
         raise ValueError("a network has fewer outputs than its agent has inputs")
+
+
+def answered(network: Network, rows: Array, box: Box) -> FloatArray:
+    """Return the inputs (m, N) that a network answers rows (N, n) with, its first outputs, in the box of inputs."""
+    own = network.actions(rows)[:, : box.dimension].T.astype(float)
+    return np.clip(own, box.low[:, None], box.high[:, None]) if network.outputs == "box" else inputs_of(box, own)
 
 
 def inputs_of(box: Box, actions: Array) -> Array:

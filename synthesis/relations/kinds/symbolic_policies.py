@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ class SymbolicPolicy:
     states: tuple[str, ...]
     parameters: Mapping[str, float]
     input_box: Box
+
+    sees_all: ClassVar[bool] = False
 
     @classmethod
     def of(cls, agent: AnyAgent, expressions: Sequence[str]) -> SymbolicPolicy:

@@ -6,5 +6,6 @@ The search for trajectories and their feedback gains, for one agent and for team
 from .counted_work import CountedWork
 from .path_search import path_certificate, refuse_without_path
 from .policy_paths import networks_along
+from .start_cells import networks_from
 
-__all__ = ["CountedWork", "networks_along", "path_certificate", "refuse_without_path"]
+__all__ = ["CountedWork", "networks_along", "networks_from", "path_certificate", "refuse_without_path"]

@@ -19,6 +19,7 @@ from ...certificates.proofs import (
     AgentPath,
     AlongPath,
     Certificate,
+    GivenPolicy,
     PathProof,
     canonical_problem,
     changed,
@@ -33,20 +34,27 @@ from ...checker import (
     check_words,
     demands,
     failure_of,
+    followed,
+    known_at,
+    known_at_start,
     linear_forms,
     read_problem,
     read_trajectories,
     value_on,
     walk,
 )
-from ...relations.grids import FloatArray, RelationRefused
-from ...relations.kinds import ON_CELLS, NetworkPolicy, SymbolicPolicy
+from ...relations.grids import FloatArray, NoRunFound, RelationRefused
+from ...relations.kinds import ON_CELLS, NetworkPolicy
+from .policy_reasons import widening_layer
 
 LOST = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
 """Probabilities, of all ellipsoids of an agent together, that radii are chosen for, the widest tubes first."""
 
 MOST_TIMES = 8
 """Times at which the task may be counted as done that are looked at."""
+
+MOST_ACCEPTED = 12
+"""Steps for which a run goes on after it has been accepted: later times are hardly ever better."""
 
 TRIED = 2
 """How many of these are tried with every radius."""
@@ -80,20 +88,24 @@ class _Margins:
     normals: FloatArray
 
 
-def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | SymbolicPolicy]) -> AlongPath:
+def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: float = 0.0) -> AlongPath:
     """Return the best certificate of networks as they are, along their run without noise.
+
+    Where a failure of ``enough`` will do, radii are taken that seem to allow it, and no others are tried.
 
     Raises
     ------
     RelationRefused
         If the run does not satisfy the task, or nothing is proved; the message says why, and what would help.
     """
-    if problem.initial_q is None or problem.groups:
-        raise RelationRefused("policies along a trajectory have one start, and one task that does not fall apart")
+    if problem.groups:
+        raise RelationRefused("policies along a trajectory have one task, which does not fall apart")
     known = read_problem({"problem": canonical_problem(problem)})
     run = _run_of(problem, known, policies)
     if not run.accepted:
-        raise RelationRefused("the run of the policies without noise does not satisfy the task: train on, or elsewhere")
+        raise NoRunFound("the run of the policies without noise does not satisfy the task: train on, or elsewhere")
+    if enough > 0.0:
+        return _soon(problem, known, run, policies, enough)
     best: AlongPath | None = None
     why, before = "nothing is known of the policies on any tube around their run", 0.0
     for lost in LOST:
@@ -102,8 +114,7 @@ def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | Symbolic
         except Refused as refused:
             why, before = str(refused), lost
             continue
-        words = _words(problem, known, run, margins)[:TRIED]
-        for letters in words:
+        for _, letters in _words(problem, known, run, margins)[:TRIED]:
             found = _proved(problem, policies, run, letters, margins, lost)
             best = found if best is None or found.proof.failure < best.proof.failure else best
         # Narrower tubes are for policies that bend: what is proved with room is hardly proved better without.
@@ -113,6 +124,8 @@ def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | Symbolic
             return _widest(problem, policies, run, margins, best, (before, lost))
     if best is None or best.proof.failure >= 1.0:
         why = why if best is None else _likeliest(best, known)
+        layer = widening_layer(known, _joint(problem, known, run, policies, LOST[-1]))
+        why += "" if layer is None else f"; {layer}"
         raise RelationRefused(
             f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy"
             + (", or cells (`cells=`)" if all(map(_may_have_cells, policies)) else "")
@@ -120,9 +133,33 @@ def networks_along(problem: Problem, policies: Sequence[NetworkPolicy | Symbolic
     return best
 
 
+def _soon(
+    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[GivenPolicy], enough: float
+) -> AlongPath:
+    """Return the certificate for the radii of which most may be expected, the first ones that seem to be enough."""
+    best, why = None, "nothing is known of the policies on any tube around their run"
+    for lost in (1e-4 * enough, 0.3 * enough, 1e-4):
+        try:
+            margins = _margins(problem, known, run, policies, lost)
+        except Refused as refused:
+            why = str(refused)
+            continue
+        for fails, letters in _words(problem, known, run, margins)[:1]:
+            if best is None or lost + fails < best[0]:
+                best = lost + fails, letters, margins, lost
+        if best is not None and best[0] <= enough:
+            break
+    found = None if best is None else _proved(problem, policies, run, *best[1:])
+    if found is None or found.proof.failure >= 1.0:
+        raise RelationRefused(
+            f"nothing is proved along their run: {why if found is None else _likeliest(found, known)}"
+        )
+    return found
+
+
 def _proved(
     problem: Problem,
-    policies: Sequence[NetworkPolicy | SymbolicPolicy],
+    policies: Sequence[GivenPolicy],
     run: _Run,
     letters: NDArray[np.int8],
     margins: _Margins,
@@ -135,7 +172,7 @@ def _proved(
 
 def _widest(
     problem: Problem,
-    policies: Sequence[NetworkPolicy | SymbolicPolicy],
+    policies: Sequence[GivenPolicy],
     run: _Run,
     margins: _Margins,
     best: AlongPath,
@@ -154,8 +191,10 @@ def _widest(
     return best
 
 
-def _may_have_cells(policy: NetworkPolicy | SymbolicPolicy) -> bool:
-    return not isinstance(policy, NetworkPolicy) or policy.network.activation in ON_CELLS
+def _may_have_cells(policy: GivenPolicy) -> bool:
+    if isinstance(policy, NetworkPolicy):
+        return policy.network.activation in ON_CELLS
+    return not policy.sees_all
 
 
 def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
@@ -164,15 +203,16 @@ def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
     return f"most probable is that {worst.removeprefix('; most probable: ')} fails"
 
 
-def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkPolicy | SymbolicPolicy]) -> _Run:
+def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[GivenPolicy]) -> _Run:
     """Return the run without noise, and the times by which it has been accepted."""
     x = [0.5 * (agent.initial.low + agent.initial.high) for agent in problem.agents]
-    q, automaton, T = int(problem.initial_q or 0), problem.automaton, problem.horizon
+    q, automaton, T = _first_state(known), problem.automaton, problem.horizon
     states, letters, accepted = [[own] for own in x], [np.zeros(0)], list[int]()
     inputs: list[list[FloatArray]] = [[] for _ in x]
     count = len(automaton.propositions)
     for t in range(T):
-        u = [policy.inputs(own[:, None], np.array([q]), t)[:, 0] for policy, own in zip(policies, x, strict=True)]
+        seen = [np.concatenate(x) if policy.sees_all else own for policy, own in zip(policies, x, strict=True)]
+        u = [policy.inputs(own[:, None], np.array([q]), t)[:, 0] for policy, own in zip(policies, seen, strict=True)]
         x = _moved(known, x, u, t)
         if not all(
             np.all((a.state_low <= own) & (own <= a.state_high)) for a, own in zip(problem.agents, x, strict=True)
@@ -187,6 +227,8 @@ def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkP
             q = int(automaton.next_state(q, holds))
         if automaton.accepting[q] and (automaton.is_co_safe or t + 1 == T):
             accepted.append(t + 1)
+        if len(accepted) == MOST_ACCEPTED:
+            break
     letters[0] = np.zeros(count)
     return _Run(
         [np.array(own) for own in states],
@@ -194,6 +236,23 @@ def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[NetworkP
         np.array(letters, dtype=np.int8).reshape(-1, count),
         accepted,
     )
+
+
+def states_along(problem: Problem, policies: Sequence[GivenPolicy], start: FloatArray) -> FloatArray:
+    """Return the joint states (S + 1, D) of the run without noise from a start (D,), as far as it goes."""
+    begun = problem.replace(initial_state=start.tolist())
+    run = _run_of(begun, read_problem({"problem": canonical_problem(begun)}), policies)
+    return np.concatenate(run.states, axis=1)
+
+
+def _first_state(known: CheckedProblem) -> int:
+    """Return the automaton state after the letter of time 0: of runs that are not accepted, wherever they start."""
+    automaton = known.automaton
+    reached = followed(automaton, {automaton.initial}, known_at_start(known))
+    undecided = {q for q in reached if not (automaton.is_co_safe and automaton.accepting[q])}
+    if len(undecided) > 1:
+        raise RelationRefused("the starts lie in and out of a region, so that policies begin in two automaton states")
+    return min(undecided or reached)
 
 
 def _moved(known: CheckedProblem, x: Sequence[FloatArray], u: Sequence[FloatArray], t: int) -> list[FloatArray]:
@@ -209,15 +268,28 @@ def _moved(known: CheckedProblem, x: Sequence[FloatArray], u: Sequence[FloatArra
     return result
 
 
-def _radii(problem: Problem, steps: int, lost: float) -> tuple[float, ...]:
+def _radii(problem: Problem, policies: Sequence[GivenPolicy], steps: int, lost: float) -> tuple[float, ...]:
     """Return radii of the ellipsoids of all agents, which errors leave with about this probability in all."""
-    share = lost / (steps * problem.n_agents)
-    return tuple(float(np.sqrt(chdtri(agent.n_states, share))) for agent in problem.agents)
+    # agents who see the states of all keep in one ellipsoid
+    share = lost / (steps * (1 if all(policy.sees_all for policy in policies) else problem.n_agents))
+    sizes = [problem.n_states if policy.sees_all else a.n_states for policy, a in zip(policies, problem.agents)]
+    return tuple(_radius(d, share, all(a.laws is None for a in problem.agents)) for d in sizes)
+
+
+def _radius(d: int, share: float, normal: bool) -> float:
+    """Return the radius of an ellipsoid in d dimensions that errors leave with about this probability."""
+    if normal:
+        return float(np.sqrt(chdtri(d, share)))
+    # (y / d)^(d/2) exp((d - y) / 2) = share: the checker's bound for sub-Gaussian noise, solved by a few steps
+    y = 2.0 * d
+    for _ in range(60):
+        y = d * (1.0 + np.log(y / d)) - 2.0 * np.log(share)
+    return float(np.sqrt(y))
 
 
 def _certificate(
     problem: Problem,
-    policies: Sequence[NetworkPolicy | SymbolicPolicy],
+    policies: Sequence[GivenPolicy],
     run: _Run,
     letters: NDArray[np.int8],
     margins: _Margins | None,
@@ -234,18 +306,22 @@ def _certificate(
     if problem.labeling.pairs:
         size = sum(pair.size for pair in problem.labeling.pairs)
         normals = np.zeros((steps + 1, size)) if margins is None else margins.normals[: steps + 1]
-    radii = _radii(problem, steps, lost)
+    radii = _radii(problem, policies, steps, lost)
     proof = PathProof(tuple(paths), letters, faces, 1.0, normals, tuple(policies), radii)
     return Certificate(problem, proof, {"relation": "path", "policy": "as it is"})
 
 
+def _joint(problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[GivenPolicy], lost: float) -> Joint:
+    """Return the checker's joint system along the run, on the tube of some radii, before its first step."""
+    read = read_trajectories(contents_of(_certificate(problem, policies, run, run.letters, None, lost)), known)
+    return Joint.of(known, read.trajectories, read.letters)
+
+
 def _margins(
-    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[NetworkPolicy | SymbolicPolicy], lost: float
+    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[GivenPolicy], lost: float
 ) -> _Margins:
     """Return how far all literals of the run are away, in deviations, on the tube of some radii."""
-    certificate = _certificate(problem, policies, run, run.letters, None, lost)
-    read = read_trajectories(contents_of(certificate), known)
-    joint = Joint.of(known, read.trajectories, read.letters)
+    joint = _joint(problem, known, run, policies, lost)
     shape, size = run.letters.shape, sum(pair.size for pair in problem.labeling.pairs)
     found = _Margins(np.full(shape, np.inf), np.full(shape, -1), np.zeros((shape[0], size)))
     for tube in walk(joint):
@@ -318,25 +394,62 @@ def _demands(
         return []
 
 
-def _words(problem: Problem, known: CheckedProblem, run: _Run, margins: _Margins) -> list[NDArray[np.int8]]:
-    """Return words of the run that are accepted and ask for little, the most probable first."""
+def _words(
+    problem: Problem, known: CheckedProblem, run: _Run, margins: _Margins
+) -> list[tuple[float, NDArray[np.int8]]]:
+    """Return words of the run that are accepted and ask for little, and about how they fail, the least first."""
     held = np.where(run.letters > 0, margins.deviations, np.inf).min(axis=1, initial=np.inf)
     # Times at which what then holds is held most surely; all of them if there are few.
     times = sorted(run.accepted, key=lambda t: -float(np.minimum(held[t], FAR)))[:MOST_TIMES]
-    found = []
+    found, count = [], run.letters.shape[1]
     for last in times:
-        letters = run.letters[: last + 1].copy()
-        if not _is_accepted(known, letters, margins.faces):
-            continue
         order = np.argsort(margins.deviations[: last + 1], axis=None, kind="stable")
-        for t, p in zip(*np.unravel_index(order, letters.shape), strict=True):
-            if letters[t, p]:
-                kept, letters[t, p] = letters[t, p], 0
-                if not _is_accepted(known, letters, margins.faces):
-                    letters[t, p] = kept
+        letters = _fewest(known, run.letters[: last + 1], list(zip(*np.unravel_index(order, (last + 1, count)))))
+        if letters is None or not _is_accepted(known, letters, margins.faces):
+            continue
         asked = margins.deviations[: last + 1][letters != 0]
         found.append((float(np.sum(2.0 * ndtr(-np.minimum(asked, FAR)))), last, letters))
-    return [letters for _, _, letters in sorted(found, key=lambda one: one[:2])]
+    return [(fails, letters) for fails, _, letters in sorted(found, key=lambda one: one[:2])]
+
+
+def _fewest(
+    known: CheckedProblem, letters: NDArray[np.int8], order: Sequence[tuple[Any, Any]]
+) -> NDArray[np.int8] | None:
+    """Return letters (S + 1, P) less those, in an order of places, without which the word is accepted as well.
+
+    At every time the networks see one automaton state; None if the word is not accepted, or they may see several.
+    """
+    automaton, last = known.automaton, len(letters) - 1
+    done = {q for q, accepting in enumerate(automaton.accepting) if accepting}
+
+    def after(states: set[int], t: int) -> set[int]:
+        """Letters of a time; what is accepted stays so if the task is co-safe, and is not followed any more."""
+        reached = followed(automaton, states, known_at(known, letters[t].astype(np.int64), t))
+        return reached - done if automaton.is_co_safe else reached
+
+    def is_right(states: set[int], t: int) -> bool:
+        return len(states) <= 1 and (t < last or states <= (set() if automaton.is_co_safe else done))
+
+    letters, first = letters.copy(), followed(automaton, {automaton.initial}, known_at_start(known))
+    reached = [first - done if automaton.is_co_safe else first]
+    for t in range(1, last + 1):
+        reached.append(after(reached[-1], t))
+    if not all(map(is_right, reached, range(last + 1))):
+        return None
+    for t, p in order:
+        if not letters[t, p]:
+            continue
+        kept, letters[t, p], later = letters[t, p], 0, list[set[int]]()
+        # what follows is the same from the first time on at which the state is
+        for s in range(t, last + 1):
+            later.append(after(later[-1] if later else reached[t - 1], s))
+            if later[-1] == reached[s] or not is_right(later[-1], s):
+                break
+        if is_right(later[-1], t + len(later) - 1):
+            reached[t : t + len(later)] = later
+        else:
+            letters[t, p] = kept
+    return letters
 
 
 def _is_accepted(known: CheckedProblem, letters: NDArray[np.int8], faces: NDArray[np.int64]) -> bool:

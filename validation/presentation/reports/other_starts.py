@@ -43,7 +43,8 @@ def bounds_from(certificate: Any, starts: NDArray[Any]) -> NDArray[Any]:
     low, high = start_box(certificate.problem)
     inside = np.all((starts >= low) & (starts <= high), axis=1)
     found = _elsewhere(certificate, starts)
-    return np.where(inside, np.fmax(found, certificate.lower_bound), found)
+    own = getattr(certificate.proof, "least_bound", certificate.lower_bound)  # of a mean, what holds from every start
+    return np.where(inside, np.fmax(found, own), found)
 
 
 def _elsewhere(certificate: Any, starts: NDArray[Any]) -> NDArray[Any]:

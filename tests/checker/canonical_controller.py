@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .cell_proofs import AgentCells
-from .fields import Refused
-from .motions import affine_dynamics
-from .problem import TURN, Agent
-from .rigorous import Array
-from .steps import Trajectory
+from certigym.synthesis.checker.cell_proofs import AgentCells
+from certigym.synthesis.checker.fields import Refused
+from certigym.synthesis.checker.motions import affine_dynamics
+from certigym.synthesis.checker.problem import TURN, Agent
+from certigym.synthesis.checker.rigorous import Array
+from certigym.synthesis.checker.steps import Trajectory
 
 
 def along_trajectory(agent: Agent, own: Trajectory, t: int, x: Array) -> Array:
