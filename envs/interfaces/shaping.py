@@ -2,7 +2,7 @@
 
 The **level** of an agent lies in [0, 1]. It is 1 in accepting states of the automaton and 0 where acceptance is out of
 reach or an agent has left its workspace. Elsewhere it counts the automaton steps that are still needed; between two of
-them it rises as the agent comes closer to what *one* letter asks of it, the one nearest to the start of the problem.
+them it rises as the agent comes closer to what *one* letter asks of it, the next one of the shortest tour (`tour`).
 Where two letters are equally good (two rooms to meet in), agents that see only themselves would else be drawn to both.
 A letter is a conjunction over agents, so each of them has a level of its own; one of which a letter asks nothing has
 done its part. The level of a team is the mean of those of its agents. No guarantee rests on levels.
@@ -12,10 +12,10 @@ done its part. The level of a team is the mean of those of its agents. No guaran
 over an episode is the sparse one less Phi(s_0), so the same policies are optimal (Ng, Harada and Russell 1999). All
 failing episodes have the same return: a learner that has never succeeded learns nothing from it.
 
-**"progress"** tells a good failure from a bad one. Every automaton step of the level is worth `APPROACH`; in tasks that
-are judged at the horizon time survived is worth something, too; and a task that is lost keeps what it was worth, less
-`LOSS`. What is gained stays, so optimal policies may differ from those of the task; by how much is proved in
-docs/how-to/learned_policies.md, "What the rewards keep".
+**"progress"** tells a good failure from a bad one. An automaton step is worth 1, half of it for the way from the start.
+In tasks that only have to be kept alive, time survived is worth something, too; and a task that is lost keeps what it
+was worth, less `LOSS`. What is gained stays, so optimal policies may differ from those of the task; by how much is
+proved in docs/how-to/learned_policies.md, "What the rewards keep".
 """
 
 from __future__ import annotations
@@ -32,24 +32,22 @@ from ..simulation import Dynamics, Worlds
 from ..simulation import batch_simulator as core
 from ..systems.backends import double, namespace, to_host
 from ..tasks.automata import Automaton
+from .tour import Tour
 
 Weights = list[tuple[list[int], Any]]
 """Places of gaps, and what these take off a level in each automaton state, floats (Q,)."""
 
 REWARDS = ("sparse", "shaped", "progress")
 
-APPROACH = 8.0
-"""What "progress" pays for an automaton step. Half of the way is worth more than what is lost with a lost task: else
-agents learn to stay where they are."""
-
-LOSS = 1.0
-"""What "progress" takes for a lost task."""
+LOSS = 0.25
+"""What "progress" takes for a lost task. Much more, and agents that have not yet found a way learn to stay where they
+are; much less, and they run into one another."""
 
 SURVIVAL = 0.5
-"""What "progress" pays for surviving to the horizon, in tasks that are judged there."""
+"""What "progress" pays for surviving to the horizon, in tasks that are lost or satisfied and nothing else."""
 
 EASE = 0.25
-"""What it pays for the automaton state that is most easily carried to acceptance, if the task is to survive alone."""
+"""What it pays there for the automaton state that is most easily carried to acceptance."""
 
 # Limits that keep the potential cheap to evaluate; a shorter list makes the guess coarser, and nothing else.
 _STATE_PATHS = 2000  # paths of a state's diagram that are used: those that do not lose the task
@@ -93,13 +91,13 @@ class Potential:
         # What no state can do without holds wherever the task is not lost: it is nothing to come near to.
         needs = [letter for q in np.flatnonzero(~automaton.absorbing) for letter, _ in listed[q][0]]
         always = frozenset.intersection(*needs) if needs else frozenset()
-        gaps, route = _at_start(dynamics), []
+        forward: list[dict[frozenset[int], int]] = []
         for q, following in enumerate(moves):
-            forward = {letter - always for letter, target in following if steps[target] < steps[q]}
-            simplest = sorted(forward, key=lambda letter: (len(letter), sorted(letter)))[:_STATE_LETTERS]
-            letters = [np.array(sorted(letter), dtype=int) for letter in simplest]
-            nearest = min(letters, key=lambda p: gaps[p].mean() if p.size else 0.0, default=np.zeros(0, dtype=int))
-            route.append(nearest)
+            onward = {letter - always: target for letter, target in following if steps[target] < steps[q]}
+            simplest = sorted(onward, key=lambda letter: (len(letter), sorted(letter)))[:_STATE_LETTERS]
+            forward.append({letter: onward[letter] for letter in simplest})
+        chosen = Tour.of(dynamics).letters(automaton.initial, steps, forward)
+        route = [np.array(sorted(letter), dtype=int) for letter in chosen]
         return cls(dynamics, steps, tuple(route))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -128,11 +126,9 @@ class Potential:
         Tasks that are lost keep what they had `before`, less `LOSS`.
         """
         problem, xp = self.dynamics.problem, namespace(worlds.q)
-        worth = APPROACH * self.parts * self._undecided(worlds, own)
-        if self._has_ease:
+        worth = self.parts * self._undecided(worlds, own)
+        if self.is_survival:
             worth = worth + self._placed("clock")[worlds.time, worlds.q]
-        elif not problem.automaton.is_co_safe:
-            worth = worth + SURVIVAL / problem.horizon * double(worlds.time)
         result: np.ndarray = xp.where(worlds.failed | self._placed("dead")[worlds.q], before - LOSS, worth)
         return result
 
@@ -186,18 +182,14 @@ class Potential:
         units = np.where(longest > 0.0, 2.0 * longest, 1.0)
         return _gaps_of(self.dynamics, self._pursued, units)
 
-    @cached_property
-    def _has_ease(self) -> bool:
-        """Whether all automaton states that are not lost accept, and some are safer than others."""
-        automaton = self.dynamics.problem.automaton
-        if automaton.is_co_safe or self.parts > 1.0:
-            return False
-        ease = self.ease[:, ~automaton.dead]
-        return bool((ease != ease[:, :1]).any())
+    @property
+    def is_survival(self) -> bool:
+        """Whether the task asks for nothing but to survive: all automaton states that are not lost accept."""
+        return not self.dynamics.problem.automaton.is_co_safe and self.parts == 1.0
 
     @cached_property
     def clock(self) -> np.ndarray:
-        """What "progress" pays beside levels if states are of different ease, float (T + 1, Q)."""
+        """What "progress" pays in tasks of survival, float (T + 1, Q)."""
         horizon = self.dynamics.problem.horizon
         return np.asarray(SURVIVAL * np.arange(horizon + 1.0)[:, None] / horizon + EASE * self.ease)
 
