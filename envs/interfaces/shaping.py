@@ -30,7 +30,7 @@ import numpy as np
 
 from ..simulation import Dynamics, Worlds
 from ..simulation import batch_simulator as core
-from ..systems.backends import double, namespace, to_host
+from ..systems.backends import namespace, to_host
 from ..tasks.automata import Automaton
 from .tour import Tour
 
@@ -125,11 +125,12 @@ class Potential:
 
         Tasks that are lost keep what they had `before`, less `LOSS`.
         """
-        problem, xp = self.dynamics.problem, namespace(worlds.q)
         worth = self.parts * self._undecided(worlds, own)
         if self.is_survival:
             worth = worth + self._placed("clock")[worlds.time, worlds.q]
-        result: np.ndarray = xp.where(worlds.failed | self._placed("dead")[worlds.q], before - LOSS, worth)
+        result: np.ndarray = namespace(worth).where(
+            worlds.failed | self._placed("dead")[worlds.q], before - LOSS, worth
+        )
         return result
 
     @property

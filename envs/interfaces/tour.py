@@ -55,9 +55,7 @@ class Tour:
         agents = range(len(start))
         return cls(tuple(start[i] for i in agents), tuple(width[i] for i in agents), boxes)
 
-    def letters(
-        self, initial: int, steps: np.ndarray, forward: Sequence[Mapping[Letter, int]]
-    ) -> tuple[Letter, ...]:
+    def letters(self, initial: int, steps: np.ndarray, forward: Sequence[Mapping[Letter, int]]) -> tuple[Letter, ...]:
         """Return the letter that each automaton state pursues; the empty one if it has none.
 
         Parameters

@@ -299,8 +299,9 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
             rewards = rewards + paid
         if self._has_own:
             # Half for what an agent has done itself, half for what the team has: their mean is the reward of the team.
-            team = np.broadcast_to(rewards, self.own_rewards.shape).mean(axis=0)
-            self.own_rewards, rewards = 0.5 * (rewards + team), team
+            own = np.broadcast_to(rewards, self.own_rewards.shape)
+            rewards = own.mean(axis=0)
+            self.own_rewards = 0.5 * (own + rewards)
         return rewards
 
     def _leveled(self, worlds: core.Worlds, before: Any) -> np.ndarray:

@@ -140,6 +140,9 @@ def test_agents_earn_half_of_what_they_do_themselves_and_half_of_what_the_team_d
     gained = own[1] - own[0]
     assert (np.abs(gained[0]) > 0.001).all()
     assert gained[1:] == pytest.approx(np.tile(gained[0] / 5.0, (3, 1)))
+    sparse = cg.vector_env("swarm-v0", 5, credit="own")
+    sparse.reset(seed=0)
+    assert sparse.step(np.zeros((5, 8)))[1].shape == (5,) and sparse.own_rewards.shape == (4, 5)
     with pytest.raises(ValueError, match="`credit`"):
         cg.vector_env("swarm-v0", 5, credit="all")
 
