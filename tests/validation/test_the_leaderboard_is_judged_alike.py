@@ -14,7 +14,7 @@ import certigym as cg
 from certigym.baselines import Leaderboard, RandomController, Sources
 from certigym.cli.main import main
 from certigym.validation.policies import page_of, publish, replayed
-from certigym.validation.policies.ranking import judging_plan, mean_progress
+from certigym.validation.policies.ranking import judging_plan
 from certigym.validation.statistical_tests import clopper_pearson, planned
 
 RA2 = cg.make_problem("reach-avoid-v0")
@@ -42,25 +42,6 @@ def test_rows_hold_what_rollouts_say(folder: Path) -> None:
         assert row.successes == (successes,) and row.rate == successes / 500
         assert (row.low, row.high) == clopper_pearson(successes, 500, 0.999)
     assert board.rows[0].lower_bound == held.lower_bound and board.rows[1].lower_bound is None
-
-
-@pytest.mark.parametrize("id", ["reach-avoid-v0", "invariance-v0"])
-def test_the_return_is_that_of_the_environment(id: str) -> None:
-    """The environment's rewards, summed over the same inputs and noise, against the difference of levels."""
-    envs = cg.vector_env(id, 400, reward="progress", autoreset_mode="Disabled", actions="unit")
-    envs.reset(seed=0)
-    total, ended, rng = np.zeros(400), np.zeros(400, dtype=bool), np.random.default_rng(1)
-    for _ in range(cg.make_problem(id).horizon):
-        actions = rng.uniform(-1, 1, envs.action_space.shape)
-        _, rewards, terminated, truncated, _ = envs.step(actions)
-        total += np.where(ended, 0.0, rewards)
-        ended |= terminated | truncated
-        if ended.all():
-            break
-        envs._ended[:] = False  # ended worlds may go on: their rewards no longer count
-    ours = mean_progress(cg.make_problem(id), RandomController(), 7, 400)
-    # Other noise: the means differ by chance, at five standard errors of either (false alarm below 1e-6 for both ids).
-    assert abs(ours - total.mean()) < 5.0 * total.std() * np.sqrt(2.0 / 400) + 1e-9
 
 
 def test_a_leaderboard_goes_on_and_an_older_problem_does_not_count(folder: Path) -> None:

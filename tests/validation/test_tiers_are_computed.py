@@ -19,7 +19,7 @@ from certigym.validation.policies.tier_rule import left_of
 def row(policy: str, successes: int, low: float = 0.0, lower_bound: float | None = None) -> Standing:
     """A row of 1000 episodes."""
     limits: dict[str, Any] = {"low": low, "high": 1.0, "confidence": 0.999}
-    rest: dict[str, Any] = {"information": "", "gained": None, "steps": None, "seconds": None}
+    rest: dict[str, Any] = {"information": "", "steps": None, "seconds": None}
     rest |= {"seeds": (), "successes": (successes,), "lower_bound": lower_bound}
     return Standing("p", "f", policy, episodes=1000, **limits, **rest)
 

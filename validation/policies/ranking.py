@@ -21,28 +21,20 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ...envs.interfaces import Potential
-from ...envs.simulation import batch_simulator as core
 from ...envs.suite import as_problem, problem_ids
 from ...envs.systems.arguments import counted, tree_text
 from ...envs.tasks.problem import Problem
 from ..statistical_tests import (
-    Batchable,
-    Loop,
     Plan,
     TrialOptions,
     TrialPlan,
     clopper_pearson,
-    frames,
     names_plan,
     planned,
     rollout,
 )
 from .competitors import POLICIES, Competitor, Competitors, Sources, label_of, published
 from .training import ALGORITHMS
-
-RETURNS = 2000
-"""Episodes whose return is averaged: one chunk, since the return is shown with two digits."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +57,6 @@ class Standing:
         Exact limits of the (mean) success probability.
     confidence : float
         Of both limits together.
-    gained : float or None
-        Mean undiscounted return of the reward "progress" (an estimate); that of "sparse" is the success rate. None if
-        the problem decomposes into independent tasks.
     lower_bound : float or None
         Certified lower bound, if the policy has one.
     steps : int or None
@@ -88,7 +77,6 @@ class Standing:
     low: float
     high: float
     confidence: float
-    gained: float | None
     lower_bound: float | None
     steps: int | None
     seconds: float | None
@@ -270,31 +258,11 @@ def judged(label: str, policy: str, competitors: Sequence[Competitor], plan: Pla
         low=float(low),
         high=float(high),
         confidence=plan.confidence,
-        gained=None if problem.groups else mean_progress(problem, first.controller, plan.seed),
         lower_bound=None if first.lower_bound is None else float(first.lower_bound),
         steps=sum(steps) if steps else None,
         seconds=round(sum(seconds), 1) if seconds else None,
         refused=first.refused,
     )
-
-
-def mean_progress(problem: Problem, controller: Batchable, seed: int, episodes: int = RETURNS) -> float:
-    """Return the mean undiscounted return of the reward "progress" (an estimate).
-
-    The differences of levels add up to the last level less the first one, so only these are needed, and satisfaction.
-    """
-    loop = Loop(problem, controller, seed, episodes)
-    dynamics, policy = loop.arranged
-    potential, ended = Potential.of(dynamics), np.zeros(episodes, dtype=bool)
-    for number, frame in enumerate(frames(loop, dynamics, policy, 0)):
-        worlds = frame.worlds
-        if number == 0:
-            first = levels = potential.progress(worlds)
-        # An episode that has ended keeps its last level, while its world still moves beside the others.
-        levels = np.where(ended, levels, potential.progress(worlds, levels))
-        ended = ended | worlds.failed | problem.automaton.absorbing[worlds.q]
-        last = worlds
-    return float(np.mean(core.satisfied(dynamics, last) + levels - first))
 
 
 def _place(policy: str) -> tuple[int, str]:
