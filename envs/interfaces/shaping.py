@@ -81,6 +81,7 @@ class Potential:
         manager, roots = automaton.diagrams()
         lost = automaton.dead
         listed = [_letters(manager, root, lost) for root in roots]
+        avoided = [_avoided(manager, root, lost, len(automaton.propositions)) for root in roots]
         # Letters that no state of the agents has would be short cuts: the regions of one agent may lie apart.
         moves = [[move for move in following if _possible(dynamics, move[0])] for following, _ in listed]
         targets = [{target for _, target in following} for following in moves]
@@ -96,7 +97,7 @@ class Potential:
             onward = {letter - always: target for letter, target in following if steps[target] < steps[q]}
             simplest = sorted(onward, key=lambda letter: (len(letter), sorted(letter)))[:_STATE_LETTERS]
             forward.append({letter: onward[letter] for letter in simplest})
-        chosen = Tour.of(dynamics).letters(automaton.initial, steps, forward)
+        chosen = Tour.of(dynamics).letters(automaton.initial, steps, forward, avoided)
         route = [np.array(sorted(letter), dtype=int) for letter in chosen]
         return cls(dynamics, steps, tuple(route))
 
@@ -320,6 +321,17 @@ def _letters(manager: Any, root: int, lost: np.ndarray) -> tuple[list[tuple[froz
         if not lost[target]:
             found.append((frozenset(p for p, holds in assignment.items() if holds), target))
     return found, True
+
+
+def _avoided(manager: Any, root: int, lost: np.ndarray, count: int) -> frozenset[int]:
+    """Return the propositions that lose the task in a state whatever else holds; none if there are too many paths."""
+    may = np.zeros(count, dtype=bool)
+    for number, (assignment, target) in enumerate(manager.paths(root)):
+        if number == _READ_PATHS:
+            return frozenset()
+        if not lost[target]:
+            may |= [assignment.get(p, True) for p in range(count)]
+    return frozenset(np.flatnonzero(~may).tolist())
 
 
 def _possible(dynamics: Dynamics, letter: frozenset[int]) -> bool:

@@ -1,9 +1,9 @@
 """The letters to pursue, one in each automaton state: those of the shortest tour to acceptance.
 
 A tour goes from the start of the problem through the regions of one letter after the other. Its length is the sum of
-the ways of all agents, straight and in shares of the workspaces' widths; noise, dynamics, obstacles and pairs of agents
-are left out. No guarantee rests on it: it only says in which order a learner is led through a task that may be done in
-several.
+the ways of all agents, straight and in shares of the workspaces' widths; a way through a region that loses the task
+counts `DETOUR` times. Noise, dynamics and pairs of agents are left out. No guarantee rests on it: it only says in which
+order a learner is led through a task that may be done in several.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ import numpy as np
 
 from ..simulation import Dynamics
 from ..systems.backends import to_host
+
+DETOUR, POINTS = 2.0, 32
+"""What a way counts that goes through a region that loses, and how many points of a way are looked at."""
 
 Letter = frozenset[int]
 Place = dict[int, np.ndarray]
@@ -55,7 +58,13 @@ class Tour:
         agents = range(len(start))
         return cls(tuple(start[i] for i in agents), tuple(width[i] for i in agents), boxes)
 
-    def letters(self, initial: int, steps: np.ndarray, forward: Sequence[Mapping[Letter, int]]) -> tuple[Letter, ...]:
+    def letters(
+        self,
+        initial: int,
+        steps: np.ndarray,
+        forward: Sequence[Mapping[Letter, int]],
+        avoided: Sequence[Letter],
+    ) -> tuple[Letter, ...]:
         """Return the letter that each automaton state pursues; the empty one if it has none.
 
         Parameters
@@ -65,6 +74,8 @@ class Tour:
             Fewest automaton steps to acceptance.
         forward : sequence of mappings
             Of each automaton state: letters that lead to one of fewer steps, and where they lead.
+        avoided : sequence of frozenset of int
+            Of each automaton state: the propositions that lose the task.
         """
         entered: list[set[Letter]] = [set() for _ in forward]
         entered[initial].add(frozenset())
@@ -77,7 +88,7 @@ class Tour:
             for last in entered[q] or {frozenset()}:
                 place = self._place(last)
                 ways = [
-                    (self._way(place, letter) + rest[target, letter][0], k, letter)
+                    (self._way(place, letter, avoided[q]) + rest[target, letter][0], k, letter)
                     for k, (letter, target) in enumerate(forward[q].items())
                 ]
                 length, _, letter = min(ways, default=(0.0, 0, frozenset[int]()))
@@ -98,10 +109,13 @@ class Tour:
             place[agent] = np.clip(place.get(agent, self.start[agent]), low, high)
         return place
 
-    def _way(self, place: Place, letter: Letter) -> float:
+    def _way(self, place: Place, letter: Letter, avoided: Letter) -> float:
         """Return the sum of the ways of all agents to where a letter leads them, in mean shares of the widths."""
-        ways = (
-            np.abs(there - place.get(agent, self.start[agent])) / self.width[agent]
-            for agent, there in self._place(letter).items()
-        )
-        return float(sum(way.mean() for way in ways))
+        total = 0.0
+        regions = [self.boxes[p] for p in sorted(avoided & self.boxes.keys())]
+        for agent, there in self._place(letter).items():
+            at = place.get(agent, self.start[agent])
+            points = at + np.linspace(0.0, 1.0, POINTS)[:, None] * (there - at)
+            loses = any(((low < points) & (points < high)).all(axis=1).any() for i, low, high in regions if i == agent)
+            total += (DETOUR if loses else 1.0) * float((np.abs(there - at) / self.width[agent]).mean())
+        return total

@@ -128,7 +128,10 @@ def test_letters_that_nobody_can_have_are_no_short_cuts() -> None:
 
 
 def test_the_route_is_the_shortest_tour() -> None:
-    """Against all orders of the four customers: ways from the middle of home to the nearest point of each square."""
+    """Against all orders of the four customers, with ways through the pond counted twice.
+
+    Ways lead from the middle of home to that point of each square that is nearest to it.
+    """
     problem = cg.make_problem("courier-v0")
     found, names = potential("courier-v0"), problem.automaton.propositions
     order, q = [], problem.automaton.initial
@@ -138,12 +141,16 @@ def test_the_route_is_the_shortest_tour() -> None:
         q = int(problem.automaton.next_state(np.array([q]), letter)[0])
     assert order[-1] == "home"
 
+    pond = problem.propositions["pond"]
+
     def length(customers: tuple[str, ...]) -> float:
         total, at = 0.0, np.zeros(2)
         for name in (*customers, "home"):
             region = problem.propositions[name]
             there = np.clip(np.zeros(2), region.low, region.high)
-            total += float((np.abs(there - at) / [12.0, 10.0]).mean())
+            points = at + np.linspace(0.0, 1.0, 1001)[:, None] * (there - at)
+            wet = ((pond.low < points) & (points < pond.high)).all(axis=1).any()
+            total += (2.0 if wet else 1.0) * float((np.abs(there - at) / [12.0, 10.0]).mean())
             at = there
         return total
 
