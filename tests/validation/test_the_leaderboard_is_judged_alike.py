@@ -116,7 +116,7 @@ def test_published_actors_are_read_and_judged_again(
     table["rows"][0] |= {"successes": [300, 300], "low": 0.98, "high": 1.0}
     page.with_suffix(".json").write_text(json.dumps(table))
     assert main([*words, "--replay"]) == 1 and "OUTSIDE" in capsys.readouterr().out
-    assert main([*words[:-2], "--replay"]) == 2
+    assert main([*words[:-1], str(tmp_path / "nowhere"), "--replay"]) == 2
 
 
 def test_actors_of_an_older_problem_are_refused(actors: Path, tmp_path: Path) -> None:

@@ -138,12 +138,18 @@ def leaderboard(options: Namespace) -> int:
     return int(any(row.refused is not None for row in board.rows))
 
 
+PUBLISHED = "docs/actors"
+"""Where the repository keeps the actors of its leaderboard."""
+
+
 def _replay(options: Namespace) -> int:
     """Judge published actors again and compare with the record; the status is 1 if a row is outside its limits."""
-    if options.learners is None or options.add:
-        raise ValueError("`--replay`: expected `--learners DIR`, the folder with the actors, and no `--add`")
-    table = Path(options.out).with_suffix(".json")
-    recorded = Leaderboard.load(table) if table.is_file() else Leaderboard()
+    learners = Path(options.learners or PUBLISHED)
+    if options.add or not learners.is_dir():
+        raise ValueError(f"`--replay`: expected no `--add`, and `--learners DIR` with actors; there is no {learners}")
+    # The record is the page that is named, or the one beside the folder.
+    tables = (Path(options.out).with_suffix(".json"), learners.parent / "leaderboard.json")
+    recorded = next((Leaderboard.load(table) for table in tables if table.is_file()), Leaderboard())
     outside: list[str] = []
 
     def finished(_: Leaderboard, row: Standing) -> None:
@@ -160,7 +166,7 @@ def _replay(options: Namespace) -> int:
         say(options, f"{row.problem}: {row.policy} {row.rate:.4f} [{row.low:.4f}, {row.high:.4f}], {verdict}")
 
     with trials(options) as plan:
-        board = replayed(Path(options.learners), options.ids or None, plan, finished=finished)
+        board = replayed(learners, options.ids or None, plan, finished=finished)
     summary = f"{counted(len(board.rows), 'row')} judged again, {len(outside)} outside the recorded limits"
     show(options, summary, {**board.to_dict(), "outside": outside})
     return int(bool(outside))

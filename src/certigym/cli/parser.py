@@ -348,7 +348,9 @@ def _add_leaderboard(commands: Any) -> None:
     board.add_argument("--certificates", metavar="DIR", help="folder with ID.npz: read if there, else written")
     board.add_argument("--learners", metavar="DIR", help="folder with ID/LEARNER/seed-S.npz, as DIR of certificates")
     board.add_argument(
-        "--replay", action="store_true", help="judge the actors in --learners again, and compare with the JSON"
+        "--replay",
+        action="store_true",
+        help="train nothing: judge the actors in --learners again (docs/actors), and compare with the record",
     )
     board.add_argument(
         "--add",
