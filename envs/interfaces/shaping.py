@@ -32,7 +32,7 @@ from ..simulation import Dynamics, Worlds
 from ..simulation import batch_simulator as core
 from ..systems.backends import namespace, to_host
 from ..tasks.automata import Automaton
-from .tour import Tour
+from .tour import CELLS, Tour, cell_of, detours
 
 Weights = list[tuple[list[int], Any]]
 """Places of gaps, and what these take off a level in each automaton state, floats (Q,)."""
@@ -66,11 +66,14 @@ class Potential:
         Fewest automaton steps to acceptance; infinite if there is no way.
     route : tuple of np.ndarray of int
         Per automaton state: the propositions of the letter to pursue; empty if it asks for nothing.
+    avoided : tuple of frozenset of int
+        Per automaton state: the propositions that lose the task or set it back, whatever else holds.
     """
 
     dynamics: Dynamics
     steps: np.ndarray
     route: tuple[np.ndarray, ...]
+    avoided: tuple[frozenset[int], ...]
 
     @classmethod
     def of(cls, dynamics: Dynamics) -> Potential:
@@ -81,7 +84,6 @@ class Potential:
         manager, roots = automaton.diagrams()
         lost = automaton.dead
         listed = [_letters(manager, root, lost) for root in roots]
-        avoided = [_avoided(manager, root, lost, len(automaton.propositions)) for root in roots]
         # Letters that no state of the agents has would be short cuts: the regions of one agent may lie apart.
         moves = [[move for move in following if _possible(dynamics, move[0])] for following, _ in listed]
         targets = [{target for _, target in following} for following in moves]
@@ -89,6 +91,8 @@ class Potential:
             if not is_all:
                 targets[q].update(manager.leaves(roots[q]))
         steps = _steps(automaton.accepting, targets)
+        joint = _overlaps(dynamics)
+        avoided = tuple(_avoided(manager, root, steps <= steps[q], joint) for q, root in enumerate(roots))
         # What no state can do without holds wherever the task is not lost: it is nothing to come near to.
         needs = [letter for q in np.flatnonzero(~automaton.absorbing) for letter, _ in listed[q][0]]
         always = frozenset.intersection(*needs) if needs else frozenset()
@@ -99,10 +103,12 @@ class Potential:
             forward.append({letter: onward[letter] for letter in simplest})
         chosen = Tour.of(dynamics).letters(automaton.initial, steps, forward, avoided)
         route = [np.array(sorted(letter), dtype=int) for letter in chosen]
-        return cls(dynamics, steps, tuple(route))
+        return cls(dynamics, steps, tuple(route), avoided)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("dynamics", "steps", "route")}  # functions are made again
+        return {
+            name: getattr(self, name) for name in ("dynamics", "steps", "route", "avoided")
+        }  # functions are made again
 
     def at(self, worlds: Worlds, own: bool = False) -> np.ndarray:
         """Return the level of every team, float (M,) in [0, 1]; with `own` those of its agents, (n, M)."""
@@ -118,6 +124,9 @@ class Potential:
             for places, weight in weights:
                 row = row - weight[q] * reduce(add, (gaps[k] for k in places))
             rows.append(row)
+        for agent, detour in self._detours.items():
+            row = agent if own else 0
+            rows[row] = rows[row] - detour(worlds) * (1.0 if own else 1.0 / self.dynamics.problem.n_agents)
         result: np.ndarray = namespace(q).stack(rows) if own else rows[0]
         return result
 
@@ -158,7 +167,28 @@ class Potential:
     def _asked(self) -> np.ndarray:
         """Of which agent each automaton state asks which of these propositions, bool (n, Q, K)."""
         asks = np.array([np.isin(self._pursued, letter) for letter in self.route])
-        return np.asarray(_owned(self.dynamics)[:, None, self._pursued] & asks)
+        asked: np.ndarray = _owned(self.dynamics)[:, None, self._pursued] & asks
+        for agent, table in self._tables.items():
+            asked[agent, table.any(axis=1)] = False  # the way is measured around what is avoided
+        return asked
+
+    @cached_property
+    def _tables(self) -> dict[int, np.ndarray]:
+        """Ways around what is avoided, by agent: float (Q, CELLS^2), 0 in automaton states without any."""
+        host = self.dynamics if self.dynamics.is_host else Dynamics.of(self.dynamics.problem)
+        return detours(host, self.route, self.avoided)
+
+    @cached_property
+    def _detours(self) -> dict[int, Callable[[Worlds], np.ndarray]]:
+        """What takes the ways around what is avoided off the levels of agents, (M,) each."""
+        first = core.begin(self.dynamics, tuple(0.5 * (b.initial_low + b.initial_high) for b in self.dynamics.blocks))
+        found = {}
+        for agent, table in self._tables.items():
+            cell = cell_of(self.dynamics, agent)
+            start = table[:, int(cell(first)[0])].max()
+            shares = np.minimum(table / (2.0 * start if start > 0.0 else 1.0), 1.0) / self.parts
+            found[agent] = _lookup(self.dynamics.put(shares.ravel()), cell)
+        return found
 
     @cached_property
     def _weights(self) -> tuple[list[Weights], list[Weights]]:
@@ -209,6 +239,16 @@ class Potential:
     @cached_property
     def _copies(self) -> dict[str, Any]:
         return {}
+
+
+def _lookup(table: Any, cell: Callable[[Worlds], Any]) -> Callable[[Worlds], np.ndarray]:
+    """Return what reads a table (Q * CELLS^2,) at the automaton states and cells of worlds."""
+
+    def read(worlds: Worlds) -> np.ndarray:
+        result: np.ndarray = table[worlds.q * CELLS**2 + cell(worlds)]
+        return result
+
+    return read
 
 
 def _owned(dynamics: Dynamics) -> np.ndarray:
@@ -323,15 +363,32 @@ def _letters(manager: Any, root: int, lost: np.ndarray) -> tuple[list[tuple[froz
     return found, True
 
 
-def _avoided(manager: Any, root: int, lost: np.ndarray, count: int) -> frozenset[int]:
-    """Return the propositions that lose the task in a state whatever else holds; none if there are too many paths."""
-    may = np.zeros(count, dtype=bool)
+def _avoided(manager: Any, root: int, goes_on: np.ndarray, joint: np.ndarray) -> frozenset[int]:
+    """Return the propositions that lose the task or set it back in a state; none if there are too many paths.
+
+    `goes_on`, bool (Q,), says which states are as near to acceptance; `joint`, bool (P, P), what can hold together.
+    """
+    may = np.zeros(len(joint), dtype=bool)
     for number, (assignment, target) in enumerate(manager.paths(root)):
         if number == _READ_PATHS:
             return frozenset()
-        if not lost[target]:
-            may |= [assignment.get(p, True) for p in range(count)]
+        held = [p for p, holds in assignment.items() if holds]
+        if goes_on[target] and joint[np.ix_(held, held)].all():
+            free = joint[:, held].all(axis=1)
+            free[[p for p, holds in assignment.items() if not holds]] = False
+            may |= free
     return frozenset(np.flatnonzero(~may).tolist())
+
+
+def _overlaps(dynamics: Dynamics) -> np.ndarray:
+    """Return which two propositions can hold together, bool (P, P), as far as regions of one agent lie apart."""
+    joint = np.ones((len(dynamics.problem.automaton.propositions),) * 2, dtype=bool)
+    for block in dynamics.blocks:
+        low, high = (corners.reshape(-1, *corners.shape[-3:]) for corners in (block.region_low, block.region_high))
+        meet = (np.maximum(low, np.moveaxis(low, -1, -2)) < np.minimum(high, np.moveaxis(high, -1, -2))).all(axis=1)
+        same = block.owners[:, None] == block.owners[None]
+        joint[np.ix_(block.propositions, block.propositions)] &= ~same | meet.any(axis=0)
+    return joint
 
 
 def _possible(dynamics: Dynamics, letter: frozenset[int]) -> bool:

@@ -1,23 +1,30 @@
-"""The letters to pursue, one in each automaton state: those of the shortest tour to acceptance.
+"""The letters to pursue, one in each automaton state, those of the shortest tour; and ways around what is avoided.
 
 A tour goes from the start of the problem through the regions of one letter after the other. Its length is the sum of
 the ways of all agents, straight and in shares of the workspaces' widths; a way through a region that loses the task
 counts `DETOUR` times. Noise, dynamics and pairs of agents are left out. No guarantee rests on it: it only says in which
 order a learner is led through a task that may be done in several.
+
+Where an agent in the plane has to avoid regions on its way to the next letter, the way is measured around them: by
+steps from cell to cell of a grid of its outputs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ..simulation import Dynamics
-from ..systems.backends import to_host
+from ..simulation import Dynamics, Worlds
+from ..systems.backends import is_host, namespace, to_host
 
 DETOUR, POINTS = 2.0, 32
 """What a way counts that goes through a region that loses, and how many points of a way are looked at."""
+
+CELLS = 64
+"""Cells of the grid along each axis."""
 
 Letter = frozenset[int]
 Place = dict[int, np.ndarray]
@@ -119,3 +126,98 @@ class Tour:
             loses = any(((low < points) & (points < high)).all(axis=1).any() for i, low, high in regions if i == agent)
             total += (DETOUR if loses else 1.0) * float((np.abs(there - at) / self.width[agent]).mean())
         return total
+
+
+def detours(dynamics: Dynamics, route: Sequence[np.ndarray], avoided: Sequence[Letter]) -> dict[int, np.ndarray]:
+    """Return how far cells are from what the next letter asks of an agent, around what it avoids.
+
+    Only for agents with linear outputs in the plane, and for regions that stand still.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Of numpy.
+    route, avoided : sequences
+        Of each automaton state: the propositions of the next letter, and those to avoid.
+
+    Returns
+    -------
+    dict of int to np.ndarray
+        By agent: ways in mean shares of the widths, float (Q, CELLS^2); 0 where nothing is avoided or asked.
+    """
+    found: dict[int, np.ndarray] = {}
+    for block in dynamics.blocks:
+        if not is_planar(block):
+            continue
+        for place, agent in enumerate(block.agents.tolist()):
+            own = [j for j in range(len(block.owners)) if block.owners[j] == place]
+            cells = _cells(block, place)
+
+            tables = np.zeros((len(route), CELLS**2))
+            for q, letter in enumerate(route):
+                wanted = [j for j in own if block.propositions[j] in letter]
+                bad = [j for j in own if int(block.propositions[j]) in avoided[q]]
+                if wanted and bad:
+                    blocked = np.any([_within(block, j, cells) for j in bad], axis=0)
+                    goal = np.all([_within(block, j, cells) for j in wanted], axis=0) & ~blocked
+                    if goal.any():
+                        tables[q] = _steps_to(goal, blocked).ravel() / (2.0 * CELLS)
+            if tables.any():
+                found[agent] = tables
+    return found
+
+
+def is_planar(block: Any) -> bool:
+    """Return whether the outputs of a block are linear and in the plane, and its regions stand still."""
+    is_linear = block.identity_output or hasattr(block.motion, "C")
+    return bool(is_linear and block.region_low.ndim == 3 and len(block.region_low) == 2)
+
+
+def cell_of(dynamics: Dynamics, agent: int) -> Callable[[Worlds], Any]:
+    """Return what tells the cells of an agent, int (M,), the nearest one outside of the grid."""
+    b, place = dynamics.position[agent]
+    block = dynamics.blocks[b]
+    low, width = _corner(block, place), block.output_width[:, place]
+
+    def cell(worlds: Worlds) -> Any:
+        share = (block.outputs(worlds.states[b])[:, place] - low) / width * CELLS
+        xp = namespace(share)
+        # What is no number is not above 0 either.
+        share = xp.where(share > 0.0, xp.where(share < CELLS - 1.0, share, CELLS - 1.0), 0.0)
+        whole = share.astype(np.int64) if is_host(share) else xp.astype(share, xp.int64)
+        return whole[0] * CELLS + whole[1]
+
+    return cell
+
+
+def _corner(block: Any, place: int) -> Any:
+    """Return the lower corner (2, 1) of the outputs of the workspace of an agent."""
+    return block.outputs(0.5 * (block.state_low + block.state_high))[:, place] - 0.5 * block.output_width[:, place]
+
+
+def _cells(block: Any, place: int) -> np.ndarray:
+    """Return the middles of the cells of an agent, float (CELLS, CELLS, 2)."""
+    low, width = _corner(block, place)[:, 0], block.output_width[:, place, 0]
+    axes = low[:, None] + width[:, None] * (np.arange(CELLS) + 0.5) / CELLS
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def _within(block: Any, proposition: int, cells: np.ndarray) -> np.ndarray:
+    """Return which cells have their middle in the region of a proposition of a block, bool (CELLS, CELLS)."""
+    low, high = block.region_low[:, proposition, 0], block.region_high[:, proposition, 0]
+    inside: np.ndarray = ((low <= cells) & (cells < high)).all(axis=-1)
+    return inside
+
+
+def _steps_to(goal: np.ndarray, blocked: np.ndarray) -> np.ndarray:
+    """Return the steps from each cell to a goal, around blocked cells; the most there are where no way leads."""
+    steps = np.where(goal, 0.0, np.inf)
+    # Each round lets the front move on by a cell; ways are at most as long as there are cells.
+    for _ in range(steps.size):
+        padded = np.pad(steps, 1, constant_values=np.inf)
+        around = np.minimum.reduce([padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]])
+        nearer = np.where(blocked, np.inf, np.minimum(steps, around + 1.0))
+        if np.array_equal(nearer, steps):
+            break
+        steps = nearer
+    return np.where(np.isfinite(steps), steps, steps[np.isfinite(steps)].max())
