@@ -2,7 +2,8 @@
 
 The **level** of an agent lies in [0, 1]. It is 1 in accepting states of the automaton and 0 where acceptance is out of
 reach or an agent has left its workspace. Elsewhere it counts the automaton steps that are still needed; between two of
-them it rises as the agent comes closer to what *one* letter asks of it, the next one of the shortest tour (`tour`).
+them it rises as the agent comes closer to what *one* letter asks of it, the next one of the shortest tour, in the
+plane around regions that lose the task or set it back (`tour`).
 Where two letters are equally good (two rooms to meet in), agents that see only themselves would else be drawn to both.
 A letter is a conjunction over agents, so each of them has a level of its own; one of which a letter asks nothing has
 done its part. The level of a team is the mean of those of its agents. No guarantee rests on levels.
@@ -383,7 +384,7 @@ def _avoided(manager: Any, root: int, goes_on: np.ndarray, joint: np.ndarray) ->
 def _overlaps(dynamics: Dynamics) -> np.ndarray:
     """Return which two propositions can hold together, bool (P, P), as far as regions of one agent lie apart."""
     joint = np.ones((len(dynamics.problem.automaton.propositions),) * 2, dtype=bool)
-    for block in dynamics.blocks:
+    for block in (block for block in dynamics.blocks if len(block.propositions)):
         low, high = (corners.reshape(-1, *corners.shape[-3:]) for corners in (block.region_low, block.region_high))
         meet = (np.maximum(low, np.moveaxis(low, -1, -2)) < np.minimum(high, np.moveaxis(high, -1, -2))).all(axis=1)
         same = block.owners[:, None] == block.owners[None]
