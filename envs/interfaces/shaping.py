@@ -375,7 +375,7 @@ def _avoided(manager: Any, root: int, goes_on: np.ndarray, joint: np.ndarray) ->
             return frozenset()
         held = [p for p, holds in assignment.items() if holds]
         if goes_on[target] and joint[np.ix_(held, held)].all():
-            free = joint[:, held].all(axis=1)
+            free: np.ndarray = np.all(joint[:, held], axis=1)
             free[[p for p, holds in assignment.items() if not holds]] = False
             may |= free
     return frozenset(np.flatnonzero(~may).tolist())
