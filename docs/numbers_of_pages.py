@@ -194,7 +194,7 @@ of episodes that satisfy the task; all policies of a problem get the same starts
 | column | what it is |
 |---|---|
 | proved, certified | bound and measured rate of the certified controllers ([defaults](defaults.md)) |
-| ppo, ippo, mappo, sac | learners **without help** ([learned policies](how-to/learned_policies.md)) |
+| {learners} | **without help**: [learned policies](how-to/learned_policies.md), [how long](how-to/leaderboard.md) |
 | random | uniformly random inputs |
 
 **Tier** says what is left to learn. *Known* is the largest of the bound and the lower limits of all rows. A problem is
@@ -229,7 +229,12 @@ def board_page() -> str:
         gap = "-" if left[id] is None else f"{left[id]:.2f}"
         measures = f"{proved(kept[id])} | {measured(kept[id])} | {tier_of_id(id)} | {gap}"
         lines.append(f"| {page_link(id)} | {measures} | {' | '.join(cells)} | {random_inputs(kept[id])} |")
-    head = BOARD_HEAD.format(count=len(lines), names=" | ".join([*names, "random"]), lines="---|" * len(names) + "---")
+    head = BOARD_HEAD.format(
+        count=len(lines),
+        learners=", ".join(names),
+        names=" | ".join([*names, "random"]),
+        lines="---|" * len(names) + "---",
+    )
     return head + "\n".join(lines) + "\n" + BOARD_TAIL.format()
 
 
