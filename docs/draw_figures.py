@@ -14,10 +14,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import certigym as cg
 import numbers_of_pages
 from certigym.cli.main import main as main_of_certigym
 from certigym.envs.interfaces import AGENTS
+from certigym.synthesis.interop import stored
+from certigym.validation.policies.competitors import published
 from certigym.validation.policies.tier_rule import ALONE
 from certigym.validation.presentation.figures import certificate_figures as figures
 from certigym.validation.presentation.figures import figure_scenes
@@ -65,7 +69,6 @@ def suite() -> Any:
     kinds = {
         "random": ("x", SOFT, "random inputs"),
         "alone": ("D", AGENTS[4], "best learner alone"),
-        "warm-ppo": ("s", AGENTS[5], "PPO from a clone"),
         "certified": ("o", AGENTS[0], "certified controllers"),
     }
     # From the top: what a tier is, its problems, from those that learners reach to those that they do not, a gap.
@@ -108,9 +111,16 @@ def suite() -> Any:
 
 
 def learning_curves() -> Any:
-    """Success while training, second by second, of every seed of the learners on open and hard problems."""
-    curves = json.loads((FOLDER.parent / "learning_curves.json").read_text(encoding="utf-8"))
-    rates, colours = _rates(), dict(zip(("ppo", "mappo", "sac"), AGENTS, strict=False))
+    """Success while training, against world steps, of every published actor on open and hard problems."""
+    ids = [id for tier in ("open", "hard") for id in cg.problem_ids(tier)]
+    curves: dict[str, dict[str, list[Any]]] = {}
+    for id in ids:
+        for learner, numbers in published(FOLDER.parent / "actors", id).items():
+            for seed in numbers:
+                path = FOLDER.parent / "actors" / id / learner / f"seed-{seed}.npz"
+                facts, _ = stored(path, cg.make_problem(id).n_agents)
+                curves.setdefault(id, {}).setdefault(learner, []).append(np.array(facts["curve"]).reshape(-1, 2).T)
+    rates, colours = _rates(), dict(zip(("ppo", "ippo", "mappo", "sac"), AGENTS, strict=False))
     columns = 3
     lines = -(-len(curves) // columns)
     figure, panels = new_figure(9.6, 2.1 * lines + 0.5, lines, columns)
@@ -119,13 +129,13 @@ def learning_curves() -> Any:
     for plot, (id, learners) in zip(panels, curves.items(), strict=False):
         plot.axhline(rates[id]["bound"], color=SOFT, linestyle="--", linewidth=1.0)
         for learner, seeds in learners.items():
-            for number, (seconds, success) in enumerate(seeds):
+            for number, (steps, success) in enumerate(seeds):
                 label = learner if number == 0 else None
-                plot.plot(seconds, success, color=colours[learner], linewidth=0.9, alpha=0.8, label=label)
+                plot.plot(steps / 1000.0, success, color=colours[learner], linewidth=0.9, alpha=0.8, label=label)
         plot.set_title(id, fontsize=9)
         plot.set_ylim(-0.03, 1.03)
     for plot in panels[max(0, len(curves) - columns) : len(curves)]:
-        plot.set_xlabel("seconds", fontsize=8)
+        plot.set_xlabel("thousand world steps", fontsize=8)
     labelled: dict[str, Any] = {}
     for plot in panels:
         handles, labels = plot.get_legend_handles_labels()

@@ -36,7 +36,6 @@ OPTIONS = (
     ("disturbance", '"zero"', '"random", "periodic", "greedy", or a function'),
     ("infos", '"numbers"', '"words": also the names of the propositions that hold (`letter`)'),
     ("credit", '"team"', 'batches only: with "own", `own_rewards` (n, M) says what every agent has earned itself'),
-    ("spread", "0", "batches only: fraction of the episodes that start anywhere, for learners"),
 )
 _DELIVERY = (
     "carrying is lost when one robot crosses the edge of a band alone, so all four have to learn the same time step at "

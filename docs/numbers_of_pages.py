@@ -194,10 +194,7 @@ of episodes that satisfy the task; all policies of a problem get the same starts
 | column | what it is |
 |---|---|
 | proved, certified | bound and measured rate of the certified controllers ([defaults](defaults.md)) |
-| ppo, ippo, mappo, sac | learners **without help** ([learned policies](how-to/learned_policies.md)) |
-| probe | the best learner that starts from a clone of the certified controllers |
-| warm-ppo | PPO from that clone |
-| shielded-ppo | PPO behind the safety filter of the certificate, trained and judged behind it |
+| {learners} | **without help**: [learned policies](how-to/learned_policies.md), [how long](how-to/leaderboard.md) |
 | random | uniformly random inputs |
 
 **Tier** says what is left to learn. *Known* is the largest of the bound and the lower limits of all rows. A problem is
@@ -209,9 +206,8 @@ otherwise. *Left* is the difference. The best learner without help is bold; a da
 """
 
 BOARD_TAIL = """
-Limits, returns of the reward `progress`, world steps, training time and seeds of every row:
-[leaderboard.csv](leaderboard.csv). Rates of several seeds are means. `certigym leaderboard` fills
-`leaderboard.json`, `python docs/numbers_of_pages.py` writes this page:
+Limits, world steps, training time and seeds of every row: [leaderboard.csv](leaderboard.csv). Rates of several seeds
+are means. The actors are in `docs/actors`, `certigym leaderboard --replay` judges them again:
 [seeds, curves, and how to submit a row](how-to/leaderboard.md).
 """
 
@@ -233,7 +229,12 @@ def board_page() -> str:
         gap = "-" if left[id] is None else f"{left[id]:.2f}"
         measures = f"{proved(kept[id])} | {measured(kept[id])} | {tier_of_id(id)} | {gap}"
         lines.append(f"| {page_link(id)} | {measures} | {' | '.join(cells)} | {random_inputs(kept[id])} |")
-    head = BOARD_HEAD.format(count=len(lines), names=" | ".join([*names, "random"]), lines="---|" * len(names) + "---")
+    head = BOARD_HEAD.format(
+        count=len(lines),
+        learners=", ".join(names),
+        names=" | ".join([*names, "random"]),
+        lines="---|" * len(names) + "---",
+    )
     return head + "\n".join(lines) + "\n" + BOARD_TAIL.format()
 
 
@@ -251,15 +252,15 @@ def _rate(rate: float | None, is_best: bool) -> str:
 
 
 def board_csv() -> str:
-    """Return limits, returns and cost of every row of the leaderboard."""
+    """Return limits and cost of every row of the leaderboard."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    heads = ["id", "policy", "success", "low", "high", "middle of seeds", "progress", "world steps", "seconds", "seeds"]
+    heads = ["id", "policy", "success", "low", "high", "middle of seeds", "world steps", "seconds", "seeds"]
     writer.writerow([*heads, "agents see"])
     for row in Leaderboard.load(DOCS / "leaderboard.json").rows:
         middle = f"{row.middle_rate:.4f}" if len(row.seeds) > 1 else ""
         limits = [rounded_down(row.low, 4), rounded_up(row.high, 4), middle]
-        cost = ["" if number is None else f"{number:.10g}" for number in (row.gained, row.steps, row.seconds)]
+        cost = ["" if number is None else f"{number:.10g}" for number in (row.steps, row.seconds)]
         seeds = " ".join(map(str, row.seeds))
         writer.writerow([row.problem, row.policy, f"{row.rate:.4f}", *limits, *cost, seeds, row.information])
     return text.getvalue()

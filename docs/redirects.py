@@ -17,6 +17,7 @@ MOVED = {
     "environments/open": "leaderboard",
     "environments/hard": "leaderboard",
     "environments/unrated": "leaderboard",
+    "learners": "leaderboard",
 }
 """Old and new address, without the ending; the variants of environments follow from their pages."""
 

@@ -6,8 +6,8 @@ and observations are arrays on the device, and no number is fetched. Random numb
 - all worlds move in one piece, so a world that ends is drawn anew where others keep what they have; with one and the
   same noise, trajectories, rewards and ends are those of numpy to rounding;
 - actions are not looked at: one that is not a number loses its world;
-- laws of noise that have no quantile on devices (mixtures, Student's, scipy's), disturbances that are functions, and
-  episodes that begin anywhere (`spread`) are refused.
+- laws of noise that have no quantile on devices (mixtures, Student's, scipy's) and disturbances that are functions
+  are refused.
 
 `advance` is a pure function from arrays to arrays, which `jax.jit` compiles; `step` keeps the arrays for it.
 """

@@ -2,7 +2,8 @@
 
 The **level** of an agent lies in [0, 1]. It is 1 in accepting states of the automaton and 0 where acceptance is out of
 reach or an agent has left its workspace. Elsewhere it counts the automaton steps that are still needed; between two of
-them it rises as the agent comes closer to what *one* letter asks of it, the one nearest to the start of the problem.
+them it rises as the agent comes closer to what *one* letter asks of it, the next one of the shortest tour, in the
+plane around regions that lose the task or set it back (`tour`).
 Where two letters are equally good (two rooms to meet in), agents that see only themselves would else be drawn to both.
 A letter is a conjunction over agents, so each of them has a level of its own; one of which a letter asks nothing has
 done its part. The level of a team is the mean of those of its agents. No guarantee rests on levels.
@@ -12,10 +13,10 @@ done its part. The level of a team is the mean of those of its agents. No guaran
 over an episode is the sparse one less Phi(s_0), so the same policies are optimal (Ng, Harada and Russell 1999). All
 failing episodes have the same return: a learner that has never succeeded learns nothing from it.
 
-**"progress"** tells a good failure from a bad one. Every automaton step of the level is worth `APPROACH`; in tasks that
-are judged at the horizon time survived is worth something, too; and a task that is lost keeps what it was worth, less
-`LOSS`. What is gained stays, so optimal policies may differ from those of the task; by how much is proved in
-docs/how-to/learned_policies.md, "What the rewards keep".
+**"progress"** tells a good failure from a bad one. An automaton step is worth 1, half of it for the way from the start.
+In tasks that only have to be kept alive, time survived is worth something, too; and a task that is lost keeps what it
+was worth, less `LOSS`. What is gained stays, so optimal policies may differ from those of the task; by how much is
+proved in docs/how-to/learned_policies.md, "What the rewards keep".
 """
 
 from __future__ import annotations
@@ -30,26 +31,24 @@ import numpy as np
 
 from ..simulation import Dynamics, Worlds
 from ..simulation import batch_simulator as core
-from ..systems.backends import double, namespace, to_host
+from ..systems.backends import namespace, to_host
 from ..tasks.automata import Automaton
+from .tour import CELLS, Tour, cell_of, detours
 
 Weights = list[tuple[list[int], Any]]
 """Places of gaps, and what these take off a level in each automaton state, floats (Q,)."""
 
 REWARDS = ("sparse", "shaped", "progress")
 
-APPROACH = 8.0
-"""What "progress" pays for an automaton step. Half of the way is worth more than what is lost with a lost task: else
-agents learn to stay where they are."""
-
-LOSS = 1.0
-"""What "progress" takes for a lost task."""
+LOSS = 0.25
+"""What "progress" takes for a lost task. Much more, and agents that have not yet found a way learn to stay where they
+are; much less, and they run into one another."""
 
 SURVIVAL = 0.5
-"""What "progress" pays for surviving to the horizon, in tasks that are judged there."""
+"""What "progress" pays for surviving to the horizon, in tasks that are lost or satisfied and nothing else."""
 
 EASE = 0.25
-"""What it pays for the automaton state that is most easily carried to acceptance, if the task is to survive alone."""
+"""What it pays there for the automaton state that is most easily carried to acceptance."""
 
 # Limits that keep the potential cheap to evaluate; a shorter list makes the guess coarser, and nothing else.
 _STATE_PATHS = 2000  # paths of a state's diagram that are used: those that do not lose the task
@@ -68,11 +67,14 @@ class Potential:
         Fewest automaton steps to acceptance; infinite if there is no way.
     route : tuple of np.ndarray of int
         Per automaton state: the propositions of the letter to pursue; empty if it asks for nothing.
+    avoided : tuple of frozenset of int
+        Per automaton state: the propositions that lose the task or set it back, whatever else holds.
     """
 
     dynamics: Dynamics
     steps: np.ndarray
     route: tuple[np.ndarray, ...]
+    avoided: tuple[frozenset[int], ...]
 
     @classmethod
     def of(cls, dynamics: Dynamics) -> Potential:
@@ -90,20 +92,24 @@ class Potential:
             if not is_all:
                 targets[q].update(manager.leaves(roots[q]))
         steps = _steps(automaton.accepting, targets)
+        joint = _overlaps(dynamics)
+        avoided = tuple(_avoided(manager, root, steps <= steps[q], joint) for q, root in enumerate(roots))
         # What no state can do without holds wherever the task is not lost: it is nothing to come near to.
         needs = [letter for q in np.flatnonzero(~automaton.absorbing) for letter, _ in listed[q][0]]
         always = frozenset.intersection(*needs) if needs else frozenset()
-        gaps, route = _at_start(dynamics), []
+        forward: list[dict[frozenset[int], int]] = []
         for q, following in enumerate(moves):
-            forward = {letter - always for letter, target in following if steps[target] < steps[q]}
-            simplest = sorted(forward, key=lambda letter: (len(letter), sorted(letter)))[:_STATE_LETTERS]
-            letters = [np.array(sorted(letter), dtype=int) for letter in simplest]
-            nearest = min(letters, key=lambda p: gaps[p].mean() if p.size else 0.0, default=np.zeros(0, dtype=int))
-            route.append(nearest)
-        return cls(dynamics, steps, tuple(route))
+            onward = {letter - always: target for letter, target in following if steps[target] < steps[q]}
+            simplest = sorted(onward, key=lambda letter: (len(letter), sorted(letter)))[:_STATE_LETTERS]
+            forward.append({letter: onward[letter] for letter in simplest})
+        chosen = Tour.of(dynamics).letters(automaton.initial, steps, forward, avoided)
+        route = [np.array(sorted(letter), dtype=int) for letter in chosen]
+        return cls(dynamics, steps, tuple(route), avoided)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("dynamics", "steps", "route")}  # functions are made again
+        return {
+            name: getattr(self, name) for name in ("dynamics", "steps", "route", "avoided")
+        }  # functions are made again
 
     def at(self, worlds: Worlds, own: bool = False) -> np.ndarray:
         """Return the level of every team, float (M,) in [0, 1]; with `own` those of its agents, (n, M)."""
@@ -119,6 +125,9 @@ class Potential:
             for places, weight in weights:
                 row = row - weight[q] * reduce(add, (gaps[k] for k in places))
             rows.append(row)
+        for agent, detour in self._detours.items():
+            row = agent if own else 0
+            rows[row] = rows[row] - detour(worlds) * (1.0 if own else 1.0 / self.dynamics.problem.n_agents)
         result: np.ndarray = namespace(q).stack(rows) if own else rows[0]
         return result
 
@@ -127,13 +136,12 @@ class Potential:
 
         Tasks that are lost keep what they had `before`, less `LOSS`.
         """
-        problem, xp = self.dynamics.problem, namespace(worlds.q)
-        worth = APPROACH * self.parts * self._undecided(worlds, own)
-        if self._has_ease:
+        worth = self.parts * self._undecided(worlds, own)
+        if self.is_survival:
             worth = worth + self._placed("clock")[worlds.time, worlds.q]
-        elif not problem.automaton.is_co_safe:
-            worth = worth + SURVIVAL / problem.horizon * double(worlds.time)
-        result: np.ndarray = xp.where(worlds.failed | self._placed("dead")[worlds.q], before - LOSS, worth)
+        result: np.ndarray = namespace(worth).where(
+            worlds.failed | self._placed("dead")[worlds.q], before - LOSS, worth
+        )
         return result
 
     @property
@@ -160,7 +168,28 @@ class Potential:
     def _asked(self) -> np.ndarray:
         """Of which agent each automaton state asks which of these propositions, bool (n, Q, K)."""
         asks = np.array([np.isin(self._pursued, letter) for letter in self.route])
-        return np.asarray(_owned(self.dynamics)[:, None, self._pursued] & asks)
+        asked: np.ndarray = _owned(self.dynamics)[:, None, self._pursued] & asks
+        for agent, table in self._tables.items():
+            asked[agent, table.any(axis=1)] = False  # the way is measured around what is avoided
+        return asked
+
+    @cached_property
+    def _tables(self) -> dict[int, np.ndarray]:
+        """Ways around what is avoided, by agent: float (Q, CELLS^2), 0 in automaton states without any."""
+        host = self.dynamics if self.dynamics.is_host else Dynamics.of(self.dynamics.problem)
+        return detours(host, self.route, self.avoided)
+
+    @cached_property
+    def _detours(self) -> dict[int, Callable[[Worlds], np.ndarray]]:
+        """What takes the ways around what is avoided off the levels of agents, (M,) each."""
+        first = core.begin(self.dynamics, tuple(0.5 * (b.initial_low + b.initial_high) for b in self.dynamics.blocks))
+        found = {}
+        for agent, table in self._tables.items():
+            cell = cell_of(self.dynamics, agent)
+            start = table[:, int(cell(first)[0])].max()
+            shares = np.minimum(table / (2.0 * start if start > 0.0 else 1.0), 1.0) / self.parts
+            found[agent] = _lookup(self.dynamics.put(shares.ravel()), cell)
+        return found
 
     @cached_property
     def _weights(self) -> tuple[list[Weights], list[Weights]]:
@@ -186,18 +215,14 @@ class Potential:
         units = np.where(longest > 0.0, 2.0 * longest, 1.0)
         return _gaps_of(self.dynamics, self._pursued, units)
 
-    @cached_property
-    def _has_ease(self) -> bool:
-        """Whether all automaton states that are not lost accept, and some are safer than others."""
-        automaton = self.dynamics.problem.automaton
-        if automaton.is_co_safe or self.parts > 1.0:
-            return False
-        ease = self.ease[:, ~automaton.dead]
-        return bool((ease != ease[:, :1]).any())
+    @property
+    def is_survival(self) -> bool:
+        """Whether the task asks for nothing but to survive: all automaton states that are not lost accept."""
+        return not self.dynamics.problem.automaton.is_co_safe and self.parts == 1.0
 
     @cached_property
     def clock(self) -> np.ndarray:
-        """What "progress" pays beside levels if states are of different ease, float (T + 1, Q)."""
+        """What "progress" pays in tasks of survival, float (T + 1, Q)."""
         horizon = self.dynamics.problem.horizon
         return np.asarray(SURVIVAL * np.arange(horizon + 1.0)[:, None] / horizon + EASE * self.ease)
 
@@ -215,6 +240,16 @@ class Potential:
     @cached_property
     def _copies(self) -> dict[str, Any]:
         return {}
+
+
+def _lookup(table: Any, cell: Callable[[Worlds], Any]) -> Callable[[Worlds], np.ndarray]:
+    """Return what reads a table (Q * CELLS^2,) at the automaton states and cells of worlds."""
+
+    def read(worlds: Worlds) -> np.ndarray:
+        result: np.ndarray = table[worlds.q * CELLS**2 + cell(worlds)]
+        return result
+
+    return read
 
 
 def _owned(dynamics: Dynamics) -> np.ndarray:
@@ -327,6 +362,34 @@ def _letters(manager: Any, root: int, lost: np.ndarray) -> tuple[list[tuple[froz
         if not lost[target]:
             found.append((frozenset(p for p, holds in assignment.items() if holds), target))
     return found, True
+
+
+def _avoided(manager: Any, root: int, goes_on: np.ndarray, joint: np.ndarray) -> frozenset[int]:
+    """Return the propositions that lose the task or set it back in a state; none if there are too many paths.
+
+    `goes_on`, bool (Q,), says which states are as near to acceptance; `joint`, bool (P, P), what can hold together.
+    """
+    may = np.zeros(len(joint), dtype=bool)
+    for number, (assignment, target) in enumerate(manager.paths(root)):
+        if number == _READ_PATHS:
+            return frozenset()
+        held = [p for p, holds in assignment.items() if holds]
+        if goes_on[target] and joint[np.ix_(held, held)].all():
+            free: np.ndarray = np.all(joint[:, held], axis=1)
+            free[[p for p, holds in assignment.items() if not holds]] = False
+            may |= free
+    return frozenset(np.flatnonzero(~may).tolist())
+
+
+def _overlaps(dynamics: Dynamics) -> np.ndarray:
+    """Return which two propositions can hold together, bool (P, P), as far as regions of one agent lie apart."""
+    joint = np.ones((len(dynamics.problem.automaton.propositions),) * 2, dtype=bool)
+    for block in (block for block in dynamics.blocks if len(block.propositions)):
+        low, high = (corners.reshape(-1, *corners.shape[-3:]) for corners in (block.region_low, block.region_high))
+        meet = (np.maximum(low, np.moveaxis(low, -1, -2)) < np.minimum(high, np.moveaxis(high, -1, -2))).all(axis=1)
+        same = block.owners[:, None] == block.owners[None]
+        joint[np.ix_(block.propositions, block.propositions)] &= ~same | meet.any(axis=0)
+    return joint
 
 
 def _possible(dynamics: Dynamics, letter: frozenset[int]) -> bool:

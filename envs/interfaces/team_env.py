@@ -72,7 +72,7 @@ class TeamEnv:
         States moved into the workspace and scaled to [-1, 1], or as they are.
     automaton : "one-hot", "number" or "hidden"
         How the automaton state stands in an observation.
-    reward, discount, actions, spread, sensor_noise
+    reward, discount, actions, sensor_noise
         As for `vector_env`.
 
     Examples

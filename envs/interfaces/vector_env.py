@@ -10,7 +10,7 @@ Autoreset, declared in `metadata["autoreset_mode"]`:
 - `DISABLED`: the caller resets all worlds, or those of `options["reset_mask"]`; stepping an ended world is an error.
 
 Infos are arrays over the worlds with masks `_name`, as in Gymnasium: `state` (M, D), `automaton_state`, `satisfied`,
-`time`; with `spread` also `scattered`, whether the episode began anywhere; with noisy sensors also `reading` (M, D).
+`time`; with noisy sensors also `reading` (M, D).
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ from .observation import (
     observation_space,
 )
 from .rendering import Picture, checked_render_mode, verdict_text
-from .scattering import checked_share, scattered
 from .sensors import READING, Sensors
 from .shaping import REWARDS, Potential
 from .specified import Specified
@@ -67,9 +66,6 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
     autoreset_mode : AutoresetMode or str
     reward, discount, dtype, actions, scale, automaton, sensor_noise
         As for `central_env`.
-    spread : float
-        Share of the episodes that begin anywhere, for learners: at states uniform in the workspaces, in an automaton
-        state and at a time drawn at random. Of those episodes no success rate says anything about the problem.
 
     Examples
     --------
@@ -95,7 +91,6 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         scale: str = "raw",
         automaton: str = "one-hot",
         sensor_noise: Any = 0.0,
-        spread: float = 0.0,
         disturbance: Behaviour = "zero",
         credit: str = "team",
     ) -> None:
@@ -114,7 +109,6 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
             "scale": scale,
             "automaton": automaton,
             "sensor_noise": sensor_noise,
-            "spread": spread,
             "disturbance": disturbance,
             "credit": credit,
         }
@@ -126,11 +120,9 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self._reward = checked_option(reward, "reward", REWARDS)
         self._potential = None if reward == "sparse" else Potential.of(self._dynamics)
         self._has_own = checked_option(credit, "credit", CREDITS) == "own"
-        self._spread = checked_share(spread)
-        self._scattered = np.zeros(self.num_envs, dtype=bool)
         # Scattered starts and disturbances that look at the worlds need them cut out one from the other. Whoever has
         # `_begun` or `_moved` of its own says so here: worlds that move all at once ask neither.
-        self._is_plain = self._spread == 0.0 and isinstance(disturbance, str)
+        self._is_plain = isinstance(disturbance, str)
         self.single_observation_space = observation_space(self.problem, joint_bounds(self.problem.agents), self._form)
         self.single_action_space = action_space(self.problem.agents, actions)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -298,8 +290,10 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
                 self._relevel(fresh, begun=True)
             rewards = rewards + paid
         if self._has_own:
-            self.own_rewards = np.broadcast_to(rewards, self.own_rewards.shape)
-            rewards = self.own_rewards.mean(axis=0)
+            # Half for what an agent has done itself, half for what the team has: their mean is the reward of the team.
+            own = np.broadcast_to(rewards, self.own_rewards.shape)
+            rewards = own.mean(axis=0)
+            self.own_rewards = 0.5 * (own + rewards)
         return rewards
 
     def _leveled(self, worlds: core.Worlds, before: Any) -> np.ndarray:
@@ -339,7 +333,7 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         if self._potential is None:
             return
         worlds, places = self._present(), np.flatnonzero(which)
-        if begun and self._spread == 0.0 and self._dynamics.points is not None:  # all starts are one
+        if begun and self._dynamics.points is not None:  # all starts are one
             if self._first_level is None:
                 self._first_level = self._leveled(_cut(worlds, places[:1]), 0.0)
             first = self._first_level
@@ -349,12 +343,8 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self._levels[..., places] = first
 
     def _begun(self, worlds: core.Worlds, which: np.ndarray) -> core.Worlds:
-        """Return the worlds, with a share of those of `which` put anywhere."""
-        if self._spread == 0.0:
-            return worlds
-        chosen = which & (self.np_random.random(which.size) < self._spread)
-        self._scattered = np.where(which, chosen, self._scattered)
-        return scattered(self._dynamics, worlds, chosen, self.np_random)
+        """Return the worlds of which those of `which` have just begun: a place for shields to look."""
+        return worlds
 
     def _infos(self, which: np.ndarray) -> dict[str, Any]:
         """Return the infos with the mask `which`; where pictures are asked for, note the states for them as well."""
@@ -369,8 +359,6 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         }
         if not self.sensors.is_exact:
             values[READING] = self.readings.copy()
-        if self._spread > 0.0:
-            values["scattered"] = self._scattered.copy()
         masks = np.empty((len(values), self.num_envs), dtype=bool)
         masks[:] = which
         return {**values, **{f"_{name}": mask for name, mask in zip(values, masks)}}

@@ -49,7 +49,6 @@ VECTOR_OPTIONS = (
     "discount",
     "dtype",
     "actions",
-    "spread",
     "disturbance",
 )
 """The same of `vector_env`."""
@@ -57,7 +56,7 @@ VECTOR_OPTIONS = (
 LEARNER = {"scale": "unit", "dtype": "float32", "actions": "unit"}
 """What `preset="learner"` stands for: states and inputs in [-1, 1], single precision; other arguments go before it."""
 
-TEAM_OPTIONS = ("device", "observation", "neighbours", *SIGHT, "actions", "reward", "discount", "spread", "disturbance")
+TEAM_OPTIONS = ("device", "observation", "neighbours", *SIGHT, "actions", "reward", "discount", "disturbance")
 """The same of `team_env`."""
 
 
@@ -181,8 +180,6 @@ def team_env(problem: Problem | str | Path, num_envs: int = 1, **arguments: Any)
     if options.get("device", HOST) == HOST:
         options.pop("device", None)
         return TeamEnv(resolved, num_envs, **options)
-    if options.pop("spread", 0.0) != 0.0:
-        raise ValueError("`spread`: expected 0 on a device, where all episodes begin at the start; use numpy")
     return DeviceTeamEnv(resolved, num_envs, **options)
 
 
@@ -257,5 +254,5 @@ def _registered(env: Specified, problem: Any, given: dict[str, Any]) -> None:
     env.spec = EnvSpec(gymnasium_id(problem), CENTRAL_ENTRY, kwargs=kwargs, vector_entry_point=VECTOR_ENTRY)
 
 
-CHANGES = frozenset(("disturbance", "sensor_noise", "spread", "discount"))
+CHANGES = frozenset(("disturbance", "sensor_noise", "discount"))
 """Options with which success has another probability, or is not what the reward counts."""

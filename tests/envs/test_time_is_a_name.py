@@ -127,8 +127,8 @@ def test_environments_run_and_shape_rewards(make: Any, reward: str) -> None:
         env.step(actions)
 
 
-def test_worlds_that_begin_anywhere_read_the_regions_of_their_time() -> None:
-    env = cg.vector_env(follow(robot(), horizon=6), 64, spread=1.0)
+def test_batches_read_the_regions_of_their_time() -> None:
+    env = cg.vector_env(follow(robot(), horizon=6), 64)
     env.reset(seed=0)
     for _ in range(6):
         env.step(env.action_space.sample())

@@ -273,7 +273,6 @@ def test_random_numbers_are_made_on_the_device_and_follow_the_seed(device: str) 
 
 REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"device": "abacus"}, "`device`: expected `numpy`"),
-    ({"device": "torch:cpu", "spread": 0.5}, "`spread`: expected 0 on a device"),
     ({"device": "torch:cpu", "disturbance": lambda *_: ()}, "`disturbance`: expected the name"),
     ({"device": "torch:cpu", "reward": "gold"}, "`reward`: expected"),
 ]

@@ -28,7 +28,6 @@ OTHER_SETTINGS = {
     "own_models.md",
     "field_audit.md",
     "probes.md",
-    "learners.md",
     "adversary.md",
 }
 """Pages of numbers that have a file, a command and a test of their own, and are not those of the defaults."""

@@ -26,7 +26,7 @@ def shield() -> Shield:
 def test_training_episodes_succeed_as_promised(shield: Shield, algorithm: str) -> None:
     """The steps of the training are fixed beforehand, and the episodes that are counted are a prefix."""
     steps = 5000 if algorithm == "ppo" else 1500
-    training = cg.train(shield.problem, algorithm, steps, shield=shield, spread=0.0)
+    training = cg.train(shield.problem, algorithm, steps, shield=shield)
     episodes = sum(int(point["episodes"]) for point in training.curve)
     successes = sum(round(point["episodes"] * point["success"]) for point in training.curve)
     assert episodes > 300
@@ -39,7 +39,7 @@ def test_training_episodes_succeed_as_promised(shield: Shield, algorithm: str) -
 @pytest.mark.thorough
 def test_a_learner_that_is_not_shielded_fails_more_often(shield: Shield) -> None:
     """The test above would notice."""
-    training = cg.train(shield.problem, "ppo", 2500, reward="sparse", spread=0.0)
+    training = cg.train(shield.problem, "ppo", 2500, reward="sparse")
     episodes = sum(int(point["episodes"]) for point in training.curve)
     successes = sum(round(point["episodes"] * point["success"]) for point in training.curve)
     assert binom.cdf(successes, episodes, shield.probability) < FALSE_ALARM

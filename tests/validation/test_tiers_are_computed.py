@@ -12,14 +12,16 @@ import certigym as cg
 import rate_problems
 from certigym.cli.main import main
 from certigym.envs.suite.tiers import NAMES, TIERS
+from certigym.synthesis.interop import stored
 from certigym.validation.policies import Leaderboard, Standing, page_of, tier_of
-from certigym.validation.policies.tier_rule import left_of
+from certigym.validation.policies.competitors import published
+from certigym.validation.policies.tier_rule import ALONE, left_of
 
 
 def row(policy: str, successes: int, low: float = 0.0, lower_bound: float | None = None) -> Standing:
     """A row of 1000 episodes."""
     limits: dict[str, Any] = {"low": low, "high": 1.0, "confidence": 0.999}
-    rest: dict[str, Any] = {"information": "", "gained": None, "steps": None, "seconds": None}
+    rest: dict[str, Any] = {"information": "", "steps": None, "seconds": None}
     rest |= {"seeds": (), "successes": (successes,), "lower_bound": lower_bound}
     return Standing("p", "f", policy, episodes=1000, **limits, **rest)
 
@@ -27,6 +29,20 @@ def row(policy: str, successes: int, low: float = 0.0, lower_bound: float | None
 def test_the_table_is_what_the_rule_makes_of_the_record() -> None:
     assert rate_problems.computed_tiers() == TIERS, "run `python docs/rate_problems.py`"
     assert set(TIERS) == set(cg.problem_ids()) and set(TIERS.values()) <= set(NAMES)
+
+
+def test_every_row_of_a_learner_has_its_actors() -> None:
+    """Seeds, steps and problem of the record are those of the files, which take at most 8 MB."""
+    actors = rate_problems.RECORDED.parent / "actors"
+    rows = [row for row in Leaderboard.load(rate_problems.RECORDED).rows if row.policy in ALONE]
+    listed = {(row.problem, row.policy): row.seeds for row in rows}
+    assert listed == {(id, name): seeds for id in cg.problem_ids() for name, seeds in published(actors, id).items()}
+    for row in rows:
+        files = [actors / row.problem / row.policy / f"seed-{seed}.npz" for seed in row.seeds]
+        facts = [stored(file, cg.make_problem(row.problem).n_agents)[0] for file in files]
+        assert {fact["fingerprint"] for fact in facts} == {row.fingerprint}, row.problem
+        assert [fact["seed"] for fact in facts] == [*row.seeds] and sum(fact["steps"] for fact in facts) == row.steps
+    assert sum(path.stat().st_size for path in actors.rglob("*.npz")) <= 8_000_000
 
 
 def test_the_rule_by_hand() -> None:

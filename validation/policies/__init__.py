@@ -6,9 +6,9 @@ Policies of any origin, trained, compared and run behind shields.
 from .actors import NotAnActor, load_actor, save_actor
 from .behind import shield
 from .comparison import Comparison, compare
-from .competitors import LEARNERS, Sources, given, label_of
+from .competitors import POLICIES, Sources, given, label_of, publish
 from .probing import Attempt, Probe, probe
-from .ranking import Leaderboard, Standing, judged, judging_plan, leaderboard
+from .ranking import Leaderboard, Standing, judged, judging_plan, leaderboard, replayed
 from .ranking_page import page_of
 from .recording import Recording, record
 from .rollout_policies import IdleController, RandomController, as_controller
@@ -24,9 +24,9 @@ __all__ = [
     "Attempt",
     "Comparison",
     "IdleController",
-    "LEARNERS",
     "Leaderboard",
     "NotAnActor",
+    "POLICIES",
     "Probe",
     "RandomController",
     "Recording",
@@ -51,7 +51,9 @@ __all__ = [
     "load_actor",
     "page_of",
     "probe",
+    "publish",
     "record",
+    "replayed",
     "save_actor",
     "shield",
     "smoothed",

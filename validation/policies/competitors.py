@@ -1,48 +1,24 @@
-"""Who takes part in the leaderboard: policies read from folders, or made within a budget and kept there."""
+"""Who takes part in the leaderboard: policies read from folders, or made within a budget of steps and kept there."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ...envs.suite import as_problem, problem_ids
-from ...envs.systems.arguments import write_json
 from ...envs.tasks.problem import Problem
 from ...synthesis.certificates.proofs import Certificate, Synthesis, load_certificate, save_certificate
-from ...synthesis.extended_check.shields import Shield, shield_of
+from ...synthesis.interop import stored
 from ...synthesis.verbs.synthesize import synthesize
-from .actors import load_actor
+from .actors import load_actor, save_actor
 from .comparison import Contestant, contestants_of
-from .probing import Probe, probe
 from .rollout_policies import RandomController
-from .shielded_policy import ShieldedController
-from .training import CLONED, Training, certificate_of, train
+from .training import ALGORITHMS, Training, certificate_of, train
 
-CLONE, SHIELD = "clone", "shield"
-
-LEARNERS: dict[str, tuple[str, str | None]] = {
-    "ppo": ("ppo", None),
-    "warm-ppo": ("ppo", CLONE),
-    "shielded-ppo": ("ppo", SHIELD),
-    "ippo": ("ippo", None),
-    "mappo": ("mappo", None),
-    "central-ppo": ("central-ppo", None),
-    "sac": ("sac", None),
-}
-"""Learners by the name of their column: algorithm, and whether it starts from the certified controllers or learns, and
-is judged, behind their shield."""
-
-KEPT = 0.5
-"""Share of the certified bound that the shield of a shielded learner keeps: more leaves a learner little to decide."""
-
-POLICIES: tuple[str, ...] = ("certified", "probe", "ppo", "warm-ppo", "sac", "random")
+POLICIES: tuple[str, ...] = ("certified", "ppo", "ippo", "mappo", "sac", "random")
 """The columns that are filled by default."""
-
-SECONDS = 60.0
-"""Default budget of each learner: small problems are learned in it; ``docs/learners.md`` gives them more."""
 
 
 @dataclass(frozen=True)
@@ -52,16 +28,16 @@ class Sources:
     Parameters
     ----------
     certificates, learners : Path, optional
-        Folders to read from and to keep in.
-    seconds : float
-        Budget of each learner that is trained, and of each probe.
+        Folders to read from and to keep in: certificates `ID.npz`, actors `ID/LEARNER/seed-S.npz`.
+    steps : int, optional
+        World steps of each learner that is trained; default: those of ``settings.toml``.
     seeds : tuple of int
         Training seeds.
     """
 
     certificates: Path | None = None
     learners: Path | None = None
-    seconds: float = SECONDS
+    steps: int | None = None
     seeds: tuple[int, ...] = (0,)
 
 
@@ -121,37 +97,21 @@ class Competitors:
     def _learned(self, policy: str, seed: int) -> Competitor:
         """Return one trained actor, from its folder if it is there."""
         folder = self.sources.learners
-        place = None if folder is None else folder / self.label / policy / f"seed-{seed}"
-        algorithm, help_ = LEARNERS.get(policy, (policy, None))
-        shield = self._shield if help_ == SHIELD else None
-        if place is not None and (place / "actor.npz").is_file():
-            return _behind(shield, saved(self.problem, policy, place))
-        if policy == "probe":
-            found = probe(self.problem, self.certificate, seconds=self.sources.seconds, seed=seed)
-            return _probed(self.problem, found, seed, place)
-        start = self.certificate if help_ == CLONE else None
-        training = train(
-            self.problem, algorithm, seed=seed, warm_start=start, shield=shield, seconds=self.sources.seconds
-        )
-        if place is not None:
-            training.save(place)
-        return _behind(shield, given(self.problem, policy, training)[0])
+        place = None if folder is None else folder / self.label / policy / f"seed-{seed}.npz"
+        if place is None or not place.is_file():
+            training = train(self.problem, policy, self.sources.steps, seed)
+            if place is None:
+                return given(self.problem, policy, training)[0]
+            publish(training, place)
+        return saved(self.problem, policy, place)
 
-    @cached_property
-    def _shield(self) -> Shield:
-        """The shield behind which learners are trained and judged.
 
-        Raises
-        ------
-        ValueError
-            If the certificate has none, or one of several tasks: learners are trained on one task.
-        """
-        found = shield_of(self.certificate, KEPT * self.certificate.lower_bound)
-        if not isinstance(found, Shield):
-            raise ValueError(
-                "`policies`: expected one task for 'shielded-ppo', got several, each with a shield of its own"
-            )
-        return found
+def publish(training: Training, path: Path) -> None:
+    """Write an actor with the facts that a leaderboard shows, and with its training curve."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    curve = [[point["steps"], round(point["success"], 4)] for point in training.curve]
+    facts = {"algorithm": training.algorithm, "seed": training.seed, "steps": training.steps, "curve": curve}
+    save_actor(training.actor, path, information=training.information, seconds=round(training.seconds, 1), **facts)
 
 
 def label_of(given: Any) -> str:
@@ -165,42 +125,24 @@ def given(problem: Problem, name: str, policy: Any) -> list[Competitor]:
     return [Competitor(problem, contestant, steps) for contestant in contestants_of(problem, name, policy)]
 
 
-def saved(problem: Problem, name: str, folder: Path) -> Competitor:
-    """Return the actor in a folder that ``Training.save`` has written, or that of a probe.
+def saved(problem: Problem, name: str, path: Path) -> Competitor:
+    """Return an actor that `publish` has written.
 
     Raises
     ------
     ValueError
-        If the actor or its record does not fit the problem.
+        If the actor does not fit the problem, or was trained on another version of it.
     """
-    actor, record = load_actor(folder / "actor.npz", problem), folder / "training.json"
-    facts = json.loads(record.read_text(encoding="utf-8"))
+    actor, (facts, _) = load_actor(path, problem), stored(path, problem.n_agents)
     if facts["fingerprint"] != problem.fingerprint:
-        raise ValueError(f"`{record}`: expected a training on this {problem.name!r}, got one on another version of it")
-    contestant = Contestant(
-        name, name, facts["information"], actor, seconds=float(facts["seconds"]), seed=int(facts["seed"])
-    )
+        raise ValueError(f"`{path}`: expected a training on this {problem.name!r}, got one on another version of it")
+    seconds, seed = float(facts["seconds"]), int(facts["seed"])
+    contestant = Contestant(name, name, facts["information"], actor, seconds=seconds, seed=seed)
     return Competitor(problem, contestant, int(facts["steps"]))
 
 
-def _behind(shield: Shield | None, entrant: Competitor) -> Competitor:
-    """Return a policy behind a shield, which gives it a bound; or as it is."""
-    if shield is None:
-        return entrant
-    bare = entrant.contestant
-    guarded = ShieldedController(bare.controller, shield)
-    told = replace(bare, controller=guarded, information=guarded.information, lower_bound=guarded.kept)
-    return replace(entrant, contestant=told)
-
-
-def _probed(problem: Problem, found: Probe, seed: int, place: Path | None) -> Competitor:
-    """Return what a probe found, and keep it beside its record."""
-    steps = sum(attempt.steps for attempt in found.attempts)
-    information = f"{found.information}; {CLONED}"
-    if place is not None:
-        place.mkdir(parents=True, exist_ok=True)
-        found.save_actor(place / "actor.npz")
-        record = {"fingerprint": problem.fingerprint, "information": information, "seed": seed}
-        write_json(place / "training.json", {**record, "steps": steps, "seconds": found.seconds})
-    contestant = Contestant("probe", "probe", information, found.actor, seconds=found.seconds, seed=seed)
-    return Competitor(problem, contestant, steps)
+def published(learners: Path, label: str) -> dict[str, tuple[int, ...]]:
+    """Return the learners of a problem whose actors are in a folder, and the seeds of each."""
+    folder = learners / label
+    found = {name: sorted(folder.glob(f"{name}/seed-*.npz")) for name in ALGORITHMS}
+    return {name: tuple(sorted(int(path.stem[5:]) for path in paths)) for name, paths in found.items() if paths}

@@ -6,8 +6,7 @@ satisfaction and the differences of its own level. The contract with Stable-Base
 
 - a row that ends is reset in the same step; its last observation is in ``infos[row]["terminal_observation"]``;
 - ``infos[row]["TimeLimit.truncated"]`` says whether the row ended undecided at the horizon;
-- ``infos[row]["is_success"]`` says whether the task was satisfied, ``infos[row]["episode"]`` holds return and length,
-  ``infos[row]["scattered"]`` says whether the episode began anywhere;
+- ``infos[row]["is_success"]`` says whether the task was satisfied, ``infos[row]["episode"]`` holds return and length;
 - dones are Booleans, rewards are float32, and ``seed(n)`` decides every number drawn from the next ``reset`` on.
 
 The observation holds the time left, so the horizon really ends the decision problem, and nothing comes after it. After
@@ -46,8 +45,6 @@ class WorldsVecEnv(VecEnv):
     discount : float
         Discount factor of the learner, which shapes the reward, too.
     horizon_ends : "truncated" or "terminated"
-    spread : float
-        Share of the episodes that begin anywhere, as in `ProblemVectorEnv`; 0 for the problem's own starts.
     render_mode : None or "rgb_array"
         One picture per world, so that `VecVideoRecorder` of Stable-Baselines3 has something to film.
     shield : Shield, optional
@@ -69,13 +66,12 @@ class WorldsVecEnv(VecEnv):
         reward: str = "shaped",
         discount: float = 1.0,
         horizon_ends: str = "truncated",
-        spread: float = 0.0,
         render_mode: str | None = None,
         shield: Shield | None = None,
     ) -> None:
         self.view = view
         self.render_mode = render_mode
-        options: dict[str, Any] = {"reward": reward, "discount": discount, "actions": "unit", "spread": spread}
+        options: dict[str, Any] = {"reward": reward, "discount": discount, "actions": "unit"}
         options |= {"autoreset_mode": "SameStep", "render_mode": render_mode}
         # Agents whose rows they are earn what they have done themselves.
         self._has_own = view.rows > 1
@@ -165,7 +161,6 @@ class WorldsVecEnv(VecEnv):
                         "terminal_observation": last[row],
                         "TimeLimit.truncated": bool(truncated[world]) and self._bootstrap,
                         "is_success": bool(final["satisfied"][world]),
-                        "scattered": bool("scattered" in final and final["scattered"][world]),
                         "episode": episode,
                     }
                 )

@@ -151,10 +151,9 @@ def new_watcher(rows: int, every: int, progress: Progress | None = None, deadlin
             self.began, self.last, self.deadline = time.perf_counter(), 0, deadline
 
         def _on_step(self) -> bool:
-            # All rows of a world end together, so the first one stands for the world. Episodes that began anywhere say
-            # nothing about the problem.
+            # All rows of a world end together, so the first one stands for the world.
             infos = self.locals["infos"][::rows]
-            ended = (i for i in infos if "is_success" in i and not i["scattered"])
+            ended = (i for i in infos if "is_success" in i)
             self.ended += [(i["is_success"], i["episode"]["r"]) for i in ended]
             steps = self.num_timesteps // rows
             if steps - self.last >= every and self.ended:
@@ -180,6 +179,5 @@ def _worlds(view: View, settings: Settings, phase: Phase) -> Any:
         reward=phase.reward,
         discount=settings.gamma,
         horizon_ends="terminated",
-        spread=phase.spread,
         shield=settings.shield,
     )

@@ -1,9 +1,9 @@
 """The leaderboard: every policy on every problem of the suite, judged by the same episodes.
 
-A row (``Standing``) is one policy on one problem: certified controllers, the probe that starts from them, learners with
-and without help, and random inputs. Policies that are there already are read: certificates ``ID.npz`` from one folder,
-trained actors from ``ID/POLICY/seed-S`` of another. The others are made, learners within a budget of time for each, and
-kept in these folders.
+A row (``Standing``) is one policy on one problem: certified controllers, learners, and random inputs. Policies that are
+there already are read: certificates ``ID.npz`` from one folder, trained actors ``ID/LEARNER/seed-S.npz`` from another.
+The others are made, learners within a budget of world steps for each, and kept in these folders. ``replayed`` judges
+the actors in a folder again, and trains nothing.
 
 All policies of a problem meet the same starts and noise. A learner with several training seeds plays new episodes with
 each actor, so the successes of all of them are independent, and Clopper-Pearson's limits of the total hold for the mean
@@ -21,27 +21,20 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ...envs.interfaces import Potential
-from ...envs.simulation import batch_simulator as core
 from ...envs.suite import as_problem, problem_ids
 from ...envs.systems.arguments import counted, tree_text
 from ...envs.tasks.problem import Problem
 from ..statistical_tests import (
-    Batchable,
-    Loop,
     Plan,
     TrialOptions,
     TrialPlan,
     clopper_pearson,
-    frames,
     names_plan,
     planned,
     rollout,
 )
-from .competitors import LEARNERS, POLICIES, Competitor, Competitors, Sources, label_of
-
-RETURNS = 2000
-"""Episodes whose return is averaged: one chunk, since the return is shown with two digits."""
+from .competitors import POLICIES, Competitor, Competitors, Sources, label_of, published
+from .training import ALGORITHMS
 
 
 @dataclass(frozen=True)
@@ -64,9 +57,6 @@ class Standing:
         Exact limits of the (mean) success probability.
     confidence : float
         Of both limits together.
-    gained : float or None
-        Mean undiscounted return of the reward "progress" (an estimate); that of "sparse" is the success rate. None if
-        the problem decomposes into independent tasks.
     lower_bound : float or None
         Certified lower bound, if the policy has one.
     steps : int or None
@@ -87,7 +77,6 @@ class Standing:
     low: float
     high: float
     confidence: float
-    gained: float | None
     lower_bound: float | None
     steps: int | None
     seconds: float | None
@@ -179,7 +168,7 @@ def leaderboard(
     ids : iterable of problems, ids or paths, optional
         Default: the suite.
     policies : sequence of str
-        Of "certified", "probe", "random", "ppo", "warm-ppo", "shielded-ppo", "ippo", "mappo", "central-ppo", "sac".
+        Of "certified", "random", "ppo", "ippo", "mappo", "central-ppo", "sac".
     plan, **trial
         Episodes per policy and training seed (default 20,000), seed, confidence (.999), chunk, executor, progress.
     sources : Sources
@@ -195,7 +184,7 @@ def leaderboard(
         If a policy is unknown, an argument is out of range, or a learner is to be trained without the extra ``rl``.
     """
     settled = judging_plan(planned(plan, trial, 20_000))
-    known = ("certified", "probe", *LEARNERS, "random")
+    known = ("certified", *ALGORITHMS, "random")
     for policy in policies:
         if policy not in known:
             raise ValueError(f"`policies`: expected {', '.join(map(repr, known))}, got {policy!r}")
@@ -207,6 +196,35 @@ def leaderboard(
                 board = board.with_row(row)
                 if finished is not None:
                     finished(board, row)
+    return board
+
+
+def replayed(
+    learners: Path,
+    ids: Iterable[Any] | None = None,
+    plan: TrialPlan | int | None = None,
+    *,
+    finished: Callable[[Leaderboard, Standing], None] | None = None,
+    **trial: Unpack[TrialOptions],
+) -> Leaderboard:
+    """Judge the actors in a folder again, on the same episodes as `leaderboard`; nothing is trained.
+
+    Parameters
+    ----------
+    learners : Path
+        Folder with ``ID/LEARNER/seed-S.npz``.
+    ids, plan, finished, **trial
+        As for `leaderboard`.
+    """
+    settled, board = judging_plan(planned(plan, trial, 20_000)), Leaderboard()
+    for id in problem_ids() if ids is None else ids:
+        label = label_of(id)
+        for policy, seeds in published(learners, label).items():
+            competitors = Competitors(as_problem(id), label, Sources(learners=learners, seeds=seeds))
+            row = judged(label, policy, competitors.of(policy), settled)
+            board = board.with_row(row)
+            if finished is not None:
+                finished(board, row)
     return board
 
 
@@ -240,7 +258,6 @@ def judged(label: str, policy: str, competitors: Sequence[Competitor], plan: Pla
         low=float(low),
         high=float(high),
         confidence=plan.confidence,
-        gained=None if problem.groups else mean_progress(problem, first.controller, plan.seed),
         lower_bound=None if first.lower_bound is None else float(first.lower_bound),
         steps=sum(steps) if steps else None,
         seconds=round(sum(seconds), 1) if seconds else None,
@@ -248,28 +265,9 @@ def judged(label: str, policy: str, competitors: Sequence[Competitor], plan: Pla
     )
 
 
-def mean_progress(problem: Problem, controller: Batchable, seed: int, episodes: int = RETURNS) -> float:
-    """Return the mean undiscounted return of the reward "progress" (an estimate).
-
-    The differences of levels add up to the last level less the first one, so only these are needed, and satisfaction.
-    """
-    loop = Loop(problem, controller, seed, episodes)
-    dynamics, policy = loop.arranged
-    potential, ended = Potential.of(dynamics), np.zeros(episodes, dtype=bool)
-    for number, frame in enumerate(frames(loop, dynamics, policy, 0)):
-        worlds = frame.worlds
-        if number == 0:
-            first = levels = potential.progress(worlds)
-        # An episode that has ended keeps its last level, while its world still moves beside the others.
-        levels = np.where(ended, levels, potential.progress(worlds, levels))
-        ended = ended | worlds.failed | problem.automaton.absorbing[worlds.q]
-        last = worlds
-    return float(np.mean(core.satisfied(dynamics, last) + levels - first))
-
-
 def _place(policy: str) -> tuple[int, str]:
     """Return where the column of a policy stands: those that are known first, then submitted ones by name."""
-    known = ("certified", "probe", *LEARNERS)
+    known = ("certified", *ALGORITHMS)
     if policy == "random":
         return len(known) + 1, ""
     return (known.index(policy), "") if policy in known else (len(known), policy)

@@ -13,12 +13,8 @@ The other columns are shares of episodes that satisfy the task, on the same star
 problem:
 
 - **certified**: the controllers of that certificate;
-- **probe**: the best of several learners that start from a clone of them (`certigym probe`);
 - **ppo, ippo, mappo, central-ppo, sac**: learners **without help** from any certificate, described in
   [learned policies](how-to/learned_policies.md);
-- **warm-ppo**: PPO that starts from a clone of the certified controllers: helped, so no independent baseline;
-- **shielded-ppo**: PPO that learns behind the shield of the certificate, which keeps half of its bound, and is judged
-  behind it: it has a bound of its own, and is helped, too;
 - **random**: uniformly random inputs.
 
 **Tiers** say what is left to learn. *Known* to be possible is the bound, or the lower limit of any row if that is
@@ -27,28 +23,25 @@ stay below half of it (or next to nothing is known), and **open** otherwise. "Le
 reached by no learner without help: open and hard problems come first, and of each tier those where most is left. The
 best learner without help is bold.
 
-Rates of learners with several seeds are means over them. How long a learner learned is in the second table: a short
-time where a dash would stand else. What `certigym train` reaches with its defaults is in [learners](learners.md), how
-much a probe gains in two minutes in [probes](probes.md). A dash means not measured. Made by `certigym leaderboard`; the
+Rates of learners with several seeds are means over them. A dash means not measured. Made by `certigym leaderboard`; the
 numbers are also in `leaderboard.json`. [Seeds, curves, and how to submit a row](how-to/leaderboard.md).
 """
 
 DETAILS = """
-## Limits, returns, cost
+## Limits and cost
 
 Limits are exact (Clopper-Pearson), {confidence:g} % for both together, for the mean success probability of the actors
 of the seeds that are listed. "Middle" is the interquartile mean over the seeds, of which a quarter is left out at each
-end: it describes these seeds, and is a dash where there is one alone. "Progress" is the mean undiscounted return of the
-reward `progress` (an estimate); that of the reward `sparse` is the success rate itself. Steps and seconds of training
-are sums over the seeds; those of "certified" are of the synthesis, if it was made for this table.
+end: it describes these seeds, and is a dash where there is one alone. Steps and seconds of training are sums over the
+seeds; those of "certified" are of the synthesis, if it was made for this table.
 
-| id | policy | success | limits | middle | progress | world steps | seconds | seeds | agents see |
-|---|---|---|---|---|---|---|---|---|---|
+| id | policy | success | limits | middle | world steps | seconds | seeds | agents see |
+|---|---|---|---|---|---|---|---|---|
 """
 
 
 def page_of(board: Leaderboard) -> str:
-    """Return the page: one table of success rates, and one of limits, returns and cost."""
+    """Return the page: one table of success rates, and one of limits and cost."""
     names = board.policies
     lines = [HEAD, f"| id | at least | tier | left | {' | '.join(names)} |", "|---" * (len(names) + 4) + "|"]
     rows: dict[str, list[Standing]] = {}
@@ -86,9 +79,8 @@ def _rate(rate: float, is_alone: bool, best: float) -> str:
 
 def _details(row: Standing) -> str:
     """Return the row of a policy in the second table."""
-    progress = "-" if row.gained is None else f"{row.gained:.2f}"
     cost = " | ".join("-" if number is None else f"{number:,.0f}" for number in (row.steps, row.seconds))
     seeds = ", ".join(map(str, row.seeds)) or "-"
     limits = f"[{rounded_down(row.low, 4)}, {rounded_up(row.high, 4)}]"
-    numbers = f"{row.rate:.4f} | {limits} | {f'{row.middle_rate:.4f}' if len(row.seeds) > 1 else '-'} | {progress}"
+    numbers = f"{row.rate:.4f} | {limits} | {f'{row.middle_rate:.4f}' if len(row.seeds) > 1 else '-'}"
     return f"| {row.problem} | {row.policy} | {numbers} | {cost} | {seeds} | {row.information} |"

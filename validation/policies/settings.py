@@ -33,7 +33,6 @@ class Phase:
 
     share: float
     reward: str
-    spread: float
     learning_rate: float
     deviation: float | None = None
     fixed: bool = False
@@ -93,7 +92,7 @@ def settings_for(algorithm: str, view: View, *, warm: bool = False, **changes: A
         Whether the training continues a clone.
     **changes
         Values that replace those of the file; None leaves a value. ``reward`` alone means one phase with that reward;
-        ``spread``, ``learning_rate``, ``deviation`` and ``fixed`` hold in all phases.
+        ``learning_rate``, ``deviation`` and ``fixed`` hold in all phases.
     """
     given = {name: value for name, value in changes.items() if value is not None}
     table = dict(_tables()["sac" if algorithm == "sac" else "ppo"])
@@ -104,8 +103,8 @@ def settings_for(algorithm: str, view: View, *, warm: bool = False, **changes: A
     phases = tuple(Phase(**phase) for phase in table["phases"])
     # One reward for all of the training: the last phase keeps to the start of the problem, so it is the one that stays.
     if "reward" in given:
-        phases = (replace(phases[0], share=1.0, spread=0.0, reward=given.pop("reward")),)
-    of_phases = {name: given.pop(name) for name in ("spread", "learning_rate", "deviation", "fixed") if name in given}
+        phases = (replace(phases[0], share=1.0, reward=given.pop("reward")),)
+    of_phases = {name: given.pop(name) for name in ("learning_rate", "deviation", "fixed") if name in given}
     phases = tuple(replace(phase, **of_phases) for phase in phases)
     table |= given
     worlds = int(table["worlds"])

@@ -2,8 +2,6 @@
 
 They are `ProblemVectorEnv` and `TeamEnv`, with the same spaces, rewards and ends. Infos of the first hold `budget`
 (M,), `value` (M,) and `overridden` (M, I); the second has attributes of these names.
-
-Worlds that begin anywhere (`spread`) get the budget that can be kept there, at most what is owed at the start.
 """
 
 from __future__ import annotations
@@ -75,7 +73,7 @@ class ShieldedVectorEnv(ProblemVectorEnv):
     def _begun(self, worlds: Worlds, which: np.ndarray) -> Worlds:
         begun = super()._begun(worlds, which)
         seen = states_of(self._dynamics, begun), begun.q, times_of(begun)
-        self._watch.begin(*seen, which, self._scattered)
+        self._watch.begin(*seen, which)
         return begun
 
     def _moved(self, worlds: Worlds, inputs: tuple[np.ndarray, ...], moving: np.ndarray) -> Worlds:

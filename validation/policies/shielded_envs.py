@@ -37,7 +37,7 @@ class OneWatch:
         """Note the world after a reset or a step."""
         one = np.ones(1, dtype=bool)
         if self.fresh:
-            self.watch.begin(*self._seen(world), one, ~one)
+            self.watch.begin(*self._seen(world), one)
         else:
             self.watch.arrive(*self._seen(world), one)
         self.fresh = False

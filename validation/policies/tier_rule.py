@@ -1,7 +1,7 @@
 """Tiers of problems: what is left to learn on each, computed from the rows of a leaderboard.
 
 *Known to be reachable* is the larger of the certified lower bound and the exact lower limits of all policies that were
-judged, helped ones too. *Reached* is the largest share of successes of a learner without help. Then a problem is
+judged, submitted ones too. *Reached* is the largest share of successes of a learner without help. Then a problem is
 
 - **solved** if what is reached is at most `NEAR` below what is known to be reachable: everybody is there;
 - **hard** if less than half of what is known to be reachable is reached, or if next to nothing is known to be;
@@ -16,8 +16,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from .ranking import Standing
+from .training import ALGORITHMS
 
-ALONE = ("ppo", "ippo", "mappo", "central-ppo", "sac")
+ALONE = ALGORITHMS
 """Learners without help from any certificate."""
 
 NEAR = 0.01

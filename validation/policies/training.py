@@ -148,7 +148,7 @@ class Training:
 
 KEYWORDS = (
     *("problem", "algorithm", "steps", "seed", "warm_start", "resume", "shield", "progress"),
-    *("worlds", "reward", "spread", "learning_rate", "deviation", "fixed", "hidden", "phases", "seconds"),
+    *("worlds", "reward", "learning_rate", "deviation", "fixed", "hidden", "phases", "seconds"),
 )
 """Arguments of ``train`` that are not the learner's."""
 
@@ -188,7 +188,7 @@ def train(
         Called with the world steps taken since the last call and the latest success rate.
     **settings
         Values that replace those of ``settings.toml``: ``worlds`` side by side, ``reward`` ("sparse", "shaped" or
-        "progress", for all of the training), ``spread``, ``learning_rate``, ``deviation``, ``hidden``; ``device``;
+        "progress", for all of the training), ``learning_rate``, ``deviation``, ``hidden``; ``device``;
         ``seconds`` after which to stop (cloning comes before; the result then depends on the machine); and whatever the
         learner of Stable-Baselines3 takes.
 

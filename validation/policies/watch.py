@@ -34,20 +34,17 @@ class Watch:
         self.budget, self.value, self._ratio = np.zeros(count), np.zeros(count), np.ones(count)
         self.overridden = np.zeros((shield.problem.n_agents, count), dtype=bool)
 
-    def begin(
-        self, states: tuple[Array, ...], q: Array, time: Array, which: NDArray[np.bool_], lenient: NDArray[np.bool_]
-    ) -> None:
+    def begin(self, states: tuple[Array, ...], q: Array, time: Array, which: NDArray[np.bool_]) -> None:
         """Begin episodes in the worlds ``which`` (M,).
 
         Raises
         ------
         ValueError
-            If the certificate does not cover a start, except in worlds that are ``lenient`` (M,): they get what can be
-            kept there.
+            If the certificate does not cover a start.
         """
         budget, covered = self.shield.first_budget(states, q, time)
-        if np.any(which & ~covered & ~lenient):
-            world = int(np.argmax(which & ~covered & ~lenient))
+        if np.any(which & ~covered):
+            world = int(np.argmax(which & ~covered))
             value = float(self.shield.value_of(states, q, time)[world])
             raise ValueError(
                 f"`initial_state`: expected a start from which {self.shield.probability:.6g} can be kept, got one with "

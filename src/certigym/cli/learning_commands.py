@@ -21,7 +21,7 @@ from ..synthesis.verbs.certify import certify as certify_policy
 from ..synthesis.verbs.certify import improve as improve_policy
 from ..synthesis.verbs.certify import is_certified_as_given
 from ..validation.policies import (
-    LEARNERS,
+    ALGORITHMS,
     Leaderboard,
     Sources,
     Standing,
@@ -31,6 +31,7 @@ from ..validation.policies import (
     judging_plan,
     label_of,
     page_of,
+    replayed,
     save_actor,
     smoothed,
 )
@@ -123,6 +124,8 @@ def leaderboard(options: Namespace) -> int:
 
     The status is 1 if it shows a certificate that the check refuses.
     """
+    if options.replay:
+        return _replay(options)
     page = Path(options.out)
     table = page.with_suffix(".json")
     board = Leaderboard.load(table) if table.is_file() else Leaderboard()
@@ -139,7 +142,7 @@ def leaderboard(options: Namespace) -> int:
             board = _with_own_row(board, options, plan, finished)
         else:
             sources = Sources(
-                _made(options.certificates), _made(options.learners), options.seconds, tuple(options.train_seeds)
+                _made(options.certificates), _made(options.learners), options.steps, tuple(options.train_seeds)
             )
             policies = options.policies.split(",")
             board = fill_leaderboard(
@@ -149,12 +152,46 @@ def leaderboard(options: Namespace) -> int:
     return int(any(row.refused is not None for row in board.rows))
 
 
+PUBLISHED = "docs/actors"
+"""Where the repository keeps the actors of its leaderboard."""
+
+
+def _replay(options: Namespace) -> int:
+    """Judge published actors again and compare with the record; the status is 1 if a row is outside its limits."""
+    learners = Path(options.learners or PUBLISHED)
+    if options.add or not learners.is_dir():
+        raise ValueError(f"`--replay`: expected no `--add`, and `--learners DIR` with actors; there is no {learners}")
+    # The record is the page that is named, or the one beside the folder.
+    tables = (Path(options.out).with_suffix(".json"), learners.parent / "leaderboard.json")
+    recorded = next((Leaderboard.load(table) for table in tables if table.is_file()), Leaderboard())
+    outside: list[str] = []
+
+    def finished(_: Leaderboard, row: Standing) -> None:
+        known = recorded.row(row.problem, row.policy)
+        if known is None:
+            verdict = "not recorded"
+        elif known.successes == row.successes and known.episodes == row.episodes:
+            verdict = "the same episodes succeed as recorded"
+        elif known.low <= row.rate <= known.high:
+            verdict = f"recorded {known.rate:.4f}, within its limits"
+        else:
+            verdict = f"recorded {known.rate:.4f}: OUTSIDE [{known.low:.4f}, {known.high:.4f}]"
+            outside.append(f"{row.problem}: {row.policy}")
+        say(options, f"{row.problem}: {row.policy} {row.rate:.4f} [{row.low:.4f}, {row.high:.4f}], {verdict}")
+
+    with trials(options) as plan:
+        board = replayed(learners, options.ids or None, plan, finished=finished)
+    summary = f"{counted(len(board.rows), 'row')} judged again, {len(outside)} outside the recorded limits"
+    show(options, summary, {**board.to_dict(), "outside": outside})
+    return int(bool(outside))
+
+
 def _with_own_row(board: Leaderboard, options: Namespace, plan: Any, finished: Any) -> Leaderboard:
     """Return the leaderboard with the row of a policy that somebody gives."""
     name, _, file = options.add.partition("=")
     if not name or not file or len(options.ids) != 1:
         raise ValueError(f"`--add`: expected one ID and NAME=POLICY, got {options.ids} and {options.add!r}")
-    if name in ("certified", "probe", "random", *LEARNERS):
+    if name in ("certified", "random", *ALGORITHMS):
         raise ValueError(f"`--add`: expected a name that is not a column of its own, got {name!r}")
     problem, settled = as_problem(options.ids[0]), judging_plan(planned(plan, {}, options.episodes))
     row = judged(

@@ -339,16 +339,21 @@ def _add_leaderboard(commands: Any) -> None:
     )
     board.add_argument(
         "--policies",
-        default="certified,probe,ppo,warm-ppo,sac,random",
+        default="certified,ppo,ippo,mappo,sac,random",
         metavar="LIST",
-        help="columns to fill, separated by commas; also central-ppo, ippo, mappo, shielded-ppo (default: %(default)s)",
+        help="columns to fill, separated by commas; also central-ppo (default: %(default)s)",
     )
     board.add_argument(
-        "--seconds", type=float, default=60.0, metavar="S", help="for each learner that is trained (default: 60)"
+        "--steps", type=int, metavar="N", help="world steps of each learner that is trained (default: settings.toml)"
     )
     board.add_argument("--train-seeds", nargs="+", type=int, default=[0], metavar="S", help="of learners (0)")
     board.add_argument("--certificates", metavar="DIR", help="folder with ID.npz: read if there, else written")
-    board.add_argument("--learners", metavar="DIR", help="folder with ID/POLICY/seed-S: read if there, else written")
+    board.add_argument("--learners", metavar="DIR", help="folder with ID/LEARNER/seed-S.npz, as DIR of certificates")
+    board.add_argument(
+        "--replay",
+        action="store_true",
+        help="train nothing: judge the actors in --learners again (docs/actors), and compare with the record",
+    )
     board.add_argument(
         "--add",
         metavar="NAME=POLICY",

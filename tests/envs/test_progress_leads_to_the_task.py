@@ -1,69 +1,19 @@
-"""Episodes may begin anywhere, where the task is open; the reward "progress" tells a good failure from a bad one."""
+"""The reward "progress" tells a good failure from a bad one, leads along the shortest tour, and keeps the task."""
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import permutations, product
 from typing import Any
 
 import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.interfaces.shaping import APPROACH, EASE, LOSS, SURVIVAL, Potential
+from certigym.envs.interfaces.shaping import EASE, LOSS, SURVIVAL, Potential
 from certigym.envs.simulation import batch_simulator as core
 from kinds import mostly_thorough
 
 IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "building-automation-v0"]
-
-
-@pytest.mark.parametrize("id", IDS)
-def test_starts_anywhere_are_open_and_everywhere(id: str) -> None:
-    envs = cg.vector_env(id, 4000, spread=1.0)
-    observations, infos = envs.reset(seed=0)
-    problem = envs.problem
-    assert infos["scattered"].all() and envs.observation_space.contains(observations)
-    q, time, states = infos["automaton_state"], infos["time"], infos["state"]
-    # A world for which no draw was open stays at the start of the problem.
-    home = cg.vector_env(id, 1).reset(seed=0)[1]["state"][0]
-    drawn = (states != home).any(axis=1)
-    assert drawn.mean() > 0.4
-    assert not problem.automaton.absorbing[q[drawn]].any()
-    assert time.min() == 0 and time.max() == problem.horizon - 1
-    low = np.concatenate([agent.state_low for agent in problem.agents])
-    high = np.concatenate([agent.state_high for agent in problem.agents])
-    assert ((low <= states) & (states <= high)).all()
-    spans = (states.max(axis=0) - states.min(axis=0)) / (high - low)
-    assert spans.max() > 0.9, "in at least one axis the starts reach from edge to edge"
-
-
-def test_the_share_is_that_of_the_episodes() -> None:
-    """Of 20,000 episodes 30 % are drawn; five standard deviations are a false alarm of less than 1e-6."""
-    envs = cg.vector_env("meeting-v0", 20_000, spread=0.3)
-    _, infos = envs.reset(seed=1)
-    assert abs(infos["scattered"].mean() - 0.3) < 5.0 * np.sqrt(0.21 / 20_000)
-    home = infos["state"][~infos["scattered"]]
-    assert (home == home[0]).all() and (infos["time"][~infos["scattered"]] == 0).all()
-
-
-def test_without_a_share_nothing_changes() -> None:
-    plain, zero = cg.vector_env("meeting-v0", 5), cg.vector_env("meeting-v0", 5, spread=0.0)
-    assert np.array_equal(plain.reset(seed=3)[0], zero.reset(seed=3)[0])
-    assert "scattered" not in zero.reset(seed=3)[1]
-    for wrong in (-0.1, 1.5, True, "half"):
-        with pytest.raises(ValueError, match="`spread`: expected a number from 0 to 1"):
-            cg.vector_env("meeting-v0", 5, spread=wrong)
-
-
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_episodes_that_begin_anywhere_run_to_their_ends(mode: str) -> None:
-    envs = cg.vector_env("reach-avoid-v0", 50, spread=0.5, autoreset_mode=mode, reward="progress")
-    envs.reset(seed=0)
-    rng, ends = np.random.default_rng(0), 0
-    for _ in range(60):
-        _, rewards, terminated, truncated, infos = envs.step(rng.uniform(-1.0, 1.0, (50, 2)))
-        assert np.isfinite(rewards).all() and (infos["time"] <= 7).all()
-        ends += int((terminated | truncated).sum())
-    assert ends > 100
 
 
 def returns(envs: Any, policy: Any, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -101,7 +51,7 @@ def test_progress_pays_satisfaction_and_a_bounded_rest(id: str) -> None:
     shape = envs.action_space.shape
     total, satisfied, _ = returns(envs, lambda _: rng.uniform(-1.0, 1.0, shape), 0)
     rest = total - satisfied
-    most = APPROACH * Potential.of(core.Dynamics.of(envs.problem)).parts + SURVIVAL + EASE
+    most = Potential.of(core.Dynamics.of(envs.problem)).parts + SURVIVAL + EASE
     assert (rest > -most - LOSS - 1e-9).all() and (rest < most + 1e-9).all()
 
 
@@ -123,8 +73,8 @@ def test_a_lost_task_keeps_its_level() -> None:
     assert total[lost] == pytest.approx(SURVIVAL * (times[lost] - 1) / problem.horizon - LOSS)
 
 
-def test_agents_earn_what_they_do_themselves() -> None:
-    """What one of four robots does changes what it earns, and nothing of what the others earn."""
+def test_agents_earn_half_of_what_they_do_themselves_and_half_of_what_the_team_does() -> None:
+    """What one of four robots does changes its own reward by 1/2 + 1/8 of the difference, those of others by 1/8."""
     own, team = [], []
     for action in (-0.2, 0.2):
         joint = np.tile([action, *np.zeros(7)], (50, 1))
@@ -137,14 +87,31 @@ def test_agents_earn_what_they_do_themselves() -> None:
         plain.reset(seed=0)
         team.append(plain.step(joint)[1])
         assert team[-1] == pytest.approx(rewards, abs=1e-12)
-    assert (np.abs(own[0][0] - own[1][0]) > 0.01).all() and np.array_equal(own[0][1:], own[1][1:])
+    gained = own[1] - own[0]
+    assert (np.abs(gained[0]) > 0.001).all()
+    assert gained[1:] == pytest.approx(np.tile(gained[0] / 5.0, (3, 1)))
+    sparse = cg.vector_env("swarm-v0", 5, credit="own")
+    sparse.reset(seed=0)
+    assert sparse.step(np.zeros((5, 8)))[1].shape == (5,) and sparse.own_rewards.shape == (4, 5)
     with pytest.raises(ValueError, match="`credit`"):
         cg.vector_env("swarm-v0", 5, credit="all")
 
 
-def test_half_of_the_way_is_worth_more_than_a_lost_task() -> None:
-    """Else agents learn to stay where they are. No way is shorter than half of an automaton step (start to region)."""
-    assert 0.5 * 0.5 * APPROACH > LOSS + SURVIVAL
+@pytest.mark.parametrize("id", IDS)
+def test_a_success_earns_more_than_any_failure(id: str) -> None:
+    """The proof on the page of learned policies: h on success, at most h - 1 - LOSS or h - 2 on failure."""
+    problem = cg.make_problem(id)
+    found = potential(id)
+    envs = cg.vector_env(id, 2000, reward="progress")
+    first = envs.reset(seed=0)[1]["state"]
+    begun = found.progress(core.initial_at(core.Dynamics.of(problem), first))
+    rng, shape = np.random.default_rng(0), envs.action_space.shape
+    total, satisfied, _ = returns(envs, lambda _: rng.uniform(-1.0, 1.0, shape), 0)
+    ease = EASE + SURVIVAL if found.is_survival else 0.0
+    earned = total + begun
+    assert earned[satisfied] == pytest.approx(1.0 + found.parts + ease)
+    assert (earned[~satisfied] <= found.parts + ease - LOSS + 1e-9).all()
+    assert (earned > -LOSS - 1e-9).all()
 
 
 def potential(id: str) -> Potential:
@@ -158,6 +125,36 @@ def test_letters_that_nobody_can_have_are_no_short_cuts() -> None:
     assert found.steps[0] == 2.0
     assert {names[p] for p in found.route[0]} in ({"cafe_0", "cafe_1"}, {"lab_0", "lab_1"})
     assert {names[p] for p in found.route[2]} == {"desk_0", "desk_1"}
+
+
+def test_the_route_is_the_shortest_tour() -> None:
+    """Against all orders of the four customers, with ways through the pond counted twice.
+
+    Ways lead from the middle of home to that point of each square that is nearest to it.
+    """
+    problem = cg.make_problem("courier-v0")
+    found, names = potential("courier-v0"), problem.automaton.propositions
+    order, q = [], problem.automaton.initial
+    while found.route[q].size:
+        letter = np.isin(np.arange(len(names)), found.route[q])[:, None]
+        order.append(names[int(found.route[q][0])])
+        q = int(problem.automaton.next_state(np.array([q]), letter)[0])
+    assert order[-1] == "home"
+
+    pond = problem.propositions["pond"]
+
+    def length(customers: tuple[str, ...]) -> float:
+        total, at = 0.0, np.zeros(2)
+        for name in (*customers, "home"):
+            region = problem.propositions[name]
+            there = np.clip(np.zeros(2), region.low, region.high)
+            points = at + np.linspace(0.0, 1.0, 1001)[:, None] * (there - at)
+            wet = ((pond.low < points) & (points < pond.high)).all(axis=1).any()
+            total += (2.0 if wet else 1.0) * float((np.abs(there - at) / [12.0, 10.0]).mean())
+            at = there
+        return total
+
+    assert length(tuple(order[:-1])) == pytest.approx(min(map(length, permutations(order[:-1]))))
 
 
 @pytest.mark.parametrize("id", ["patrol-recharge-v0", "building-automation-v0"])
