@@ -171,7 +171,7 @@ def certified_as_it_is(
         tried["path"], kind = str(refused), NoRunFound if isinstance(refused, NoRunFound) else RelationRefused
         if relation == "path" or is_written:
             raise
-    own = not is_written and not any(policy.sees_all for policy in policies)
+    own = relation != "path" and not is_written and not any(policy.sees_all for policy in policies)
     is_small = own and all(agent.n_states <= FEW_STATES for agent in problem.agents)
     if is_small and (found is None or 1.0 - found.certificate.lower_bound > PLENTY):
         try:
