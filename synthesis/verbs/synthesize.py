@@ -217,7 +217,7 @@ def _of_task(
     if relation in ("path", "vertices"):
         if cells is not None or start is not None:
             raise ValueError(
-                f"`relation`: expected no cells or start with {relation!r}, which chooses its own; leave out"
+                f"`relation`: expected no cells or start with {relation!r}, which needs none; leave out"
             )
         return (along_path if relation == "path" else vertex_grid_certificate)(problem, plan.along_paths)
     if problem.names_time:
