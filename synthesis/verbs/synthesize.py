@@ -216,9 +216,7 @@ def _of_task(
         return best_of(joint_strategies(problem, cells, relation, plan, base), plan.effort)
     if relation in ("path", "vertices"):
         if cells is not None or start is not None:
-            raise ValueError(
-                f"`relation`: expected no cells or start with {relation!r}, which needs none; leave out"
-            )
+            raise ValueError(f"`relation`: expected no cells or start with {relation!r}, which needs none; leave out")
         return (along_path if relation == "path" else vertex_grid_certificate)(problem, plan.along_paths)
     if problem.names_time:
         return _in_time(problem, cells, relation, plan, start)

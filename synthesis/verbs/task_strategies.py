@@ -45,7 +45,7 @@ from ..policy_search.portfolio import (
     with_settings,
     work_of,
 )
-from ..policy_search.vertex_values import first_work, refuse_vertex_grid, vertex_grid_certificate
+from ..policy_search.vertex_values import refuse_vertex_grid, vertex_grid_certificate
 from ..relations.grids import CellCounts, RelationRefused, cells_of_agent, fewest_cells
 from ..trajectories.planning import refuse_without_path
 
@@ -113,7 +113,7 @@ def strategies_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], pla
         ends = GOOD if any(np.any(agent.still_axes) for agent in problem.agents) else 0.0
         path = replace(path_strategy(problem, plan), work=0.0, ends=ends)
         on_grids = Strategy("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
-        ways = [vertex_strategy(problem, plan)] if problem.n_agents == 1 else []
+        ways = [vertex_strategy(problem, plan)] if has_varying_noise(problem) else []
         return [path, *ways, on_grids] if plan.paths else [*ways, on_grids]
     return [*_on_grids(problem, kinds, plan), *([path_strategy(problem, plan)] if plan.paths else [])]
 
@@ -156,7 +156,7 @@ def still_problem(problem: Problem) -> Problem:
 def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synthesis]) -> list[Strategy]:
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
-    ways = [vertex_strategy(problem, plan)] if problem.n_agents == 1 else []
+    ways = [vertex_strategy(problem, plan)] if has_varying_noise(problem) else []
     return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS)]
 
 
@@ -211,7 +211,7 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
         levels = _linear(problem, plan, few=problem.n_agents <= FEW_AGENTS or is_scalar(problem))
         # Trees of many terms take long whatever the cells are.
         strategies.append(replace(levels, work=max(levels.work, exact, _tree_work(problem))))
-    if problem.n_agents == 1 and not all(map(reaches_every_mean, problem.agents)):
+    if has_varying_noise(problem):
         strategies.insert(0, vertex_strategy(problem, plan))
     if is_scalar(problem) and problem.n_agents > FEW_AGENTS:
         strategies.append(_doubled(problem, kinds, plan))
@@ -233,6 +233,11 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
     return Strategy("path", lambda results: along_path(problem, plan.along_paths), work, enough=enough, ends=PATH_ENDS)
 
 
+def has_varying_noise(problem: Problem) -> bool:
+    """Return whether the problem is of one agent whose noise has a size that varies, which linear cells do not know."""
+    return problem.n_agents == 1 and problem.agents[0].noise_scale is not None
+
+
 def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
     """Return the way on grids whose vertices have inputs: one agent with few states, noise of any size."""
     try:
@@ -248,10 +253,8 @@ def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
         plan.effort.spent += work.spent
         return found
 
-    # Where a path does well it takes a fraction of the time; under noise of a size that varies it rarely does.
-    if problem.agents[0].noise_scale is not None:
-        return Strategy("vertices", run, 0.0, enough=SOLVED)
-    return Strategy("vertices", run, first_work(problem), enough=SOLVED, after="path")
+    # Where a path does well it takes a fraction of the time.
+    return Strategy("vertices", run, enough=SOLVED, after="path")
 
 
 def _exact(problem: Problem, plan: Plan) -> Strategy:
@@ -333,8 +336,7 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
         return compared(problem, cells, kinds, plan, None if cells or any(written) else results.get("exact"))
 
     def why_not(results: Results) -> str | None:
-        found = None if linear else results.get("vertices")
-        return None if found is None else "skipped: vertices bound values more closely than boxes do"
+        return None if "vertices" not in results else "skipped: vertices bound values more closely than boxes do"
 
     return Strategy("others", run, work, enough=SOLVED if scalar or not linear else GOOD, why_not=why_not)
 

@@ -113,11 +113,6 @@ def _times_of_laws(horizon: int) -> list[int]:
     return times[:-1]
 
 
-def first_work(problem: Problem) -> float:
-    """Return the work of the first grid, in core seconds."""
-    return 1.5 * work_of_grid(problem, FIRST[problem.agents[0].n_states])
-
-
 def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
     """Return the certificate of the best grid that the work allows; RelationRefused where there is none."""
     refuse_vertex_grid(problem)
