@@ -87,7 +87,7 @@ NEAR_PATH = 0.5
 MOST_CELLS_OF_LOST = 100_000
 """Cells of an agent up to which a task that is out of reach has a grid, where no run comes near."""
 
-SHARE_OF_VERTICES = 0.6
+SHARE_OF_VERTICES = 0.9
 """Share of the effort that is left, which grids of vertices may take before others are tried."""
 
 GOOD_CARRIED = 0.5

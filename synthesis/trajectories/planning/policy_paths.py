@@ -127,7 +127,8 @@ def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: fl
         layer = widening_layer(known, _joint(problem, known, run, policies, LOST[-1]))
         why += "" if layer is None else f"; {layer}"
         raise RelationRefused(
-            f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy"
+            f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy, "
+            "as `certigym.baselines.smoothed` and `train --certify` make it"
             + (", or cells (`cells=`)" if all(map(_may_have_cells, policies)) else "")
         )
     return best
