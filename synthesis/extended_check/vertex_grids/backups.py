@@ -302,31 +302,27 @@ class Images:
     ----------
     vertices : d arrays (V, 2 n)
         Means of both hats of all intervals of an axis, from below; a row lacks at most ``lack`` along all axes.
-    masses : d arrays (S, n)
-        Largest probabilities of intervals on the images of cells.
-    first : (d axes, d directions) arrays (S, 3 n + 2)
-        Of features in size: what bounds first derivatives along a direction.
-    second : (d axes, d directions) arrays (S, 4 n + 3)
-        Of kinks upward, and of features in size: what bounds second derivatives along a direction.
-    off : d arrays (S, 3 n + 2)
-        Of features in size: what ``rho`` may cost.
+    planes : d of Planes or Crossed
+        Planes of each axis as seen from the images of cells.
+    moves : (d axes, d directions) of four arrays (S, 1)
+        By how much y and sigma move along the side of a cell, and how far both bend.
+    off : d pairs of arrays (S, 1)
+        What y and sigma may be off by.
     known : (S,) bool
         Cells whose images are known.
     """
 
     vertices: list[Array]
     lack: float
-    masses: list[Array]
-    first: list[list[Array]]
-    second: list[list[Array]]
-    off: list[Array]
+    planes: list[Planes | Crossed]
+    moves: list[list[list[Array]]]
+    off: list[list[Array]]
     known: Truth
 
     @property
     def size(self) -> int:
         """How many numbers it holds."""
-        rows = (*self.first, *self.second)
-        return sum(own.size for own in itertools.chain(self.vertices, self.masses, self.off, *rows))
+        return sum(own.size for own in self.vertices) + sum(own.size for own in self.planes)
 
     @classmethod
     def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noisy: Sequence[bool]) -> Images:
@@ -348,7 +344,7 @@ class Images:
         for k, axis in enumerate(edges):
             inside = ends[0, d + k] > 0.0 if noisy[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
             known &= inside
-        vertices, masses, first, second, beside, lack = [], [], [], [], [], 0.0
+        vertices, seen, moved, beside, lack = [], list[Planes | Crossed](), [], [], 0.0
         for k, axis in enumerate(edges):
             # y and sigma of cells, and how both move in each direction
             y, sigma = (np.where(known, ends[:, j], 1.0) for j in (k, d + k))
@@ -356,16 +352,13 @@ class Images:
                 [np.where(known, own[n, j], 0.0)[:, None] for own in (loop.slopes, loop.bends) for j in (k, d + k)]
                 for n in range(d)
             ]
-            off = [np.where(known, rho[j], 0.0)[:, None] for j in (k, d + k)]
             table, missing = hats_at(loop.centre[k], size[k], axis, noisy[k])
-            planes = Planes.of(y, sigma, axis) if noisy[k] else Crossed.of(y, axis)
             vertices.append(table)
             lack += missing
-            masses.append(planes.mass)
-            first.append([planes.first(*move[:2]) for move in moves])
-            second.append([planes.second(*move) for move in moves])
-            beside.append(planes.first(*off))
-        return cls(vertices, lack, masses, first, second, beside, known)
+            seen.append(Planes.of(y, sigma, axis) if noisy[k] else Crossed.of(y, axis))
+            moved.append(moves)
+            beside.append([np.where(known, rho[j], 0.0)[:, None] for j in (k, d + k)])
+        return cls(vertices, lack, seen, moved, beside, known)
 
     def means(self, W: Array) -> Array:
         """Return means of W around the images of vertices (V,), less what they may be above."""
@@ -389,17 +382,18 @@ class Images:
             size = np.abs(signed) + _along(64.0 * U * largest * grain[i], i, d)
             upward = np.maximum(np.take(signed, range(len(edges[i])), axis=i), 0.0)
             upward = upward + 64.0 * U * largest * grain[i][0]
-            weights = [self.masses[k] for k in others]
+            weights = [self.planes[k].mass for k in others]
             table = np.moveaxis(_largest_ends(np.concatenate([upward, size], axis=i), others), i, -1)
-            bends += contracted(table, weights, [(own,) for own in self.second[i]])
-            always += contracted(table[..., len(edges[i]) :], weights, [(self.off[i],)])[0]
+            bends += contracted(table, weights, [(self.planes[i].second(*own),) for own in self.moves[i]])
+            off = self.planes[i].first(*self.off[i])
+            always += contracted(table[..., len(edges[i]) :], weights, [(off,)])[0]
             for j in range(i + 1, d):
                 both = np.abs(_features(signed, j, edges[j]))
                 both = both + 256.0 * U * largest * _along(grain[i], i, d) * _along(grain[j], j, d)
                 rest = [k for k in others if k != j]
                 table = np.moveaxis(_largest_ends(both, rest), (i, j), (-2, -1))
-                pairs = [(self.first[i][n], self.first[j][n]) for n in range(d)]
-                bends += 2.0 * contracted(table, [self.masses[k] for k in rest], pairs)
+                pairs = [tuple(self.planes[k].first(*self.moves[k][n][:2]) for k in (i, j)) for n in range(d)]
+                bends += 2.0 * contracted(table, [self.planes[k].mass for k in rest], pairs)
         return always * ROUNDED, bends * ROUNDED
 
 
@@ -449,6 +443,11 @@ class Planes:
             powers.append(t**p * rigorous.density_at(t, 4.0)[1] * (1.0 + 2.0**-36))
         return cls(_masses(before, after, least, most), powers, least)
 
+    @property
+    def size(self) -> int:
+        """How many numbers it holds."""
+        return self.mass.size + sum(own.size for own in self.powers)
+
     def first(self, y: Array, sigma: Array) -> Array:
         """Return weights (S, 3 n + 2) of features in size, for first derivatives of y and sigma up to these (S, 1)."""
         phi, tau = self.powers[:2]
@@ -478,6 +477,11 @@ class Crossed:
         """Return what means between ends (2, S) meet."""
         met = (axis <= y[1][:, None]) & (axis >= y[0][:, None])
         return cls(((axis[:-1] <= y[1][:, None]) & (axis[1:] >= y[0][:, None])).astype(float), met.astype(float))
+
+    @property
+    def size(self) -> int:
+        """How many numbers it holds."""
+        return self.mass.size + self.met.size
 
     def first(self, y: Array, sigma: Array) -> Array:
         """Return weights (S, 3 n + 2) of features in size; there are no jumps."""

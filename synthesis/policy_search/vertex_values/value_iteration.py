@@ -43,7 +43,7 @@ FIRST = {1: 60, 2: 900, 3: 1500, 4: 1500}
 FINER, MOST_FINER = 2.5, 20_000
 """How many more vertices the next grid has, and the most."""
 
-ANEW = 1.5
+ANEW = 1.75
 """Inputs are chosen anew when so many times more steps are left than when they were chosen last."""
 
 NO_DIFFERENCE = 1e-11
@@ -212,7 +212,7 @@ class Uncharged(Backups):
             centre, _ = images_at(self.agent, vertices_of(self.edges), inputs, t)
             d, known = len(self.edges), np.ones(int(np.prod(self.shape)), dtype=bool)
             each = zip(centre[:d], np.abs(centre[d:]), self.edges, self.noisy, strict=True)
-            self.images[key] = Images([hats_at(*one)[0] for one in each], 0.0, [], [], [], [], known)
+            self.images[key] = Images([hats_at(*one)[0] for one in each], 0.0, [], [], [], known)
         return self.images[key]
 
     def charge(self, W: FloatArray, images: Images) -> tuple[FloatArray, FloatArray]:
