@@ -74,7 +74,7 @@ def test_formulas_become_markup_without_a_network() -> None:
 
 @pytest.mark.pages
 @pytest.mark.full_search(box_model, common_choices)
-@pytest.mark.parametrize("name", ["linear", "bounds", "boxes"])
+@pytest.mark.parametrize("name", ["bounds", "boxes"])
 def test_worked_examples_print_what_the_page_says(name: str) -> None:
     text = (DOCS / "theory" / f"{name}.md").read_text(encoding="utf-8")
     found = re.search(r"^```python\n(.*?)^```\n\nprints\n\n```text\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)

@@ -8,6 +8,7 @@ ever more rarely: in between they hardly change, and what they lead to is comput
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from typing import Any
 
@@ -40,26 +41,23 @@ MOST_STATES = 4
 FIRST = {1: 60, 2: 900, 3: 1500, 4: 1500}
 """Vertices of the first grid, by the number of states."""
 
-FINER, MOST_FINER = 2.5, 20_000
-"""How many more vertices the next grid has, and the most."""
+FINER_STEPS, MOST_FINER = np.array([2.5, 2.2, 1.9, 1.7, 1.5]), 20_000
+"""How many times as many vertices the next grid has, as the work allows, and the most."""
 
-ANEW = 1.75
+ANEW = 1.35
 """Inputs are chosen anew when so many times more steps are left than when they were chosen last."""
 
 NO_DIFFERENCE = 1e-11
 """Differences of means that count as none, over the whole range of an input."""
 
-WEIGHT, PRODUCT = 7e-7, 1.6e-10
+WEIGHT, PRODUCT = 1.2e-6, 1e-10
 """Work of a weight of a plane or an interval, and of a weight times a number of a table, in core seconds."""
 
-RUNS, QUANTILE, BESIDE = 300, 5e-3, 4.0
+RUNS, QUANTILE, BESIDE = 300, 1e-3, 6.0
 """Runs that say where the next grid has narrow cells, the share of states that may lie beyond, and by how many
 deviations it is wider than that."""
 
-MOST_FINER_AXIS = 2.0
-"""How many more cells an axis may have in the next grid, for what was charged along it."""
-
-ENOUGH = 1e-9
+ENOUGH = 1e-6
 """Failure from which no finer grid is tried."""
 
 WIDE = 1.5
@@ -121,16 +119,15 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
     spreads, vertices = spreads_of(checked), float(FIRST[problem.agents[0].n_states])
     # Coarse values say where runs pass, and nothing is charged there.
     work.count(0.5 * work_of_grid(problem, vertices))
-    finer = np.ones(len(spreads))
-    edges = grid_of(checked, spreads, round(vertices), checked.agents[0].state_box, finer)
+    edges = grid_of(checked, spreads, round(vertices), checked.agents[0].state_box)
     inputs, laws, _ = iterated(Uncharged(checked, edges, jumps_of(checked, edges)))
     best, levels = None, dict[str, float]()
     while True:
         work.count(work_of_grid(problem, vertices))
         window = _visited(checked, edges, inputs, laws, spreads)
-        edges = grid_of(checked, spreads, round(vertices), window, finer)
+        edges = grid_of(checked, spreads, round(vertices), window)
         jumps = jumps_of(checked, edges)
-        steps = Charged(checked, edges, jumps)
+        steps = Backups(checked, edges, jumps)
         try:
             inputs, laws, failure = iterated(steps)
         except KeyboardInterrupt:
@@ -138,15 +135,14 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
                 raise
             work.is_interrupted = True
             break
-        finer = finer * steps.finer()
         levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
         last = 1.0 if best is None else best.failure
         if best is None or failure < best.failure:
             best = VertexProof(edges, inputs, laws, jumps, min(1.0, failure * CLAIMED))
             work.tell(failure)
-        vertices *= FINER
+        vertices = next((v for v in vertices * FINER_STEPS if work.allows(work_of_grid(problem, v))), math.inf)
         slow = last < 1.0 and failure > (1.0 - GAINS) * last
-        if failure < ENOUGH or slow or vertices > MOST_FINER or not work.allows(work_of_grid(problem, vertices)):
+        if failure < ENOUGH or slow or vertices > MOST_FINER:
             break
     if best.failure >= 1.0:
         raise RelationRefused(f"nothing is proved on grids of {', '.join(levels)} cells; ask for more `effort`")
@@ -181,24 +177,6 @@ def iterated(steps: Backups) -> tuple[FloatArray, NDArray[np.int64], float]:
         laws[t] = len(inputs) - 1
         values, given_up = steps.backup(values, given_up, inputs[-1], t)
     return np.stack(inputs), laws, steps.failure(values, given_up)
-
-
-class Charged(Backups):
-    """The checker's backups, which remember what was charged along each axis."""
-
-    charged: Any = 0.0
-
-    def charge(self, W: FloatArray, images: Images) -> tuple[FloatArray, FloatArray]:
-        """Return what is charged, and add it up over all cells."""
-        always, bends = super().charge(W, images)
-        self.charged = self.charged + np.minimum(bends, 1.0).sum(axis=1)
-        return always, bends
-
-    def finer(self) -> FloatArray:
-        """Return how many more cells each axis (d,) should have, as many in all: charges fall with their square."""
-        root = np.sqrt(np.maximum(self.charged, 1e-300))
-        share = root / np.exp(np.log(root).mean())
-        return np.clip(share, 1.0 / MOST_FINER_AXIS, MOST_FINER_AXIS)
 
 
 class Uncharged(Backups):
