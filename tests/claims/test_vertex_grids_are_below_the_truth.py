@@ -14,7 +14,7 @@ from scipy.stats import beta
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical_problem
-from certigym.synthesis.checker import CheckedProblem, read_problem
+from certigym.synthesis.checker import CheckedProblem, Refused, read_problem
 from certigym.synthesis.extended_check.vertex_grids import Backups, Images, backups, failure_of
 from certigym.synthesis.extended_check.vertex_grids.backups import Planes
 from certigym.synthesis.policy_search.vertex_values import value_iteration
@@ -194,7 +194,7 @@ def test_certificates_are_checked_and_stand_rollouts(certificate: cg.Certificate
     assert cg.check(again) and again.lower_bound == certificate.lower_bound
 
 
-@pytest.mark.parametrize("forge", ["failure", "inputs", "edges", "laws"])
+@pytest.mark.parametrize("forge", ["failure", "inputs", "edges", "no number", "laws", "jumps"])
 def test_forgeries_are_refused(certificate: cg.Certificate, forge: str) -> None:
     proof: Any = certificate.proof
     axis = proof.edges[0]
@@ -202,9 +202,20 @@ def test_forgeries_are_refused(certificate: cg.Certificate, forge: str) -> None:
         "failure": {"failure": 0.5 * proof.failure},
         "inputs": {"inputs": 3.0 * proof.inputs + 1.0},
         "edges": {"edges": (np.concatenate([axis[:-1], [axis[-1] + 1.0]]),)},
+        "no number": {"edges": (np.concatenate([axis[:2], [np.nan], axis[3:]]),)},
         "laws": {"laws": proof.laws + 1000},
+        "jumps": {"jumps": ()},
     }[forge]
     assert not cg.check(replace(certificate, proof=replace(proof, **changed)))
+
+
+def test_the_automaton_is_proved_against_the_formula(certificate: cg.Certificate) -> None:
+    proof: Any = certificate.proof
+    problem = read_problem({"problem": canonical_problem(certificate.problem)})
+    always = replace(problem.automaton, accepting=(True,) * len(problem.automaton.accepting))
+    forged = replace(problem, automaton=always)
+    with pytest.raises(Refused, match="not that of the formula"):
+        failure_of(forged, proof.edges, proof.inputs, proof.laws, proof.jumps)
 
 
 def test_more_agents_or_other_noise_are_refused_in_words() -> None:

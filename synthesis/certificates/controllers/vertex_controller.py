@@ -34,9 +34,9 @@ class VertexController(PathController):
 
     information = "own state, automaton state, time"
 
-    edges: tuple[FloatArray, ...] = ()
-    vertex_inputs: FloatArray = None  # type: ignore[assignment]
-    laws: NDArray[np.int64] = None  # type: ignore[assignment]
+    edges: tuple[FloatArray, ...]
+    vertex_inputs: FloatArray
+    laws: NDArray[np.int64]
 
     def __repr__(self) -> str:
         rows = [("cells", [len(axis) - 1 for axis in self.edges]), ("laws", len(self.vertex_inputs))]

@@ -45,6 +45,7 @@ from ..cell_probabilities import AgentRecord
 from .certificate import Certificate
 from .grid_proof import GridProof
 from .path_proof import AgentPath, PathProof
+from .proof import FailureProof
 from .starts_proof import Cut, StartsProof
 
 
@@ -107,9 +108,7 @@ def canonical_bytes(certificate: Certificate, claim: str = "same") -> bytes:
     if not verdict.proved:
         raise ValueError(f"`certificate`: the checker refuses it: {verdict.reason}")
     claimed = (
-        certificate.proof.failure
-        if isinstance(certificate.proof, PathProof | StartsProof)
-        else 1.0 - certificate.lower_bound
+        certificate.proof.failure if isinstance(certificate.proof, FailureProof) else 1.0 - certificate.lower_bound
     )
     # what is no number claims more, too
     if claim == "same" and not verdict.recomputed <= claimed * (1.0 + SLACK) + LEAST:

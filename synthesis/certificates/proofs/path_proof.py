@@ -10,7 +10,6 @@ is computed from the problem.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Self
@@ -32,8 +31,7 @@ from ...relations.kinds import (
 from ..controllers import JointNetworkController, NetworkController, PathController
 from .archive import Pool, Stored
 from .certificate import Certificate
-from .digits import significant_up
-from .proof import Capability, Proof
+from .proof import Capability, FailureProof
 
 GivenPolicy = NetworkPolicy | JointNetworkPolicy | SymbolicPolicy
 """What acts where a policy was given."""
@@ -94,7 +92,7 @@ ONE_RUN = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PathProof(Proof):
+class PathProof(FailureProof):
     """A bound from a start that is known, along a nominal path.
 
     Parameters
@@ -130,24 +128,11 @@ class PathProof(Proof):
     kind = "path"
     unsupported = MappingProxyType({Capability.VALUES: ONE_RUN, Capability.OTHER_STARTS: OTHER_STARTS})
     bound = "path"
-    gap = None
-    rank = 1
-    parts = ()
-
-    @property
-    def about(self) -> dict[str, str]:  # type: ignore[override]
-        """What summaries say of it besides: how it may fail."""
-        return {"failure": f"at most {significant_up(self.failure, 3)}"}
 
     @property
     def n_steps(self) -> int:
         """Number of steps S of the path."""
         return len(self.letters) - 1
-
-    @property
-    def lower_bound(self) -> float:
-        """Certified lower bound on the probability that the task is satisfied, rounded down."""
-        return max(0.0, math.nextafter(1.0 - self.failure, 0.0))
 
     @property
     def method(self) -> str:

@@ -6,6 +6,7 @@ the certificate's, and is handed to it where it is needed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from enum import Enum
 from types import MappingProxyType
@@ -13,7 +14,7 @@ from typing import Any, ClassVar, Self
 
 from ....envs.tasks.problem import Problem
 from .archive import Pool, Stored
-from .digits import shown_bound
+from .digits import shown_bound, significant_up
 from .projection import RunProjection
 
 
@@ -118,3 +119,23 @@ class Proof:
         What the entries say is not trusted: shapes, ranges of indices and numbers are checked before they are used.
         """
         raise NotImplementedError
+
+
+class FailureProof(Proof):
+    """A proof that states an upper bound on the probability of failing, and has no values."""
+
+    failure: Any
+    """Upper bound on the probability that the task is not satisfied."""
+    gap = None
+    rank = 1
+    parts = ()
+
+    @property
+    def about(self) -> dict[str, str]:  # type: ignore[override]
+        """What summaries say of it besides: how it may fail."""
+        return {"failure": f"at most {significant_up(self.failure, 3)}"}
+
+    @property
+    def lower_bound(self) -> float:
+        """Certified lower bound on the probability that the task is satisfied, rounded down."""
+        return max(0.0, math.nextafter(1.0 - self.failure, 0.0))

@@ -17,7 +17,7 @@ from .archive import Pool, Stored
 from .certificate import Certificate
 from .digits import significant_up
 from .path_proof import ONE_RUN, OTHER_STARTS, GivenPolicy, PathProof, networks_in, probability
-from .proof import Capability, Proof
+from .proof import Capability, FailureProof
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ Part = Cut | PathProof | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StartsProof(Proof):
+class StartsProof(FailureProof):
     """A bound from a box of starts, which is cut into cells.
 
     Parameters
@@ -59,22 +59,11 @@ class StartsProof(Proof):
     kind = "starts"
     unsupported = MappingProxyType({Capability.VALUES: ONE_RUN, Capability.OTHER_STARTS: OTHER_STARTS})
     bound = "path"
-    gap = None
-    rank = 1
-    parts = ()
 
     @property
     def about(self) -> dict[str, str]:  # type: ignore[override]
         """What summaries say of it besides."""
-        return {
-            "failure": f"at most {significant_up(self.failure, 3)}",
-            "every start": f"a failure of at most {significant_up(self.worst, 3)}",
-        }
-
-    @property
-    def lower_bound(self) -> float:
-        """Certified lower bound from a start that is drawn uniformly, rounded down."""
-        return max(0.0, math.nextafter(1.0 - self.failure, 0.0))
+        return super().about | {"every start": f"a failure of at most {significant_up(self.worst, 3)}"}
 
     @property
     def least_bound(self) -> float:

@@ -15,13 +15,12 @@ from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
 from ..controllers import VertexController
 from .archive import Pool, Stored
-from .digits import significant_up
 from .path_proof import ONE_RUN, OTHER_STARTS, probability
-from .proof import Capability, Proof
+from .proof import Capability, FailureProof
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class VertexProof(Proof):
+class VertexProof(FailureProof):
     """A bound by value iteration on a grid whose vertices have inputs (docs/theory/vertices.md).
 
     Parameters
@@ -50,19 +49,6 @@ class VertexProof(Proof):
         Capability.OTHER_STARTS: OTHER_STARTS.replace("along a path", "on a grid of vertices"),
     })  # fmt: skip
     bound = "vertex grid"
-    gap = None
-    rank = 1
-    parts = ()
-
-    @property
-    def about(self) -> dict[str, str]:  # type: ignore[override]
-        """What summaries say of it besides: how it may fail."""
-        return {"failure": f"at most {significant_up(self.failure, 3)}"}
-
-    @property
-    def lower_bound(self) -> float:
-        """Certified lower bound on the probability that the task is satisfied, rounded down."""
-        return max(0.0, math.nextafter(1.0 - self.failure, 0.0))
 
     @property
     def method(self) -> str:

@@ -42,9 +42,10 @@ import numpy as np
 from ...checker import CheckedAgent, CheckedProblem, Refused, rigorous
 from ...checker.cells import start_weights
 from ...checker.distributions import NORMAL
+from ...checker.formula import wrong_automaton
 from ...checker.intervals import down, up
 from ...checker.motions import Labels, cell_labels
-from ...checker.rigorous import Array, Truth, U, Whole
+from ...checker.rigorous import Array, Truth, U, Whole, wrong_arithmetic
 from ...checker.tables import normal_table
 from ...checker.tree import finished
 from .closed_loops import ClosedLoop, closed_loop, corners_of, names_time
@@ -62,6 +63,11 @@ def failure_of(
 
     The law of time t is ``inputs[laws[t]]``, inputs (Q, V, m) at the vertices of the cells between ``edges``.
     """
+    # As the small checker does: first the machine, then the automaton against the formula.
+    if wrong := wrong_arithmetic():
+        raise ArithmeticError(f"nothing can be proved on this machine: {wrong}")
+    if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
+        raise Refused(f"the automaton is not that of the formula: {wrong}")
     steps = Backups(problem, edges, jumps)
     if laws.shape != (problem.horizon,) or np.any((laws < 0) | (laws >= len(inputs))):
         raise Refused("it does not say which law acts at every time")
@@ -91,8 +97,15 @@ class Backups:
         used = agent.noise != 0.0
         if np.any(used.sum(axis=1) > 1) or np.any(used.sum(axis=0) > 1):
             raise Refused(f"the noise of `{agent.name}` is not independent along each of its states")
+        if not len(self.edges) == len(self.jumps) == len(agent.states):
+            raise Refused(f"the grid has another number of axes than `{agent.name}` has states")
         for axis in self.edges:
-            if len(axis) < 2 or np.any(np.diff(axis) <= 0.0) or np.abs(axis).max() > FINEST * np.diff(axis).min():
+            # what is no number is smaller than nothing
+            if (
+                len(axis) < 2
+                or not np.all(np.diff(axis) * FINEST >= np.abs(axis).max())
+                or np.any(np.diff(axis) <= 0.0)
+            ):
                 raise Refused("an axis has fewer than two numbers, does not increase, or is too fine")
         low, high = (np.array([axis[k] for axis in self.edges]) for k in (0, -1))
         if not np.array_equal(low, agent.state_box[0]) or not np.array_equal(high, agent.state_box[1]):
@@ -112,6 +125,12 @@ class Backups:
     def noisy(self) -> list[bool]:
         """Which axes have noise."""
         return [bool(row.any()) for row in self.agent.noise]
+
+    def hats(self, centre: Array) -> list[Array]:
+        """Return means (V, 2 n) of both hats of all intervals of each axis around images (2 d, V)."""
+        d = len(self.edges)
+        each = zip(centre[:d], np.abs(centre[d:]), self.edges, self.noisy, strict=True)
+        return [hats_at(*own)[0] for own in each]
 
     def at_end(self) -> tuple[Array, Truth]:
         """Return numbers (Q, n_1 + 1, ..) at vertices at the end, and which cells (Q, n_1, ..) are 0: none."""

@@ -18,16 +18,8 @@ from numpy.typing import NDArray
 from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
 from ...certificates.proofs import Certificate, NotCanonicalError, Synthesis, VertexProof, canonical_problem
-from ...checker import CheckedProblem, Refused, Unreadable, read_problem, value_on
-from ...extended_check.vertex_grids import (
-    Backups,
-    Images,
-    contracted,
-    hats_at,
-    images_at,
-    names_time,
-    vertices_of,
-)
+from ...checker import CheckedProblem, Refused, Unreadable, followed, read_problem, value_on
+from ...extended_check.vertex_grids import Backups, Images, contracted, images_at, names_time, vertices_of
 from ...relations.grids import FloatArray, RelationRefused
 from ...trajectories.planning import CountedWork
 from .axis_edges import grid_of, spreads_of
@@ -188,9 +180,8 @@ class Uncharged(Backups):
         if key not in self.images:
             self.images.clear()
             centre, _ = images_at(self.agent, vertices_of(self.edges), inputs, t)
-            d, known = len(self.edges), np.ones(int(np.prod(self.shape)), dtype=bool)
-            each = zip(centre[:d], np.abs(centre[d:]), self.edges, self.noisy, strict=True)
-            self.images[key] = Images([hats_at(*one)[0] for one in each], 0.0, [], [], [], known)
+            known = np.ones(int(np.prod(self.shape)), dtype=bool)
+            self.images[key] = Images(self.hats(centre), 0.0, [], [], [], known)
         return self.images[key]
 
     def charge(self, W: FloatArray, images: Images) -> tuple[FloatArray, FloatArray]:
@@ -250,13 +241,12 @@ class _Choice:
 
     def _means(self, t: int) -> list[list[FloatArray]]:
         """Return weights of hats (V, 2 n) along every axis, for each input that is tried."""
-        steps, d = self.steps, len(self.at)
+        steps = self.steps
         if self.tables is None or (names_time(steps.agent) and self.tables[0] != t):
             made = []
             for own in self.tried:
                 centre, _ = images_at(steps.agent, self.at, np.repeat(own[None], self.at.shape[1], axis=0), t)
-                each = zip(centre[:d], np.abs(centre[d:]), steps.edges, steps.noisy, strict=True)
-                made.append([hats_at(*one)[0] for one in each])
+                made.append(steps.hats(centre))
             self.tables = t, made
         return self.tables[1]
 
@@ -299,6 +289,6 @@ def _followed(problem: CheckedProblem, q: NDArray[Any], x: FloatArray, t: int) -
     result = q.copy()
     for letter, state in itertools.product(np.unique(held, axis=1).T, np.unique(q)):
         here = (q == state) & np.all(held == letter[:, None], axis=0)
-        if here.any() and not (automaton.is_co_safe and automaton.accepting[state]):
-            (result[here],) = automaton.targets(int(state), dict(enumerate(letter.tolist())))
+        if here.any():
+            (result[here],) = followed(automaton, [int(state)], dict(enumerate(letter.tolist())))
     return result
