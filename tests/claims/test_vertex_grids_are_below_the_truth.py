@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
@@ -54,8 +55,8 @@ def problem_of(name: str, **more: Any) -> cg.Problem:
     return cg.Problem(name="p", agents=[agent], propositions={"goal": goal}, specification="F goal", horizon=6)
 
 
-def on_grid(name: str, seed: int) -> tuple[CheckedProblem, tuple[np.ndarray, ...], np.random.Generator]:
-    problem = read_problem({"problem": canonical_problem(problem_of(name))})
+def on_grid(name: str, seed: int, **more: Any) -> tuple[CheckedProblem, tuple[np.ndarray, ...], np.random.Generator]:
+    problem = read_problem({"problem": canonical_problem(problem_of(name, **more))})
     rng, edges = np.random.default_rng(seed), []
     low, high = problem.agents[0].state_box
     for a, b in zip(low, high, strict=True):
@@ -162,12 +163,83 @@ def test_backups_are_not_much_below_where_cells_are_narrow(name: str) -> None:
 def test_what_is_left_out_is_noticed(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # Sabotage: bends, mixed derivatives, or the letter of axes forgotten; some seed shows it.
     if part == "means":
-        monkeypatch.setattr(Images, "means", lambda self, W: backups.contracted(W, self.vertices) + 1e-3)
+        means = Images.means
+        monkeypatch.setattr(Images, "means", lambda self, W: means(self, W) + 1e-3)
     else:
         whole = getattr(Planes, part)
         monkeypatch.setattr(Planes, part, lambda *arguments: 0.02 * whole(*arguments))
     pairs = [below_and_true("two states", seed, saddle=part == "first") for seed in range(6)]
     assert any(np.any(found > true + 1e-13) for found, true in pairs)
+
+
+@pytest.mark.parametrize("name", ["two states", "two states, noise by state and input", "three states"])
+@pytest.mark.parametrize("deviations", [0.8, 2.0])
+def test_what_is_far_from_images_costs_its_probability(
+    name: str, deviations: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backups, "BEYOND", deviations)
+    monkeypatch.setattr(backups, "BESIDE", 100.0)  # blocks of a few cells
+    pairs = [below_and_true(name, seed) for seed in range(3)]
+    assert all(np.all(found <= true + 1e-13) for found, true in pairs)
+    assert deviations < 1.0 or any(len(found) > 100 for found, _ in pairs)
+
+
+def test_probabilities_beyond_are_noticed_when_they_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Corners see all of W, and what bends is looked for in a box alone.
+    means = backups.Means.of
+    monkeypatch.setattr(backups, "BESIDE", 100.0)
+    monkeypatch.setattr(backups, "_tail_beyond", lambda distance, sigma: np.zeros(len(distance)))
+
+    def from_afar(*arguments: Any) -> Any:
+        with monkeypatch.context() as patch:
+            patch.setattr(backups, "BEYOND", 8.0)
+            return means(*arguments)
+
+    monkeypatch.setattr(backups.Means, "of", from_afar)
+    monkeypatch.setattr(backups, "BEYOND", 0.3)
+    # Nothing but two places far apart, so that means in between are convex.
+    problem, edges, rng = on_grid("two states", 0)
+    steps = Backups(problem, edges, (True, True))
+    W = np.zeros(tuple(2 * n for n in steps.shape))
+    W[(abs(edges[0]) > 0.4).repeat(2)[1:-1]] = 1.0
+    inputs = np.zeros((math.prod(len(axis) for axis in edges), 1))
+    values, nothing = steps.below(W, steps.images_of(inputs, 0))
+    x = np.stack([rng.uniform(axis[0], axis[-1], 40_000) for axis in edges])
+    cells = tuple(np.searchsorted(axis, own, side="right") - 1 for axis, own in zip(edges, x, strict=True))
+    x = x[:, ~nothing[cells]]
+    assert np.any(interpolated(edges, values.reshape(-1, 1), x)[0] > truth(steps, W, inputs, x) + 1e-13)
+
+
+@pytest.mark.parametrize("name", ["two states", "a state without noise", "three states"])
+def test_blocks_change_nothing_but_rounding(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backups, "BEYOND", 8.0)
+    quiet = [0.04 * (std > 0.0) for std in DYNAMICS[name]["noise_std"]]
+    problem, edges, rng = on_grid(name, 5, noise_std=quiet)
+    at, each = np.stack(np.meshgrid(*edges, indexing="ij")).reshape(len(edges), -1), []
+    inputs = np.cos(rng.normal(size=(1, len(at))) @ at).T
+    W = rng.random([2 * (len(axis) - 1) for axis in edges])
+    for beside in (1.0, 1e18):
+        monkeypatch.setattr(backups, "BESIDE", beside)
+        steps = Backups(problem, edges, (True,) * len(edges))
+        images = steps.images_of(inputs, 0)
+        each.append((images.means(W), *images.cost(W, edges), images.known, len(images.blocks)))
+    many, one = each
+    assert many[-1] > 4 and one[-1] == 1 and np.array_equal(many[-2], one[-2]) and many[-2].any()
+    for a, b in zip(many[:2], one[:2], strict=True):
+        assert np.allclose(a, b, rtol=1e-9, atol=1e-9)
+    # kinks are rounded by the width of the narrowest cell that is near
+    assert np.allclose(many[2], one[2], rtol=1e-6, atol=1e-6)
+
+
+def test_tables_of_densities_and_tails_enclose_what_scipy_computes() -> None:
+    t = np.concatenate([np.random.default_rng(0).uniform(0.0, 9.0, 20_000), np.arange(12.0), np.sqrt([1.0, 2.0, 3.0])])
+    place = (t * backups.FINE).astype(int)
+    for p, table in enumerate(backups._densities()):
+        true = t**p * np.exp(-0.5 * t * t) / np.sqrt(2.0 * np.pi)
+        assert np.all(true <= table[place] * (1.0 + 1e-13)) and np.all(table[place] <= true * 1.02 + 1e-3)
+    low, high = backups._tails(t)
+    assert np.all(low <= ndtr(-t) * (1.0 + 1e-12)) and np.all(ndtr(-t) <= high * (1.0 + 1e-12))
+    assert np.all(high - low <= 1e-3) and backups._tails(np.array([50.0]))[0] == 0.0
 
 
 FILE = Path(__file__).parents[2] / "examples" / "own" / "hopper.toml"
@@ -228,17 +300,17 @@ def test_more_agents_or_other_noise_are_refused_in_words() -> None:
 def test_what_was_found_is_returned_at_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
-    def iterated(steps: Backups) -> Any:
+    def iterated(steps: Any, is_coarse: bool = False) -> Any:
         calls.append(steps)
-        if len(calls) == 3:  # a coarse grid, the first one, and the next one, which is broken off
+        if len(calls) == 4:  # two coarse grids, the first one, and the next one, which is broken off
             raise KeyboardInterrupt
-        return found(steps)
+        return found(steps, is_coarse)
 
     found = value_iteration.iterated
     monkeypatch.setattr(value_iteration, "iterated", iterated)
     work = CountedWork(1e3)
     result = value_iteration.vertex_grid_certificate(problem_of("one state, its noise grows with it"), work)
-    assert len(calls) == 3 and work.is_interrupted and cg.check(result.certificate)
+    assert len(calls) == 4 and work.is_interrupted and cg.check(result.certificate)
 
 
 @pytest.mark.thorough

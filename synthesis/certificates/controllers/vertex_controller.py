@@ -26,10 +26,10 @@ class VertexController(PathController):
     paths : ()
     edges : d arrays (n + 1,)
         Edges of cells along each axis, increasing.
-    vertex_inputs : (L, Q, V, m) array
-        Inputs at all vertices, the last axis running fastest, in each automaton state.
-    laws : (T,) int array
-        Which of them acts at each time.
+    vertex_inputs : (L, V, m) array
+        Inputs at all vertices, the last axis running fastest.
+    laws : (T, Q) int array
+        Which of them acts at each time, in each automaton state.
     """
 
     information = "own state, automaton state, time"
@@ -52,8 +52,8 @@ class VertexController(PathController):
 
     def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
         """Return inputs (m, M) at states (d, M), automaton states (M,) and a time, within the input box."""
-        tables = self.vertex_inputs[self.laws[min(time, len(self.laws) - 1)]]
-        result = interpolated(self.edges, tables, states, np.asarray(q))
+        which = self.laws[min(time, len(self.laws) - 1)][np.asarray(q)]
+        result = interpolated(self.edges, self.vertex_inputs, states, which)
         own = self.problem.agents[0]
         return np.clip(result, own.input_low[:, None], own.input_high[:, None])
 
@@ -61,7 +61,7 @@ class VertexController(PathController):
 def interpolated(
     edges: Sequence[FloatArray], tables: FloatArray, states: FloatArray, which: NDArray[Any]
 ) -> FloatArray:
-    """Return multilinear interpolations (m, M) of tables (Q, V, m) at states (d, M), of table ``which`` (M,) each."""
+    """Return multilinear interpolations (m, M) of tables (L, V, m) at states (d, M), of table ``which`` (M,) each."""
     result, shape = np.zeros((tables.shape[2], states.shape[1])), [len(axis) for axis in edges]
     below, shares = list[NDArray[Any]](), list[FloatArray]()
     for axis, x in zip(edges, states, strict=True):

@@ -27,10 +27,10 @@ class VertexProof(FailureProof):
     ----------
     edges : d arrays (n + 1,)
         Edges of cells along each axis, which tile the workspace of the agent.
-    inputs : (L, Q, V, m) array
-        Inputs at vertices, the last axis running fastest, in each automaton state; between them they are interpolated.
-    laws : (T,) int array
-        Which of them acts at each time.
+    inputs : (L, V, m) array
+        Inputs at vertices, the last axis running fastest; between them they are interpolated.
+    laws : (T, Q) int array
+        Which of them acts at each time, in each automaton state.
     jumps : d bools
         Along which axes values may jump from cell to cell; along others they are made continuous.
     failure : float
@@ -82,12 +82,12 @@ class VertexProof(FailureProof):
             for axis in edges
         )
         inputs, laws = stored.numbers(stored.entry["inputs"]), stored.array(stored.entry["laws"])
-        shape = (problem.automaton.n_states, math.prod(len(axis) for axis in edges) if fits else 0, agent.n_inputs)
-        if not fits or inputs.ndim != 4 or inputs.shape[1:] != shape or not np.all(np.isfinite(inputs)):
+        shape = (math.prod(len(axis) for axis in edges) if fits else 0, agent.n_inputs)
+        if not fits or inputs.ndim != 3 or inputs.shape[1:] != shape or not np.all(np.isfinite(inputs)):
             raise ValueError("its inputs do not fit its grid")
-        whole = is_whole(laws, signed=True) and laws.shape == (problem.horizon,)
+        whole = is_whole(laws, signed=True) and laws.shape == (problem.horizon, problem.automaton.n_states)
         if not whole or laws.min() < 0 or laws.max() >= len(inputs):
-            raise ValueError("its laws do not fit the horizon")
+            raise ValueError("its laws do not fit the horizon and the automaton")
         jumps = tuple(stored.entry["jumps"])
         if len(jumps) != agent.n_states or not all(isinstance(own, bool) for own in jumps):
             raise ValueError("it does not say along which axes values may jump")

@@ -33,8 +33,10 @@ that are bounded on the image of the cell. *Proof* and more: docs/theory/vertice
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -54,6 +56,9 @@ FINEST = 1e6  # how many sides of a cell the ends of an axis may be away from 0
 FAR = 38.0  # deviations beyond which densities count as at them
 ROUNDED = 1.0 + 2.0**-26  # more than sums of 2^22 products of numbers of one sign, and their factors, are rounded by
 AT_ONCE, KEPT = 2**22, 4e7  # numbers that are formed at once, and that are kept of images
+FINE = 2048  # intervals of a deviation for which densities and tails are tabled
+BEYOND = 6.8  # deviations of the noise beyond which nothing is looked at, but its probability
+BESIDE = 2e5  # products that a block of points costs beside its own
 
 
 def failure_of(
@@ -61,7 +66,7 @@ def failure_of(
 ) -> float:
     """Return an upper bound on the probability that the task fails; ``Refused`` if none follows.
 
-    The law of time t is ``inputs[laws[t]]``, inputs (Q, V, m) at the vertices of the cells between ``edges``.
+    The law of time t and automaton state q is ``inputs[laws[t, q]]``, inputs (V, m) at vertices of ``edges``.
     """
     # As the small checker does: first the machine, then the automaton against the formula.
     if wrong := wrong_arithmetic():
@@ -69,8 +74,9 @@ def failure_of(
     if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
         raise Refused(f"the automaton is not that of the formula: {wrong}")
     steps = Backups(problem, edges, jumps)
-    if laws.shape != (problem.horizon,) or np.any((laws < 0) | (laws >= len(inputs))):
-        raise Refused("it does not say which law acts at every time")
+    every = problem.horizon, len(problem.automaton.accepting)
+    if laws.shape != every or np.any((laws < 0) | (laws >= len(inputs))):
+        raise Refused("it does not say which law acts at every time and in every automaton state")
     values, given_up = steps.at_end()
     for t in range(problem.horizon - 1, -1, -1):
         values, given_up = steps.backup(values, given_up, inputs[laws[t]], t)
@@ -126,12 +132,6 @@ class Backups:
         """Which axes have noise."""
         return [bool(row.any()) for row in self.agent.noise]
 
-    def hats(self, centre: Array) -> list[Array]:
-        """Return means (V, 2 n) of both hats of all intervals of each axis around images (2 d, V)."""
-        d = len(self.edges)
-        each = zip(centre[:d], np.abs(centre[d:]), self.edges, self.noisy, strict=True)
-        return [hats_at(*own)[0] for own in each]
-
     def at_end(self) -> tuple[Array, Truth]:
         """Return numbers (Q, n_1 + 1, ..) at vertices at the end, and which cells (Q, n_1, ..) are 0: none."""
         accepting = np.array(self.problem.automaton.accepting)
@@ -164,8 +164,12 @@ class Backups:
                 raise Refused("an input at a vertex is outside its box")
             if sum(own.size for own in self.images.values()) > KEPT:
                 self.images.clear()
-            self.images[key] = Images.of(closed_loop(self.agent, self.edges, inputs, t), self.edges, self.noisy)
+            self.images[key] = self.image_of(inputs, t)
         return self.images[key]
+
+    def image_of(self, inputs: Array, t: int) -> Images:
+        """Return where inputs (V, m) lead at a time."""
+        return Images.of(closed_loop(self.agent, self.edges, inputs, t), self.edges, self.noisy)
 
     def after_letter(self, values: Array, given_up: Truth, q: int, t: int) -> Array:
         """Return V in the state that the letter of a time leads q to: numbers (2 n_1, ..) at both ends of intervals.
@@ -313,40 +317,156 @@ def _product(weights: Array, tables: Array) -> Array:
     return np.asarray((weights[:, None] @ tables)[:, 0])
 
 
+def blocks_of(first: Whole, last: Whole) -> Iterator[tuple[Whole, tuple[slice, ...]]]:
+    """Yield blocks of a grid of points that need the intervals ``first <= s < last`` (d, n_1, ..) of each axis.
+
+    They are the places of its points, and along each axis the intervals that all of them need. A block is cut in two
+    where that saves most, as long as it saves a fifth of the products; points that need none are in no block.
+    """
+    d, places = len(first), np.arange(first[0].size).reshape(first.shape[1:])
+
+    def windows(block: tuple[slice, ...]) -> list[slice]:
+        here = (slice(None), *block)
+        ends = first[here].reshape(d, -1).min(axis=1), last[here].reshape(d, -1).max(axis=1)
+        return [slice(int(a), int(b)) for a, b in zip(*ends, strict=True)]
+
+    def products(block: tuple[slice, ...]) -> float:
+        sides = [2.0 * max(0, own.stop - own.start) for own in windows(block)]
+        return BESIDE + math.prod(own.stop - own.start for own in block) * math.prod(sides)
+
+    whole: tuple[int, ...] = places.shape
+    waiting = [tuple(slice(0, count) for count in whole)]
+    while waiting:
+        block = waiting.pop()
+        halves = []
+        for k, own in enumerate(block):
+            if own.stop - own.start > 1:
+                middle = (own.start + own.stop) // 2
+                sides = slice(own.start, middle), slice(middle, own.stop)
+                halves.append([(*block[:k], side, *block[k + 1 :]) for side in sides])
+        best = min(halves, key=lambda pair: sum(map(products, pair)), default=[])
+        if best and sum(map(products, best)) < 0.8 * products(block):
+            waiting += best
+        elif all(own.start < own.stop for own in windows(block)):
+            yield places[block].ravel(), tuple(windows(block))
+
+
+def _reached(low: Array, high: Array, axis: Array) -> tuple[Whole, Whole]:
+    """Return the first interval that meets ``low .. high``, ends included, and the one after the last."""
+    first = np.clip(np.searchsorted(axis, low, side="left") - 1, 0, len(axis) - 2)
+    return first, np.clip(np.searchsorted(axis, high, side="right"), first + 1, len(axis) - 1)
+
+
+def _part(W: Array, windows: tuple[slice, ...]) -> Array:
+    return W[tuple(slice(2 * own.start, 2 * own.stop) for own in windows)]
+
+
+@dataclass(frozen=True, eq=False)
+class Means:
+    """Weights of means around points, by blocks of them: what is more than ``BEYOND`` deviations away is left out.
+
+    Attributes
+    ----------
+    blocks : list of (places, windows, d arrays (M, 2 n))
+        Means of both hats of the intervals of each axis that are near, from below.
+    lack, count : float, int
+        What a row lacks at most along all axes, and how many numbers rows have.
+    """
+
+    blocks: list[tuple[Whole, tuple[slice, ...], list[Array]]]
+    lack: float
+    count: int
+
+    @classmethod
+    def of(cls, centre: Array, edges: tuple[Array, ...], noisy: Sequence[bool]) -> Means:
+        """Return weights around images (2 d, V) of the vertices of a grid, means first; what is not known has none."""
+        d, shape = len(edges), tuple(len(axis) for axis in edges)
+        known, size = np.all(np.isfinite(centre), axis=0), np.abs(centre[d:])
+        first, last, each = [], [], []
+        for k, axis in enumerate(edges):
+            y = np.where(known, centre[k], axis[0])
+            away = BEYOND * np.where(known, size[k], 0.0) * noisy[k]
+            start, stop = _reached(y - away, y + away, axis)
+            first.append(np.where(known, start, len(axis)).reshape(shape))
+            last.append(np.where(known, stop, 0).reshape(shape))
+        lack, count = 0.0, 0
+        for places, windows in blocks_of(np.stack(first), np.stack(last)):
+            some = places[known[places]]
+            weights = list[Array]()
+            missing = 0.0
+            for k, own in enumerate(windows):
+                table, off = hats_at(centre[k, some], size[k, some], edges[k][own.start : own.stop + 1], noisy[k])
+                weights.append(table)
+                missing += off
+            each.append((some, windows, weights))
+            lack, count = max(lack, missing), max(count, sum(table.shape[1] for table in weights))
+        return cls(each, lack, count)
+
+    @property
+    def size(self) -> int:
+        """How many numbers it holds."""
+        return sum(table.size for _, _, weights in self.blocks for table in weights)
+
+    @property
+    def products(self) -> float:
+        """How many products a mean around all points takes."""
+        return sum(len(places) * math.prod(own.shape[1] for own in weights) for places, _, weights in self.blocks)
+
+    def around(self, W: Array, n: int) -> Array:
+        """Return means of W, which is not negative, around n points (n,)."""
+        result = np.zeros(n)
+        for places, windows, weights in self.blocks:
+            result[places] = contracted(_part(W, windows), weights)
+        return result
+
+
 @dataclass(frozen=True, eq=False)
 class Images:
     """Where a closed loop leads: weights of means at vertices, and bounds on weights on the images of cells.
 
+    **Lemma.** Let G be the mean of W where the next state is in a box, and else 0. F is at least G, and at most ``max W
+    * P(outside)`` above it. So what is below F at corners, less that, is below G, and G bends by the features of W in
+    the box, and by its jumps to 0 beyond: cells look at what is near. QED
+
     Attributes
     ----------
-    vertices : d arrays (V, 2 n)
-        Means of both hats of all intervals of an axis, from below; a row lacks at most ``lack`` along all axes.
-    planes : d of Planes or Crossed
-        Planes of each axis as seen from the images of cells.
+    vertices : Means
+        Of W around the images of vertices.
+    blocks : list of (places, windows, d of Planes or Crossed)
+        Cells of each block, intervals that are near their images, and planes of each axis as seen from these.
     moves : (d axes, d directions) of four arrays (S, 1)
         By how much y and sigma move along the side of a cell, and how far both bend.
     off : d pairs of arrays (S, 1)
         What y and sigma may be off by.
+    beyond : (S,)
+        Upper bounds on the probability of what is not near.
     known : (S,) bool
         Cells whose images are known.
     """
 
-    vertices: list[Array]
-    lack: float
-    planes: list[Planes | Crossed]
+    vertices: Means
+    blocks: list[tuple[Whole, tuple[slice, ...], list[Planes | Crossed]]]
     moves: list[list[list[Array]]]
     off: list[list[Array]]
+    beyond: Array
     known: Truth
 
     @property
     def size(self) -> int:
         """How many numbers it holds."""
-        return sum(own.size for own in self.vertices) + sum(own.size for own in self.planes)
+        return self.vertices.size + sum(own.size for _, _, planes in self.blocks for own in planes)
+
+    @property
+    def products(self) -> float:
+        """How many pairs of a cell and of another one near its image there are."""
+        return sum(
+            len(places) * math.prod(own.stop - own.start for own in windows) for places, windows, _ in self.blocks
+        )
 
     @classmethod
     def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noisy: Sequence[bool]) -> Images:
         """Return the images of a closed loop."""
-        d = len(edges)
+        d, cells = len(edges), tuple(len(axis) - 1 for axis in edges)
         # Sizes may have either sign: normal noise has none.
         ends, size = loop.ends.copy(), np.abs(loop.centre[d:])
         ends[:, d:] = np.where(ends[0, d:] < 0.0, -ends[::-1, d:], ends[:, d:])
@@ -363,57 +483,90 @@ class Images:
         for k, axis in enumerate(edges):
             inside = ends[0, d + k] > 0.0 if noisy[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
             known &= inside
-        vertices, seen, moved, beside, lack = [], list[Planes | Crossed](), [], [], 0.0
+        ends = np.where(known, ends, 1.0)
+        moved, off, first, last = [], [], [], []
         for k, axis in enumerate(edges):
             # y and sigma of cells, and how both move in each direction
-            y, sigma = (np.where(known, ends[:, j], 1.0) for j in (k, d + k))
             moves = [
                 [np.where(known, own[n, j], 0.0)[:, None] for own in (loop.slopes, loop.bends) for j in (k, d + k)]
                 for n in range(d)
             ]
-            table, missing = hats_at(loop.centre[k], size[k], axis, noisy[k])
-            vertices.append(table)
-            lack += missing
-            seen.append(Planes.of(y, sigma, axis) if noisy[k] else Crossed.of(y, axis))
             moved.append(moves)
-            beside.append([np.where(known, rho[j], 0.0)[:, None] for j in (k, d + k)])
-        return cls(vertices, lack, seen, moved, beside, known)
+            off.append([np.where(known, rho[j], 0.0)[:, None] for j in (k, d + k)])
+            away = BEYOND * ends[1, d + k] * noisy[k]
+            start, stop = _reached(ends[0, k] - away, ends[1, k] + away, axis)
+            first.append(np.where(known, start, len(axis)).reshape(cells))
+            last.append(np.where(known, stop, 0).reshape(cells))
+        blocks, beyond = list[tuple[Whole, tuple[slice, ...], list[Planes | Crossed]]](), np.zeros(len(known))
+        for places, windows in blocks_of(np.stack(first), np.stack(last)):
+            some, seen = places[known[places]], list[Planes | Crossed]()
+            for k, own in enumerate(windows):
+                y, sigma = ends[:, k, some], ends[:, d + k, some]
+                axis = edges[k][own.start : own.stop + 1]
+                seen.append(Planes.of(y, sigma, axis) if noisy[k] else Crossed.of(y, axis))
+                if noisy[k] and own.start > 0:
+                    beyond[some] += _tail_beyond(y[0] - axis[0], sigma[1])
+                if noisy[k] and own.stop < cells[k]:
+                    beyond[some] += _tail_beyond(axis[-1] - y[1], sigma[1])
+            blocks.append((some, windows, seen))
+        return cls(Means.of(loop.centre, edges, noisy), blocks, moved, off, beyond, known)
 
     def means(self, W: Array) -> Array:
         """Return means of W around the images of vertices (V,), less what they may be above."""
-        count = sum(table.shape[1] for table in self.vertices)
-        off = 1.01 * self.lack + 4.0 * U * (count + 8.0) * 2 ** len(self.vertices)
-        return contracted(W, self.vertices) - float(np.abs(W).max()) * off
+        n = math.prod(k // 2 + 1 for k in W.shape)
+        off = 1.01 * self.vertices.lack + 4.0 * U * (self.vertices.count + 8.0) * 2**W.ndim
+        return self.vertices.around(W, n) - float(np.abs(W).max()) * off
 
     def cost(self, W: Array, edges: tuple[Array, ...]) -> tuple[Array, Array]:
-        """Return what ``rho`` may cost on each cell (S,), and bounds on second derivatives of F along axes (d, S)."""
+        """Return what ``rho`` and what is far may cost on each cell (S,), and bounds on second derivatives (d, S)."""
         d, largest = W.ndim, float(np.abs(W).max())
-        # What each feature is rounded by, as a share of the largest number.
-        grain = [
-            np.repeat(
-                [4.0 / np.diff(axis).min(), 2.0, 2.0 / np.diff(axis).min()], [len(axis), len(axis), len(axis) - 1]
-            )
-            for axis in edges
-        ]
         always, bends = np.zeros(len(self.known)), np.zeros((d, len(self.known)))
-        for i in range(d):
-            signed, others = _features(W, i, edges[i]), [k for k in range(d) if k != i]
-            size = np.abs(signed) + _along(64.0 * U * largest * grain[i], i, d)
-            upward = np.maximum(np.take(signed, range(len(edges[i])), axis=i), 0.0)
-            upward = upward + 64.0 * U * largest * grain[i][0]
-            weights = [self.planes[k].mass for k in others]
-            table = np.moveaxis(_largest_ends(np.concatenate([upward, size], axis=i), others), i, -1)
-            bends += contracted(table, weights, [(self.planes[i].second(*own),) for own in self.moves[i]])
-            off = self.planes[i].first(*self.off[i])
-            always += contracted(table[..., len(edges[i]) :], weights, [(off,)])[0]
-            for j in range(i + 1, d):
-                both = np.abs(_features(signed, j, edges[j]))
-                both = both + 256.0 * U * largest * _along(grain[i], i, d) * _along(grain[j], j, d)
-                rest = [k for k in others if k != j]
-                table = np.moveaxis(_largest_ends(both, rest), (i, j), (-2, -1))
-                pairs = [tuple(self.planes[k].first(*self.moves[k][n][:2]) for k in (i, j)) for n in range(d)]
-                bends += 2.0 * contracted(table, [self.planes[k].mass for k in rest], pairs)
-        return always * ROUNDED, bends * ROUNDED
+        for places, windows, planes in self.blocks:
+            near = [axis[own.start : own.stop + 1] for axis, own in zip(edges, windows, strict=True)]
+            moves = [[[own[places] for own in each] for each in axis] for axis in self.moves]
+            off = [[own[places] for own in axis] for axis in self.off]
+            always[places], bends[:, places] = _cost(_part(W, windows), near, planes, moves, off, largest)
+        return (always + largest * self.beyond) * ROUNDED, bends * ROUNDED
+
+
+def _tail_beyond(distance: Array, sigma: Array) -> Array:
+    """Return upper bounds on the probability that noise of this size is larger than a distance."""
+    return np.asarray(rigorous.tail(np.maximum(distance, 0.0) / sigma * (1.0 - 4.0 * U))[1])
+
+
+def _cost(
+    W: Array,
+    edges: Sequence[Array],
+    planes: Sequence[Planes | Crossed],
+    moves: Sequence[Sequence[Sequence[Array]]],
+    off: Sequence[Sequence[Array]],
+    largest: float,
+) -> tuple[Array, Array]:
+    """Return what ``off`` may cost (M,), and second derivatives along each axis (d, M), for the cells of a block."""
+    # What each feature is rounded by, as a share of the largest number.
+    grain = [
+        np.repeat([4.0 / np.diff(axis).min(), 2.0, 2.0 / np.diff(axis).min()], [len(axis), len(axis), len(axis) - 1])
+        for axis in edges
+    ]
+    d, n = W.ndim, len(off[0][0])
+    always, bends = np.zeros(n), np.zeros((d, n))
+    for i in range(d):
+        signed, others = _features(W, i, edges[i]), [k for k in range(d) if k != i]
+        size = np.abs(signed) + _along(64.0 * U * largest * grain[i], i, d)
+        upward = np.maximum(np.take(signed, range(len(edges[i])), axis=i), 0.0)
+        upward = upward + 64.0 * U * largest * grain[i][0]
+        weights = [planes[k].mass for k in others]
+        table = np.moveaxis(_largest_ends(np.concatenate([upward, size], axis=i), others), i, -1)
+        bends += contracted(table, weights, [(planes[i].second(*own),) for own in moves[i]])
+        always += contracted(table[..., len(edges[i]) :], weights, [(planes[i].first(*off[i]),)])[0]
+        for j in range(i + 1, d):
+            both = np.abs(_features(signed, j, edges[j]))
+            both = both + 256.0 * U * largest * _along(grain[i], i, d) * _along(grain[j], j, d)
+            rest = [k for k in others if k != j]
+            table = np.moveaxis(_largest_ends(both, rest), (i, j), (-2, -1))
+            pairs = [tuple(planes[k].first(*moves[k][m][:2]) for k in (i, j)) for m in range(d)]
+            bends += 2.0 * contracted(table, [planes[k].mass for k in rest], pairs)
+    return always, bends
 
 
 def _along(numbers: Array, k: int, d: int) -> Array:
@@ -455,11 +608,11 @@ class Planes:
         before, after = down(axis - high), up(axis - low)
         near = np.maximum(np.maximum(before, -after), 0.0) / most * (1.0 - 4.0 * U)
         far = np.maximum(np.abs(before), np.abs(after)) / least * (1.0 + 4.0 * U)
-        powers = []
+        table, powers = _densities(), []
         for p in range(4):
             # t^p phi(t) rises up to the root of p, and falls after it
             t = np.minimum(np.clip(np.sqrt(p), near, np.maximum(near, far)), FAR)
-            powers.append(t**p * rigorous.density_at(t, 4.0)[1] * (1.0 + 2.0**-36))
+            powers.append(table[p][(t * FINE).astype(np.int64)])
         return cls(_masses(before, after, least, most), powers, least)
 
     @property
@@ -520,6 +673,29 @@ def _masses(before: Array, after: Array, least: Array, most: Array) -> Array:
     z = np.where(z > 0.0, z / most, z / least)
     # tails at both ends, rounded outward; of the same side where both ends are on it
     x, z = x + 4.0 * U * np.abs(x), z - 4.0 * U * np.abs(z)
-    (x_low, x_high), (z_low, z_high) = rigorous.tail(np.abs(x)), rigorous.tail(np.abs(z))
+    (x_low, x_high), (z_low, z_high) = _tails(np.abs(x)), _tails(np.abs(z))
     mass = np.select([z >= 0.0, x <= 0.0], [z_high - x_low, x_high - z_low], 1.0 - x_low - z_low)
     return np.clip(mass + 4.0 * U, 0.0, 1.0)
+
+
+@cache
+def _densities() -> Array:
+    """Return upper bounds (4, n) on ``t^p phi(t)``, p = 0 .. 3, from each multiple of 1 / FINE to the next, to FAR."""
+    t = np.arange(math.ceil(FAR * FINE) + 1) / FINE
+    best = [np.clip(np.sqrt(p), t, t + 1.0 / FINE) for p in range(4)]
+    return np.stack([own**p * rigorous.density_at(own, 4.0)[1] * (1.0 + 2.0**-36) for p, own in enumerate(best)])
+
+
+@cache
+def _tail_table() -> tuple[Array, Array]:
+    t = np.arange(math.ceil(FAR * FINE) + 2) / FINE
+    low, high = rigorous.tail(t)
+    # from t to the next one: below at its end, above at its beginning
+    return low[1:], high[:-1]
+
+
+def _tails(t: Array) -> tuple[Array, Array]:
+    """Return bounds on the probability that normal noise is larger than t deviations, t >= 0."""
+    place = (np.minimum(t, FAR) * FINE).astype(np.int64)
+    low, high = _tail_table()
+    return np.where(t > FAR, 0.0, low[place]), high[place]

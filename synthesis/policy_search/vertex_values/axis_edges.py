@@ -16,7 +16,7 @@ SAMPLES, PIECES = 512, 400
 FEWEST = 4
 """Cells of an axis at least."""
 
-OUTSIDE = 0.6
+OUTSIDE = 0.1
 """How dense cells are where no run came, as a share of how dense they are elsewhere."""
 
 NEAREST = 0.35
@@ -53,15 +53,22 @@ def spreads_of(problem: CheckedProblem) -> FloatArray:
     return np.maximum(np.nan_to_num(result), least)
 
 
-def grid_of(problem: CheckedProblem, spreads: FloatArray, vertices: int, window: FloatArray) -> tuple[FloatArray, ...]:
-    """Return edges of about so many vertices, most of them in a window (2, d) of states."""
+def grid_of(
+    problem: CheckedProblem,
+    spreads: FloatArray,
+    vertices: int,
+    window: FloatArray,
+    finer: FloatArray | float = 1.0,
+) -> tuple[FloatArray, ...]:
+    """Return edges of about so many vertices, most of them in a window (2, d), ``finer`` (d,) along some axes."""
     agent = problem.agents[0]
     (low, high), d = agent.state_box, len(agent.states)
     density = 1.0 / spreads
     for k in range(d):
         middles = low[k] + (high[k] - low[k]) * (np.arange(PIECES) + 0.5) / PIECES
         density[k] *= np.where((middles >= window[0, k]) & (middles <= window[1, k]), 1.0, OUTSIDE)
-    lengths = density.sum(axis=1) * (high - low) / PIECES  # cells of an axis, one for each deviation
+    # cells of an axis, one for each deviation
+    lengths = finer * density.sum(axis=1) * (high - low) / PIECES
     # As many cells per deviation along every axis, unless one has too few already.
     counts, free = np.full(d, float(FEWEST)), list(range(d))
     while free:

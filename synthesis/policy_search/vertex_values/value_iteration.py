@@ -1,8 +1,11 @@
-"""Value iteration: at every vertex the input whose mean value is largest, and values by the checker's own backup.
+"""Value iteration: at every vertex a good input that is much like its neighbours', and values by the checker's backup.
 
-Means are quadratic near the best of some inputs, whose place is read off a parabola. Where inputs make no difference
-they stay as they are one step later, so that neighbours agree. Inputs are chosen anew at some times before the end,
-ever more rarely: in between they hardly change, and what they lead to is computed once.
+Inputs are chosen for values that nothing is taken off from. Bounds themselves are no guide: where they are low for what
+is charged, inputs would lead away on either side, and between both sides more is charged.
+
+What is charged grows with the square of how far inputs of neighbours move the next state, in deviations of the noise.
+So inputs maximise mean values less such squares. They stay as they are one step later where that loses little: what
+they lead to is computed once.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,35 +23,59 @@ from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
 from ...certificates.proofs import Certificate, NotCanonicalError, Synthesis, VertexProof, canonical_problem
 from ...checker import CheckedProblem, Refused, Unreadable, followed, read_problem, value_on
-from ...extended_check.vertex_grids import Backups, Images, contracted, images_at, names_time, vertices_of
+from ...extended_check.vertex_grids import Backups, Images, corners_of, hats_at, images_at, names_time, vertices_of
 from ...relations.grids import FloatArray, RelationRefused
 from ...trajectories.planning import CountedWork
 from .axis_edges import grid_of, spreads_of
 
 INPUTS = {1: 9, 2: 5, 3: 3}
-"""Values of each input that are tried, by the number of inputs."""
+"""Values of each input that are tried, by the number of inputs; between them means are interpolated."""
+
+APART = 0.1
+"""What inputs of neighbours cost that lead one deviation of the noise apart: the square of it, in probability."""
+
+SWEEPS = 20
+"""How often inputs are adjusted to those of their neighbours."""
+
+FINE_SIZES = 0.4
+"""Logarithm of the ratio of sizes of the noise between which means are interpolated, at most."""
+
+FINE_CELLS = 0.7
+"""Deviations that cells are wide at least where means are interpolated between the middle of a cell and its ends."""
+
+READ = 1.1e-6
+"""Work of a mean that is read, in core seconds."""
+
+SAME = 5e-3
+"""Inputs stay as they are one step later where new ones take off at most this share of the failure at any vertex."""
 
 MOST_STATES = 4
 """States up to which there is such a grid."""
 
-FIRST = {1: 60, 2: 900, 3: 1500, 4: 1500}
+FIRST = {1: 60, 2: 400, 3: 1200, 4: 2000}
 """Vertices of the first grid, by the number of states."""
 
-FINER_STEPS, MOST_FINER = np.array([2.5, 2.2, 1.9, 1.7, 1.5]), 20_000
-"""How many times as many vertices the next grid has, as the work allows, and the most."""
-
-ANEW = 1.35
-"""Inputs are chosen anew when so many times more steps are left than when they were chosen last."""
+FINER_STEPS, MOST_FINER, POOR = np.array([5.0, 4.2, 3.5, 3.0, 2.5, 2.2, 1.9, 1.7, 1.5]), 30_000, 0.03
+"""How many times as many vertices the next grid has, as the work allows: the most, and 2.5 below a failure of POOR."""
 
 NO_DIFFERENCE = 1e-11
-"""Differences of means that count as none, over the whole range of an input."""
+"""Differences of means that count as none."""
 
-WEIGHT, PRODUCT = 1.2e-6, 1e-10
+GROWS = 1.45
+"""Power of the number of vertices with which work grows, about."""
+
+WEIGHT, PRODUCT = 8e-8, 3.5e-10
 """Work of a weight of a plane or an interval, and of a weight times a number of a table, in core seconds."""
 
 RUNS, QUANTILE, BESIDE = 300, 1e-3, 6.0
 """Runs that say where the next grid has narrow cells, the share of states that may lie beyond, and by how many
 deviations it is wider than that."""
+
+COARSE = 1.0, 2.5
+"""How many times as many vertices as the first grid coarse ones have."""
+
+MOST_ADJUSTED = 0.5, 2.0
+"""By how much the share of cells of an axis changes from one grid to the next, at most."""
 
 ENOUGH = 1e-6
 """Failure from which no finer grid is tried."""
@@ -83,24 +111,9 @@ def refuse_vertex_grid(problem: Problem) -> None:
         raise RelationRefused(f"the noise is small: {cells:.2g} cells of a grid would be as wide as it")
 
 
-def work_of_grid(problem: Problem, vertices: float) -> float:
-    """Return the work of a grid with so many vertices, in core seconds (see ``Effort``)."""
-    agent, T = problem.agents[0], problem.horizon
-    d, tried = agent.n_states, INPUTS.get(agent.n_inputs, 1) ** agent.n_inputs
-    alive = int((~problem.automaton.absorbing).sum())
-    laws = T if problem.names_time else len(_times_of_laws(T))
-    # Weights of planes and intervals, and products of them with tables.
-    weights = (laws * alive + tried * (laws if problem.names_time else 1)) * d * vertices ** (1.0 + 1.0 / d)
-    products = alive * (laws * tried * 2.0**d + T * (2.0**d + 4.0 * d + 4.5 * d * (d - 1))) * vertices**2
-    return float(WEIGHT * weights + PRODUCT * products)
-
-
-def _times_of_laws(horizon: int) -> list[int]:
-    """Return the numbers of steps that are left when inputs are chosen anew."""
-    times = [0]
-    while times[-1] < horizon:
-        times.append(max(times[-1] + 1, round(ANEW * times[-1])))
-    return times[:-1]
+def _per_cell(d: int) -> float:
+    """Return products of a cell with another one: its mean and all that F may bend."""
+    return 2.0**d * (1.0 + 4.0 * d + 4.5 * d * (d - 1))
 
 
 def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
@@ -110,16 +123,19 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
     checked = read_problem({"problem": canonical_problem(problem)})
     spreads, vertices = spreads_of(checked), float(FIRST[problem.agents[0].n_states])
     # Coarse values say where runs pass, and nothing is charged there.
-    work.count(0.5 * work_of_grid(problem, vertices))
-    edges = grid_of(checked, spreads, round(vertices), checked.agents[0].state_box)
-    inputs, laws, _ = iterated(Uncharged(checked, edges, jumps_of(checked, edges)))
+    alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
+    window, finer = alive, np.ones(len(spreads))
+    for more in COARSE:
+        edges = grid_of(checked, spreads, round(vertices * more), window)
+        coarse = Counted(checked, edges, jumps_of(checked, edges))
+        inputs, laws, _ = iterated(coarse, is_coarse=True)
+        work.count(coarse.spent)
+        window = _within(alive, _visited(checked, edges, inputs, laws, spreads))
     best, levels = None, dict[str, float]()
     while True:
-        work.count(work_of_grid(problem, vertices))
-        window = _visited(checked, edges, inputs, laws, spreads)
-        edges = grid_of(checked, spreads, round(vertices), window)
+        edges = grid_of(checked, spreads, round(vertices), window, finer)
         jumps = jumps_of(checked, edges)
-        steps = Backups(checked, edges, jumps)
+        steps = Counted(checked, edges, jumps)
         try:
             inputs, laws, failure = iterated(steps)
         except KeyboardInterrupt:
@@ -127,12 +143,17 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
                 raise
             work.is_interrupted = True
             break
+        work.count(steps.spent)
         levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
+        # Axes along which more is charged get more cells: what is charged falls with the square of their number.
+        finer *= np.clip(np.sqrt(steps.bent / np.exp(np.log(steps.bent).mean())), *MOST_ADJUSTED)
+        window = _within(alive, _visited(checked, edges, inputs, laws, spreads))
         last = 1.0 if best is None else best.failure
         if best is None or failure < best.failure:
             best = VertexProof(edges, inputs, laws, jumps, min(1.0, failure * CLAIMED))
             work.tell(failure)
-        vertices = next((v for v in vertices * FINER_STEPS if work.allows(work_of_grid(problem, v))), math.inf)
+        finer_steps = FINER_STEPS if failure > POOR else FINER_STEPS[FINER_STEPS <= 2.5]
+        vertices *= float(next((own for own in finer_steps if work.allows(steps.spent * own**GROWS)), math.inf))
         slow = last < 1.0 and failure > (1.0 - GAINS) * last
         if failure < ENOUGH or slow or vertices > MOST_FINER:
             break
@@ -156,99 +177,212 @@ def jumps_of(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> tuple[bo
     )
 
 
-def iterated(steps: Backups) -> tuple[FloatArray, NDArray[np.int64], float]:
-    """Return inputs (L, Q, V, m), which of them at what time (T,), and the failure that the checker computes."""
-    problem, agent = steps.problem, steps.agent
-    choice = _Choice(steps)
-    values, given_up = steps.at_end()
-    laws, inputs = np.zeros(problem.horizon, dtype=np.int64), list[FloatArray]()
-    anew, timed = {*_times_of_laws(problem.horizon)}, names_time(agent)
+def iterated(steps: Counted, is_coarse: bool = False) -> tuple[FloatArray, NDArray[np.int64], float]:
+    """Return tables of inputs (L, V, m), which one acts at what time and automaton state (T, Q), and the failure.
+
+    ``is_coarse``: nothing is charged, and the failure is an estimate.
+    """
+    problem, choice = steps.problem, _Choice(steps)
+    bounds, given_up = steps.at_end()
+    values, nowhere = steps.at_end()
+    inputs = np.repeat(choice.middle[None], len(values), axis=0)
+    numbers, laws = dict[bytes, int](), np.zeros((problem.horizon, len(values)), dtype=np.int64)
+    tables = list[FloatArray]()
     for t in range(problem.horizon - 1, -1, -1):
-        if problem.horizon - 1 - t in anew or timed:
-            inputs.append(choice.of(values, given_up, t, inputs[-1] if inputs else None))
-        laws[t] = len(inputs) - 1
-        values, given_up = steps.backup(values, given_up, inputs[-1], t)
-    return np.stack(inputs), laws, steps.failure(values, given_up)
+        inputs, values = choice.of(values, t, inputs)
+        for q, own in enumerate(inputs):
+            laws[t, q] = numbers.setdefault(own.tobytes(), len(tables))
+            if laws[t, q] == len(tables):
+                tables.append(own)
+        if not is_coarse:
+            bounds, given_up = steps.backup(bounds, given_up, inputs, t)
+    return np.stack(tables), laws, steps.failure(*((values, nowhere) if is_coarse else (bounds, given_up)))
 
 
-class Uncharged(Backups):
-    """Backups on a coarse grid that take nothing off: no bounds, but inputs to begin with."""
+class Counted(Backups):
+    """Backups that count their work, in core seconds."""
 
-    def images_of(self, inputs: FloatArray, t: int) -> Images:
-        """Return where inputs (V, m) lead from vertices alone."""
-        key = t if names_time(self.agent) else 0, inputs.tobytes()
-        if key not in self.images:
-            self.images.clear()
-            centre, _ = images_at(self.agent, vertices_of(self.edges), inputs, t)
-            known = np.ones(int(np.prod(self.shape)), dtype=bool)
-            self.images[key] = Images(self.hats(centre), 0.0, [], [], [], known)
-        return self.images[key]
+    spent = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.bent = np.full(len(self.edges), 1e-300)  # what is charged along each axis where values are high
+
+    def image_of(self, inputs: FloatArray, t: int) -> Images:
+        """Return where inputs (V, m) lead at a time."""
+        images = super().image_of(inputs, t)
+        self.spent += WEIGHT * images.size
+        return images
+
+    def below(self, W: FloatArray, images: Images) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return numbers at vertices of a function that is at most F, and the cells on which it is 0."""
+        self.spent += PRODUCT * (images.vertices.products + _per_cell(W.ndim) * images.products)
+        values, nothing = super().below(W, images)
+        here = np.where(nothing, 0.0, corners_of(values, W.ndim).reshape(*nothing.shape, -1).mean(axis=-1)).ravel()
+        self.bent = self.bent + self._bends @ here
+        return values, nothing
 
     def charge(self, W: FloatArray, images: Images) -> tuple[FloatArray, FloatArray]:
-        """Return nothing (S,), and nothing along each axis (d, S)."""
-        return np.zeros(len(images.known)), np.zeros((W.ndim, len(images.known)))
+        """Return what is taken off all corners of each cell (S,), and what F may bend along each axis (d, S)."""
+        always, self._bends = super().charge(W, images)
+        return always, self._bends
 
 
 class _Choice:
-    """The best inputs at all vertices of a grid, for values one step later."""
+    """Inputs at all vertices of a grid, in shares of their ranges, and values under them: good guesses, no bounds.
 
-    def __init__(self, steps: Backups) -> None:
+    Means around points of a lattice are sums along one axis after the other, for some sizes of the noise; in between
+    they are interpolated.
+    """
+
+    def __init__(self, steps: Counted) -> None:
         self.steps, agent = steps, steps.agent
-        self.at, m = vertices_of(steps.edges), len(agent.inputs)
-        low, high = agent.input_box
-        self.axes = np.linspace(low, high, INPUTS[m])  # (tried, m)
-        self.tried = np.stack(np.meshgrid(*self.axes.T, indexing="ij"), axis=-1).reshape(-1, m)
-        self.range = np.maximum(high - low, 1e-300)
-        self.middle = np.repeat((0.5 * low + 0.5 * high)[None], self.at.shape[1], axis=0)
-        self.tables: tuple[int, list[list[FloatArray]]] | None = None
+        self.at, self.m = vertices_of(steps.edges), len(agent.inputs)
+        self.low, high = agent.input_box
+        self.range, self.count = np.maximum(high - self.low, 1e-300), INPUTS[self.m]
+        self.axis = np.linspace(0.0, 1.0, self.count)
+        tried = np.stack(np.meshgrid(*[self.axis] * self.m, indexing="ij"), axis=-1).reshape(-1, self.m)
+        self.tried = self.low + tried * (high - self.low)
+        self.middle = np.repeat((0.5 * self.low + 0.5 * high)[None], self.at.shape[1], axis=0)
+        self.known: tuple[int, tuple[_Reading, FloatArray]] | None = None
+        # Widths of the cells beside a vertex.
+        widths = [np.diff(axis) for axis in steps.edges]
+        beside = [np.concatenate([own[:1], np.maximum(own[1:], own[:-1]), own[-1:]]) for own in widths]
+        self.widths = np.stack(np.meshgrid(*beside, indexing="ij")).reshape(len(beside), -1)
 
-    def of(self, values: FloatArray, given_up: NDArray[Any], t: int, later: FloatArray | None) -> FloatArray:
-        """Return inputs (Q, V, m) at the vertices; where they make no difference those one step later."""
+    def of(self, values: FloatArray, t: int, later: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return inputs (Q, V, m) at the vertices, from those one step later, and values (Q, n_1 + 1, ..)."""
         automaton = self.steps.problem.automaton
-        dead = automaton.dead()
-        result = np.repeat(self.middle[None], len(values), axis=0) if later is None else later.copy()
-        known = dict[bytes, FloatArray]()
+        dead, inputs, result = automaton.dead(), later.copy(), np.zeros_like(values)
+        known, nothing = dict[bytes, tuple[FloatArray, FloatArray]](), np.zeros((len(values), *self.steps.shape), bool)
         for q in range(len(values)):
-            if dead[q] or (automaton.is_co_safe and automaton.accepting[q]):
-                continue
-            W = self.steps.after_letter(values, given_up, q, t + 1)
-            if W.max() <= 0.0:
-                continue
-            key = W.tobytes()
-            if key not in known:
-                known[key] = self._best(W, t, result[q])
-            result[q] = known[key]
-        return result
+            if automaton.is_co_safe and automaton.accepting[q]:
+                result[q] = 1.0
+            elif not dead[q]:
+                W = self.steps.after_letter(values, nothing, q, t + 1)
+                key = W.tobytes() + inputs[q].tobytes()
+                if key not in known:
+                    known[key] = self._adjusted(W, t, inputs[q])
+                inputs[q], result[q] = known[key][0], known[key][1].reshape(values.shape[1:])
+        return inputs, result
 
-    def _best(self, W: FloatArray, t: int, before: FloatArray) -> FloatArray:
-        means = np.stack([contracted(W, own) for own in self._means(t)])  # (tried, V)
-        off = ((self.tried[:, None] - before) / self.range) ** 2
-        means = means - NO_DIFFERENCE * off.sum(axis=2)
-        best, m, count = means.argmax(axis=0), self.tried.shape[1], len(self.axes)
-        result, places = self.tried[best].copy(), np.unravel_index(best, [count] * m)
-        at = np.arange(len(best))
-        for j in range(m):
-            # a parabola through the best of them and both neighbours along one input
-            step = count ** (m - 1 - j)
-            inner = (places[j] > 0) & (places[j] < count - 1)
-            centre, low, high = means[best, at], means[np.where(inner, best - step, best), at], means[
-                np.where(inner, best + step, best), at]  # fmt: skip
-            bend = 2.0 * centre - low - high
+    def _adjusted(self, W: FloatArray, t: int, before: FloatArray) -> tuple[FloatArray, FloatArray]:
+        reading, apart = self._images(t)
+        table = reading.means(W).reshape(*[self.count] * self.m, -1)
+        self.steps.spent += READ * table.size
+        was, shares = (before - self.low) / self.range, self._best(table)
+        for _ in range(SWEEPS):
+            shares = 0.5 * shares + 0.5 * self._swept(table, shares, APART * apart)
+        worth, last = self._read(table, shares), self._read(table, was)
+        if np.all(worth - last <= SAME * (1.0 - worth) + NO_DIFFERENCE):
+            return before, last
+        return np.clip(self.low + shares * self.range, *self.steps.agent.input_box), worth
+
+    def _best(self, table: FloatArray) -> FloatArray:
+        places = np.unravel_index(table.reshape(-1, table.shape[-1]).argmax(axis=0), table.shape[:-1])
+        return np.stack([self.axis[own] for own in places], axis=1)
+
+    def _read(self, table: FloatArray, shares: FloatArray, but: int = -1) -> FloatArray:
+        """Return means (V,), or (count, V) for all values of one input, interpolated at the others' shares (V, m)."""
+        table = table if but < 0 else np.moveaxis(table, but, -2)
+        for j in range(self.m):
+            if j != but:
+                place = np.minimum((shares[:, j] * (self.count - 1)).astype(int), self.count - 2)
+                part, at = shares[:, j] * (self.count - 1) - place, np.arange(len(place))
+                # the axis of this input is the first that is left
+                table = (1.0 - part) * table[place, ..., at].T + part * table[place + 1, ..., at].T
+        return table
+
+    def _swept(self, table: FloatArray, shares: FloatArray, cost: FloatArray) -> FloatArray:
+        """Return the best shares (V, m) beside those of neighbours, each input on its own; squares cost (V, m)."""
+        shape, result = tuple(len(axis) for axis in self.steps.edges), np.empty_like(shares)
+        step = self.axis[1]
+        for j in range(self.m):
+            means, own = self._read(table, shares, j), shares[:, j].reshape(shape)
+            total, count = np.zeros(shape), np.zeros(shape)
+            for k in range(len(shape)):
+                each = np.moveaxis(own, k, 0)
+                for there, beside in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
+                    np.moveaxis(total, k, 0)[beside] += each[there]
+                    np.moveaxis(count, k, 0)[beside] += 1.0
+            total, count = total.ravel(), count.ravel()
+            # Means are linear between inputs that are tried: on each piece a parabola, whose top is known.
+            slopes = np.diff(means, axis=0) / step
             with np.errstate(all="ignore"):
-                share = np.where(inner & (bend > 0.0), 0.5 * (high - low) / bend, 0.0)
-            result[:, j] += np.clip(share, -0.5, 0.5) * (self.axes[1, j] - self.axes[0, j])
+                top = (total + 0.5 * slopes / cost[:, j]) / count
+            top = np.where(np.isfinite(top), top, shares[:, j])
+            here = np.clip(top, self.axis[:-1, None], self.axis[1:, None])
+            worth = means[:-1] + slopes * (here - self.axis[:-1, None])
+            worth = worth - cost[:, j] * (count * here**2 - 2.0 * total * here)
+            result[:, j] = np.take_along_axis(here, worth.argmax(axis=0)[None], axis=0)[0]
         return result
 
-    def _means(self, t: int) -> list[list[FloatArray]]:
-        """Return weights of hats (V, 2 n) along every axis, for each input that is tried."""
-        steps = self.steps
-        if self.tables is None or (names_time(steps.agent) and self.tables[0] != t):
-            made = []
-            for own in self.tried:
-                centre, _ = images_at(steps.agent, self.at, np.repeat(own[None], self.at.shape[1], axis=0), t)
-                made.append(steps.hats(centre))
-            self.tables = t, made
-        return self.tables[1]
+    def _images(self, t: int) -> tuple[_Reading, FloatArray]:
+        """Return readings at images of all inputs that are tried, and squares (V, m) of how far inputs lead apart."""
+        steps, agent, n = self.steps, self.steps.agent, self.at.shape[1]
+        if self.known is None or (names_time(agent) and self.known[0] != t):
+            images = [images_at(agent, self.at, np.repeat(own[None], n, axis=0), t)[0] for own in self.tried]
+            d, apart = len(self.at), np.zeros((n, self.m))
+            sizes = np.maximum(np.abs(np.nan_to_num(images[len(images) // 2][d:])), self.widths)
+            for j in range(self.m):
+                moved = self.count ** (self.m - 1 - j) * (self.count - 1)
+                way = np.abs(images[moved][:d] - images[0][:d]) / sizes
+                apart[:, j] = np.nan_to_num(way.max(axis=0)) ** 2
+            self.known = t, (_Reading(np.concatenate(images, axis=1), steps.edges, steps.noisy), apart)
+        return self.known[1]
+
+
+class _Reading:
+    """Means of values around images (2 d, N), means first and sizes after: no bounds."""
+
+    def __init__(self, images: FloatArray, edges: tuple[FloatArray, ...], noisy: Sequence[bool]) -> None:
+        d = len(edges)
+        y, sizes = np.nan_to_num(images[:d]), np.nan_to_num(np.abs(images[d:]))
+        self.smoothing, places, parts = list[FloatArray](), list[NDArray[np.int64]](), list[FloatArray]()
+        for k, axis in enumerate(edges):
+            # Sizes of the noise, as many as their range asks for, and points of a lattice, beyond the edges, too.
+            least, most = max(sizes[k].min(), 1e-9), max(sizes[k].max(), 1e-9)
+            levels = (
+                np.geomspace(least, most, 1 + math.ceil(math.log(most / least) / FINE_SIZES)) if noisy[k] else [0.0]
+            )
+            away = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0]) * most * noisy[k]
+            # where cells are wide, in the middle of them, too
+            middles = (0.5 * axis[1:] + 0.5 * axis[:-1])[np.diff(axis) > FINE_CELLS * least]
+            lattice = np.unique(np.concatenate([axis[0] - away, axis, middles, axis[-1] + away]))
+            self.smoothing.append(np.stack([_hats(lattice, axis, own * noisy[k]) for own in levels]))
+            for numbers, points in ((np.log(np.maximum(sizes[k], 1e-9)), np.log(levels)), (y[k], lattice)):
+                below = np.clip(np.searchsorted(points, numbers, side="right") - 1, 0, max(len(points) - 2, 0))
+                above = np.minimum(below + 1, len(points) - 1)
+                width = np.maximum(points[above] - points[below], 1e-300)
+                places.append(np.stack([below, above]))
+                share = np.clip((numbers - points[below]) / width, 0.0, 1.0) * (above > below)
+                parts.append(np.stack([1.0 - share, share]))
+        self.shape = tuple(n for own in self.smoothing for n in own.shape[:2])
+        # Of all corners those that any image has a share of.
+        self.corners = []
+        for corner in itertools.product((0, 1), repeat=2 * d):
+            weight = math.prod(part[c] for part, c in zip(parts, corner, strict=True))
+            if np.any(weight):
+                place = np.ravel_multi_index([own[c] for own, c in zip(places, corner, strict=True)], self.shape)
+                self.corners.append((place, weight))
+
+    def means(self, W: FloatArray) -> FloatArray:
+        """Return means (N,) of numbers (2 n_1, ..) at both ends of all intervals."""
+        table = W
+        for k, own in enumerate(self.smoothing):
+            # (.., 2 n_k, ..) -> (.., sizes, points, ..)
+            table = np.moveaxis(np.tensordot(own, table, axes=(2, 2 * k)), (0, 1), (2 * k, 2 * k + 1))
+        flat = table.ravel()
+        return np.sum([weight * flat[place] for place, weight in self.corners], axis=0)
+
+
+def _hats(points: FloatArray, axis: FloatArray, size: float) -> FloatArray:
+    """Return weights (N, 2 n) of both ends of all intervals: those of noise, or of the cell a point is in."""
+    if size > 0.0:
+        return hats_at(points, np.full(len(points), size), axis, True)[0]
+    # at an edge both cells count
+    either = [hats_at(own, own, axis, False)[0] for own in (points, np.nextafter(points, -np.inf))]
+    return 0.5 * either[0] + 0.5 * either[1]
 
 
 def _visited(
@@ -275,6 +409,28 @@ def _visited(
     ends = np.quantile(states, [QUANTILE, 1.0 - QUANTILE], axis=1)
     beside = BESIDE * np.median(spreads, axis=1)
     return np.stack([np.maximum(ends[0] - beside, low), np.minimum(ends[1] + beside, high)])
+
+
+def _within(outer: FloatArray, inner: FloatArray) -> FloatArray:
+    return np.stack([np.maximum(outer[0], inner[0]), np.minimum(outer[1], inner[1])])
+
+
+def _alive(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> FloatArray:
+    """Return the least box (2, d) with all cells whose letters do not lose the task at once."""
+    steps, dead = Backups(problem, edges, (True,) * len(edges)), problem.automaton.dead()
+    values, nothing = steps.at_end()
+    values[:] = np.reshape(~np.array(dead), (-1, *(1,) * len(edges)))
+    each = [
+        steps.after_letter(values, nothing, q, t)
+        for q in np.flatnonzero(~np.array(dead)).tolist()
+        for t in (0, problem.horizon)
+    ]
+    held, box = np.max(each, axis=0) > 0.0, problem.agents[0].state_box.copy()
+    for k, axis in enumerate(edges):
+        some = np.flatnonzero(np.any(held, axis=tuple(j for j in range(len(edges)) if j != k)))
+        if len(some):
+            box[:, k] = axis[some[0] // 2], axis[some[-1] // 2 + 1]
+    return box
 
 
 def _followed(problem: CheckedProblem, q: NDArray[Any], x: FloatArray, t: int) -> NDArray[Any]:
