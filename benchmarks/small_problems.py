@@ -264,23 +264,6 @@ def _coupled(rng: np.random.Generator) -> Spec:
     return _told_starts(_problem(rng, agents, options, (1, 2, 3, 4)))
 
 
-def _common(rng: np.random.Generator) -> Spec:
-    """Agents whose dynamics name an input of another one, which is chosen in common."""
-    agents = [_linear(rng, f"agent_{i}", 1, (0.1, 0.25)) for i in range(int(rng.choice([2, 3], p=[0.9, 0.1])))]
-    for agent in agents:
-        _in_words(rng, agent, _write if rng.random() < 0.15 else _write_plainly)
-    for agent in agents[1:]:
-        other = agents[0] if rng.random() < 0.8 else agents[1] if agent is not agents[1] else agents[0]
-        named = f"{other['name']}.u0"
-        share = float(rng.uniform(-0.4, 0.4) * agent["state_high"][0])
-        moved: Expression = named if rng.random() < 0.6 else ("sin", named)
-        agent["tuples"][0] = ("+", agent["tuples"][0], ("*", share, moved))
-        agent["beside"] = [named]
-    cells = {agent["name"]: [int(rng.integers(6, 10))] for agent in agents}
-    options: Spec = {"cells": cells, "max_sweeps": 0, "relation": "boxes", "common": True}
-    return _told_starts(_problem(rng, agents, options, (1, 2, 3)))
-
-
 def _path(rng: np.random.Generator) -> Spec:
     """Certificates along a path: one to four states, no cells."""
     several = rng.random() < 0.25
@@ -447,7 +430,6 @@ def _above(rng: np.random.Generator) -> Spec:
 MAKERS: dict[str, Callable[[np.random.Generator], Spec]] = {
     "laws": _lawful,
     "neighbours": _coupled,
-    "common": _common,
     "states": _states,
     "paths": _path,
     "nonlinear": _nonlinear,

@@ -138,26 +138,6 @@ def linear() -> Any:
     return figure
 
 
-def boxes() -> Any:
-    """Two rooms and one boiler: a plan for what moves both, feedback for the rest."""
-    figure, (plot,) = new_figure(7.4, 3.2)
-    _bare(plot, (-0.3, 11.2), (-2.0, 3.3))
-    for k, (x, name) in enumerate(((2.0, "room a"), (8.8, "room b"))):
-        plot.add_patch(Rectangle((x - 1.9, -1.6), 3.8, 2.4, facecolor=AGENTS[k] + "14", edgecolor=AGENTS[k]))
-        plot.text(x, 0.42, name, ha="center", color=AGENTS[k], fontweight="bold")
-        _box(plot, (x, -0.9), "its own heater", AGENTS[k], (2.2, 0.7))
-        _arrow(plot, (x + 1.15, -0.75), (x + 1.15, 0.2), AGENTS[k], 0.9)
-        plot.text(x - 1.7, 0.02, "looks at its own state", fontsize=8.5, color=SOFT)
-    _box(plot, (5.4, 2.5), "boiler", INK, (2.0, 0.8))
-    for end in ((3.0, 0.85), (7.8, 0.85)):
-        _arrow(plot, (5.4, 2.05), end, INK)
-    steps = [2, 2, 1.5, 1]
-    for k, heat in enumerate(steps):
-        plot.add_patch(Rectangle((7.2 + 0.5 * k, 2.0), 0.42, 0.5 * heat, facecolor=KEEP, edgecolor="white"))
-    plot.text(7.15, 1.72, "a plan over time: looks at no state", fontsize=8.5, color=SOFT)
-    return figure
-
-
 def networks() -> Any:
     """A network on a line, and boxes that hold it on every cell."""
     figure, (plot,) = new_figure(6.4, 3.2)
@@ -419,7 +399,7 @@ def evidence() -> Any:
 PICTURES: dict[str, Callable[[], Any]] = {
     draw.__name__: draw
     for draw in (
-        index, setting, relations, linear, boxes, networks, paths, time, regions, angles, pairs, guards, tree, bounds,
+        index, setting, relations, linear, networks, paths, time, regions, angles, pairs, guards, tree, bounds,
         numerics, shields, evidence,
     )
 }  # fmt: skip

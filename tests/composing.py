@@ -109,11 +109,6 @@ def told(name: str) -> cg.Agent:
     return expressions(name, dynamics=["0.8*x + 0.1*one.x + 0.8*u"], communicated=["one"], initial_state=[-0.8])
 
 
-def warmed() -> tuple[cg.Agent, cg.Agent]:
-    """A heater whose input moves another agent as well."""
-    return expressions(), expressions("two", dynamics=["0.8*x + 0.4*one.u + 0.3*u"], initial_state=[-0.5])
-
-
 def apart(**changes: Any) -> cg.Problem:
     """Two scalar agents, of which one passes the other: they must not be near."""
     agents = matrices("one"), matrices("two", initial_state=[1.5])
@@ -175,9 +170,6 @@ ROWS: dict[str, Row] = {
         {"relation": "boxes"},
     ),
     "boxes coupled": Row(lambda: task(expressions(), told("two"), horizon=2), 8, {"relation": "boxes"}),
-    "boxes common input": Row(
-        lambda: task(*warmed(), horizon=2), 4, {"relation": "boxes", "search": cg.SearchOptions(common=True)}
-    ),
     "boxes noise scale": Row(lambda: task(expressions(noise_scale=["0.8 + 0.1*cos(x)"])), 24, {"relation": "boxes"}),
     "boxes no noise": Row(
         lambda: task(

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import settings
 
 import certigym as cg
-from certigym.synthesis.abstraction.models import box_model, common_choices
+from certigym.synthesis.abstraction.models import box_model
 from certigym.synthesis.policy_search.cell_certificates import agreement
 from certigym.synthesis.policy_search.portfolio import effort
 from certigym.synthesis.trajectories.planning import nonlinear_search, nonlinear_team
@@ -34,7 +34,7 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     # Quick upper ends, which users have by default: an evaluation more of each certificate, in file and check, too.
     (effort, "SHARE_ABOVE", 0.0),
     # Menus of inputs: less than half of them in each dimension.
-    *((module, "INPUT_LEVELS", {1: 7, 2: 5, 3: 3}) for module in (box_model, common_choices)),
+    (box_model, "INPUT_LEVELS", {1: 7, 2: 5, 3: 3}),
     # Paths are planned with more times, refined and moved a little a hundred times: the first few gain the most.
     (nonlinear_search, "GENERATIONS", 3),
     (nonlinear_search, "MORE_REPLANS", 0),

@@ -37,7 +37,7 @@ def abstract(
         a mapping leaves out get this, too. ``"auto"`` is the same here: only a synthesis can tell which relation
         certifies most (see ``synthesize``).
     search : SearchOptions, optional
-        Its options of relations: ``targets_per_cell``, ``epsilon``, ``feedback``, ``inputs``, ``delta`` and ``common``;
+        Its options of relations: ``targets_per_cell``, ``epsilon``, ``feedback``, ``inputs`` and ``delta``;
         others are refused.
     **old
         The same options as keywords, as until 0.3: they work until 0.5, with a DeprecationWarning.

@@ -327,10 +327,6 @@ def _wrapped(
     problem: Problem, policy: Policy, cells: CellCounts, relation: Relations, settings: dict[str, Any]
 ) -> _Wrapped:
     """Put a policy on the cells of finite models."""
-    if settings.get("common"):
-        raise ValueError(
-            "`common`: expected none for given policies, whose inputs depend on states, got True; leave it out"
-        )
     raw = decentralised(problem, policy)
     check_names("cells", cells, problem)
     abstraction = abstraction_of(problem, cells, relations_of(problem, relation), Settings(**settings))

@@ -58,10 +58,6 @@ class SearchOptions:
     delta : float, optional
         Relation ``paper``: largest probability per step and agent that the relation is lost, in [0, 1), in place of the
         smaller closed form.
-    common : bool, optional
-        Relation ``boxes``: whether inputs that expressions of other agents name are chosen in common, by automaton
-        state and time only, and are known to these agents. Otherwise such inputs may be anything in their boxes.
-        Default: both are tried.
 
     Raises
     ------
@@ -90,7 +86,6 @@ class SearchOptions:
     feedback: float | None = None
     inputs: int | None = None
     delta: float | None = None
-    common: bool | None = None
 
     def __post_init__(self) -> None:
         # The records that searches work with check their fields.

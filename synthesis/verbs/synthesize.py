@@ -32,12 +32,10 @@ from ..relations.grids import CellCounts, RelationRefused, to_who_asked_for_none
 from .search_options import SearchOptions, options_of
 from .task_strategies import (
     has_usual_search,
-    names_inputs,
     path_strategy,
     still_problem,
     strategies_in_time,
     strategies_of,
-    strategies_of_named_inputs,
 )
 from .upper_bounds import synthesis_above
 
@@ -220,11 +218,6 @@ def _of_task(
         return (along_path if relation == "path" else vertex_grid_certificate)(problem, plan.along_paths)
     if problem.names_time:
         return _in_time(problem, cells, relation, plan, start)
-    if plan.settings.common is None and start is None and names_inputs(problem):
-        strategies = strategies_of_named_inputs(
-            problem, plan, lambda chosen: _of_task(problem, cells, relation, chosen)
-        )
-        return best_of(strategies, plan.effort)
     kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
     if start is not None:
         _refuse_beside(start, relation)
@@ -252,8 +245,6 @@ def strategies_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Strategy]
         strategies = joint_strategies(problem, None, "auto", plan)
     elif problem.names_time:
         strategies = strategies_in_time(problem, plan, nothing)
-    elif names_inputs(problem):
-        strategies = strategies_of_named_inputs(problem, plan, nothing)
     else:
         strategies = strategies_of(problem, None, ["auto"] * problem.n_agents, plan)
     yield problem, in_order(strategies)

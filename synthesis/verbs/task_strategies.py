@@ -130,21 +130,6 @@ def _strategies_of_lost(problem: Problem, kinds: Sequence[str], plan: Plan) -> l
     return [*strategies, Strategy("few cells", lambda results: compared(problem, cells, kinds, plan))]
 
 
-def strategies_of_named_inputs(problem: Problem, plan: Plan, run: Callable[[Plan], Synthesis]) -> list[Strategy]:
-    """Return the ways of teams in which one input moves several agents.
-
-    Chosen in common, such an input depends on the automaton state and the time alone, and all agents that name it know
-    it. As an unknown it may be anything in its box, and its owner may choose it by its own state.
-    """
-
-    def strategy(words: str, common: bool, work: float) -> Strategy:
-        chosen = replace(plan.anew(), settings=replace(plan.settings, common=common))
-        return Strategy(f"inputs of others {words}", lambda results: run(chosen), work, prefix=True)
-
-    # What unknown inputs are refused for says most, so that it is said first.
-    return [strategy("unknown", False, 1.0), strategy("in common", True, 0.0)]
-
-
 def still_problem(problem: Problem) -> Problem:
     """Return a problem that names the time, written out without it; refuse one that has no grid."""
     try:
@@ -158,11 +143,6 @@ def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synt
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
     ways = [vertex_strategy(problem, plan)] if has_varying_noise(problem) else []
     return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS)]
-
-
-def names_inputs(problem: Problem) -> bool:
-    """Return whether the expressions of an agent name an input of another one."""
-    return any(any(agent.neighbour_inputs) for agent in problem.agents)
 
 
 def is_beyond_grids(problem: Problem) -> bool:

@@ -144,8 +144,6 @@ def abstraction_again(certificate: OnGrid) -> Abstraction:
         return network_abstraction_of(certificate)
     kinds = [part.relation["kind"] for part in parts]
     settings = Settings(**settings_of(certificate, kinds))
-    if settings.common is None and any("common" in part.relation for part in parts):
-        settings = replace(settings, common=True)
     cells = dict(zip(problem.agent_names, (part.grid.shape for part in parts), strict=True))
     abstraction = abstraction_of(problem, cells, kinds, settings)
     policies_from(certificate, problem, abstraction)  # refuses models in which its choices mean something else

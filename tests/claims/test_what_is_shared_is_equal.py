@@ -10,7 +10,6 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.cell_probabilities import AgentRecord, axis_tables, kernel_key
-from certigym.synthesis.certificates.proofs import changed
 
 
 def walker(name: str, scales: list[str]) -> cg.Agent:
@@ -74,39 +73,3 @@ def test_a_forged_agent_that_is_scaled_elsewhere_is_refused(certificate: cg.Cert
     assert cg.check(certificate)
     assert not cg.check(replace(certificate, problem=both(IN_X, IN_Y)))
     assert not cg.check(replace(certificate, problem=both(IN_Y, IN_Y)))
-
-
-def pushed(name: str, dynamics: str) -> cg.Agent:
-    """An agent that inputs of two others move."""
-    return cg.Agent(
-        name=name, states=["x"], inputs=["u"], dynamics=[dynamics], noise=[{"law": "gaussian", "std": 0.3}],
-        state_low=[-3.0], state_high=[3.0], input_low=[-1.0], input_high=[1.0], initial_state=[-1.0],
-    )  # fmt: skip
-
-
-def four(last: str) -> cg.Problem:
-    """Two agents that push, and two that both have to come to the right."""
-    agents = [pushed(name, "0.8*x + 0.5*u") for name in ("p", "q")]
-    agents += [pushed("a", "0.6*x + 0.5*p.u - 0.5*q.u + 0.3*u"), pushed("b", last)]
-    regions = {name: cg.Proposition(name, [0.0], [3.0]) for name in ("a", "b")}
-    task = cg.Specification("F (goal_a & goal_b)", "co-safe")
-    propositions = {f"goal_{name}": region for name, region in regions.items()}
-    return cg.Problem(name="four", horizon=3, agents=agents, propositions=propositions, specification=task)
-
-
-@pytest.mark.thorough
-def test_inputs_in_common_are_known_by_name_and_place() -> None:
-    """The last agent is pushed the other way: the same numbers, read at the places of the one before, would be .999."""
-    alike = four("0.6*x + 0.5*p.u - 0.5*q.u + 0.3*u")
-    against = four("0.6*x + 0.5*q.u - 0.5*p.u + 0.3*u")
-    assert against.agents[2].model_key == against.agents[3].model_key
-    found: Any = cg.synthesize(alike, 10, relation="boxes", search=cg.SearchOptions(common=True)).certificate
-    assert found.lower_bound > 0.99 and cg.check(found)
-    *others, third, last = found.proof.agents
-    copied = replace(last, policy=third.policy, relation=third.relation)
-    forged = changed(found, problem=against, agents=(*others, third, copied))
-    report = cg.check(forged)
-    assert not report and report.recomputed < 0.01
-    assert third.sharing_key(against.agents[2]) != copied.sharing_key(against.agents[3])
-    first, second = forged.controller.agents[2:]
-    assert first.relation is not second.relation

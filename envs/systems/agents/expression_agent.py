@@ -30,7 +30,7 @@ from .angles import TURN, checked_angles, refuse_uneven
 from .any_agent import IDLE, AnyAgent, checked_added, is_passive, shared_fields, summary_rows
 from .declaration import declared
 from .declared_names import MOST_OUTPUTS, TIME, checked_names, checked_numbers, checked_ranges, checked_texts
-from .neighbours import neighbour, states_of_others, with_numbers
+from .neighbours import neighbour, states_of_others
 
 MOST_TIMES = 4096
 """Steps for which the agent is remembered as it moves then: beyond them the memory starts afresh."""
@@ -96,7 +96,7 @@ class Agent(AnyAgent):
         shapes only; problems say it of the agents that they make.
         `communicated`: names of the other agents whose states the agent is told at every step. Controllers then cancel
         what these do where an input reaches it. Of all others certificates assume anything in their workspaces, and of
-        inputs anything in their boxes, unless these are chosen in common.
+        inputs anything in their boxes.
 
     Raises
     ------
@@ -389,15 +389,6 @@ class Agent(AnyAgent):
         object.__setattr__(agent, "neighbour_ranges", ranges)
         object.__setattr__(agent, "neighbour_inputs", inputs)
         return agent
-
-    def knowing(self, numbers: Mapping[str, float]) -> Agent:
-        """Return the agent of a problem with numbers in the place of some of `others`, such as `boiler.heat`."""
-        if not numbers:
-            return self
-        agent = type(self)(**{**self.to_dict(), "dynamics": with_numbers(self.dynamics, numbers)})
-        rest = [k for k, name in enumerate(self.others) if name not in numbers]
-        ranges = self.neighbour_ranges or ()
-        return agent.tied_to(tuple(ranges[k] for k in rest), tuple(self.neighbour_inputs[k] for k in rest))
 
     @cached_property
     def driven(self) -> Agent:

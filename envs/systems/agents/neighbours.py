@@ -9,7 +9,7 @@ An input is the one that is applied in the same step. Inside an agent's trees th
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from ..arguments import shown
@@ -39,17 +39,6 @@ def states_of_others(texts: Sequence[str]) -> tuple[str, ...]:
     ('leader.x', 'leader.v', 'tail.x')
     """
     return tuple(dict.fromkeys(name for text in texts for name in _DOTTED.findall(text)))
-
-
-def with_numbers(texts: Sequence[str], numbers: Mapping[str, float]) -> list[str]:
-    """Return expressions with numbers in the place of some names of others.
-
-    Examples
-    --------
-    >>> with_numbers(["x + boiler.heat - tail.x"], {"boiler.heat": 1.5})
-    ['x + (1.5) - tail.x']
-    """
-    return [_DOTTED.sub(lambda m: f"({numbers[m[0]]!r})" if m[0] in numbers else m[0], text) for text in texts]
 
 
 def neighbour(k: int) -> str:

@@ -7,7 +7,6 @@ from .action_tables import TIE, ActionTable, Policies, StepPolicy, best_offered,
 from .agent_models import reaches_every_mean
 from .box_choices import BoxChoices
 from .box_model import INPUT_LEVELS
-from .common_choices import CommonGroup, common_inputs_of
 from .corner_choices import CornerChoices
 from .finite_models import (
     RELATIONS,
@@ -34,7 +33,6 @@ __all__ = [
     "BoxChoices",
     "ActionTable",
     "CornerChoices",
-    "CommonGroup",
     "INPUT_LEVELS",
     "InputSet",
     "RELATIONS",
@@ -48,7 +46,6 @@ __all__ = [
     "abstraction_of",
     "best_offered",
     "check_names",
-    "common_inputs_of",
     "count_of_decisions",
     "gather",
     "reaches_every_mean",

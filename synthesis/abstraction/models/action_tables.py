@@ -52,7 +52,6 @@ class ActionTable:
     lattice: tuple[FloatArray, ...]
     relation: Any
     n_times: int = 1
-    n_parts: int = 1
 
     is_additive: bool = True
     """Whether a step takes a sum of factors to the sum of what it takes each to."""
@@ -90,20 +89,6 @@ class ActionTable:
     def at_times(self) -> tuple[ActionTable, ...]:
         """The choices of each step by themselves, numbered from 0."""
         return (self,)
-
-    @property
-    def parts(self) -> tuple[ActionTable, ...]:
-        """The choices of each number that is chosen in common by themselves, numbered from 0."""
-        return (self,)
-
-    def with_part(self, policy: StepPolicy, part: int) -> StepPolicy:
-        """Return the choices (S,) of a part that are otherwise those of a policy; resting ones where it has none."""
-        return policy
-
-    @property
-    def part_length(self) -> int:
-        """Choices of such a part."""
-        return self.n_choices
 
     @property
     def cell_widths(self) -> FloatArray:

@@ -20,7 +20,7 @@ from ...certificates.value_functions import beside, to_host
 from ...relations.grids import FloatArray, Grid, LatticeAxis, MeanAxis, RelationRefused, grid_laws, shape_text
 from ...relations.kinds import BoxRelation, MeanBoxes
 from ..kernels import BoxKernel, box_kernel_of, each_window_minima, least_over_boxes
-from .action_tables import TIE, ActionTable, MeansAt, StepPolicy, shifted
+from .action_tables import TIE, ActionTable, MeansAt, StepPolicy
 
 MOST_IN_BOX = 100_000.0
 """Most points of a box: the check tries them one by one."""
@@ -53,8 +53,6 @@ class BoxChoices(ActionTable):
         Which of the sizes is used for the box of each cell and choice; -1 where the choice is not admissible.
     corners : (S, A, 2^D) int32 array
         Lattice points at which the windows begin that cover the box, rounded to the nearest lattice points.
-    n_parts : int
-        Parts of equal length in which the choices come, one for each number that is chosen in common; 1 if none is.
     n_times : int
         Parts of equal length in which the choices come, one for each step, in which alone these may be chosen; 1 if all
         may be chosen at every step.
@@ -69,7 +67,6 @@ class BoxChoices(ActionTable):
     sizes: NDArray[np.int64]
     size: NDArray[np.int16]
     corners: NDArray[np.int32]
-    n_parts: int = field(default=1, kw_only=True)
     n_times: int = field(default=1, kw_only=True)
 
     is_additive = False
@@ -91,38 +88,18 @@ class BoxChoices(ActionTable):
         """Number of choices A."""
         return self.size.shape[1]
 
-    @property
-    def part_length(self) -> int:
-        """Choices of a part."""
-        return self.size.shape[1] // self.n_parts
-
-    @cached_property
-    def parts(self) -> tuple[BoxChoices, ...]:
-        """The choices of each part by themselves, numbered from 0."""
-        return self._cut(self.n_parts)
-
-    def with_part(self, policy: StepPolicy, part: int) -> StepPolicy:
-        """Return the choices (S,) of a part that are otherwise those of a policy; resting ones where it has none."""
-        length = self.part_length
-        moved = np.where(policy >= 0, part * length + policy % length, -1)
-        fits = (moved >= 0) & (self.size[np.arange(len(policy)), np.maximum(moved, 0)] >= 0)
-        return np.where(fits, moved, shifted(self.parts[part].resting_choice, part * length)).astype(np.int32)
-
     @cached_property
     def at_times(self) -> tuple[BoxChoices, ...]:
         """The choices of each step by themselves, numbered from 0."""
-        return tuple(replace(own, n_times=1) for own in self._cut(self.n_times))
-
-    def _cut(self, count: int) -> tuple[BoxChoices, ...]:
-        if count == 1:
+        if self.n_times == 1:
             return (self,)
-        found, length = [], self.size.shape[1] // count
-        for part in range(count):
-            columns = slice(part * length, (part + 1) * length)
+        found, length = [], self.size.shape[1] // self.n_times
+        for time in range(self.n_times):
+            columns = slice(time * length, (time + 1) * length)
             low, high, size, corners = (
                 np.ascontiguousarray(table[:, columns]) for table in (self.low, self.high, self.size, self.corners)
             )
-            found.append(replace(self, low=low, high=high, size=size, corners=corners, n_parts=1))
+            found.append(replace(self, low=low, high=high, size=size, corners=corners, n_times=1))
         return tuple(found)
 
     def points(self, policy: StepPolicy) -> NDArray[np.int64]:

@@ -27,7 +27,7 @@ from ...relations.grids import (
     in_grid_coordinates,
     lattice_axes,
 )
-from ...relations.kinds import BoxRelation, CommonMeans, SymbolicMeans, box_relation
+from ...relations.kinds import BoxRelation, SymbolicMeans, box_relation
 from ..kernels import MOST_SCALED, MOST_SCALES, BoxKernel, box_kernel_of, box_lattice, points_per_cell, scale_levels
 from .box_choices import BoxChoices, box_choices
 
@@ -89,7 +89,7 @@ def box_model(
     points = (per_cell,) * agent.n_states if per_cell is not None else points_per_cell(grid, smallest, len(axes))
     # Means from anywhere in the grid under any input; feedback keeps inputs in their box, so it adds none.
     constant = ~np.any(gains, axis=(1, 2))
-    if isinstance(relation.means, SymbolicMeans | CommonMeans) and relation.means.steer is not None:
+    if isinstance(relation.means, SymbolicMeans) and relation.means.steer is not None:
         constant &= ~relation.means.steer  # targets are means of other choices
     whole = relation.mean_boxes(*(np.array([[edges[k] for edges in grid.edges]]) for k in (0, -1)))
     low, high = whole.low[:, constant].min(axis=(0, 1)), whole.high[:, constant].max(axis=(0, 1))
@@ -113,8 +113,6 @@ def box_model(
             points_of[ScaleAxis(k)] = scale_levels(least[k], most[k], usual[k], laws[k], levels)
     lattice = tuple(points_of[axis] for axis in axes)
     choices = box_choices(grid, lattice, relation, axes)
-    if relation.common is not None:
-        choices = replace(choices, n_parts=len(relation.common.numbers))
     if agent.has_clock:
         choices = replace(choices, n_times=int(agent.input_high[-1]) + 1)
     return relation, lattice, box_kernel_of(grid, lattice, laws, axes, agent.wrapped_axes.tolist()), choices

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ....envs.systems.agents import AnyAgent, with_expressions
+from ....envs.systems.agents import AnyAgent
 from ....envs.systems.arguments import checked_count, counted, tree_text
 from ....envs.tasks.problem import Problem
 from ...certificates.value_functions import Residents
@@ -45,7 +45,7 @@ from ...relations.grids import (
     spread,
     start_share,
 )
-from ...relations.kinds import GONE, CommonInputs, Relation
+from ...relations.kinds import GONE, Relation
 from ..kernels import Kernel
 from .action_tables import ActionTable, shifted
 from .agent_models import (
@@ -56,7 +56,6 @@ from .agent_models import (
     reaches_every_mean,
 )
 from .box_model import box_model
-from .common_choices import common_inputs_of, common_relation
 from .corner_model import corner_model
 
 Relations = str | Mapping[str, str]
@@ -219,10 +218,6 @@ class Settings:
         ``paper``: half width of the relation, K of the interface, number of abstract inputs.
     delta : float, optional
         ``paper``: a failure probability to be used in place of the (smaller) closed form, in [0, 1).
-    common : bool, optional
-        ``boxes``: whether inputs that expressions of other agents name are chosen in common, by automaton state and
-        time alone, and known to these agents; otherwise such inputs may be anything in their boxes. By default a
-        synthesis tries both.
 
     Raises
     ------
@@ -235,11 +230,8 @@ class Settings:
     feedback: float = 0.0
     inputs: int = 10
     delta: float | None = None
-    common: bool | None = None
 
     def __post_init__(self) -> None:
-        if self.common is not None and not isinstance(self.common, bool):
-            raise ValueError(f"`common`: expected True or False, got {self.common!r}")
         if self.targets_per_cell is not None:
             object.__setattr__(self, "targets_per_cell", checked_count(self.targets_per_cell, "targets_per_cell"))
         value = self.delta
@@ -263,8 +255,6 @@ class Settings:
         for kind in kinds:
             names = ("epsilon", "feedback", "inputs", "delta") if kind == "paper" else ("targets_per_cell",)
             used |= {name: getattr(self, name) for name in names}
-        if any(model.relation.common for model in models):
-            used["common"] = True
         return used
 
 
@@ -316,24 +306,14 @@ def models_of(
     by_relation: dict[object, SharedModel] = {}
     by_labels: dict[object, AgentModel] = {}
     models = {}
-    common = common_inputs_of(problem) if settings.common else {}
     for i, kind in kinds.items():
         agent = problem.agents[i]
         grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, cells))
         # Agents with equal dynamics, grids and wishes share a model.
-        alike = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
-        known = common.get(i)
-        # Numbers go by names, which agents with equal dynamics may have in other places.
-        numbers_known = b"" if known is None else repr((known.description, getattr(agent, "others", ()))).encode()
-        wish = (*alike, numbers_known)
+        wish = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
         if wish not in by_wish:
-            if known is not None and agent.has_clock:
-                raise RelationRefused(f"agent `{agent.name}`: inputs in common beside the time `t` are not certified")
-            if known is None:
-                model = _shared_model(agent, kind, grid, coordinates, settings, problem.n_agents == 1)
-            else:
-                model = _common_model(agent, kind, grid, coordinates, settings.targets_per_cell, known)
-            numbers = (*alike, *(a.tobytes() for a in model[0].arrays))
+            model = _shared_model(agent, kind, grid, coordinates, settings, problem.n_agents == 1)
+            numbers = (*wish, *(a.tobytes() for a in model[0].arrays))
             by_wish[wish] = by_relation.setdefault(numbers, model)
         relation, lattice, kernel, choices = by_wish[wish]
         # Arriving in a cell an agent may be anywhere within E of its centre; at the start it is in the cell itself.
@@ -386,17 +366,6 @@ def _shared_model(
         return exact_model(agent, grid, coordinates, per_cell)
     names = ("epsilon", "feedback", "inputs", "delta")
     return paper_model(linear_agent(agent, kind), grid, {name: getattr(settings, name) for name in names})
-
-
-def _common_model(
-    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, per_cell: int | None, common: CommonInputs
-) -> SharedModel:
-    """Return the model of an agent that names or owns inputs that are chosen in common."""
-    if kind not in ("auto", "quick", "best", "boxes"):
-        raise RelationRefused(f"agent `{agent.name}`: inputs are chosen in common under the relation `boxes` alone")
-    # Agents with matrices have no names for inputs.
-    relation = common_relation(with_expressions(agent), grid, coordinates, common)
-    return box_model(agent, grid, coordinates, per_cell, relation)
 
 
 def check_names(argument: str, value: object, problem: Problem) -> None:

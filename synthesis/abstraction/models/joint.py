@@ -18,8 +18,6 @@ from ....envs.tasks.automata import met_in_time
 from ....envs.tasks.problem import Problem
 from ...certificates.value_functions import HOST, Array, Guards, Occupancy, Terms, device_put
 from ...relations.grids import CellLabels, FloatArray, alike_text, shape_text
-from .action_tables import Policies
-from .common_choices import CommonGroup, agreed, common_groups
 from .finite_models import Abstraction, AgentModel
 from .guards import compile_guards
 
@@ -50,8 +48,6 @@ class JointModel:
     finds_alike : bool
         Whether sweeps look for factors that are equal without being the same: it keeps trees of tasks small that look
         at the end alone, and leaves the bits of all others to what they were if it is not asked for.
-    common : tuple of CommonGroup
-        Agents whose choices must agree at each time and in each automaton state (``agreed``).
     spend : callable, optional
         Told the work of sweeps, in core seconds, before it is done; it raises what ends them.
     """
@@ -66,7 +62,6 @@ class JointModel:
     horizon: int
     device: str = HOST
     finds_alike: bool = False
-    common: tuple[CommonGroup, ...] = ()
     spend: Callable[[float], None] | None = None
 
     def __repr__(self) -> str:
@@ -104,25 +99,6 @@ class JointModel:
             here = after
         table = np.array(rows).reshape(self.horizon, self.n_states)
         return table if _is_sparse(table[:, ~self.absorbing]) else np.ones_like(table)
-
-    def agreed(self, policies: Policies) -> Policies:
-        """Return policies in which inputs that are chosen in common are the same for the whole team (``agreed``)."""
-        return agreed(self.common, [model.choices for model in self.models], policies) if self.common else policies
-
-    @property
-    def most_numbers(self) -> int:
-        """Most numbers of a group; 0 if nothing is chosen in common."""
-        return max((len(group.numbers) for group in self.common), default=0)
-
-    def with_numbers(self, policies: Policies, number: int) -> Policies:
-        """Return policies in which every group has the number, or its last one, at all times and automaton states."""
-        result = [policy.copy() for policy in policies]
-        for group in self.common:
-            for i, part in zip(group.members, group.parts, strict=True):
-                choices = self.models[i].choices
-                for t, q in np.ndindex(result[i].shape[:2]):
-                    result[i][t, q] = choices.with_part(result[i][t, q], int(part[min(number, len(part) - 1)]))
-        return tuple(result)
 
     @property
     def n_cells(self) -> tuple[int, ...]:
@@ -167,7 +143,6 @@ def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> Join
         absorbing=automaton.absorbing,
         horizon=problem.horizon,
         device=device,
-        common=common_groups(models),
     )
 
 

@@ -74,21 +74,6 @@ class InnerChoices(ActionTable):
         return self.choices.lattice
 
     @property
-    def n_parts(self) -> int:  # type: ignore[override]
-        """That of the choices."""
-        return self.choices.n_parts
-
-    @property
-    def parts(self) -> tuple[ActionTable, ...]:
-        """Those of the choices."""
-        return self.choices.parts
-
-    @property
-    def part_length(self) -> int:
-        """That of the choices."""
-        return self.choices.part_length
-
-    @property
     def n_choices(self) -> int:
         """Number of choices that are inputs of a menu."""
         return self.choices.n_choices

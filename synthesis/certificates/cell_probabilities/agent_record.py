@@ -73,11 +73,9 @@ class AgentRecord:
     def sharing_key(self, agent: AnyAgent) -> tuple[object, ...]:
         """Return what the relation of ``agent`` and its motions are made of, apart from cells and policies.
 
-        Agents that differ in none of it may share what is computed from it. Inputs of others that are known in common
-        go by name, and agents whose dynamics are equal may have them in other places.
+        Agents that differ in none of it may share what is computed from it.
         """
-        named = getattr(agent, "others", ()) if "common" in self.relation else ()
-        return (*agent.model_key, json.dumps(self.relation, sort_keys=True), *named)
+        return (*agent.model_key, json.dumps(self.relation, sort_keys=True))
 
     def points(self, t: int, q: int) -> NDArray[Any]:
         """Return the lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""

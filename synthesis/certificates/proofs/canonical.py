@@ -539,7 +539,7 @@ def _tree_rows(proof: GridProof) -> Iterator[tuple[np.ndarray, np.ndarray, np.nd
 def _cells_of(agent: AnyAgent, known: CheckedAgent, part: AgentRecord, put: _Pool) -> dict[str, Any]:
     """Return the entry of the cells of one agent."""
     relation, kind = part.relation, part.relation["kind"]
-    if kind not in ("exact", "linear", "boxes") or "network" in relation or "common" in relation:
+    if kind not in ("exact", "linear", "boxes") or "network" in relation:
         raise NotCanonicalError(f"the relation {kind!r} of agent `{agent.name}` has no canonical form yet")
     if not np.array_equal(part.coordinates, np.eye(agent.n_states)):
         raise NotCanonicalError(f"the cells of agent `{agent.name}` are not along its states")

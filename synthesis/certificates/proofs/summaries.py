@@ -9,10 +9,9 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from ....envs.systems.arguments import counted, names_text, shortened
+from ....envs.systems.arguments import counted, shortened
 from ....envs.tasks.problem import Problem
 from ...relations.grids import alike_text, shape_text
-from ..cell_probabilities import AgentRecord
 from .digits import shown_bound
 
 MOST_TOLD = 3
@@ -33,7 +32,6 @@ def certificate_facts(certificate: Any, claim: str | None = None) -> list[tuple[
         *([("cells", f"{cells} ({counted(len(agents), 'agent')})"), ("rank", str(proof.rank))] if agents else []),
         *proof.about.items(),
         *_told(problem),
-        *_in_common(agents),
     ]
 
 
@@ -41,14 +39,6 @@ def _start_text(certificate: Any) -> str:
     """Return what a claim says about its start, in words."""
     point = all(agent.initial.is_point for agent in certificate.problem.agents)
     return "from the initial state" if point else "on average over the initial boxes"
-
-
-def _in_common(parts: Sequence[AgentRecord]) -> list[tuple[str, str]]:
-    """Return a row about inputs of others that agents are assumed to know; no row if there are none."""
-    names = dict.fromkeys(name for part in parts for name in part.relation.get("common", {}).get("names", ()))
-    if not names:
-        return []
-    return [("in common", f"{names_text([*names])}: by automaton state and time alone, known to all")]
 
 
 def _told(problem: Problem) -> list[tuple[str, str]]:

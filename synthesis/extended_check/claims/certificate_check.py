@@ -5,8 +5,7 @@ inputs with the input box, and it grows the value tree again, vertex by vertex, 
 any set of vertices of a tree is a lower bound. So a certificate is right if
 
 1. its grids tile the workspaces and its noise coordinates make the noise independent;
-2. every relation holds (``verify_relation``), and every choice can be commanded from every related state; inputs of
-   others that an agent is said to know are the same for all cells and agents (``wrong_common``);
+2. every relation holds (``verify_relation``), and every choice can be commanded from every related state;
 3. guards out of one state are disjoint, and every letter of the states related to a guard's cells leads to its target
    (or, for co-safe tasks, to acceptance);
 4. the regrown value at the start, less what lost relations can cost, is at least ``lower_bound``, and no stored factor
@@ -57,7 +56,7 @@ from ...certificates.proofs import (
 from ...certificates.value_functions import UNIT, Terms
 from ...checker import Refused, Unreadable, Verdict, bound_of, read_problem
 from ...relations.grids import FloatArray, lattice_axes
-from ..steps import execution_of, label_margin, places_of, verify_relation, wrong_actions, wrong_common
+from ..steps import execution_of, label_margin, places_of, verify_relation, wrong_actions
 from ..vertex_grids import failure_of
 from .complement_task import other_controllers, wrong_complement
 from .forward_occupancy import TooManyProducts, masses
@@ -216,7 +215,6 @@ def _check_one(certificate: OnGrid, problem: Problem) -> CheckReport:
         failures = failures or step(certificate)
     if not failures:
         failures, margins, loss = _check_agents(certificate)
-        failures = failures or wrong_common(certificate)
     failures = failures or wrong_guards(certificate, margins)
     if not failures:
         try:

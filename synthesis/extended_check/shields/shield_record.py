@@ -252,11 +252,6 @@ def _check_certificate(certificate: OnGrid) -> None:
                 f"`{agent.name}`; a shield knows no masses over windings; give the state a workspace of several turns, "
                 "and leave it out of `angles`"
             )
-        if "common" in part.relation:
-            raise ValueError(
-                f"`certificate`: expected one without inputs that are chosen in common, got agent `{agent.name}`; it "
-                "relies on what others apply, and nobody knows what a learner applies; synthesize with `common=False`"
-            )
         if relation.delta > 0.0:
             raise ValueError(
                 f"`certificate`: expected relations with delta = 0, got {relation.delta:.3g} for agent "

@@ -4,7 +4,6 @@ One step of one agent, found again: where it goes, and what values are there.
 """
 
 from .carrying_out import wrong_actions
-from .common_check import wrong_common
 from .execution import UNIT, execution_of
 from .geometry import box_image, cell_boxes, classes_in_boxes, is_identity, start_shares
 from .linear_check import by_cell, hat_weights, masks_of, places_of
@@ -42,6 +41,5 @@ __all__ = [
     "UNIT",
     "verify_relation",
     "wrong_actions",
-    "wrong_common",
     "wrong_for_uneven_noise",
 ]

@@ -38,7 +38,6 @@ from ...certificates.cell_probabilities import (
 )
 from ...relations.grids import FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
 from ...relations.kinds import commands_of
-from .common_check import by_number, known_inputs
 from .geometry import cell_boxes
 from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales, steered_spans
 from .network_enclosures import driven_spans, network_modes, network_spans
@@ -119,17 +118,14 @@ class WrittenBoxes:
         for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1):
             here, inputs = cell[some], input_set[choice[some]]
             parts = int(part.relation["parts"])
-            known = known_inputs(agent, part, choice[some])
-            first, last = enclosed_means(agent, low[here], high[here], inputs, part.coordinates, parts, applied=known)
+            first, last = enclosed_means(agent, low[here], high[here], inputs, part.coordinates, parts)
             for mode in np.unique(choice[some][choice[some] < network_modes(part)]):
                 moved = choice[some] == mode  # whose inputs in the menu stand for nothing
                 first[moved], last[moved] = driven_spans(agent, part, here[moved], int(mode))
             steered = np.flatnonzero(np.array(part.relation["steer"], dtype=bool)[choice[some]])
-            for which, knowing in by_number(agent, part, choice[some][steered]):
-                at = steered[which]
-                first[at], last[at] = steered_spans(
-                    knowing, low[here][at], high[here][at], inputs[at], commands_of(knowing), parts
-                )
+            if len(steered):
+                at = low[here][steered], high[here][steered], inputs[steered]
+                first[steered], last[steered] = steered_spans(agent, *at, commands_of(agent), parts)
             corners.append((first, last))
             if agent.noise_scale is not None:
                 # Under networks any input in its box, but the time of a clock.

@@ -17,7 +17,6 @@ from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.controllers import AgentController
 from ...relations.grids import FloatArray, linear_agent
 from ...relations.kinds import CoupledRelation, commands_of
-from .common_check import by_number, known_inputs
 from .execution import Execution
 from .geometry import cell_boxes, is_identity
 from .mean_enclosures import steered_spans
@@ -169,26 +168,21 @@ def _wrong_written(
         return ["its controller was seen to do something else than its policy says"]
     low, high = cell_boxes(part)
     steered = np.flatnonzero(steer & (cells >= 0))
-    for group, knowing in by_number(agent, part, choice[steered]):
-        which = steered[group]
-        centre = (0.5 * (low + high))[cells[which]].T
-        targets = knowing.mean(centre, input_set[choice[which]].T)
-        others = None if beside is None else beside[:, which]
-        for place, numbers in known_inputs(agent, part, choice[which]).items():
-            assert others is not None  # they are among what the dynamics name
-            others[place] = numbers
-        means = agent.mean(states[:, which], inputs[:, which], None, others)
-        commands = commands_of(knowing)
-        # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate. Many points share a cell.
-        pairs, place_of = np.unique(cells[which] * np.int64(len(input_set)) + choice[which], return_inverse=True)
-        cell, chosen = np.divmod(pairs, len(input_set))
-        first, _ = steered_spans(knowing, low[cell], high[cell], input_set[chosen], commands, 1)
-        known = np.all(~np.isnan(first), axis=1)[place_of]
-        for command in commands:
-            off = np.abs(means[command.axis] - targets[command.axis])
-            size = np.abs(agent.workspace.low[command.axis]) + np.abs(agent.workspace.high[command.axis])
-            if np.any(known & ~(off <= STEERED * (np.abs(targets[command.axis]) + size))):
-                return ["its controller was seen to steer elsewhere than its policy says"]
+    if not len(steered):
+        return []
+    targets = agent.mean((0.5 * (low + high))[cells[steered]].T, input_set[choice[steered]].T)
+    means = agent.mean(states[:, steered], inputs[:, steered], None, None if beside is None else beside[:, steered])
+    commands = commands_of(agent)
+    # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate. Many points share a cell.
+    pairs, place_of = np.unique(cells[steered] * np.int64(len(input_set)) + choice[steered], return_inverse=True)
+    cell, chosen = np.divmod(pairs, len(input_set))
+    first, _ = steered_spans(agent, low[cell], high[cell], input_set[chosen], commands, 1)
+    known = np.all(~np.isnan(first), axis=1)[place_of]
+    for command in commands:
+        off = np.abs(means[command.axis] - targets[command.axis])
+        size = np.abs(agent.workspace.low[command.axis]) + np.abs(agent.workspace.high[command.axis])
+        if np.any(known & ~(off <= STEERED * (np.abs(targets[command.axis]) + size))):
+            return ["its controller was seen to steer elsewhere than its policy says"]
     return []
 
 

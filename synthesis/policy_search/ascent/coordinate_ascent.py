@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.arguments import tree_text
-from ...abstraction.models import TIE, ActionTable, CommonGroup, JointModel, Policies, StepPolicy, best_offered
+from ...abstraction.models import ActionTable, JointModel, Policies, StepPolicy, best_offered
 from ...certificates.value_functions import (
     IndexArray,
     MergeLog,
@@ -155,7 +155,6 @@ def sweep(
         Share that uniting two terms from below may lose where steps are not additive (``pruning_schedules``); None: no
         terms are united.
     """
-    policies = joint.agreed(policies)
     mass = None if start is None else AliveMass(joint, policies, start, limits)
     policies = tuple(policy.copy() for policy in policies) if improve else policies
     terms = put_everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
@@ -251,13 +250,11 @@ class Stage:
         rough: bool = False,
         time: int = 0,
     ) -> None:
-        self.rough, self.groups = rough, joint.common
+        self.rough = rough
         self.models, self.policies, self.leftover = joint.models, list(policies), occupancy.leftover
         self.time, self.q = time, q
-        # What each agent may choose from, and the number of the first of these choices: groups keep their numbers.
+        # What each agent may choose from, and the number of the first of these choices.
         self.offered: list[tuple[ActionTable, int]] = [model.offered(time) for model in joint.models]
-        for group in self.groups:
-            self.offered = self._with_number(group, self._number_of(group))
         # Keep the factors that terms of this state point at, and read them at the chosen points.
         self.rows = options.index[q].copy()
         self.backed_up, self.values, known = [], [], Known()
@@ -302,54 +299,7 @@ class Stage:
         return (ANSWERED if improve else 1.0) * sum(each)
 
     def improve(self) -> None:
-        """Let every agent answer once, in order; before that every group takes the best number of its inputs."""
-        for group in self.groups:
-            self._choose_number(group)
-        self._answer(range(len(self.models)))
-
-    def _choose_number(self, group: CommonGroup) -> None:
-        """Let the members of a group answer under each number, and keep the number under which the team does best.
-
-        The present number is tried first and stays among equals, so that the value at the start does not fall.
-        """
-        now = self._number_of(group)
-        # With one objective each, members answer whatever the values of others are.
-        weighed = any(len(self.values[i]) > 1 for i in group.members)
-        before, best = (list(self.policies), list(self.values)), (-np.inf, self.offered, self.policies, self.values)
-        for number in (now, *(k for k in range(len(group.numbers)) if k != now)):
-            self.policies, self.values = [*before[0]], [*before[1]]
-            self.offered = self._with_number(group, number)
-            for i, part in zip(group.members, group.parts, strict=True) if number != now else ():
-                choices = self.models[i].choices
-                self.policies[i] = choices.with_part(self.policies[i], int(part[number]))
-                if weighed:
-                    self.values[i] = choices.read(self.backed_up[i], self.policies[i], self.rough)
-            self._answer(group.members)
-            worth = self._worth()
-            if worth > best[0] * (1.0 + TIE):
-                best = worth, self.offered, self.policies, self.values
-        _, self.offered, self.policies, self.values = best
-
-    def _number_of(self, group: CommonGroup) -> int:
-        """Return the number that the members of a group share now."""
-        chosen, offered = zip(*((self.policies[i], self.models[i].choices) for i in group.members), strict=True)
-        return group.number_of(chosen, offered)
-
-    def _with_number(self, group: CommonGroup, number: int) -> list[tuple[ActionTable, int]]:
-        """Return what agents are offered if a group has a number."""
-        offered = [*self.offered]
-        for i, part in zip(group.members, group.parts, strict=True):
-            choices = self.models[i].choices
-            offered[i] = choices.parts[part[number]], int(part[number]) * choices.part_length
-        return offered
-
-    def _worth(self) -> float:
-        """Return what all terms contribute at the start, weighed with the mass that reaches them."""
-        inner = [self._inner(i) for i in range(len(self.models))]
-        return float(inner_products(inner, self._heaviest(len(self.models)), self.rows).sum())
-
-    def _answer(self, who: Sequence[int]) -> None:
-        """Let some agents answer once, in order, with what they are offered.
+        """Let every agent answer once, in order.
 
         Cells that the alive mass does not meet are weighed as if the other agents might be anywhere.
         """
@@ -360,10 +310,6 @@ class Stage:
         answers: dict[tuple[int, int, bytes, bytes], StepPolicy] = {}
         for i, model in enumerate(self.models):
             n_values = len(self.values[i])
-            if i not in who:
-                met.replace(self._inner_by_terms(i, chosen))
-                anywhere.replace(_means(self.values[i])[self.rows[:, i]])
-                continue
             # With a single objective its weights do not matter, and equal agents have equal answers.
             if n_values == 1:
                 table = to_host(self.backed_up[i])

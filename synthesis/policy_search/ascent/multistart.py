@@ -81,10 +81,6 @@ POLISHING = 4
 RELAXED = "relaxed start"
 """Name of the start at the policies with which each agent trusts the team to do its best."""
 
-COMMON_STARTS = 3
-"""Numbers of inputs that are chosen in common from which a search starts: where agents are, and with that what is
-best later, depends on earlier numbers."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SearchResult:
@@ -295,8 +291,6 @@ class _TreeAscent:
         elif self.best is not None:
             self.run("given start", self.best.policies, sweeps - 1, self.best.value)
         if not self.is_solved and sweeps >= 2:
-            self.common_starts(relaxed_policies(relaxations))
-        if not self.is_solved and sweeps >= 2:
             self.more_starts(resting, relaxations)
         rng = np.random.default_rng(RESTART_SEED)
         for k in range(self.how.restarts):
@@ -307,16 +301,6 @@ class _TreeAscent:
     def each(self, starts: dict[str, Policies]) -> list[Sweep]:
         """Make one sweep from every start and return them."""
         return [self.run(name, policies, min(1, self.how.max_sweeps)) for name, policies in starts.items()]
-
-    def common_starts(self, policies: Policies) -> None:
-        """Try some numbers of inputs that are chosen in common, each at all times; go on from the best of them."""
-        # Numbers from the middle: at the ends of input boxes hardly any task stays.
-        inner = np.linspace(0, self.joint.most_numbers - 1, COMMON_STARTS + 2)[1:-1] if self.joint.common else ()
-        some = np.unique(np.rint(inner).astype(int)).tolist()
-        starts = {f"number {k + 1} in common": self.joint.with_numbers(policies, k) for k in some}
-        if starts:
-            best = max(zip(starts, self.each(starts), strict=True), key=lambda pair: pair[1].value)
-            self.run(best[0], best[1].policies, self.how.max_sweeps - 1, best[1].value)
 
     def more_starts(self, naive: Policies, relaxations: tuple[Relaxation, ...]) -> None:
         """Try the relaxed start and, unless it comes to the same, the staged ones; continue with the best two."""

@@ -42,13 +42,11 @@ def stationary_best(problem: Problem, joint: JointModel, found: SearchResult, li
     start = start_of(problem, joint)
     evaluate = _evaluation(joint, start, found.best, limits)
     shape = (joint.horizon, joint.n_states)
-    # Candidates: the choices of the first step, those of the relaxations, and those of the most likely times; where
-    # inputs are chosen in common, each of their numbers for all automaton states.
+    # Candidates: the choices of the first step, those of the relaxations, and those of the most likely times.
     first = tuple(policy[:1] for policy in found.best.policies)
     candidates = [first, tuple(relaxation.policy[:1] for relaxation in found.relaxations)]
     if isinstance(found.best, Sweep):
         candidates.append(_modal(joint, found.best.policies, forward(joint, found.best.policies, start, limits)))
-    candidates += [joint.with_numbers(first, number) for number in range(joint.most_numbers)]
     tried = [evaluate(_at_all_times(policies, shape)) for policies in candidates]
     best = max(tried, key=lambda outcome: outcome.value)
     if isinstance(best, TrainSweep):

@@ -79,8 +79,6 @@ def continued(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: P
     of_start = [part.relation["kind"] for part in start.proof.agents]
     if cells is None and len(of_start) == problem.n_agents:
         cells = dict(zip(problem.agent_names, (part.grid.shape for part in start.proof.agents), strict=True))
-    if plan.settings.common is None and any("common" in part.relation for part in start.proof.agents):
-        plan = replace(plan, settings=replace(plan.settings, common=True))
     if len(of_start) == len(kinds) and "auto" in kinds:
         kinds = [of_one if kind == "auto" else kind for kind, of_one in zip(kinds, of_start, strict=True)]
         plan = replace(plan, settings=plan.settings.of_kinds(kinds))

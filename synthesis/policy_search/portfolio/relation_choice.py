@@ -26,7 +26,6 @@ from ...abstraction.models import (
     JointModel,
     Settings,
     check_names,
-    common_inputs_of,
     join,
     lost_beside,
     models_of,
@@ -111,8 +110,6 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
         wanted = dict.fromkeys(wanted, (*first_try, *(("linear", "boxes") if is_smooth else ("boxes",))))
     elif first.laws is not None:
         wanted = dict.fromkeys(wanted, ("exact", "boxes") if first.has_full_rank else ("boxes",))
-    if settings.common and {*members} & {*common_inputs_of(problem)}:
-        wanted = dict.fromkeys(wanted, ("boxes",))  # no other relation knows of inputs that are chosen in common
     for relation in wanted.get(asked, (asked,)):
         try:
             member_models = models_of(problem, cells, dict.fromkeys(members, relation), settings)

@@ -6,7 +6,6 @@ What ties a state to its cell: exact maps, boxes, linear cells, the paper's (eps
 from .affine_means import AffineBoxes, AffineMeans, MapRelation, MatrixMaps, block_of, map_relation
 from .boxes import BoxRelation, LinearMeans, MeanBoxes, NetworkMeans, box_relation
 from .commands import Command, commands_of
-from .common_means import CommonInputs, CommonMeans
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from .description import GONE, Relation, check_description, describe_relation, relation_from
 from .exact import ExactOnCells, ExactRelation, aimed_relation, exact_relation
@@ -39,8 +38,6 @@ __all__ = [
     "AffineMeans",
     "BoxRelation",
     "Command",
-    "CommonInputs",
-    "CommonMeans",
     "CoupledRelation",
     "GONE",
     "ExactOnCells",

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from ....envs.systems.agents import Agent, AnyAgent, LinearAgent
 from ....envs.systems.arguments import counted
 from ..grids import FloatArray, RelationRefused, linear_agent
-from .common_means import CommonInputs, CommonMeans, common_inputs, common_means
 from .coordinates import ReadsCoordinates, Unsteered
 from .driven_means import DrivenMeans
 from .exact import INPUT_MARGIN
@@ -165,7 +164,7 @@ class BoxRelation(ReadsCoordinates):
 
     Parameters
     ----------
-    means : LinearMeans, WrittenMeans, CommonMeans, NetworkMeans or DrivenMeans
+    means : LinearMeans, SymbolicMeans, NetworkMeans or DrivenMeans
         What makes the boxes.
     coordinates : (d, d) array
         Grid coordinates to state.
@@ -175,17 +174,14 @@ class BoxRelation(ReadsCoordinates):
         Feedback K_a of each choice inside its cell.
     input_low, input_high : (m,) arrays
         Input box.
-    common : CommonInputs or None
-        Inputs that are chosen in common, by automaton state and time alone, and their numbers in the menu.
     """
 
-    means: LinearMeans | SymbolicMeans | CommonMeans | NetworkMeans | DrivenMeans
+    means: LinearMeans | SymbolicMeans | NetworkMeans | DrivenMeans
     coordinates: FloatArray
     input_set: FloatArray
     gains: FloatArray
     input_low: FloatArray
     input_high: FloatArray
-    common: CommonInputs | None = None
 
     kind = "boxes"
     delta = 0.0
@@ -202,13 +198,11 @@ class BoxRelation(ReadsCoordinates):
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""
-        common = {} if self.common is None else {"common": self.common.description}
         return {
             "kind": "boxes",
             "menu": self.input_set.tolist(),
             "gains": self.gains.tolist(),
             **self.means.description,
-            **common,
         }
 
     @property
@@ -286,7 +280,6 @@ class BoxRelation(ReadsCoordinates):
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
         """All matrices, for comparing relations."""
-        common = () if self.common is None else self.common.arrays
         return (
             *self.means.arrays,
             self.coordinates,
@@ -294,7 +287,6 @@ class BoxRelation(ReadsCoordinates):
             self.gains,
             self.input_low,
             self.input_high,
-            *common,
         )
 
     def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
@@ -325,8 +317,8 @@ def box_relation(
     gains : (A, m, d) array, optional
         Feedback of each choice inside its cell; none by default.
     written : mapping, optional
-        Further settings of ``SymbolicMeans``: ``parts``, which choices ``steer``, and inputs chosen in ``common``; or
-        of ``NetworkMeans``: the description of a ``network``, and ``parts``.
+        Further settings of ``SymbolicMeans``: ``parts`` and which choices ``steer``; or of ``NetworkMeans``: the
+        description of a ``network``, and ``parts``.
 
     Raises
     ------
@@ -339,17 +331,13 @@ def box_relation(
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need one feedback for each input of their menu")
     if not len(input_set) or not np.all((box.low <= input_set) & (input_set <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
-    means: LinearMeans | SymbolicMeans | CommonMeans | NetworkMeans
+    means: LinearMeans | SymbolicMeans | NetworkMeans
     if isinstance(agent, Agent):
         if np.any(gains):
             raise RelationRefused(f"agent `{agent.name}`: mean boxes of expressions have no feedback inside a cell")
         written = {"parts": 1, **(written or {})}
         steer = written.get("steer")
         steer = np.zeros(len(input_set), dtype=bool) if steer is None else np.array(steer, dtype=bool)
-        if "common" in written:
-            common = common_inputs(written["common"], agent)
-            means = common_means(agent, coordinates, input_set, {**written, "steer": steer}, common)
-            return BoxRelation(means, coordinates, input_set, gains, box.low, box.high, common)
         means = SymbolicMeans(agent, coordinates, int(written["parts"]), steer)
         if "network" in written:
             if np.any(steer):

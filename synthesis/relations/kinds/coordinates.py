@@ -23,9 +23,6 @@ class ReadsCoordinates:
     is_cell = True
     """Whether related states are those of the same cell."""
 
-    common: Any = None
-    """Inputs that are chosen in common with other agents; None for all others."""
-
     @property
     def network(self) -> Any:
         """The network whose modes are choices; None for all others."""

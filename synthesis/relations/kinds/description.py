@@ -1,7 +1,7 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
 ``{"kind": "exact"}``, ``{"kind": "boxes", "input_set", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
-expressions, and ``"common"`` where inputs are chosen in common; with ``"parts"`` and ``"network"`` where networks move
+expressions; with ``"parts"`` and ``"network"`` where networks move
 agents), ``{"kind": "linear", "input_set", "parts", "cuts", "reach", "blocks"}``
 (with ``"mean_targets"`` where targets are offered beside the menu, and ``"network"`` where networks move agents),
 and ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``; matrices
@@ -68,7 +68,7 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     if kind == "boxes":
         input_set, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
         written: dict[str, Any] = {
-            name: description[name] for name in ("parts", "steer", "network", "common") if name in description
+            name: description[name] for name in ("parts", "steer", "network") if name in description
         }
         return box_relation(agent, coordinates, input_set, gains, written)
     if kind == "linear" and "network" not in description:
@@ -132,9 +132,6 @@ def check_description(description: Any, agent: AnyAgent) -> None:
             raise ValueError("a relation says of its choices neither that they steer nor that they do not")
         if len(steer) != len(description["menu"]):
             raise ValueError("a relation has other choices that steer than its menu")
-        _check_common(description.get("common"), len(description["menu"]))
-    elif "common" in description:
-        raise ValueError("it has inputs that are chosen in common for an agent that has no names for them")
     d, m = agent.n_states, agent.n_inputs
     # -1 stands for any length: the number of choices.
     shapes = {"menu": (-1, m), "gains": (-1, m, d)}
@@ -145,24 +142,6 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
         if not array.ndim or array.shape != expected or not array.size or not np.all(np.abs(array) <= LARGEST):
             raise ValueError(f"a relation has settings that are not matrices: `{name}` has shape {array.shape}")
-
-
-def _check_common(common: Any, n_choices: int) -> None:
-    """Raise ValueError unless a value describes inputs that are chosen in common, or is None."""
-    if common is None:
-        return
-    if not isinstance(common, dict) or {*common} != {"names", "numbers"}:
-        raise ValueError("a relation does not say which inputs are chosen in common, and among which numbers")
-    names, numbers = common["names"], common["numbers"]
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise ValueError("inputs that are chosen in common have no names")
-    if len({*names}) != len(names):
-        raise ValueError("inputs that are chosen in common are named twice")
-    if not isinstance(numbers, list) or not 0 < len(numbers) <= n_choices or n_choices % len(numbers):
-        raise ValueError("a menu has not the same choices for each of the numbers that are chosen in common")
-    rows = all(isinstance(row, list) and len(row) == len(names) for row in numbers)
-    if not rows or any(type(x) not in (int, float) or not abs(x) <= LARGEST for row in numbers for x in row):
-        raise ValueError("a relation has numbers chosen in common that are no numbers")
 
 
 def _check_modes(description: dict[str, Any]) -> None:
