@@ -131,7 +131,7 @@ def _of_nonlinear(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
 def _of_networks(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """A random network as it is, whose actions are computed by other code."""
     actor = SharedActor(problem, random_network(problem, spec))
-    found = certify_network(problem, actor, spec["options"]["cells"], relation=spec["network"]["relation"])
+    found = certify_network(problem, actor, spec["options"]["cells"])
     certificate: Any = found.certificate
     refusals = "; ".join(filter(None, [_refused(certificate), *differences(certificate, actor)]))
     return [(spec, lambda n, seed: Networked(spec, problem, actor.network, n), certificate.lower_bound)], refusals
@@ -199,8 +199,7 @@ def _honest(problem: cg.Problem, spec: Spec) -> tuple[Any, Callable[[Any], Any]]
     """A claim that a forger begins with, and its check."""
     if "network" in spec:
         actor = SharedActor(problem, random_network(problem, spec))
-        cells, relation = spec["options"]["cells"], spec["network"]["relation"]
-        return certify_network(problem, actor, cells, relation=relation).certificate, cg.check
+        return certify_network(problem, actor, spec["options"]["cells"]).certificate, cg.check
     certificate: Any = cg.synthesize(problem, **arguments_of(spec)).certificate
     if isinstance(certificate.proof, ProductProof):
         return None, cg.check

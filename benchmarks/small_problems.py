@@ -402,8 +402,8 @@ def _networks(rng: np.random.Generator) -> Spec:
     spec = _problem(rng, agents, {"cells": cells}, (1, 2, 3))
     hidden = [int(n) for n in rng.integers(3, 9, rng.integers(3))]
     spec["network"] = {"seed": int(rng.integers(2**31)), "hidden": hidden,
-                       "activation": str(rng.choice(["tanh", "relu"])), "squashed": bool(rng.random() < 0.4),
-                       "relation": str(rng.choice(["linear", "boxes"]))}  # fmt: skip
+                       "activation": str(rng.choice(["tanh", "relu"])), 
+                       "squashed": bool(rng.random() < 0.4)}  # fmt: skip
     return spec
 
 

@@ -446,17 +446,15 @@ def constantly(u: NDArray[Any]) -> Callable[..., NDArray[Any]]:
 
 
 def network(row: str, folder: Path) -> Claims:
-    """A network, certified as it is."""
+    """A network, certified as it is on cells."""
     problem = problem_of(row)
     view = SharedView(problem)
     rng = np.random.default_rng(0)
     first = 0.2 * rng.normal(size=(4, view.size)).astype(np.float32)
     last = np.full((view.n_actions, 4), 0.2, dtype=np.float32)
     layers = Network((first, last), (np.full(4, 0.5, np.float32), np.zeros(view.n_actions, np.float32)), "tanh", False)
-    kind = ROWS[row].options["relation"]
-    # A network of a problem along a path is on cells like any other: no relations need be compared for it.
-    options = {"relation": kind} if kind in ("linear", "boxes") else {"relation": "boxes"} if kind == "path" else {}
-    result = cg.certify(problem, SharedActor(problem, layers), ROWS[row].cells or 24, **options)
+    # A network of a problem along a path is on cells like any other.
+    result = cg.certify(problem, SharedActor(problem, layers), ROWS[row].cells or 24)
     assert cg.check(result.certificate)
     return Claims((result.certificate.lower_bound,))
 

@@ -49,11 +49,11 @@ from ..interop import SymbolicPolicies, certifiable
 from ..policy_search.ascent import FINAL, Sweep, sweep
 from ..policy_search.cell_certificates import certificate_of, judged
 from ..relations.grids import CellCounts, FloatArray
-from .raw_networks import COVERED, certified_as_it_is, points_of_networks, repair_network
+from .raw_networks import certified_as_it_is
 from .search_options import OF_RELATIONS, SearchOptions, options_of
 from .upper_bounds import synthesis_above
 
-OF_NETWORKS = ("auto", "quick", "path", "linear", "boxes")
+OF_NETWORKS = ("auto", "quick", "path", "linear")
 """Relations under which networks are certified as they are."""
 
 WORTHWHILE = 1e-7
@@ -88,7 +88,7 @@ def certify(
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis: then cells alone are tried. With more cells a wrapped policy is closer to the raw one.
     relation : str, or mapping from agent name to str
-        Of networks as they are ``path``, ``linear`` or ``boxes`` (by default what is best). Any other wraps the policy,
+        Of networks as they are ``path`` or ``linear`` (by default what is best). Any other wraps the policy,
         as for ``abstract``; ``exact`` for tasks about pairs; relations are not compared.
     wrap : bool
         Whether to certify what a network becomes on cells.
@@ -220,16 +220,13 @@ def improve(
     *,
     relation: Relations = "auto",
     progress: Callable[[str, float], None] | None = None,
-    as_is: bool = False,
-    share: float = COVERED,
     search: SearchOptions | None = None,
     **old: Any,
 ) -> Synthesis:
     """Improve ``policy`` by coordinate ascent; return the best policies and a certified lower bound for them.
 
     The bound is at least that of ``certify`` with the same cells and settings: the wrapped policy is one of the
-    candidates, and all candidates are evaluated in the same way. With ``as_is`` networks stay as they are deployed, and
-    are replaced only where they lose most (``repair_network``).
+    candidates, and all candidates are evaluated in the same way.
 
     Parameters
     ----------
@@ -237,26 +234,12 @@ def improve(
         As for ``certify``.
     progress : callable, optional
         Called with a short text and the best value so far after each sweep.
-    as_is : bool
-        Whether the networks themselves act wherever they are not replaced; relations and sweeps are not chosen then.
-    share : float
-        With ``as_is``, the share of all that is lost that the replaced places make up for, as few of them as can be:
-        from 0 (nothing is replaced) to 1 (everything that gains).
     search : SearchOptions, optional
         ``max_sweeps``, ``limits``, and the options of relations; others are refused.
-
-    Returns
-    -------
-    Synthesis
-        With ``as_is``, ``stats["weak_places"]`` says where the networks lose.
     """
-    keywords = ("problem", "policy", "cells", "relation", "progress", "as_is", "share", "search")
+    keywords = ("problem", "policy", "cells", "relation", "progress", "search")
     options = options_of(search, old, "improve", keywords, ("max_sweeps", "limits", *OF_RELATIONS))
     settings, max_sweeps = options.of_relations, options.max_sweeps
-    if as_is:
-        per_cell = points_of_networks(settings)
-        found, places = repair_network(problem, policy, cells, share=share, targets_per_cell=per_cell)
-        return replace(found, stats={**found.stats, "weak_places": places})
     clock, problem = _Clock(), as_problem(problem)
     ascent = options.search(progress=progress)
     wrapped = _wrapped(problem, certifiable(problem, policy), cells, relation, settings)

@@ -54,6 +54,9 @@ BOTH_SIGNS = Reason(
     "factors of trains have both signs: no least value of such a sum is read off the least factors",
 )
 MAY_BE_LOST = Reason("delta = 0", "what may be lost at every step cannot be promised to others, nor for all times")
+ON_LINEAR_CELLS = Reason(
+    "along its trajectory", "networks on cells have linear cells, whose noise is Gaussian and the same everywhere"
+)
 RUNS_EMPTY = Reason("falls to 0", "a battery runs empty in the end: no rate bounds what falls to 0")
 LOOK_AT_TIME = Reason(
     "policies have to look at it", "rates are those of steps that are all the same, which steps in time are not"
@@ -72,6 +75,9 @@ CANNOT: dict[str, dict[str, Reason]] = {
         "subtraction": BY_SUBTRACTION,
     },
     "certify": dict.fromkeys(PATHS, OWN_FEEDBACK),
+    "network": dict.fromkeys(
+        ["exact Laplace", "boxes Laplace", "boxes noise scale", "boxes no noise"], ON_LINEAR_CELLS
+    ),
     "at": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": AT_PAIRS},
     "values in time": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": BY_SUBTRACTION},
     "audit": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": BY_SUBTRACTION},

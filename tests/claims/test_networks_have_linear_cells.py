@@ -11,7 +11,6 @@ import pytest
 
 import certigym as cg
 from certigym.envs.systems.agents import LinearAgent
-from certigym.synthesis.abstraction.models.network_model import network_abstraction
 from certigym.synthesis.certificates.proofs import changed
 from certigym.synthesis.extended_check.steps.network_enclosures import network_maps
 from certigym.synthesis.relations.kinds import AffineBoxes, MapRelation, NetworkMaps, NetworkPolicy, check_description
@@ -56,7 +55,7 @@ def test_no_point_of_a_cell_leaves_its_map(
     problem, d = reach(agent, horizon=2), agent.n_states
     view = SharedView(problem)
     actor = SharedActor(problem, network([view.size, *hidden, view.n_actions], activation, squashed))
-    part = certify_network(problem, actor, 12 if d == 1 else 6, relation="linear").certificate.proof.agents[0]
+    part = certify_network(problem, actor, 12 if d == 1 else 6).certificate.proof.agents[0]
     part = dataclasses.replace(part, relation={**part.relation, "cuts": cuts})
     relation = part.relation_of(agent)
     assert isinstance(relation, MapRelation) and relation.means is not None
@@ -118,7 +117,7 @@ def test_remainders_of_what_rounding_takes_are_stored_below_what_the_check_compu
     """With many cells the search takes more off a step than the check, and remainders of 1e-9 are larger for it."""
     problem = cg.make_problem("reach-avoid-v0")
     cells = {"agent_0": 40, "agent_1": 1000}
-    certificate = certify_network(problem, proportional(problem), cells, relation="linear").certificate
+    certificate = certify_network(problem, proportional(problem), cells).certificate
     largest = certificate.proof.terms.factors[1].max(axis=1)
     assert largest.max() > 0.8 and largest[largest > 0.0].min() < 1e-8
     assert cg.check(certificate)
@@ -147,10 +146,10 @@ def test_maps_that_are_wrong_are_refused(
     """Bounds that rest on wrong maps: what is left too small by a hundredth, slopes of another cell, or none."""
     problem = reach(scalar_agent("a"))
     actor, true = proportional(problem), NetworkMaps.around
-    right = certify_network(problem, actor, 40, relation="linear")
+    right = certify_network(problem, actor, 40)
     assert cg.check(right)
     monkeypatch.setattr(NetworkMaps, "around", lambda self, *arguments: change(true(self, *arguments)))
-    wrong = certify_network(problem, actor, 40, relation="linear").certificate
+    wrong = certify_network(problem, actor, 40).certificate
     monkeypatch.undo()
     assert change is of_the_next_cell or wrong.lower_bound > right.certificate.lower_bound
     report = cg.check(wrong)
@@ -161,7 +160,7 @@ def test_squashing_weights_and_times_matter() -> None:
     """A network that is clipped, other weights, another time, and a reach that is too small."""
     problem = reach(scalar_agent("a"))
     actor = proportional(problem)
-    certificate = certify_network(problem, actor, 60, relation="linear").certificate
+    certificate = certify_network(problem, actor, 60).certificate
     assert cg.check(certificate)
     assert not cg.check(with_network(certificate, squashed=True))
     last = [bias.tolist() for bias in actor.network.biases]
@@ -181,14 +180,14 @@ def test_squashing_that_was_left_out_is_refused(monkeypatch: pytest.MonkeyPatch)
     problem = reach(scalar_agent("a"))
     clipped = proportional(problem)
     actor = SharedActor(problem, dataclasses.replace(clipped.network, squashed=True))
-    right, true = certify_network(problem, actor, 60, relation="linear"), NetworkMaps.around
+    right, true = certify_network(problem, actor, 60), NetworkMaps.around
 
     def unsquashed(self: NetworkMaps, *arguments: Any) -> AffineBoxes:
         plain = dataclasses.replace(self.policy, network=dataclasses.replace(self.policy.network, squashed=False))
         return true(dataclasses.replace(self, policy=plain), *arguments)
 
     monkeypatch.setattr(NetworkMaps, "around", unsquashed)
-    wrong = certify_network(problem, actor, 60, relation="linear").certificate
+    wrong = certify_network(problem, actor, 60).certificate
     monkeypatch.undo()
     assert wrong.proof.agents[0].relation["network"]["squashed"] and wrong.lower_bound > right.certificate.lower_bound
     assert cg.check(right) and not cg.check(wrong)
@@ -197,17 +196,9 @@ def test_squashing_that_was_left_out_is_refused(monkeypatch: pytest.MonkeyPatch)
 def test_files_with_other_choices_than_modes_are_refused() -> None:
     """A menu that is longer than there are times and automaton states."""
     problem = reach(scalar_agent("a"))
-    part = certify_network(problem, proportional(problem), 30, relation="linear").certificate.proof.agents[0]
+    part = certify_network(problem, proportional(problem), 30).certificate.proof.agents[0]
     check_description(part.relation, problem.agents[0])
     with pytest.raises(ValueError, match="other choices"):
         check_description({**part.relation, "menu": [*part.relation["menu"], [0.0]]}, problem.agents[0])
     with pytest.raises(ValueError, match="reach"):
         check_description({**part.relation, "reach": [10**9]}, problem.agents[0])
-
-
-def test_relations_that_are_not_known_are_refused() -> None:
-    problem = reach(scalar_agent("a"))
-    with pytest.raises(ValueError, match="relation"):
-        certify_network(problem, proportional(problem), 30, relation="paper")
-    model = network_abstraction(problem, [proportional(problem).agent_policy(0)], 30).models[0]
-    assert model.relation.kind == "linear"

@@ -13,11 +13,12 @@ from scipy.stats import binom, norm
 
 import certigym as cg
 from certigym.envs.systems.agents import LinearAgent
+from certigym.synthesis.abstraction.models import network_model
 from certigym.synthesis.certificates.proofs import UnionBoundProof, certificate_from
 from certigym.synthesis.composition.lattice_moves import NearPoints
 from certigym.synthesis.extended_check.claims.pairs_check import wrong_pairs
 from certigym.synthesis.relations.kinds import Network
-from certigym.synthesis.verbs.raw_networks import _less_nearness, _policies, differences, repair_network
+from certigym.synthesis.verbs.raw_networks import _less_nearness, _policies, differences
 from certigym.validation.policies.actors import TeamActor
 from certigym.validation.policies.views import SharedView
 from composing import expressions, matrices
@@ -58,20 +59,17 @@ def towards(problem: cg.Problem, *goals: Any) -> TeamActor:
 
 
 PROBLEMS: dict[str, Any] = {
-    "matrices, linear cells": (lambda: pair(), "linear"),
-    "matrices, boxes": (lambda: pair("(!near) U there"), "boxes"),
-    "expressions, linear cells": (lambda: pair("(!near) U there", make=expressions), "linear"),
-    "expressions, boxes": (lambda: pair(make=expressions), "boxes"),
-    "near at all times": (lambda: pair("G near", 2, (-1.5, 2.5), other=-1.3), "linear"),
+    "matrices": lambda: pair(),
+    "expressions": lambda: pair("(!near) U there", make=expressions),
+    "near at all times": lambda: pair("G near", 2, (-1.5, 2.5), other=-1.3),
 }
 
 
 @cache
 def certified(kind: str) -> tuple[cg.Problem, TeamActor, Any]:
-    make, relation = PROBLEMS[kind]
-    problem = make()
+    problem = PROBLEMS[kind]()
     actor = towards(problem, [-0.9], [1.3 if problem.agents[1].initial.low[0] > 0.0 else -1.2])
-    found = _less_nearness(problem, _policies(problem, actor), 60, relation, None).certificate
+    found = _less_nearness(problem, _policies(problem, actor), 60, None).certificate
     return problem, actor, found
 
 
@@ -102,7 +100,7 @@ def test_one_step_is_charged_as_it_is(wanted: bool) -> None:
     inside = norm.cdf((high - gap) / std) - norm.cdf((low - gap) / std)
     truth = 1.0 - inside if wanted else inside
     for cells, slack in ((30, 0.05), (240, 0.006)):
-        certificate: Any = _less_nearness(problem, _policies(problem, actor), cells, "boxes", None).certificate
+        certificate: Any = _less_nearness(problem, _policies(problem, actor), cells, None).certificate
         failures, again = wrong_pairs(certificate, problem)
         assert not failures and truth <= again <= certificate.proof.near <= truth + slack
 
@@ -129,7 +127,7 @@ def test_a_search_that_forgets_what_is_not_known_is_refused(what: str, monkeypat
     else:
         monkeypatch.setattr(NearPoints, "_tables", lambda self, reach: honest[1](self, np.zeros_like(reach)))
     problem = pair("G !near")
-    forged = _less_nearness(problem, _policies(problem, towards(problem, [-0.9], [1.3])), 60, "boxes", None).certificate
+    forged = _less_nearness(problem, _policies(problem, towards(problem, [-0.9], [1.3])), 60, None).certificate
     monkeypatch.undo()
     assert "pairs spoil" in cg.check(forged).failures[0]
 
@@ -169,12 +167,6 @@ def test_teams_of_planar_robots_are_certified(tmp_path: Path) -> None:
     assert cg.check(loaded, problem) and loaded.lower_bound == certificate.lower_bound
 
 
-def test_what_is_not_done_is_refused_in_words() -> None:
-    problem, actor, _ = robots()
-    with pytest.raises(ValueError, match="not about pairs"):
-        repair_network(problem, actor, 16)
-
-
 @mostly_thorough("what", ["angles", "time"])
 def test_what_is_not_known_of_pairs_is_refused(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """An angle turns, so that masses come from copies of cells; and the time is for paths alone beside pairs."""
@@ -197,8 +189,9 @@ def test_what_is_not_known_of_pairs_is_refused(what: str, monkeypatch: pytest.Mo
         cg.certify(problem, actor, 12)
     if what == "angles":
         monkeypatch.setattr(NearPoints, "__post_init__", lambda self: None)
+        monkeypatch.setattr(network_model, "refuse_angles", lambda *arguments: None)
         forged = cg.certify(problem, actor, 12)
-        assert "has an angle" in cg.check(forged).failures[0]
+        assert "angle" in cg.check(forged).failures[0]
 
 
 def test_starts_may_be_drawn_from_boxes() -> None:
@@ -206,7 +199,7 @@ def test_starts_may_be_drawn_from_boxes() -> None:
     problem = pair(horizon=2)
     low, high = ({a.name: a.initial.low + reach for a in problem.agents} for reach in (-0.2, 0.2))
     drawn = problem.replace(initial_low=low, initial_high=high)
-    found = _less_nearness(drawn, _policies(drawn, towards(drawn, [0.5], [-0.5])), 24, "boxes", None).certificate
+    found = _less_nearness(drawn, _policies(drawn, towards(drawn, [0.5], [-0.5])), 24, None).certificate
     assert isinstance(found.proof, UnionBoundProof) and found.lower_bound > 0.1 and cg.check(found)
     runs = cg.rollout(drawn, found.controller, EPISODES, seed=3)
     assert binom.cdf(runs.successes, EPISODES, found.lower_bound) > FALSE_ALARM

@@ -143,11 +143,10 @@ def test_a_shield_that_forgets_the_wind_is_caught(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("relation", ["linear", "boxes"])
-def test_a_network_may_be_what_a_shield_falls_back_on(relation: str) -> None:
+def test_a_network_may_be_what_a_shield_falls_back_on() -> None:
     """The certificate of a network as it is, and a proposer that works against it."""
     problem = reach(scalar_agent("a"), scalar_agent("b"))
-    found = certify_network(problem, proportional(problem), 80, relation=relation).certificate
+    found = certify_network(problem, proportional(problem), 80).certificate
     shield = shield_of(found, 0.5 * found.lower_bound)
     assert isinstance(shield, Shield)
     for propose in (anything, the_worst):

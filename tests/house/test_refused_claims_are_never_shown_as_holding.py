@@ -63,7 +63,6 @@ def test_results_carry_the_verdict(boastful: None, monkeypatch: pytest.MonkeyPat
         cg.certify(PROBLEM, actor, 20, relation="exact"),
         cg.certify(PROBLEM, actor, 20),
         cg.improve(PROBLEM, actor, 20, relation="exact", search=cg.SearchOptions(max_sweeps=1)),
-        cg.improve(PROBLEM, actor, 20, as_is=True),
     ):
         assert found.checked is not None and not found.checked
         assert NOT in repr(found) and NOT in found._repr_html_()
@@ -92,7 +91,6 @@ COMMANDS = [
     ["run", "reach-avoid-v0", "--cells", "20", "--relation", "exact", "--horizon", "2", "3", *QUICK],
     ["certify", "actor", "--cells", "20", "--relation", "exact", "--improve", *QUICK],
     ["certify", "actor", "--cells", "20", *QUICK],
-    ["certify", "actor", "--cells", "20", "--repair", "0.5", *QUICK],
 ]
 
 

@@ -88,7 +88,7 @@ MAY_IMPORT = {
     "validation.presentation.reports": f"{EVIDENCE} envs.interfaces synthesis.extended_check.claims "
     "validation.statistical_tests",
     "validation.presentation.figures": f"{EVIDENCE} envs.interfaces envs.suite synthesis.extended_check.claims "
-    "synthesis.verbs validation.statistical_tests validation.policies",
+    "validation.statistical_tests validation.policies",
     "validation.presentation.studio": f"{EVIDENCE} envs.interfaces synthesis.verbs validation.statistical_tests "
     "validation.presentation.reports",
 }

@@ -165,7 +165,7 @@ def test_networks_are_looked_at_where_something_is_claimed() -> None:
     row = np.zeros((2, SharedView(problem).size), dtype=np.float32)
     row[:, :2] = -0.9 * np.eye(2)  # linear in the state, up to the edge of the workspace
     actor = SharedActor(problem, Network((row,), (np.zeros(2, dtype=np.float32),), "tanh", False))
-    certificate: Any = certify_network(problem, actor, 12, relation="boxes").certificate
+    certificate: Any = certify_network(problem, actor, 12).certificate
     assert cg.check(certificate), cg.check(certificate).failures
     network = certificate.proof.agents[0].relation["network"]
     weights = [np.array(layer).tolist() for layer in network["weights"]]

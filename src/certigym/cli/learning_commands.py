@@ -266,7 +266,7 @@ def certify(options: Namespace) -> int:
         problem, file = problem_of(options), options.policy
     policy = policy_of_file(problem, file, options.trust) if file else as_policy(written, problem)
     wraps = options.wrap or options.improve or is_wrapping(options)
-    if options.repair is not None or (is_certified_as_given(policy, cells_of(options)) and not wraps):
+    if is_certified_as_given(policy, cells_of(options)) and not wraps:
         return certify_raw(options, problem, policy)
     cells = cells_of(options)
     # All forms of the policy are simulated beside each other; the last one is saved.

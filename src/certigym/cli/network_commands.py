@@ -1,4 +1,4 @@
-"""What ``certify`` does with networks, and ``certify --repair``: certificates of networks as they are deployed."""
+"""What ``certify`` does with networks: certificates of networks as they are deployed."""
 
 from __future__ import annotations
 
@@ -13,19 +13,13 @@ from ..envs.tasks.problem import Problem
 from ..synthesis.certificates.proofs import rounded_up, save_certificate
 from ..synthesis.verbs.certify import OF_NETWORKS
 from ..synthesis.verbs.certify import certify as certify_policy
-from ..synthesis.verbs.certify import improve as improve_policy
-from ..synthesis.verbs.raw_networks import WeakPlaces
 from ..synthesis.verbs.search_options import SearchOptions
 from ..validation.policies import compare as compare_policies
-from ..validation.presentation.figures import network_figure, save_figure
 from .given import cells_of, named_problem, show
 from .work import trials
 
 UNCERTIFIED = "Nothing is certified of a policy whose certificate is NOT valid."
 """What stands in the place of what a bound holds for."""
-
-PLACES_SHOWN = 10
-"""Weak places that are printed."""
 
 
 def problem_of_actor(path: str, horizon: int | None) -> Problem:
@@ -49,42 +43,22 @@ def is_wrapping(options: Namespace) -> bool:
 
 
 def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
-    """Certify networks as they are, and repaired; the status is 1 if check or rollouts refute a bound."""
+    """Certify networks as they are; the status is 1 if check or rollouts refute a bound."""
     cells = cells_of(options)
     search = SearchOptions(targets_per_cell=options.targets)
     policies: dict[str, Any] = {"deployed": policy}
     found = certify_policy(problem, policy, cells, relation=options.relation[0], above=options.above, search=search)
-    last = policies["certified"] = found
-    places: WeakPlaces | None = None
-    if options.repair is not None:
-        last = policies["repaired"] = improve_policy(
-            problem, policy, cells, as_is=True, share=options.repair, search=search
-        )
-        facts: dict[str, Any] = last.stats
-        places = facts["weak_places"]
-        if options.plot:
-            save_figure(network_figure(facts["weak_places"], last.certificate), options.plot)
+    policies["certified"] = found
     if options.out:
-        save_certificate(last.certificate, options.out)
+        save_certificate(found.certificate, options.out)
     with trials(options, options.episodes * len(policies)) as plan:
         result = compare_policies(problem, policies, plan)
     holds = "The bound of `certified` holds for the deployed policy: it is the same."
     lines = [str(result), UNCERTIFIED if result.is_invalid else holds]
     above: float | None = None
     if options.above and not result.is_invalid:
-        above = policies["certified"].certificate.upper_bound
+        above = found.certificate.upper_bound
         lines.append(f"The deployed policy succeeds with P <= {rounded_up(above, 6)}.")
-    weakest = [] if places is None else places.worst(PLACES_SHOWN)
-    if places is not None:
-        lines.append(f"replaced in {last.stats['repaired']} places; where the network loses most:")
-        lines += [_place_text(place) for place in weakest]
-    show(options, "\n".join(lines), {**result.to_dict(), "weak_places": weakest, "above": above})
+    show(options, "\n".join(lines), {**result.to_dict(), "above": above})
     too_low = above is not None and any(e.name == "deployed" and e.ci_low > above for e in result.entries)
     return int(too_low or result.is_invalid or result.is_refuted)
-
-
-def _place_text(place: dict[str, Any]) -> str:
-    """Return a weak place in words."""
-    sides = zip(place["low"], place["high"], strict=True)
-    cell = " x ".join(f"[{low:g}, {high:g}]" for low, high in sides)
-    return f"  {place['agent']} at time {place['time']} in {place['q']}, cell {cell}: {place['loss']:.2g}"

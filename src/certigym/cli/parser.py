@@ -413,15 +413,6 @@ def _add_comparing(commands: Any) -> None:
     add_trust(certify)
     certify.add_argument("--wrap", action="store_true", help="certify what a network becomes on cells, not as it is")
     add_above(certify)
-    certify.add_argument(
-        "--repair",
-        nargs="?",
-        type=float,
-        const=0.99,
-        metavar="SHARE",
-        help="replace the network where it loses most: the places with this share of all it loses (default: .99)",
-    )
-    add_picture(certify, "where it loses (with --repair)")
     add_models(certify, "the same as quick")
     certify.add_argument("--improve", action="store_true", help="also improve it by coordinate ascent")
     certify.add_argument("--out", metavar="CERT", help="save the certificate, with --improve the improved one (.npz)")

@@ -206,8 +206,6 @@ class BoxSteering(_OnCells):
         chosen = np.maximum(choices, 0).astype(np.intp)
         inputs = self.relation.inputs(chosen, offsets)
         inputs = self.relation.means.steered(chosen, points, looked_up(self._centres, cells), inputs, beside)
-        if self.relation.network is not None:
-            inputs = self.relation.network.replaced(chosen, self.relation.coordinates, points, (q, time), inputs)
         # Cells without a choice get the mean of all inputs.
         if self.table.has_idle_cells(time):
             inputs[:, choices < 0] = self.relation.input_set.mean(axis=0)[:, None]

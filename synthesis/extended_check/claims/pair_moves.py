@@ -16,7 +16,7 @@ from scipy.special import erfc
 from ....envs.systems.agents import AnyAgent, with_expressions, with_matrices
 from ...certificates.cell_probabilities import AgentRecord, axis_tables, lost_to_rounding
 from ...relations.grids import FloatArray
-from ..steps import cell_boxes, driven_spans, execution_of, network_maps, network_modes, network_spans, networked_maps
+from ..steps import cell_boxes, execution_of, network_maps, networked_maps
 
 UP, OFF = 1.0 + 1e-13, 4e-15
 """What masses are rounded up by: the complementary error function is accurate to a few units."""
@@ -78,12 +78,6 @@ class NetworkMoves:
         """Corners (C, d) of boxes around the means from closed cells under a mode."""
         agent, part = self.agent, self.part
         off = execution_of(agent, part, part.relation_of(agent)).mean
-        if part.relation["kind"] == "boxes":
-            if agent.is_affine:
-                low, high = network_spans(with_matrices(agent), part, cells, mode)
-            else:
-                low, high = driven_spans(with_expressions(agent), part, cells, mode)
-            return low - off, high + off
         first, last = (corner[cells] for corner in cell_boxes(part))
         if agent.is_affine:
             z, gain, rho = network_maps(with_matrices(agent), part, cells, mode)
@@ -128,8 +122,6 @@ def wrong_moves(agent: AnyAgent, part: AgentRecord) -> str:
     if agent.angles:
         return f"agent `{agent.name}` has an angle, whose turns are not in what pairs may spoil"
     if "network" in part.relation:
-        if np.any(part.policy >= network_modes(part)):
-            return f"agent `{agent.name}` has a network that was replaced in places, of which pairs know nothing"
         return ""
     if part.relation["kind"] != "exact" or part.input_set is not None:
         return f"the relation of agent `{agent.name}` is not exact, so pairs cannot be subtracted"

@@ -9,7 +9,7 @@ from .geometry import box_image, cell_boxes, classes_in_boxes, is_identity, star
 from .linear_check import by_cell, hat_weights, masks_of, places_of
 from .map_enclosures import networked_maps
 from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales
-from .network_enclosures import driven_spans, network_maps, network_modes, network_spans
+from .network_enclosures import network_maps
 from .relation_check import label_margin, verify_relation, wrong_for_uneven_noise
 from .step_backups import StepBackup, step_backup_of, step_backups_of
 from .step_regions import RegionSpan
@@ -19,7 +19,6 @@ __all__ = [
     "by_cell",
     "cell_boxes",
     "classes_in_boxes",
-    "driven_spans",
     "Enclosed",
     "enclosed_means",
     "enclosed_scales",
@@ -29,8 +28,6 @@ __all__ = [
     "label_margin",
     "masks_of",
     "network_maps",
-    "network_modes",
-    "network_spans",
     "networked_maps",
     "places_of",
     "StepBackup",

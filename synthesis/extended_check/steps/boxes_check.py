@@ -40,7 +40,6 @@ from ...relations.grids import FloatArray, MeanAxis, ScaleAxis, lattice_axes, po
 from ...relations.kinds import commands_of
 from .geometry import cell_boxes
 from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales, steered_spans
-from .network_enclosures import driven_spans, network_modes, network_spans
 from .proximity_slack import ProximitySlack
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
@@ -119,20 +118,13 @@ class WrittenBoxes:
             here, inputs = cell[some], input_set[choice[some]]
             parts = int(part.relation["parts"])
             first, last = enclosed_means(agent, low[here], high[here], inputs, part.coordinates, parts)
-            for mode in np.unique(choice[some][choice[some] < network_modes(part)]):
-                moved = choice[some] == mode  # whose inputs in the menu stand for nothing
-                first[moved], last[moved] = driven_spans(agent, part, here[moved], int(mode))
             steered = np.flatnonzero(np.array(part.relation["steer"], dtype=bool)[choice[some]])
             if len(steered):
                 at = low[here][steered], high[here][steered], inputs[steered]
                 first[steered], last[steered] = steered_spans(agent, *at, commands_of(agent), parts)
             corners.append((first, last))
             if agent.noise_scale is not None:
-                # Under networks any input in its box, but the time of a clock.
-                model = agent.driven if network_modes(part) else agent
-                asked_of = inputs if model is agent or agent.has_clock else np.zeros((len(here), 1))
-                asked_of = asked_of[:, -model.n_inputs :]
-                scales.append(enclosed_scales(model, low[here], high[here], asked_of, parts))
+                scales.append(enclosed_scales(agent, low[here], high[here], inputs, parts))
         least, most = (np.concatenate(ends) for ends in zip(*corners, strict=True))
         if not scales:
             return cls(numbers, least, most, None)
@@ -282,8 +274,6 @@ def mean_positions(
         return _positions(agent, part, ends[0], scales[0]), _positions(agent, part, ends[1], scales[1])
     agent = with_matrices(agent)
     low, high = _affine_boxes(agent, part, cells, choices)
-    for a in np.unique(choices[choices < network_modes(part)]):
-        low[choices == a], high[choices == a] = network_spans(agent, part, cells[choices == a], int(a))
     off = tables.off
     return _positions(agent, part, low - off, low), _positions(agent, part, high + off, high)
 
@@ -315,7 +305,7 @@ def _state_boxes(agent: LinearAgent, part: AgentRecord, off: FloatArray) -> None
     They are said to be off by half of ``off``; the other half is for controllers, which add up the same numbers.
     """
     input_set, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
-    asked = part.policy >= network_modes(part)
+    asked = part.policy >= 0
     pairs = np.broadcast_to(np.arange(part.policy.shape[-1]), asked.shape)[asked] * np.int64(len(input_set))
     cells, choices = np.divmod(np.unique(pairs + part.policy[asked]), len(input_set))
     low, high = _affine_boxes(agent, part, cells, choices)

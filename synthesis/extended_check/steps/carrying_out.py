@@ -12,15 +12,16 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from ....envs.systems.agents import Agent, AnyAgent, LinearAgent, with_expressions
+from ....envs.systems.agents import Agent, AnyAgent, LinearAgent, with_expressions, with_matrices
 from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.controllers import AgentController
 from ...relations.grids import FloatArray, linear_agent
 from ...relations.kinds import CoupledRelation, commands_of
 from .execution import Execution
 from .geometry import cell_boxes, is_identity
+from .map_enclosures import networked_maps
 from .mean_enclosures import steered_spans
-from .network_enclosures import driven_spans, network_maps, network_modes, network_spans
+from .network_enclosures import network_maps
 
 PROBES = 20_000
 """Points at which a controller without memory is run, over all times."""
@@ -92,31 +93,21 @@ def _wrong_means(
                 return ["its controller was seen to steer elsewhere than its policy says"]
         if part.relation["kind"] == "exact":
             return []
-        networked = choice < network_modes(part)
-        for mode in np.unique(choice[networked & (choice >= 0)]):
-            here = np.flatnonzero(choice == mode)[:NETWORKED]
-            low, high = driven_spans(agent, part, cells[here], int(mode))
-            told = None if beside is None else beside[:, here]
-            mean = np.linalg.solve(part.coordinates, agent.mean(states[:, here], inputs[:, here], None, told))
-            if np.any((mean < low.T - execution.mean[:, None]) | (mean > high.T + execution.mean[:, None])):
-                return ["its network was seen to lead beyond the means that it can lead to"]
-        fixed = (choice >= 0) & (mean_targets < 0) & ~networked
+        if "network" in part.relation:
+            return _wrong_networked(
+                agent, part, (cells, choice), states, agent.mean(states, inputs, None, beside), execution
+            )
+        fixed = (choice >= 0) & (mean_targets < 0)
         chosen = np.where(fixed, cells, -1), np.where(fixed, choice, 0)
         return _wrong_written(agent, part, states, inputs, *chosen, beside)
     agent = linear_agent(agent, part.relation["kind"])
-    mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
-    networked = choice < network_modes(part)
-    # Cells in other coordinates reach beyond the workspace, where networks see what they were not enclosed for; such
-    # states have failed, so that nothing is claimed of the step from there.
-    inside = np.all((agent.workspace.low[:, None] <= states) & (states <= agent.workspace.high[:, None]), axis=0)
-    for mode in np.unique(choice[networked & inside & (choice >= 0)]):
-        here = np.flatnonzero((choice == mode) & inside)[:NETWORKED]
-        low, high = _network_means(agent, part, cells[here], int(mode), states[:, here])
-        beyond = (mean[:, here] < low.T - execution.mean[:, None]) | (mean[:, here] > high.T + execution.mean[:, None])
-        if np.any(beyond):
-            return ["its network was seen to lead beyond the means that it can lead to"]
-    off = np.abs(mean - _asked_means(agent, part, np.maximum(choice, 0), cells, states))
-    if np.any((off > execution.mean[:, None]) & (choice >= 0) & ~networked):
+    means = agent.A @ states + agent.B @ inputs + agent.offset[:, None]
+    if "network" in part.relation:
+        return _wrong_networked(agent, part, (cells, choice), states, means, execution)
+    off = np.abs(
+        np.linalg.solve(part.coordinates, means) - _asked_means(agent, part, np.maximum(choice, 0), cells, states)
+    )
+    if np.any((off > execution.mean[:, None]) & (choice >= 0)):
         return ["its controller was seen to steer elsewhere than its policy says"]
     return []
 
@@ -128,17 +119,34 @@ def first_target(part: AgentRecord) -> int:
     return len(part.relation["menu"]) if "aims" in part.relation else int(np.iinfo(np.int32).max)
 
 
-def _network_means(
-    agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], mode: int, states: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Corners (C, d) between which a network may lead, in grid coordinates, from states (d, C) in cells."""
-    if part.relation["kind"] == "boxes":
-        return network_spans(agent, part, cells, mode)
-    z, gain, rho = network_maps(agent, part, cells, mode)
+def _wrong_networked(
+    agent: AnyAgent,
+    part: AgentRecord,
+    chosen: tuple[NDArray[np.int64], NDArray[Any]],
+    states: FloatArray,
+    means: FloatArray,
+    execution: Execution,
+) -> list[str]:
+    """Means (d, M) under modes of a network from states (d, M) in cells that are off the maps of these cells."""
+    cells, choice = chosen
     low, high = cell_boxes(part)
-    offsets = np.linalg.solve(part.coordinates, states).T - 0.5 * (low + high)[cells]
-    at = z + np.einsum("ckj,cj->ck", gain, offsets)
-    return at - rho, at + rho
+    # Cells in other coordinates reach beyond the workspace, where networks see what they were not enclosed for; such
+    # states have failed, so that nothing is claimed of the step from there.
+    inside = np.all((agent.workspace.low[:, None] <= states) & (states <= agent.workspace.high[:, None]), axis=0)
+    for mode in np.unique(choice[inside & (choice >= 0)]).tolist():
+        here = np.flatnonzero((choice == mode) & inside)[:NETWORKED]
+        first, last = low[cells[here]], high[cells[here]]
+        if isinstance(agent, Agent):
+            idle = np.tile(np.array(part.relation["menu"], dtype=float)[mode], (len(here), 1))
+            z, gain, rho = networked_maps(agent, part, (first, last), idle, mode)
+        else:
+            z, gain, rho = network_maps(with_matrices(agent), part, cells[here], mode)
+        offsets = np.linalg.solve(part.coordinates, states[:, here]).T - 0.5 * (first + last)
+        asked = z + np.einsum("ckj,cj->ck", gain, offsets)
+        off = np.abs(np.linalg.solve(part.coordinates, means[:, here]).T - asked)
+        if np.any(off > rho + execution.mean):
+            return ["its network was seen to lead beyond the means that it can lead to"]
+    return []
 
 
 def _anywhere(agent: AnyAgent, count: int, rng: Generator) -> FloatArray | None:

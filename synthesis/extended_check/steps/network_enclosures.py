@@ -1,4 +1,4 @@
-"""Boxes and affine maps around the means under networks, written a second time: nothing of the search's is used.
+"""Affine maps around the means under networks, written a second time: nothing of the search's is used.
 
 Affine forms go forward through the network, from the state to the mean. A number of a layer is ``a e + b + sum_j p_j
 y_j`` with the offset e of the state from the centre of its cell, and symbols y_j between -1 and 1, one for each number
@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ....envs.systems.agents import Agent, AnyAgent, LinearAgent
+from ....envs.systems.agents import AnyAgent, LinearAgent
 from ...certificates.cell_probabilities import AgentRecord, state
 from ...relations.grids import FloatArray
 from .geometry import cell_boxes
-from .mean_enclosures import enclosed_means
 
 HALF_UNIT, TINY = 2.0**-24, 2.0**-126
 """Largest relative rounding in single precision, and what underflow adds."""
@@ -81,23 +80,6 @@ def _pieces(low: FloatArray, high: FloatArray, count: int) -> Iterator[tuple[Flo
         yield low + (high - low) * np.array(which) / count, low + (high - low) * (np.array(which) + 1) / count
 
 
-def network_spans(
-    agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], mode: int
-) -> tuple[FloatArray, FloatArray]:
-    """Corners (C, d), in grid coordinates, of boxes around the means from closed cells under a mode of the network.
-
-    What means are off by in floating point besides the network is not in them.
-    """
-    low, high = (corner[cells] for corner in cell_boxes(part))
-    parts = int(part.relation["parts"])
-    first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
-    for left, right in _pieces(low, high, parts):
-        for some in np.array_split(np.arange(len(cells)), len(cells) // BOXES_AT_ONCE + 1):
-            least, most = _mean_between(agent, part, left[some], right[some], mode)
-            first[some], last[some] = np.minimum(first[some], least), np.maximum(last[some], most)
-    return first, last
-
-
 def network_maps(
     agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], mode: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -111,7 +93,7 @@ def network_maps(
     z, gain, rho = np.zeros(low.shape), np.zeros((*low.shape, d)), np.zeros(low.shape)
     for some in np.array_split(np.arange(len(cells)), len(cells) // BOXES_AT_ONCE + 1):
         left, right = low[some], high[some]
-        form, spare = _mean_forms(agent, part, left, right, mode)[:2]
+        form, spare = _mean_forms(agent, part, left, right, mode)
         gain[some] = form.slopes
         whole = np.abs(form.symbols).sum(axis=2) + form.own
         first, last = form.constants - whole, form.constants + whole
@@ -130,37 +112,6 @@ def network_maps(
     return z, gain, rho
 
 
-def _mean_between(
-    agent: LinearAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
-) -> tuple[FloatArray, FloatArray]:
-    """Least and largest means (C, d) from boxes of states with corners (C, d) in grid coordinates."""
-    total, spare, plain = _mean_forms(agent, part, left, right, mode)
-    least, most = total.between(0.5 * (right - left) * (1.0 + 1e-13))
-    return np.maximum(least, plain[0]) - spare, np.minimum(most, plain[1]) + spare
-
-
-def driven_spans(agent: Agent, part: AgentRecord, cells: NDArray[np.int64], mode: int) -> tuple[FloatArray, FloatArray]:
-    """Corners (C, d), in grid coordinates, of boxes around means of expressions from closed cells under a mode.
-
-    On each part of a cell inputs lie between what the network may answer there, and count as disturbances.
-    """
-    low, high = (corner[cells] for corner in cell_boxes(part))
-    parts, driven = int(part.relation["parts"]), agent.driven
-    steered = agent.inputs[: agent.chosen_box.dimension]
-    places = [list(driven.unknowns).index(name) for name in steered]
-    # What is still an input is a clock, or idle.
-    rest = float(mode // part.relation["network"]["states"]) if agent.has_clock else 0.0
-    first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
-    for left, right in _pieces(low, high, parts):
-        for some in np.array_split(np.arange(len(cells)), len(cells) // BOXES_AT_ONCE + 1):
-            least, most = _inputs_between(agent, part, left[some], right[some], mode)
-            ranges = {place: (least[:, j], most[:, j]) for j, place in enumerate(places)}
-            idle = np.full((len(some), driven.n_inputs), rest)
-            ends = enclosed_means(driven, left[some], right[some], idle, part.coordinates, 1, ranges=ranges)
-            first[some], last[some] = np.minimum(first[some], ends[0]), np.maximum(last[some], ends[1])
-    return first, last
-
-
 def input_maps(
     agent: AnyAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -173,7 +124,7 @@ def input_maps(
     wide, centre = np.diag(0.5 * (box.high - box.low)), 0.5 * (box.low + box.high)
     for some in np.array_split(np.arange(len(left)), len(left) // BOXES_AT_ONCE + 1):
         middle, half = 0.5 * (left + right)[some], 0.5 * (right - left)[some] * (1.0 + 1e-13)
-        forms, _, _, layers = _answers(agent, part, middle, half, mode)
+        forms, layers = _answers(agent, part, middle, half, mode)
         forms = forms.through(wide, centre)
         held[some], slopes[some] = forms.constants, forms.slopes
         rho.append(np.abs(forms.symbols).sum(axis=2) + forms.own + _spare(agent, part, layers))
@@ -187,47 +138,30 @@ def _spare(agent: AnyAgent, part: AgentRecord, layers: list[tuple[Any, Any]]) ->
     return np.asarray((LATER + cancelled) * (np.abs(box.low) + np.abs(box.high)))
 
 
-def _inputs_between(
-    agent: AnyAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
-) -> tuple[FloatArray, FloatArray]:
-    """Least and largest inputs (C, m) that the network answers on boxes of states with corners (C, d)."""
-    box = agent.chosen_box
-    middle, half = 0.5 * (left + right), 0.5 * (right - left) * (1.0 + 1e-13)
-    forms, low, high, layers = _answers(agent, part, middle, half, mode)
-    wide, centre = 0.5 * (box.high - box.low), 0.5 * (box.low + box.high)
-    least, most = forms.through(np.diag(wide), centre).between(half)
-    spare = _spare(agent, part, layers)
-    # What is deployed is cut to the box.
-    least, most = np.maximum(least, centre + wide * low) - spare, np.minimum(most, centre + wide * high) + spare
-    return np.clip(least, box.low, box.high), np.clip(most, box.low, box.high)
-
-
 def _mean_forms(
     agent: LinearAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
-) -> tuple[Forms, FloatArray, tuple[FloatArray, FloatArray]]:
+) -> tuple[Forms, FloatArray]:
     """Forms of the means from boxes of states with corners (C, d) in grid coordinates.
 
-    Also what double precision may be off by (d,), and ends (C, d) of the means by plain intervals.
+    Also what double precision may be off by (d,).
     """
     inverse = np.linalg.inv(part.coordinates)
     if np.array_equal(part.coordinates, np.eye(len(inverse))):
         inverse = np.eye(len(inverse))
     A, B, c = inverse @ agent.A @ part.coordinates, inverse @ agent.B, inverse @ agent.offset
     middle, half = 0.5 * (left + right), 0.5 * (right - left) * (1.0 + 1e-13)
-    forms, low, high, layers = _answers(agent, part, middle, half, mode)
+    forms, layers = _answers(agent, part, middle, half, mode)
     box = agent.input_box
     gain, still = B * (0.5 * (box.high - box.low)), middle @ A.T + c + B @ (0.5 * (box.low + box.high))
     total = forms.through(gain, np.zeros(len(gain)))
-    up, down, moved = np.where(gain > 0, gain, 0.0), np.where(gain < 0, gain, 0.0), half @ np.abs(A).T
     spare = np.abs(B) @ _spare(agent, part, layers)
-    plain = still - moved + low @ up.T + high @ down.T, still + moved + high @ up.T + low @ down.T
-    return Forms(total.slopes + A, total.constants + still, total.symbols, total.own), spare, plain
+    return Forms(total.slopes + A, total.constants + still, total.symbols, total.own), spare
 
 
 def _answers(
     agent: AnyAgent, part: AgentRecord, middle: FloatArray, half: FloatArray, mode: int
-) -> tuple[Forms, FloatArray, FloatArray, list[tuple[Any, Any]]]:
-    """Forms of the actions in [-1, 1] that a network answers on boxes of states, their ends (C, m), and its layers."""
+) -> tuple[Forms, list[tuple[Any, Any]]]:
+    """Forms of the actions in [-1, 1] that a network answers on boxes of states, and its layers."""
     network, box = part.relation["network"], agent.chosen_box
     forms, low, high, off = _seen(agent, part, middle, half, mode)
     layers = list(zip(network["weights"], network["biases"], strict=True))
@@ -255,7 +189,7 @@ def _answers(
         share, shifted, radius = chord(kind, low, high)
         forms = forms.bent(share, shifted, radius + share * rounding)
         low, high = _ends(kind, low, high)
-    return forms, low, high, layers
+    return forms, layers
 
 
 def _is_in_units(network: dict[str, Any]) -> bool:

@@ -4,7 +4,7 @@ What ties a state to its cell: exact maps, boxes, linear cells, the paper's (eps
 """
 
 from .affine_means import AffineBoxes, AffineMeans, MapRelation, MatrixMaps, block_of, map_relation
-from .boxes import BoxRelation, LinearMeans, MeanBoxes, NetworkMeans, box_relation
+from .boxes import BoxRelation, LinearMeans, MeanBoxes, box_relation
 from .commands import Command, commands_of
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from .description import GONE, Relation, check_description, describe_relation, relation_from
@@ -50,7 +50,6 @@ __all__ = [
     "ON_CELLS",
     "Network",
     "NetworkMaps",
-    "NetworkMeans",
     "NetworkPolicy",
     "check_network",
     "OwnView",

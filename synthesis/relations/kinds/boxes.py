@@ -26,10 +26,7 @@ from ....envs.systems.agents import Agent, AnyAgent, LinearAgent
 from ....envs.systems.arguments import counted
 from ..grids import FloatArray, RelationRefused, linear_agent
 from .coordinates import ReadsCoordinates, Unsteered
-from .driven_means import DrivenMeans
 from .exact import INPUT_MARGIN
-from .network_bounds import mean_bounds
-from .networks import NetworkPolicy, network_policy
 from .rounding import missed_cells, reading_of, sizes_of
 from .symbolic_means import SymbolicMeans
 
@@ -109,62 +106,13 @@ class LinearMeans(Unsteered):
         return (self.A, self.B, self.offset)
 
 
-@dataclass(frozen=True, eq=False)
-class NetworkMeans(Unsteered):
-    """Boxes around the means of a linear agent that a network may move.
-
-    The first choices are the modes of the network (``NetworkPolicy``): choice ``t * states + q`` is what the network
-    does at time t in automaton state q, and its inputs in the menu stand for nothing. The others are as for
-    ``LinearMeans``.
-
-    Parameters
-    ----------
-    linear : LinearMeans
-    policy : NetworkPolicy
-    coordinates : (d, d) array
-        Grid coordinates to state.
-    parts : int
-        Parts into which cells are cut along each axis to enclose the network.
-    """
-
-    linear: LinearMeans
-    policy: NetworkPolicy
-    coordinates: FloatArray
-    parts: int
-
-    def around(
-        self, low: FloatArray, high: FloatArray, input_set: FloatArray, gains: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each."""
-        first, last = self.linear.around(low, high, input_set, gains)
-        moves, modes = (self.linear.A, self.linear.B, self.linear.offset), self.policy.n_modes
-        ends = mean_bounds(self.policy, moves, self.coordinates, (low, high), self.parts)
-        first[:, :modes], last[:, :modes] = ends[0] - self.linear.rounding, ends[1] + self.linear.rounding
-        return first, last
-
-    @property
-    def network(self) -> NetworkPolicy:
-        """The network."""
-        return self.policy
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """What files hold of it."""
-        return {"parts": self.parts, "network": self.policy.description}
-
-    @property
-    def arrays(self) -> tuple[FloatArray, ...]:
-        """All that boxes depend on, for comparing relations."""
-        return (*self.linear.arrays, *self.policy.arrays, np.array([self.parts]))
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class BoxRelation(ReadsCoordinates):
     """Mean boxes of an agent (delta = 0, no memory).
 
     Parameters
     ----------
-    means : LinearMeans, SymbolicMeans, NetworkMeans or DrivenMeans
+    means : LinearMeans or SymbolicMeans
         What makes the boxes.
     coordinates : (d, d) array
         Grid coordinates to state.
@@ -176,7 +124,7 @@ class BoxRelation(ReadsCoordinates):
         Input box.
     """
 
-    means: LinearMeans | SymbolicMeans | NetworkMeans | DrivenMeans
+    means: LinearMeans | SymbolicMeans
     coordinates: FloatArray
     input_set: FloatArray
     gains: FloatArray
@@ -190,11 +138,6 @@ class BoxRelation(ReadsCoordinates):
         d, m = len(self.coordinates), len(self.input_low)
         choices = counted(len(self.input_set), "choice")
         return f"BoxRelation({counted(d, 'state')}, {counted(m, 'input')}, {choices}, delta 0)"
-
-    @property
-    def network(self) -> Any:
-        """The network whose modes are the first choices, if one moves the agent."""
-        return self.means.network
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""
@@ -317,8 +260,7 @@ def box_relation(
     gains : (A, m, d) array, optional
         Feedback of each choice inside its cell; none by default.
     written : mapping, optional
-        Further settings of ``SymbolicMeans``: ``parts`` and which choices ``steer``; or of ``NetworkMeans``: the
-        description of a ``network``, and ``parts``.
+        Further settings of ``SymbolicMeans``: ``parts`` and which choices ``steer``.
 
     Raises
     ------
@@ -331,7 +273,7 @@ def box_relation(
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need one feedback for each input of their menu")
     if not len(input_set) or not np.all((box.low <= input_set) & (input_set <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
-    means: LinearMeans | SymbolicMeans | NetworkMeans
+    means: LinearMeans | SymbolicMeans
     if isinstance(agent, Agent):
         if np.any(gains):
             raise RelationRefused(f"agent `{agent.name}`: mean boxes of expressions have no feedback inside a cell")
@@ -339,18 +281,10 @@ def box_relation(
         steer = written.get("steer")
         steer = np.zeros(len(input_set), dtype=bool) if steer is None else np.array(steer, dtype=bool)
         means = SymbolicMeans(agent, coordinates, int(written["parts"]), steer)
-        if "network" in written:
-            if np.any(steer):
-                raise RelationRefused(f"agent `{agent.name}`: choices beside a network cannot steer")
-            driven = DrivenMeans(means, network_policy(written["network"], agent))
-            return BoxRelation(driven, coordinates, input_set, gains, box.low, box.high)
         if steer.shape != (len(input_set),) or (np.any(steer) and not means.commands):
             raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")
     else:
         means = linear_means(linear_agent(agent, "boxes"), coordinates, gains)
-        if written and "network" in written:
-            policy = network_policy(written["network"], agent)
-            means = NetworkMeans(means, policy, coordinates, int(written["parts"]))
     return BoxRelation(means, coordinates, input_set, gains, box.low, box.high)
 
 

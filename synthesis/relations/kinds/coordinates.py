@@ -48,11 +48,6 @@ class ReadsCoordinates:
 class Unsteered:
     """What means share that are under inputs alone, with noise that is the same everywhere."""
 
-    @property
-    def network(self) -> Any:
-        """The network whose modes are choices; None for all others."""
-        return None
-
     def scales(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return None: the noise is the same everywhere."""
         return None

@@ -1,8 +1,7 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
 ``{"kind": "exact"}``, ``{"kind": "boxes", "input_set", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
-expressions; with ``"parts"`` and ``"network"`` where networks move
-agents), ``{"kind": "linear", "input_set", "parts", "cuts", "reach", "blocks"}``
+expressions), ``{"kind": "linear", "input_set", "parts", "cuts", "reach", "blocks"}``
 (with ``"mean_targets"`` where targets are offered beside the menu, and ``"network"`` where networks move agents),
 and ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``; matrices
 are nested lists in grid coordinates. They come from files, and nothing in them is trusted.
@@ -67,9 +66,7 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     kind = description["kind"]
     if kind == "boxes":
         input_set, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
-        written: dict[str, Any] = {
-            name: description[name] for name in ("parts", "steer", "network") if name in description
-        }
+        written: dict[str, Any] = {name: description[name] for name in ("parts", "steer") if name in description}
         return box_relation(agent, coordinates, input_set, gains, written)
     if kind == "linear" and "network" not in description:
         input_set = np.array(description["menu"], dtype=float)
@@ -103,30 +100,25 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         raise ValueError("a relation has settings that are not numbers")
     is_written = not agent.is_affine
     is_linear = description["kind"] == "linear"
-    has_network = description["kind"] in ("boxes", "linear") and "network" in description
+    if "network" in description and not is_linear:
+        raise ValueError("networks have linear cells only since 0.4; certify the network anew")
     known = {"boxes": ("parts", "steer"), "linear": ("parts", "cuts", "reach"), "exact": () if is_written else None}
     named = known.get(description["kind"])
-    if has_network and not (is_written or is_linear):
-        named = None
     if (is_written or is_linear) != (named is not None and all(name in description for name in named)):
         raise ValueError("it has a relation that is not for the dynamics of its agent")
     if is_written and description["kind"] == "exact" and len(description) > 1:
         raise ValueError("it has settings for a relation of exact targets, which has none")
-    in_parts = is_linear or (is_written and description["kind"] == "boxes") or has_network
+    in_parts = is_linear or (is_written and description["kind"] == "boxes")
     if in_parts and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
-    if has_network:
+    if "network" in description:
         check_network(description["network"], agent, len(description["menu"]), ON_CELLS)
-    if (
-        (is_written or has_network)
-        and description["kind"] == "boxes"
-        and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL
-    ):
-        raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
     if is_linear:
         _check_maps(description, agent)
         _check_modes(description)
     elif is_written and description["kind"] == "boxes":
+        if description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL:
+            raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
         steer = description["steer"]
         if not isinstance(steer, list) or not all(isinstance(flag, bool) for flag in steer):
             raise ValueError("a relation says of its choices neither that they steer nor that they do not")

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -143,45 +142,6 @@ class NetworkBounds:
         return Form(slopes, np.asarray(centre), np.asarray(radius))
 
 
-def mean_bounds(
-    policy: NetworkPolicy,
-    moves: tuple[FloatArray, FloatArray, FloatArray],
-    coordinates: FloatArray,
-    corners: tuple[FloatArray, FloatArray],
-    parts: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the corners (n, modes, k) of boxes around the means that a network leads to (outer bounds).
-
-    Parameters
-    ----------
-    policy : NetworkPolicy
-    moves : A (k, d), B (k, m), offset (k,)
-        Dynamics in grid coordinates, or anything else that is ``A x + B u + offset``.
-    coordinates : (d, d) array
-        Grid coordinates to state.
-    corners : two (n, d) arrays
-        Closed cells, in grid coordinates.
-    parts : int
-        Parts into which cells are cut along each axis.
-    """
-    low, high = corners
-    (n, d), modes, outputs = low.shape, policy.n_modes, len(moves[0])
-    first, last = np.full((n, modes, outputs), np.inf), np.full((n, modes, outputs), -np.inf)
-    for part in product(range(parts), repeat=d):
-        share = np.array(part) / parts, (np.array(part) + 1) / parts
-        begin, end = (low + s * (high - low) for s in share)
-        for start in range(0, n, CELLS_AT_ONCE):
-            block = slice(start, start + CELLS_AT_ONCE)
-            centre = 0.5 * (begin[block] + end[block])
-            half = np.maximum(end[block] - centre, centre - begin[block]) * (1.0 + 1e-12)
-            for mode in range(modes):
-                ends = _means(policy, moves, coordinates, (centre, half), mode)
-                np.minimum(first[block, mode], ends[0], out=first[block, mode])
-                np.maximum(last[block, mode], ends[1], out=last[block, mode])
-    spare = OUTWARD * (last - first) + widening(policy, moves[1])
-    return first - spare, last + spare
-
-
 def widening(policy: NetworkPolicy, B: FloatArray) -> FloatArray:
     """Return an upper bound (d,) on what means are off by in double precision."""
     box = policy.input_box
@@ -247,33 +207,26 @@ def _layers(policy: NetworkPolicy) -> list[Layer]:
     return [*layers, Layer(weights[-1][:m] / unit[:, None], biases[-1][:m] / unit, moved, unit)]
 
 
-def _means(
-    policy: NetworkPolicy,
-    moves: tuple[FloatArray, FloatArray, FloatArray],
-    coordinates: FloatArray,
-    cells: tuple[FloatArray, FloatArray],
-    mode: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Return ends (N, d) of the means from cells with centres and half widths (N, d)."""
-    form, actions = mean_form(policy, moves, coordinates, cells, mode)
-    (A, B, offset), (centre, half), box = moves, cells, policy.input_box
-    ends, still = form.ends(half), centre @ A.T + B @ (0.5 * box.low + 0.5 * box.high) + offset
-    plain, reach = _interval(B * box.half_width, *actions), half @ np.abs(A).T
-    rounding = np.abs(B) @ (2.0**-50 * (np.abs(box.low) + np.abs(box.high)))
-    lowest = np.maximum(ends[0], still - reach + plain[0]) - rounding
-    return lowest, np.minimum(ends[1], still + reach + plain[1]) + rounding
-
-
 def mean_form(
     policy: NetworkPolicy,
     moves: tuple[FloatArray, FloatArray, FloatArray],
     coordinates: FloatArray,
     cells: tuple[FloatArray, FloatArray],
     mode: int,
-) -> tuple[Form, tuple[FloatArray, FloatArray]]:
-    """Return affine forms of the means from cells with centres and half widths (N, d), and ends (N, m) of actions.
+) -> Form:
+    """Return affine forms of the means from cells with centres and half widths (N, d) in one mode.
 
     Double precision is not paid for: ``widening`` says what is to be added.
+
+    Parameters
+    ----------
+    policy : NetworkPolicy
+    moves : A (k, d), B (k, m), offset (k,)
+        Dynamics in grid coordinates, or anything else that is ``A x + B u + offset``.
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    cells : two (N, d) arrays
+    mode : int
     """
     (A, B, offset), (centre, half), network = moves, cells, policy.network
     layers = _layers(policy)
@@ -301,7 +254,7 @@ def mean_form(
     box = policy.input_box
     form = bounds.pulled_back(B * box.half_width, len(kinds) - 1)
     still = centre @ A.T + (B @ (0.5 * box.low + 0.5 * box.high) + offset)
-    return Form(form.slopes + A, form.centre + still, form.radius), values
+    return Form(form.slopes + A, form.centre + still, form.radius)
 
 
 def _first_layer(

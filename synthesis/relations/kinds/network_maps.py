@@ -101,7 +101,7 @@ class NetworkMaps:
     def _bounds(self, low: FloatArray, high: FloatArray, mode: int) -> Form:
         """Return affine forms of the means from boxes (n, d) around their middles."""
         moves = (self.linear.A, self.linear.B, self.linear.offset)
-        return mean_form(self.policy, moves, self.coordinates, (0.5 * (low + high), _half(low, high)), mode)[0]
+        return mean_form(self.policy, moves, self.coordinates, (0.5 * (low + high), _half(low, high)), mode)
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
@@ -140,7 +140,7 @@ class DrivenMaps(AffineMeans):
         slopes = np.zeros((n, modes, m, d))
         moves = np.zeros((m, d)), np.eye(m), np.zeros(m)
         for mode in (k for k in range(modes) if k % self.policy.view.states not in self.idle):
-            form = mean_form(self.policy, moves, self.coordinates, (centre, half), mode)[0]
+            form = mean_form(self.policy, moves, self.coordinates, (centre, half), mode)
             held[:, mode], slopes[:, mode], left[:, mode] = form.centre, form.slopes, form.radius
         size = np.einsum("nkmd,nd->nkm", np.abs(slopes), np.abs(centre) + half)
         left = left * (1.0 + OUTWARD) + widening(self.policy, np.eye(m)) + OUTWARD * (np.abs(held) + size)

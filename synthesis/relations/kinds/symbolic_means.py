@@ -146,11 +146,6 @@ class SymbolicMeans:
         rows = None if self.is_plain else self._inverse
         return enclosed(self.agent.trees, self._names(input_set), self.variables(box), rows)
 
-    def enclosing(self, variables: list[Interval], input_set: FloatArray) -> list[Interval]:
-        """Return intervals around the mean along each axis, from intervals of all variables, under a menu (A, m)."""
-        names = self._names(input_set)
-        return enclosed(self.agent.trees, names, variables, None if self.is_plain else self._inverse)
-
     def variables(self, box: list[Interval]) -> list[Interval]:
         """Return all variables: the axes of the cell, and disturbances and neighbours, anything in their intervals."""
         one = np.ones((1, 1))
@@ -205,8 +200,6 @@ class SymbolicMeans:
     @cached_property
     def _inverse(self) -> FloatArray:
         return np.asarray(np.linalg.inv(self.coordinates))
-
-    network = None
 
     @property
     def description(self) -> dict[str, Any]:

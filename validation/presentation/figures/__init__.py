@@ -7,7 +7,6 @@ from .certificate_figures import horizon_figure, rank_figure, relation_figure, v
 from .comparison_figures import draw_comparison, draw_curves
 from .figure_scenes import automaton_figure, rollouts_figure, tree_figure
 from .figure_style import check_format, save_figure
-from .network_figures import network_figure
 
 __all__ = [
     "automaton_figure",
@@ -15,7 +14,6 @@ __all__ = [
     "draw_comparison",
     "draw_curves",
     "horizon_figure",
-    "network_figure",
     "rank_figure",
     "relation_figure",
     "rollouts_figure",
