@@ -18,6 +18,7 @@ MOVED = {
     "environments/hard": "leaderboard",
     "environments/unrated": "leaderboard",
     "learners": "leaderboard",
+    "how-to/devices": "how-to/batches",
 }
 """Old and new address, without the ending; the variants of environments follow from their pages."""
 

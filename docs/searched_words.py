@@ -19,7 +19,7 @@ SEARCHED = {
     "how-to/networks": ["neural network", "network", "lqr", "feedback"],
     "how-to/policies_come_back": ["onnx", "torch", "jax", "pytorch"],
     "how-to/own_dynamics": ["nonlinear", "noise", "distribution", "disturbance", "angle"],
-    "how-to/devices": ["gpu", "cuda"],
+    "how-to/batches": ["gpu", "cuda"],
     "how-to/observations": ["observation", "sensor noise", "partial observability"],
     "how-to/clients": ["gymnasium", "pettingzoo"],
     "how-to/pairs": ["collision avoidance", "collision"],

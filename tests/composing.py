@@ -543,12 +543,6 @@ def begun(row: str, folder: Path) -> Claims:
     return Claims((result.certificate.lower_bound,))
 
 
-def on_device(row: str, folder: Path) -> Claims:
-    result = cg.synthesize(problem_of(row), **searched(row, device="torch:cpu"))
-    assert abs(result.certificate.lower_bound - certificate_of(row).lower_bound) < 1e-6
-    return Claims((result.certificate.lower_bound,))
-
-
 def reported(row: str, folder: Path) -> Claims:
     cg.report(certificate_of(row), folder / "page.html", EPISODES)
     assert "<svg" in (folder / "page.html").read_text(encoding="utf-8")
@@ -568,5 +562,5 @@ COLUMNS: dict[str, Callable[[str, Path], Claims]] = {
     "rigorous": rigorous, "shield": shield, "certify": certified_policy, "network": network,
     "at": elsewhere, "values in time": values_in_time, "audit": audit, "field": fields, "stress": stressed,
     "compare": compared, "start box": start_box, "no deadline": no_deadline, "safety rate": safety,
-    "start=": begun, "device": on_device, "report": reported, "file": kept,
+    "start=": begun, "report": reported, "file": kept,
 }  # fmt: skip

@@ -117,7 +117,7 @@ def by_subtraction(
         cells = dict(zip(base.agent_names, (part.grid.shape for part in start.proof.agents), strict=True))
     abstraction = abstraction_of(base, cells, kinds, settings.of_kinds(kinds))
     given = {} if start is None else policies_from(start, base, abstraction)
-    joint = replace(join(base, abstraction, search.device), finds_alike=True)
+    joint = replace(join(base, abstraction), finds_alike=True)
     masses = CollisionProbability(problem, base, joint, relevant_pairs(problem), usual)
     abstracted = time.perf_counter()
     search = replace(search, value="train" if search.value == "train" else "tree")

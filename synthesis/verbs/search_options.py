@@ -10,7 +10,6 @@ from typing import Any
 
 from ...envs.systems.arguments import near, unknown_argument
 from ..abstraction.models import Settings
-from ..certificates.value_functions import HOST, device_put
 from ..policy_search.ascent import Limits, Search
 
 OF_RELATIONS = tuple(field.name for field in fields(Settings))
@@ -23,7 +22,7 @@ PACKAGE = __name__.partition(".")[0]
 class SearchOptions:
     """Options of a search: of the ascent, and of the finite models that it searches on.
 
-    Defaults are what an id without options gets. All options but ``device`` can change which certificate is found; none
+    Defaults are what an id without options gets. They can change which certificate is found; none
     of them changes what a certificate means, or how it is checked.
 
     Parameters
@@ -42,9 +41,6 @@ class SearchOptions:
     limits : Limits, optional
         How trees are pruned during the search: shares of the value (dimensionless) and numbers of terms. Less pruning
         takes more time and memory, and may raise the bound. Default: ``Limits()``.
-    device : str
-        Where sweeps over trees compute: ``"numpy"`` (default), or a library and its device, such as ``"torch:cuda"``
-        (extra ``device``; see ``devices``). Bounds agree up to rounding, for which each of them has a reserve.
     targets_per_cell : int, optional
         Relation ``exact``: lattice points per cell and axis; with more of them rounding wastes fewer of the admissible
         inputs. ``linear`` and ``boxes``: points per cell and axis at which values are read. Default: 2 (``exact``, one
@@ -62,7 +58,7 @@ class SearchOptions:
     Raises
     ------
     ValueError
-        If an option does not exist, is out of range, or names a device that does not exist.
+        If an option does not exist, or is out of range.
 
     Notes
     -----
@@ -80,7 +76,6 @@ class SearchOptions:
     stationary: bool = False
     value: str = "auto"
     limits: Limits | None = None
-    device: str = HOST
     targets_per_cell: int | None = None
     epsilon: float | None = None
     feedback: float | None = None
@@ -108,10 +103,9 @@ class SearchOptions:
 
     def search(self, **others: Any) -> Search:
         """Return the record of the ascent; ``others`` are fields of ``Search`` that no user gives."""
-        device_put(self.device)  # refuses a device that does not exist before any work is done
         limits = Limits() if self.limits is None else self.limits
         own = {"stationary": self.stationary, **others}
-        return Search(self.max_sweeps, limits, self.value, self.restarts, device=self.device, **own)
+        return Search(self.max_sweeps, limits, self.value, self.restarts, **own)
 
 
 OPTIONS = tuple(field.name for field in fields(SearchOptions))

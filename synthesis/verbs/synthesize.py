@@ -119,7 +119,7 @@ def synthesize(
         about as long as an evaluation of the policies. By default it does where this is little work beside the effort,
         for one horizon; relations in which nothing is lost say so in any case.
     search : SearchOptions, optional
-        Everything else that a search can be told: sweeps, restarts, the form of values, pruning, the device, and the
+        Everything else that a search can be told: sweeps, restarts, the form of values, pruning, and the
         settings of relations. Nobody needs it for a good bound.
     **old
         The same options as keywords, as until 0.3: they work until 0.5, with a DeprecationWarning.

@@ -380,7 +380,7 @@ def _doubled(problem: Problem, kinds: Sequence[str], plan: Plan) -> Strategy:
 
 def _of_models(problem: Problem, abstraction: Abstraction, plan: Plan) -> Synthesis:
     """Return the synthesis on finite models."""
-    return searched(problem, abstraction, join(problem, abstraction, plan.search.device), plan.search, {})
+    return searched(problem, abstraction, join(problem, abstraction), plan.search, {})
 
 
 def _run_of_levels(problem: Problem, plan: Plan) -> Run:
@@ -391,6 +391,6 @@ def _run_of_levels(problem: Problem, plan: Plan) -> Run:
         if carried is not None:
             search = replace(search, max_sweeps=min(search.max_sweeps, 2), restarts=0, good_share=GOOD_CARRIED)
             starts = {"carried over": carried}
-        return searched(problem, abstraction, join(problem, abstraction, search.device), search, starts)
+        return searched(problem, abstraction, join(problem, abstraction), search, starts)
 
     return run

@@ -12,7 +12,7 @@ from certigym.synthesis.abstraction.models import TIE
 from certigym.synthesis.abstraction.models.action_tables import Policies
 from certigym.synthesis.abstraction.models.joint import JointModel, join, start_of
 from certigym.synthesis.certificates.proofs import lasting_bound
-from certigym.synthesis.certificates.value_functions.devices import UNIT
+from certigym.synthesis.certificates.value_functions import UNIT
 from certigym.synthesis.composition import horizons
 from certigym.synthesis.policy_search.ascent.coordinate_ascent import sweep
 from certigym.synthesis.policy_search.ascent.multistart import FINAL, find_policies

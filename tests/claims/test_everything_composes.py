@@ -130,8 +130,6 @@ ASKED = [cell if cell in FEW else pytest.param(*cell, marks=pytest.mark.thorough
 
 @pytest.mark.parametrize(("row", "column"), ASKED, ids=lambda name: name)
 def test_cell(row: str, column: str, tmp_path: Path) -> None:
-    if column == "device":
-        pytest.importorskip("torch", reason="the extra `rl` brings a device")
     if reason := CANNOT.get(column, {}).get(row):
         with pytest.raises(ValueError, match=reason.said):
             COLUMNS[column](row, tmp_path)

@@ -40,7 +40,7 @@ MAY_IMPORT = {
     "synthesis.checker": "",
     "synthesis.relations.grids": ENVS,
     "synthesis.relations.kinds": f"{ENVS} synthesis.relations.grids",
-    "synthesis.certificates.value_functions": "envs.systems.backends",
+    "synthesis.certificates.value_functions": "",
     "synthesis.certificates.cell_probabilities": f"{ENVS} synthesis.relations synthesis.certificates.value_functions",
     "synthesis.certificates.controllers": f"{ENVS} synthesis.relations",
     "synthesis.certificates.beliefs": "synthesis.checker",

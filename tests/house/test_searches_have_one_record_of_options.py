@@ -17,7 +17,7 @@ from certigym.synthesis.verbs.search_options import OPTIONS
 
 VERBS = (cg.synthesize, cg.certify, cg.improve, cg.abstract)
 OLD: dict[str, Any] = {
-    "max_sweeps": 1, "restarts": 1, "stationary": True, "value": "tree", "limits": Limits(rank=50), "device": "numpy",
+    "max_sweeps": 1, "restarts": 1, "stationary": True, "value": "tree", "limits": Limits(rank=50),
     "targets_per_cell": 3, "epsilon": 0.1, "feedback": 0.0, "inputs": 10,
 }  # fmt: skip
 """Keywords of 0.3 and a value of each; ``delta`` and ``share`` need the relation ``ellipsoid``."""
@@ -90,7 +90,7 @@ def test_what_is_no_option_is_refused() -> None:
         cg.synthesize("reach-avoid-v0", search=record)
     with pytest.raises(ValueError, match="`max_sweeps`: expected an option that `abstract` uses"):
         cg.abstract("reach-avoid-v0", search=cg.SearchOptions(max_sweeps=1))
-    refused: list[dict[str, Any]] = [{"max_sweeps": -1}, {"value": "oak"}, {"device": "abacus"}, {"delta": 2.0}]
+    refused: list[dict[str, Any]] = [{"max_sweeps": -1}, {"value": "oak"}, {"delta": 2.0}]
     for wrong in refused:
         with pytest.raises(ValueError, match=f"`{next(iter(wrong))}`"):
             cg.SearchOptions(**wrong)

@@ -124,7 +124,7 @@ def relation_of(options: Namespace) -> dict[str, Any]:
 
 def search_of(options: Namespace) -> SearchOptions:
     """Return what options of the search ask for; commands that have none of them get the defaults."""
-    names = {"restarts": "restarts", "stationary": "stationary", "device": "device"}
+    names = {"restarts": "restarts", "stationary": "stationary"}
     names |= {"delta": "delta", "targets_per_cell": "targets"}
     return SearchOptions(**{name: getattr(options, given) for name, given in names.items() if hasattr(options, given)})
 

@@ -17,7 +17,6 @@ USUAL: dict[str, Any] = {
     "restarts": 0,
     "stationary": False,
     "above": None,
-    "device": "numpy",
     "confidence": 0.999,
     "workers": None,
     "dask": None,
@@ -130,12 +129,6 @@ def add_search(parser: argparse.ArgumentParser) -> None:
         "--restarts", type=int, default=0, metavar="N", help="further searches from perturbed plans (default: 0)"
     )
     parser.add_argument("--stationary", action="store_true", help="policies that do not look at the time")
-    parser.add_argument(
-        "--device",
-        default="numpy",
-        metavar="NAME",
-        help="where sweeps compute: numpy (default), torch:cuda, torch:cpu, cupy:0",
-    )
 
 
 def add_above(parser: argparse.ArgumentParser) -> None:

@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 
 from ....envs.systems.agents import TURN
 from ....envs.systems.distributions import Gaussian, Law
-from ...certificates.value_functions import beside, to_host
 from ...relations.grids import CellAxis, FloatArray, Grid, LatticeAxis, MeanAxis, ScaleAxis
 from .kernel import AxisTable, Kernel, law_table
 from .proximity_error import ProximityError
@@ -97,12 +96,10 @@ class BoxKernel(Kernel):
     def backup(self, factors: Any) -> Any:
         """Return numbers (n, Z) whose multilinear interpolant is below g, up to the border of the lattice.
 
-        ``factors`` (n, S) are nonnegative; the numbers need not be. Products of matrices are formed where the factors
-        are; what is taken off is found on the host.
+        ``factors`` (n, S) are nonnegative; the numbers need not be.
         """
-        values = np.ascontiguousarray(to_host(super().backup(factors)))
-        given = to_host(factors)
-        largest = given.max(axis=1, initial=0.0)
+        values = np.ascontiguousarray(super().backup(factors))
+        largest = factors.max(axis=1, initial=0.0)
         for n, (row, most) in enumerate(zip(values, largest.tolist(), strict=True)):
             table = row.reshape(self.points or self.lattice_shape)
             if self.interpolation_error is None:
@@ -111,10 +108,10 @@ class BoxKernel(Kernel):
                 table -= (
                     most * self.interpolation_error
                     if self.near is None
-                    else self.near.of_values(given[n], most, self.interpolation_error)
+                    else self.near.of_values(factors[n], most, self.interpolation_error)
                 )
                 table -= most * self.slack
-        return beside(values, factors)
+        return values
 
     @property
     def slack(self) -> float:

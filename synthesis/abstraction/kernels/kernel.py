@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from ....envs.systems.distributions import Gaussian, Law
-from ...certificates.value_functions import UNIT, Residents, add_rows, empty, multiply_into, namespace
+from ...certificates.value_functions import UNIT, add_rows
 from ...relations.grids import FloatArray, shape_text
 
 SMALLEST_MASS = 1e-60
@@ -101,13 +101,10 @@ class AxisTable:
         Lattice points Z and cells S.
     blocks : tuple of (z0, z1, s0, s1, (z1 - z0, s1 - s0) array)
         Entries of lattice points z0 .. z1 - 1 and cells s0 .. s1 - 1; the ranges of lattice points tile 0 .. Z.
-    residents : Residents
-        The entries on devices.
     """
 
     shape: tuple[int, int]
     blocks: tuple[tuple[int, int, int, int, NDArray], ...]
-    residents: Residents = field(default_factory=Residents, repr=False)
 
     def __repr__(self) -> str:
         stored = sum(entries.size for *_, entries in self.blocks)
@@ -130,11 +127,11 @@ class AxisTable:
         """Return ``sum_s table[z, s] v[.., s]``: (.., S) -> (.., Z)."""
         if len(self.blocks) == 1:
             _, _, s0, s1, entries = self.blocks[0]
-            return values[..., s0:s1] @ self.residents.beside(entries, values).T
+            return values[..., s0:s1] @ entries.T
         if values.ndim > 2:
             return self.backup(values.reshape(-1, values.shape[-1])).reshape(*values.shape[:-1], self.shape[0])
         # Masked factors are 0 outside a region: rows of the same support share products over that range alone.
-        groups = _by_support(values) if isinstance(values, np.ndarray) else [(slice(None), 0, self.shape[1])]
+        groups = _by_support(values)
         if len(groups) == 1:
             return self._smooth_range(values, *groups[0][1:])
         backed_up = np.empty((len(values), self.shape[0]))
@@ -144,24 +141,23 @@ class AxisTable:
 
     def _smooth_range(self, values: NDArray, first: int, last: int) -> NDArray:
         """Smooth rows (n, S) that are 0 outside the cells ``first .. last - 1``."""
-        backed_up = empty((len(values), self.shape[0]), values)
+        backed_up = np.empty((len(values), self.shape[0]), dtype=values.dtype)
         for z0, z1, s0, s1, entries in self.blocks:
             a, b = max(s0, first), min(s1, last)
             if a < b:
-                overlap = self.residents.beside(entries, values)[:, a - s0 : b - s0]
-                multiply_into(values[:, a:b], overlap.T, backed_up[:, z0:z1])
+                np.matmul(values[:, a:b], entries[:, a - s0 : b - s0].T, out=backed_up[:, z0:z1])
             else:
                 backed_up[:, z0:z1] = 0.0
         return backed_up
 
     def propagate(self, masses: NDArray) -> NDArray:
         """Return ``sum_z m[.., z] table[z, s]``: (.., Z) -> (.., S)."""
-        propagated = empty((*masses.shape[:-1], self.shape[1]), masses)
+        propagated = np.empty((*masses.shape[:-1], self.shape[1]), dtype=masses.dtype)
         propagated[...] = 0.0
         products = math.prod(masses.shape[:-1]) * sum(entries.size for *_, entries in self.blocks)
-        if products < MANY_PRODUCTS or not isinstance(masses, np.ndarray):
+        if products < MANY_PRODUCTS:
             for z0, z1, s0, s1, entries in self.blocks:
-                propagated[..., s0:s1] += masses[..., z0:z1] @ self.residents.beside(entries, masses)
+                propagated[..., s0:s1] += masses[..., z0:z1] @ entries
             return propagated
         # Policies choose few of the points: multiply only the rows of those that carry mass, block by block.
         used = np.flatnonzero((masses != 0).any(axis=tuple(range(masses.ndim - 1))))
@@ -268,7 +264,7 @@ class Kernel:
         maps = [table.propagate for table in self.tables]
 
         def propagated(some: NDArray) -> NDArray:
-            if len(some) <= FEW_MASSES and isinstance(some, np.ndarray):
+            if len(some) <= FEW_MASSES:
                 on_lattice = np.stack([np.bincount(slot, weights=row, minlength=n_lattice + 1) for row in some])
             else:
                 on_lattice = add_rows(some.T, slot, n_lattice + 1).T
@@ -280,7 +276,7 @@ class Kernel:
 def _in_parts(map_of: Callable[[NDArray], NDArray], values: NDArray, numbers: int) -> NDArray:
     """Return what a map makes of the rows of values, few at a time where each takes many numbers on the way."""
     parts = min(len(values), len(values) * numbers // NUMBERS_AT_ONCE + 1)
-    if parts <= 1 or not isinstance(values, np.ndarray):
+    if parts <= 1:
         return map_of(values)
     first, *others = np.array_split(values, parts)
     start = map_of(first)
@@ -297,7 +293,6 @@ def _along_axes(values: NDArray, shape: tuple[int, ...], maps: Sequence[Callable
     if len(maps) == 1:
         return maps[0](values)
     tensor = values.reshape(len(values), *shape)
-    xp = namespace(values)
     for axis, transform in enumerate(maps, start=1):
-        tensor = xp.moveaxis(transform(xp.moveaxis(tensor, axis, -1)), -1, axis)
+        tensor = np.moveaxis(transform(np.moveaxis(tensor, axis, -1)), -1, axis)
     return tensor.reshape(len(values), math.prod(tensor.shape[1:]))

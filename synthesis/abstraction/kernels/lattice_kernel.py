@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from ....envs.systems.distributions import Gaussian, Law, Uniform
-from ...certificates.value_functions import beside, take, to_host
 from ...relations.grids import FloatArray, Grid, RelationRefused
 from ...relations.kinds import block_of
 from .box_kernel import rounding_of, slack_of
@@ -84,22 +83,18 @@ class LatticeKernel(Kernel):
         return math.prod(blocks_of(self.lattice_shape, self.reach))
 
     def backup(self, factors: Any) -> Any:
-        """Return values of factors (n, 2^d S), from below, and the largest differences around every block.
-
-        Products of matrices are formed where the factors are; differences are found on the host.
-        """
+        """Return values of factors (n, 2^d S), from below, and the largest differences around every block."""
         # Agents that are alike often have equal factors: each is smoothed once.
         number: dict[bytes, int] = {}
-        here = to_host(factors)
-        which = [number.setdefault(row.tobytes(), len(number)) for row in here]
+        which = [number.setdefault(row.tobytes(), len(number)) for row in factors]
         firsts = [which.index(k) for k in range(len(number))]
-        if len(number) == len(here):
-            return beside(self._smoothed(factors, here), factors)
-        return beside(self._smoothed(take(factors, np.array(firsts), axis=0), here[firsts])[which], factors)
+        if len(number) == len(factors):
+            return self._smoothed(factors)
+        return self._smoothed(factors[firsts])[which]
 
-    def _smoothed(self, given: Any, factors: FloatArray) -> FloatArray:
-        """Return the same of factors that are given and are these on the host."""
-        values = self._values(given)
+    def _smoothed(self, factors: FloatArray) -> FloatArray:
+        """Return the same of factors of which no two are equal."""
+        values = self._values(factors)
         result = np.empty((len(values), self.n_columns))
         result[:, : self.n_points] = values
         result[:, -1] = self.slack * factors.max(axis=1, initial=0.0)
@@ -116,7 +111,7 @@ class LatticeKernel(Kernel):
 
     def _values(self, factors: Any) -> FloatArray:
         """Return values at lattice points (n, Z), from below."""
-        values = to_host(super().backup(factors))
+        values = super().backup(factors)
         values[values < NOTHING] = 0.0
         return values
 

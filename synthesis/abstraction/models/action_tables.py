@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent
-from ...certificates.value_functions import beside, namespace, take, to_host
 from ...relations.grids import FloatArray, Grid, grid_laws
 from ...relations.kinds import describe_relation
 from ..kernels import Kernel, law_table
@@ -182,21 +181,19 @@ class PointChoices(ActionTable):
         # The same weights everywhere make one objective of all.
         if len(weights) == 1:
             weights, table = np.ones((n_cells, 1)), weights @ table
-        if len(table) == 1:  # too little work for a device
-            weights, table = to_host(weights), to_host(table)
         chosen = self._of_one_objective(table[0]) if len(table) == 1 else None
         if chosen is not None:
             # Which point is the largest does not depend on the weight.
             best, score = chosen, np.where(chosen >= 0, weights[:, 0] * table[0, chosen], -np.inf)
         else:
             # Block by block; blocks in which every cell has a choice and nothing weighs are left out.
-            idle = to_host(~namespace(weights).any(weights != 0, axis=1)) & (points >= 0)
+            idle = (~np.any(weights != 0, axis=1)) & (points >= 0)
             best, score = np.full(n_cells, -1, dtype=np.int64), np.zeros(n_cells)
             for block in self._blocks(idle, table):
-                best[block], score[block] = self._best_of(block, take(weights, block, axis=0), table)
+                best[block], score[block] = self._best_of(block, weights[block], table)
         # Compare with what the incumbents attain.
-        mean_targets = take(table, np.maximum(points, 0), axis=1)
-        current = to_host(namespace(table).einsum("sn,ns->s", weights, mean_targets))
+        mean_targets = table[:, np.maximum(points, 0)]
+        current = np.einsum("sn,ns->s", weights, mean_targets)
         better = (best >= 0) & ((points < 0) | (score > current * (1 + TIE)))
         return np.where(better, best, incumbent).astype(np.int32)
 
@@ -215,16 +212,16 @@ class PointChoices(ActionTable):
 
 def gather(backed_up: Any, points: NDArray[Any]) -> Any:
     """Return smoothed factors (n, Z) read at lattice points (S,); 0 where there is none (-1)."""
-    values = take(backed_up, np.maximum(points, 0), axis=1)
+    values = backed_up[:, np.maximum(points, 0)]
     if np.any(points < 0):
-        values[:, beside(points < 0, values)] = 0
+        values[:, points < 0] = 0
     return values
 
 
 def largest(scores: Any) -> tuple[NDArray[Any], FloatArray]:
     """Return the column of the first of the largest numbers of every row, and that number."""
-    first = namespace(scores).argmax(scores, axis=1)
-    return to_host(first), to_host(scores[beside(np.arange(len(scores)), scores), first])
+    first = np.argmax(scores, axis=1)
+    return first, scores[np.arange(len(scores)), first]
 
 
 def bricks(shape: tuple[int, ...], size: int) -> list[NDArray[np.int64]]:

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent
-from ...certificates.value_functions import beside, to_host
 from ...relations.grids import FloatArray, Grid, LatticeAxis, MeanAxis, RelationRefused, grid_laws, shape_text
 from ...relations.kinds import BoxRelation, MeanBoxes
 from ..kernels import BoxKernel, box_kernel_of, each_window_minima, least_over_boxes
@@ -134,14 +133,14 @@ class BoxChoices(ActionTable):
 
         They are 0 where there is no choice, or one that is not admissible, or a box leaves the lattice.
         """
-        table = to_host(backed_up)
+        table = backed_up
         values = np.zeros((len(table), len(policy)))
         every, chosen = np.arange(len(policy)), np.maximum(policy, 0)
         usable = (self.size[every, chosen] >= 0) & (self.low[every, chosen, 0] >= 0)
         cells = np.flatnonzero((policy >= 0) & usable)
         low, high = (side[cells, chosen[cells]] for side in (self.low, self.high))
         values[:, cells] = np.maximum(least_over_boxes(table, self.shape, low, high), 0.0)
-        return beside(values, backed_up)
+        return values
 
     def best(self, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:
         """Return the choices (S,) of the largest weighted value; the incumbent stays among equals.
@@ -154,7 +153,7 @@ class BoxChoices(ActionTable):
             Numbers of every lattice point under each objective.
         incumbent : (S,) int32 array
         """
-        weights, table = np.broadcast_to(to_host(weights), (len(incumbent), len(table))), to_host(table)
+        weights = np.broadcast_to(weights, (len(incumbent), len(table)))
         score = np.where(self.size >= 0, 0.0, -np.inf)
         inside = (self.low[..., 0] >= 0).reshape(-1)
         flat, n_choices = score.reshape(-1), self.size.shape[1]

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent
-from ...certificates.value_functions import beside, to_host
 from ...relations.grids import FloatArray, Grid, corner_sides, grid_laws, of_cells, shape_text, to_places
 from ...relations.kinds import AffineBoxes, MapRelation
 from ..kernels import FAR, Images, LatticeKernel, MultilinearKernel, in_chunks, lattice_kernel_of
@@ -179,10 +178,10 @@ class CornerChoices(ActionTable):
 
         Images are read at few points if ``rough``: about right, and no bounds.
         """
-        table, cells = to_host(backed_up), np.flatnonzero(policy >= 0)
+        table, cells = backed_up, np.flatnonzero(policy >= 0)
         values = np.zeros((len(table), self.grid.n_cells, 2 ** len(self.lattice)))
         values[:, cells] = self.at(table, cells, policy[cells], rough)
-        return beside(to_places(values, self.grid.shape), backed_up)
+        return to_places(values, self.grid.shape)
 
     def at(self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray, rough: bool = False) -> FloatArray:
         """Return lower bounds (n, C, 2^d) at the corners of cells (C,) under choices (C,); about right if ``rough``."""
@@ -206,7 +205,7 @@ class CornerChoices(ActionTable):
         incumbent : (S,) int32 array
         """
         n_places = weights.shape[0] if len(weights) > 1 else self.n_places
-        weights, table = np.broadcast_to(to_host(weights), (n_places, len(table))), to_host(table)
+        weights = np.broadcast_to(weights, (n_places, len(table)))
         at_corners = of_cells(weights.T, self.grid.shape)  # (n, S, 2^d)
         heavy = at_corners.sum(axis=(0, 2))
         cells = np.flatnonzero((heavy > LEAST_SHARE * heavy.max(initial=0.0)) | (incumbent < 0))

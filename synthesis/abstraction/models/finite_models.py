@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from ....envs.systems.agents import AnyAgent
 from ....envs.systems.arguments import checked_count, counted, tree_text
 from ....envs.tasks.problem import Problem
-from ...certificates.value_functions import Residents
 from ...relations.grids import (
     DEFAULT_TARGETS,
     CellCounts,
@@ -91,8 +90,6 @@ class AgentModel:
         Label set of each cell, for arriving in it.
     start_labels : CellLabels
         Label set of the points of each cell, for starting in it.
-    residents : Residents
-        Masks of its cells on devices.
     """
 
     grid: Grid
@@ -102,7 +99,6 @@ class AgentModel:
     choices: ActionTable
     labels: CellLabels
     start_labels: CellLabels
-    residents: Residents = field(default_factory=Residents, repr=False)
 
     def __repr__(self) -> str:
         rows = [

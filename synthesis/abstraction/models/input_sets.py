@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.arguments import counted
-from ...certificates.value_functions import namespace, take
 from ...relations.grids import FloatArray, Grid
 from ...relations.kinds import CoupledRelation
 from .action_tables import CELLS_PER_BLOCK, NUMBERS_PER_BLOCK, MeansAt, PointChoices, StepPolicy, largest
@@ -75,8 +74,8 @@ class InputSet(PointChoices):
                 if weight.any():
                     scores += weight[:, None] * row.take(points)
             return largest(scores)
-        reached = take(table, points.ravel(), axis=1).reshape(len(table), *points.shape)
-        return largest(namespace(table).einsum("sn,nsa->sa", weights, reached))
+        reached = table[:, points.ravel()].reshape(len(table), *points.shape)
+        return largest(np.einsum("sn,nsa->sa", weights, reached))
 
     def largest(self, backed_up: FloatArray) -> FloatArray:
         """Return the largest values (S,) of a smoothed factor (Z,) over all inputs."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ....envs.systems.arguments import counted, tree_text
 from ....envs.tasks.automata import met_in_time
 from ....envs.tasks.problem import Problem
-from ...certificates.value_functions import HOST, Array, Guards, Occupancy, Terms, device_put
+from ...certificates.value_functions import Guards, Occupancy, Terms
 from ...relations.grids import CellLabels, FloatArray, alike_text, shape_text
 from .finite_models import Abstraction, AgentModel
 from .guards import compile_guards
@@ -43,8 +43,6 @@ class JointModel:
         States in which nothing is left to decide: accepting ones of co-safe tasks, and dead ones.
     horizon : int
         Control steps T.
-    device : str
-        Where sweeps over the value tree compute (see ``devices``); all arrays of this record are numpy's.
     finds_alike : bool
         Whether sweeps look for factors that are equal without being the same: it keeps trees of tasks small that look
         at the end alone, and leaves the bits of all others to what they were if it is not asked for.
@@ -60,7 +58,6 @@ class JointModel:
     accepting: NDArray[np.bool_]
     absorbing: NDArray[np.bool_]
     horizon: int
-    device: str = HOST
     finds_alike: bool = False
     spend: Callable[[float], None] | None = None
 
@@ -70,15 +67,9 @@ class JointModel:
             ("guards", f"{len(self.guards.source)} out of {counted(len({*self.guards.source.tolist()}), 'state')}"),
             ("start guards", len(self.start_guards.source)),
             ("horizon", counted(self.horizon, "control step")),
-            ("device", self.device),
         ]
         sizes = f"{counted(len(self.models), 'agent')}, {counted(self.n_states, 'automaton state')}"
         return tree_text(f"JointModel: {sizes}", rows)
-
-    @cached_property
-    def put(self) -> Callable[[NDArray], Array]:
-        """The function that takes arrays to the device."""
-        return device_put(self.device)
 
     @cached_property
     def occurs(self) -> NDArray[np.bool_]:
@@ -126,9 +117,8 @@ def count_of_decisions(problem: Problem) -> int:
     return int(table.sum()) if _is_sparse(table) else int(table.size)
 
 
-def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> JointModel:
-    """Return the models of ``abstraction`` joined by the guards of ``problem``, for sweeps on ``device``."""
-    device_put(device)  # refuses a missing device before any work is done
+def join(problem: Problem, abstraction: Abstraction) -> JointModel:
+    """Return the models of ``abstraction`` joined by the guards of ``problem``."""
     automaton = problem.automaton
     models = abstraction.models
     guards = compile_guards(problem, [model.labels.sets for model in models])
@@ -142,7 +132,6 @@ def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> Join
         accepting=np.asarray(automaton.accepting, dtype=bool),
         absorbing=automaton.absorbing,
         horizon=problem.horizon,
-        device=device,
     )
 
 

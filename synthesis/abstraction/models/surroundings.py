@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent
 from ....envs.tasks.problem import Problem
-from ...certificates.value_functions import beside, to_host
 from ...relations.grids import (
     MOST_CELLS,
     FloatArray,
@@ -98,8 +97,8 @@ class InnerChoices(ActionTable):
 
     def read(self, backed_up: Any, policy: StepPolicy, rough: bool = False) -> Any:
         """Return the value factors (n, places) of an agent under a policy: 0 in cells where there is no choice."""
-        values = to_host(self.choices.read(backed_up, policy[self.cells], rough))
-        return beside(self._at_places(values, 0.0), backed_up)
+        values = self.choices.read(backed_up, policy[self.cells], rough)
+        return self._at_places(values, 0.0)
 
     def _at_places(self, numbers: NDArray[Any], other: float) -> NDArray[Any]:
         """Return numbers (n, places) that are those given within: there are two places along each axis for corners."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.expressions import Number
-from ...certificates.value_functions import Array, Residents, beside, namespace, take
 from ...relations.grids import FloatArray, Grid, shape_text
 from ...relations.kinds import ExactOnCells, ExactRelation, SymbolicOnCells, SymbolicTargets
 from .action_tables import CELLS_PER_BLOCK, NUMBERS_PER_BLOCK, MeansAt, PointChoices, StepPolicy, bricks, largest
@@ -35,20 +34,12 @@ class WindowMemory:
         self.bands: dict[bytes, Band] = {}
         self.bricks: dict[int, list[NDArray[np.int64]]] = {}
         self.size = 0
-        self.kept: set[int] = set()
-        self.residents = Residents()
 
     def remember(self, key: bytes, band: Band) -> None:
         """Keep a band as long as all bands together stay below ``BAND_BYTES``."""
         if self.size + band[1].nbytes <= BAND_BYTES:
             self.bands[key] = band
             self.size += band[1].nbytes
-            self.kept.add(id(band[1]))
-
-    def beside(self, allowed: NDArray[np.bool_], reference: Array) -> Array:
-        """Return which points are allowed, on the device of another array; remembered bands are copied once."""
-        is_remembered = id(allowed) in self.kept
-        return self.residents.beside(allowed, reference) if is_remembered else beside(allowed, reference)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -183,9 +174,7 @@ class TargetWindows(PointChoices):
         flat, allowed = self.band(block)
         if len(flat) == 0:
             return np.full(len(allowed), -1), np.full(len(allowed), -np.inf)
-        first, value = largest(
-            namespace(table).where(self.memory.beside(allowed, table), weights @ take(table, flat, axis=1), -np.inf)
-        )
+        first, value = largest(np.where(allowed, weights @ table[:, flat], -np.inf))
         return np.where(np.isfinite(value), flat[first], -1), value
 
     def nearest(self, means_at: MeansAt) -> StepPolicy:

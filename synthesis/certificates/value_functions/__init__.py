@@ -3,8 +3,7 @@
 Value functions as sums of products and as tensor trains with certified error: records and algebra.
 """
 
-from ....envs.systems.backends import HOST, Array, beside, device_put, namespace, to_host
-from .devices import UNIT, Residents, add_rows, concatenate, empty, multiply_into, take
+from .row_sums import UNIT, add_rows
 from .tensor_train import Cells, Core, Diagram, Train, added, ones, rounded
 from .terms import (
     BoolArray,
@@ -40,17 +39,14 @@ from .train_values import (
 from .value_function import ValueFunction
 
 __all__ = [
-    "Array",
     "BoolArray",
     "Cells",
     "Core",
     "Diagram",
     "Guards",
-    "HOST",
     "IndexArray",
     "Merges",
     "Occupancy",
-    "Residents",
     "Rounding",
     "Routes",
     "MergeLog",
@@ -65,18 +61,12 @@ __all__ = [
     "added",
     "arrival",
     "assembled",
-    "beside",
     "candidate_depths",
     "compress",
-    "concatenate",
     "core_rows",
     "counted_as_failed",
-    "device_put",
     "distinct",
-    "empty",
     "merge_rows",
-    "multiply_into",
-    "namespace",
     "ones",
     "rounded",
     "routes",
@@ -84,8 +74,6 @@ __all__ = [
     "start_above",
     "start_value",
     "sum_factors",
-    "take",
     "term_depths",
     "term_masses",
-    "to_host",
 ]

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .devices import UNIT
+from .row_sums import UNIT
 
 FloatArray = NDArray[Any]
 Core = NDArray[Any]

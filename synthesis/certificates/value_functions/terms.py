@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ....envs.systems.backends import namespace, to_host
-from .devices import add_runs, concatenate, take
+from .row_sums import add_runs
 
 IndexArray = NDArray[Any]
 """Whole numbers that point at rows."""
@@ -189,7 +188,7 @@ def sum_factors(factors: list[NDArray], rows: IndexArray, i: int, into: IndexArr
     order = np.argsort(into, kind="stable")
     into, absorbed = into[order], absorbed[order]
     heads, starts = np.unique(into, return_index=True)
-    sums = add_runs(take(factors[i], rows[absorbed, i]), starts) + take(factors[i], rows[heads, i])
+    sums = add_runs(factors[i][rows[absorbed, i]], starts) + factors[i][rows[heads, i]]
     # The same set of summands gives the same factor, whichever state it belongs to: store it once.
     ends = np.append(starts[1:], len(into))
     number: dict[tuple[int, ...], int] = {}
@@ -200,7 +199,7 @@ def sum_factors(factors: list[NDArray], rows: IndexArray, i: int, into: IndexArr
             number[key] = len(factors[i]) + len(fresh)
             fresh.append(k)
         rows[head, i] = number[key]
-    factors[i] = concatenate([factors[i], take(sums, np.array(fresh, dtype=np.int64))])
+    factors[i] = np.concatenate([factors[i], sums[np.array(fresh, dtype=np.int64)]])
 
 
 def compress(factors: NDArray, column: IndexArray) -> tuple[NDArray, IndexArray]:
@@ -208,7 +207,7 @@ def compress(factors: NDArray, column: IndexArray) -> tuple[NDArray, IndexArray]
     if len(factors) == 1 and len(column):
         return factors, column
     used, renumbered = distinct(column)
-    return factors if len(used) == len(factors) else take(factors, used), renumbered
+    return factors if len(used) == len(factors) else factors[used], renumbered
 
 
 def distinct(numbers: IndexArray) -> tuple[IndexArray, IndexArray]:
@@ -319,5 +318,5 @@ def term_masses(factors: Sequence[NDArray], index: NDArray[np.int64]) -> NDArray
     """Return the mass of each term, the product over agents of the sums of its factors, up to rounding."""
     product = np.ones(len(index))
     for i, rows in enumerate(factors):
-        product *= to_host(namespace(rows).sum(rows, axis=1))[index[:, i]]
+        product *= np.sum(rows, axis=1)[index[:, i]]
     return product

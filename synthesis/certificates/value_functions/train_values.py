@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .devices import UNIT
+from .row_sums import UNIT
 from .tensor_train import Cells, Core, Diagram, Train, diagram, frobenius_sup, rounded
 from .terms import Guards, Occupancy
 

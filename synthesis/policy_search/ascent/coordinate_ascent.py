@@ -24,21 +24,11 @@ from numpy.typing import NDArray
 
 from ....envs.systems.arguments import tree_text
 from ...abstraction.models import ActionTable, JointModel, Policies, StepPolicy, best_offered
-from ...certificates.value_functions import (
-    IndexArray,
-    MergeLog,
-    Occupancy,
-    Terms,
-    beside,
-    compress,
-    namespace,
-    take,
-    to_host,
-)
+from ...certificates.value_functions import IndexArray, MergeLog, Occupancy, Terms, compress
 from ...relations.grids import FloatArray, alike_text
 from .inner_products import Others, collected, inner_products
 from .limits import Limits
-from .occupancy import AliveMass, nowhere, put_everywhere
+from .occupancy import AliveMass, nowhere
 from .pruning_schedule import Arrivals
 from .tree import Candidates, Loss, assemble, candidates, shared, terminal_terms
 
@@ -157,9 +147,9 @@ def sweep(
     """
     mass = None if start is None else AliveMass(joint, policies, start, limits)
     policies = tuple(policy.copy() for policy in policies) if improve else policies
-    terms = put_everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
+    terms = terminal_terms(joint.accepting, joint.n_cells)
     dropped, rank, skeletons = 0.0, terms.rank, []
-    ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]
+    ones = [np.ones((1, n)) for n in joint.n_cells]
     for t in reversed(range(joint.horizon)):
         occupancy = nowhere(joint) if mass is None else mass.pop()
         if joint.spend is not None:
@@ -199,7 +189,6 @@ def sweep(
         rank = max(rank, terms.rank)
         skeletons.append(MergeLog(options.origin, options.merges, tuple(kept)))
         del options
-    terms = put_everywhere(terms, to_host)
     value = 0.0 if start is None else start_value(start, terms)
     return Sweep(policies, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
 
@@ -223,7 +212,7 @@ def _arrivals(joint: JointModel, occupancy: Occupancy, policies: Policies, t: in
         return None
 
     def arriving(q: int) -> list[NDArray[Any]]:
-        rows, factors = occupancy.terms.index[q], [to_host(factor) for factor in occupancy.terms.factors]
+        rows, factors = occupancy.terms.index[q], occupancy.terms.factors
         if not len(rows):
             return [np.full(n, 1.0 / n) for n in joint.n_cells]
         totals = np.stack([factor.sum(axis=1)[rows[:, i]] for i, factor in enumerate(factors)])
@@ -273,7 +262,7 @@ class Stage:
         else:
             # No mass gets here: weigh decisions by one term that is uniform over all cells.
             pairs = zip(self.models, self.values, strict=True)
-            self.mass = [beside(np.full((1, m.n_cells), 1.0 / m.n_cells), values) for m, values in pairs]
+            self.mass = [np.full((1, m.n_cells), 1.0 / m.n_cells) for m, values in pairs]
             self.mass_rows = np.zeros((1, len(self.models)), dtype=np.int64)
 
     def _read_once(self, i: int, table: FloatArray, policy: StepPolicy, known: Known) -> FloatArray:
@@ -282,10 +271,10 @@ class Stage:
         if not model.choices.is_read_at_length or len(self.models) == 1:
             return model.choices.read(table, policy, self.rough)
         # Tables are compared in full only where some of their entries are equal.
-        key, table_there = (id(model), table.shape, to_host(table[:, ::GLANCED]).tobytes(), policy.tobytes()), None
+        key, table_there = (id(model), table.shape, table[:, ::GLANCED].tobytes(), policy.tobytes()), None
         if key in known:
             table_there, values = known[key]
-        if table_there is None or not np.array_equal(to_host(table_there), to_host(table)):
+        if table_there is None or not np.array_equal(table_there, table):
             values = model.choices.read(table, policy, self.rough)
             known[key] = table, values
         return values
@@ -312,20 +301,20 @@ class Stage:
             n_values = len(self.values[i])
             # With a single objective its weights do not matter, and equal agents have equal answers.
             if n_values == 1:
-                table = to_host(self.backed_up[i])
+                table = self.backed_up[i]
                 key = (id(model), self.offered[i][1], table.tobytes(), self.policies[i].tobytes())
                 if key not in answers:
                     answers[key] = self.best(i, np.ones((model.n_cells, 1)), table)
                 self.policies[i] = answers[key]
             else:
                 weights = self._weights(i, met, chosen)
-                unmet = ~namespace(weights).any(weights > 0, axis=1)
+                unmet = ~np.any(weights > 0, axis=1)
                 if bool(unmet.any()):
                     usual = np.bincount(self.rows[:, i], weights=anywhere.product(), minlength=n_values)
                     if bool(unmet.all()):  # one objective for all cells: cheap, where windows slide
-                        weights = beside(usual[None], weights)
+                        weights = usual[None]
                     else:
-                        weights[unmet] = beside(usual, weights)
+                        weights[unmet] = usual
                 self.policies[i] = self.best(i, weights, self.backed_up[i])
             # The next agents answer to what this one does now.
             self.values[i] = model.choices.read(self.backed_up[i], self.policies[i], self.rough)
@@ -347,7 +336,7 @@ class Stage:
         for i, (model, weights) in enumerate(zip(self.models, self.weights(), strict=True)):
             better = self.best(i, weights, self.backed_up[i])
             added = model.choices.read(self.backed_up[i], better) - self.values[i]
-            most = max(most, float(namespace(added).einsum("sn,ns->", weights, added)))
+            most = max(most, float(np.einsum("sn,ns->", weights, added)))
         return most
 
     def weights(self) -> list[FloatArray]:
@@ -376,7 +365,7 @@ class Stage:
             return self.mass_rows
         mass = np.ones(len(self.mass_rows))
         for i, factors in enumerate(self.mass):
-            mass *= to_host(namespace(factors).sum(factors, axis=1))[self.mass_rows[:, i]]
+            mass *= np.sum(factors, axis=1)[self.mass_rows[:, i]]
         return self.mass_rows[np.sort(np.argsort(-mass, kind="stable")[:room])]
 
     def _inner(self, i: int) -> FloatArray:
@@ -386,7 +375,7 @@ class Stage:
 
     def _inner_by_terms(self, i: int, chosen: IndexArray) -> FloatArray:
         """Return the same by mass terms ``chosen`` and value terms."""
-        return take(take(self._inner(i), chosen[:, i]), self.rows[:, i], axis=1)
+        return self._inner(i)[chosen[:, i]][:, self.rows[:, i]]
 
     def prune(self, limits: Limits) -> tuple[IndexArray, float]:
         """Return the terms to keep, and an upper bound on the loss at the start."""
@@ -395,7 +384,7 @@ class Stage:
         # What a term contributes at the start (its price), and what it is worth averaged over all cells.
         met = np.zeros(len(self.rows))
         if self.is_met:
-            met = to_host(inner_products([self._inner(i) for i in range(len(self.models))], self.mass_rows, self.rows))
+            met = inner_products([self._inner(i) for i in range(len(self.models))], self.mass_rows, self.rows)
         anywhere = np.ones(len(self.rows))
         for i, values in enumerate(self.values):
             anywhere *= _means(values)[self.rows[:, i]]
@@ -409,7 +398,7 @@ class Stage:
         # Mass that is missing from the occupancy could meet dropped terms at their largest value, at most 1 together.
         sup = np.ones(len(self.rows))
         for i, values in enumerate(self.values):
-            sup *= to_host(namespace(values).max(values, axis=1))[self.rows[:, i]]
+            sup *= np.max(values, axis=1)[self.rows[:, i]]
         return keep, float(met[drop].sum() + self.leftover * min(1.0, sup[drop].sum()))
 
     def part(self, keep: IndexArray) -> tuple[list[FloatArray], IndexArray]:
@@ -423,7 +412,7 @@ class Stage:
 
 def _means(factors: FloatArray) -> FloatArray:
     """Return the mean of every factor over the cells, as an array of numpy."""
-    return to_host(namespace(factors).mean(factors, axis=1))
+    return np.mean(factors, axis=1)
 
 
 def _small(values: FloatArray, share: float) -> NDArray[np.bool_]:

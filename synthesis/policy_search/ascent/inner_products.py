@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...certificates.value_functions import IndexArray, add_rows, beside, namespace, take
+from ...certificates.value_functions import IndexArray, add_rows
 from ...relations.grids import FloatArray
 
 PRODUCTS_AT_ONCE = 4_000_000
@@ -18,7 +18,7 @@ class Others:
 
     def __init__(self, factors: Sequence[FloatArray]) -> None:
         # `before` is the product over agents that were replaced; `after` ends with that over agents still to come.
-        self.before = namespace(factors[0]).ones_like(factors[0])
+        self.before = np.ones_like(factors[0])
         self.after = [self.before]
         for factor in reversed(factors[1:]):
             self.after.append(self.after[-1] * factor)
@@ -35,13 +35,13 @@ class Others:
 
 def inner_products(inner: Sequence[FloatArray], mass_rows: IndexArray, rows: IndexArray) -> FloatArray:
     """Return ``sum_k prod_i inner[i][mass_rows[k, i], rows[l, i]]`` for every term l, in chunks of mass terms."""
-    total = beside(np.zeros(len(rows)), inner[0])
+    total = np.zeros(len(rows))
     chunk = max(1, PRODUCTS_AT_ONCE // max(1, len(rows)))
     for first in range(0, len(mass_rows), chunk):
         chosen = mass_rows[first : first + chunk]
-        product = take(take(inner[0], chosen[:, 0]), rows[:, 0], axis=1)
+        product = inner[0][chosen[:, 0]][:, rows[:, 0]]
         for i in range(1, len(inner)):
-            product *= take(take(inner[i], chosen[:, i]), rows[:, i], axis=1)
+            product *= inner[i][chosen[:, i]][:, rows[:, i]]
         total += product.sum(axis=0)
     return total
 

@@ -25,14 +25,10 @@ from ...certificates.value_functions import (
     IndexArray,
     Occupancy,
     Terms,
-    beside,
     compress,
     distinct,
-    empty,
     merge_rows,
-    take,
     term_masses,
-    to_host,
 )
 from ...relations.grids import FloatArray
 from .limits import Limits
@@ -52,12 +48,7 @@ STORED = 1 << 28
 def forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
     """Return the alive mass at times 0 .. T - 1, from below, as arrays of numpy."""
     mass = AliveMass(joint, policies, start, limits)
-    return [put_everywhere_in(mass.pop(), to_host) for _ in range(joint.horizon)][::-1]
-
-
-def put_everywhere(terms: Terms, put: Callable[[NDArray], NDArray]) -> Terms:
-    """Return the same terms with all factors put elsewhere."""
-    return Terms(tuple(put(factors) for factors in terms.factors), terms.index)
+    return [mass.pop() for _ in range(joint.horizon)][::-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +72,7 @@ class _Packed:
 
 
 def _packed(factors: Any) -> Any:
-    """Return factors packed; those on a device stay as they are."""
-    if not isinstance(factors, np.ndarray):
-        return factors
+    """Return factors packed."""
     present = factors != 0
     return _Packed(factors.shape, np.packbits(present), factors[present])
 
@@ -94,7 +83,7 @@ def _unpacked(factors: Any) -> Any:
 
 
 class AliveMass:
-    """The alive mass at times T - 1, .., 0, from below, one after the other, on the device.
+    """The alive mass at times T - 1, .., 0, from below, one after the other.
 
     Fine cells and many terms make gigabytes of it. What is kept is packed; where that is more than ``STORED``, times
     are left out, first every second one, and pushed again from the time before them when they are asked for.
@@ -112,7 +101,7 @@ class AliveMass:
     def __init__(self, joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> None:
         self.joint, self.policies, self.limits = joint, policies, limits
         self.time, self.stored, self.stride = joint.horizon, dict[int, Occupancy](), 1
-        occupancy = Occupancy(put_everywhere(start.terms, joint.put), start.leftover)
+        occupancy = start
         for t in range(joint.horizon):
             occupancy = self._after(occupancy, t - 1) if t else occupancy
             # The last one is asked for first.
@@ -127,7 +116,7 @@ class AliveMass:
         for t in range(before + 1, self.time + 1):
             occupancy = self._after(occupancy, t - 1)
             if t < self.time:
-                self.stored[t] = put_everywhere_in(occupancy, _packed)
+                self.stored[t] = _with_factors(occupancy, _packed)
         self.stored.pop(self.time, None)
         return occupancy
 
@@ -138,11 +127,11 @@ class AliveMass:
         )
 
     def _kept(self, t: int) -> Occupancy:
-        return put_everywhere_in(self.stored[t], _unpacked)
+        return _with_factors(self.stored[t], _unpacked)
 
     def _keep(self, t: int, occupancy: Occupancy) -> None:
         """Store the alive mass of time t, and leave out others where too much is stored."""
-        self.stored[t] = put_everywhere_in(occupancy, _packed)
+        self.stored[t] = _with_factors(occupancy, _packed)
         while self.stride < self.joint.horizon and self._bytes() > STORED:
             self.stride *= 2
             self.stored = {time: kept for time, kept in self.stored.items() if time % self.stride == 0 or time == t}
@@ -152,9 +141,10 @@ class AliveMass:
         return sum(int(getattr(each, "nbytes", 0)) for each in factors)
 
 
-def put_everywhere_in(occupancy: Occupancy, put: Callable[[Any], Any]) -> Occupancy:
-    """Return the same mass with all factors put elsewhere."""
-    return Occupancy(put_everywhere(occupancy.terms, put), occupancy.leftover)
+def _with_factors(occupancy: Occupancy, form: Callable[[Any], Any]) -> Occupancy:
+    """Return the same mass with all factors in another form."""
+    terms = occupancy.terms
+    return Occupancy(Terms(tuple(form(factors) for factors in terms.factors), terms.index), occupancy.leftover)
 
 
 def nowhere(joint: JointModel) -> Occupancy:
@@ -193,7 +183,7 @@ def propagate(
     for i, model in enumerate(joint.models):
         key: object = i
         if users[id(model)] >= MANY_ALIKE:
-            shared = (joint.masks[i], *policies[i], to_host(terms.factors[i]), rows[:, 2 + i])
+            shared = (joint.masks[i], *policies[i], terms.factors[i], rows[:, 2 + i])
             key = id(model), *(array.tobytes() for array in shared), guards.mask[:, i].tobytes()
         if key not in known:
             masked = _step(joint, i, policies[i], terms.factors[i], rows)
@@ -248,7 +238,7 @@ class _Masked:
     def made(self, numbers: IndexArray) -> tuple[Any, IndexArray]:
         """Return the distinct ones of some products, and which of them each number stands for."""
         used, place = distinct(numbers)
-        return take(self.propagated, self.source[used]) * take(self.masks, self.mask[used]), place
+        return self.propagated[self.source[used]] * self.masks[self.mask[used]], place
 
 
 def _pair(guards: Guards, terms: Terms) -> NDArray[np.int64]:
@@ -274,21 +264,18 @@ def _step(
     key = guards.source[rows[:, 0]].astype(np.int64) * n_factors + rows[:, column]
     pushes, pushed_row = distinct(key)
     state, factor = np.divmod(pushes, n_factors)
-    propagated = empty((len(pushes), model.n_cells), factors)
+    propagated = np.empty((len(pushes), model.n_cells), dtype=factors.dtype)
     for q in set(state.tolist()):
         here = state == q
-        propagated[beside(here, propagated)] = model.kernel.propagate(
-            take(factors, factor[here]), model.choices.points(policies[q])
-        )
+        propagated[here] = model.kernel.propagate(factors[factor[here]], model.choices.points(policies[q]))
     propagated[propagated < NOTHING] = 0.0
     key = pushed_row * n_masks + guards.mask[rows[:, 0], i]
     rows[:, column] = key
     source, mask = np.divmod(distinct(key)[0], n_masks)
-    there = model.residents.beside(masks, propagated)
-    shares = empty(masks.shape, propagated)
-    shares[...] = there
-    sums = to_host(propagated @ shares.T)[source, mask]
-    return _Masked(propagated, there, source, mask, sums[:, None])
+    # Masks are true and false; products with fractions stay fractions.
+    shares = masks.astype(propagated.dtype)
+    sums = (propagated @ shares.T)[source, mask]
+    return _Masked(propagated, masks, source, mask, sums[:, None])
 
 
 def _largest(

@@ -9,7 +9,6 @@ from math import floor
 from tqdm import tqdm
 
 from ....envs.systems.arguments import checked_count
-from ...certificates.value_functions import HOST
 from .limits import Limits
 
 GOOD_SHARE = 0.99
@@ -77,8 +76,6 @@ class Search:
         Called with the name of a start and the best value so far.
     stationary : bool
         Whether policies do not look at the time.
-    device : str
-        Where sweeps over trees compute (see ``devices``).
     good_share : float
         Share of the upper bound from which a start is good enough and no further ones are tried.
     spend : callable, optional
@@ -96,7 +93,6 @@ class Search:
     restarts: int = 0
     progress: Progress | None = None
     stationary: bool = False
-    device: str = HOST
     good_share: float = GOOD_SHARE
     spend: Callable[[float], None] | None = None
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from ....envs.tasks.problem import Problem
 from ...abstraction.models import JointModel, Policies, start_of
-from ...certificates.value_functions import Occupancy, to_host
+from ...certificates.value_functions import Occupancy
 from .coordinate_ascent import Stage, Sweep, sweep
 from .limits import Limits
 from .multistart import FINAL, SearchResult
@@ -92,7 +92,7 @@ def _modal(joint: JointModel, policies: Policies, occupancies: list[Occupancy]) 
         for t, occupancy in enumerate(occupancies):
             for q, rows in enumerate(occupancy.terms.index):
                 if len(rows):
-                    weight, factors = np.ones(len(rows)), [to_host(masses) for masses in occupancy.terms.factors]
+                    weight, factors = np.ones(len(rows)), occupancy.terms.factors
                     for j, masses in enumerate(factors):
                         if j != i:
                             weight *= masses.sum(axis=1)[rows[:, j]]
@@ -118,7 +118,7 @@ def _answers(joint: JointModel, policies: Policies, start: Occupancy, limits: Li
         # The objectives of all times side by side, each with its weights: their sum is maximised.
         weights = [stage.weights() for stage in met]
         for i in range(len(joint.models)):
-            table = np.concatenate([to_host(stage.backed_up[i]) for stage in met])
-            heavy = np.concatenate([to_host(each[i]) for each in weights], axis=1)
+            table = np.concatenate([stage.backed_up[i] for stage in met])
+            heavy = np.concatenate([each[i] for each in weights], axis=1)
             answers[i][0, q] = met[0].best(i, heavy, table)
     return tuple(answers)

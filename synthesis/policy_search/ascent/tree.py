@@ -24,20 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...abstraction.models import AgentModel
-from ...certificates.value_functions import (
-    Guards,
-    IndexArray,
-    Merges,
-    Terms,
-    beside,
-    compress,
-    concatenate,
-    distinct,
-    merge_rows,
-    namespace,
-    take,
-    to_host,
-)
+from ...certificates.value_functions import Guards, IndexArray, Merges, Terms, compress, distinct, merge_rows
 from .pruning_schedule import Arrivals, pruning_schedules
 
 SMOOTHED_AT_ONCE = 256
@@ -114,9 +101,9 @@ def candidates(
         key = guards.mask[guard, i].astype(np.int64) * len(value.factors[i]) + child_rows[:, i]
         pairs, rows[:, i] = distinct(key)
         mask, factor = np.divmod(pairs, max(1, len(value.factors[i])))
-        masked = take(models[i].residents.beside(masks[i], value.factors[i]), mask) * take(value.factors[i], factor)
+        masked = masks[i][mask] * value.factors[i][factor]
         factors.append(masked)
-        alive &= to_host(namespace(masked).any(masked != 0, axis=1))[rows[:, i]]
+        alive &= np.any(masked != 0, axis=1)[rows[:, i]]
 
     # Unite before smoothing: sums of factors are smoothed as one.
     guard, child, rows = guard[alive], child[alive], rows[alive]
@@ -125,17 +112,12 @@ def candidates(
     if finds_alike:
         remaining, merges = _united_alike(factors, rows, groups, remaining, merges)
     if arrivals is not None and n_agents > 1:
-        given, factors = factors, [to_host(factor) for factor in factors]
         merges = merges.followed_by(pruning_schedules(factors, rows, remaining, guards.source[guard], arrivals, spent))
-        factors = [beside(factor, before) for factor, before in zip(factors, given, strict=True)]
     for i in range(n_agents):
         factors[i], rows[remaining, i] = compress(factors[i], rows[remaining, i])
     backed_up = _backup(models, factors)
     if loss is not None:
-        backed_up = tuple(
-            beside(loss(m, to_host(before), to_host(after)), after)
-            for m, before, after in zip(models, factors, backed_up, strict=True)
-        )
+        backed_up = tuple(loss(m, before, after) for m, before, after in zip(models, factors, backed_up, strict=True))
     table = _Rows(guard, child, rows, remaining, merges)
     return _per_state(backed_up, n_states, guards.source[guard], table)
 
@@ -148,14 +130,14 @@ def _united_alike(
     The parts of a factor on a set of cells and on all others add up to the factor itself: a task that only looks at the
     end has one term at all times. ``rows`` is changed in place, ``factors`` extended.
     """
-    if not 1 < len(remaining) <= FEW_TERMS or any(own.dtype != np.float64 for own in map(to_host, factors[:1])):
+    if not 1 < len(remaining) <= FEW_TERMS or any(own.dtype != np.float64 for own in factors[:1]):
         return remaining, merges
     while len(remaining) > 1:
         # Give equal factors the number of the first of them.
         alike = rows[remaining].copy()
         for i, own in enumerate(factors):
             first: dict[bytes, int] = {}
-            numbers = {int(k): first.setdefault(to_host(own[k]).tobytes(), int(k)) for k in np.unique(alike[:, i])}
+            numbers = {int(k): first.setdefault(own[k].tobytes(), int(k)) for k in np.unique(alike[:, i])}
             alike[:, i] = [numbers[int(k)] for k in alike[:, i]]
         if np.array_equal(alike, rows[remaining]):
             break
@@ -204,7 +186,9 @@ def _backup(models: Sequence[AgentModel], factors: Sequence[NDArray]) -> tuple[N
     for kernel in {id(m.kernel): m.kernel for m in models}.values():
         users = [i for i, m in enumerate(models) if m.kernel is kernel]
         for batch in _batches(users, factors):
-            stacked = kernel.backup(concatenate([factors[i] for i in batch]) if len(batch) > 1 else factors[batch[0]])
+            stacked = kernel.backup(
+                np.concatenate([factors[i] for i in batch]) if len(batch) > 1 else factors[batch[0]]
+            )
             first = 0
             for i in batch:
                 backed_up[i] = stacked[first : first + len(factors[i])]
@@ -250,7 +234,7 @@ def assemble(
     parts: Sequence[tuple[Sequence[NDArray], IndexArray]], n_cells: Sequence[int], dtype: type = float
 ) -> Terms:
     """Return terms from the (factors of each agent, rows) of every state, renumbered into one list per agent."""
-    n_agents, like = len(n_cells), parts[0][0]
+    n_agents = len(n_cells)
     offsets = np.zeros(n_agents, dtype=np.int64)
     stacks: list[list[NDArray]] = [[] for _ in range(n_agents)]
     index: list[IndexArray] = []
@@ -266,7 +250,7 @@ def assemble(
                 stacks[i].append(factors[i])
                 offsets[i] += len(factors[i])
     merged = (
-        concatenate(stack) if stack else beside(np.zeros((0, n), dtype=dtype), example)
-        for stack, n, example in zip(stacks, n_cells, like, strict=True)
+        np.concatenate(stack) if stack else np.zeros((0, n), dtype=dtype)
+        for stack, n in zip(stacks, n_cells, strict=True)
     )
     return Terms(tuple(merged), tuple(index))

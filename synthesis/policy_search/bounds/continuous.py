@@ -31,7 +31,7 @@ from ....envs.systems.agents import AnyAgent, LinearAgent, with_matrices
 from ....envs.tasks.problem import Problem
 from ...abstraction.kernels import Kernel, SecondDerivativeBounds, hat_table
 from ...abstraction.models import AgentModel, JointModel
-from ...certificates.value_functions import UNIT, Occupancy, to_host
+from ...certificates.value_functions import UNIT, Occupancy
 from ...relations.grids import FloatArray, Grid, corner_sides, hat_share_of, in_grid_coordinates, spread, to_places
 from ..ascent import favourable_successors
 
@@ -217,7 +217,7 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
         for row in rows:
             triples = zip(joint.models, start.terms.factors, row, strict=True)
             # A point has one row, whatever side of a face its cell is looked up on.
-            masses = [model.summed(to_host(factors)[k]) for model, factors, k in triples]
+            masses = [model.summed(factors[k]) for model, factors, k in triples]
             shares = [(mass > 0.0) | point for mass in masses]
             worth = zip(joint.models, shares, known, hats, values, strict=True)
             total += math.prod(

@@ -14,7 +14,7 @@ import numpy as np
 
 from ....envs.tasks.problem import Problem
 from ...abstraction.models import JointModel
-from ...certificates.value_functions import UNIT, Occupancy, to_host
+from ...certificates.value_functions import UNIT, Occupancy
 from ..ascent import Relaxation, upper_bound
 from .dense import dense_optimum
 
@@ -42,7 +42,7 @@ def abstract_bound(
         for row in rows:
             contracted = dense[q]
             for factors, k in zip(start.terms.factors, row, strict=True):
-                contracted = np.tensordot(to_host(factors)[k], contracted, axes=1)
+                contracted = np.tensordot(factors[k], contracted, axes=1)
             total += float(contracted)
     loss = joint.horizon * sum(model.kernel.loss for model in joint.models)
     operations = joint.horizon * sum(s + 1 for s in joint.n_cells) + sum(joint.n_cells) + len(joint.models)

@@ -69,7 +69,7 @@ def plain(
     abstraction = abstraction_of(problem, cells, kinds, plan.settings)
     abstracted = time.perf_counter()
     policies = {} if start is None else policies_from(start, problem, abstraction)
-    result = searched(problem, abstraction, join(problem, abstraction, plan.search.device), plan.search, policies)
+    result = searched(problem, abstraction, join(problem, abstraction), plan.search, policies)
     return replace(result, stats={**result.stats, "seconds": seconds_of_work((began, abstracted))})
 
 
@@ -94,7 +94,7 @@ def compared(
     one already.
     """
     began = time.perf_counter()
-    tries = Tries(problem, groups_of(problem, cells, kinds, plan.settings), plan.settings, plan.search.device)
+    tries = Tries(problem, groups_of(problem, cells, kinds, plan.settings), plan.settings)
     abstracted = time.perf_counter()
 
     def run(abstraction: Abstraction, joint: JointModel, relaxations: tuple[Relaxation, ...]) -> Synthesis:

@@ -156,13 +156,11 @@ class Tries:
     problem : Problem
     groups : list of AgentGroup
     settings : Settings
-    device : str
     """
 
     problem: Problem
     groups: list[AgentGroup]
     settings: Settings
-    device: str
 
     def __post_init__(self) -> None:
         self._joined: dict[Combination, tuple[Abstraction, JointModel] | str] = {}
@@ -190,7 +188,7 @@ class Tries:
                 self._joined[combination] = why
                 return why
             try:
-                self._joined[combination] = abstraction, join(self.problem, abstraction, self.device)
+                self._joined[combination] = abstraction, join(self.problem, abstraction)
             except RelationRefused as error:  # labels that are not certain can mean too many guards
                 self._joined[combination] = " ".join(str(error).split())
         return self._joined[combination]
