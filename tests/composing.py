@@ -142,7 +142,6 @@ PLANAR: dict[str, Any] = {
     "input_low": [-1.5, -1.5], "input_high": [1.5, 1.5], "initial_state": [-0.9, 0.1],
 }  # fmt: skip
 LAPLACE = {"law": "laplace", "scale": 0.32}
-LAWFUL: dict[str, Any] = {"noise": [LAPLACE], "noise_covariance": None}
 
 
 def lawful() -> LinearAgent:

@@ -13,7 +13,6 @@ from certigym.synthesis.policy_search.portfolio.refinement_levels import work_of
 from certigym.synthesis.verbs.abstract import abstract
 from kinds import mostly_thorough
 from problems import two_agents
-from written_problems import oscillator_reach
 
 
 def test_a_counter_is_in_one_state_at_a_time() -> None:
@@ -37,23 +36,6 @@ def test_bounds_are_those_of_all_states(formula: str, monkeypatch: pytest.Monkey
     assert found.certificate.lower_bound == pytest.approx(whole.certificate.lower_bound, rel=1e-9)
     most, above = (float(one.stats["abstract_upper_bound"]) for one in (found, whole))  # type: ignore[arg-type]
     assert found.certificate.lower_bound <= most == pytest.approx(above, rel=1e-9)
-
-
-@pytest.mark.thorough
-def test_a_deadline_at_the_horizon_is_that_of_the_horizon() -> None:
-    """`G[0,T] safe` and `G safe` up to the horizon are one task, also for agents with expressions."""
-    bounds = []
-    for formula, semantics in (("G[0,6] !goal", "co-safe"), ("G !goal", "finite-trace")):
-        problem = oscillator_reach(6)
-        task = cg.Problem(
-            name="stay",
-            horizon=6,
-            agents=problem.agents,
-            propositions=problem.declared,
-            specification=cg.Specification(formula, semantics),
-        )
-        bounds.append(cg.synthesize(task, 24, relation="linear").certificate.lower_bound)
-    assert bounds[0] > 0.1 and bounds[0] == pytest.approx(bounds[1], abs=1e-4)
 
 
 def test_work_is_that_of_states_that_occur(monkeypatch: pytest.MonkeyPatch) -> None:

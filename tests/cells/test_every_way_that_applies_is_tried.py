@@ -13,7 +13,6 @@ import certigym as cg
 from certigym.synthesis.policy_search.portfolio import Effort, Results, Strategy, best_of, leading
 from certigym.synthesis.relations.grids import RelationRefused
 from certigym.synthesis.trajectories.planning import CountedWork, path_certificate
-from test_the_clock_decides_nothing import robots
 
 
 def result(bound: float, has_cells: bool = True, above: float | None = None) -> cg.Synthesis:
@@ -147,16 +146,6 @@ def test_a_path_that_leaves_hardly_anything_to_gain_spares_the_grids() -> None:
     assert second.certificate.lower_bound == found.certificate.lower_bound < first.certificate.lower_bound
 
 
-@pytest.mark.thorough
-def test_teams_of_three_get_linear_cells_on_cells_that_are_given() -> None:
-    """On coarse cells they certify several times what other relations do."""
-    found = cg.synthesize(robots(3), 12)
-    tried = tried_of(found)
-    assert [part.relation["kind"] for part in found.certificate.proof.agents] == ["linear"] * 3
-    assert tried["linear"] == found.certificate.lower_bound > 2 * tried["exact"] > 0.0
-    assert cg.check(found.certificate)
-
-
 def broken_off(results: Results) -> cg.Synthesis:
     """A way during which the user presses Ctrl-C."""
     raise KeyboardInterrupt
@@ -185,14 +174,6 @@ def test_ctrl_c_keeps_the_best_level() -> None:
     found = cg.synthesize("car-park-v0", progress=told)
     assert found.certificate.lower_bound > 0.0 and cg.check(found.certificate)
     assert "broken off by Ctrl-C" in str(tried_of(found))
-
-
-@pytest.mark.thorough
-def test_a_path_that_has_no_time_is_a_path() -> None:
-    """What was found until the seconds are over is finished and certified."""
-    problem = cg.make_problem("car-slalom-v0")
-    hurried = path_certificate(problem, CountedWork(is_broken_off=lambda: True))
-    assert 0.0 < hurried.certificate.lower_bound < 1.0 and cg.check(hurried.certificate, problem)
 
 
 def slalom(work: CountedWork) -> tuple[CountedWork, cg.Synthesis]:

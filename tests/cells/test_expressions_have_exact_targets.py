@@ -192,11 +192,3 @@ def test_neighbours_that_are_told_are_cancelled() -> None:
     assert {part.relation["kind"] for part in result.certificate.proof.agents} == {"exact"}
     assert len({id(controller.relation) for controller in result.certificate.controller.agents}) == 1
     assert cg.validate(result, 500, seed=0).estimate == 1.0
-
-
-@pytest.mark.thorough
-def test_automatic_choice_takes_exact_targets() -> None:
-    """Where cells are fine they certify most; on coarse ones other relations may."""
-    strong = robot(["x + 0.1*sin(y) + 4*u", "y + 4*v"], ["u", "v"], [-1, -1], [1, 1])
-    for settings in ({"cells": 40}, {"cells": 40, "relation": "quick"}, {"cells": 40, "relation": {"robot": "exact"}}):
-        assert cg.synthesize(avoiding(strong), **settings).certificate.proof.agents[0].relation == {"kind": "exact"}

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import certigym as cg
 from certigym.synthesis.policy_search.ascent.pruning_schedule import apply_rest, pruning_schedules
 
 
@@ -90,18 +89,3 @@ def test_the_edge_of_a_region_for_two_disappears() -> None:
     np.testing.assert_allclose(after[0][head], u, atol=1e-9)
     np.testing.assert_allclose(after[1][head], u, atol=1e-9)
     assert weights[head] > 0.85 * weights.sum()
-
-
-@pytest.mark.thorough
-def test_teams_in_the_wind_meet_in_a_region() -> None:
-    """Two drones and a bounded wind: no step may pay for the edge of a region that both have not reached yet."""
-    windy = cg.make_problem("windy-delivery-v0", n_agents=2)
-    problem = cg.Problem(
-        name="windy",
-        horizon=3,
-        agents=windy.agents,
-        propositions=windy.declared,
-        specification=cg.Specification("F all(pickup)", "co-safe"),
-    )
-    certificate = cg.synthesize(problem, [40, 32], relation="linear").certificate
-    assert cg.check(certificate) and certificate.lower_bound > 0.99

@@ -11,8 +11,7 @@ import pytest
 import scipy.stats
 
 import certigym as cg
-from certigym.envs.systems.distributions.composed_laws import Mixture, ScipyLaw
-from certigym.envs.systems.distributions.laws import Gaussian, Law, Logistic
+from certigym.envs.systems.distributions.laws import Law, Logistic
 from certigym.envs.systems.distributions.noise import KINDS, laws_of
 from certigym.synthesis.abstraction.kernels.box_kernel import BoxKernel
 from certigym.synthesis.abstraction.kernels.kernel import Kernel, law_table
@@ -25,7 +24,6 @@ from certigym.synthesis.certificates.cell_probabilities.checked_laws import (
     probability_below,
     scale_charge,
 )
-from certigym.synthesis.certificates.proofs.canonical import checker_text
 from certigym.synthesis.checker.distributions import read_distribution
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.relations.grids import grid_laws
@@ -318,14 +316,6 @@ def test_laws_of_scipy_are_taken_with_the_error_that_is_stated(tmp_path: Path) -
     assert verdict.verdict != "refuted"
     cg.save(certificate, tmp_path / "certificate.npz")
     assert cg.check(cg.load(tmp_path / "certificate.npz"), problem).valid
-
-
-@pytest.mark.thorough
-def test_laws_that_the_small_checker_has_no_words_for_are_for_the_extended_check() -> None:
-    normal = ScipyLaw(scipy.stats.norm(0.0, 0.15), 1e-12, 10.0)
-    for law in (Stranger(0.15), normal, Mixture((0.5, 0.5), (0.0, 0.0), (Gaussian(0.15), normal))):
-        certificate = cg.synthesize(reach([law]), 40, relation="boxes").certificate
-        assert cg.check(certificate) and checker_text(certificate).startswith("extended check"), law
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from certigym.synthesis.abstraction.models.action_tables import Policies
 from certigym.synthesis.abstraction.models.joint import JointModel, join, start_of
 from certigym.synthesis.certificates.proofs import lasting_bound
 from certigym.synthesis.certificates.value_functions import UNIT
-from certigym.synthesis.composition import horizons
 from certigym.synthesis.policy_search.ascent.coordinate_ascent import sweep
 from certigym.synthesis.policy_search.ascent.multistart import FINAL, find_policies
 from certigym.synthesis.policy_search.ascent.paths import perturbed
@@ -221,13 +220,6 @@ def test_bounds_for_continuous_policies_say_nothing_where_relations_can_be_lost(
     exact, paper = (cg.synthesize(problem, 40, relation=relation).stats for relation in ("exact", "paper"))
     assert exact["abstract_upper_bound"] == exact["continuous_upper_bound"] == 1e-3
     assert isinstance(paper["abstract_upper_bound"], float) and paper["abstract_upper_bound"] > 0.1
-
-
-@pytest.mark.thorough
-def test_deadlines_are_left_out_up_to_the_longest_horizon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(horizons, "LONGEST", 20)
-    shortened = cg.synthesize(one_agent(), 60, horizon=None)
-    assert shortened.certificate.problem.horizon == 16
 
 
 @pytest.mark.parametrize("formula", ["F (a & c)", "(!b U a) & F c", "F (a & F c)"])

@@ -17,8 +17,6 @@ from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, read_d
 from certigym.synthesis.checker.fields import Entry, Unreadable
 from kinds import mostly_thorough
 
-Moment = Any
-
 
 def pieces(law: dict[str, Any]) -> list[tuple[float, Any, list[float]]]:
     """Weights, densities and places to integrate between, of the parts of a distribution."""

@@ -21,8 +21,6 @@ from certigym.synthesis.checker.automaton import CO_SAFE, FINITE_TRACE, Automato
 from certigym.synthesis.checker.fields import Refused
 from certigym.synthesis.checker.tree import Guards, Team, Tree, check_guards, value_at_start
 
-NONE = np.zeros(0, dtype=np.int64)
-
 
 @dataclass
 class Chain:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from scipy.stats import binom, norm
 import certigym as cg
 from certigym.envs.systems.agents import LinearAgent
 from certigym.synthesis.abstraction.models import network_model
-from certigym.synthesis.certificates.proofs import UnionBoundProof, certificate_from
+from certigym.synthesis.certificates.proofs import UnionBoundProof
 from certigym.synthesis.composition.lattice_moves import NearPoints
 from certigym.synthesis.extended_check.claims.pairs_check import wrong_pairs
 from certigym.synthesis.relations.kinds import Network
@@ -154,17 +153,6 @@ def robots() -> tuple[cg.Problem, TeamActor, Any]:
     )  # fmt: skip
     actor = towards(problem, [-0.9, -0.9], [0.9, 0.9])
     return problem, actor, cg.certify(problem, actor, 16).certificate
-
-
-@pytest.mark.thorough
-def test_teams_of_planar_robots_are_certified(tmp_path: Path) -> None:
-    problem, actor, certificate = robots()
-    assert cg.check(certificate) and certificate.lower_bound > 0.5
-    runs = cg.rollout(problem, cg.as_controller(problem, actor), EPISODES, seed=3)
-    assert binom.cdf(runs.successes, EPISODES, certificate.lower_bound) > FALSE_ALARM
-    cg.save(certificate, tmp_path / "robots.npz")
-    loaded = certificate_from(tmp_path / "robots.npz")
-    assert cg.check(loaded, problem) and loaded.lower_bound == certificate.lower_bound
 
 
 @mostly_thorough("what", ["angles", "time"])

@@ -17,12 +17,11 @@ from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.envs.tasks.problem import groups as independent
 from certigym.synthesis.certificates.controllers.product_controller import ProductController
-from certigym.synthesis.certificates.proofs import ProductProof, changed, is_exact, product_certificate
+from certigym.synthesis.certificates.proofs import ProductProof, changed, is_exact
 from certigym.synthesis.policy_search.bounds.dense import dense_optimum
 from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.binomial import REFUTED
 from certigym.validation.statistical_tests.chunks import chunk_results, frames
-from certigym.validation.statistical_tests.cluster import executor_for
 from certigym.validation.statistical_tests.loop import Loop
 from certigym.validation.statistical_tests.rollouts import rollout
 from team_problems import pairs
@@ -96,19 +95,6 @@ def test_a_hundred_agents_are_certified_checked_and_simulated(semantics: str, tm
 
 
 @pytest.mark.thorough
-def test_co_safe_parts_ask_for_no_less_than_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, problem = pairs(2, 4, "co-safe"), apart(monkeypatch, 2, 4, "co-safe")
-    optimum = dense_optimum(whole, list(abstract(whole, 8).models))
-    result = cg.synthesize(problem, 8, relation="exact")
-    certificate = result.certificate
-    assert isinstance(certificate.proof, ProductProof)
-    known = changed(certificate, parts=tuple(changed(part, gap=0.0) for part in certificate.proof.parts))
-    assert known.gap is None and "abstract_upper_bound" not in result.stats
-    cells = [abstract(whole, 8).models[i].grid.cell_of(whole.agents[i].initial.low[:, None])[0] for i in range(4)]
-    assert 0.0 < certificate.lower_bound <= optimum[(whole.initial_q, *cells)]
-
-
-@pytest.mark.thorough
 def test_upper_ends_of_the_parts_multiply_in_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
     certificate: Any = cg.synthesize(apart(monkeypatch, 3, starts=(-2.0, 1.0)), 16, relation="exact").certificate
     report = cg.check(certificate)
@@ -121,25 +107,6 @@ def test_upper_ends_of_the_parts_multiply_in_the_check(monkeypatch: pytest.Monke
     assert cg.check(unknown) and cg.check(unknown).above is None
     co_safe: Any = cg.synthesize(apart(monkeypatch, 2, semantics="co-safe"), 16, relation="exact").certificate
     assert cg.check(co_safe) and cg.check(co_safe).above is None
-
-
-@pytest.mark.thorough
-def test_a_bound_that_is_too_high_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With twice the noise, the certificates of the parts are wrong, and rollouts of the whole show it."""
-    problem = pairs(12, 4, starts=(-2.5,))
-    certificate = cg.synthesize(problem, 60, relation="exact").certificate
-    assert isinstance(certificate.proof, ProductProof)
-    noisy = problem.replace(disturbance_scale=1.5)
-    sabotaged = product_certificate(
-        problem, tuple(changed(part, lower_bound=min(1.0, part.lower_bound * 1.02)) for part in certificate.proof.parts)
-    )
-    assert sabotaged.lower_bound > 1.2 * certificate.lower_bound
-    assert cg.validate(sabotaged, 20_000, confidence=1 - FALSE_ALARM).refuted
-    assert not cg.validate(certificate, 20_000, confidence=1 - FALSE_ALARM).refuted
-    assert not cg.check(sabotaged) and cg.check(certificate)
-    assert not cg.check(certificate, noisy)
-    with pytest.raises(ValueError, match="expected a certificate of"):
-        product_certificate(noisy, certificate.proof.parts)
 
 
 @pytest.mark.thorough
@@ -251,17 +218,6 @@ def test_agents_without_a_task_have_to_stay_in_the_workspace(monkeypatch: pytest
     )
     assert with_idle.lower_bound < 0.7 * without.lower_bound
     assert not cg.validate(with_idle, 20_000, confidence=1 - FALSE_ALARM).refuted
-
-
-@pytest.mark.thorough
-def test_workers_see_the_same_episodes() -> None:
-    problem = pairs(12, 4)
-    result = cg.synthesize(problem, 20, relation="exact")
-    here = cg.validate(result, 6_000, seed=5, chunk=500)
-    with executor_for(None, 2) as executor:
-        there = cg.validate(result, 6_000, seed=5, chunk=500, executor=executor)
-    assert here.successes == there.successes
-    assert cg.validate(result, 6_000, seed=5, sequential=True).verdict != REFUTED
 
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:

@@ -242,9 +242,6 @@ def test_tables_of_densities_and_tails_enclose_what_scipy_computes() -> None:
     assert np.all(high - low <= 1e-3) and backups._tails(np.array([50.0]))[0] == 0.0
 
 
-FILE = Path(__file__).parents[2] / "examples" / "own" / "hopper.toml"
-
-
 @pytest.fixture(scope="module")
 def certificate() -> cg.Certificate:
     problem = problem_of("one state, its noise grows with it")

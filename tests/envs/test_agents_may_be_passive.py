@@ -10,9 +10,6 @@ import pytest
 
 import certigym as cg
 
-FALSE_ALARM = 1e-6
-"""Probability that a test of rollouts fails although the claim is true."""
-
 FILE = """
 name = "crossing"
 horizon = 8
@@ -86,17 +83,6 @@ def test_a_box_without_inputs_is_refused(make: Any) -> None:
 def test_a_state_may_be_called_idle() -> None:
     agent = expression(states=["idle"], dynamics=["idle + 0.8"])
     assert agent.inputs == ("idle_",)
-
-
-@pytest.mark.thorough
-def test_it_is_certified_checked_and_simulated_without_options(problem: cg.Problem, tmp_path: Path) -> None:
-    found = cg.synthesize(problem)
-    certificate = found.certificate
-    assert certificate.lower_bound > 0.9 and cg.check(certificate)
-    assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
-    cg.save(certificate, tmp_path / "again.npz")
-    again = cg.load(tmp_path / "again.npz")
-    assert cg.check(again) and again.problem.fingerprint == problem.fingerprint
 
 
 def test_environments_have_a_space_for_it(problem: cg.Problem) -> None:

@@ -13,9 +13,6 @@ from boiler_problems import boiler, boiler_problem, room
 from certigym.envs.simulation import Dynamics, SingleSimulator, batch_simulator
 from certigym.envs.tasks.problem import problem_from_dict, split_axes
 
-FALSE_ALARM = 1e-6
-"""Probability that a true claim is refuted here; the seeds are fixed."""
-
 
 def test_simulation_is_that_of_an_independent_step() -> None:
     """200 worlds against a step written by hand; then one world at a time, bit by bit."""

@@ -14,12 +14,9 @@ from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.synthesis.certificates.controllers.controller import Controller
 from certigym.synthesis.relations.kinds.coupled import CoupledRelation, couple
-from certigym.validation.statistical_tests.chunks import chunk_results, frames
-from certigym.validation.statistical_tests.loop import Loop
-from certigym.validation.statistical_tests.rollouts import NUMBERS_SIDE_BY_SIDE, rollout, stream
+from certigym.validation.statistical_tests.rollouts import rollout
 from certigym.validation.statistical_tests.streams import Streams
-from kinds import mostly_thorough
-from problems import cart, linear, scalar_agent, two_agents
+from problems import scalar_agent, two_agents
 
 
 def three() -> cg.Problem:
@@ -38,7 +35,6 @@ def three() -> cg.Problem:
     )
 
 
-LOUD = two_agents(horizon=5, noise_covariance=[[0.6]])
 CASES: dict[str, tuple[cg.Problem, Any, dict[str, Any]]] = {
     "three agents, F = 0": (three(), 48, {"relation": "paper", "search": cg.SearchOptions(epsilon=0.3, feedback=-0.4)}),
     "paper, F = 0": (
@@ -62,25 +58,6 @@ def case(name: str) -> tuple[cg.Problem, Controller]:
     controller = cg.synthesize(problem, cells, **{**settings, "search": search}).controller
     assert isinstance(controller, Controller)
     return problem, controller
-
-
-@mostly_thorough("name", CASES)
-def test_coupled_worlds_leave_and_no_outcome_changes(name: str) -> None:
-    """Chunks side by side, without the worlds that are settled, against each chunk to the end with all of them."""
-    problem, controller = case(name)
-    loop = Loop(problem, controller, seed=4, chunk=150)
-    dynamics, policy = loop.arranged
-    parts, settled = list(stream(loop, 1000)), []
-    for number, part in enumerate(parts):
-        *_, last = frames(loop, dynamics, policy, number)
-        count = len(part.success)
-        np.testing.assert_array_equal(part.success, core.satisfied(dynamics, last.worlds)[:count])
-        assert part.inadmissible == 0
-        settled.append(np.mean(last.worlds.failed | last.worlds.accepted))
-    assert 0.3 < np.mean(settled) and 0 < sum(part.success.sum() for part in parts) < 1000
-    (alone,) = chunk_results(loop, [(3, 150)])
-    np.testing.assert_array_equal(alone.success, parts[3].success)
-    assert NUMBERS_SIDE_BY_SIDE // (150 * problem.n_states) > 3  # they were side by side
 
 
 def anywhere(problem: cg.Problem, rng: np.random.Generator, n_worlds: int) -> core.Worlds:
@@ -166,44 +143,6 @@ def test_batches_do_what_the_definition_says(name: str) -> None:
     assert draws.bit_generator.state == memory.rng.bit_generator.state  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("once", [True, False])
-def test_agents_that_share_a_relation_keep_menus_and_laws_of_their_own(once: bool) -> None:
-    """Alike agents, but one has other successors and, where ``once``, does not look at the time."""
-    problem, controller = case("three agents, F = 0")
-    first, second = controller.agents[1:]
-    assert second.input_set is not None
-    dynamics, rng = Dynamics.of(problem), np.random.default_rng(6)
-    table = rng.integers(second.input_set.shape[1], size=second.policy.shape, dtype=np.int32)
-    other = replace(second, input_set=np.roll(second.input_set, 3, axis=1), policy=table[:1] if once else table)
-    mixed = Controller(problem, (controller.agents[0], first, other))
-    worlds = core.initial(dynamics, rng, 30)
-    policy, alone = mixed.batch(dynamics), other.begin(core.joint(dynamics, worlds).T[-1:, None])
-    memory, block = policy.begin(worlds, rng), int(dynamics.position[2][0])
-    place = int(np.flatnonzero(dynamics.blocks[block].agents == 2)[0])
-    for time in range(problem.horizon):
-        inputs, memory = policy.act(worlds, memory)
-        expected, alone = other.act(core.joint(dynamics, worlds).T[-1:, None], worlds.q, time, alone)
-        np.testing.assert_array_equal(inputs[block][:, place], expected[:, 0])
-        assert memory.lost is not None and alone is not None
-        assert np.all(memory.lost[alone.lost[0]]) and (time == 0 or alone.lost.mean() > 0.9)
-        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 30))
-
-
-def test_nothing_is_drawn_without_a_coupling() -> None:
-    """Neither in batches nor in environments, where a seed of the controller then changes nothing."""
-    for name in CASES.keys() - DRAWING:
-        problem, controller = case(name)
-        assert not any(agent.draws for agent in controller.agents)
-        dynamics, rng = Dynamics.of(problem), np.random.default_rng(1)
-        policy, before = controller.batch(dynamics), np.random.default_rng(5)
-        worlds = core.initial(dynamics, rng, 40)
-        memory = policy.begin(worlds, before)
-        for _ in range(2):
-            inputs, memory = policy.act(worlds, memory)
-            worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 40))
-        assert before.bit_generator.state == np.random.default_rng(5).bit_generator.state
-
-
 def test_streams_draw_what_their_chunks_would_draw_alone() -> None:
     seeds, size = [np.random.SeedSequence(7, spawn_key=(k,)) for k in range(4)], 5
     streams, alone = Streams(seeds, size), [np.random.default_rng(seed) for seed in seeds]
@@ -230,40 +169,6 @@ class Restless:
 
     def act(self, worlds: core.Worlds, memory: core.Draws) -> tuple[tuple[np.ndarray, ...], core.Draws]:
         return tuple(4.0 * memory.random((1, *x.shape[1:])) - 2.0 for x in worlds.states), memory
-
-
-def test_every_chunk_has_auxiliary_draws_of_its_own() -> None:
-    loop = Loop(LOUD.replace(horizon=9), Restless(), seed=1, chunk=200)
-    dynamics, policy = loop.arranged
-    for number, part in enumerate(stream(loop, 1000)):
-        *_, last = frames(loop, dynamics, policy, number)
-        np.testing.assert_array_equal(part.success, core.satisfied(dynamics, last.worlds))
-        assert 0 < part.success.sum() < 200
-
-
-def test_agents_of_a_block_move_by_their_own_matrices() -> None:
-    """Entries are left out only where they are 0 for all of them."""
-    other = cart(
-        name="other",
-        A=[[0.9, 0.0], [-0.2, 1.1]],
-        B=[[0.3], [0.0]],
-        offset=[0.0, 0.4],
-        noise_covariance=[[0.4, 0.2], [0.2, 0.5]],
-    )
-    problem = cg.Problem(
-        name="unlike",
-        horizon=3,
-        agents=[cart(), other],
-        propositions={"p": cg.Proposition("cart", [0, 0], [1, 1])},
-        specification=cg.Specification("F p", "co-safe"),
-    )
-    ((block,), rng) = Dynamics.of(problem).blocks, np.random.default_rng(4)
-    x, u, z = rng.normal(size=(2, 2, 50)), rng.normal(size=(1, 2, 50)), rng.normal(size=(2, 2, 50))
-    following = core.successor(block, x, u, z)
-    for k, agent in enumerate(problem.agents):
-        one = linear(agent)
-        expected = one.A @ x[:, k] + one.B @ u[:, k] + one.offset[:, None] + agent.noise_factor @ z[:, k]
-        np.testing.assert_allclose(following[:, k], expected, rtol=1e-12, atol=1e-12)
 
 
 def test_mirrored_noise_is_that_of_the_definition() -> None:

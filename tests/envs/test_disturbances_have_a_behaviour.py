@@ -19,9 +19,6 @@ from kinds import mostly_thorough
 from team_problems import windy_team
 from written_problems import bent
 
-FALSE_ALARM = 1e-6
-"""Probability that rollouts refute a true certificate."""
-
 
 @cache
 def certified() -> cg.Certificate:
@@ -66,26 +63,6 @@ def test_one_world_and_many_meet_the_same_disturbances(behaviour: str) -> None:
 def test_intervals_without_zero_are_nearest_to_it() -> None:
     agent = bent("one", dynamics=["x + u + wind"], disturbances={"wind": [0.2, 0.5]})
     assert agent.mean(np.zeros((1, 3)), np.zeros((1, 3))).tolist() == [[0.2] * 3]
-
-
-@pytest.mark.thorough
-def test_rollouts_order_the_behaviours_and_none_refutes() -> None:
-    """20,000 episodes each. The greedy wind does the most harm, and the certificate is below it."""
-    certificate, problem = certified(), windy_team()
-    assert cg.check(certificate) and certificate.lower_bound > 0.1
-    shares = {
-        name: cg.rollout(problem, certificate, 20_000, seed=3, disturbance=name).successes / 20_000
-        for name in BEHAVIOURS
-    }
-    shares["greedy"] = (
-        cg.rollout(problem, certificate, 20_000, seed=3, disturbance=greedy_disturbance(certificate)).successes / 20_000
-    )
-    assert shares["greedy"] < min(shares["zero"], shares["random"], shares["periodic"]) - 0.02
-    assert certificate.lower_bound <= shares["greedy"] + 0.02
-    report = cg.validate(certificate, 20_000, seed=1, confidence=1 - FALSE_ALARM)
-    assert report.verdict == "consistent" and report.details["disturbance"] == "greedy"
-    assert [*report.details["disturbances"]] == ["zero", "random", "periodic", "greedy"]
-    assert "greedy is the worst of zero" in str(report)
 
 
 @pytest.mark.thorough

@@ -293,64 +293,6 @@ def certified(problem: cg.Problem, at_least: float, **options: Any) -> Any:
     return result
 
 
-def judged(problem: cg.Problem, result: Any, verdict: Callable[[np.ndarray], bool]) -> None:
-    """Simulate, judge the runs by a verdict of one's own, and compare with the simulator's, run by run."""
-    from certigym.validation.statistical_tests import Loop, paths
-
-    states, success = paths(Loop(problem, result.controller, 5, 300), 300)
-    for k in range(300):
-        run = states[:, k]
-        assert verdict(run[~np.isnan(run).any(axis=1)]) == bool(success[k])
-    assert success.mean() >= result.certificate.lower_bound - 0.15
-
-
-def reaches(rock: Callable[[Point], bool], goal: Callable[[Point], bool]) -> Callable[[np.ndarray], bool]:
-    """Return the verdict of `!rock U goal` on a run."""
-
-    def verdict(run: np.ndarray) -> bool:
-        for x in run:
-            if goal(x):
-                return True
-            if rock(x):
-                return False
-        return False
-
-    return verdict
-
-
-@pytest.mark.thorough
-def test_a_double_integrator_reaches_a_disc_around_a_triangle() -> None:
-    step = 0.5
-    agent = linear(
-        d=4, A=np.eye(4) + step * np.eye(4, k=2), B=np.vstack([0.125 * np.eye(2), step * np.eye(2)]),
-        noise_covariance=0.0025 * np.eye(4), state_low=[-6, -6, -3, -3], state_high=[6, 6, 3, 3],
-        input_low=[-2, -2], input_high=[2, 2], initial_state=[-4, 0, 0, 0],
-    )  # fmt: skip
-    goal, rock = {"disc": {"centre": [4, 0], "radius": 1}}, {"polygon": {"corners": TRIANGLE}}
-    problem = problem_of(agent, "!rock U goal", 16, goal=goal, rock=rock)
-    result = certified(problem, 0.999)
-    judged(problem, result, reaches(lambda x: in_polygon(TRIANGLE, x[:2]), lambda x: math.hypot(x[0] - 4, x[1]) < 1))
-
-
-@pytest.mark.thorough
-def test_rooms_of_a_union_are_met_on_a_grid() -> None:
-    """Half a room is a polygon, the other a box; two robots, each of which may choose."""
-    hall = [[2.0, 2.0], [5.0, 2.0], [5.0, 5.0], [3.0, 5.0]]
-    problem = problem_of(
-        [linear("robot_0", initial_state=[0, 0]), linear("robot_1", initial_state=[1, 0])], "F all(inside)", 9,
-        kitchen=cg.Proposition("robot_*", [-5, -5], [-2, -2]),
-        hall=cg.Proposition("robot_*", polygon={"corners": hall}),
-        inside=cg.Proposition("robot_*", union=["kitchen", "hall"]),
-    )  # fmt: skip
-    assert problem.families["inside"] == ("inside_0", "inside_1")
-    result = certified(problem, 0.99)
-
-    def inside(x: np.ndarray) -> bool:
-        return (x[0] < -2 and x[1] < -2) or in_polygon(hall, x)
-
-    judged(problem, result, lambda run: any(inside(x[:2]) and inside(x[2:]) for x in run))
-
-
 def test_tasks_of_a_team_split_with_their_shapes() -> None:
     agents = [linear(f"robot_{k}") for k in range(12)]
     problem = problem_of(

@@ -110,13 +110,6 @@ def test_a_table_that_is_late_by_a_step_is_noticed(certified: Any, monkeypatch: 
     assert not np.array_equal(held(problem, 3, points), disc(3, points) > 0.0)
 
 
-@pytest.mark.thorough
-def test_grids_know_shapes_that_move() -> None:
-    problem = problem_of(4, disc={"centre": CENTRE, "radius": 0.5})
-    result = cg.synthesize(problem, 10, relation="boxes")
-    assert cg.check(result.certificate, problem)
-
-
 def test_another_horizon_has_outputs_of_its_own() -> None:
     problem = problem_of(disc={"centre": CENTRE, "radius": 1.0})
     longer = problem.replace(horizon=9, initial_state={"robot": [-3.0, 0.0]})

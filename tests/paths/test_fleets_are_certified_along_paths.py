@@ -16,8 +16,6 @@ from certigym.synthesis.certificates.proofs import AgentPath, AlongPath, PathPro
 from certigym.synthesis.relations.grids import RelationRefused
 from certigym.synthesis.trajectories.chance_constraints.limit_rows import Worth
 from certigym.synthesis.trajectories.chance_constraints.pair_inequalities import PairRows
-from certigym.synthesis.trajectories.planning import CountedWork
-from certigym.synthesis.trajectories.planning.nonlinear_team import _Apart
 from certigym.synthesis.trajectories.words.accepted_words import is_accepted
 from certigym.synthesis.trajectories.words.automaton_paths import AutomatonPath, automaton_paths_of
 from fleet_problems import mixed, path_of, problem_of, swap, walker
@@ -47,19 +45,6 @@ def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[
 
 def test_agents_see_themselves_alone(certificates: dict[str, AlongPath]) -> None:
     assert certificates["three"].controller.information == "own state, time"
-
-
-@pytest.mark.thorough
-def test_the_search_is_deterministic(certificates: dict[str, AlongPath]) -> None:
-    again, first = path_of(swap()), certificates["two"]
-    assert again.proof.failure == first.proof.failure
-    assert np.array_equal(again.proof.paths[1].gains, first.proof.paths[1].gains)
-
-
-@pytest.mark.thorough
-def test_paths_are_found_without_being_asked_for() -> None:
-    found = cg.synthesize(swap(3, 0.02, 0.4))
-    assert isinstance(found.certificate.proof, PathProof) and found.certificate.lower_bound > 0.99
 
 
 def _with_letters(certificate: AlongPath, first: int, value: int) -> AlongPath:
@@ -286,22 +271,6 @@ def test_the_first_letter_of_pairs_is_known_where_all_starts_agree(low: float, h
         assert (problem.initial_q is not None) == there
 
 
-@pytest.mark.thorough
-@pytest.mark.full_search
-def test_jumps_without_a_stay_follow_at_once() -> None:
-    """Two steps together, and then to the shop: one cannot stay where the second step is waited for."""
-    regions = {
-        "depot": cg.Proposition("first", [-4.0, 2.0], [-2.0, 4.0]),
-        "shop": cg.Proposition("second", [2.0, 2.0], [4.0, 4.0]),
-        "meet": cg.Pair(["first", "second"], distance=0.9),
-    }
-    agents = [walker("first", [-3.0, -2.0], 0.05), walker("second", [3.0, -2.0], 0.05)]
-    certificate = path_of(problem_of(agents, regions, "F (depot & F (meet & X meet & F shop))", 16))
-    assert certificate.lower_bound > 0.999 and cg.check(certificate)
-    together = certificate.proof.letters[:, certificate.problem.automaton.propositions.index("meet")] > 0
-    assert np.any(together[1:] & together[:-1])
-
-
 def test_ways_spread_their_jumps_evenly_and_together() -> None:
     stay: Any = ((0, False),)
     way = AutomatonPath((stay, stay, None, stay, ()), (stay, stay, stay, stay))
@@ -309,29 +278,3 @@ def test_ways_spread_their_jumps_evenly_and_together() -> None:
     assert way.spread(13) == (4, 8, 9, 13) and way.spread(4) == (1, 2, 3, 4)
     assert way.moved((4, 8, 9, 13), range(1, 3), 2) == (4, 10, 11, 13)
     assert AutomatonPath((stay,), ()).spread(5) == ()
-
-
-@pytest.mark.thorough
-def test_agents_that_are_alike_have_one_path_between_them() -> None:
-    """Eight rooms on their own, of which one has another goal: two are searched."""
-    room = cg.Agent(
-        name="room", states=["T"], inputs=["heat"], dynamics=["T + 0.1*(12 + sin(0.3*t) - T) + heat"],
-        noise_covariance=[[0.01]], state_low=[10.0], state_high=[30.0], input_low=[0.0], input_high=[1.5],
-        initial_state=[20.0],
-    )  # fmt: skip
-    rooms = room.copies(8)
-    goals = {f"warm_{i}": cg.Proposition(f"room_{i}", [22.0 + (i == 5)], [24.0 + (i == 5)]) for i in range(8)}
-    everywhere = " & ".join(goals)
-    problem = cg.Problem(
-        name="rooms",
-        horizon=8,
-        agents=rooms,
-        propositions=goals,
-        specification=cg.Specification(f"F ({everywhere})", "co-safe"),
-    )
-    team = _Apart(problem, CountedWork())
-    assert len(set(team.alike)) == 2
-    found: Any = cg.synthesize(problem, relation="path").certificate
-    assert found.lower_bound > 0.999 and cg.check(found)
-    inputs = [path.inputs.tobytes() for path in found.proof.paths]
-    assert len(set(inputs)) == 2 and len({inputs[i] for i in range(8) if i != 5}) == 1

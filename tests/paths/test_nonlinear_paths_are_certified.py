@@ -80,13 +80,6 @@ def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[
     assert verdict.verdict != "refuted"
 
 
-@pytest.mark.thorough
-def test_the_search_is_deterministic() -> None:
-    first, second = (path_of(bend(8)) for _ in range(2))
-    assert first.proof.failure == second.proof.failure
-    assert np.array_equal(first.proof.paths[0].gains, second.proof.paths[0].gains)
-
-
 @pytest.mark.parametrize("start", [[-0.1, -0.1, -0.05, 0.45], [0.1, 0.1, 0.05, 0.55], [0.1, -0.1, 0.05, 0.45]])
 def test_corners_of_a_start_box_keep_the_bound(start: list[float], certificates: dict[str, AlongPath]) -> None:
     certificate = certificates["box"]
@@ -346,16 +339,6 @@ def test_reports_show_the_tube(certificates: dict[str, AlongPath], tmp_path: Pat
     assert "the tube that linear deviations" in page and "kept with probability" not in page
 
 
-@pytest.mark.thorough
-def test_nonlinear_paths_are_taken_without_any_options() -> None:
-    """Four states have no grid; the example has five, two obstacles and nothing else."""
-    assert isinstance(cg.synthesize(bend(8)).certificate.proof, PathProof)
-    example = Path(__file__).resolve().parents[2] / "examples" / "car_slalom.toml"
-    certificate: Any = cg.synthesize(example).certificate
-    assert isinstance(certificate.proof, PathProof) and certificate.lower_bound > 0.99999
-    assert cg.check(certificate)
-
-
 def test_independent_agents_multiply() -> None:
     """Two carts, one of which has matrices, with one task about both."""
     second = cg.LinearAgent(
@@ -367,34 +350,6 @@ def test_independent_agents_multiply() -> None:
     assert cg.check(certificate) and certificate.lower_bound > 0.99
     verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
     assert verdict.verdict != "refuted"
-
-
-@pytest.mark.thorough
-def test_agents_that_name_each_other_have_paths() -> None:
-    """What another one does is anything in its box, which joins the drift."""
-    pushed = cart(dynamics=["x + 0.4*speed*cos(heading) + 0.01*wagon.place", "y + 0.4*speed*sin(heading)",
-                            "heading + 0.4*turn", "speed + 0.4*push"])  # fmt: skip
-    second = cg.Agent(
-        name="wagon", states=["place"], inputs=["push"], dynamics=["0.9*place + push"], noise_covariance=[[0.01]],
-        state_low=[-1], state_high=[1], input_low=[-1], input_high=[1], initial_state=[0],
-    )  # fmt: skip
-    regions = {"dock": cg.Proposition("cart", [3, -1], [6, 1])}
-    certificate = path_of(problem_of([pushed, second], regions, "F dock", 9))
-    assert cg.check(certificate) and certificate.lower_bound > 0.9
-    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
-    assert verdict.verdict != "refuted"
-
-
-@pytest.mark.thorough
-def test_outputs_may_bend() -> None:
-    """The square of the distance from a mast is kept above 1 on the way past it."""
-    agent = cart(outputs=["x", "(x - 2)**2 + y**2"])
-    regions = {"mast": cg.Proposition("cart", [-1, -1], [7, 1]), "dock": cg.Proposition("cart", [4, 0], [6, 30])}
-    certificate = path_of(problem_of([agent], regions, "(!mast) U dock", 12))
-    assert cg.check(certificate) and certificate.lower_bound > 0.9
-    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
-    assert verdict.verdict != "refuted"
-    assert not cg.check(changed(certificate, failure=0.5 * certificate.proof.failure))
 
 
 def test_what_nonlinear_paths_do_not_do_is_said() -> None:

@@ -201,43 +201,6 @@ def test_controllers_act_alike_in_environments_and_in_batches() -> None:
         assert "error" not in infos
 
 
-@pytest.mark.thorough
-def test_paths_are_taken_where_grids_do_not_reach() -> None:
-    assert isinstance(cg.synthesize(PROBLEMS["harbour"]).certificate.proof, PathProof)
-    assert isinstance(cg.synthesize(PROBLEMS["singular"]).certificate.proof, PathProof)
-    assert not isinstance(cg.synthesize(chain(2, 3), 40, relation="boxes").certificate.proof, PathProof)
-
-
-@pytest.mark.thorough
-def test_random_problems_are_not_refuted() -> None:
-    """Random agents and regions; rollouts against each claim, false alarm 1e-6 for all of them together."""
-    rng, certified = np.random.default_rng(7), 0
-    for number in range(12):
-        d, m = int(rng.integers(1, 5)), int(rng.integers(1, 3))
-        A = np.eye(d) + 0.3 * rng.standard_normal((d, d))
-        A /= max(1.0, np.abs(np.linalg.eigvals(A)).max() / 1.05)
-        spread = rng.standard_normal((d, d)) * 0.15
-        agent = cg.LinearAgent(
-            name="r", A=A, B=rng.standard_normal((d, m)), noise_covariance=np.round(spread @ spread.T, 12),
-            state_low=[-4.0] * d, state_high=[4.0] * d, input_low=[-1.0] * m, input_high=[1.0] * m,
-            initial_state=rng.uniform(-1.0, 1.0, d), offset=0.1 * rng.standard_normal(d),
-        )  # fmt: skip
-        low = rng.uniform(-3.0, 1.0, d)
-        regions = {"goal": cg.Proposition("r", low, low + 2.5), "bad": cg.Proposition("r", low - 2.0, low - 1.0)}
-        problem = problem_of([agent], regions, ["(!bad) U goal", "F goal", "G !bad"][number % 3], 6)
-        try:
-            certificate = path_of(problem)
-        except ValueError as refusal:
-            assert "no nominal path" in str(refusal)
-            continue
-        report = cg.check(certificate, problem)
-        assert report.valid, report.failures
-        certified += certificate.lower_bound > 0.05
-        verdict = cg.validate(certificate, 4000, seed=number, confidence=1.0 - FALSE_ALARM / 12)
-        assert verdict.verdict != "refuted"
-    assert certified >= 4
-
-
 def test_what_paths_do_not_do_is_said() -> None:
     problem = chain(2, 3)
     with pytest.raises(ValueError, match="which needs none"):

@@ -13,16 +13,14 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.policy_search.portfolio import first_cells
 from certigym.synthesis.trajectories.chance_constraints.nonlinear_model import NonlinearModel
 from certigym.synthesis.trajectories.chance_constraints.path_limits import farthest_sides, limits_along
 from certigym.synthesis.trajectories.planning import CountedWork, path_certificate
 from certigym.synthesis.trajectories.planning.candidate_runs import candidate_run
 from certigym.synthesis.trajectories.planning.nominal_planner import Aim, Planner, rolled
 from certigym.synthesis.trajectories.planning.nonlinear_team import _Apart
-from certigym.synthesis.trajectories.planning.schedules import plans_of_runs, runs_in_turn
+from certigym.synthesis.trajectories.planning.schedules import plans_of_runs
 from certigym.synthesis.trajectories.planning.team_search import TeamSearch
-from certigym.synthesis.trajectories.words.accepted_words import is_accepted
 from certigym.synthesis.trajectories.words.automaton_paths import letters_of
 
 ROOT = Path(__file__).parents[2]
@@ -175,21 +173,6 @@ def growing() -> cg.Problem:
 
 
 @pytest.mark.thorough
-def test_noise_that_is_next_to_nothing_in_few_cells_asks_for_no_finer_lattice() -> None:
-    result = cg.synthesize(growing(), cells=60, relation="boxes")
-    assert len(result.certificate.proof.agents[0].lattice[1]) < 1000
-    assert result.certificate.lower_bound > 0.99
-    assert cg.check(result.certificate)
-
-
-@pytest.mark.thorough
-def test_first_cells_are_widened_no_further_than_they_can_be() -> None:
-    problem = growing()
-    wide, usual = (first_cells(problem.replace(horizon=steps)) or {} for steps in (100_000, 3))
-    assert 1 <= wide["stock"][0] <= usual["stock"][0]
-
-
-@pytest.mark.thorough
 def test_hopeless_plans_take_a_small_share_of_the_work() -> None:
     """Noise that grows with a stock leaves nothing along a path: that is seen long before the work is done."""
     stock = cg.Agent(
@@ -222,22 +205,6 @@ def crossing(count: int, semantics: str = "finite-trace") -> cg.Problem:
     return cg.Problem(name="crossing", horizon=26, agents=cars, propositions=regions, specification=task)
 
 
-@pytest.mark.thorough
-def test_cars_come_through_a_crossing_one_after_the_other() -> None:
-    problem = crossing(4)
-    plans = list(plans_of_runs(problem, CountedWork()))
-    assert len(plans) == 2, "in the order of the problem, and in the opposite one"
-    for plan in plans:
-        letters = plan.way.letters(plan.times, plan.steps, len(problem.automaton.propositions))
-        assert letters is not None and is_accepted(problem, letters) and letters_of(problem, plan) is not None
-    # Nobody finds that by words of few cubes: each car is in the crossing while three others are not.
-    result = cg.synthesize(problem, relation="path")
-    assert result.certificate.lower_bound > 0.9999
-    assert cg.check(result.certificate, problem)
-    again = cg.synthesize(problem, relation="path")
-    assert again.certificate.lower_bound == result.certificate.lower_bound, "deterministic"
-
-
 def test_who_is_in_the_way_of_everybody_leaves_no_runs_in_turn() -> None:
     """A car that nobody steers stands in the crossing; pairs, coupled agents and many states have no such runs."""
     problem = crossing(3)
@@ -251,35 +218,6 @@ def test_who_is_in_the_way_of_everybody_leaves_no_runs_in_turn() -> None:
     )  # fmt: skip
     assert list(plans_of_runs(blocked, CountedWork())) == []
     assert list(plans_of_runs(chase(), CountedWork())) == []
-
-
-@pytest.mark.thorough
-def test_drones_with_velocities_pass_a_gate_one_after_the_other() -> None:
-    """Agents of four states are points for that: what a point reads is a guess that is planned as any word."""
-    A = [[1, 0, 0.5, 0], [0, 1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]]
-    drones = [
-        cg.LinearAgent(
-            name=f"d_{k}", A=A, B=[[0.125, 0], [0, 0.125], [0.5, 0], [0, 0.5]],
-            noise_covariance=np.diag([1e-4, 1e-4, 4e-4, 4e-4]), state_low=[-10, -10, -3, -3],
-            state_high=[10, 10, 3, 3], input_low=[-1.5] * 2, input_high=[1.5] * 2, initial_state=[-6, y, 0, 0],
-            output_matrix=np.eye(2, 4),
-        )
-        for k, y in enumerate((-1.0, 1.0))
-    ]  # fmt: skip
-    regions = {}
-    for k in range(2):
-        regions[f"gate_{k}"] = cg.Proposition(f"d_{k}", [-1, -1], [1, 1])
-        regions[f"top_{k}"] = cg.Proposition(f"d_{k}", [-1, 1], [1, 10])
-        regions[f"bottom_{k}"] = cg.Proposition(f"d_{k}", [-1, -10], [1, -1])
-        regions[f"through_{k}"] = cg.Proposition(f"d_{k}", [2, -10], [10, 10])
-    walls = " & ".join(f"!top_{k} & !bottom_{k}" for k in range(2))
-    task = cg.Specification(f"G ({walls} & !(gate_0 & gate_1)) & F (through_0 & through_1)", "finite-trace")
-    problem = cg.Problem(name="gate", horizon=40, agents=drones, propositions=regions, specification=task)
-    assert len(list(plans_of_runs(problem, CountedWork()))) == 2
-    result = cg.synthesize(problem, relation="path")
-    assert result.certificate.lower_bound > 0.9999
-    assert cg.check(result.certificate, problem)
-    assert cg.rollout(problem, result.certificate, 2000, seed=3).successes >= 1990
 
 
 def roads() -> cg.Problem:
@@ -300,19 +238,3 @@ def roads() -> cg.Problem:
     alone = "!((in_n_0 | in_n_1) & (in_e_0 | in_e_1))"
     task = cg.Specification(f"G (!hit_n & !hit_e & {alone}) & F (out_n & out_e)", "finite-trace")
     return cg.Problem(name="roads", horizon=30, agents=cars, propositions=regions, specification=task)
-
-
-@pytest.mark.thorough
-def test_cars_of_two_roads_keep_their_distance_and_take_turns() -> None:
-    """Not every order will do: who is in front has to make room for who follows."""
-    problem = roads()
-    (_, runs), *_ = runs_in_turn(problem, CountedWork())
-    assert [own.shape for own in runs] == [(31, 1)] * 4
-    gaps = [runs[0][1:] - runs[1][1:], runs[2][1:] - runs[3][1:]]
-    assert min(gap.min() for gap in gaps) >= 2.0, "who is behind stays behind"
-    in_crossing = [(own[1:, 0] >= -2.0) & (own[1:, 0] < 2.0) for own in runs]
-    assert not np.any((in_crossing[0] | in_crossing[1]) & (in_crossing[2] | in_crossing[3]))
-    result = cg.synthesize(problem, relation="path")
-    assert result.certificate.lower_bound > 0.999
-    assert cg.check(result.certificate, problem)
-    assert cg.rollout(problem, result.certificate, 2000, seed=3).successes >= 1980

@@ -6,11 +6,9 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-import pytest
 
 import certigym as cg
 from certigym.synthesis.trajectories.planning.coarse_routes import guesses
-from certigym.synthesis.trajectories.words.automaton_paths import automaton_paths_of
 from certigym.synthesis.trajectories.words.exclusions import exclusions
 
 
@@ -71,20 +69,6 @@ def test_random_regions_that_meet_are_never_taken_for_apart() -> None:
     assert found > 10
 
 
-@pytest.mark.thorough
-def test_words_visit_discs_one_after_the_other() -> None:
-    """Without that knowledge the shortest words ask for all of them at once, and no other is looked at."""
-    problem = rover(DISCS, "F (a & F (b & F (wedge & F a)))", horizon=30)
-    names = problem.automaton.propositions
-    ways = list(automaton_paths_of(problem))
-    assert ways
-    for way in ways:
-        for cube in way.jumps:
-            assert sum(1 for p, value in cube if value and names[p] in ("a", "b", "wedge")) <= 1
-    certificate = cg.synthesize(problem, relation="path").certificate
-    assert certificate.lower_bound > 0.9 and cg.check(certificate)
-
-
 def test_a_region_between_the_middles_of_cells_is_found() -> None:
     problem = rover({"goal": ("disc", {"centre": [2.03, 1.97], "radius": 0.05})}, "F goal")
     agent = problem.agents[0]
@@ -94,45 +78,3 @@ def test_a_region_between_the_middles_of_cells_is_found() -> None:
     assert ways
     points = [way[-1][:2] for way in ways]
     assert min(np.hypot(*(point - [2.03, 1.97])) for point in points) < 0.3
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("slow", [0.6, 0.3])
-def test_docking_in_a_cone_with_little_speed(slow: float) -> None:
-    """Four states, and limits on all of them: the way is planned in the plane, where the cone is."""
-    h = 20.0
-    eye, zero = np.eye(2), np.zeros((2, 2))
-    dock: list[Any] = [
-        {"disc": {"centre": [0, 0], "radius": 6}},
-        {"box": {"low": [-slow, -slow], "high": [slow, slow], "of": [2, 3]}},
-    ]
-    problem = rover(
-        {"cone": ("cone", {"tip": [5, 5], "axis": [-1, -1], "angle": 1.0}), "dock": ("intersection", dock)},
-        "cone U dock", 20, A=np.block([[eye, h * eye], [zero, eye]]), B=np.vstack([0.67 * eye, 0.067 * eye]),
-        noise_covariance=np.diag([0.05, 0.05, 5e-4, 5e-4]) ** 2, state_low=[-150, -150, -3, -3],
-        state_high=[150, 150, 3, 3], input_low=[-2, -2], input_high=[2, 2], initial_state=[-75, -60, 0, 0],
-    )  # fmt: skip
-    certificate = cg.synthesize(problem, relation="path").certificate
-    assert certificate.lower_bound > 0.99 and cg.check(certificate)
-
-
-@pytest.mark.thorough
-def test_ways_see_what_they_must_avoid_beside_a_round_region_of_other_states() -> None:
-    """To be slow is a disc of velocities; the wall is about positions, and the way leads around it all the same."""
-    agent = cg.Agent(
-        name="cart", states=["x", "y", "vx", "vy"], inputs=["ax", "ay"],
-        dynamics=["x + 0.5*vx", "y + 0.5*vy", "vx + 0.5*ax", "vy + 0.5*ay"],
-        noise_covariance=np.diag([1e-4, 1e-4, 1e-4, 1e-4]), state_low=[0, -5, -3, -3], state_high=[12, 5, 3, 3],
-        input_low=[-1.5, -1.5], input_high=[1.5, 1.5], initial_state=[1, -2, 0, 0],
-    )  # fmt: skip
-    problem = cg.Problem(
-        name="wall", horizon=16, agents=[agent],
-        propositions={
-            "wall": cg.Proposition("cart", box={"low": [5, -6], "high": [5.6, 1], "of": ["x", "y"]}),
-            "pad": cg.Proposition("cart", box={"low": [9, -3], "high": [11, -1], "of": ["x", "y"]}),
-            "slow": cg.Proposition("cart", disc={"centre": [0, 0], "radius": 0.6, "of": ["vx", "vy"]}),
-        },
-        specification=cg.Specification("!wall U (pad & slow)", "co-safe"),
-    )  # fmt: skip
-    certificate = cg.synthesize(problem, relation="path").certificate
-    assert certificate.lower_bound > 0.99 and cg.check(certificate)

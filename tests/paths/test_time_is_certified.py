@@ -77,18 +77,6 @@ def test_without_options_a_path_or_a_grid_is_chosen() -> None:
     assert {"path", "linear"} <= set(dict[str, Any](rough.stats)["tried"])
 
 
-@pytest.mark.thorough
-def test_a_reference_is_followed_for_thirty_steps() -> None:
-    reference = "2*sin(0.4*t)"
-    for agent in (robot(noise=[{"law": "gaussian", "std": 0.1}], initial_state=[0]),
-                  still(noise_covariance=[[0.01]], initial_state=[0])):  # fmt: skip
-        region = cg.Proposition("robot", [f"{reference} - 0.6"], [f"{reference} + 0.6"])
-        result = cg.synthesize(follow(agent, region, horizon=30))
-        assert result.certificate.lower_bound > 0.995 and cg.check(result.certificate)
-        rollouts = cg.rollout(result.certificate.problem, result.controller, 3000, seed=0)
-        assert not lies(result.certificate.lower_bound, int(np.sum(rollouts.success)), 3000)
-
-
 @mostly_thorough("way", ["exact", "written, linear", "written, boxes", "path", "written, path"], first=2)
 def test_files_are_read_back_and_checked(way: str, tmp_path: Path) -> None:
     certificate, path = certified(way), tmp_path / "kept.npz"
@@ -313,20 +301,6 @@ def test_a_clock_that_is_free_would_claim_too_much(monkeypatch: pytest.MonkeyPat
     assert not cg.check(forged) and "clock is not the time" in str(cg.check(forged))
     rollouts = cg.rollout(problem, forged.controller, 4000, seed=0)
     assert lies(forged.lower_bound, int(np.sum(rollouts.success)), 4000)
-
-
-def test_a_door_that_opens_every_ten_steps_is_passed_when_it_is_open() -> None:
-    door = cg.Proposition("robot", [2], ["2 + 2*clip(100*(cos(pi*t/5) - 0.95), 0, 1)"])
-    for agent in (robot(noise=[{"law": "gaussian", "std": 0.1}]), still(noise_covariance=[[0.01]])):
-        problem = follow(agent, door, horizon=17, formula="F band")
-        certificate: Any = cg.synthesize(problem, relation="path").certificate
-        assert certificate.lower_bound > 0.999 and cg.check(certificate)
-        assert certificate.proof.n_steps == 10
-    # At a time at which it is closed nothing is certified.
-    letters, faces = (np.roll(own, -1, axis=0)[:10] for own in (certificate.proof.letters, certificate.proof.faces))
-    (path,) = certificate.proof.paths
-    early = replace(path, inputs=path.inputs[:9])
-    assert not cg.check(changed(certificate, letters=letters, faces=faces, paths=(early,)))
 
 
 def test_pairs_keep_apart_beside_regions_that_move() -> None:

@@ -12,7 +12,6 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.relations.kinds import inputs_of
-from certigym.validation.policies import imitation
 from certigym.validation.policies.actors import Network, SharedActor, load_actor, networks_of, save_actor
 from certigym.validation.policies.views import CentralView, SharedView
 from problems import two_agents
@@ -203,16 +202,3 @@ def test_wrong_arguments_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.npz").write_text("nothing")
     with pytest.raises(ValueError, match="expected the file of an actor"):
         load_actor(tmp_path / "text.npz", RA2)
-
-
-@pytest.mark.thorough
-def test_learners_start_from_certificates_about_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(imitation, "ROUNDS", 300)
-    problem = cg.make_problem("platoon-distance-v0", n_agents=2)
-    made = cg.synthesize(problem)
-    training = cg.train(problem, steps=640, warm_start=made.certificate, worlds=16)
-    assert training.help and training.problem.fingerprint == made.certificate.fingerprint
-    # The clone does what the controllers do: random inputs reach .01.
-    assert cg.rollout(problem, training.actor, 1000, seed=3).successes > 500
-    with pytest.raises(ValueError, match="`warm_start`: expected a certificate of"):
-        cg.train("platoon-v0", steps=512, warm_start=made.certificate)

@@ -52,12 +52,6 @@ def test_a_warm_start_is_good_at_once_and_says_that_it_was_helped(helped: Any, c
     assert cold.help == "" and cg.rollout(RA2, cold.actor, 2000, seed=9).successes < 1800
 
 
-@pytest.mark.thorough
-def test_the_central_learner_clones_too(certificate: Any) -> None:
-    training = cg.train(RA2, "central-ppo", 256, 1, warm_start=certificate, **SMALL)
-    assert cg.rollout(RA2, training.actor, 2000, seed=9).successes > 1800
-
-
 def test_a_learner_goes_on_where_it_stopped(helped: Any, tmp_path: Path) -> None:
     helped.save(tmp_path / "first")
     again = cg.train(RA2, "ppo", 128, 2, resume=tmp_path / "first", **SMALL)
@@ -68,12 +62,6 @@ def test_a_learner_goes_on_where_it_stopped(helped: Any, tmp_path: Path) -> None
     for name, message in (("nowhere", "training.json and model.zip"), ("first", "'ppo' on 'reach-avoid-v0'")):
         with pytest.raises(ValueError, match=message):
             cg.train("reach-avoid-v0", "central-ppo", 64, resume=tmp_path / name)
-
-
-def test_sac_goes_on_too(tmp_path: Path) -> None:
-    cg.train(RA2, "sac", 64, worlds=4, hidden=[8]).save(tmp_path / "sac")
-    again = cg.train(RA2, "sac", 32, worlds=4, resume=tmp_path / "sac")
-    assert again.settings["hidden"] == [8] and again.help == ""
 
 
 def test_the_learner_ends_with_the_numbers_of_its_best_actor(helped: Any) -> None:
