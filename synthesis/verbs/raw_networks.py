@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from ...envs.suite import as_problem
-from ...envs.tasks.problem import Problem, unrolled_in_time
+from ...envs.tasks.problem import Problem
 from ..abstraction.models import Abstraction, Policies, join, network_abstraction, network_tables, start_of
-from ..certificates.proofs import Certificate, OnGrid, Synthesis, timed_certificate
+from ..certificates.proofs import Certificate, OnGrid, Synthesis
 from ..composition import CollisionProbability, less_proximity, proximity, relevant_pairs, usual_values, without_pairs
 from ..interop import SymbolicPolicies, certifiable
 from ..policy_search.ascent import FINAL, sweep
@@ -25,7 +25,6 @@ from ..policy_search.cell_certificates import certificate_of
 from ..relations.grids import CellCounts, NoRunFound, RelationRefused
 from ..relations.kinds import NetworkPolicy, network_policy
 from ..trajectories.planning import networks_from
-from .time_unrolled_networks import told_in_time
 
 
 def certify_network(
@@ -40,7 +39,7 @@ def certify_network(
     Parameters
     ----------
     problem : Problem, id or path
-        It may name the time, or be about pairs of agents, whose noise then is normal along states.
+        It may be about pairs of agents, whose noise then is normal along states.
     actor : SharedActor, TeamActor, or what ``as_policy`` takes
         Networks that see the agent's own state, the automaton state and the time.
     cells : int, sequence of int or mapping from agent name to one of these, optional
@@ -60,15 +59,14 @@ def certify_network(
     """
     given = as_problem(problem)
     networks = _policies(given, actor)
-    if given.labeling.pairs and given.names_time:
-        raise ValueError(
-            "`problem`: expected a task that is about pairs of agents or names the time `t`, got one that does both, "
-            "of which only paths know; judge the network by rollouts, and `synthesize` with the relation `path`"
+    if given.names_time:
+        raise RelationRefused(
+            "`problem`: expected one that does not name the time `t` for networks on cells, got one that does; without "
+            "`cells` a network is certified along its trajectory"
         )
     if given.labeling.pairs:
         return _less_nearness(given, networks, cells, targets_per_cell)
-    base, policies = _written(given, networks)
-    return _of_given(given, _on_grids(base, policies, cells, targets_per_cell)[0])
+    return _on_grids(given, networks, cells, targets_per_cell)[0]
 
 
 PLENTY, FEW_STATES = 1e-3, 2
@@ -150,22 +148,6 @@ def _less_nearness(
     return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})
 
 
-def _of_given(problem: Problem, found: Synthesis) -> Synthesis:
-    """Return what was found for a problem that may be written out in time, said of the problem itself."""
-    if found.certificate.problem is problem:
-        return found
-    certificate = timed_certificate(problem, found.certificate)
-    return Synthesis(certificate, certificate.controller, found.stats)
-
-
-def _written(problem: Problem, policies: Sequence[NetworkPolicy]) -> tuple[Problem, Sequence[NetworkPolicy]]:
-    """Return the problem as grids know it, without the time, and what its networks are there."""
-    if not problem.names_time:
-        return problem, policies
-    base = unrolled_in_time(problem)
-    return base, told_in_time(problem, base, policies)
-
-
 def _policies(problem: Problem, actor: Any, along: bool = False) -> list[Any]:
     """Return the networks of all agents, or raise ValueError if they see more than is certified."""
     actor = certifiable(problem, actor, along)
@@ -221,8 +203,6 @@ def differences(certificate: Certificate, actor: Any) -> list[str]:
     problem, found = certificate.problem, list[str]()
     base = getattr(certificate.proof, "base", certificate)  # of proofs about a problem written in another way
     policies: Sequence[NetworkPolicy] = _policies(problem, actor)
-    if problem.names_time:
-        policies = told_in_time(problem, base.problem, policies)
     for name, part, policy in zip(base.problem.agent_names, base.proof.agents, policies, strict=True):
         stored, given = part.relation.get("network"), policy.description
         if stored is None:

@@ -57,6 +57,9 @@ MAY_BE_LOST = Reason("delta = 0", "what may be lost at every step cannot be prom
 ON_LINEAR_CELLS = Reason(
     "along its trajectory", "networks on cells have linear cells, whose noise is Gaussian and the same everywhere"
 )
+MODES = Reason(
+    "along its trajectory", "networks on cells have a mode for each automaton state, which written out counts"
+)
 RUNS_EMPTY = Reason("falls to 0", "a battery runs empty in the end: no rate bounds what falls to 0")
 LOOK_AT_TIME = Reason(
     "policies have to look at it", "rates are those of steps that are all the same, which steps in time are not"
@@ -75,9 +78,8 @@ CANNOT: dict[str, dict[str, Reason]] = {
         "subtraction": BY_SUBTRACTION,
     },
     "certify": dict.fromkeys(PATHS, OWN_FEEDBACK),
-    "network": dict.fromkeys(
-        ["exact Laplace", "boxes Laplace", "boxes noise scale", "boxes no noise"], ON_LINEAR_CELLS
-    ),
+    "network": dict.fromkeys(["exact Laplace", "boxes Laplace", "boxes noise scale", "boxes no noise"], ON_LINEAR_CELLS)
+    | dict.fromkeys([*TIMED, "path in time"], MODES),
     "at": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": AT_PAIRS},
     "values in time": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": BY_SUBTRACTION},
     "audit": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": BY_SUBTRACTION},

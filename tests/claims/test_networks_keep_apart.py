@@ -173,7 +173,7 @@ def test_what_is_not_known_of_pairs_is_refused(what: str, monkeypatch: pytest.Mo
         specification=cg.Specification("G !near", "finite-trace"),
     )  # fmt: skip
     actor = towards(problem, [-1.0, 0.0], [1.0, 0.0])
-    with pytest.raises(ValueError, match="which wraps" if what == "angles" else "names the time"):
+    with pytest.raises(ValueError, match="which wraps" if what == "angles" else "not name the time `t`"):
         cg.certify(problem, actor, 12)
     if what == "angles":
         monkeypatch.setattr(NearPoints, "__post_init__", lambda self: None)

@@ -110,8 +110,7 @@ def test_maps_hold_what_the_deployed_network_does(make: Any) -> None:
     low, high = part.grid.low[cells], part.grid.high[cells]
     points, q = low + rng.random(low.shape) * (high - low), int(problem.initial_q or 0)
     mode = problem.automaton.n_states + q  # of the second step
-    input_set = np.zeros((len(cells), agent.n_inputs))
-    z, gain, rho = networked_maps(agent, part, (low, high), input_set, mode)
+    z, gain, rho = networked_maps(agent, part, (low, high), mode)
     states = part.coordinates @ points.T
     inputs = actor.inputs(0, states, np.full(len(cells), q), 1)
     means = np.linalg.solve(part.coordinates, agent.mean(states, inputs)).T
@@ -120,7 +119,7 @@ def test_maps_hold_what_the_deployed_network_does(make: Any) -> None:
     assert inside.sum() > 3_000 and np.all(np.abs(off[inside]) <= rho[inside] + 1e-12)
     relation = certificate.controller.agents[0].relation
     searched = relation.means.around(part.grid.low[:50], part.grid.high[:50], relation.input_set)
-    again = networked_maps(agent, part, (part.grid.low[:50], part.grid.high[:50]), input_set[:50], mode)
+    again = networked_maps(agent, part, (part.grid.low[:50], part.grid.high[:50]), mode)
     assert np.all(again[2] <= searched.rest[:, mode])
 
 

@@ -392,17 +392,11 @@ class Agent(AnyAgent):
 
     @cached_property
     def driven(self) -> Agent:
-        """The agent with its inputs as disturbances of the same names: it moves as under any inputs in their box.
-
-        A clock is no choice, and stays an input.
-        """
-        count, data = self.n_inputs - int(self.has_clock), self.to_dict()
-        ends = list(zip(self.inputs, self.input_low.tolist(), self.input_high.tolist(), strict=True))[:count]
-        for key in ("inputs", "input_low", "input_high"):
-            data[key] = data[key][count:] or None
+        """The agent with its inputs as disturbances of the same names: it moves as under any inputs in their box."""
+        data = self.to_dict() | dict.fromkeys(("inputs", "input_low", "input_high"))
+        ends = zip(self.inputs, self.input_low.tolist(), self.input_high.tolist(), strict=True)
         data["disturbances"] = {**self.disturbances, **{name: (low, high) for name, low, high in ends}}
         agent = type(self)(**data)
-        object.__setattr__(agent, "has_clock", self.has_clock)
         return agent if self.neighbour_ranges is None else agent.tied_to(self.neighbour_ranges, self.neighbour_inputs)
 
     @property

@@ -469,8 +469,6 @@ def _network_of(problem: Problem, proof: PathProof, i: int, put: _Pool) -> dict[
     if isinstance(policy, SymbolicPolicy):
         return {"radius": float(proof.radii[i]), "feedback": [_written(policy, text) for text in policy.expressions]}
     if not isinstance(policy, JointNetworkPolicy):
-        if policy.view.told or policy.has_clock:
-            raise NotCanonicalError("networks of problems that are written otherwise have no canonical form")
         policy = seen_jointly(policy, problem.columns[i].start, problem.n_states)
     if (policy.horizon, policy.states) != (problem.horizon, problem.automaton.n_states):
         raise NotCanonicalError("a network was made for another horizon, or another number of automaton states")

@@ -20,11 +20,7 @@ def _has_known_form(agent: AnyAgent, network: dict[str, Any]) -> bool:
 
 
 def wrong_networks(certificate: OnGrid) -> list[str]:
-    """What networks of a certificate see or do otherwise than its problem and its policies say.
-
-    Of a problem that is written in another way a network may be told of other automaton states, one for each: that is
-    how its controller asks it. Whether these are those that the agents of the problem see, ``wrong_in_time`` says.
-    """
+    """What networks of a certificate see or do otherwise than its problem and its policies say."""
     problem, failures = certificate.problem, []
     width = max(agent.n_states for agent in problem.agents)
     # Of an opposite task networks are told all states but the last, in which nothing is left to decide.
@@ -39,7 +35,6 @@ def wrong_networks(certificate: OnGrid) -> list[str]:
         network = part.relation.get("network")
         if network is None:
             continue
-        told = np.array(network.get("told") or np.arange(network["states"]))
         asked = expected | {"agent": i} | alone(network)
         if part.relation["kind"] not in ("boxes", "linear"):
             failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
@@ -49,14 +44,13 @@ def wrong_networks(certificate: OnGrid) -> list[str]:
             failures.append(f"the network of agent `{agent.name}` sees states, or answers, in a form that is not known")
         elif len(network["weights"][-1]) < agent.chosen_box.dimension:
             failures.append(f"the network of agent `{agent.name}` has fewer outputs than its agent has inputs")
-        elif len(told) != n_q or any(network[name] != value for name, value in asked.items()):
+        elif network["states"] != n_q or any(network[name] != value for name, value in asked.items()):
             failures.append(f"the network of agent `{agent.name}` sees another problem, or another agent")
         elif len(part.policy) != horizon:
             failures.append(f"the policy of agent `{agent.name}` does not say what its network does at each time")
         else:
             # In every cell a mode may be chosen only at its own time and in its own automaton state.
-            mode = np.arange(horizon)[:, None, None] * network["states"] + told[None, :, None]
-            mode[:, told < 0] = -1
+            mode = np.arange(horizon)[:, None, None] * n_q + np.arange(n_q)[None, :, None]
             modes = (part.policy >= 0) & (part.policy < horizon * network["states"])
             if np.any(modes[:, n_q:]) or np.any(modes[:, :n_q] & (part.policy[:, :n_q] != mode)):
                 failures.append(f"the network of agent `{agent.name}` is used at another time or automaton state")

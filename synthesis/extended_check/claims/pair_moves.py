@@ -82,8 +82,7 @@ class NetworkMoves:
         if agent.is_affine:
             z, gain, rho = network_maps(with_matrices(agent), part, cells, mode)
         else:
-            input_set = np.tile(np.array(part.relation["menu"], dtype=float)[mode], (len(cells), 1))
-            z, gain, rho = networked_maps(with_expressions(agent), part, (first, last), input_set, mode)
+            z, gain, rho = networked_maps(with_expressions(agent), part, (first, last), mode)
         spread = np.einsum("ckj,cj->ck", np.abs(gain), 0.5 * (last - first) * (1.0 + 1e-13)) + rho + off
         return z - spread, z + spread
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ....envs.systems.agents import TIME, AnyAgent
 from ....envs.tasks.problem import Places, states_in_time, unrolled_in_time
@@ -38,7 +37,7 @@ def wrong_in_time(certificate: Certificate[TimedProof]) -> list[str]:
     try:
         if unrolled_in_time(problem).fingerprint != base.fingerprint:
             return ["its base is not the problem written out"]
-        table = states_in_time(problem, base)
+        states_in_time(problem, base)  # raises where both automata differ
     except ValueError as error:
         return [f"its base is not the problem written out: {error}"]
     # Writing out is not taken for granted: where regions are, and what agents do, is looked at again.
@@ -47,7 +46,7 @@ def wrong_in_time(certificate: Certificate[TimedProof]) -> list[str]:
         return failures
     for agent, part in zip(base.agents, certificate.proof.base.proof.agents, strict=True):
         wrong = _wrong_clock(agent, part, problem.horizon) if agent.has_clock else ""
-        if wrong := wrong or _wrong_told(base, part, table):
+        if wrong:
             failures.append(f"agent `{agent.name}`: {wrong}")
     return failures
 
@@ -86,23 +85,6 @@ def _within(numbers: np.ndarray, ends: np.ndarray) -> bool:
     """Return whether numbers are between ends that are next to each other: within wide ones they may be anything."""
     is_known = ends[1] - ends[0] <= WIDE * (1.0 + np.abs(numbers))
     return bool(np.all((ends[0] <= numbers) & (numbers <= ends[1]) & is_known))
-
-
-def _wrong_told(base: Problem, part: AgentRecord, table: NDArray[np.int64]) -> str:
-    """Return what is wrong with what a network is told of; nothing if it is the automaton state of the problem.
-
-    ``table`` (T + 1, Q) are the states of the base that go with those of the problem.
-    """
-    network = part.relation.get("network")
-    if network is None:
-        return ""
-    told = np.array(network.get("told") or np.arange(base.automaton.n_states))
-    if network["states"] != table.shape[1] or len(told) != base.automaton.n_states:
-        return "its network is told of the automaton states of another problem"
-    known = (table >= 0) & ~base.automaton.absorbing[table]
-    if np.any(known & (told[table] != np.arange(table.shape[1]))):
-        return "its network is told of another automaton state than that of its problem"
-    return ""
 
 
 def _wrong_clock(agent: AnyAgent, part: AgentRecord, horizon: int) -> str:

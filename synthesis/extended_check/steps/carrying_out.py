@@ -137,8 +137,7 @@ def _wrong_networked(
         here = np.flatnonzero((choice == mode) & inside)[:NETWORKED]
         first, last = low[cells[here]], high[cells[here]]
         if isinstance(agent, Agent):
-            idle = np.tile(np.array(part.relation["menu"], dtype=float)[mode], (len(here), 1))
-            z, gain, rho = networked_maps(agent, part, (first, last), idle, mode)
+            z, gain, rho = networked_maps(agent, part, (first, last), mode)
         else:
             z, gain, rho = network_maps(with_matrices(agent), part, cells[here], mode)
         offsets = np.linalg.solve(part.coordinates, states[:, here]).T - 0.5 * (first + last)

@@ -59,7 +59,7 @@ def maps_of(agent: Agent, part: AgentRecord, numbers: NDArray[np.int64]) -> Maps
         for some in np.array_split(asked, len(asked) // CELLS_AT_ONCE + 1):
             corners, inputs = (low[cell[some]], high[cell[some]]), input_set[choice[some]]
             if is_networked and len(some):
-                made = networked_maps(agent, part, corners, inputs, int(choice[some][0]))
+                made = networked_maps(agent, part, corners, int(choice[some][0]))
             else:
                 made = map_enclosures(agent, *corners, inputs, part.coordinates, cuts)
             maps.z[some], maps.gain[some], maps.rho[some] = made
@@ -67,12 +67,12 @@ def maps_of(agent: Agent, part: AgentRecord, numbers: NDArray[np.int64]) -> Maps
 
 
 def networked_maps(
-    agent: Agent, part: AgentRecord, corners: tuple[FloatArray, FloatArray], inputs: FloatArray, mode: int
+    agent: Agent, part: AgentRecord, corners: tuple[FloatArray, FloatArray], mode: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """z, G and rho as ``map_enclosures`` gives them, under a mode of a network: its inputs move with the state.
 
     Each input is ``h + J (x - c)`` and something that is not known, which an agent that is driven takes for a
-    disturbance. A clock stays as it stands in the menu, and anything else that is left of inputs is idle.
+    disturbance; what is left of inputs is idle.
     """
     held, slopes, rho = input_maps(agent, part, *corners, mode)
     middle = 0.5 * (corners[0] + corners[1]) @ part.coordinates.T
@@ -93,8 +93,8 @@ def networked_maps(
     fed = Fed([substituted(tree, moved) for tree in driven.trees], numbers)
     places = {name: place for place, name in enumerate(driven.unknowns)}
     left = {places[name]: (-rho[:, j], rho[:, j]) for j, name in enumerate(agent.inputs[: held.shape[1]])}
-    rest = inputs[:, -1:] if agent.has_clock else np.zeros((len(inputs), 1))
-    return map_enclosures(driven, *corners, rest, part.coordinates, int(part.relation["cuts"]), fed, left)
+    idle = np.zeros((len(corners[0]), 1))
+    return map_enclosures(driven, *corners, idle, part.coordinates, int(part.relation["cuts"]), fed, left)
 
 
 def map_enclosures(

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ....envs.systems.agents import TIME, AnyAgent, Box, with_expressions
+from ....envs.systems.agents import AnyAgent, Box
 from ..grids import FloatArray
 
 Array = NDArray[Any]
@@ -96,9 +96,6 @@ class OwnView:
         Steps of the problem.
     scale : "unit" or "raw"
         Whether states are scaled from the workspace to [-1, 1], or stand in their units.
-    told : tuple of int
-        Of a problem that is written in another way: the automaton state that the network is told of in each of its
-        states, -1 where nothing is left to decide; empty where it is told of the state itself.
     """
 
     agent: int
@@ -107,19 +104,11 @@ class OwnView:
     states: int
     horizon: int
     scale: str = "unit"
-    told: tuple[int, ...] = ()
 
     @property
     def size(self) -> int:
         """Numbers of a row."""
         return self.width + self.states + 1 + self.agents
-
-    def told_of(self, q: Array) -> Array:
-        """Return the automaton states (N,) that the network is told of; any one where nothing is left to decide."""
-        if not self.told:
-            return q
-        # An opposite task has one state more, in which nothing is left to decide.
-        return np.maximum(np.array([*self.told, -1])[q], 0)
 
     def rows(self, workspace: Box, states: Array, q: Array, time: Any) -> NDArray[np.float32]:
         """Return rows (N, size) at states (d, N), automaton states (N,) that it is told of, and times, one or (N,)."""
@@ -144,16 +133,13 @@ class NetworkPolicy:
     network : Network
     view : OwnView
     workspace, input_box : Box
-        Of the agent, without its clock.
-    has_clock : bool
-        Whether the agent has the time as its last input, which no network answers (``problem.unrolled_in_time``).
+        Of the agent.
     """
 
     network: Network
     view: OwnView
     workspace: Box
     input_box: Box
-    has_clock: bool = False
 
     sees_all: ClassVar[bool] = False
 
@@ -164,9 +150,7 @@ class NetworkPolicy:
 
     def inputs(self, states: FloatArray, q: Array, time: int) -> FloatArray:
         """Return the inputs (m, N) at states (d, N), automaton states (N,) and a time."""
-        rows = self.view.rows(self.workspace, states, self.view.told_of(q), time)
-        inputs = answered(self.network, rows, self.input_box)
-        return np.concatenate([inputs, np.full((1, inputs.shape[1]), float(time))]) if self.has_clock else inputs
+        return answered(self.network, self.view.rows(self.workspace, states, q, time), self.input_box)
 
     def replaced(
         self,
@@ -201,17 +185,15 @@ class NetworkPolicy:
         return result
 
     def modes_in(self, n_states: int) -> NDArray[np.int32]:
-        """Return the modes (T, n_states) at each time in each automaton state; -1 where nothing is left to decide."""
-        told = np.array(self.view.told) if self.view.told else np.arange(n_states)
-        modes = np.arange(self.view.horizon)[:, None] * self.view.states + told
-        return np.where(told >= 0, modes, -1).astype(np.int32)
+        """Return the modes (T, n_states) at each time in each automaton state."""
+        return np.asarray(
+            np.arange(self.view.horizon)[:, None] * self.view.states + np.arange(n_states), dtype=np.int32
+        )
 
     @property
     def idle_menu(self) -> FloatArray:
-        """Inputs (modes, m) in the place of modes in a menu: they mean nothing, but for a clock in the last column."""
-        middle = 0.5 * self.input_box.low + 0.5 * self.input_box.high
-        times = np.repeat(np.arange(float(self.view.horizon)), self.view.states)
-        return np.hstack([np.tile(middle, (self.n_modes, 1)), times[:, None][:, : int(self.has_clock)]])
+        """Inputs (modes, m) in the place of modes in a menu: they mean nothing."""
+        return np.tile(0.5 * self.input_box.low + 0.5 * self.input_box.high, (self.n_modes, 1))
 
     def constants(self, mode: int) -> FloatArray:
         """Return what the network sees in a mode besides the state: a row (size - width,), exact."""
@@ -227,7 +209,7 @@ class NetworkPolicy:
         facts = [view.agent, view.agents, view.width, view.states, view.horizon, self.network.squashed]
         kind = sorted(ACTIVATIONS).index(self.network.activation)
         forms = SCALES.index(view.scale), OUTPUTS.index(self.network.outputs)
-        return (np.array([*facts, kind, *forms]), np.array(view.told), *self.network.weights, *self.network.biases)
+        return (np.array([*facts, kind, *forms]), *self.network.weights, *self.network.biases)
 
     @property
     def description(self) -> dict[str, Any]:
@@ -240,7 +222,6 @@ class NetworkPolicy:
             "squashed": network.squashed,
             **{name: getattr(self.view, name) for name in VIEW_FIELDS},
             **{name: form for name, form in forms.items() if form != "unit"},
-            **({"told": [*self.view.told]} if self.view.told else {}),
         }
 
 
@@ -256,8 +237,8 @@ def network_policy(description: dict[str, Any], agent: AnyAgent) -> NetworkPolic
     kind = description["activation"], description["squashed"], description.get("outputs", "unit")
     network = Network(weights, biases, *kind)
     numbers = {name: int(description[name]) for name in VIEW_FIELDS}
-    view = OwnView(**numbers, scale=description.get("scale", "unit"), told=tuple(description.get("told", ())))
-    return NetworkPolicy(network, view, agent.workspace, agent.chosen_box, agent.has_clock)
+    view = OwnView(**numbers, scale=description.get("scale", "unit"))
+    return NetworkPolicy(network, view, agent.workspace, agent.chosen_box)
 
 
 def check_network(
@@ -282,9 +263,8 @@ def check_network(
         or not isinstance(description["squashed"], bool)
     ):
         raise ValueError("a network has a view that does not fit its agent")
-    told = description.get("told", [])
-    if not isinstance(told, list) or any(type(q) is not int or not -1 <= q < view.states for q in told):
-        raise ValueError("a network is told of automaton states that are none")
+    if "told" in description:
+        raise ValueError("networks of problems that name the time have no cells since 0.4; certify the network anew")
     if not 0 < view.horizon * view.states <= n_choices:
         raise ValueError("a network has no choice for each time and automaton state")
     weights, biases = description["weights"], description["biases"]
@@ -300,9 +280,7 @@ def check_network(
             raise ValueError(f"a network has weights beyond {LARGEST_WEIGHT:g}, or more than {MOST_UNITS} units")
         if not all(np.array_equal(x, x.astype(np.float32)) for x in (layer, shift)):
             raise ValueError("a network has weights that are not of single precision")
-    # Before it is known what a file is about, an input with the name of the time may be a clock.
-    may_have_clock = not agent.is_affine and with_expressions(agent).inputs[-1] == TIME
-    if size + may_have_clock < agent.n_inputs:
+    if size < agent.n_inputs:
         raise ValueError("a network has fewer outputs than its agent has inputs")
 
 
