@@ -10,9 +10,9 @@ from .guard_texts import edges
 from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
 from .observation import AUTOMATON, SCALES, SCOPES, Bounds, checked_option, joint_bounds, relative_bounds
 from .outlines import Drawer
-from .palette import AGENTS, AGENTS_ON_DARK, LOOKS, Look, agent_color
+from .palette import AGENTS, AGENTS_ON_DARK, LOOKS, agent_color
 from .problem_env import ProblemEnv
-from .rendering import Picture, checked_render_mode, verdict_text
+from .rendering import Picture, verdict_text
 from .scene import MOST_STRETCHED, Curve, Panel, Region, coordinate_name, have_one_scale, panels
 from .shaping import Potential
 from .specified import Specified
@@ -34,7 +34,6 @@ __all__ = [
     "FREE",
     "KEPT",
     "LOOKS",
-    "Look",
     "MIXED",
     "MOST_STRETCHED",
     "Panel",
@@ -55,7 +54,6 @@ __all__ = [
     "automaton_to_dot",
     "checked_neighbours",
     "checked_option",
-    "checked_render_mode",
     "common_sizes",
     "coordinate_name",
     "edges",

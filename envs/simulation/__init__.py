@@ -4,11 +4,10 @@ How problems move and how they are judged, with the same bits for one world and 
 """
 
 from .batch_simulator import Draws, Dynamics, Worlds, joint, letters, neighbours, split_joint
-from .disturbances import BEHAVIOURS, Against, Behaviour, checked_behaviour
+from .disturbances import BEHAVIOURS, Behaviour, checked_behaviour
 from .single_simulator import SingleSimulator, World
 
 __all__ = [
-    "Against",
     "BEHAVIOURS",
     "Behaviour",
     "Draws",

@@ -3,7 +3,6 @@
 Composition of tasks: independent parts multiplied, and pairs of agents subtracted by a union bound.
 """
 
-from .avoiding import Avoidance
 from .base import relevant_pairs, usual_values, without_pairs
 from .collision_avoidance import less_proximity, proximity
 from .collision_probability import CollisionProbability
@@ -12,7 +11,6 @@ from .independent_tasks import synthesize_parts
 from .joint_tasks import joint_strategies
 
 __all__ = [
-    "Avoidance",
     "CollisionProbability",
     "each_horizon",
     "horizons_of",

@@ -4,35 +4,27 @@ Models of other libraries as policies: ONNX, torch, Stable-Baselines3, and files
 """
 
 from .actor_files import NotAnActor, stored
-from .detected import Detected, Reader
-from .environments import sight_of
-from .importers import RUN, as_policy, batchable, brought, certifiable, is_model
+from .importers import RUN, as_policy, batchable, certifiable, is_model
 from .layers import TORCH_ACTIVATIONS
-from .local_policies import LocalBatch, LocalController
-from .model_policies import OwnModels, TeamModels
+from .local_policies import LocalBatch
+from .model_policies import TeamModels
 from .observation_maps import ObservationMap
 from .writing import is_written_policy, save_policy
 from .written_feedback import SymbolicPolicies
 
 __all__ = [
-    "Detected",
     "LocalBatch",
-    "LocalController",
     "NotAnActor",
-    "OwnModels",
     "RUN",
     "TORCH_ACTIVATIONS",
-    "Reader",
     "ObservationMap",
     "TeamModels",
     "SymbolicPolicies",
     "as_policy",
     "batchable",
-    "brought",
     "certifiable",
     "is_model",
     "is_written_policy",
     "save_policy",
-    "sight_of",
     "stored",
 ]

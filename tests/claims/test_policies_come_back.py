@@ -353,7 +353,7 @@ def test_networks_with_smooth_activations_are_certified_along_their_run(kind: st
     assert cg.check(found.certificate)
     ran = cg.rollout(one, found.controller, 4000, seed=0)
     assert 0.5 < found.certificate.lower_bound <= ran.successes / 4000 + 0.04  # false alarm: below 1e-6 (Hoeffding)
-    with pytest.raises(ValueError, match="on cells have tanh or relu, got .* along its trajectory"):
+    with pytest.raises(ValueError, match=r"on cells have tanh or relu, got .* along its trajectory"):
         cg.certify(one, policy, 20)
     pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")

@@ -43,7 +43,7 @@ QUICKER: dict[str, dict[str, str]] = {
     "choose_cells.md": {
         "(25, 100, 400)": "(25, 50)",
         "cells=100)": "cells=50)",
-        '"cells": 100': '"cells": 60',
+        "(problem, 100": "(problem, 60",
     },
     "figures.md": {"--cells 200": "--cells 40", "--cells 100": "--cells 40"},
     "learned_policies.md": {"steps=4_000": "steps=512", "steps=2_000": "steps=512", "episodes=4000": "episodes=1000"},

@@ -6,7 +6,7 @@ Policies of any origin, trained, compared and run behind shields.
 from .actors import NotAnActor, load_actor, save_actor
 from .behind import shield
 from .comparison import Comparison, compare
-from .competitors import POLICIES, Sources, given, label_of, publish
+from .competitors import Sources, given, label_of, publish
 from .probing import Attempt, Probe, probe
 from .ranking import Leaderboard, Standing, judged, judging_plan, leaderboard, replayed
 from .ranking_page import page_of
@@ -14,8 +14,7 @@ from .recording import Recording, record
 from .rollout_policies import IdleController, RandomController, as_controller
 from .shielded_batches import ShieldedTeamEnv, ShieldedVectorEnv
 from .shielded_envs import ShieldedCentralEnv, ShieldedEnv, ShieldedTasksEnv
-from .shielded_policy import ShieldedController
-from .smoothing import SmoothActor, smoothed
+from .smoothing import smoothed
 from .tier_rule import tier_of
 from .training import ALGORITHMS, Training, certificate_of, train
 
@@ -26,17 +25,14 @@ __all__ = [
     "IdleController",
     "Leaderboard",
     "NotAnActor",
-    "POLICIES",
     "Probe",
     "RandomController",
     "Recording",
     "ShieldedCentralEnv",
-    "ShieldedController",
     "ShieldedEnv",
     "ShieldedTasksEnv",
     "ShieldedTeamEnv",
     "ShieldedVectorEnv",
-    "SmoothActor",
     "Sources",
     "Standing",
     "Training",

@@ -7,9 +7,9 @@ from .agent import LinearAgent, with_matrices
 from .angles import TURN, wrapped
 from .any_agent import AnyAgent, checked_name
 from .box import Box
-from .declared_names import MOST_OUTPUTS, MOST_STATES, TIME
+from .declared_names import MOST_OUTPUTS, TIME
 from .expression_agent import Agent, with_expressions
-from .neighbours import Place, neighbour, place_of, states_of_others, tied
+from .neighbours import Place, neighbour, place_of, tied
 from .products import linear, row_times
 
 __all__ = [
@@ -18,7 +18,6 @@ __all__ = [
     "Box",
     "LinearAgent",
     "MOST_OUTPUTS",
-    "MOST_STATES",
     "Place",
     "TIME",
     "TURN",
@@ -27,7 +26,6 @@ __all__ = [
     "neighbour",
     "place_of",
     "row_times",
-    "states_of_others",
     "tied",
     "with_expressions",
     "with_matrices",

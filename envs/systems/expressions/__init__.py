@@ -11,7 +11,7 @@ from .expression_tree import Name, Number, Operation, Tree, affine, names_in, op
 from .intervals import Interval
 from .linear_systems import AffineForm, affine_form, replaced, solved
 from .programs import Program
-from .reading import RESERVED, ExpressionError, checked_variable, read_expression
+from .reading import ExpressionError, checked_variable, read_expression
 from .repeating import turns
 
 __all__ = [
@@ -24,7 +24,6 @@ __all__ = [
     "Number",
     "Operation",
     "Program",
-    "RESERVED",
     "Tree",
     "affine",
     "affine_form",

@@ -4,7 +4,7 @@ A problem: agents, propositions, specification and horizon, checked once; proble
 """
 
 from .complement import complement_inside, complement_of
-from .joint_noise import JOINT_NOISE_REFUSAL, refuse_joint_noise
+from .joint_noise import JOINT_NOISE_REFUSAL
 from .problem_file import load_problem, policy_in_file, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification
@@ -33,7 +33,6 @@ __all__ = [
     "out_of_reach",
     "problem_from_dict",
     "problem_from_toml",
-    "refuse_joint_noise",
     "split_axes",
     "states_in_time",
     "unrolled",

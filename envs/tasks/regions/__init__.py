@@ -5,11 +5,11 @@ Regions and atomic propositions: shapes, pairs of agents, and the labeling of po
 
 from .headings import heading_of
 from .labeling import MOVING_REFUSAL, Labeling, contains, inside, of_hint
-from .pair import FLAT, REFUSAL, Pair, PairRegion, ball_box, holds
+from .pair import FLAT, REFUSAL, Pair, PairRegion, holds
 from .pieces import Combined, Form, Frame, Limit, Piece
 from .proposition import Proposition
 from .shapes import SHAPES
-from .timed_corners import DECIMALS, values_over
+from .timed_corners import DECIMALS
 
 __all__ = [
     "Combined",
@@ -26,11 +26,9 @@ __all__ = [
     "Proposition",
     "REFUSAL",
     "SHAPES",
-    "ball_box",
     "contains",
     "heading_of",
     "holds",
     "inside",
     "of_hint",
-    "values_over",
 ]

@@ -5,7 +5,7 @@ One-step Bellman backups, from below: at points, over boxes, at the corners of c
 
 from .box_kernel import MOST_SCALED, MOST_SCALES, BoxKernel, box_kernel_of, box_lattice, points_per_cell, scale_levels
 from .box_minima import each_window_minima, least_over_boxes
-from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel, gaussian_table, law_table
+from .kernel import Kernel, gaussian_table, law_table
 from .lattice_kernel import LatticeKernel, lattice_kernel_of
 from .linear_kernel import hat_table
 from .multilinear_kernel import BESIDE, FAR, Images, MultilinearKernel, in_chunks
@@ -19,11 +19,9 @@ __all__ = [
     "MultilinearKernel",
     "Images",
     "Kernel",
-    "LATTICE_BLOCK",
     "LatticeKernel",
     "MOST_SCALED",
     "MOST_SCALES",
-    "REACH_DEVIATIONS",
     "box_kernel_of",
     "box_lattice",
     "each_window_minima",

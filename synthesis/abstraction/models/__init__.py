@@ -6,8 +6,6 @@ The finite model of each agent, the guards of the task, and both joined.
 from .action_tables import TIE, ActionTable, Policies, StepPolicy, best_offered, gather, shifted
 from .agent_models import reaches_every_mean
 from .box_choices import BoxChoices
-from .box_model import INPUT_LEVELS
-from .corner_choices import CornerChoices
 from .finite_models import (
     RELATIONS,
     Abstraction,
@@ -20,21 +18,15 @@ from .finite_models import (
     models_of,
     relations_of,
 )
-from .input_sets import InputSet
 from .joint import JointModel, count_of_decisions, join, spread_start, start_of
 from .network_model import network_abstraction, network_tables
 from .surroundings import surrounded
-from .target_windows import BAND_BYTES, TargetWindows
 
 __all__ = [
     "Abstraction",
     "AgentModel",
-    "BAND_BYTES",
     "BoxChoices",
     "ActionTable",
-    "CornerChoices",
-    "INPUT_LEVELS",
-    "InputSet",
     "RELATIONS",
     "JointModel",
     "Policies",
@@ -42,7 +34,6 @@ __all__ = [
     "Settings",
     "StepPolicy",
     "TIE",
-    "TargetWindows",
     "abstraction_of",
     "best_offered",
     "check_names",

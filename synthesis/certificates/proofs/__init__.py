@@ -3,14 +3,13 @@
 What a claim rests on, one kind of proof a file, and certificates in files.
 """
 
-from .archive import MAX_BYTES, check_sizes, packed
+from .archive import MAX_BYTES
 from .canonical import (
     ClaimsMoreError,
     NotCanonicalError,
     alarm_of,
     canonical_bytes,
     canonical_problem,
-    checker_text,
     contents_of,
     require_about,
     save_canonical,
@@ -35,7 +34,7 @@ from .certificate import (
     why_nothing,
     with_claims,
 )
-from .certificate_file import UNREADABLE, load_certificate, save_certificate
+from .certificate_file import load_certificate, save_certificate
 from .check_report import CheckReport, told_assumed, told_claim
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
@@ -66,7 +65,6 @@ __all__ = [
     "canonical_bytes",
     "canonical_problem",
     "require_about",
-    "checker_text",
     "contents_of",
     "save_canonical",
     "verdict_of",
@@ -95,14 +93,12 @@ __all__ = [
     "Synthesis",
     "TimedProof",
     "Tube",
-    "UNREADABLE",
     "VertexProof",
     "alike_members",
     "path_under",
     "as_certificate",
     "certificate_on_grids",
     "changed",
-    "check_sizes",
     "checked_certificate",
     "delta_of",
     "certificate_from",
@@ -115,7 +111,6 @@ __all__ = [
     "nameless",
     "of_one_task",
     "on_cells",
-    "packed",
     "product_certificate",
     "relations_tried",
     "require",

@@ -5,29 +5,25 @@ The proof done again: cells, guards, trees, teams, and the claim.
 
 from .certificate_check import check
 from .checked_first import checked_once, claim_text, standing
-from .complement_task import other_controllers, wrong_complement
-from .greedy import Greedy, greedy_disturbance
+from .complement_task import wrong_complement
+from .greedy import greedy_disturbance
 from .invariance_rate import SHORTEST, SafetyRate, is_safety, safety_rate
-from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
+from .regrown_tree import regrow, vertices_of
 from .timed_check import wrong_in_time
 from .values_in_time import ValueInTime, claimed_values, value_in_time
 
 __all__ = [
-    "BrokenTreeError",
     "check",
     "checked_once",
     "claim_text",
     "claimed_values",
-    "Greedy",
     "greedy_disturbance",
     "is_safety",
-    "other_controllers",
     "regrow",
     "safety_rate",
     "SafetyRate",
     "SHORTEST",
     "standing",
-    "tree_start_value",
     "value_in_time",
     "ValueInTime",
     "vertices_of",

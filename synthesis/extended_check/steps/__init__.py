@@ -6,17 +6,16 @@ One step of one agent, found again: where it goes, and what values are there.
 from .carrying_out import wrong_actions
 from .execution import UNIT, execution_of
 from .geometry import box_image, cell_boxes, classes_in_boxes, is_identity, start_shares
-from .linear_check import by_cell, hat_weights, masks_of, places_of
+from .linear_check import hat_weights, masks_of, places_of
 from .map_enclosures import networked_maps
 from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales
 from .network_enclosures import network_maps
 from .relation_check import label_margin, verify_relation, wrong_for_uneven_noise
-from .step_backups import StepBackup, step_backup_of, step_backups_of
+from .step_backups import step_backup_of, step_backups_of
 from .step_regions import RegionSpan
 
 __all__ = [
     "box_image",
-    "by_cell",
     "cell_boxes",
     "classes_in_boxes",
     "Enclosed",
@@ -30,7 +29,6 @@ __all__ = [
     "network_maps",
     "networked_maps",
     "places_of",
-    "StepBackup",
     "step_backup_of",
     "step_backups_of",
     "RegionSpan",

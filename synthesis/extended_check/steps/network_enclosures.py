@@ -68,12 +68,6 @@ class Forms:
         return Forms(self.slopes * scale, self.constants * share + shift, self.symbols * scale, radius)
 
 
-def network_modes(part: AgentRecord) -> int:
-    """Number of choices that are what a network does at a time in an automaton state; 0 without a network."""
-    network = part.relation.get("network")
-    return 0 if network is None else int(network["horizon"]) * int(network["states"])
-
-
 def _pieces(low: FloatArray, high: FloatArray, count: int) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield corners (C, d) of the pieces of boxes with corners (C, d) that are cut into ``count`` along each axis."""
     for which in itertools.product(range(count), repeat=low.shape[1]):

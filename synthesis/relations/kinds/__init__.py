@@ -3,12 +3,12 @@
 What ties a state to its cell: exact maps, boxes, linear cells, the paper's (epsilon, delta), networks.
 """
 
-from .affine_means import AffineBoxes, AffineMeans, MapRelation, MatrixMaps, block_of, map_relation
-from .boxes import BoxRelation, LinearMeans, MeanBoxes, box_relation
+from .affine_means import AffineBoxes, AffineMeans, MapRelation, block_of, map_relation
+from .boxes import BoxRelation, MeanBoxes, box_relation
 from .commands import Command, commands_of
-from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
+from .coupled import CoupledRelation, couple, joint_delta
 from .description import GONE, Relation, check_description, describe_relation, relation_from
-from .exact import ExactOnCells, ExactRelation, aimed_relation, exact_relation
+from .exact import ExactOnCells, ExactRelation, aimed_relation
 from .input_forms import Turn
 from .inverse_means import SymbolicOnCells, SymbolicTargets, symbolic_targets
 from .joint_networks import JointNetworkPolicy, joint_network_policy, seen_jointly
@@ -43,9 +43,7 @@ __all__ = [
     "ExactOnCells",
     "ExactRelation",
     "JointNetworkPolicy",
-    "LinearMeans",
     "MapRelation",
-    "MatrixMaps",
     "MeanBoxes",
     "ON_CELLS",
     "Network",
@@ -65,9 +63,7 @@ __all__ = [
     "check_description",
     "commands_of",
     "couple",
-    "coupling_failure",
     "describe_relation",
-    "exact_relation",
     "inputs_of",
     "joint_delta",
     "joint_network_policy",

@@ -4,7 +4,7 @@ Chance constraints along a trajectory: constraint tightening by noise and linear
 """
 
 from .feedback_bounds import Feedback, NominalPath, Spreads, worth_of
-from .limit_rows import OUTWARD, Worth, least_by_times, nearest_by_times
+from .limit_rows import Worth, least_by_times, nearest_by_times
 from .linearization_errors import LinearizationErrors
 from .noise_free_runs import most_missed, satisfies
 from .nonlinear_model import NonlinearModel
@@ -21,7 +21,6 @@ __all__ = [
     "Limits",
     "NominalPath",
     "NonlinearModel",
-    "OUTWARD",
     "PairAim",
     "PairLimits",
     "PairRows",

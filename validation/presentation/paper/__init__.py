@@ -6,7 +6,6 @@ The paper's figures and tables, recomputed by the paper's own method, and benchm
 from .judged_lines import RECORDED, lines_text, summary_text
 from .lograsm import AIM, certified_networks, write_networks
 from .lograsm import table as network_table
-from .refutation import refute_published
 from .reproduction import Reproduction, computed
 from .targets import TARGETS, lines_of, target_of
 
@@ -20,7 +19,6 @@ __all__ = [
     "lines_of",
     "lines_text",
     "network_table",
-    "refute_published",
     "target_of",
     "summary_text",
     "write_networks",
