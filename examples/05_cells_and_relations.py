@@ -1,4 +1,4 @@
-"""How many cells, and which relation: look at finite models, compare attempts and horizons, split axes."""
+"""How many cells, and which relation: look at finite models, compare attempts and horizons."""
 
 from __future__ import annotations
 
@@ -24,9 +24,3 @@ print("attempts", [attempt.lower_bound for attempt in attempts])
 for result in cg.synthesize(problem, 100, horizon=range(1, 8)):
     report = cg.validate(result, 2_000)
     print(f"T = {report.horizon}: certified {report.lower_bound:.4f}, rollouts {report.estimate:.4f}")
-
-# a robot whose axes do not depend on each other can be treated as two agents of one state each
-planar = cg.make_problem("car-park-planar-v0", horizon=20)
-for form in (planar, cg.split_axes(planar)):
-    result = cg.synthesize(form, 60, relation="exact")
-    print(f"{form.n_agents} agents: certified {result.certificate.lower_bound:.4f} in {result.stats['seconds']}")

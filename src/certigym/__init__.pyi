@@ -15,7 +15,6 @@ from .envs.tasks.automata import FormulaError as FormulaError
 from .envs.tasks.automata import translate as translate
 from .envs.tasks.problem import Problem as Problem
 from .envs.tasks.problem import Specification as Specification
-from .envs.tasks.problem import split_axes as split_axes
 from .envs.tasks.regions import Pair as Pair
 from .envs.tasks.regions import Proposition as Proposition
 from .synthesis.certificates.proofs import Certificate as Certificate
@@ -87,7 +86,6 @@ __all__ = [
     "safety_rate",
     "save",
     "shield",
-    "split_axes",
     "stress",
     "synthesize",
     "team_env",

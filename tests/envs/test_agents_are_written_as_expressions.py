@@ -42,7 +42,6 @@ def test_files_fingerprints_and_pickles_keep_the_agent() -> None:
     assert problem.replace(disturbance_scale=2.0).agents[0].noise_covariance[0, 0] == pytest.approx(0.04)
     assert problem.replace(initial_state={"pendulum": [0.5, 0.1]}).agents[0].initial.low.tolist() == [0.5, 0.1]
     assert "angle'" in repr(pendulum) and "sin(angle)" in repr(pendulum)
-    assert cg.split_axes(problem) is problem
     assert [agent.name for agent in pendulum.copies(2)] == ["pendulum_0", "pendulum_1"]
 
 

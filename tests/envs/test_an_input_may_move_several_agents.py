@@ -11,7 +11,7 @@ import pytest
 import certigym as cg
 from boiler_problems import boiler, boiler_problem, room
 from certigym.envs.simulation import Dynamics, SingleSimulator, batch_simulator
-from certigym.envs.tasks.problem import problem_from_dict, split_axes
+from certigym.envs.tasks.problem import problem_from_dict
 
 
 def test_simulation_is_that_of_an_independent_step() -> None:
@@ -71,7 +71,6 @@ def test_files_and_pickles_keep_the_coupling() -> None:
         assert isinstance(first, cg.Agent) and first.neighbour_inputs == (True,)
         assert first.unknowns == {"neighbour 0": (0.0, 3.0)}
     assert "boiler.heat" in repr(problem.agents[1])
-    assert split_axes(problem) is problem
 
 
 @pytest.mark.parametrize(

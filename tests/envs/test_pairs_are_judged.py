@@ -202,7 +202,6 @@ def test_agents_that_a_pair_ties_have_one_task() -> None:
     "verb",
     [
         lambda problem: cg.abstract(problem),
-        lambda problem: cg.split_axes(problem),
         lambda problem: cg.synthesize(problem, relation="linear"),
         lambda problem: cg.synthesize(problem, search=cg.SearchOptions(stationary=True)),
         lambda problem: cg.certify(problem, lambda state, q, t: [0.0, 0.0], cells=8, relation="linear"),

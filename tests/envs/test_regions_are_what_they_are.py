@@ -448,11 +448,6 @@ def test_automata_by_hand_read_unions() -> None:
     assert all(np.array_equal(p.automaton.accepting[q], letters.any(axis=0)) for p, q in zip((one, other), reached))
 
 
-def test_agents_are_split_where_regions_are_boxes_alone() -> None:
-    with pytest.raises(ValueError, match="expected regions with `low` and `high` alone, got the shape `p`"):
-        cg.split_axes(problem_of(linear(d=3), p={"polygon": {"corners": TRIANGLE}}))
-
-
 def test_shapes_are_deep_within_reason() -> None:
     table: dict[str, Any] = DISC
     for _ in range(100):

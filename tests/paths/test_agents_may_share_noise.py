@@ -241,8 +241,6 @@ def test_what_multiplies_over_agents_refuses_it() -> None:
         cg.synthesize(problem, cells=20)
     with pytest.raises(ValueError, match="joint_noise"):
         cg.certify(problem, lambda states, q, time: np.zeros(2), cells=20)
-    with pytest.raises(ValueError, match="joint_noise"):
-        cg.split_axes(problem)
 
 
 def test_the_check_refuses_grids_of_teams_that_share_noise() -> None:

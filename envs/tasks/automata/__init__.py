@@ -13,7 +13,7 @@ from .guard_diagrams import letter_text
 from .hoa import automaton_from_hoa
 from .normal_form import NormalForm
 from .parser import parse_formula
-from .rebuilt import automaton_from_diagrams, over_propositions, with_meanings, with_sides, within
+from .rebuilt import automaton_from_diagrams, over_propositions, with_meanings, within
 from .translation import AutomatonSizeError, translate
 from .windows import ahead, fitting, may_accept, met_in_time
 
@@ -44,7 +44,6 @@ __all__ = [
     "AutomatonSizeError",
     "translate",
     "with_meanings",
-    "with_sides",
     "with_time_left",
     "within",
 ]

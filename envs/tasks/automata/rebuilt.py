@@ -78,28 +78,6 @@ def over_propositions(automaton: Automaton, order: Sequence[str]) -> Automaton:
     return _rebuilt(automaton, order, node)
 
 
-def with_sides(automaton: Automaton, sides: Mapping[str, tuple[str, ...]]) -> Automaton:
-    """Return the automaton that tests all sides of a region wherever `automaton` tests the region (exact).
-
-    Parameters
-    ----------
-    automaton : Automaton
-    sides : mapping
-        For the name of a region: the propositions whose conjunction it is.
-    """
-    sides_of = [sides.get(name, (name,)) for name in automaton.propositions]
-    order = [side for names in sides_of for side in names]
-    place = {side: i for i, side in enumerate(order)}
-
-    def node(manager: DecisionDiagrams, variable: int, low: int, high: int) -> int:
-        # All sides lead on to the node for true; the first one that fails leads to the node for false.
-        for side in reversed(sides_of[variable]):
-            high = manager.choose(place[side], low, high)
-        return high
-
-    return _rebuilt(automaton, order, node)
-
-
 def with_meanings(automaton: Automaton, order: Sequence[str], meanings: Mapping[str, Formula]) -> Automaton:
     """Return the automaton over other propositions that tests what some names mean, where it tested these (exact).
 

@@ -8,7 +8,6 @@ from .joint_noise import JOINT_NOISE_REFUSAL
 from .problem_file import load_problem, policy_in_file, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification
-from .split import split_axes
 from .start_boxes import crossed_starts
 from .time_unrolled import Places, states_in_time, unrolled_in_time
 from .unreachable import OutOfReach, out_of_reach
@@ -33,7 +32,6 @@ __all__ = [
     "out_of_reach",
     "problem_from_dict",
     "problem_from_toml",
-    "split_axes",
     "states_in_time",
     "unrolled",
     "why_unsatisfiable",

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..envs.suite import make_problem, problem_ids
 from ..envs.systems.arguments import write_json as save_json
-from ..envs.tasks.problem import Problem, load_problem, split_axes
+from ..envs.tasks.problem import Problem, load_problem
 from ..synthesis.verbs.search_options import SearchOptions
 from .terminal import on_terminal
 
@@ -37,10 +37,9 @@ def named_problem(name: str, horizon: int | None = None) -> Problem:
 
 
 def problem_of(options: Namespace) -> Problem:
-    """Return the problem that ``problem``, ``--horizon``, ``--initial-state`` and ``--split`` (last) describe."""
+    """Return the problem that ``problem``, ``--horizon`` and ``--initial-state`` describe."""
     problem, state = named_problem(options.problem, _one_horizon(options)), state_of(options)
-    problem = problem if state is None else problem.replace(initial_state=state)
-    return split_axes(problem) if getattr(options, "split", False) else problem
+    return problem if state is None else problem.replace(initial_state=state)
 
 
 def _one_horizon(options: Namespace) -> int | None:

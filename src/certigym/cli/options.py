@@ -11,7 +11,6 @@ MISMATCH = "noise_scale=1.2, noise_family=laplace, actuator_bias=0.1, delay=1 or
 
 USUAL: dict[str, Any] = {
     "initial_state": None,
-    "split": False,
     "delta": None,
     "targets": None,
     "restarts": 0,
@@ -49,13 +48,7 @@ def add_problem(parser: argparse.ArgumentParser) -> None:
     """Add the problem, its horizon and its start."""
     parser.add_argument("problem", metavar="ID|FILE", help="suite id or TOML problem file")
     add_horizon(parser)
-    add_how_it_starts(parser)
-
-
-def add_how_it_starts(parser: argparse.ArgumentParser) -> None:
-    """Add the start of a problem, and whether its agents are split."""
     add_start(parser)
-    parser.add_argument("--split", action="store_true", help="make agents of independent axes agents of their own")
 
 
 def add_source(parser: argparse.ArgumentParser) -> None:

@@ -18,7 +18,6 @@ from .options import (
     add_certificate,
     add_effort,
     add_horizon,
-    add_how_it_starts,
     add_json,
     add_models,
     add_picture,
@@ -196,7 +195,6 @@ def _add_synthesis(commands: Any) -> None:
         choices=("solved", "open", "hard", "unrated"),
         help="list problems of one tier: what is left to learn there",
     )
-    describe.add_argument("--split", action="store_true", help="make agents of independent axes agents of their own")
 
     run = commands.add_parser("run", help="synthesize controllers, test their bound by rollouts, print a report")
     add_task(run)
@@ -208,7 +206,7 @@ def _add_synthesis(commands: Any) -> None:
 
     synthesize = commands.add_parser("synthesize", help="synthesize controllers and save the certificate")
     add_task(synthesize)
-    add_how_it_starts(synthesize)
+    add_start(synthesize)
     add_models(synthesize)
     add_search(synthesize)
     synthesize.add_argument("--out", metavar="CERT", help="certificate file to write (.npz; default: NAME.npz here)")
