@@ -7,7 +7,6 @@ from certigym.validation.presentation.figures import (
     automaton_figure,
     horizon_figure,
     rank_figure,
-    relation_figure,
     rollouts_figure,
     save_figure,
     tree_figure,
@@ -23,7 +22,6 @@ print("report.html:", content.validation.verdict, content.audit.verdict)
 
 save_figure(value_figure(certificate), "value.png")
 save_figure(rank_figure(certificate), "rank.png")
-save_figure(relation_figure(certificate, agent=1), "relation.png")
 save_figure(rollouts_figure(certificate, episodes=20), "rollouts.png")
 save_figure(automaton_figure(problem), "automaton.png")
 save_figure(tree_figure(certificate), "tree.png")

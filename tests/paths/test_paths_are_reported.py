@@ -105,7 +105,6 @@ def test_agents_on_grids_have_no_tube() -> None:
         ["validate-field", "--search"],
         ["audit"],
         ["plot", "value"],
-        ["plot", "relation"],
         ["plot", "rank"],
         ["plot", "tree"],
     ],

@@ -95,7 +95,7 @@ def test_the_command_draws_every_kind(
 ) -> None:
     file = tmp_path / "c.npz"
     cg.save(certificate, file)
-    for kind in ("value", "rollouts", "automaton", "rank", "relation", "tree"):
+    for kind in ("value", "rollouts", "automaton", "rank", "tree"):
         out = tmp_path / f"{kind}.png"
         assert main(["plot", kind, str(file), "--out", str(out)]) == 0
         assert out.stat().st_size > 5_000

@@ -30,7 +30,7 @@ from .success_rate import MEANINGS, NOT_CERTIFIED, ValidationReport, told_of, tr
 from .sweeps import each_report
 from .task_paths import task_tracks
 from .trials import Plan, TrialOptions, TrialPlan, names_plan, planned
-from .value_at import bound_by_steps_left, standing_cells
+from .value_at import bound_by_steps_left
 
 __all__ = [
     "AuditReport",
@@ -78,7 +78,6 @@ __all__ = [
     "rollout",
     "slice_axes",
     "slice_starts",
-    "standing_cells",
     "start_box",
     "stress",
     "task_tracks",

@@ -63,7 +63,6 @@ KINDS = {
     "episode": "one episode as a moving picture (.gif or .mp4; .png: its last frame)",
     "automaton": "the task automaton",
     "rank": "terms of the value function against the steps left",
-    "relation": "one agent, its finite model, and the set in which the relation keeps it (--agent)",
     "tree": "the value tree (short horizons)",
 }
 """The figures that ``plot`` draws."""
@@ -427,7 +426,6 @@ def _add_pictures(commands: Any) -> None:
     plot.add_argument("--horizons", nargs="+", type=int, metavar="T", help="of `horizon` (default: 1 to the problem's)")
     add_models(plot)
     plot.add_argument("--axes", nargs="+", type=int, metavar="K", help="joint coordinates of `value`")
-    plot.add_argument("--agent", type=int, default=0, metavar="I", help="number of the agent of `relation`")
     plot.add_argument("--episodes", type=int, metavar="M", help="rollouts (default: 40, or 2000 per horizon)")
     plot.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the rollouts (default: 0)")
     plot.add_argument(

@@ -79,7 +79,6 @@ FIGURES: dict[str, Callable[[Namespace], Any]] = {
     "automaton": lambda options: figures.automaton_figure(_problem(options)),
     "horizon": _horizon_figure,
     "rank": lambda options: figures.rank_figure(_certificate(options)),
-    "relation": lambda options: figures.relation_figure(_certificate(options), options.agent, seed=options.seed),
     "rollouts": _rollouts_figure,
     "tree": lambda options: figures.tree_figure(_certificate(options)),
     "value": lambda options: figures.value_figure(_certificate(options), options.axes),

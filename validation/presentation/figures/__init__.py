@@ -3,7 +3,7 @@
 Figures for papers and pages (matplotlib, loaded when a figure is drawn).
 """
 
-from .certificate_figures import horizon_figure, rank_figure, relation_figure, value_figure
+from .certificate_figures import horizon_figure, rank_figure, value_figure
 from .comparison_figures import draw_comparison, draw_curves
 from .figure_scenes import automaton_figure, rollouts_figure, tree_figure
 from .figure_style import check_format, save_figure
@@ -15,7 +15,6 @@ __all__ = [
     "draw_curves",
     "horizon_figure",
     "rank_figure",
-    "relation_figure",
     "rollouts_figure",
     "save_figure",
     "tree_figure",

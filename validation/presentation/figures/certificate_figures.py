@@ -1,4 +1,4 @@
-"""Figures of certificates: value over a slice of starts, bound against horizon, growth of the rank, the relation.
+"""Figures of certificates: value over a slice of starts, bound against horizon, growth of the rank.
 
 Every function returns a matplotlib ``Figure``; ``save_figure`` writes it. Rollouts over regions, automata and value
 trees are drawn in ``figure_scenes``.
@@ -17,12 +17,10 @@ from ....envs.tasks.problem import Problem
 from ....synthesis.certificates.cell_probabilities import regrow_trains
 from ....synthesis.certificates.proofs import OnGrid, as_certificate, of_one_task, on_cells
 from ....synthesis.certificates.value_functions import Trains
-from ....synthesis.extended_check.claims import claim_text
-from ...statistical_tests import Loop, ValidationReport, frames, slice_axes, slice_starts, standing_cells, workspace_box
+from ...statistical_tests import ValidationReport, slice_axes, slice_starts, workspace_box
 from .figure_regions import bands, region_boxes
 from .figure_style import (
     AT_LEAST,
-    BOUND,
     ESTIMATE,
     INK,
     MAP,
@@ -238,73 +236,6 @@ def _counts(certificate: OnGrid) -> tuple[NDArray[Any], NDArray[Any]]:
     steps, states = certificate.proof.merge_log, range(certificate.problem.automaton.n_states)
     kept = [[len(step.kept[q]) for step in steps] for q in states]
     return np.array(kept), np.array([[len(step.origin[q]) for step in steps] for q in states])
-
-
-def relation_figure(certificate: Any, agent: int = 0, coordinate: int = 0, seed: int = 0) -> Figure:
-    """Draw one episode of one agent: its state, the cell of its finite model, and the set in which it is n_kept.
-
-    Parameters
-    ----------
-    certificate : Synthesis, Certificate or path
-    agent, coordinate : int
-        Position of the agent, and of one of its grid coordinates.
-    seed : int
-        Seed of the episode.
-
-    Raises
-    ------
-    ValueError
-        If there is no such coordinate, or matplotlib is missing.
-    """
-    certificate, agent = of_one_task(certificate, agent)
-    problem = certificate.problem
-    if not 0 <= coordinate < problem.agents[agent].n_states:
-        raise ValueError(f"`coordinate`: expected a number below {problem.agents[agent].n_states}, got {coordinate}")
-    times, states, centres, reach = _followed(certificate, agent, coordinate, seed)
-    kind = certificate.proof.agents[agent].relation["kind"]
-    figure, (plot,) = new_figure(6.8, 3.8)
-    for t, centre, half in zip(times, centres, reach, strict=True):
-        band: dict[str, Any] = {"color": BOUND, "alpha": 0.22, "linewidth": 0}
-        label = "kept by the relation" if t == 0 else None
-        plot.fill_between([t - 0.38, t + 0.38], centre - half, centre + half, **band, label=label)
-    bar: dict[str, Any] = {"color": BOUND, "marker": "_", "markersize": 16, "markeredgewidth": 2, "linestyle": "none"}
-    plot.plot(times, centres, label="finite model (cell centre)", **bar)
-    plot.plot(times, states, color=SERIES[1], marker="o", markersize=4.5, linewidth=1.4, label="continuous agent")
-    name = coordinate_name(problem, problem.columns[agent].start + coordinate)
-    whole_ticks(plot.xaxis)
-    plot.set_xlabel("control step")
-    plot.set_ylabel(f"{name} (state units)")
-    legend_above(plot)
-    title = f"{problem.name}: {kind} relation, {claim_text(certificate)}"
-    plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=24)
-    return figure
-
-
-def _followed(
-    certificate: OnGrid, agent: int, k: int, seed: int
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Return times, states, cell centres and half widths of the relation, up to the step that decides the episode."""
-    from ....envs.simulation import batch_simulator as core
-
-    loop = Loop(certificate.problem, certificate.controller, seed, 1)
-    dynamics, policy = loop.arranged
-    controller = certificate.controller.agents[agent]
-    moments = []
-    for time, frame in enumerate(frames(loop, dynamics, policy, 0)):
-        if frame.memory is None:
-            break
-        joint = core.joint(dynamics, frame.worlds)
-        cells = standing_cells(certificate, dynamics, frame.worlds, policy, frame.memory)
-        cell = int(cells[0, agent])
-        here = joint[0, certificate.problem.columns[agent]]
-        point = controller.relation.to_grid(here[:, None])[k, 0]
-        # An exact relation keeps the state in the cell, a coupled one in the box around its set.
-        relation, half = controller.relation, controller.grid.half_widths[cell][k]
-        if relation.has_memory:
-            half = relation.reach[k]
-        moments.append((time, point, controller.grid.centres[cell][k], half))
-    times, states, centres, reach = np.array(moments).T
-    return times, states, centres, reach
 
 
 def _limits(problem: Problem, k: int) -> tuple[float, float]:
