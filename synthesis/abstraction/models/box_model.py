@@ -70,14 +70,10 @@ population is, and would ask for many times the points."""
 
 
 def box_model(
-    agent: AnyAgent,
-    grid: Grid,
-    coordinates: FloatArray,
-    per_cell: int | None = None,
-    relation: BoxRelation | None = None,
+    agent: AnyAgent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None
 ) -> tuple[BoxRelation, tuple[FloatArray, ...], BoxKernel, BoxChoices]:
-    """Return relation, lattice, kernel and choices under the relation ``boxes``: a given one, or that of defaults."""
-    relation = relation_of(agent, grid, coordinates) if relation is None else relation
+    """Return relation, lattice, kernel and choices under the relation ``boxes``, with the choices of defaults."""
+    relation = relation_of(agent, grid, coordinates)
     input_set, gains = relation.input_set, relation.gains
     laws, spread = grid_laws(agent, coordinates), scale_range(agent, relation, grid)
     if spread is not None:  # the lattice of the means is made for the smallest noise, but for that of a few cells

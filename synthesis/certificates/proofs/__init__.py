@@ -43,7 +43,7 @@ from .given_certificate import (
     certificate_from,
     certificate_on_grids,
     checked_certificate,
-    of_one_task,
+    of_first_task,
     speaks_of_one_start,
 )
 from .grid_proof import GridProof, OnGrid, delta_of, value_of
@@ -109,7 +109,7 @@ __all__ = [
     "member_agents",
     "members_of",
     "nameless",
-    "of_one_task",
+    "of_first_task",
     "on_cells",
     "product_certificate",
     "relations_tried",

@@ -63,27 +63,21 @@ def as_certificate(value: Any) -> Certificate:
     return on_cells(certificate) or certificate
 
 
-def of_one_task(value: Any, agent: int = 0) -> tuple[OnGrid, int]:
-    """Return the certificate of the task that an agent takes part in, and the agent's number there.
-
-    Parameters
-    ----------
-    value : Synthesis, Certificate, str or Path
-    agent : int
-        Number of the agent in the whole problem.
+def of_first_task(value: Any) -> OnGrid:
+    """Return the certificate of the task that the first agent takes part in.
 
     Raises
     ------
     ValueError
-        If `value` stands for no certificate, or if there is no such agent.
+        If `value` stands for no certificate.
     """
     certificate = as_certificate(value)
-    if not 0 <= agent < certificate.problem.n_agents:
-        raise ValueError(f"`agent`: expected a number from 0 to {certificate.problem.n_agents - 1}, got {agent}")
-    for agents, member in zip(member_agents(certificate), members_of(certificate), strict=True):
-        if agent in agents:
-            return on_cells(member), agents.index(agent)
-    raise AssertionError("every agent takes part in one task")
+    [member] = [
+        member
+        for agents, member in zip(member_agents(certificate), members_of(certificate), strict=True)
+        if 0 in agents
+    ]
+    return on_cells(member)
 
 
 def checked_certificate(value: Any, argument: str = "certificate") -> OnGrid:

@@ -76,7 +76,6 @@ def enclosed_means(
     coordinates: FloatArray,
     parts: int,
     beside: FloatArray | None = None,
-    ranges: Mapping[int, tuple[FloatArray, FloatArray]] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (n, d) of boxes, in grid coordinates, that hold the means from closed cells under every disturbance.
 
@@ -94,8 +93,6 @@ def enclosed_means(
     beside : (l, n) array, optional
         States of others that the dynamics name, in the rows of inputs of others no numbers: these are anywhere in their
         boxes. By default all of them are anywhere.
-    ranges : mapping, optional
-        Ends (n,) of what is unknown, by its place, where more is known than the agent says.
     """
     shape, plain = low.shape, np.array_equal(coordinates, np.eye(low.shape[1]))
     rows = None if plain else np.linalg.inv(coordinates)
@@ -105,8 +102,6 @@ def enclosed_means(
     if beside is not None:
         for k, (row, is_input) in enumerate(zip(beside, agent.neighbour_inputs, strict=True), len(agent.disturbances)):
             calm[k] = calm[k] if is_input else (row, row)
-    for place, ends_of in (ranges or {}).items():
-        calm[place] = ends_of
     with np.errstate(all="ignore"):
         for part in itertools.product(range(parts), repeat=shape[1]):
             box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm

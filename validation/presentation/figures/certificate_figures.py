@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ....envs.interfaces import coordinate_name, have_one_scale
 from ....envs.tasks.problem import Problem
 from ....synthesis.certificates.cell_probabilities import regrow_trains
-from ....synthesis.certificates.proofs import OnGrid, as_certificate, of_one_task, on_cells
+from ....synthesis.certificates.proofs import OnGrid, as_certificate, of_first_task, on_cells
 from ....synthesis.certificates.value_functions import Trains
 from ...statistical_tests import ValidationReport, slice_axes, slice_starts, workspace_box
 from .figure_regions import bands, region_boxes
@@ -179,7 +179,7 @@ def rank_figure(certificate: Any) -> Figure:
     The difference of both numbers was united or dropped; the numbers are exact. Of independent tasks the first one is
     drawn.
     """
-    certificate, _ = of_one_task(certificate)
+    certificate = of_first_task(certificate)
     problem = certificate.problem
     left = problem.horizon - np.arange(problem.horizon)
     figure, (plot,) = new_figure(6.6, 4.0)

@@ -9,7 +9,7 @@ import numpy as np
 from ....envs.interfaces import edges, panels, places
 from ....envs.suite import as_problem
 from ....envs.tasks.automata import Automaton
-from ....synthesis.certificates.proofs import OnGrid, certificate_from, of_one_task, tube_along
+from ....synthesis.certificates.proofs import OnGrid, certificate_from, of_first_task, tube_along
 from ....synthesis.extended_check.claims import claim_text
 from ...statistical_tests import Loop, paths
 from .figure_regions import rollouts_panel
@@ -178,7 +178,7 @@ def tree_figure(certificate: Any) -> Figure:
     ValueError
         If the tree has more vertices than can be drawn; take a shorter horizon.
     """
-    certificate, _ = of_one_task(certificate)
+    certificate = of_first_task(certificate)
     problem, horizon = certificate.problem, certificate.problem.horizon
     layers = _layers(certificate)
     total = sum(len(layer) for layer in layers)
