@@ -3,6 +3,7 @@ bounds for the coupled closed loop."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from scipy.stats import binomtest, kstest, norm
 import certigym as cg
 from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.simulation.batch_simulator import Dynamics
-from certigym.synthesis.abstraction.models import finite_models
+from certigym.synthesis.abstraction.models import Policies, finite_models
 from certigym.synthesis.abstraction.models.input_sets import InputSet
 from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.certificates.controllers.abstract_state import Memory, Tracker
@@ -27,7 +28,7 @@ from certigym.synthesis.relations.grids.labels import cell_labels
 from certigym.synthesis.relations.kinds.coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from certigym.synthesis.relations.kinds.scalar import paper_relation
 from certigym.synthesis.verbs.abstract import abstract
-from certigym.validation.presentation.paper.heuristics import paper_policies, paper_steps
+from certigym.validation.presentation.paper.heuristics import HeuristicStep, paper_steps
 from certigym.validation.statistical_tests.binomial import CONFIRMED, REFUTED, clopper_pearson
 from problems import scalar_agent, two_agents
 
@@ -206,6 +207,12 @@ def test_plain_robust_operator_is_refused_above_one_where_it_would_be_unsound() 
     np.testing.assert_allclose(robust_loss(model, big, large), 3 * robust_loss(model, big / 3, small), rtol=1e-9)
 
 
+def of_steps(steps: Iterable[HeuristicStep]) -> Policies:
+    """Policies (T, Q, S_i) of the paper's heuristic for the whole horizon."""
+    tables = [step.policies for step in steps][::-1]
+    return tuple(np.stack(own).astype(np.int32) for own in zip(*tables, strict=True))
+
+
 def test_bounds_fall_as_delta_grows_and_epsilon_grows() -> None:
     problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
     values = []
@@ -214,7 +221,7 @@ def test_bounds_fall_as_delta_grows_and_epsilon_grows() -> None:
             problem, abstract(problem, 64, relation="paper", search=cg.SearchOptions(epsilon=0.1, delta=delta))
         )
         start = start_of(problem, joint)
-        policies = paper_policies(joint, "base")
+        policies = of_steps(paper_steps(joint))
         values.append(sweep(joint, policies, start, Limits(0, 0, 0, 10**6), improve=False, loss=robust_loss).value)
     assert values[0] > values[1] > values[2] >= 0
     nominal = []
@@ -230,14 +237,9 @@ def test_heuristic_steps_are_evaluations_of_their_policies() -> None:
     problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
     joint = join(problem, abstract(problem, 40, relation="paper", search=cg.SearchOptions(epsilon=0.15)))
     start = start_of(problem, joint)
-    for kind, loss in (("base", None), ("a-posteriori", None), ("robust tree", plain_loss)):
-        *_, last = paper_steps(joint, kind)
-        policies = paper_policies(joint, kind)
-        again = sweep(joint, policies, start, Limits(0, 0, 0, 10**6), improve=False, loss=loss)
-        assert start_value(start, last.terms) == pytest.approx(again.value, rel=1e-9, abs=1e-13)
-        assert all(np.all(depth >= 0) and np.all(depth <= 4) for depth in last.depths)
-    with pytest.raises(ValueError, match="kind"):
-        next(paper_steps(joint, "best"))
+    steps = [*paper_steps(joint)]
+    again = sweep(joint, of_steps(steps), start, Limits(0, 0, 0, 10**6), improve=False, loss=plain_loss)
+    assert start_value(start, steps[-1].terms) == pytest.approx(again.value, rel=1e-9, abs=1e-13)
 
 
 def test_joint_delta_rounds_up() -> None:

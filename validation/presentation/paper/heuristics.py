@@ -3,11 +3,10 @@
 The policies are chosen backward in time: one per automaton state and agent, at every step anew, for all agents at once.
 Given the candidate terms of state q and the policies of the step before, agent i maximises in every cell
 
-    sum_l  c_l  zeta_l  P_u[mask v_l,i],      c_l = prod_{j != i} || P_j^{pi_j} [mask v_l,j] ||_1,
+    sum_l  c_l  P_u[mask v_l,i],      c_l = prod_{j != i} || P_j^{pi_j} [mask v_l,j] ||_1,
 
-over the terms that are alive under those policies (their largest value exceeds ``ALIVE``). ``zeta`` is 1 for the base
-form and for the robust tree, whose operator loses delta, and ``1 + Delta (T - depth)`` for the a-posteriori form. Ties
-go to the first choice, so the result is deterministic.
+over the terms that are alive under those policies (their largest value exceeds ``ALIVE``), with the operator of the
+robust tree, which loses delta. Ties go to the first choice, so the result is deterministic.
 """
 
 from __future__ import annotations
@@ -18,18 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ....synthesis.abstraction.models import JointModel, Policies, gather
-from ....synthesis.certificates.value_functions import Terms, candidate_depths, compress
+from ....synthesis.abstraction.models import JointModel, gather
+from ....synthesis.certificates.value_functions import Terms, compress
 from ....synthesis.policy_search.ascent import Candidates, assemble, candidates, terminal_terms
 from ....synthesis.policy_search.bounds import plain_loss
 from ....synthesis.relations.grids import FloatArray
-from ....synthesis.relations.kinds import joint_delta
 
 ALIVE = 1e-15
 """The paper's pruning rule: terms whose largest value does not exceed this are dropped."""
-
-FORMS = ("base", "a-posteriori", "robust tree")
-"""Forms of the paper's bound, each with its operator and its weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,76 +38,44 @@ class HeuristicStep:
     policies : tuple of (Q, S_i) arrays
         Policies of the first of these steps.
     terms : Terms
-        Value of the policies so far; a lower bound for ``robust tree``.
-    depths : tuple of (R_q,) arrays
-        Steps to acceptance of each term.
+        Value of the policies so far, a lower bound.
     """
 
     steps: int
     policies: tuple[NDArray[np.int32], ...]
     terms: Terms
-    depths: tuple[NDArray[np.int64], ...]
 
 
-def paper_steps(joint: JointModel, kind: str) -> Iterator[HeuristicStep]:
-    """Yield the paper's value iteration, which chooses policies as it goes, for 1, 2, .. ``joint.horizon`` steps.
-
-    Parameters
-    ----------
-    joint : JointModel
-    kind : str
-        ``"base"``, ``"a-posteriori"`` or ``"robust tree"`` (with the plain operator, refused for factors above 1).
-
-    Raises
-    ------
-    ValueError
-        If `kind` is none of these.
-    """
-    if kind not in FORMS:
-        raise ValueError(f"`kind`: expected one of {', '.join(FORMS)}, got {kind!r}")
-    delta = joint_delta([model.delta for model in joint.models]) if kind == "a-posteriori" else 0.0
-    loss = plain_loss if kind == "robust tree" else None
+def paper_steps(joint: JointModel) -> Iterator[HeuristicStep]:
+    """Yield the paper's value iteration, which chooses policies as it goes, for 1, 2, .. ``joint.horizon`` steps."""
     # Before the first step every cell takes its first choice; cells without a choice have -1.
     policies = tuple(np.tile(np.maximum(m.choices.resting_choice, 0) * 0, (joint.n_states, 1)) for m in joint.models)
     policies = tuple(
         np.where(m.choices.resting_choice < 0, -1, policy) for m, policy in zip(joint.models, policies, strict=True)
     )
     terms = terminal_terms(joint.accepting, joint.n_cells)
-    depths = [np.zeros(int(accepted), dtype=np.int64) for accepted in joint.accepting]
     for t in range(1, joint.horizon + 1):
-        options = candidates(joint.guards, joint.masks, joint.models, terms, loss)
-        terms_by_state, new_policies, new_depths = [], tuple(policy.copy() for policy in policies), []
+        options = candidates(joint.guards, joint.masks, joint.models, terms, plain_loss)
+        terms_by_state, new_policies = [], tuple(policy.copy() for policy in policies)
         for q in range(joint.n_states):
             # In absorbing states nothing is chosen: the value is 1 if the state accepts, otherwise it has no terms.
             if joint.absorbing[q]:
                 ones = [np.ones((1, n)) for n in joint.n_cells]
                 rows = np.zeros((int(joint.accepting[q]), len(joint.models)), dtype=np.int64)
                 terms_by_state.append((ones, rows))
-                new_depths.append(np.zeros(int(joint.accepting[q]), dtype=np.int64))
                 continue
-            depth = candidate_depths(options.origin[q], options.merges[q], joint.guards, depths)[options.row[q]]
-            zeta = 1.0 + delta * (t - depth)
-            chosen, terms_of_state, alive = _choose(joint, options, q, [policy[q] for policy in policies], zeta)
+            chosen, terms_of_state = _choose(joint, options, q, [policy[q] for policy in policies])
             for policy, choice in zip(new_policies, chosen, strict=True):
                 policy[q] = choice
             terms_by_state.append(terms_of_state)
-            new_depths.append(depth[alive])
-        terms, policies, depths = assemble(terms_by_state, joint.n_cells), new_policies, new_depths
-        yield HeuristicStep(t, policies, terms, tuple(depths))
-
-
-def paper_policies(joint: JointModel, kind: str) -> Policies:
-    """Return the policies (T, Q, S_i) of the paper's heuristic for the whole horizon."""
-    steps = [step.policies for step in paper_steps(joint, kind)]
-    return tuple(
-        np.stack([policies[i] for policies in reversed(steps)]).astype(np.int32) for i in range(len(joint.models))
-    )
+        terms, policies = assemble(terms_by_state, joint.n_cells), new_policies
+        yield HeuristicStep(t, policies, terms)
 
 
 def _choose(
-    joint: JointModel, options: Candidates, q: int, policies: list[NDArray[np.int32]], zeta: FloatArray
-) -> tuple[list[NDArray[np.int32]], tuple[list[FloatArray], NDArray[np.int64]], NDArray[np.int64]]:
-    """Return the new policies of state q, the terms that they leave alive, and which candidates these are."""
+    joint: JointModel, options: Candidates, q: int, policies: list[NDArray[np.int32]]
+) -> tuple[list[NDArray[np.int32]], tuple[list[FloatArray], NDArray[np.int64]]]:
+    """Return the new policies of state q, and the terms that they leave alive."""
     # Tables of the factors of each agent, and under the old policies their 1-norms and largest values.
     rows = options.index[q].copy()
     tables, norms, largest = [], [], np.ones(len(rows))
@@ -124,7 +87,7 @@ def _choose(
         largest *= values.max(axis=1, initial=0.0)[rows[:, i]]
     # Products of many norms underflow, so weights are formed from logarithms and scaled to a largest value of 1.
     logs = np.log(np.maximum(np.array(norms), 1e-300))
-    alive = (largest > ALIVE) * zeta
+    alive = (largest > ALIVE).astype(float)
     chosen, factors, after = [], [], np.ones(len(rows))
     for i, model in enumerate(joint.models):
         log_weight = logs.sum(axis=0) - logs[i]
@@ -141,4 +104,4 @@ def _choose(
     rows = rows[survivors]
     for i in range(len(factors)):
         factors[i], rows[:, i] = compress(factors[i], rows[:, i])
-    return chosen, (factors, rows), survivors
+    return chosen, (factors, rows)

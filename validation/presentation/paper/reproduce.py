@@ -124,7 +124,7 @@ def _fig4_columns(setting: str, n: int, horizon: int) -> PieceResult:
     q = int(np.flatnonzero(~joint.absorbing)[0])
     starts = np.array([[cell] * n for cell in FIGURE_4_CELLS])
     # The paper's method gives all horizons in one pass, the exact relation one certificate per horizon.
-    robust = [float(np.mean(step.terms.at(q, starts))) for step in paper_steps(joint, "robust tree")]
+    robust = [float(np.mean(step.terms.at(q, starts))) for step in paper_steps(joint)]
     exact = []
     for t in range(1, horizon + 1):
         certificate = synthesize(problem.replace(horizon=t), 100, relation="exact").certificate
@@ -193,7 +193,7 @@ def _paper_at_points(cells: int) -> PieceResult:
     # It does not depend on the start, so one run serves all points.
     problem = make_problem("package-delivery-v0")
     joint = join(problem, abstract(problem, cells, relation="paper", search=SearchOptions(epsilon=0.1)))
-    *_, last = paper_steps(joint, "robust tree")
+    *_, last = paper_steps(joint)
     starts = [start_of(problem.replace(initial_state=list(point)), joint) for point, _ in TABLE_2]
     bounds = [start_value(start, last.terms) for start in starts]
     return PieceResult(bounds, ", ".join(rounded_down(bound, 6) for bound in bounds))
