@@ -125,7 +125,7 @@ def test_stress_reports_how_far_the_bound_survives(certificate: OnGrid) -> None:
         "delay": [Mismatch(delay=3)],
         "quiet": [Mismatch(noise_scale=0.3)],
     }
-    report = stress(certificate, 4000, pruning_schedules=rungs, confidence=1 - 1e-6)
+    report = stress(certificate, 4000, ladders=rungs, confidence=1 - 1e-6)
     assert report.survives("noise scale") == Mismatch(noise_scale=1.001)
     assert report.survives("delay") is None
     assert [rung.verdict for rung in report.rungs if rung.ladder == "quiet"] == ["confirmed"]

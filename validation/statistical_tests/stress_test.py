@@ -106,8 +106,8 @@ class StressReport(Saved):
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON values."""
         plain = ("problem", "horizon", "lower_bound", "episodes", "seed", "confidence", "nominal", "interrupted")
-        pruning_schedules = dict.fromkeys(rung.ladder for rung in self.rungs)
-        survived = {name: self.survives(name) for name in pruning_schedules}
+        ladders = dict.fromkeys(rung.ladder for rung in self.rungs)
+        survived = {name: self.survives(name) for name in ladders}
         return {
             **{name: getattr(self, name) for name in plain},
             "survives": {name: None if m is None else str(m) for name, m in survived.items()},
@@ -123,17 +123,13 @@ class StressReport(Saved):
         return "\n".join([head, *rungs, labelled_lines([("survived", text) for text in self._ladders()])])
 
     def __repr__(self) -> str:
-        pruning_schedules = [("survived", text) for text in self._ladders()]
-        more = (
-            [("survived", f"... and {len(pruning_schedules) - MOST_LADDERS} more ladders")]
-            if pruning_schedules[MOST_LADDERS:]
-            else []
-        )
-        return tree_text(f"StressReport: {self._title()}", [*self._claim(), *pruning_schedules[:MOST_LADDERS], *more])
+        ladders = [("survived", text) for text in self._ladders()]
+        more = [("survived", f"... and {len(ladders) - MOST_LADDERS} more ladders")] if ladders[MOST_LADDERS:] else []
+        return tree_text(f"StressReport: {self._title()}", [*self._claim(), *ladders[:MOST_LADDERS], *more])
 
     def _repr_html_(self) -> str:
-        pruning_schedules = [("survived", text) for text in self._ladders()]
-        return html_table(f"Stress: {self._title()}", [*self._claim(), *pruning_schedules])
+        ladders = [("survived", text) for text in self._ladders()]
+        return html_table(f"Stress: {self._title()}", [*self._claim(), *ladders])
 
     def _title(self) -> str:
         """Return what was run."""
@@ -166,7 +162,7 @@ def stress(
     certificate: Any,
     plan: TrialPlan | int | None = None,
     *,
-    pruning_schedules: Mapping[str, Sequence[Mismatch]] | None = None,
+    ladders: Mapping[str, Sequence[Mismatch]] | None = None,
     initial_state: Any = None,
     **trial: Unpack[TrialOptions],
 ) -> StressReport:
@@ -194,11 +190,7 @@ def stress(
     check_confidence(settled.confidence)
     certificate, episodes = certificate_from(certificate), settled.episodes
     problem, lower, _, _ = claim_at(certificate, initial_state)
-    pairs = [
-        (name, rung)
-        for name, rungs in (LADDERS if pruning_schedules is None else pruning_schedules).items()
-        for rung in rungs
-    ]
+    pairs = [(name, rung) for name, rungs in (LADDERS if ladders is None else ladders).items() for rung in rungs]
     # Successes without mismatch first, then of each rung; a rung that Ctrl-C interrupts does not count.
     counts: list[int] = []
     try:

@@ -174,7 +174,7 @@ def horizon_figure(reports: Sequence[ValidationReport] | Mapping[str, Sequence[V
 
 
 def rank_figure(certificate: Any) -> Figure:
-    """Draw how many terms of the value function each automaton state formed and n_kept, against the steps left.
+    """Draw how many terms of the value function each automaton state formed and kept, against the steps left.
 
     The difference of both numbers was united or dropped; the numbers are exact. Of independent tasks the first one is
     drawn.
