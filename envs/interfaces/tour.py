@@ -169,8 +169,9 @@ def detours(dynamics: Dynamics, route: Sequence[np.ndarray], avoided: Sequence[L
 
 def is_planar(block: Any) -> bool:
     """Return whether the outputs of a block are linear and in the plane, and its regions stand still."""
-    is_linear = block.identity_output or hasattr(block.motion, "C")
-    return bool(is_linear and block.region_low.ndim == 3 and len(block.region_low) == 2)
+    if block.region_low.ndim != 3 or len(block.region_low) != 2:
+        return False
+    return hasattr(block.motion, "C") or all(map(block.motion.agent.output_axis, range(2)))
 
 
 def cell_of(dynamics: Dynamics, agent: int) -> Callable[[Worlds], Any]:
