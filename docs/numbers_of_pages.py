@@ -195,6 +195,7 @@ of episodes that satisfy the task; all policies of a problem get the same starts
 |---|---|
 | proved, certified | bound and measured rate of the certified controllers ([defaults](defaults.md)) |
 | {learners} | **without help**: [learned policies](how-to/learned_policies.md), [how long](how-to/leaderboard.md) |
+| as it is | what `certify` proves of that very network, or why nothing, in a word |
 | random | uniformly random inputs |
 
 **Tier** says what is left to learn. *Known* is the largest of the bound and the lower limits of all rows. A problem is
@@ -227,13 +228,14 @@ def board_page() -> str:
         best = max((rate for name, rate in rates.items() if name in ALONE), default=2.0)
         cells = [_rate(rates.get(name), name in ALONE and rates.get(name) == best > 0.0) for name in names]
         gap = "-" if left[id] is None else f"{left[id]:.2f}"
+        cells += [as_it_is(next((row for row in rows[id] if row.policy == name), None)) for name in names]
         measures = f"{proved(kept[id])} | {measured(kept[id])} | {tier_of_id(id)} | {gap}"
         lines.append(f"| {page_link(id)} | {measures} | {' | '.join(cells)} | {random_inputs(kept[id])} |")
     head = BOARD_HEAD.format(
         count=len(lines),
         learners=", ".join(names),
-        names=" | ".join([*names, "random"]),
-        lines="---|" * len(names) + "---",
+        names=" | ".join([*names, *("as it is" for _ in names), "random"]),
+        lines="---|" * 2 * len(names) + "---",
     )
     return head + "\n".join(lines) + "\n" + BOARD_TAIL.format()
 
@@ -243,6 +245,12 @@ def left_on(id: str, entry: dict[str, Any], rows: list[Standing]) -> float | Non
     reached = reached_of(rows)
     known = max(entry["certified"], entry["rollouts"]["low"], *(row.low for row in rows), 0.0)
     return None if reached is None else max(known - reached, 0.0)
+
+
+def as_it_is(row: Standing | None) -> str:
+    """Return what is proved of the best actor of a row as it was trained, or why nothing, in a word."""
+    found = None if row is None else row.best_as_it_is
+    return proved({"certified": found, "failure": 1.0 - found}) if isinstance(found, float) else found or "-"
 
 
 def _rate(rate: float | None, is_best: bool) -> str:
@@ -255,11 +263,11 @@ def board_csv() -> str:
     """Return limits and cost of every row of the leaderboard."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    heads = ["id", "policy", "success", "low", "high", "middle of seeds", "world steps", "seconds", "seeds"]
+    heads = ["id", "policy", "success", "low", "high", "middle of seeds", "as it is", "world steps", "seconds", "seeds"]
     writer.writerow([*heads, "agents see"])
     for row in Leaderboard.load(DOCS / "leaderboard.json").rows:
         middle = f"{row.middle_rate:.4f}" if len(row.seeds) > 1 else ""
-        limits = [rounded_down(row.low, 4), rounded_up(row.high, 4), middle]
+        limits = [rounded_down(row.low, 4), rounded_up(row.high, 4), middle, as_it_is(row)]
         cost = ["" if number is None else f"{number:.10g}" for number in (row.steps, row.seconds)]
         seeds = " ".join(map(str, row.seeds))
         writer.writerow([row.problem, row.policy, f"{row.rate:.4f}", *limits, *cost, seeds, row.information])

@@ -14,6 +14,7 @@ from certigym.synthesis.certificates.proofs import rounded_down
 
 ROOT = Path(__file__).parents[2]
 KEPT = numbers.table("defaults")
+BOARD = numbers.Leaderboard.load(ROOT / "docs" / "leaderboard.json")
 BOUND = re.compile(r"(?:P >= |failure <= |proved with |certified )(\d?\.\d{2,}|\d+(?:\.\d+)?e-\d+)")
 """A certified number in words."""
 
@@ -51,10 +52,12 @@ def test_pages_show_what_was_measured(written: dict[Path, str]) -> None:
 
 
 def known(bound: str, id: str) -> bool:
-    """Whether a page may show this number about an id: its bound as it is written, or that of a longer search."""
+    """Whether a page may show this number about an id: its bound as written, of a longer search, or of a learner."""
     entry = KEPT[id]
     longer = [rounded_down(one["certified"], 4) for one in entry.get("longer", [])]
-    words = [*" ".join([numbers.proved(entry), numbers.measured(entry), numbers.at_most(entry)]).split(), *longer]
+    learned = [numbers.as_it_is(row) for row in BOARD.rows if row.problem == id]
+    shown = [numbers.proved(entry), numbers.measured(entry), numbers.at_most(entry), *learned]
+    words = [*" ".join(shown).split(), *longer]
     return bound in words
 
 

@@ -13,7 +13,9 @@ import pytest
 import certigym as cg
 from certigym.baselines import Leaderboard, RandomController, Sources
 from certigym.cli.main import main
-from certigym.validation.policies import page_of, publish, replayed
+from certigym.synthesis.certificates.proofs import shown_bound
+from certigym.synthesis.verbs.as_it_is import AsItIs
+from certigym.validation.policies import page_of, publish, ranking, replayed
 from certigym.validation.policies.ranking import judging_plan
 from certigym.validation.statistical_tests import clopper_pearson, planned
 
@@ -96,15 +98,19 @@ def actors(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_published_actors_are_read_and_judged_again(
-    actors: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    actors: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page = tmp_path / "board.md"
+    bounds = iter([AsItIs(0.25), AsItIs(0.75), AsItIs(None, "wide tube", "...")])
+    monkeypatch.setattr(ranking, "as_it_is", lambda problem, actor, seconds: next(bounds))
     words = ["leaderboard", "reach-avoid-v0", "--out", str(page), "--episodes", "300", "--learners", str(actors)]
     assert main([*words, "--policies", "ppo", "--train-seeds", "0", "1"]) == 0
     assert main([*words, "--policies", "sac"]) == 0
     board = Leaderboard.load(page.with_suffix(".json"))
     assert [(row.policy, row.seeds) for row in board.rows] == [("ppo", (0, 1)), ("sac", (0,))]
     assert all(row.steps and row.seconds is not None and row.steps >= 256 * len(row.seeds) for row in board.rows)
+    assert [row.as_it_is for row in board.rows] == [(0.25, 0.75), ("wide tube",)]
+    assert f"| {shown_bound(0.75, None)} | wide tube |" in page.read_text()
     capsys.readouterr()
     assert main([*words, "--replay"]) == 0
     assert capsys.readouterr().out.count("the same episodes succeed as recorded") == 2
@@ -130,11 +136,14 @@ def test_actors_of_an_older_problem_are_refused(actors: Path, tmp_path: Path) ->
         cg.leaderboard(["reach-avoid-v0"], ["ppo"], 300, sources=Sources(learners=tmp_path))
 
 
-def test_learners_are_made_within_their_budget_of_steps_and_kept(actors: Path, tmp_path: Path) -> None:
+def test_learners_are_made_within_their_budget_of_steps_and_kept(
+    actors: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ranking, "SECONDS", 0.1)
     sources = Sources(learners=tmp_path, steps=64, seeds=(3,))
     (row,) = cg.leaderboard(["reach-avoid-v0"], ["ppo"], 100, sources=sources).rows
     path = tmp_path / "reach-avoid-v0" / "ppo" / "seed-3.npz"
-    assert row.seeds == (3,) and row.steps is not None and 64 <= row.steps <= 512
+    assert row.as_it_is == ("time",) and row.seeds == (3,) and row.steps is not None and 64 <= row.steps <= 512
     before = path.stat().st_mtime_ns
     assert cg.leaderboard(["reach-avoid-v0"], ["ppo"], 100, sources=sources).rows[0].successes == row.successes
     assert path.stat().st_mtime_ns == before

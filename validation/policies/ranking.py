@@ -24,6 +24,7 @@ import numpy as np
 from ...envs.suite import as_problem, problem_ids
 from ...envs.systems.arguments import counted, tree_text
 from ...envs.tasks.problem import Problem
+from ...synthesis.verbs.as_it_is import as_it_is
 from ..statistical_tests import (
     Plan,
     TrialOptions,
@@ -35,6 +36,9 @@ from ..statistical_tests import (
 )
 from .competitors import POLICIES, Competitor, Competitors, Sources, label_of, published
 from .training import ALGORITHMS
+
+SECONDS = 120.0
+"""Wall-clock time in which a learner has to be certified as it was trained: along its run, and again on cells."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,9 @@ class Standing:
         Wall-clock time of training or synthesis, summed over the seeds.
     refused : str or None
         What is claimed, and why it is not certified, of a certificate that ``check`` refuses; it has no bound.
+    as_it_is : tuple of (float or str)
+        Of each actor of a learner, what ``certify`` proves of it as it was trained, a lower bound, or why there is
+        none, in a word.
     """
 
     problem: str
@@ -81,6 +88,13 @@ class Standing:
     steps: int | None
     seconds: float | None
     refused: str | None = None
+    as_it_is: tuple[float | str, ...] = ()
+
+    @property
+    def best_as_it_is(self) -> float | str | None:
+        """The largest bound of an actor as it was trained, else the first reason; None if none was asked for."""
+        bounds = [bound for bound in self.as_it_is if not isinstance(bound, str)]
+        return max(bounds) if bounds else next(iter(self.as_it_is), None)
 
     @property
     def rate(self) -> float:
@@ -124,9 +138,10 @@ class Leaderboard:
         return next((row for row in self.rows if (row.problem, row.policy) == (problem, policy)), None)
 
     def holds(self, label: str, problem: Problem, policy: str) -> bool:
-        """Return whether there is a row about this very problem; one about an older version of it does not count."""
+        """Return whether there is a whole row about this very problem; one about an older version does not count."""
         row = self.row(label, policy)
-        return row is not None and row.fingerprint == problem.fingerprint
+        is_whole = row is not None and (policy not in ALGORITHMS or len(row.as_it_is) == len(row.seeds))
+        return row is not None and is_whole and row.fingerprint == problem.fingerprint
 
     def with_row(self, row: Standing) -> Leaderboard:
         """Return the leaderboard with this row in the place of an older one."""
@@ -192,7 +207,10 @@ def leaderboard(
         competitors = Competitors(as_problem(id), label_of(id), sources)
         for policy in policies:
             if not board.holds(competitors.label, competitors.problem, policy):
-                row = judged(competitors.label, policy, competitors.of(policy), settled)
+                entrants = competitors.of(policy)
+                row = judged(competitors.label, policy, entrants, settled)
+                if policy in ALGORITHMS:
+                    row = replace(row, as_it_is=tuple(map(certified_as_it_is, entrants)))
                 board = board.with_row(row)
                 if finished is not None:
                     finished(board, row)
@@ -226,6 +244,12 @@ def replayed(
             if finished is not None:
                 finished(board, row)
     return board
+
+
+def certified_as_it_is(entrant: Competitor) -> float | str:
+    """Return what is proved of a learner as it was trained, a lower bound, or why there is none, in a word."""
+    found = as_it_is(entrant.problem, entrant.contestant.controller, seconds=SECONDS)
+    return found.word if found.bound is None else found.bound
 
 
 def judging_plan(plan: Plan) -> Plan:

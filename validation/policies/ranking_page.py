@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...synthesis.certificates.proofs import rounded_down, rounded_up
+from ...synthesis.certificates.proofs import rounded_down, rounded_up, shown_bound
 from .ranking import Leaderboard, Standing
 from .tier_rule import ALONE, left_of, tier_of
 
@@ -15,6 +15,7 @@ problem:
 - **certified**: the controllers of that certificate;
 - **ppo, ippo, mappo, central-ppo, sac**: learners **without help** from any certificate, described in
   [learned policies](how-to/learned_policies.md);
+- **as it is**: what `certify` proves of that very actor: its lower bound, or in a word why there is none;
 - **random**: uniformly random inputs.
 
 **Tiers** say what is left to learn. *Known* to be possible is the bound, or the lower limit of any row if that is
@@ -43,7 +44,8 @@ seeds; those of "certified" are of the synthesis, if it was made for this table.
 def page_of(board: Leaderboard) -> str:
     """Return the page: one table of success rates, and one of limits and cost."""
     names = board.policies
-    lines = [HEAD, f"| id | at least | tier | left | {' | '.join(names)} |", "|---" * (len(names) + 4) + "|"]
+    heads = [*names, *(f"{name} as it is" for name in names if name in ALONE)]
+    lines = [HEAD, f"| id | at least | tier | left | {' | '.join(heads)} |", "|---" * (len(heads) + 4) + "|"]
     rows: dict[str, list[Standing]] = {}
     for standing in board.rows:
         rows.setdefault(standing.problem, []).append(standing)
@@ -60,6 +62,7 @@ def page_of(board: Leaderboard) -> str:
         rates = {name: row.rate for name in names if (row := board.row(problem, name)) is not None}
         best = max((rate for name, rate in rates.items() if name in ALONE), default=2.0)
         cells = ["-" if name not in rates else _rate(rates[name], name in ALONE, best) for name in names]
+        cells += [_as_it_is(board.row(problem, name)) for name in names if name in ALONE]
         lines.append(
             f"| [{problem}](environments/{problem}.md) | {bound} | {tiers[problem]} | {gap} | {' | '.join(cells)} |"
         )
@@ -70,6 +73,12 @@ def page_of(board: Leaderboard) -> str:
 
 ORDER = ("open", "hard", "unrated", "solved")
 """Tiers in the order of the page: what is left to learn comes first."""
+
+
+def _as_it_is(row: Standing | None) -> str:
+    """Return the best bound of a learner's actors as they were trained, or the reason why there is none."""
+    found = None if row is None else row.best_as_it_is
+    return "-" if found is None else found if isinstance(found, str) else shown_bound(found, None)
 
 
 def _rate(rate: float, is_alone: bool, best: float) -> str:
