@@ -15,7 +15,7 @@ failing episodes have the same return: a learner that has never succeeded learns
 
 **"progress"** tells a good failure from a bad one. An automaton step is worth 1, half of it for the way from the start.
 In tasks that only have to be kept alive, time survived is worth something, too; and a task that is lost keeps what it
-was worth, less `LOSS`. What is gained stays, so optimal policies may differ from those of the task; by how much is
+was worth, less a `loss`. What is gained stays, so optimal policies may differ from those of the task; by how much is
 proved in docs/how-to/learned_policies.md, "What the rewards keep".
 """
 
@@ -40,9 +40,9 @@ Weights = list[tuple[list[int], Any]]
 
 REWARDS = ("sparse", "shaped", "progress")
 
-LOSS = 0.25
-"""What "progress" takes for a lost task. Much more, and agents that have not yet found a way learn to stay where they
-are; much less, and they run into one another."""
+LOSS, DEATH = 0.4, 1.0
+"""What "progress" takes for a lost task, and where the task is to survive. Much more, and agents that have not found a
+way learn to stay where they are (so learners begin with a share of it); much less, and they run into one another."""
 
 SURVIVAL = 0.5
 """What "progress" pays for surviving to the horizon, in tasks that are lost or satisfied and nothing else."""
@@ -131,16 +131,16 @@ class Potential:
         result: np.ndarray = namespace(q).stack(rows) if own else rows[0]
         return result
 
-    def progress(self, worlds: Worlds, before: Any = 0.0, own: bool = False) -> np.ndarray:
+    def progress(self, worlds: Worlds, before: Any = 0.0, own: bool = False, care: float = 1.0) -> np.ndarray:
         """Return what the reward "progress" has paid for worlds, float (M,); with `own` for their agents, (n, M).
 
-        Tasks that are lost keep what they had `before`, less `LOSS`.
+        Tasks that are lost keep what they had `before`, less a share `care` of the `loss`.
         """
         worth = self.parts * self._undecided(worlds, own)
         if self.is_survival:
             worth = worth + self._placed("clock")[worlds.time, worlds.q]
         result: np.ndarray = namespace(worth).where(
-            worlds.failed | self._placed("dead")[worlds.q], before - LOSS, worth
+            worlds.failed | self._placed("dead")[worlds.q], before - care * self.loss, worth
         )
         return result
 
@@ -219,6 +219,11 @@ class Potential:
     def is_survival(self) -> bool:
         """Whether the task asks for nothing but to survive: all automaton states that are not lost accept."""
         return not self.dynamics.problem.automaton.is_co_safe and self.parts == 1.0
+
+    @property
+    def loss(self) -> float:
+        """What a lost task costs."""
+        return DEATH if self.is_survival else LOSS
 
     @cached_property
     def clock(self) -> np.ndarray:

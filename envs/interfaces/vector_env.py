@@ -120,7 +120,7 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self._reward = checked_option(reward, "reward", REWARDS)
         self._potential = None if reward == "sparse" else Potential.of(self._dynamics)
         self._has_own = checked_option(credit, "credit", CREDITS) == "own"
-        # Scattered starts and disturbances that look at the worlds need them cut out one from the other. Whoever has
+        # Disturbances that look at the worlds need them cut out one from the other. Whoever has
         # `_begun` or `_moved` of its own says so here: worlds that move all at once ask neither.
         self._is_plain = isinstance(disturbance, str)
         self.single_observation_space = observation_space(self.problem, joint_bounds(self.problem.agents), self._form)
@@ -137,6 +137,7 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self._levels = np.zeros((self.problem.n_agents, self.num_envs) if self._has_own else self.num_envs)
         self._first_level: np.ndarray | None = None
         self.own_rewards = np.zeros((self.problem.n_agents, self.num_envs))
+        self.care = 1.0  # the share of the loss that "progress" takes; learners begin with less
         # States at all times are stored only if pictures may be asked for.
         self._track = np.zeros((0, self.num_envs, self.problem.n_states))
         if self.render_mode is not None:
@@ -301,7 +302,7 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         assert self._potential is not None
         if self._reward == "shaped":
             return self._potential.at(worlds, self._has_own)
-        return self._potential.progress(worlds, before, self._has_own)
+        return self._potential.progress(worlds, before, self._has_own, self.care)
 
     def _last(self, ended: np.ndarray, last: np.ndarray, infos: dict[str, Any]) -> dict[str, Any]:
         """Return the entries of infos that hold the last observations and infos of ended worlds."""

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.interfaces.shaping import EASE, LOSS, SURVIVAL, Potential
+from certigym.envs.interfaces.shaping import DEATH, EASE, SURVIVAL, Potential
+from certigym.envs.interfaces.tour import CELLS, Tour, cell_of, detours
 from certigym.envs.simulation import batch_simulator as core
 from kinds import mostly_thorough
 
@@ -51,8 +52,9 @@ def test_progress_pays_satisfaction_and_a_bounded_rest(id: str) -> None:
     shape = envs.action_space.shape
     total, satisfied, _ = returns(envs, lambda _: rng.uniform(-1.0, 1.0, shape), 0)
     rest = total - satisfied
-    most = Potential.of(core.Dynamics.of(envs.problem)).parts + SURVIVAL + EASE
-    assert (rest > -most - LOSS - 1e-9).all() and (rest < most + 1e-9).all()
+    found = potential(id)
+    most = found.parts + SURVIVAL + EASE
+    assert (rest > -most - found.loss - 1e-9).all() and (rest < most + 1e-9).all()
 
 
 def test_a_lost_task_keeps_its_level() -> None:
@@ -70,7 +72,7 @@ def test_a_lost_task_keeps_its_level() -> None:
     lost = ~infos["satisfied"]
     assert lost.any()
     # Every step survived pays a share of the horizon; the step that loses costs, wherever it is.
-    assert total[lost] == pytest.approx(SURVIVAL * (times[lost] - 1) / problem.horizon - LOSS)
+    assert total[lost] == pytest.approx(SURVIVAL * (times[lost] - 1) / problem.horizon - DEATH)
 
 
 def test_agents_earn_half_of_what_they_do_themselves_and_half_of_what_the_team_does() -> None:
@@ -99,7 +101,7 @@ def test_agents_earn_half_of_what_they_do_themselves_and_half_of_what_the_team_d
 
 @pytest.mark.parametrize("id", IDS)
 def test_a_success_earns_more_than_any_failure(id: str) -> None:
-    """The proof on the page of learned policies: h on success, at most h - 1 - LOSS or h - 2 on failure."""
+    """The proof on the page of learned policies: h on success, at most h - 1 - loss or h - 2 on failure."""
     problem = cg.make_problem(id)
     found = potential(id)
     envs = cg.vector_env(id, 2000, reward="progress")
@@ -110,8 +112,8 @@ def test_a_success_earns_more_than_any_failure(id: str) -> None:
     ease = EASE + SURVIVAL if found.is_survival else 0.0
     earned = total + begun
     assert earned[satisfied] == pytest.approx(1.0 + found.parts + ease)
-    assert (earned[~satisfied] <= found.parts + ease - LOSS + 1e-9).all()
-    assert (earned > -LOSS - 1e-9).all()
+    assert (earned[~satisfied] <= found.parts + ease - found.loss + 1e-9).all()
+    assert (earned > -found.loss - 1e-9).all()
 
 
 def potential(id: str) -> Potential:
@@ -204,3 +206,19 @@ def test_all_forms_pay_progress_alike(id: str) -> None:
             ends += 1
             central.reset(), parallel.reset()
             assert envs.step(action[None])[1][0] == 0.0
+
+
+@pytest.mark.parametrize("id", ["car-slalom-v0", "package-delivery-single-v0"])
+def test_ways_lead_around_what_loses_the_task(id: str) -> None:
+    """For linear agents and for written ones: each cell is one step behind its nearest neighbour."""
+    dynamics, found = core.Dynamics.of(cg.make_problem(id)), potential(id)
+    q = next(q for q, letter in enumerate(found.route) if found.avoided[q] and letter.size)
+    ((agent, tables),) = detours(dynamics, found.route, found.avoided).items()
+    ways = tables[q].reshape(CELLS, CELLS)
+    padded = np.pad(ways, 1, constant_values=np.inf)
+    nearest = np.minimum.reduce([padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]])
+    free = (ways > 0.0) & (ways < ways.max())
+    assert free.sum() > CELLS and ways[free] == pytest.approx(nearest[free] + 0.5 / CELLS)
+    start = cell_of(dynamics, agent)(core.begin(dynamics, tuple(block.initial_low for block in dynamics.blocks)))
+    straight = Tour.of(dynamics)._way({}, frozenset(found.route[q].tolist()), frozenset())
+    assert ways.ravel()[start[0]] > straight + (0.1 if id == "car-slalom-v0" else -1.0 / CELLS)

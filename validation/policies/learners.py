@@ -27,6 +27,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from ...envs.interfaces import ProblemVectorEnv, checked_option
 from ...envs.tasks.problem import Problem
 from ...synthesis.extended_check.shields import Shield
+from .scattered_batches import ScatteredVectorEnv
 from .shielded_batches import ShieldedVectorEnv
 from .views import CentralView, SharedView, View
 
@@ -49,6 +50,9 @@ class WorldsVecEnv(VecEnv):
         One picture per world, so that `VecVideoRecorder` of Stable-Baselines3 has something to film.
     shield : Shield, optional
         What keeps a success probability while the learner acts.
+    spread : float
+        Share of the episodes that begin anywhere (`ScatteredVectorEnv`), of which infos tell no success; 0 with a
+        shield.
 
     Examples
     --------
@@ -68,6 +72,7 @@ class WorldsVecEnv(VecEnv):
         horizon_ends: str = "truncated",
         render_mode: str | None = None,
         shield: Shield | None = None,
+        spread: float = 0.0,
     ) -> None:
         self.view = view
         self.render_mode = render_mode
@@ -76,10 +81,13 @@ class WorldsVecEnv(VecEnv):
         # Agents whose rows they are earn what they have done themselves.
         self._has_own = view.rows > 1
         options |= {"credit": "own" if self._has_own else "team"}
-        if shield is None:
-            self.worlds = ProblemVectorEnv(view.problem, worlds, **options)
-        else:
+        self.worlds: ProblemVectorEnv
+        if shield is not None:
             self.worlds = ShieldedVectorEnv(view.problem, shield, worlds, **options)
+        elif spread > 0.0:
+            self.worlds = ScatteredVectorEnv(view.problem, spread, worlds, **options)
+        else:
+            self.worlds = ProblemVectorEnv(view.problem, worlds, **options)
         # If the horizon counts as an end, learners must not add the value of what would come after it.
         self._bootstrap = checked_option(horizon_ends, "horizon_ends", HORIZON_ENDS) == "truncated"
         self._returns, self._lengths = np.zeros(worlds), np.zeros(worlds, dtype=np.int64)
@@ -108,13 +116,14 @@ class WorldsVecEnv(VecEnv):
         """Move all worlds; return observations, rewards, dones (rows,) and infos."""
         # Ended worlds are reset in the same step; their last states are in `final_info`.
         joint = self.view.joint_actions(self._actions)
+        counts = ~self.worlds.scattered if isinstance(self.worlds, ScatteredVectorEnv) else True
         _, rewards, terminated, truncated, infos = self.worlds.step(joint)
         ended = terminated | truncated
         self._returns += rewards
         self._lengths += 1
         rows: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if ended.any():
-            self._fill(rows, ended, truncated, infos["final_info"])
+            self._fill(rows, ended, truncated, counts & ended, infos["final_info"])
             self._returns[ended], self._lengths[ended] = 0.0, 0
         # All rows of a world share its end, and its reward unless they are agents.
         per = self.view.rows
@@ -149,7 +158,12 @@ class WorldsVecEnv(VecEnv):
         return self.view.observations(infos["state"], infos["automaton_state"], infos["time"])
 
     def _fill(
-        self, rows: list[dict[str, Any]], ended: NDArray[Any], truncated: NDArray[Any], final: dict[str, Any]
+        self,
+        rows: list[dict[str, Any]],
+        ended: NDArray[Any],
+        truncated: NDArray[Any],
+        counts: NDArray[Any],
+        final: dict[str, Any],
     ) -> None:
         """Write the infos of the rows that end."""
         last, per = self._observed(final), self.view.rows
@@ -160,10 +174,11 @@ class WorldsVecEnv(VecEnv):
                     {
                         "terminal_observation": last[row],
                         "TimeLimit.truncated": bool(truncated[world]) and self._bootstrap,
-                        "is_success": bool(final["satisfied"][world]),
                         "episode": episode,
                     }
                 )
+                if counts[world]:
+                    rows[row]["is_success"] = bool(final["satisfied"][world])
 
 
 def shared_vec_env(problem: Problem, worlds: int = 64, **arguments: Any) -> WorldsVecEnv:

@@ -12,7 +12,7 @@ import numpy as np
 from ...envs.systems.arguments import unknown_argument
 from ...synthesis.interop import TORCH_ACTIVATIONS
 from .actors import Actor, Network, actor_of
-from .settings import Phase, Settings
+from .settings import Phase, Piece, Settings
 from .views import TeamView, View
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def new_learner(algorithm: str, view: View, settings: Settings, seed: int) -> Ba
 
 
 def enter(model: BaseAlgorithm, view: View, settings: Settings, phase: Phase, seed: int) -> None:
-    """Send a learner into a phase: its worlds, its deviation. The seed decides the worlds from here on."""
+    """Send a learner into a phase: its worlds, and at most its deviation. The seed decides the worlds from here on."""
     import torch
 
     env = _worlds(view, settings, phase)
@@ -77,17 +77,18 @@ def enter(model: BaseAlgorithm, view: View, settings: Settings, phase: Phase, se
     if phase.deviation is not None:
         log_std: Any = model.policy.log_std
         with torch.no_grad():
-            log_std.fill_(float(np.log(phase.deviation)))
+            log_std.clamp_(max=float(np.log(phase.deviation)))
         # A learner that may choose makes small deviations smaller until it learns no more.
         log_std.requires_grad_(not phase.fixed)
 
 
-def learn(model: BaseAlgorithm, view: View, steps: int, rates: tuple[float, float], watcher: Any) -> None:
-    """Let a learner take (at least) so many more world steps, while its learning rate falls linearly."""
+def learn(model: Any, view: View, piece: Piece, watcher: Any) -> None:
+    """Let a learner take (at least) the world steps of a piece."""
+    model.env.worlds.spread, model.env.worlds.care = piece.spread, piece.care
+    steps, first, last = piece.steps, *piece.rates
     total = steps * view.rows
     # The learner tells the share of all its steps that is left: 1 minus those before, at the beginning of this part.
     at_begin = total / (int(model.num_timesteps) + total)
-    first, last = rates
     model.lr_schedule = lambda left: last + (first - last) * min(1.0, left / at_begin)
     model.learn(total, callback=watcher, reset_num_timesteps=False)
     model.lr_schedule = lambda _: last  # the schedule of this part means nothing to later ones
@@ -180,4 +181,5 @@ def _worlds(view: View, settings: Settings, phase: Phase) -> Any:
         discount=settings.gamma,
         horizon_ends="terminated",
         shield=settings.shield,
+        spread=phase.spread,
     )

@@ -22,6 +22,8 @@ FILE = Path(__file__).with_name("settings.toml")
 NO_LEARNER_TAKES = ("steps", "seconds", "worlds", "hidden", "phases", "shield")
 """Settings that are ours; all others go to Stable-Baselines3."""
 
+OF_PHASES = ("learning_rate", "deviation", "fixed", "spread", "care")
+"""Settings that hold in all phases if they are given by name."""
 
 LEAST_ROUNDS = 40
 """Rounds of PPO that a training should have: a short one gets by with fewer worlds side by side."""
@@ -36,6 +38,18 @@ class Phase:
     learning_rate: float
     deviation: float | None = None
     fixed: bool = False
+    spread: float = 0.0
+    care: float = 1.0
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a phase: world steps, learning rates at beginning and end, and the phase's spread and care by then."""
+
+    steps: int
+    rates: tuple[float, float]
+    spread: float
+    care: float
 
 
 @dataclass(frozen=True)
@@ -92,7 +106,7 @@ def settings_for(algorithm: str, view: View, *, warm: bool = False, **changes: A
         Whether the training continues a clone.
     **changes
         Values that replace those of the file; None leaves a value. ``reward`` alone means one phase with that reward;
-        ``learning_rate``, ``deviation`` and ``fixed`` hold in all phases.
+        those of ``OF_PHASES`` hold in all phases.
     """
     given = {name: value for name, value in changes.items() if value is not None}
     table = dict(_tables()["sac" if algorithm == "sac" else "ppo"])
@@ -101,10 +115,10 @@ def settings_for(algorithm: str, view: View, *, warm: bool = False, **changes: A
     if warm and algorithm != "sac":
         table |= _tables()["warm"]
     phases = tuple(Phase(**phase) for phase in table["phases"])
-    # One reward for all of the training: the last phase keeps to the start of the problem, so it is the one that stays.
+    # One reward for all of the training, from the start of the problem.
     if "reward" in given:
-        phases = (replace(phases[0], share=1.0, reward=given.pop("reward")),)
-    of_phases = {name: given.pop(name) for name in ("learning_rate", "deviation", "fixed") if name in given}
+        phases = (replace(phases[0], share=1.0, reward=given.pop("reward"), spread=0.0, care=1.0),)
+    of_phases = {name: given.pop(name) for name in OF_PHASES if name in given}
     phases = tuple(replace(phase, **of_phases) for phase in phases)
     table |= given
     worlds = int(table["worlds"])

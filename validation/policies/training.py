@@ -36,7 +36,7 @@ from ..statistical_tests import rollout
 from .actors import Actor, networks_of, save_actor
 from .imitation import clone, demonstrate
 from .learning import Progress, actor_now, check_settings, enter, learn, new_learner, new_watcher, numbers_of
-from .settings import Phase, Settings, settings_for
+from .settings import Phase, Piece, Settings, settings_for
 from .views import CentralView, SharedView, TeamView, View
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class Training:
 
 KEYWORDS = (
     *("problem", "algorithm", "steps", "seed", "warm_start", "resume", "shield", "progress"),
-    *("worlds", "reward", "learning_rate", "deviation", "fixed", "hidden", "phases", "seconds"),
+    *("worlds", "reward", "learning_rate", "deviation", "fixed", "spread", "care", "hidden", "phases", "seconds"),
 )
 """Arguments of ``train`` that are not the learner's."""
 
@@ -188,9 +188,9 @@ def train(
         Called with the world steps taken since the last call and the latest success rate.
     **settings
         Values that replace those of ``settings.toml``: ``worlds`` side by side, ``reward`` ("sparse", "shaped" or
-        "progress", for all of the training), ``learning_rate``, ``deviation``, ``hidden``; ``device``;
-        ``seconds`` after which to stop (cloning comes before; the result then depends on the machine); and whatever the
-        learner of Stable-Baselines3 takes.
+        "progress", for all of the training), ``learning_rate``, ``deviation``, ``spread``, ``care``, ``hidden``;
+        ``device``; ``seconds`` after which to stop (cloning comes before; the result then depends on the machine); and
+        whatever the learner of Stable-Baselines3 takes.
 
     Raises
     ------
@@ -273,10 +273,10 @@ def _best(model: Any, view: View, settings: Settings, watcher: Any, seed: int, s
         if settings.seconds is not None:
             watcher.deadline = watcher.began + share * settings.seconds
         enter(model, view, settings, phase, seed + number)
-        for steps, rates in _pieces(phase, settings):
+        for piece in _pieces(phase, settings):
             if time.perf_counter() >= watcher.deadline:
                 break
-            learn(model, view, steps, rates, watcher)
+            learn(model, view, piece, watcher)
             actor = actor_now(model, view)
             now = score(view.problem, actor, judge)
             if now >= best_score:
@@ -285,16 +285,20 @@ def _best(model: Any, view: View, settings: Settings, watcher: Any, seed: int, s
     return best
 
 
-def _pieces(phase: Phase, settings: Settings) -> list[tuple[int, tuple[float, float]]]:
-    """Return the parts of a phase: world steps, and learning rate at their beginning and end."""
+def _pieces(phase: Phase, settings: Settings) -> list[Piece]:
+    """Return the parts of a phase."""
     total = max(1, round(phase.share * settings.steps))
     # A learner always finishes its round, so parts shorter than a round would add up to more than was asked for.
     count = max(1, min(round(phase.share * PIECES), total // settings.round))
-    # The rate falls to a tenth over the phase.
-    rates = phase.learning_rate * np.linspace(1.0, 0.1, count + 1)
-    edges = np.linspace(0, total, count + 1).round().astype(int)
-    parts = zip(np.diff(edges).tolist(), rates[:-1].tolist(), rates[1:].tolist(), strict=True)
-    return [(length, (first, last)) for length, first, last in parts]
+    edges = np.linspace(0, total, count + 1).round().astype(int).tolist()
+    # Over the phase the rate falls to a tenth, the spread to 0, and care rises to 1.
+    rates = (phase.learning_rate * np.linspace(1.0, 0.1, count + 1)).tolist()
+    pieces = []
+    for k in range(count):
+        left = 1.0 - k / count
+        spread, care = left * phase.spread, 1.0 - left * (1.0 - phase.care)
+        pieces.append(Piece(edges[k + 1] - edges[k], (rates[k], rates[k + 1]), spread, care))
+    return pieces
 
 
 def _record(folder: Path, problem: Problem, algorithm: str) -> dict[str, Any]:

@@ -1,0 +1,70 @@
+"""A share of the episodes of a learner begins anywhere, undecided, and tells no success; care rises, spread falls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+import certigym as cg
+
+pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
+
+from certigym.baselines import shared_vec_env
+from certigym.envs.interfaces.shaping import LOSS
+from certigym.validation.policies.scattered_batches import ScatteredVectorEnv
+from certigym.validation.policies.settings import Phase, settings_for
+from certigym.validation.policies.training import _pieces
+from certigym.validation.policies.views import SharedView
+
+
+@pytest.mark.parametrize(("id", "stages"), [("patrol-robot-v0", {0, 1, 2}), ("swarm-v0", {0}), ("invariance-v0", None)])
+def test_starts_are_undecided_and_elsewhere(id: str, stages: set[int] | None) -> None:
+    problem = cg.make_problem(id)
+    envs = ScatteredVectorEnv(problem, 0.5, 400, autoreset_mode="SameStep", reward="progress")
+    _, infos = envs.reset(seed=0)
+    away = envs.scattered
+    assert (infos["time"][~away] == 0).all()
+    if stages is None:  # survival has no later stages
+        assert not away.any()
+        return
+    assert 0.25 < away.mean() < 0.6 and set(infos["automaton_state"][away].tolist()) == stages
+    assert (infos["time"][away] < problem.horizon).all() and len(np.unique(infos["time"][away])) > 5
+    assert (infos["state"][away].std(axis=0) > 0.1 * infos["state"].std(axis=0)).all()
+
+
+def test_episodes_that_begin_anywhere_tell_no_success() -> None:
+    env, told = shared_vec_env(cg.make_problem("patrol-robot-v0"), 50, reward="progress", spread=0.4), [0, 0]
+    env.seed(0), env.reset()
+    for _ in range(40):
+        before = env.worlds.scattered.copy()
+        _, _, ended, infos = env.step(np.zeros((50, 2), np.float32))
+        for world in np.flatnonzero(ended):
+            assert ("is_success" in infos[world]) != before[world] and "episode" in infos[world]
+            told[int(before[world])] += 1
+    assert min(told) > 10
+
+
+def test_a_lost_task_costs_its_share() -> None:
+    """One agent that leaves its workspace, with all care and with a quarter of it."""
+    paid = []
+    for care in (1.0, 0.25):
+        envs = cg.vector_env("van-der-pol-v0", 20, reward="progress")
+        envs.care = care
+        envs.reset(seed=0, options={"initial_state": [2.99, 2.99]})
+        _, rewards, terminated, *_ = envs.step(np.ones((20, 1)))
+        paid.append(rewards[terminated])
+    assert paid[0].size > 10 and paid[0] == pytest.approx(-LOSS) and paid[1] == pytest.approx(-0.25 * LOSS)
+
+
+def test_spread_falls_and_care_rises_over_a_phase() -> None:
+    settings = settings_for("ppo", SharedView(cg.make_problem("reach-avoid-v0")), steps=100_000)
+    pieces = _pieces(Phase(0.5, "progress", 1e-3, spread=0.3, care=0.25), settings)
+    spread, care = ([getattr(piece, name) for piece in pieces] for name in ("spread", "care"))
+    assert (spread[0], care[0]) == (0.3, 0.25) and falls(spread) and falls([-value for value in care])
+    assert 0.0 < spread[-1] < 0.1 and 0.8 < care[-1] < 1.0 and sum(piece.steps for piece in pieces) == 50_000
+
+
+def falls(values: Sequence[float]) -> bool:
+    return bool((np.diff(values) < 0.0).all())
