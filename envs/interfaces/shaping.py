@@ -15,7 +15,7 @@ failing episodes have the same return: a learner that has never succeeded learns
 
 **"progress"** tells a good failure from a bad one. An automaton step is worth 1, half of it for the way from the start.
 In tasks that only have to be kept alive, time survived is worth something, too; and a task that is lost keeps what it
-was worth, less a `loss`. What is gained stays, so optimal policies may differ from those of the task; by how much is
+was worth, less its `loss`. What is gained stays, so optimal policies may differ from those of the task; by how much is
 proved in docs/how-to/learned_policies.md, "What the rewards keep".
 """
 
@@ -134,13 +134,13 @@ class Potential:
     def progress(self, worlds: Worlds, before: Any = 0.0, own: bool = False, care: float = 1.0) -> np.ndarray:
         """Return what the reward "progress" has paid for worlds, float (M,); with `own` for their agents, (n, M).
 
-        Tasks that are lost keep what they had `before`, less a share `care` of the `loss`.
+        Tasks that are lost keep what they had `before`, less the `loss`; of `LOSS` a share `care` is taken.
         """
         worth = self.parts * self._undecided(worlds, own)
         if self.is_survival:
             worth = worth + self._placed("clock")[worlds.time, worlds.q]
         result: np.ndarray = namespace(worth).where(
-            worlds.failed | self._placed("dead")[worlds.q], before - care * self.loss, worth
+            worlds.failed | self._placed("dead")[worlds.q], before - self.loss(care), worth
         )
         return result
 
@@ -220,10 +220,9 @@ class Potential:
         """Whether the task asks for nothing but to survive: all automaton states that are not lost accept."""
         return not self.dynamics.problem.automaton.is_co_safe and self.parts == 1.0
 
-    @property
-    def loss(self) -> float:
-        """What a lost task costs."""
-        return DEATH if self.is_survival else LOSS
+    def loss(self, care: float = 1.0) -> float:
+        """Return what a lost task costs."""
+        return DEATH if self.is_survival else care * LOSS
 
     @cached_property
     def clock(self) -> np.ndarray:

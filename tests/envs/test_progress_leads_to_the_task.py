@@ -54,7 +54,7 @@ def test_progress_pays_satisfaction_and_a_bounded_rest(id: str) -> None:
     rest = total - satisfied
     found = potential(id)
     most = found.parts + SURVIVAL + EASE
-    assert (rest > -most - found.loss - 1e-9).all() and (rest < most + 1e-9).all()
+    assert (rest > -most - found.loss() - 1e-9).all() and (rest < most + 1e-9).all()
 
 
 def test_a_lost_task_keeps_its_level() -> None:
@@ -112,8 +112,8 @@ def test_a_success_earns_more_than_any_failure(id: str) -> None:
     ease = EASE + SURVIVAL if found.is_survival else 0.0
     earned = total + begun
     assert earned[satisfied] == pytest.approx(1.0 + found.parts + ease)
-    assert (earned[~satisfied] <= found.parts + ease - found.loss + 1e-9).all()
-    assert (earned > -found.loss - 1e-9).all()
+    assert (earned[~satisfied] <= found.parts + ease - found.loss() + 1e-9).all()
+    assert (earned > -found.loss() - 1e-9).all()
 
 
 def potential(id: str) -> Potential:

@@ -37,7 +37,7 @@ from ..statistical_tests import (
 from .competitors import POLICIES, Competitor, Competitors, Sources, label_of, published
 from .training import ALGORITHMS
 
-SECONDS = 120.0
+SECONDS = 60.0
 """Wall-clock time in which a learner has to be certified as it was trained: along its run, and again on cells."""
 
 
