@@ -67,8 +67,10 @@ def new_learner(algorithm: str, view: View, settings: Settings, seed: int) -> Ba
     return model
 
 
-def enter(model: BaseAlgorithm, view: View, settings: Settings, phase: Phase, seed: int) -> None:
-    """Send a learner into a phase: its worlds, and at most its deviation. The seed decides the worlds from here on."""
+def enter(
+    model: BaseAlgorithm, view: View, settings: Settings, phase: Phase, seed: int, is_later: bool = False
+) -> None:
+    """Send a learner into a phase: its worlds, its deviation (later ones: at most). The seed decides the worlds."""
     import torch
 
     env = _worlds(view, settings, phase)
@@ -77,7 +79,8 @@ def enter(model: BaseAlgorithm, view: View, settings: Settings, phase: Phase, se
     if phase.deviation is not None:
         log_std: Any = model.policy.log_std
         with torch.no_grad():
-            log_std.clamp_(max=float(np.log(phase.deviation)))
+            given = torch.full_like(log_std, float(np.log(phase.deviation)))
+            log_std.copy_(torch.minimum(log_std, given) if is_later else given)
         # A learner that may choose makes small deviations smaller until it learns no more.
         log_std.requires_grad_(not phase.fixed)
 

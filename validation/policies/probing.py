@@ -45,7 +45,7 @@ from ..statistical_tests import (
 from .actors import Actor, save_actor
 from .imitation import clone, demonstrate
 from .learning import Progress, actor_now, enter, learn, new_learner, new_watcher, numbers_of
-from .settings import Settings, settings_for
+from .settings import Piece, Settings, settings_for
 from .training import certificate_of, score
 from .views import SharedView
 
@@ -314,7 +314,7 @@ class _Search:
         watcher = new_watcher(view.rows, max(1, settings.steps // PIECES), self.learned, until)
         best, best_score = actor_now(model, view), -1.0
         for length in self._lengths(settings, endless=steps is None):
-            learn(model, view, length, (phase.learning_rate, phase.learning_rate), watcher)
+            learn(model, view, Piece(length, (phase.learning_rate, phase.learning_rate)), watcher)
             actor = actor_now(model, view)
             now = self._score(actor)
             if now > best_score:

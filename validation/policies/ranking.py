@@ -138,10 +138,9 @@ class Leaderboard:
         return next((row for row in self.rows if (row.problem, row.policy) == (problem, policy)), None)
 
     def holds(self, label: str, problem: Problem, policy: str) -> bool:
-        """Return whether there is a whole row about this very problem; one about an older version does not count."""
+        """Return whether there is a row about this very problem; one about an older version of it does not count."""
         row = self.row(label, policy)
-        is_whole = row is not None and (policy not in ALGORITHMS or len(row.as_it_is) == len(row.seeds))
-        return row is not None and is_whole and row.fingerprint == problem.fingerprint
+        return row is not None and row.fingerprint == problem.fingerprint
 
     def with_row(self, row: Standing) -> Leaderboard:
         """Return the leaderboard with this row in the place of an older one."""
@@ -206,11 +205,13 @@ def leaderboard(
     for id in problem_ids() if ids is None else ids:
         competitors = Competitors(as_problem(id), label_of(id), sources)
         for policy in policies:
-            if not board.holds(competitors.label, competitors.problem, policy):
-                entrants = competitors.of(policy)
-                row = judged(competitors.label, policy, entrants, settled)
-                if policy in ALGORITHMS:
-                    row = replace(row, as_it_is=tuple(map(certified_as_it_is, entrants)))
+            row = board.row(competitors.label, policy)
+            if row is None or not board.holds(competitors.label, competitors.problem, policy):
+                row = judged(competitors.label, policy, competitors.of(policy), settled)
+            if policy in ALGORITHMS and len(row.as_it_is) < len(row.seeds):
+                held = replace(competitors, sources=replace(sources, seeds=row.seeds))
+                row = replace(row, as_it_is=tuple(map(certified_as_it_is, held.of(policy))))
+            if row != board.row(competitors.label, policy):
                 board = board.with_row(row)
                 if finished is not None:
                     finished(board, row)

@@ -48,8 +48,8 @@ class Piece:
 
     steps: int
     rates: tuple[float, float]
-    spread: float
-    care: float
+    spread: float = 0.0
+    care: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -272,7 +272,7 @@ def _best(model: Any, view: View, settings: Settings, watcher: Any, seed: int, s
         share += phase.share
         if settings.seconds is not None:
             watcher.deadline = watcher.began + share * settings.seconds
-        enter(model, view, settings, phase, seed + number)
+        enter(model, view, settings, phase, seed + number, is_later=number > 0)
         for piece in _pieces(phase, settings):
             if time.perf_counter() >= watcher.deadline:
                 break
