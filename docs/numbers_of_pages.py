@@ -188,19 +188,19 @@ def defaults_page() -> str:
 
 BOARD_HEAD = """# Leaderboard: certified controllers and learners
 
-All {count} problems: what is proved, and how often controllers and learners succeed. Success of learners is the share
-of episodes that satisfy the task; all policies of a problem get the same starts and the same noise.
+All {count} problems: what is proved, and the share of episodes that satisfy the task, on the same starts and noise for
+all policies of a problem.
 
 | column | what it is |
 |---|---|
 | proved, certified | bound and measured rate of the certified controllers ([defaults](defaults.md)) |
 | {learners} | **without help**: [learned policies](how-to/learned_policies.md), [how long](how-to/leaderboard.md) |
-| as it is | what `certify` proves of that very network, or why nothing, in a word |
+| as it is | what `certify` proves of that network, or why nothing |
 | random | uniformly random inputs |
 
 **Tier** says what is left to learn. *Known* is the largest of the bound and the lower limits of all rows. A problem is
 **solved** if a learner without help comes within .01 of it, **hard** if all of them stay below half of it, **open**
-otherwise. *Left* is the difference. The best learner without help is bold; a dash means not measured.
+otherwise. *Left* is the difference. The best learner is bold.
 
 | id | proved | certified | tier | left | {names} |
 |---|---|---|---|---|{lines}|
@@ -208,8 +208,7 @@ otherwise. *Left* is the difference. The best learner without help is bold; a da
 
 BOARD_TAIL = """
 Limits, world steps, training time and seeds of every row: [leaderboard.csv](leaderboard.csv). Rates of several seeds
-are means. The actors are in `docs/actors`, `certigym leaderboard --replay` judges them again:
-[seeds, curves, and how to submit a row](how-to/leaderboard.md).
+are means. [Actors, curves, and how to submit a row](how-to/leaderboard.md).
 """
 
 
