@@ -120,8 +120,8 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         self._reward = checked_option(reward, "reward", REWARDS)
         self._potential = None if reward == "sparse" else Potential.of(self._dynamics)
         self._has_own = checked_option(credit, "credit", CREDITS) == "own"
-        # Disturbances that look at the worlds need them cut out one from the other. Whoever has
-        # `_begun` or `_moved` of its own says so here: worlds that move all at once ask neither.
+        # Disturbances that look at the worlds need them cut out one from the other. Whoever has `_begun` or `_moved` of
+        # its own says so here: worlds that move all at once ask neither.
         self._is_plain = isinstance(disturbance, str)
         self.single_observation_space = observation_space(self.problem, joint_bounds(self.problem.agents), self._form)
         self.single_action_space = action_space(self.problem.agents, actions)

@@ -6,7 +6,8 @@ satisfaction and the differences of its own level. The contract with Stable-Base
 
 - a row that ends is reset in the same step; its last observation is in ``infos[row]["terminal_observation"]``;
 - ``infos[row]["TimeLimit.truncated"]`` says whether the row ended undecided at the horizon;
-- ``infos[row]["is_success"]`` says whether the task was satisfied, ``infos[row]["episode"]`` holds return and length;
+- ``infos[row]["is_success"]`` says whether the task was satisfied (missing of episodes that began anywhere),
+  ``infos[row]["episode"]`` holds return and length;
 - dones are Booleans, rewards are float32, and ``seed(n)`` decides every number drawn from the next ``reset`` on.
 
 The observation holds the time left, so the horizon really ends the decision problem, and nothing comes after it. After

@@ -43,6 +43,7 @@ class ScatteredVectorEnv(ProblemVectorEnv):
     def __init__(self, problem: Problem, spread: float, num_envs: int = 1, **options: Any) -> None:
         super().__init__(problem, num_envs, **options)
         self.spread, self.scattered = spread, np.zeros(num_envs, dtype=bool)
+        self._is_plain = False
         self._has_stages = self._potential is None or not self._potential.is_survival
 
     def _begun(self, worlds: Worlds, which: np.ndarray) -> Worlds:

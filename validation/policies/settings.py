@@ -119,6 +119,9 @@ def settings_for(algorithm: str, view: View, *, warm: bool = False, **changes: A
     if "reward" in given:
         phases = (replace(phases[0], share=1.0, reward=given.pop("reward"), spread=0.0, care=1.0),)
     of_phases = {name: given.pop(name) for name in OF_PHASES if name in given}
+    for name in ("spread", "care"):
+        if not 0.0 <= of_phases.get(name, 0.0) <= 1.0:
+            raise ValueError(f"`{name}`: expected a number from 0 to 1, got {of_phases[name]!r}")
     phases = tuple(replace(phase, **of_phases) for phase in phases)
     table |= given
     worlds = int(table["worlds"])
