@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...envs.interfaces import ProblemVectorEnv
-from ...envs.simulation import Worlds
-from ...envs.simulation.batch_simulator import letters
+from ...envs.simulation import Worlds, letters
 from ...envs.tasks.problem import Problem
 
 TRIES = 10
