@@ -402,7 +402,7 @@ def _networks(rng: np.random.Generator) -> Spec:
     spec = _problem(rng, agents, {"cells": cells}, (1, 2, 3))
     hidden = [int(n) for n in rng.integers(3, 9, rng.integers(3))]
     spec["network"] = {"seed": int(rng.integers(2**31)), "hidden": hidden,
-                       "activation": str(rng.choice(["tanh", "relu"])), 
+                       "activation": str(rng.choice(["tanh", "relu"])),
                        "squashed": bool(rng.random() < 0.4)}  # fmt: skip
     return spec
 
