@@ -43,7 +43,7 @@ FINE_SIZES = 0.4
 FINE_CELLS = 0.7
 """Deviations that cells are wide at least where means are interpolated between the middle of a cell and its ends."""
 
-READ = 1.1e-6
+READ = 6e-7
 """Work of a mean that is read, in core seconds."""
 
 SAME = 5e-3
@@ -64,7 +64,7 @@ NO_DIFFERENCE = 1e-11
 GROWS = 1.45
 """Power of the number of vertices with which work grows, about."""
 
-WEIGHT, PRODUCT = 8e-8, 3.5e-10
+WEIGHT, PRODUCT = 1e-7, 1.2e-10
 """Work of a weight of a plane or an interval, and of a weight times a number of a table, in core seconds."""
 
 RUNS, QUANTILE, BESIDE = 300, 1e-3, 6.0
@@ -245,6 +245,14 @@ class _Choice:
         self.tried = self.low + tried * (high - self.low)
         self.middle = np.repeat((0.5 * self.low + 0.5 * high)[None], self.at.shape[1], axis=0)
         self.known: tuple[int, tuple[_Reading, FloatArray]] | None = None
+        # Every vertex and the next one along each axis, both ways, and how many neighbours it has.
+        axes, every = range(len(steps.edges)), slice(None)
+        ways = [tuple(side if j == k else every for j in axes) for k in axes for side in (slice(1, None), slice(-1))]
+        self.beside = [(ways[i], ways[i ^ 1]) for i in range(len(ways))]
+        count = np.zeros([len(axis) for axis in steps.edges])
+        for _, beside in self.beside:
+            count[beside] += 1.0
+        self.neighbours = count.ravel()
         # Widths of the cells beside a vertex.
         widths = [np.diff(axis) for axis in steps.edges]
         beside = [np.concatenate([own[:1], np.maximum(own[1:], own[:-1]), own[-1:]]) for own in widths]
@@ -299,13 +307,10 @@ class _Choice:
         step = self.axis[1]
         for j in range(self.m):
             means, own = self._read(table, shares, j), shares[:, j].reshape(shape)
-            total, count = np.zeros(shape), np.zeros(shape)
-            for k in range(len(shape)):
-                each = np.moveaxis(own, k, 0)
-                for there, beside in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
-                    np.moveaxis(total, k, 0)[beside] += each[there]
-                    np.moveaxis(count, k, 0)[beside] += 1.0
-            total, count = total.ravel(), count.ravel()
+            total = np.zeros(shape)
+            for there, beside in self.beside:
+                total[beside] += own[there]
+            total, count = total.ravel(), self.neighbours
             # Means are linear between inputs that are tried: on each piece a parabola, whose top is known.
             slopes = np.diff(means, axis=0) / step
             with np.errstate(all="ignore"):
@@ -342,9 +347,7 @@ class _Reading:
         for k, axis in enumerate(edges):
             # Sizes of the noise, as many as their range asks for, and points of a lattice, beyond the edges, too.
             least, most = max(sizes[k].min(), 1e-9), max(sizes[k].max(), 1e-9)
-            levels = (
-                np.geomspace(least, most, 1 + math.ceil(math.log(most / least) / FINE_SIZES)) if noisy[k] else [0.0]
-            )
+            levels = np.geomspace(least, most, 1 + math.ceil(math.log(most / least) / FINE_SIZES))
             away = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0]) * most * noisy[k]
             # where cells are wide, in the middle of them, too
             middles = (0.5 * axis[1:] + 0.5 * axis[:-1])[np.diff(axis) > FINE_CELLS * least]
@@ -357,6 +360,8 @@ class _Reading:
                 places.append(np.stack([below, above]))
                 share = np.clip((numbers - points[below]) / width, 0.0, 1.0) * (above > below)
                 parts.append(np.stack([1.0 - share, share]))
+            # without noise what is beyond the edges is lost
+            parts[-1] *= noisy[k] | ((axis[0] <= y[k]) & (y[k] <= axis[-1]))
         self.shape = tuple(n for own in self.smoothing for n in own.shape[:2])
         # Of all corners those that any image has a share of.
         self.corners = []
