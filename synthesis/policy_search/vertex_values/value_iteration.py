@@ -250,8 +250,8 @@ class _Choice:
         ways = [tuple(side if j == k else every for j in axes) for k in axes for side in (slice(1, None), slice(-1))]
         self.beside = [(ways[i], ways[i ^ 1]) for i in range(len(ways))]
         count = np.zeros([len(axis) for axis in steps.edges])
-        for _, beside in self.beside:
-            count[beside] += 1.0
+        for _, here in self.beside:
+            count[here] += 1.0
         self.neighbours = count.ravel()
         # Widths of the cells beside a vertex.
         widths = [np.diff(axis) for axis in steps.edges]
@@ -308,18 +308,18 @@ class _Choice:
         for j in range(self.m):
             means, own = self._read(table, shares, j), shares[:, j].reshape(shape)
             total = np.zeros(shape)
-            for there, beside in self.beside:
-                total[beside] += own[there]
+            for there, here in self.beside:
+                total[here] += own[there]
             total, count = total.ravel(), self.neighbours
             # Means are linear between inputs that are tried: on each piece a parabola, whose top is known.
             slopes = np.diff(means, axis=0) / step
             with np.errstate(all="ignore"):
                 top = (total + 0.5 * slopes / cost[:, j]) / count
             top = np.where(np.isfinite(top), top, shares[:, j])
-            here = np.clip(top, self.axis[:-1, None], self.axis[1:, None])
-            worth = means[:-1] + slopes * (here - self.axis[:-1, None])
-            worth = worth - cost[:, j] * (count * here**2 - 2.0 * total * here)
-            result[:, j] = np.take_along_axis(here, worth.argmax(axis=0)[None], axis=0)[0]
+            best = np.clip(top, self.axis[:-1, None], self.axis[1:, None])
+            worth = means[:-1] + slopes * (best - self.axis[:-1, None])
+            worth = worth - cost[:, j] * (count * best**2 - 2.0 * total * best)
+            result[:, j] = np.take_along_axis(best, worth.argmax(axis=0)[None], axis=0)[0]
         return result
 
     def _images(self, t: int) -> tuple[_Reading, FloatArray]:
