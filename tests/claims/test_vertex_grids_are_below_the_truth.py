@@ -16,8 +16,8 @@ from scipy.stats import beta
 import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical_problem
 from certigym.synthesis.checker import CheckedProblem, Refused, read_problem
-from certigym.synthesis.extended_check.vertex_grids import Backups, Images, backups, failure_of
-from certigym.synthesis.extended_check.vertex_grids.backups import Planes
+from certigym.synthesis.extended_check.vertex_grids import Backups, Images, backups, failure_of, images
+from certigym.synthesis.extended_check.vertex_grids.images import Planes
 from certigym.synthesis.policy_search.vertex_values import value_iteration
 from certigym.synthesis.trajectories.planning import CountedWork
 
@@ -74,7 +74,7 @@ def truth(steps: Backups, W: np.ndarray, inputs: np.ndarray, x: np.ndarray) -> n
     total: Any = W[None]
     for k, axis in enumerate(steps.edges):
         if not steps.noisy[k]:
-            hats, _ = backups.hats_at(y[k], sizes[k], axis, False)
+            hats, _ = images.hats_at(y[k], sizes[k], axis, False)
             hats = hats * ((y[k] >= axis[0]) & (y[k] <= axis[-1]))[:, None]
         else:
             z = (axis - y[k][:, None]) / sizes[k][:, None]
@@ -101,7 +101,7 @@ def simulated(name: str, steps: Backups, x: np.ndarray, u: np.ndarray) -> tuple[
 
 def interpolated(edges: tuple[np.ndarray, ...], table: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return multilinear interpolations (m, M) of numbers (V, m) at states (d, M)."""
-    hats = [backups.hats_at(own, own, axis, False)[0] for own, axis in zip(x, edges, strict=True)]
+    hats = [images.hats_at(own, own, axis, False)[0] for own, axis in zip(x, edges, strict=True)]
     weights = []
     for own in hats:
         pairs = own.reshape(len(own), -1, 2)
@@ -177,8 +177,8 @@ def test_what_is_left_out_is_noticed(part: str, monkeypatch: pytest.MonkeyPatch)
 def test_what_is_far_from_images_costs_its_probability(
     name: str, deviations: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(backups, "BEYOND", deviations)
-    monkeypatch.setattr(backups, "BESIDE", 100.0)  # blocks of a few cells
+    monkeypatch.setattr(images, "BEYOND", deviations)
+    monkeypatch.setattr(images, "BESIDE", 100.0)  # blocks of a few cells
     pairs = [below_and_true(name, seed) for seed in range(3)]
     assert all(np.all(found <= true + 1e-13) for found, true in pairs)
     assert deviations < 1.0 or any(len(found) > 100 for found, _ in pairs)
@@ -186,17 +186,17 @@ def test_what_is_far_from_images_costs_its_probability(
 
 def test_probabilities_beyond_are_noticed_when_they_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     # Corners see all of W, and what bends is looked for in a box alone.
-    means = backups.Means.of
-    monkeypatch.setattr(backups, "BESIDE", 100.0)
-    monkeypatch.setattr(backups, "_tail_beyond", lambda distance, sigma: np.zeros(len(distance)))
+    means = images.Means.of
+    monkeypatch.setattr(images, "BESIDE", 100.0)
+    monkeypatch.setattr(images, "_tail_beyond", lambda distance, sigma: np.zeros(len(distance)))
 
     def from_afar(*arguments: Any) -> Any:
         with monkeypatch.context() as patch:
-            patch.setattr(backups, "BEYOND", 8.0)
+            patch.setattr(images, "BEYOND", 8.0)
             return means(*arguments)
 
-    monkeypatch.setattr(backups.Means, "of", from_afar)
-    monkeypatch.setattr(backups, "BEYOND", 0.3)
+    monkeypatch.setattr(images.Means, "of", from_afar)
+    monkeypatch.setattr(images, "BEYOND", 0.3)
     # Nothing but two places far apart, so that means in between are convex.
     problem, edges, rng = on_grid("two states", 0)
     steps = Backups(problem, edges, (True, True))
@@ -212,17 +212,17 @@ def test_probabilities_beyond_are_noticed_when_they_are_left_out(monkeypatch: py
 
 @pytest.mark.parametrize("name", ["two states", "a state without noise", "three states"])
 def test_blocks_change_nothing_but_rounding(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(backups, "BEYOND", 8.0)
+    monkeypatch.setattr(images, "BEYOND", 8.0)
     quiet = [0.04 * (std > 0.0) for std in DYNAMICS[name]["noise_std"]]
     problem, edges, rng = on_grid(name, 5, noise_std=quiet)
     at, each = np.stack(np.meshgrid(*edges, indexing="ij")).reshape(len(edges), -1), []
     inputs = np.cos(rng.normal(size=(1, len(at))) @ at).T
     W = rng.random([2 * (len(axis) - 1) for axis in edges])
     for beside in (1.0, 1e18):
-        monkeypatch.setattr(backups, "BESIDE", beside)
+        monkeypatch.setattr(images, "BESIDE", beside)
         steps = Backups(problem, edges, (True,) * len(edges))
-        images = steps.images_of(inputs, 0)
-        each.append((images.means(W), *images.cost(W, edges), images.known, len(images.blocks)))
+        seen = steps.images_of(inputs, 0)
+        each.append((seen.means(W), *seen.cost(W, edges), seen.known, len(seen.blocks)))
     many, one = each
     assert many[-1] > 4 and one[-1] == 1 and np.array_equal(many[-2], one[-2]) and many[-2].any()
     for a, b in zip(many[:2], one[:2], strict=True):
@@ -233,13 +233,13 @@ def test_blocks_change_nothing_but_rounding(name: str, monkeypatch: pytest.Monke
 
 def test_tables_of_densities_and_tails_enclose_what_scipy_computes() -> None:
     t = np.concatenate([np.random.default_rng(0).uniform(0.0, 9.0, 20_000), np.arange(12.0), np.sqrt([1.0, 2.0, 3.0])])
-    place = (t * backups.FINE).astype(int)
-    for p, table in enumerate(backups._densities()):
+    place = (t * images.FINE).astype(int)
+    for p, table in enumerate(images._densities()):
         true = t**p * np.exp(-0.5 * t * t) / np.sqrt(2.0 * np.pi)
         assert np.all(true <= table[place] * (1.0 + 1e-13)) and np.all(table[place] <= true * 1.02 + 1e-3)
-    low, high = backups._tails(t)
+    low, high = images._tails(t)
     assert np.all(low <= ndtr(-t) * (1.0 + 1e-12)) and np.all(ndtr(-t) <= high * (1.0 + 1e-12))
-    assert np.all(high - low <= 1e-3) and backups._tails(np.array([50.0]))[0] == 0.0
+    assert np.all(high - low <= 1e-3) and images._tails(np.array([50.0]))[0] == 0.0
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,453 @@
+"""Where cells of a grid lead, as planes and intervals see it: means of values at corners, and how far means bend.
+
+The formulas are those of ``backups``: along each axis W is a sum of kinks and jumps at planes, and of slopes between
+them. Points and cells are cut into blocks, which look at what is near their images only (``Images``: the lemma).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from ...checker import rigorous
+from ...checker.intervals import down, up
+from ...checker.rigorous import Array, Truth, U, Whole
+from ...checker.tables import normal_table
+from .closed_loops import ClosedLoop, corners_of
+
+FAR = 38.0  # deviations beyond which densities count as at them
+ROUNDED = 1.0 + 2.0**-26  # more than sums of 2^22 products of numbers of one sign, and their factors, are rounded by
+AT_ONCE = 2**22  # numbers that are formed at once
+FINE = 2048  # intervals of a deviation for which densities and tails are tabled
+BEYOND = 6.8  # deviations of the noise beyond which nothing is looked at, but its probability
+BESIDE = 2e5  # products that a block of points costs beside its own
+
+
+def _features(W: Array, k: int, edges: Array) -> Array:
+    """Return kinks (n + 1), jumps (n + 1) and slopes (n), one after the other along axis k of numbers (.., 2 n, ..)."""
+    ends = np.moveaxis(W, k, -1)
+    low, high, nothing = ends[..., ::2], ends[..., 1::2], np.zeros((*ends.shape[:-1], 1))
+    slopes = (high - low) / np.diff(edges)
+    kinks = np.diff(np.concatenate([nothing, slopes, nothing], axis=-1), axis=-1)
+    jumps = np.concatenate([low, nothing], axis=-1) - np.concatenate([nothing, high], axis=-1)
+    return np.moveaxis(np.concatenate([kinks, jumps, slopes], axis=-1), -1, k)
+
+
+def _largest_ends(table: Array, axes: Sequence[int]) -> Array:
+    """Return the larger number of both ends of every interval along some axes."""
+    for k in axes:
+        ends = np.moveaxis(table, k, 0)
+        table = np.moveaxis(np.maximum(ends[::2], ends[1::2]), 0, k)
+    return table
+
+
+def contracted(table: Array, weights: Sequence[Array], last: Sequence[Sequence[Array]] = ((),)) -> Array:
+    """Return sums (.., n) over a table, each number times a weight (n, .) along every axis.
+
+    ``last`` are choices of the weights of the axes that remain, one or two: a row of sums for each of them.
+    """
+    n = len((*weights, *last[0])[0])
+    result, flat = np.empty((len(last), n)), table.reshape(len(table), -1)
+    for some in np.array_split(np.arange(n), n * flat.shape[1] // AT_ONCE + 1):
+        total = table[None]
+        if weights:
+            total = (weights[0][some] @ flat).reshape(len(some), *table.shape[1:])
+        for weight in weights[1:]:
+            total = np.einsum("na,na...->n...", weight[some], total)
+        for row, own in zip(result, last, strict=True):
+            # all axes but the last one are gone after this
+            each = total if len(own) < 2 else own[0][some] @ table if not weights else _product(own[0][some], total)
+            row[some] = np.einsum("na,na->n", own[-1][some], each) if own else total
+    return result if last[0] else result[0]
+
+
+def _product(weights: Array, tables: Array) -> Array:
+    return np.asarray((weights[:, None] @ tables)[:, 0])
+
+
+def blocks_of(first: Whole, last: Whole) -> Iterator[tuple[Whole, tuple[slice, ...]]]:
+    """Yield blocks of a grid of points that need the intervals ``first <= s < last`` (d, n_1, ..) of each axis.
+
+    They are the places of its points, and along each axis the intervals that all of them need. A block is cut in two
+    where that saves most, as long as it saves a fifth of the products; points that need none are in no block.
+    """
+    d, places = len(first), np.arange(first[0].size).reshape(first.shape[1:])
+
+    def windows(block: tuple[slice, ...]) -> list[slice]:
+        here = (slice(None), *block)
+        ends = first[here].reshape(d, -1).min(axis=1), last[here].reshape(d, -1).max(axis=1)
+        return [slice(int(a), int(b)) for a, b in zip(*ends, strict=True)]
+
+    def products(block: tuple[slice, ...]) -> float:
+        sides = [2.0 * max(0, own.stop - own.start) for own in windows(block)]
+        return BESIDE + math.prod(own.stop - own.start for own in block) * math.prod(sides)
+
+    whole: tuple[int, ...] = places.shape
+    waiting = [tuple(slice(0, count) for count in whole)]
+    while waiting:
+        block = waiting.pop()
+        halves = []
+        for k, own in enumerate(block):
+            if own.stop - own.start > 1:
+                middle = (own.start + own.stop) // 2
+                sides = slice(own.start, middle), slice(middle, own.stop)
+                halves.append([(*block[:k], side, *block[k + 1 :]) for side in sides])
+        best = min(halves, key=lambda pair: sum(map(products, pair)), default=[])
+        if best and sum(map(products, best)) < 0.8 * products(block):
+            waiting += best
+        elif all(own.start < own.stop for own in windows(block)):
+            yield places[block].ravel(), tuple(windows(block))
+
+
+def _reached(low: Array, high: Array, axis: Array) -> tuple[Whole, Whole]:
+    """Return the first interval that meets ``low .. high``, ends included, and the one after the last."""
+    first = np.clip(np.searchsorted(axis, low, side="left") - 1, 0, len(axis) - 2)
+    return first, np.clip(np.searchsorted(axis, high, side="right"), first + 1, len(axis) - 1)
+
+
+def _part(W: Array, windows: tuple[slice, ...]) -> Array:
+    return W[tuple(slice(2 * own.start, 2 * own.stop) for own in windows)]
+
+
+@dataclass(frozen=True, eq=False)
+class Means:
+    """Weights of means around points, by blocks of them: what is more than ``BEYOND`` deviations away is left out.
+
+    Attributes
+    ----------
+    blocks : list of (places, windows, d arrays (M, 2 n))
+        Means of both hats of the intervals of each axis that are near, from below.
+    lack, count : float, int
+        What a row lacks at most along all axes, and how many numbers rows have.
+    """
+
+    blocks: list[tuple[Whole, tuple[slice, ...], list[Array]]]
+    lack: float
+    count: int
+
+    @classmethod
+    def of(cls, centre: Array, edges: tuple[Array, ...], noisy: Sequence[bool]) -> Means:
+        """Return weights around images (2 d, V) of the vertices of a grid, means first; what is not known has none."""
+        d, shape = len(edges), tuple(len(axis) for axis in edges)
+        known, size = np.all(np.isfinite(centre), axis=0), np.abs(centre[d:])
+        first, last, each = [], [], []
+        for k, axis in enumerate(edges):
+            y = np.where(known, centre[k], axis[0])
+            away = BEYOND * np.where(known, size[k], 0.0) * noisy[k]
+            start, stop = _reached(y - away, y + away, axis)
+            first.append(np.where(known, start, len(axis)).reshape(shape))
+            last.append(np.where(known, stop, 0).reshape(shape))
+        lack, count = 0.0, 0
+        for places, windows in blocks_of(np.stack(first), np.stack(last)):
+            some = places[known[places]]
+            weights = list[Array]()
+            missing = 0.0
+            for k, own in enumerate(windows):
+                table, off = hats_at(centre[k, some], size[k, some], edges[k][own.start : own.stop + 1], noisy[k])
+                weights.append(table)
+                missing += off
+            each.append((some, windows, weights))
+            lack, count = max(lack, missing), max(count, sum(table.shape[1] for table in weights))
+        return cls(each, lack, count)
+
+    @property
+    def size(self) -> int:
+        """How many numbers it holds."""
+        return sum(table.size for _, _, weights in self.blocks for table in weights)
+
+    @property
+    def products(self) -> float:
+        """How many products a mean around all points takes."""
+        return sum(len(places) * math.prod(own.shape[1] for own in weights) for places, _, weights in self.blocks)
+
+    def around(self, W: Array, n: int) -> Array:
+        """Return means of W, which is not negative, around n points (n,)."""
+        result = np.zeros(n)
+        for places, windows, weights in self.blocks:
+            result[places] = contracted(_part(W, windows), weights)
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Images:
+    """Where a closed loop leads: weights of means at vertices, and bounds on weights on the images of cells.
+
+    **Lemma.** Let G be the mean of W where the next state is in a box, and else 0. F is at least G, and at most ``max W
+    * P(outside)`` above it. So what is below F at corners, less that, is below G, and G bends by the features of W in
+    the box, and by its jumps to 0 beyond: cells look at what is near. QED
+
+    Attributes
+    ----------
+    vertices : Means
+        Of W around the images of vertices.
+    blocks : list of (places, windows, d of Planes or Crossed)
+        Cells of each block, intervals that are near their images, and planes of each axis as seen from these.
+    moves : (d axes, d directions) of four arrays (S, 1)
+        By how much y and sigma move along the side of a cell, and how far both bend.
+    off : d pairs of arrays (S, 1)
+        What y and sigma may be off by.
+    beyond : (S,)
+        Upper bounds on the probability of what is not near.
+    known : (S,) bool
+        Cells whose images are known.
+    """
+
+    vertices: Means
+    blocks: list[tuple[Whole, tuple[slice, ...], list[Planes | Crossed]]]
+    moves: list[list[list[Array]]]
+    off: list[list[Array]]
+    beyond: Array
+    known: Truth
+
+    @property
+    def size(self) -> int:
+        """How many numbers it holds."""
+        return self.vertices.size + sum(own.size for _, _, planes in self.blocks for own in planes)
+
+    @property
+    def products(self) -> float:
+        """How many pairs of a cell and of another one near its image there are."""
+        return sum(
+            len(places) * math.prod(own.stop - own.start for own in windows) for places, windows, _ in self.blocks
+        )
+
+    @classmethod
+    def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noisy: Sequence[bool]) -> Images:
+        """Return the images of a closed loop."""
+        d, cells = len(edges), tuple(len(axis) - 1 for axis in edges)
+        # Sizes may have either sign: normal noise has none.
+        ends, size = loop.ends.copy(), np.abs(loop.centre[d:])
+        ends[:, d:] = np.where(ends[0, d:] < 0.0, -ends[::-1, d:], ends[:, d:])
+        known = np.all(np.isfinite(ends), axis=(0, 1)) & np.all(np.isfinite(loop.slopes + loop.bends), axis=(0, 1))
+        # What is read at a vertex, and where it may lead, belongs to the images of cells, too.
+        shape, at = tuple(len(axis) for axis in edges), loop.centre.copy()
+        at[d:] = size
+        rho, least, most = (
+            np.stack([corners_of(own.reshape(shape), d).reshape(len(known), -1).max(axis=1) for own in table])
+            for table in (loop.rho, loop.rho - at, at + loop.rho)
+        )
+        ends = np.stack([np.minimum(ends[0], down(-least)), np.maximum(ends[1], up(most))])
+        known &= np.all(np.isfinite(rho), axis=0)
+        for k, axis in enumerate(edges):
+            inside = ends[0, d + k] > 0.0 if noisy[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
+            known &= inside
+        ends = np.where(known, ends, 1.0)
+        moved, off, first, last = [], [], [], []
+        for k, axis in enumerate(edges):
+            # y and sigma of cells, and how both move in each direction
+            moves = [
+                [np.where(known, own[n, j], 0.0)[:, None] for own in (loop.slopes, loop.bends) for j in (k, d + k)]
+                for n in range(d)
+            ]
+            moved.append(moves)
+            off.append([np.where(known, rho[j], 0.0)[:, None] for j in (k, d + k)])
+            away = BEYOND * ends[1, d + k] * noisy[k]
+            start, stop = _reached(ends[0, k] - away, ends[1, k] + away, axis)
+            first.append(np.where(known, start, len(axis)).reshape(cells))
+            last.append(np.where(known, stop, 0).reshape(cells))
+        blocks, beyond = list[tuple[Whole, tuple[slice, ...], list[Planes | Crossed]]](), np.zeros(len(known))
+        for places, windows in blocks_of(np.stack(first), np.stack(last)):
+            some, seen = places[known[places]], list[Planes | Crossed]()
+            for k, own in enumerate(windows):
+                y, sigma = ends[:, k, some], ends[:, d + k, some]
+                axis = edges[k][own.start : own.stop + 1]
+                seen.append(Planes.of(y, sigma, axis) if noisy[k] else Crossed.of(y, axis))
+                if noisy[k] and own.start > 0:
+                    beyond[some] += _tail_beyond(y[0] - axis[0], sigma[1])
+                if noisy[k] and own.stop < cells[k]:
+                    beyond[some] += _tail_beyond(axis[-1] - y[1], sigma[1])
+            blocks.append((some, windows, seen))
+        return cls(Means.of(loop.centre, edges, noisy), blocks, moved, off, beyond, known)
+
+    def means(self, W: Array) -> Array:
+        """Return means of W around the images of vertices (V,), less what they may be above."""
+        n = math.prod(k // 2 + 1 for k in W.shape)
+        off = 1.01 * self.vertices.lack + 4.0 * U * (self.vertices.count + 8.0) * 2**W.ndim
+        return self.vertices.around(W, n) - float(np.abs(W).max()) * off
+
+    def cost(self, W: Array, edges: tuple[Array, ...]) -> tuple[Array, Array]:
+        """Return what ``rho`` and what is far may cost on each cell (S,), and bounds on second derivatives (d, S)."""
+        d, largest = W.ndim, float(np.abs(W).max())
+        always, bends = np.zeros(len(self.known)), np.zeros((d, len(self.known)))
+        for places, windows, planes in self.blocks:
+            near = [axis[own.start : own.stop + 1] for axis, own in zip(edges, windows, strict=True)]
+            moves = [[[own[places] for own in each] for each in axis] for axis in self.moves]
+            off = [[own[places] for own in axis] for axis in self.off]
+            always[places], bends[:, places] = _cost(_part(W, windows), near, planes, moves, off, largest)
+        return (always + largest * self.beyond) * ROUNDED, bends * ROUNDED
+
+
+def _tail_beyond(distance: Array, sigma: Array) -> Array:
+    """Return upper bounds on the probability that noise of this size is larger than a distance."""
+    return np.asarray(rigorous.tail(np.maximum(distance, 0.0) / sigma * (1.0 - 4.0 * U))[1])
+
+
+def _cost(
+    W: Array,
+    edges: Sequence[Array],
+    planes: Sequence[Planes | Crossed],
+    moves: Sequence[Sequence[Sequence[Array]]],
+    off: Sequence[Sequence[Array]],
+    largest: float,
+) -> tuple[Array, Array]:
+    """Return what ``off`` may cost (M,), and second derivatives along each axis (d, M), for the cells of a block."""
+    # What each feature is rounded by, as a share of the largest number.
+    grain = [
+        np.repeat([4.0 / np.diff(axis).min(), 2.0, 2.0 / np.diff(axis).min()], [len(axis), len(axis), len(axis) - 1])
+        for axis in edges
+    ]
+    d, n = W.ndim, len(off[0][0])
+    always, bends = np.zeros(n), np.zeros((d, n))
+    for i in range(d):
+        signed, others = _features(W, i, edges[i]), [k for k in range(d) if k != i]
+        size = np.abs(signed) + _along(64.0 * U * largest * grain[i], i, d)
+        upward = np.maximum(np.take(signed, range(len(edges[i])), axis=i), 0.0)
+        upward = upward + 64.0 * U * largest * grain[i][0]
+        weights = [planes[k].mass for k in others]
+        table = np.moveaxis(_largest_ends(np.concatenate([upward, size], axis=i), others), i, -1)
+        bends += contracted(table, weights, [(planes[i].second(*own),) for own in moves[i]])
+        always += contracted(table[..., len(edges[i]) :], weights, [(planes[i].first(*off[i]),)])[0]
+        for j in range(i + 1, d):
+            both = np.abs(_features(signed, j, edges[j]))
+            both = both + 256.0 * U * largest * _along(grain[i], i, d) * _along(grain[j], j, d)
+            rest = [k for k in others if k != j]
+            table = np.moveaxis(_largest_ends(both, rest), (i, j), (-2, -1))
+            pairs = [tuple(planes[k].first(*moves[k][m][:2]) for k in (i, j)) for m in range(d)]
+            bends += 2.0 * contracted(table, [planes[k].mass for k in rest], pairs)
+    return always, bends
+
+
+def _along(numbers: Array, k: int, d: int) -> Array:
+    return numbers.reshape([-1 if axis == k else 1 for axis in range(d)])
+
+
+def hats_at(points: Array, sizes: Array, axis: Array, noisy: bool) -> tuple[Array, float]:
+    """Return means (V, 2 n) of both hats of all intervals around points (V,), and what a row lacks at most.
+
+    Without noise they are the hats themselves. What is not known is taken for something else: its cells are given up.
+    """
+    points = np.where(np.isfinite(points), points, axis[0])
+    if noisy:
+        return normal_table(points, axis, np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)[:, None], True)
+    place = np.clip(np.searchsorted(axis, points, side="right") - 1, 0, len(axis) - 2)
+    share = np.clip((points - axis[place]) / np.diff(axis)[place], 0.0, 1.0)
+    table = np.zeros((len(points), 2 * len(axis) - 2))
+    table[np.arange(len(points)), 2 * place] = 1.0 - share
+    table[np.arange(len(points)), 2 * place + 1] = share
+    return table, 16.0 * U * (2.0 + float(np.abs(axis).max() / np.diff(axis).min()))
+
+
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """Planes of an axis as seen from images.
+
+    ``mass`` (S, n) are largest probabilities of intervals, ``powers`` the largest ``|tau|^p phi(tau)`` at each plane
+    (S, n + 1), p = 0 .. 3, and ``least`` (S, 1) the least sigma.
+    """
+
+    mass: Array
+    powers: list[Array]
+    least: Array
+
+    @classmethod
+    def of(cls, y: Array, sigma: Array, axis: Array) -> Planes:
+        """Return planes as seen from y and sigma between ends (2, S)."""
+        low, high, least, most = y[0][:, None], y[1][:, None], sigma[0][:, None], sigma[1][:, None]
+        before, after = down(axis - high), up(axis - low)
+        near = np.maximum(np.maximum(before, -after), 0.0) / most * (1.0 - 4.0 * U)
+        far = np.maximum(np.abs(before), np.abs(after)) / least * (1.0 + 4.0 * U)
+        table, powers = _densities(), []
+        for p in range(4):
+            # t^p phi(t) rises up to the root of p, and falls after it
+            t = np.minimum(np.clip(np.sqrt(p), near, np.maximum(near, far)), FAR)
+            powers.append(table[p][(t * FINE).astype(np.int64)])
+        return cls(_masses(before, after, least, most), powers, least)
+
+    @property
+    def size(self) -> int:
+        """How many numbers it holds."""
+        return self.mass.size + sum(own.size for own in self.powers)
+
+    def first(self, y: Array, sigma: Array) -> Array:
+        """Return weights (S, 3 n + 2) of features in size, for first derivatives of y and sigma up to these (S, 1)."""
+        phi, tau = self.powers[:2]
+        return np.concatenate([phi * sigma, (phi * y + tau * sigma) / self.least, self.mass * y], axis=1)
+
+    def second(self, y: Array, sigma: Array, bend: Array, bend_of_sigma: Array) -> Array:
+        """Return weights (S, 4 n + 3) of kinks upward and of features in size, for derivatives up to these (S, 1)."""
+        phi, tau, square, cube = self.powers
+        upward = (phi * y * y + 2.0 * tau * y * sigma + square * sigma * sigma) / self.least
+        upward = np.minimum(upward, 2.0 * (y + sigma + bend + bend_of_sigma))
+        jumps = (tau * y * y + 2.0 * square * y * sigma + cube * sigma * sigma) / self.least
+        jumps = (
+            jumps + 2.0 * sigma * (phi * y + tau * sigma) / self.least + phi * bend + tau * bend_of_sigma
+        ) / self.least
+        return np.concatenate([upward, phi * bend_of_sigma, jumps, self.mass * bend], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Crossed:
+    """Planes of an axis without noise: intervals that images meet, as masses (S, n), and planes (S, n + 1)."""
+
+    mass: Array
+    met: Array
+
+    @classmethod
+    def of(cls, y: Array, axis: Array) -> Crossed:
+        """Return what means between ends (2, S) meet."""
+        met = (axis <= y[1][:, None]) & (axis >= y[0][:, None])
+        return cls(((axis[:-1] <= y[1][:, None]) & (axis[1:] >= y[0][:, None])).astype(float), met.astype(float))
+
+    @property
+    def size(self) -> int:
+        """How many numbers it holds."""
+        return self.mass.size + self.met.size
+
+    def first(self, y: Array, sigma: Array) -> Array:
+        """Return weights (S, 3 n + 2) of features in size; there are no jumps."""
+        none = np.zeros_like(self.met)
+        return np.concatenate([none, none, self.mass * y], axis=1)
+
+    def second(self, y: Array, sigma: Array, bend: Array, bend_of_sigma: Array) -> Array:
+        """Return weights (S, 4 n + 3): a kink costs a quarter of what y moves, as a bend of twice that does."""
+        none = np.zeros_like(self.met)
+        return np.concatenate([2.0 * self.met * (y + bend), none, none, self.mass * bend], axis=1)
+
+
+def _masses(before: Array, after: Array, least: Array, most: Array) -> Array:
+    """Return upper bounds (S, n) on the probabilities of intervals between planes: ``e - y`` is between both ends."""
+    x, z = after[:, 1:], before[:, :-1]
+    x = np.where(x > 0.0, x / least, x / most)
+    z = np.where(z > 0.0, z / most, z / least)
+    # tails at both ends, rounded outward; of the same side where both ends are on it
+    x, z = x + 4.0 * U * np.abs(x), z - 4.0 * U * np.abs(z)
+    (x_low, x_high), (z_low, z_high) = _tails(np.abs(x)), _tails(np.abs(z))
+    mass = np.select([z >= 0.0, x <= 0.0], [z_high - x_low, x_high - z_low], 1.0 - x_low - z_low)
+    return np.clip(mass + 4.0 * U, 0.0, 1.0)
+
+
+@cache
+def _densities() -> Array:
+    """Return upper bounds (4, n) on ``t^p phi(t)``, p = 0 .. 3, from each multiple of 1 / FINE to the next, to FAR."""
+    t = np.arange(math.ceil(FAR * FINE) + 1) / FINE
+    best = [np.clip(np.sqrt(p), t, t + 1.0 / FINE) for p in range(4)]
+    return np.stack([own**p * rigorous.density_at(own, 4.0)[1] * (1.0 + 2.0**-36) for p, own in enumerate(best)])
+
+
+@cache
+def _tail_table() -> tuple[Array, Array]:
+    t = np.arange(math.ceil(FAR * FINE) + 2) / FINE
+    low, high = rigorous.tail(t)
+    # from t to the next one: below at its end, above at its beginning
+    return low[1:], high[:-1]
+
+
+def _tails(t: Array) -> tuple[Array, Array]:
+    """Return bounds on the probability that normal noise is larger than t deviations, t >= 0."""
+    place = (np.minimum(t, FAR) * FINE).astype(np.int64)
+    low, high = _tail_table()
+    return np.where(t > FAR, 0.0, low[place]), high[place]
