@@ -310,6 +310,18 @@ def test_what_was_found_is_returned_at_ctrl_c(monkeypatch: pytest.MonkeyPatch) -
     assert len(calls) == 4 and work.is_interrupted and cg.check(result.certificate)
 
 
+def test_cells_are_narrow_wherever_a_region_comes_by() -> None:
+    agent = cg.Agent(
+        name="a", states=["x"], inputs=["u"], dynamics=["x + u"], noise_std=[0.1], state_low=[-1], state_high=[9],
+        input_low=[-1.5], input_high=[1.5], initial_state=[0],
+    )  # fmt: skip
+    near = cg.Proposition("a", ["4*sin(0.4*t) - 0.5"], ["4*sin(0.4*t) + 0.5"])
+    problem = cg.Problem(name="p", agents=[agent], propositions={"near": near}, specification="G near", horizon=8)
+    checked = read_problem({"problem": canonical_problem(problem)})
+    low, high = value_iteration._alive(checked, (np.linspace(-1.0, 9.0, 101),))
+    assert low[0] <= -0.5 and 4.4 <= high[0] <= 4.7
+
+
 @pytest.mark.thorough
 def test_noise_by_state_gets_a_grid_of_vertices_by_default() -> None:
     found = cg.synthesize(problem_of("one state, its noise grows with it", noise_std=[2.5]), effort=10.0)

@@ -425,11 +425,9 @@ def _alive(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> FloatArray
     steps, dead = Backups(problem, edges, (True,) * len(edges)), problem.automaton.dead()
     values, nothing = steps.at_end()
     values[:] = np.reshape(~np.array(dead), (-1, *(1,) * len(edges)))
-    each = [
-        steps.after_letter(values, nothing, q, t)
-        for q in np.flatnonzero(~np.array(dead)).tolist()
-        for t in (0, problem.horizon)
-    ]
+    moves = any(np.any(end != end[0]) for own in problem.regions for end in (own.low, own.high))
+    times, states = range(problem.horizon + 1 if moves else 1), np.flatnonzero(~np.array(dead)).tolist()
+    each = [steps.after_letter(values, nothing, q, t) for q in states for t in times]
     held, box = np.max(each, axis=0) > 0.0, problem.agents[0].state_box.copy()
     for k, axis in enumerate(edges):
         some = np.flatnonzero(np.any(held, axis=tuple(j for j in range(len(edges)) if j != k)))
