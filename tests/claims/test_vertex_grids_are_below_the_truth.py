@@ -113,10 +113,10 @@ def interpolated(edges: tuple[np.ndarray, ...], table: np.ndarray, x: np.ndarray
     return np.asarray((joint @ table).T)
 
 
-def below_and_true(name: str, seed: int, saddle: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def below_and_true(name: str, seed: int, saddle: bool = False, near: float = 6.8) -> tuple[np.ndarray, np.ndarray]:
     """Return values of a backup and the truth at random states of cells that are kept, for random values later."""
     problem, edges, rng = on_grid(name, seed)
-    steps = Backups(problem, edges, tuple(rng.random(len(edges)) < 0.7))
+    steps = Backups(problem, edges, tuple(rng.random(len(edges)) < 0.7), near)
     at = np.stack(np.meshgrid(*edges, indexing="ij")).reshape(len(edges), -1)
     # Inputs and values that are smooth, but for single vertices and cells.
     inputs = np.cos(rng.normal(size=(1, len(at))) @ at).T + 0.05 * rng.normal(size=(at.shape[1], 1))
@@ -177,9 +177,8 @@ def test_what_is_left_out_is_noticed(part: str, monkeypatch: pytest.MonkeyPatch)
 def test_what_is_far_from_images_costs_its_probability(
     name: str, deviations: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(images, "BEYOND", deviations)
     monkeypatch.setattr(images, "BESIDE", 100.0)  # blocks of a few cells
-    pairs = [below_and_true(name, seed) for seed in range(3)]
+    pairs = [below_and_true(name, seed, near=deviations) for seed in range(3)]
     assert all(np.all(found <= true + 1e-13) for found, true in pairs)
     assert deviations < 1.0 or any(len(found) > 100 for found, _ in pairs)
 
@@ -190,16 +189,10 @@ def test_probabilities_beyond_are_noticed_when_they_are_left_out(monkeypatch: py
     monkeypatch.setattr(images, "BESIDE", 100.0)
     monkeypatch.setattr(images, "_tail_beyond", lambda distance, sigma: np.zeros(len(distance)))
 
-    def from_afar(*arguments: Any) -> Any:
-        with monkeypatch.context() as patch:
-            patch.setattr(images, "BEYOND", 8.0)
-            return means(*arguments)
-
-    monkeypatch.setattr(images.Means, "of", from_afar)
-    monkeypatch.setattr(images, "BEYOND", 0.3)
+    monkeypatch.setattr(images.Means, "of", lambda centre, edges, noisy, near: means(centre, edges, noisy, 8.0))
     # Nothing but two places far apart, so that means in between are convex.
     problem, edges, rng = on_grid("two states", 0)
-    steps = Backups(problem, edges, (True, True))
+    steps = Backups(problem, edges, (True, True), 0.3)
     W = np.zeros(tuple(2 * n for n in steps.shape))
     W[(abs(edges[0]) > 0.4).repeat(2)[1:-1]] = 1.0
     inputs = np.zeros((math.prod(len(axis) for axis in edges), 1))
@@ -212,7 +205,6 @@ def test_probabilities_beyond_are_noticed_when_they_are_left_out(monkeypatch: py
 
 @pytest.mark.parametrize("name", ["two states", "a state without noise", "three states"])
 def test_blocks_change_nothing_but_rounding(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(images, "BEYOND", 8.0)
     quiet = [0.04 * (std > 0.0) for std in DYNAMICS[name]["noise_std"]]
     problem, edges, rng = on_grid(name, 5, noise_std=quiet)
     at, each = np.stack(np.meshgrid(*edges, indexing="ij")).reshape(len(edges), -1), []
@@ -220,7 +212,7 @@ def test_blocks_change_nothing_but_rounding(name: str, monkeypatch: pytest.Monke
     W = rng.random([2 * (len(axis) - 1) for axis in edges])
     for beside in (1.0, 1e18):
         monkeypatch.setattr(images, "BESIDE", beside)
-        steps = Backups(problem, edges, (True,) * len(edges))
+        steps = Backups(problem, edges, (True,) * len(edges), 8.0)
         seen = steps.images_of(inputs, 0)
         each.append((seen.means(W), *seen.cost(W, edges), seen.known, len(seen.blocks)))
     many, one = each
@@ -284,7 +276,7 @@ def test_the_automaton_is_proved_against_the_formula(certificate: cg.Certificate
     always = replace(problem.automaton, accepting=(True,) * len(problem.automaton.accepting))
     forged = replace(problem, automaton=always)
     with pytest.raises(Refused, match="not that of the formula"):
-        failure_of(forged, proof.edges, proof.inputs, proof.laws, proof.jumps)
+        failure_of(forged, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near)
 
 
 def test_more_agents_or_other_noise_are_refused_in_words() -> None:
@@ -297,11 +289,11 @@ def test_more_agents_or_other_noise_are_refused_in_words() -> None:
 def test_what_was_found_is_returned_at_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
-    def iterated(steps: Any, is_coarse: bool = False) -> Any:
+    def iterated(steps: Any, runs: Any = None) -> Any:
         calls.append(steps)
         if len(calls) == 4:  # two coarse grids, the first one, and the next one, which is broken off
             raise KeyboardInterrupt
-        return found(steps, is_coarse)
+        return found(steps, runs)
 
     found = value_iteration.iterated
     monkeypatch.setattr(value_iteration, "iterated", iterated)

@@ -33,6 +33,8 @@ class VertexProof(FailureProof):
         Which of them acts at each time, in each automaton state.
     jumps : d bools
         Along which axes values may jump from cell to cell; along others they are made continuous.
+    near : float
+        Deviations of the noise that are looked at; what is further away costs its probability.
     failure : float
         Upper bound on the probability that the task is not satisfied.
     """
@@ -41,6 +43,7 @@ class VertexProof(FailureProof):
     inputs: FloatArray
     laws: NDArray[np.int64]
     jumps: tuple[bool, ...]
+    near: float
     failure: float
 
     kind = "vertex-grid"
@@ -68,6 +71,7 @@ class VertexProof(FailureProof):
             "inputs": pool.put(self.inputs),
             "laws": pool.put(self.laws),
             "jumps": list(self.jumps),
+            "near": float(self.near),
         }
 
     @classmethod
@@ -91,4 +95,7 @@ class VertexProof(FailureProof):
         jumps = tuple(stored.entry["jumps"])
         if len(jumps) != agent.n_states or not all(isinstance(own, bool) for own in jumps):
             raise ValueError("it does not say along which axes values may jump")
-        return cls(edges, inputs, laws.astype(np.int64), jumps, probability(stored.entry["failure"]))
+        near = stored.entry["near"]
+        if not isinstance(near, float):
+            raise ValueError("it does not say how far it looks")
+        return cls(edges, inputs, laws.astype(np.int64), jumps, near, probability(stored.entry["failure"]))

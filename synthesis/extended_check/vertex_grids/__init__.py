@@ -1,7 +1,7 @@
 """Value iteration on grids whose vertices have inputs: its check, on the checker's intervals, jets and tables."""
 
-from .backups import Backups, failure_of
+from .backups import NEAR, Backups, failure_of
 from .closed_loops import corners_of, images_at, names_time, vertices_of
 from .images import Images, hats_at
 
-__all__ = ["Backups", "Images", "corners_of", "failure_of", "hats_at", "images_at", "names_time", "vertices_of"]
+__all__ = ["NEAR", "Backups", "Images", "corners_of", "failure_of", "hats_at", "images_at", "names_time", "vertices_of"]

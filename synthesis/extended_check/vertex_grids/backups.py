@@ -51,22 +51,30 @@ from .closed_loops import closed_loop, corners_of, names_time
 from .images import Images
 
 KEPT = 4e7  # numbers of images that are kept
+NEAR = 6.8  # deviations of the noise that are looked at, unless a proof says otherwise
+FARTHEST = 30.0  # the most of them
 FINEST = 1e6  # how many sides of a cell the ends of an axis may be away from 0
 
 
 def failure_of(
-    problem: CheckedProblem, edges: tuple[Array, ...], inputs: Array, laws: Whole, jumps: tuple[bool, ...]
+    problem: CheckedProblem,
+    edges: tuple[Array, ...],
+    inputs: Array,
+    laws: Whole,
+    jumps: tuple[bool, ...],
+    near: float,
 ) -> float:
     """Return an upper bound on the probability that the task fails; ``Refused`` if none follows.
 
-    The law of time t and automaton state q is ``inputs[laws[t, q]]``, inputs (V, m) at vertices of ``edges``.
+    The law of time t and automaton state q is ``inputs[laws[t, q]]``, inputs (V, m) at vertices of ``edges``. Values
+    that are more than ``near`` deviations of the noise away are left out, and what that costs is charged.
     """
     # As the small checker does: first the machine, then the automaton against the formula.
     if wrong := wrong_arithmetic():
         raise ArithmeticError(f"nothing can be proved on this machine: {wrong}")
     if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
         raise Refused(f"the automaton is not that of the formula: {wrong}")
-    steps = Backups(problem, edges, jumps)
+    steps = Backups(problem, edges, jumps, near)
     every = problem.horizon, len(problem.automaton.accepting)
     if laws.shape != every or np.any((laws < 0) | (laws >= len(inputs))):
         raise Refused("it does not say which law acts at every time and in every automaton state")
@@ -83,6 +91,7 @@ class Backups:
     problem: CheckedProblem
     edges: tuple[Array, ...]
     jumps: tuple[bool, ...]
+    near: float = NEAR
     images: dict[tuple[int, bytes], Images] = field(default_factory=dict)
     labels: dict[int, Labels] = field(default_factory=dict)
 
@@ -98,6 +107,8 @@ class Backups:
             raise Refused(f"the noise of `{agent.name}` is not independent along each of its states")
         if not len(self.edges) == len(self.jumps) == len(agent.states):
             raise Refused(f"the grid has another number of axes than `{agent.name}` has states")
+        if not 0.0 < self.near <= FARTHEST:
+            raise Refused(f"it looks {self.near:g} deviations of the noise far, not up to {FARTHEST:g}")
         for axis in self.edges:
             # what is no number is smaller than nothing
             if (
@@ -162,7 +173,7 @@ class Backups:
 
     def image_of(self, inputs: Array, t: int) -> Images:
         """Return where inputs (V, m) lead at a time."""
-        return Images.of(closed_loop(self.agent, self.edges, inputs, t), self.edges, self.noisy)
+        return Images.of(closed_loop(self.agent, self.edges, inputs, t), self.edges, self.noisy, self.near)
 
     def after_letter(self, values: Array, given_up: Truth, q: int, t: int) -> Array:
         """Return V in the state that the letter of a time leads q to: numbers (2 n_1, ..) at both ends of intervals.

@@ -23,7 +23,6 @@ FAR = 38.0  # deviations beyond which densities count as at them
 ROUNDED = 1.0 + 2.0**-26  # more than sums of 2^22 products of numbers of one sign, and their factors, are rounded by
 AT_ONCE = 2**22  # numbers that are formed at once
 FINE = 2048  # intervals of a deviation for which densities and tails are tabled
-BEYOND = 6.8  # deviations of the noise beyond which nothing is looked at, but its probability
 BESIDE = 2e5  # products that a block of points costs beside its own
 
 
@@ -115,7 +114,7 @@ def _part(W: Array, windows: tuple[slice, ...]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Means:
-    """Weights of means around points, by blocks of them: what is more than ``BEYOND`` deviations away is left out.
+    """Weights of means around points, by blocks of them: what is further away is left out.
 
     Attributes
     ----------
@@ -130,14 +129,17 @@ class Means:
     count: int
 
     @classmethod
-    def of(cls, centre: Array, edges: tuple[Array, ...], noisy: Sequence[bool]) -> Means:
-        """Return weights around images (2 d, V) of the vertices of a grid, means first; what is not known has none."""
+    def of(cls, centre: Array, edges: tuple[Array, ...], noisy: Sequence[bool], near: float) -> Means:
+        """Return weights around images (2 d, V) of the vertices of a grid, means first; what is not known has none.
+
+        Where there is noise what is more than ``near`` deviations away is left out.
+        """
         d, shape = len(edges), tuple(len(axis) for axis in edges)
         known, size = np.all(np.isfinite(centre), axis=0), np.abs(centre[d:])
         first, last, each = [], [], []
         for k, axis in enumerate(edges):
             y = np.where(known, centre[k], axis[0])
-            away = BEYOND * np.where(known, size[k], 0.0) * noisy[k]
+            away = near * np.where(known, size[k], 0.0) * noisy[k]
             start, stop = _reached(y - away, y + away, axis)
             first.append(np.where(known, start, len(axis)).reshape(shape))
             last.append(np.where(known, stop, 0).reshape(shape))
@@ -216,8 +218,8 @@ class Images:
         )
 
     @classmethod
-    def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noisy: Sequence[bool]) -> Images:
-        """Return the images of a closed loop."""
+    def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noisy: Sequence[bool], near: float) -> Images:
+        """Return the images of a closed loop, which look ``near`` deviations of the noise far."""
         d, cells = len(edges), tuple(len(axis) - 1 for axis in edges)
         # Sizes may have either sign: normal noise has none.
         ends, size = loop.ends.copy(), np.abs(loop.centre[d:])
@@ -245,7 +247,7 @@ class Images:
             ]
             moved.append(moves)
             off.append([np.where(known, rho[j], 0.0)[:, None] for j in (k, d + k)])
-            away = BEYOND * ends[1, d + k] * noisy[k]
+            away = near * ends[1, d + k] * noisy[k]
             start, stop = _reached(ends[0, k] - away, ends[1, k] + away, axis)
             first.append(np.where(known, start, len(axis)).reshape(cells))
             last.append(np.where(known, stop, 0).reshape(cells))
@@ -261,7 +263,7 @@ class Images:
                 if noisy[k] and own.stop < cells[k]:
                     beyond[some] += _tail_beyond(axis[-1] - y[1], sigma[1])
             blocks.append((some, windows, seen))
-        return cls(Means.of(loop.centre, edges, noisy), blocks, moved, off, beyond, known)
+        return cls(Means.of(loop.centre, edges, noisy, near), blocks, moved, off, beyond, known)
 
     def means(self, W: Array) -> Array:
         """Return means of W around the images of vertices (V,), less what they may be above."""

@@ -14,16 +14,27 @@ import itertools
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
 from ...certificates.proofs import Certificate, NotCanonicalError, Synthesis, VertexProof, canonical_problem
 from ...checker import CheckedProblem, Refused, Unreadable, followed, read_problem, value_on
-from ...extended_check.vertex_grids import Backups, Images, corners_of, hats_at, images_at, names_time, vertices_of
+from ...extended_check.vertex_grids import (
+    NEAR,
+    Backups,
+    Images,
+    corners_of,
+    hats_at,
+    images_at,
+    names_time,
+    vertices_of,
+)
 from ...relations.grids import FloatArray, RelationRefused
 from ...trajectories.planning import CountedWork
 from .axis_edges import grid_of, spreads_of
@@ -47,7 +58,16 @@ READ = 6e-7
 """Work of a mean that is read, in core seconds."""
 
 SAME = 5e-3
-"""Inputs stay as they are one step later where new ones take off at most this share of the failure at any vertex."""
+"""A law that is known acts where new inputs take off at most this share of the failure at any vertex."""
+
+SAME_PASSING = 0.1
+"""The same where runs that pass there lose at most this share of the failure that is hoped for, over all steps."""
+
+LEFT_OUT, LEAST_NEAR = 1e-3, 4.0
+"""Share of the failure that noise may have which is not looked at, in all steps, and deviations that always are."""
+
+MOST_TRIED = 40
+"""Known laws that are tried, the newest ones."""
 
 MOST_STATES = 4
 """States up to which there is such a grid."""
@@ -67,7 +87,7 @@ GROWS = 1.45
 WEIGHT, PRODUCT = 1e-7, 1.2e-10
 """Work of a weight of a plane or an interval, and of a weight times a number of a table, in core seconds."""
 
-RUNS, QUANTILE, BESIDE = 300, 1e-3, 6.0
+RUNS, QUANTILE, BESIDE = 3000, 1e-3, 6.0
 """Runs that say where the next grid has narrow cells, the share of states that may lie beyond, and by how many
 deviations it is wider than that."""
 
@@ -124,20 +144,21 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
     spreads, vertices = spreads_of(checked), float(FIRST[problem.agents[0].n_states])
     # Coarse values say where runs pass, and nothing is charged there.
     alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
-    window, finer = alive, np.ones(len(spreads))
+    window, finer, failure = alive, np.ones(len(spreads)), 1.0
     for more in COARSE:
         edges = grid_of(checked, spreads, round(vertices * more), window)
         coarse = Counted(checked, edges, jumps_of(checked, edges))
-        inputs, laws, _ = iterated(coarse, is_coarse=True)
+        inputs, laws, failure = iterated(coarse)
         work.count(coarse.spent)
-        window = _within(alive, _visited(checked, edges, inputs, laws, spreads))
-    best, levels = None, dict[str, float]()
+        runs = _Runs.of(checked, edges, inputs, laws, failure)
+        window = _within(alive, runs.window(checked, spreads))
+    best, levels, near = None, dict[str, float](), _near(checked, failure)
     while True:
         edges = grid_of(checked, spreads, round(vertices), window, finer)
         jumps = jumps_of(checked, edges)
-        steps = Counted(checked, edges, jumps)
+        steps = Counted(checked, edges, jumps, near)
         try:
-            inputs, laws, failure = iterated(steps)
+            inputs, laws, failure = iterated(steps, runs)
         except KeyboardInterrupt:
             if best is None or best.failure >= 1.0:
                 raise
@@ -147,10 +168,11 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
         levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
         # Axes along which more is charged get more cells: what is charged falls with the square of their number.
         finer *= np.clip(np.sqrt(steps.bent / np.exp(np.log(steps.bent).mean())), *MOST_ADJUSTED)
-        window = _within(alive, _visited(checked, edges, inputs, laws, spreads))
+        runs = _Runs.of(checked, edges, inputs, laws, runs.failure)
+        window = _within(alive, runs.window(checked, spreads))
         last = 1.0 if best is None else best.failure
         if best is None or failure < best.failure:
-            best = VertexProof(edges, inputs, laws, jumps, min(1.0, failure * CLAIMED))
+            best = VertexProof(edges, inputs, laws, jumps, near, min(1.0, failure * CLAIMED))
             work.tell(failure)
         finer_steps = FINER_STEPS if failure > POOR else FINER_STEPS[FINER_STEPS <= 2.5]
         vertices *= float(next((own for own in finer_steps if work.allows(steps.spent * own**GROWS)), math.inf))
@@ -167,6 +189,12 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
     return Synthesis(certificate, certificate.controller, stats)
 
 
+def _near(problem: CheckedProblem, failure: float) -> float:
+    """Return how many deviations of the noise are looked at: what is left out is little beside a failure."""
+    sides = 4.0 * len(problem.agents[0].states) * problem.horizon
+    return float(np.clip(norm.isf(LEFT_OUT * max(failure, 1e-300) / sides), LEAST_NEAR, NEAR))
+
+
 def jumps_of(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> tuple[bool, ...]:
     """Return along which axes cells are so narrow, for the noise there, that jumps of values cost little."""
     agent, at = problem.agents[0], vertices_of(edges)
@@ -177,26 +205,21 @@ def jumps_of(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> tuple[bo
     )
 
 
-def iterated(steps: Counted, is_coarse: bool = False) -> tuple[FloatArray, NDArray[np.int64], float]:
+def iterated(steps: Counted, runs: _Runs | None = None) -> tuple[FloatArray, NDArray[np.int64], float]:
     """Return tables of inputs (L, V, m), which one acts at what time and automaton state (T, Q), and the failure.
 
-    ``is_coarse``: nothing is charged, and the failure is an estimate.
+    Without ``runs`` the grid is a coarse one: nothing is charged, and the failure is an estimate.
     """
-    problem, choice = steps.problem, _Choice(steps)
+    problem, choice = steps.problem, _Choice(steps, runs)
     bounds, given_up = steps.at_end()
     values, nowhere = steps.at_end()
-    inputs = np.repeat(choice.middle[None], len(values), axis=0)
-    numbers, laws = dict[bytes, int](), np.zeros((problem.horizon, len(values)), dtype=np.int64)
-    tables = list[FloatArray]()
+    laws = np.zeros((problem.horizon, len(values)), dtype=np.int64)
     for t in range(problem.horizon - 1, -1, -1):
-        inputs, values = choice.of(values, t, inputs)
-        for q, own in enumerate(inputs):
-            laws[t, q] = numbers.setdefault(own.tobytes(), len(tables))
-            if laws[t, q] == len(tables):
-                tables.append(own)
-        if not is_coarse:
-            bounds, given_up = steps.backup(bounds, given_up, inputs, t)
-    return np.stack(tables), laws, steps.failure(*((values, nowhere) if is_coarse else (bounds, given_up)))
+        laws[t], values = choice.of(values, t, laws[min(t + 1, problem.horizon - 1)])
+        if runs is not None:
+            bounds, given_up = steps.backup(bounds, given_up, np.stack([choice.laws[k] for k in laws[t]]), t)
+    failure = steps.failure(*((values, nowhere) if runs is None else (bounds, given_up)))
+    return np.stack(choice.laws), laws, failure
 
 
 class Counted(Backups):
@@ -235,15 +258,17 @@ class _Choice:
     they are interpolated.
     """
 
-    def __init__(self, steps: Counted) -> None:
-        self.steps, agent = steps, steps.agent
+    def __init__(self, steps: Counted, runs: _Runs | None) -> None:
+        self.steps, self.runs, agent = steps, runs, steps.agent
         self.at, self.m = vertices_of(steps.edges), len(agent.inputs)
         self.low, high = agent.input_box
         self.range, self.count = np.maximum(high - self.low, 1e-300), INPUTS[self.m]
         self.axis = np.linspace(0.0, 1.0, self.count)
         tried = np.stack(np.meshgrid(*[self.axis] * self.m, indexing="ij"), axis=-1).reshape(-1, self.m)
         self.tried = self.low + tried * (high - self.low)
-        self.middle = np.repeat((0.5 * self.low + 0.5 * high)[None], self.at.shape[1], axis=0)
+        # laws (V, m) so far, and the same in shares of ranges: in the middle at first
+        self.shares = [np.full((self.at.shape[1], self.m), 0.5)]
+        self.laws = [self.low + self.shares[0] * self.range]
         self.known: tuple[int, tuple[_Reading, FloatArray]] | None = None
         # Every vertex and the next one along each axis, both ways, and how many neighbours it has.
         axes, every = range(len(steps.edges)), slice(None)
@@ -258,33 +283,60 @@ class _Choice:
         beside = [np.concatenate([own[:1], np.maximum(own[1:], own[:-1]), own[-1:]]) for own in widths]
         self.widths = np.stack(np.meshgrid(*beside, indexing="ij")).reshape(len(beside), -1)
 
-    def of(self, values: FloatArray, t: int, later: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return inputs (Q, V, m) at the vertices, from those one step later, and values (Q, n_1 + 1, ..)."""
+    def of(self, values: FloatArray, t: int, later: NDArray[np.int64]) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return which law acts in each automaton state (Q,), from those of a step later, and values (Q, n_1 + 1, ..)."""
         automaton = self.steps.problem.automaton
-        dead, inputs, result = automaton.dead(), later.copy(), np.zeros_like(values)
-        known, nothing = dict[bytes, tuple[FloatArray, FloatArray]](), np.zeros((len(values), *self.steps.shape), bool)
+        dead, which, result = automaton.dead(), later.copy(), np.zeros_like(values)
+        alike, nothing = dict[bytes, list[int]](), np.zeros((len(values), *self.steps.shape), bool)
         for q in range(len(values)):
             if automaton.is_co_safe and automaton.accepting[q]:
                 result[q] = 1.0
             elif not dead[q]:
                 W = self.steps.after_letter(values, nothing, q, t + 1)
-                key = W.tobytes() + inputs[q].tobytes()
-                if key not in known:
-                    known[key] = self._adjusted(W, t, inputs[q])
-                inputs[q], result[q] = known[key][0], known[key][1].reshape(values.shape[1:])
-        return inputs, result
+                alike.setdefault(W.tobytes(), []).append(q)
+        shape = tuple(2 * n for n in self.steps.shape)
+        for numbers, states in alike.items():
+            W = np.frombuffer(numbers).reshape(shape)
+            law, means = self._adjusted(W, t, later[states], self._passing(t, states))
+            which[states], result[states] = law, means.reshape(values.shape[1:])
+        return which, result
 
-    def _adjusted(self, W: FloatArray, t: int, before: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _passing(self, t: int, states: Sequence[int]) -> FloatArray:
+        """Return the share of runs that pass by each vertex (V,) at a time, in some automaton states."""
+        result = np.zeros(self.at.shape[1])
+        if self.runs is not None:
+            here = self.runs.states[t][:, np.isin(self.runs.q[t], states)]
+            each = [
+                np.rint(np.interp(x, axis, np.arange(len(axis))))
+                for x, axis in zip(here, self.steps.edges, strict=True)
+            ]
+            places = np.ravel_multi_index([own.astype(int) for own in each], [len(axis) for axis in self.steps.edges])
+            np.add.at(result, places, 1.0 / RUNS)
+        return result
+
+    def _adjusted(self, W: FloatArray, t: int, later: NDArray[np.int64], passing: FloatArray) -> tuple[int, FloatArray]:
+        """Return a law for values one step later, and means under it: a known one where that loses little."""
         reading, apart = self._images(t)
         table = reading.means(W).reshape(*[self.count] * self.m, -1)
         self.steps.spent += READ * table.size
-        was, shares = (before - self.low) / self.range, self._best(table)
+        shares = self._best(table)
         for _ in range(SWEEPS):
             shares = 0.5 * shares + 0.5 * self._swept(table, shares, APART * apart)
-        worth, last = self._read(table, shares), self._read(table, was)
-        if np.all(worth - last <= SAME * (1.0 - worth) + NO_DIFFERENCE):
-            return before, last
-        return np.clip(self.low + shares * self.range, *self.steps.agent.input_box), worth
+        worth = self._read(table, shares)
+        known = dict.fromkeys([*later.tolist(), *range(len(self.laws))[:-MOST_TRIED:-1]])
+        means = np.stack([self._read(table, self.shares[k]) for k in known])
+        loss = worth - means
+        # what is lost everywhere, and what runs lose that pass there, with those that none of them has seen
+        little = np.all(loss <= SAME * (1.0 - worth) + NO_DIFFERENCE, axis=1)
+        lost = loss @ passing + loss.max(axis=1) / RUNS
+        if self.runs is not None:
+            little |= lost <= SAME_PASSING * self.runs.failure / self.steps.problem.horizon
+        if little.any():
+            best = int(np.where(little, lost, np.inf).argmin())
+            return [*known][best], means[best]
+        self.laws.append(np.clip(self.low + shares * self.range, *self.steps.agent.input_box))
+        self.shares.append(shares)
+        return len(self.laws) - 1, worth
 
     def _best(self, table: FloatArray) -> FloatArray:
         places = np.unravel_index(table.reshape(-1, table.shape[-1]).argmax(axis=0), table.shape[:-1])
@@ -390,30 +442,44 @@ def _hats(points: FloatArray, axis: FloatArray, size: float) -> FloatArray:
     return 0.5 * either[0] + 0.5 * either[1]
 
 
-def _visited(
-    problem: CheckedProblem,
-    edges: tuple[FloatArray, ...],
-    inputs: FloatArray,
-    laws: NDArray[np.int64],
-    spreads: FloatArray,
-) -> FloatArray:
-    """Return a window (2, d) of states in which nearly all runs stay, under inputs on a grid (sampled, fixed seed)."""
-    agent, automaton = problem.agents[0], problem.automaton
-    rng, d = np.random.default_rng(20261127), len(agent.states)
-    low, high = agent.state_box
-    x = rng.uniform(agent.start[0][:, None], agent.start[1][:, None], (d, RUNS))
-    q, seen = np.full(RUNS, automaton.initial), [x]
-    q = _followed(problem, q, x, 0)
-    for t in range(problem.horizon):
-        u = interpolated(edges, inputs[laws[t]], x, q).T
-        centre, _ = images_at(agent, x, u, t)
-        x = np.clip(centre[:d] + np.abs(centre[d:]) * rng.standard_normal((d, RUNS)), low[:, None], high[:, None])
-        q = _followed(problem, q, x, t + 1)
-        seen.append(x)
-    states = np.concatenate(seen, axis=1)
-    ends = np.quantile(states, [QUANTILE, 1.0 - QUANTILE], axis=1)
-    beside = BESIDE * np.median(spreads, axis=1)
-    return np.stack([np.maximum(ends[0] - beside, low), np.minimum(ends[1] + beside, high)])
+@dataclass(frozen=True, eq=False)
+class _Runs:
+    """Runs under inputs on a grid (sampled, fixed seed): states (T + 1, d, RUNS), automaton states, a failure hoped."""
+
+    states: FloatArray
+    q: NDArray[np.int64]
+    failure: float
+
+    @classmethod
+    def of(
+        cls,
+        problem: CheckedProblem,
+        edges: tuple[FloatArray, ...],
+        inputs: FloatArray,
+        laws: NDArray[np.int64],
+        failure: float,
+    ) -> _Runs:
+        agent, automaton = problem.agents[0], problem.automaton
+        rng, d = np.random.default_rng(20261127), len(agent.states)
+        low, high = agent.state_box
+        x = rng.uniform(agent.start[0][:, None], agent.start[1][:, None], (d, RUNS))
+        q = _followed(problem, np.full(RUNS, automaton.initial), x, 0)
+        states, each = [x], [q]
+        for t in range(problem.horizon):
+            u = interpolated(edges, inputs[laws[t]], x, q).T
+            centre, _ = images_at(agent, x, u, t)
+            x = np.clip(centre[:d] + np.abs(centre[d:]) * rng.standard_normal((d, RUNS)), low[:, None], high[:, None])
+            q = _followed(problem, q, x, t + 1)
+            states.append(x)
+            each.append(q)
+        return cls(np.stack(states), np.stack(each), failure)
+
+    def window(self, problem: CheckedProblem, spreads: FloatArray) -> FloatArray:
+        """Return a window (2, d) of states in which nearly all runs stay."""
+        low, high = problem.agents[0].state_box
+        ends = np.quantile(self.states, [QUANTILE, 1.0 - QUANTILE], axis=(0, 2))
+        beside = BESIDE * np.median(spreads, axis=1)
+        return np.stack([np.maximum(ends[0] - beside, low), np.minimum(ends[1] + beside, high)])
 
 
 def _within(outer: FloatArray, inner: FloatArray) -> FloatArray:
