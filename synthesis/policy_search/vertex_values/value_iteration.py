@@ -284,7 +284,7 @@ class _Choice:
         self.widths = np.stack(np.meshgrid(*beside, indexing="ij")).reshape(len(beside), -1)
 
     def of(self, values: FloatArray, t: int, later: NDArray[np.int64]) -> tuple[NDArray[np.int64], FloatArray]:
-        """Return which law acts in each automaton state (Q,), from those of a step later, and values (Q, n_1 + 1, ..)."""
+        """Return which law acts in each automaton state (Q,), from those a step later, and values (Q, n_1 + 1, ..)."""
         automaton = self.steps.problem.automaton
         dead, which, result = automaton.dead(), later.copy(), np.zeros_like(values)
         alike, nothing = dict[bytes, list[int]](), np.zeros((len(values), *self.steps.shape), bool)
