@@ -113,7 +113,7 @@ def strategies_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], pla
         ends = GOOD if any(np.any(agent.still_axes) for agent in problem.agents) else 0.0
         path = replace(path_strategy(problem, plan), work=0.0, ends=ends)
         on_grids = Strategy("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
-        ways = [vertex_strategy(problem, plan)] if has_varying_noise(problem) else []
+        ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) else []
         return [path, *ways, on_grids] if plan.paths else [*ways, on_grids]
     return [*_on_grids(problem, kinds, plan), *([path_strategy(problem, plan)] if plan.paths else [])]
 
@@ -141,7 +141,7 @@ def still_problem(problem: Problem) -> Problem:
 def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synthesis]) -> list[Strategy]:
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
-    ways = [vertex_strategy(problem, plan)] if has_varying_noise(problem) else []
+    ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) else []
     return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS)]
 
 
@@ -191,7 +191,7 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
         levels = _linear(problem, plan, few=problem.n_agents <= FEW_AGENTS or is_scalar(problem))
         # Trees of many terms take long whatever the cells are.
         strategies.append(replace(levels, work=max(levels.work, exact, _tree_work(problem))))
-    if has_varying_noise(problem):
+    if has_other_noise(problem):
         strategies.insert(0, vertex_strategy(problem, plan))
     if is_scalar(problem) and problem.n_agents > FEW_AGENTS:
         strategies.append(_doubled(problem, kinds, plan))
@@ -213,9 +213,10 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
     return Strategy("path", lambda results: along_path(problem, plan.along_paths), work, enough=enough, ends=PATH_ENDS)
 
 
-def has_varying_noise(problem: Problem) -> bool:
-    """Return whether the problem is of one agent whose noise has a size that varies, which linear cells do not know."""
-    return problem.n_agents == 1 and problem.agents[0].noise_scale is not None
+def has_other_noise(problem: Problem) -> bool:
+    """Return whether the problem is of one agent with noise that linear cells do not know: of other laws or sizes."""
+    agent = problem.agents[0]
+    return problem.n_agents == 1 and (agent.noise_scale is not None or agent.laws is not None)
 
 
 def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:

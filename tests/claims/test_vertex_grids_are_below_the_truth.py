@@ -16,8 +16,9 @@ from scipy.stats import beta
 import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical_problem
 from certigym.synthesis.checker import CheckedProblem, Refused, read_problem
-from certigym.synthesis.extended_check.vertex_grids import Backups, Images, backups, failure_of, images
+from certigym.synthesis.extended_check.vertex_grids import Backups, Images, backups, failure_of, images, noise
 from certigym.synthesis.extended_check.vertex_grids.images import Planes
+from certigym.synthesis.extended_check.vertex_grids.noise import Normal, Tabled
 from certigym.synthesis.policy_search.vertex_values import value_iteration
 from certigym.synthesis.trajectories.planning import CountedWork
 
@@ -25,6 +26,10 @@ DYNAMICS: dict[str, dict[str, Any]] = {
     "one state, its noise grows with it": {
         "states": ["x"], "dynamics": ["x + 0.3*u - 0.1*sin(2*x)"], "noise_std": [1.0], "noise_scale": ["0.1 + 0.1*x^2"],
         "state_low": [-1.5], "state_high": [2.0],
+    },
+    "one state, other noise": {
+        "states": ["x"], "dynamics": ["x + 0.3*u - 0.1*sin(2*x)"], "noise_std": [1.0], "noise_scale": ["0.5 + 0.5*x^2"],
+        "state_low": [-1.6], "state_high": [2.0],
     },
     "two states": {
         "states": ["x", "y"], "dynamics": ["x + 0.2*y", "0.9*y + 0.4*sin(x) + 0.5*u"], "noise_std": [0.12, 0.2],
@@ -74,16 +79,25 @@ def truth(steps: Backups, W: np.ndarray, inputs: np.ndarray, x: np.ndarray) -> n
     total: Any = W[None]
     for k, axis in enumerate(steps.edges):
         if not steps.noisy[k]:
-            hats, _ = images.hats_at(y[k], sizes[k], axis, False)
+            hats, _ = images.hats_at(y[k], sizes[k], axis, None)
             hats = hats * ((y[k] >= axis[0]) & (y[k] <= axis[-1]))[:, None]
         else:
             z = (axis - y[k][:, None]) / sizes[k][:, None]
             mass, phi = np.diff(ndtr(z), axis=1), np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
             rising = (phi[:, :-1] - phi[:, 1:] - z[:, :-1] * mass) / np.diff(z, axis=1)
+            if isinstance(steps.noises[k], Tabled):
+                mass, rising = hats_of(steps.noises[k], z)
             hats = np.stack([mass - rising, rising], axis=-1).reshape(len(mass), -1)
         total = np.einsum("na,na...->n...", hats, np.broadcast_to(total, (x.shape[1], *total.shape[1:])))
     assert total.shape == (x.shape[1],) and d == W.ndim
     return np.asarray(total)
+
+
+def hats_of(own: Any, z: np.ndarray, points: int = 50) -> tuple[np.ndarray, np.ndarray]:
+    """Return probabilities of intervals, and means of hats that rise on them, from tails of the package's own laws."""
+    within = z[:, :-1, None] + np.diff(z, axis=1)[..., None] * (np.arange(points) + 0.5) / points
+    above, mean = own.law.tails(z * own.unit)[1], own.law.tails(within * own.unit)[1].mean(axis=-1)
+    return above[:, :-1] - above[:, 1:], mean - above[:, 1:]
 
 
 def simulated(name: str, steps: Backups, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -94,14 +108,17 @@ def simulated(name: str, steps: Backups, x: np.ndarray, u: np.ndarray) -> tuple[
     names = {**dict(zip(given["states"], x, strict=True)), "u": u[0], "sin": np.sin, "cos": np.cos, "exp": np.exp}
     means = [eval(text.replace("^", "**"), {}, names) for text in given["dynamics"]]
     scale = given.get("noise_scale", ["1.0"] * len(x))
-    pairs = zip(given["noise_std"], scale, strict=True)
+    units = [
+        own.unit if isinstance(own, Tabled) else std for own, std in zip(steps.noises, given["noise_std"], strict=True)
+    ]
+    pairs = zip(units, scale, strict=True)
     sizes = [np.abs(std * eval(text.replace("^", "**"), {}, names)) + 0.0 * x[0] for std, text in pairs]
     return np.stack(means), np.stack(sizes)
 
 
 def interpolated(edges: tuple[np.ndarray, ...], table: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return multilinear interpolations (m, M) of numbers (V, m) at states (d, M)."""
-    hats = [images.hats_at(own, own, axis, False)[0] for own, axis in zip(x, edges, strict=True)]
+    hats = [images.hats_at(own, own, axis, None)[0] for own, axis in zip(x, edges, strict=True)]
     weights = []
     for own in hats:
         pairs = own.reshape(len(own), -1, 2)
@@ -113,10 +130,13 @@ def interpolated(edges: tuple[np.ndarray, ...], table: np.ndarray, x: np.ndarray
     return np.asarray((joint @ table).T)
 
 
-def below_and_true(name: str, seed: int, saddle: bool = False, near: float = 6.8) -> tuple[np.ndarray, np.ndarray]:
+def below_and_true(
+    name: str, seed: int, saddle: bool = False, near: float = 6.8, **more: Any
+) -> tuple[np.ndarray, np.ndarray]:
     """Return values of a backup and the truth at random states of cells that are kept, for random values later."""
-    problem, edges, rng = on_grid(name, seed)
-    steps = Backups(problem, edges, tuple(rng.random(len(edges)) < 0.7), near)
+    problem, edges, rng = on_grid(name, seed, **more)
+    laws = problem_of(name, **more).agents[0].laws
+    steps = Backups(problem, edges, tuple(rng.random(len(edges)) < 0.7), near, laws)
     at = np.stack(np.meshgrid(*edges, indexing="ij")).reshape(len(edges), -1)
     # Inputs and values that are smooth, but for single vertices and cells.
     inputs = np.cos(rng.normal(size=(1, len(at))) @ at).T + 0.05 * rng.normal(size=(at.shape[1], 1))
@@ -128,7 +148,7 @@ def below_and_true(name: str, seed: int, saddle: bool = False, near: float = 6.8
     )
     W = W if saddle else np.where(rng.random(W.shape) < 0.01, rng.random(W.shape), W)
     values, nothing = steps.below(W, steps.images_of(inputs, 0))
-    x = np.stack([rng.uniform(axis[0], axis[-1], 4000) for axis in edges])
+    x = np.stack([rng.uniform(axis[0], axis[-1], 600 if more else 4000) for axis in edges])
     cells = tuple(np.searchsorted(axis, own, side="right") - 1 for axis, own in zip(edges, x, strict=True))
     x = x[:, ~nothing[cells]]
     for k, jumps in enumerate(steps.jumps):  # what is read may be less than W there
@@ -142,6 +162,88 @@ def below_and_true(name: str, seed: int, saddle: bool = False, near: float = 6.8
 def test_backups_are_below_the_truth(name: str, seed: int) -> None:
     found, true = below_and_true(name, seed)
     assert len(found) > 100 and np.all(found <= true + 1e-13)
+
+
+LAWS: dict[str, dict[str, Any]] = {
+    "student-t": {"law": "student-t", "scale": 0.1, "df": 3.5},
+    "laplace": {"law": "laplace", "scale": 0.1},
+    "logistic": {"law": "logistic", "scale": 0.08},
+    "uniform": {"law": "uniform", "low": -0.15, "high": 0.25},
+    "triangular": {"law": "triangular", "low": -0.3, "mode": 0.1, "high": 0.2},
+    "a ramp": {"law": "triangular", "low": -0.2, "mode": -0.2, "high": 0.3},
+    "cut": {"law": "truncated-gaussian", "spread": 0.2, "low": -0.1, "high": 0.3},
+    "mixture": {"law": "mixture", "parts": [
+        {"weight": 0.7, "mean": -0.05, "law": "gaussian", "std": 0.1},
+        {"weight": 0.3, "mean": 0.1, "law": "laplace", "scale": 0.05},
+    ]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("name", [pytest.param("two states", marks=pytest.mark.thorough), "one state, other noise"])
+def test_backups_are_below_the_truth_for_other_laws(name: str, law: str) -> None:
+    states = len(DYNAMICS[name]["states"])
+    pairs = [below_and_true(name, seed, near=12.0, noise=[LAWS[law]] * states) for seed in range(3)]
+    # the truth is a sum over points of each interval
+    assert all(np.all(found <= true + 1e-5) for found, true in pairs)
+    assert any(np.median(true - found) < 0.3 for found, true in pairs)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_tables_of_laws_bound_what_they_say(law: str) -> None:
+    own = problem_of("one state, its noise grows with it", noise=[LAWS[law]]).agents[0].laws[0]  # type: ignore[index]
+    table, rng = Tabled(own, 1.3 * own.std), np.random.default_rng(7)
+    axis = np.sort(rng.uniform(-4.0, 4.0, (300, 2)), axis=1)
+    y = np.sort(rng.uniform(-1.0, 1.0, (2, 300)), axis=0)
+    size = np.sort(rng.uniform(0.5, 1.5, (2, 300)), axis=0)
+    seen = table.seen(axis - y[1][:, None], axis - y[0][:, None], size[0][:, None], size[1][:, None])
+    for _ in range(50):
+        tau = (axis - rng.uniform(*y)[:, None]) / rng.uniform(*size)[:, None]
+        step = 1e-5
+        above = [own.tails((tau + k * step) * table.unit)[1] for k in (-1, 0, 1)]
+        jumps = [abs(tau - at) < 2e-5 for at, _ in table.jumps]
+        smooth = ~np.any(jumps, axis=0) if jumps else np.ones(tau.shape, dtype=bool)
+        dens = (above[0] - above[2]) / (2.0 * step)
+        for p in range(3):
+            assert np.all((np.abs(tau) ** p * dens <= seen.dens[p] + 1e-4)[smooth])
+        assert np.all(above[1][:, 0] - above[1][:, 1] <= seen.mass[:, 0] + 1e-15)
+    t = rng.uniform(-6.0, 6.0, 400)
+    fine = np.linspace(-30.0, 30.0, 120_001)
+    dens = -np.gradient(own.tails(fine * table.unit)[1], fine)
+    slope = np.abs(np.gradient(dens, fine))
+    near = [np.abs(fine - at) < 2e-3 for at, _ in table.jumps]
+    slope[np.any(near, axis=0) if near else []] = 0.0
+    rest = np.cumsum((fine * dens)[::-1])[::-1] * (fine[1] - fine[0])
+    none = np.zeros((len(fine), 1))
+    at = table.seen(fine[:, None] - 2e-3, fine[:, None] + 2e-3, none + 1.0, none + 1.0)
+    for p in range(3):
+        # differences of differences: seen from both sides of corners, and rounded
+        assert np.all(np.abs(fine) ** p * slope <= at.slope[p][:, 0] * (1.0 + 1e-3) + 2e-3 * (1.0 + np.abs(fine) ** p))
+    assert np.all(np.abs(rest) <= at.rest[:, 0] + 1e-3)
+    assert np.all(table.beyond(np.abs(t), np.ones(400), 1) >= own.tails(np.abs(t) * table.unit)[1])
+    assert np.all(table.beyond(np.abs(t), np.ones(400), -1) >= own.tails(-np.abs(t) * table.unit)[0])
+    edges = np.linspace(-5.0, 5.0, 30) + 0.1 * rng.uniform(-1.0, 1.0, 30)
+    hats, lack = table.hats(t / 2.0, np.full(400, 0.7), edges)
+    mass, rising = hats_of(table, (edges - t[:, None] / 2.0) / 0.7, 1000)
+    true = np.stack([mass - rising, rising], axis=-1).reshape(400, -1)
+    assert np.all(hats <= true + 2e-7) and np.all(true.sum(axis=1) - hats.sum(axis=1) <= lack + 1e-6) and lack < 1e-6
+
+
+@pytest.mark.parametrize("part", ["dens", "slope", "mass", "leaps"])
+def test_what_is_left_out_of_a_law_is_noticed(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, law = Tabled.seen, LAWS["uniform" if part == "leaps" else "logistic"]
+
+    def less(*arguments: Any) -> Any:
+        seen = whole(*arguments)
+        value = {"dens": [0.02 * own for own in seen.dens], "slope": [0.02 * own for own in seen.slope],
+                 "mass": 0.02 * seen.mass, "leaps": None}[part]  # fmt: skip
+        return seen._replace(**{part: value})
+
+    monkeypatch.setattr(Tabled, "seen", less)
+    name = "one state, other noise" if part == "leaps" else "two states"
+    states = len(DYNAMICS[name]["states"])
+    pairs = [below_and_true(name, seed, near=12.0, noise=[law] * states) for seed in range(8)]
+    assert any(np.any(found > true + 1e-3) for found, true in pairs)
 
 
 @pytest.mark.parametrize("name", ["one state, its noise grows with it", "two states", "three states"])
@@ -187,7 +289,7 @@ def test_probabilities_beyond_are_noticed_when_they_are_left_out(monkeypatch: py
     # Corners see all of W, and what bends is looked for in a box alone.
     means = images.Means.of
     monkeypatch.setattr(images, "BESIDE", 100.0)
-    monkeypatch.setattr(images, "_tail_beyond", lambda distance, sigma: np.zeros(len(distance)))
+    monkeypatch.setattr(Normal, "beyond", lambda self, distance, sigma, side: np.zeros(len(distance)))
 
     monkeypatch.setattr(images.Means, "of", lambda centre, edges, noisy, near: means(centre, edges, noisy, 8.0))
     # Nothing but two places far apart, so that means in between are convex.
@@ -225,13 +327,13 @@ def test_blocks_change_nothing_but_rounding(name: str, monkeypatch: pytest.Monke
 
 def test_tables_of_densities_and_tails_enclose_what_scipy_computes() -> None:
     t = np.concatenate([np.random.default_rng(0).uniform(0.0, 9.0, 20_000), np.arange(12.0), np.sqrt([1.0, 2.0, 3.0])])
-    place = (t * images.FINE).astype(int)
-    for p, table in enumerate(images._densities()):
+    place = (t * noise.FINE).astype(int)
+    for p, table in enumerate(noise._densities()):
         true = t**p * np.exp(-0.5 * t * t) / np.sqrt(2.0 * np.pi)
         assert np.all(true <= table[place] * (1.0 + 1e-13)) and np.all(table[place] <= true * 1.02 + 1e-3)
-    low, high = images._tails(t)
+    low, high = noise._tails(t)
     assert np.all(low <= ndtr(-t) * (1.0 + 1e-12)) and np.all(ndtr(-t) <= high * (1.0 + 1e-12))
-    assert np.all(high - low <= 1e-3) and images._tails(np.array([50.0]))[0] == 0.0
+    assert np.all(high - low <= 1e-3) and noise._tails(np.array([50.0]))[0] == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -276,12 +378,12 @@ def test_the_automaton_is_proved_against_the_formula(certificate: cg.Certificate
     always = replace(problem.automaton, accepting=(True,) * len(problem.automaton.accepting))
     forged = replace(problem, automaton=always)
     with pytest.raises(Refused, match="not that of the formula"):
-        failure_of(forged, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near)
+        failure_of(forged, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, None)
 
 
 def test_more_agents_or_other_noise_are_refused_in_words() -> None:
-    problem = problem_of("two states", noise=[{"law": "laplace", "scale": 0.1}] * 2)
-    with pytest.raises(ValueError, match="noise that is not normal"):
+    problem = problem_of("two states", noise={"laws": [{"law": "laplace", "scale": 0.1}] * 2, "axes": [[1, 1], [0, 1]]})
+    with pytest.raises(ValueError, match="not independent"):
         cg.synthesize(problem, relation="vertices")
     assert failure_of.__doc__
 

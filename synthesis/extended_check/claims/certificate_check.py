@@ -195,7 +195,8 @@ def _check_vertices(certificate: Certificate[VertexProof], problem: Problem) -> 
         try:
             with np.errstate(all="ignore"):
                 checked = read_problem({"problem": canonical_problem(problem)})
-                failure = failure_of(checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near)
+                laws = problem.agents[0].laws
+                failure = failure_of(checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, laws)
         except (NotCanonicalError, Refused, Unreadable) as reason:
             failures.append(str(reason))
     if not failures and not failure <= proof.failure:

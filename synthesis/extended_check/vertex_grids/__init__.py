@@ -1,7 +1,20 @@
 """Value iteration on grids whose vertices have inputs: its check, on the checker's intervals, jets and tables."""
 
-from .backups import NEAR, Backups, failure_of
+from .backups import FARTHEST, NEAR, Backups, failure_of
 from .closed_loops import corners_of, images_at, names_time, vertices_of
 from .images import Images, hats_at
+from .noise import Noise
 
-__all__ = ["NEAR", "Backups", "Images", "corners_of", "failure_of", "hats_at", "images_at", "names_time", "vertices_of"]
+__all__ = [
+    "FARTHEST",
+    "NEAR",
+    "Backups",
+    "Images",
+    "corners_of",
+    "failure_of",
+    "hats_at",
+    "images_at",
+    "names_time",
+    "vertices_of",
+    "Noise",
+]

@@ -1,4 +1,4 @@
-"""Value iteration on grids whose vertices have inputs: one agent, normal noise along each axis or none, of any size.
+"""Value iteration on grids whose vertices have inputs: one agent, noise along each axis or none, of any law and size.
 
 At time t and in automaton state q the value V_t(q, .) is multilinear on each cell, or 0 on all of it, and 0 outside the
 workspace. Let W be V_(t+1) in the state that the letter leads to (the least one if it is not known), made continuous
@@ -35,10 +35,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from ....envs.systems.distributions import Law
 from ...checker import CheckedAgent, CheckedProblem, Refused
 from ...checker.cells import start_weights
 from ...checker.distributions import NORMAL
@@ -49,6 +51,7 @@ from ...checker.rigorous import Array, Truth, U, Whole, wrong_arithmetic
 from ...checker.tree import finished
 from .closed_loops import closed_loop, corners_of, names_time
 from .images import Images
+from .noise import Noise, noise_of
 
 KEPT = 4e7  # numbers of images that are kept
 NEAR = 6.8  # deviations of the noise that are looked at, unless a proof says otherwise
@@ -63,18 +66,20 @@ def failure_of(
     laws: Whole,
     jumps: tuple[bool, ...],
     near: float,
+    noise_laws: Sequence[Law] | None,
 ) -> float:
     """Return an upper bound on the probability that the task fails; ``Refused`` if none follows.
 
     The law of time t and automaton state q is ``inputs[laws[t, q]]``, inputs (V, m) at vertices of ``edges``. Values
-    that are more than ``near`` deviations of the noise away are left out, and what that costs is charged.
+    that are more than ``near`` deviations of the noise away are left out, which is charged. Noise has the laws
+    ``noise_laws`` of its sources, or is normal (None).
     """
     # As the small checker does: first the machine, then the automaton against the formula.
     if wrong := wrong_arithmetic():
         raise ArithmeticError(f"nothing can be proved on this machine: {wrong}")
     if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
         raise Refused(f"the automaton is not that of the formula: {wrong}")
-    steps = Backups(problem, edges, jumps, near)
+    steps = Backups(problem, edges, jumps, near, noise_laws)
     every = problem.horizon, len(problem.automaton.accepting)
     if laws.shape != every or np.any((laws < 0) | (laws >= len(inputs))):
         raise Refused("it does not say which law acts at every time and in every automaton state")
@@ -92,6 +97,7 @@ class Backups:
     edges: tuple[Array, ...]
     jumps: tuple[bool, ...]
     near: float = NEAR
+    noise_laws: Sequence[Law] | None = None
     images: dict[tuple[int, bytes], Images] = field(default_factory=dict)
     labels: dict[int, Labels] = field(default_factory=dict)
 
@@ -99,9 +105,8 @@ class Backups:
         if len(self.problem.agents) != 1 or self.problem.pairs:
             raise Refused("the task is about several agents, and a grid of vertices is of one")
         agent = self.agent
-        normal = all(own.tail == NORMAL and own.mean == own.off == own.lost == 0.0 for own in agent.envelopes)
-        if agent.angles or agent.shared_noise.any() or not normal:
-            raise Refused(f"`{agent.name}` has angles, or noise that is not normal, and grids of vertices know neither")
+        if agent.angles or agent.shared_noise.any():
+            raise Refused(f"`{agent.name}` has angles, or noise that others share, and grids of vertices know neither")
         used = agent.noise != 0.0
         if np.any(used.sum(axis=1) > 1) or np.any(used.sum(axis=0) > 1):
             raise Refused(f"the noise of `{agent.name}` is not independent along each of its states")
@@ -134,7 +139,25 @@ class Backups:
     @property
     def noisy(self) -> list[bool]:
         """Which axes have noise."""
-        return [bool(row.any()) for row in self.agent.noise]
+        return [noise is not None for noise in self.noises]
+
+    @cached_property
+    def noises(self) -> list[Noise | None]:
+        """The noise of each axis, in units of the deviation of its source; None where there is none."""
+        laws, agent, result = self.noise_laws, self.agent, list[Noise | None]()
+        if laws is None and any(own.tail != NORMAL or own.mean or own.off or own.lost for own in agent.envelopes):
+            raise Refused(f"the noise of `{agent.name}` is not normal")
+        for row in agent.noise:
+            (source, *_), noisy = np.argsort(-np.abs(row)).tolist(), row.any()
+            result.append(
+                noise_of(None if laws is None else laws[source], agent.envelopes[source].deviation) if noisy else None
+            )
+            noise = result[-1]
+            if noise is not None and not noise.is_even and row[source] < 0.0:
+                raise Refused(
+                    f"`{agent.name}` has noise along an axis turned round, which is not the same to both sides"
+                )
+        return result
 
     def at_end(self) -> tuple[Array, Truth]:
         """Return numbers (Q, n_1 + 1, ..) at vertices at the end, and which cells (Q, n_1, ..) are 0: none."""
@@ -173,7 +196,7 @@ class Backups:
 
     def image_of(self, inputs: Array, t: int) -> Images:
         """Return where inputs (V, m) lead at a time."""
-        return Images.of(closed_loop(self.agent, self.edges, inputs, t), self.edges, self.noisy, self.near)
+        return Images.of(closed_loop(self.agent, self.edges, inputs, t), self.edges, self.noises, self.near)
 
     def after_letter(self, values: Array, given_up: Truth, q: int, t: int) -> Array:
         """Return V in the state that the letter of a time leads q to: numbers (2 n_1, ..) at both ends of intervals.

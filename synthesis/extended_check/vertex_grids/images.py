@@ -9,20 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
-from ...checker import rigorous
 from ...checker.intervals import down, up
 from ...checker.rigorous import Array, Truth, U, Whole
-from ...checker.tables import normal_table
 from .closed_loops import ClosedLoop, corners_of
+from .noise import Noise, Seen
 
-FAR = 38.0  # deviations beyond which densities count as at them
 ROUNDED = 1.0 + 2.0**-26  # more than sums of 2^22 products of numbers of one sign, and their factors, are rounded by
 AT_ONCE = 2**22  # numbers that are formed at once
-FINE = 2048  # intervals of a deviation for which densities and tails are tabled
 BESIDE = 2e5  # products that a block of points costs beside its own
 
 
@@ -129,17 +125,17 @@ class Means:
     count: int
 
     @classmethod
-    def of(cls, centre: Array, edges: tuple[Array, ...], noisy: Sequence[bool], near: float) -> Means:
+    def of(cls, centre: Array, edges: tuple[Array, ...], noises: Sequence[Noise | None], near: float) -> Means:
         """Return weights around images (2 d, V) of the vertices of a grid, means first; what is not known has none.
 
         Where there is noise what is more than ``near`` deviations away is left out.
         """
         d, shape = len(edges), tuple(len(axis) for axis in edges)
-        known, size = np.all(np.isfinite(centre), axis=0), np.abs(centre[d:])
+        known, size = np.all(np.isfinite(centre), axis=0), _sizes(centre[d:], noises)
         first, last, each = [], [], []
         for k, axis in enumerate(edges):
             y = np.where(known, centre[k], axis[0])
-            away = near * np.where(known, size[k], 0.0) * noisy[k]
+            away = near * np.where(known, size[k], 0.0) * (noises[k] is not None)
             start, stop = _reached(y - away, y + away, axis)
             first.append(np.where(known, start, len(axis)).reshape(shape))
             last.append(np.where(known, stop, 0).reshape(shape))
@@ -149,7 +145,7 @@ class Means:
             weights = list[Array]()
             missing = 0.0
             for k, own in enumerate(windows):
-                table, off = hats_at(centre[k, some], size[k, some], edges[k][own.start : own.stop + 1], noisy[k])
+                table, off = hats_at(centre[k, some], size[k, some], edges[k][own.start : own.stop + 1], noises[k])
                 weights.append(table)
                 missing += off
             each.append((some, windows, weights))
@@ -218,12 +214,13 @@ class Images:
         )
 
     @classmethod
-    def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noisy: Sequence[bool], near: float) -> Images:
+    def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noises: Sequence[Noise | None], near: float) -> Images:
         """Return the images of a closed loop, which look ``near`` deviations of the noise far."""
         d, cells = len(edges), tuple(len(axis) - 1 for axis in edges)
-        # Sizes may have either sign: normal noise has none.
-        ends, size = loop.ends.copy(), np.abs(loop.centre[d:])
-        ends[:, d:] = np.where(ends[0, d:] < 0.0, -ends[::-1, d:], ends[:, d:])
+        ends, size = loop.ends.copy(), _sizes(loop.centre[d:], noises)
+        for k, noise in enumerate(noises, d):
+            if noise is not None and noise.is_even:
+                ends[:, k] = np.where(ends[0, k] < 0.0, -ends[::-1, k], ends[:, k])
         known = np.all(np.isfinite(ends), axis=(0, 1)) & np.all(np.isfinite(loop.slopes + loop.bends), axis=(0, 1))
         # What is read at a vertex, and where it may lead, belongs to the images of cells, too.
         shape, at = tuple(len(axis) for axis in edges), loop.centre.copy()
@@ -235,7 +232,7 @@ class Images:
         ends = np.stack([np.minimum(ends[0], down(-least)), np.maximum(ends[1], up(most))])
         known &= np.all(np.isfinite(rho), axis=0)
         for k, axis in enumerate(edges):
-            inside = ends[0, d + k] > 0.0 if noisy[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
+            inside = ends[0, d + k] > 0.0 if noises[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
             known &= inside
         ends = np.where(known, ends, 1.0)
         moved, off, first, last = [], [], [], []
@@ -247,7 +244,7 @@ class Images:
             ]
             moved.append(moves)
             off.append([np.where(known, rho[j], 0.0)[:, None] for j in (k, d + k)])
-            away = near * ends[1, d + k] * noisy[k]
+            away = near * ends[1, d + k] * (noises[k] is not None)
             start, stop = _reached(ends[0, k] - away, ends[1, k] + away, axis)
             first.append(np.where(known, start, len(axis)).reshape(cells))
             last.append(np.where(known, stop, 0).reshape(cells))
@@ -256,14 +253,14 @@ class Images:
             some, seen = places[known[places]], list[Planes | Crossed]()
             for k, own in enumerate(windows):
                 y, sigma = ends[:, k, some], ends[:, d + k, some]
-                axis = edges[k][own.start : own.stop + 1]
-                seen.append(Planes.of(y, sigma, axis) if noisy[k] else Crossed.of(y, axis))
-                if noisy[k] and own.start > 0:
-                    beyond[some] += _tail_beyond(y[0] - axis[0], sigma[1])
-                if noisy[k] and own.stop < cells[k]:
-                    beyond[some] += _tail_beyond(axis[-1] - y[1], sigma[1])
+                axis, noise = edges[k][own.start : own.stop + 1], noises[k]
+                seen.append(Crossed.of(y, axis) if noise is None else Planes.of(y, sigma, axis, noise))
+                if noise is not None and own.start > 0:
+                    beyond[some] += noise.beyond(y[0] - axis[0], sigma[1], -1)
+                if noise is not None and own.stop < cells[k]:
+                    beyond[some] += noise.beyond(axis[-1] - y[1], sigma[1], 1)
             blocks.append((some, windows, seen))
-        return cls(Means.of(loop.centre, edges, noisy, near), blocks, moved, off, beyond, known)
+        return cls(Means.of(loop.centre, edges, noises, near), blocks, moved, off, beyond, known)
 
     def means(self, W: Array) -> Array:
         """Return means of W around the images of vertices (V,), less what they may be above."""
@@ -283,9 +280,10 @@ class Images:
         return (always + largest * self.beyond) * ROUNDED, bends * ROUNDED
 
 
-def _tail_beyond(distance: Array, sigma: Array) -> Array:
-    """Return upper bounds on the probability that noise of this size is larger than a distance."""
-    return np.asarray(rigorous.tail(np.maximum(distance, 0.0) / sigma * (1.0 - 4.0 * U))[1])
+def _sizes(sizes: Array, noises: Sequence[Noise | None]) -> Array:
+    """Return sizes (d, V), which may have either sign where noise is the same to both sides; else nan."""
+    allowed = np.array([noise is None or noise.is_even for noise in noises])
+    return np.where(allowed[:, None] | (sizes >= 0.0), np.abs(sizes), np.nan)
 
 
 def _cost(
@@ -327,14 +325,14 @@ def _along(numbers: Array, k: int, d: int) -> Array:
     return numbers.reshape([-1 if axis == k else 1 for axis in range(d)])
 
 
-def hats_at(points: Array, sizes: Array, axis: Array, noisy: bool) -> tuple[Array, float]:
+def hats_at(points: Array, sizes: Array, axis: Array, noise: Noise | None) -> tuple[Array, float]:
     """Return means (V, 2 n) of both hats of all intervals around points (V,), and what a row lacks at most.
 
     Without noise they are the hats themselves. What is not known is taken for something else: its cells are given up.
     """
     points = np.where(np.isfinite(points), points, axis[0])
-    if noisy:
-        return normal_table(points, axis, np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)[:, None], True)
+    if noise is not None:
+        return noise.hats(points, np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0), axis)
     place = np.clip(np.searchsorted(axis, points, side="right") - 1, 0, len(axis) - 2)
     share = np.clip((points - axis[place]) / np.diff(axis)[place], 0.0, 1.0)
     table = np.zeros((len(points), 2 * len(axis) - 2))
@@ -345,50 +343,50 @@ def hats_at(points: Array, sizes: Array, axis: Array, noisy: bool) -> tuple[Arra
 
 @dataclass(frozen=True, eq=False)
 class Planes:
-    """Planes of an axis as seen from images.
+    """Planes of an axis as seen from images, for sizes of the noise of at least ``least`` (S, 1) (``noise``)."""
 
-    ``mass`` (S, n) are largest probabilities of intervals, ``powers`` the largest ``|tau|^p phi(tau)`` at each plane
-    (S, n + 1), p = 0 .. 3, and ``least`` (S, 1) the least sigma.
-    """
-
-    mass: Array
-    powers: list[Array]
+    seen: Seen
     least: Array
+    mean_size: float
 
     @classmethod
-    def of(cls, y: Array, sigma: Array, axis: Array) -> Planes:
+    def of(cls, y: Array, sigma: Array, axis: Array, noise: Noise) -> Planes:
         """Return planes as seen from y and sigma between ends (2, S)."""
         low, high, least, most = y[0][:, None], y[1][:, None], sigma[0][:, None], sigma[1][:, None]
-        before, after = down(axis - high), up(axis - low)
-        near = np.maximum(np.maximum(before, -after), 0.0) / most * (1.0 - 4.0 * U)
-        far = np.maximum(np.abs(before), np.abs(after)) / least * (1.0 + 4.0 * U)
-        table, powers = _densities(), []
-        for p in range(4):
-            # t^p phi(t) rises up to the root of p, and falls after it
-            t = np.minimum(np.clip(np.sqrt(p), near, np.maximum(near, far)), FAR)
-            powers.append(table[p][(t * FINE).astype(np.int64)])
-        return cls(_masses(before, after, least, most), powers, least)
+        return cls(noise.seen(down(axis - high), up(axis - low), least, most), least, noise.mean_size)
+
+    @property
+    def mass(self) -> Array:
+        """Largest probabilities of intervals (S, n)."""
+        return self.seen.mass
 
     @property
     def size(self) -> int:
         """How many numbers it holds."""
-        return self.mass.size + sum(own.size for own in self.powers)
+        return self.mass.size + 4 * self.seen.rest.size
 
     def first(self, y: Array, sigma: Array) -> Array:
         """Return weights (S, 3 n + 2) of features in size, for first derivatives of y and sigma up to these (S, 1)."""
-        phi, tau = self.powers[:2]
-        return np.concatenate([phi * sigma, (phi * y + tau * sigma) / self.least, self.mass * y], axis=1)
+        mass, (dens, tau, _), _, rest, _ = self.seen
+        return np.concatenate([rest * sigma, (dens * y + tau * sigma) / self.least, mass * y], axis=1)
 
     def second(self, y: Array, sigma: Array, bend: Array, bend_of_sigma: Array) -> Array:
         """Return weights (S, 4 n + 3) of kinks upward and of features in size, for derivatives up to these (S, 1)."""
-        phi, tau, square, cube = self.powers
-        upward = (phi * y * y + 2.0 * tau * y * sigma + square * sigma * sigma) / self.least
-        upward = np.minimum(upward, 2.0 * (y + sigma + bend + bend_of_sigma))
-        jumps = (tau * y * y + 2.0 * square * y * sigma + cube * sigma * sigma) / self.least
-        jumps = (
-            jumps + 2.0 * sigma * (phi * y + tau * sigma) / self.least + phi * bend + tau * bend_of_sigma
-        ) / self.least
-        return np.concatenate([upward, phi * bend_of_sigma, jumps, self.mass * bend], axis=1)
+        mass, (dens, tau, square), slope, rest, leaps = self.seen
+        upward = (dens * y * y + 2.0 * tau * y * sigma + square * sigma * sigma) / self.least
+        upward = np.minimum(upward, 2.0 * (y + bend + self.mean_size * (sigma + bend_of_sigma)))
+        jumps = (slope[0] * y * y + 2.0 * slope[1] * y * sigma + slope[2] * sigma * sigma) / self.least
+        jumps = (jumps + 2.0 * sigma * (dens * y + tau * sigma) / self.least + dens * bend + tau * bend_of_sigma) / (
+            self.least
+        )
+        if leaps is not None:
+            # Where f jumps S has a kink in tau, whose derivatives are these.
+            leap, far = leaps
+            once = (y + far * sigma) / self.least
+            jumps = jumps + 2.0 * leap * (
+                once + (bend + far * bend_of_sigma) / self.least + 2.0 * sigma / self.least * once
+            )
+        return np.concatenate([upward, rest * bend_of_sigma, jumps, mass * bend], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,38 +416,3 @@ class Crossed:
         """Return weights (S, 4 n + 3): a kink costs a quarter of what y moves, as a bend of twice that does."""
         none = np.zeros_like(self.met)
         return np.concatenate([2.0 * self.met * (y + bend), none, none, self.mass * bend], axis=1)
-
-
-def _masses(before: Array, after: Array, least: Array, most: Array) -> Array:
-    """Return upper bounds (S, n) on the probabilities of intervals between planes: ``e - y`` is between both ends."""
-    x, z = after[:, 1:], before[:, :-1]
-    x = np.where(x > 0.0, x / least, x / most)
-    z = np.where(z > 0.0, z / most, z / least)
-    # tails at both ends, rounded outward; of the same side where both ends are on it
-    x, z = x + 4.0 * U * np.abs(x), z - 4.0 * U * np.abs(z)
-    (x_low, x_high), (z_low, z_high) = _tails(np.abs(x)), _tails(np.abs(z))
-    mass = np.select([z >= 0.0, x <= 0.0], [z_high - x_low, x_high - z_low], 1.0 - x_low - z_low)
-    return np.clip(mass + 4.0 * U, 0.0, 1.0)
-
-
-@cache
-def _densities() -> Array:
-    """Return upper bounds (4, n) on ``t^p phi(t)``, p = 0 .. 3, from each multiple of 1 / FINE to the next, to FAR."""
-    t = np.arange(math.ceil(FAR * FINE) + 1) / FINE
-    best = [np.clip(np.sqrt(p), t, t + 1.0 / FINE) for p in range(4)]
-    return np.stack([own**p * rigorous.density_at(own, 4.0)[1] * (1.0 + 2.0**-36) for p, own in enumerate(best)])
-
-
-@cache
-def _tail_table() -> tuple[Array, Array]:
-    t = np.arange(math.ceil(FAR * FINE) + 2) / FINE
-    low, high = rigorous.tail(t)
-    # from t to the next one: below at its end, above at its beginning
-    return low[1:], high[:-1]
-
-
-def _tails(t: Array) -> tuple[Array, Array]:
-    """Return bounds on the probability that normal noise is larger than t deviations, t >= 0."""
-    place = (np.minimum(t, FAR) * FINE).astype(np.int64)
-    low, high = _tail_table()
-    return np.where(t > FAR, 0.0, low[place]), high[place]

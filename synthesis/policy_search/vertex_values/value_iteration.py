@@ -19,16 +19,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
 from ...certificates.proofs import Certificate, NotCanonicalError, Synthesis, VertexProof, canonical_problem
 from ...checker import CheckedProblem, Refused, Unreadable, followed, read_problem, value_on
 from ...extended_check.vertex_grids import (
+    FARTHEST,
     NEAR,
     Backups,
     Images,
+    Noise,
     corners_of,
     hats_at,
     images_at,
@@ -122,7 +123,14 @@ def refuse_vertex_grid(problem: Problem) -> None:
         raise RelationRefused(f"grids of vertices have {MOST_STATES} states and {max(INPUTS)} inputs at most")
     try:
         checked = read_problem({"problem": canonical_problem(problem)})
-        Backups(checked, tuple(np.array(box) for box in checked.agents[0].state_box.T), (True,) * agent.n_states)
+        steps = Backups(
+            checked,
+            tuple(np.array(box) for box in checked.agents[0].state_box.T),
+            (True,) * agent.n_states,
+            NEAR,
+            agent.laws,
+        )
+        len(steps.noises)
     except (Refused, Unreadable, NotCanonicalError) as reason:
         raise RelationRefused(str(reason)) from reason
     low, high = checked.agents[0].state_box
@@ -141,22 +149,23 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
     refuse_vertex_grid(problem)
     began = time.perf_counter()
     checked = read_problem({"problem": canonical_problem(problem)})
+    noise_laws = problem.agents[0].laws
     spreads, vertices = spreads_of(checked), float(FIRST[problem.agents[0].n_states])
     # Coarse values say where runs pass, and nothing is charged there.
     alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
     window, finer, failure = alive, np.ones(len(spreads)), 1.0
     for more in COARSE:
         edges = grid_of(checked, spreads, round(vertices * more), window)
-        coarse = Counted(checked, edges, jumps_of(checked, edges))
+        coarse = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws)
         inputs, laws, failure = iterated(coarse)
         work.count(coarse.spent)
-        runs = _Runs.of(checked, edges, inputs, laws, failure)
+        runs = _Runs.of(coarse, inputs, laws, failure)
         window = _within(alive, runs.window(checked, spreads))
-    best, levels, near = None, dict[str, float](), _near(checked, failure)
+    best, levels, near = None, dict[str, float](), _near(coarse, failure)
     while True:
         edges = grid_of(checked, spreads, round(vertices), window, finer)
         jumps = jumps_of(checked, edges)
-        steps = Counted(checked, edges, jumps, near)
+        steps = Counted(checked, edges, jumps, near, noise_laws)
         try:
             inputs, laws, failure = iterated(steps, runs)
         except KeyboardInterrupt:
@@ -168,7 +177,7 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
         levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
         # Axes along which more is charged get more cells: what is charged falls with the square of their number.
         finer *= np.clip(np.sqrt(steps.bent / np.exp(np.log(steps.bent).mean())), *MOST_ADJUSTED)
-        runs = _Runs.of(checked, edges, inputs, laws, runs.failure)
+        runs = _Runs.of(steps, inputs, laws, runs.failure)
         window = _within(alive, runs.window(checked, spreads))
         last = 1.0 if best is None else best.failure
         if best is None or failure < best.failure:
@@ -189,10 +198,12 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
     return Synthesis(certificate, certificate.controller, stats)
 
 
-def _near(problem: CheckedProblem, failure: float) -> float:
+def _near(steps: Backups, failure: float) -> float:
     """Return how many deviations of the noise are looked at: what is left out is little beside a failure."""
+    problem = steps.problem
     sides = 4.0 * len(problem.agents[0].states) * problem.horizon
-    return float(np.clip(norm.isf(LEFT_OUT * max(failure, 1e-300) / sides), LEAST_NEAR, NEAR))
+    reach = [noise.reach(LEFT_OUT * failure / sides) for noise in steps.noises if noise is not None]
+    return float(np.clip(max(reach, default=NEAR), LEAST_NEAR, FARTHEST))
 
 
 def jumps_of(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> tuple[bool, ...]:
@@ -385,15 +396,15 @@ class _Choice:
                 moved = self.count ** (self.m - 1 - j) * (self.count - 1)
                 way = np.abs(images[moved][:d] - images[0][:d]) / sizes
                 apart[:, j] = np.nan_to_num(way.max(axis=0)) ** 2
-            self.known = t, (_Reading(np.concatenate(images, axis=1), steps.edges, steps.noisy), apart)
+            self.known = t, (_Reading(np.concatenate(images, axis=1), steps.edges, steps.noises), apart)
         return self.known[1]
 
 
 class _Reading:
     """Means of values around images (2 d, N), means first and sizes after: no bounds."""
 
-    def __init__(self, images: FloatArray, edges: tuple[FloatArray, ...], noisy: Sequence[bool]) -> None:
-        d = len(edges)
+    def __init__(self, images: FloatArray, edges: tuple[FloatArray, ...], noises: Sequence[Noise | None]) -> None:
+        d, noisy = len(edges), [noise is not None for noise in noises]
         y, sizes = np.nan_to_num(images[:d]), np.nan_to_num(np.abs(images[d:]))
         self.smoothing, places, parts = list[FloatArray](), list[NDArray[np.int64]](), list[FloatArray]()
         for k, axis in enumerate(edges):
@@ -404,7 +415,7 @@ class _Reading:
             # where cells are wide, in the middle of them, too
             middles = (0.5 * axis[1:] + 0.5 * axis[:-1])[np.diff(axis) > FINE_CELLS * least]
             lattice = np.unique(np.concatenate([axis[0] - away, axis, middles, axis[-1] + away]))
-            self.smoothing.append(np.stack([_hats(lattice, axis, own * noisy[k]) for own in levels]))
+            self.smoothing.append(np.stack([_hats(lattice, axis, own, noises[k]) for own in levels]))
             for numbers, points in ((np.log(np.maximum(sizes[k], 1e-9)), np.log(levels)), (y[k], lattice)):
                 below = np.clip(np.searchsorted(points, numbers, side="right") - 1, 0, max(len(points) - 2, 0))
                 above = np.minimum(below + 1, len(points) - 1)
@@ -433,12 +444,12 @@ class _Reading:
         return np.sum([weight * flat[place] for place, weight in self.corners], axis=0)
 
 
-def _hats(points: FloatArray, axis: FloatArray, size: float) -> FloatArray:
+def _hats(points: FloatArray, axis: FloatArray, size: float, noise: Noise | None) -> FloatArray:
     """Return weights (N, 2 n) of both ends of all intervals: those of noise, or of the cell a point is in."""
-    if size > 0.0:
-        return hats_at(points, np.full(len(points), size), axis, True)[0]
+    if noise is not None:
+        return hats_at(points, np.full(len(points), size), axis, noise)[0]
     # at an edge both cells count
-    either = [hats_at(own, own, axis, False)[0] for own in (points, np.nextafter(points, -np.inf))]
+    either = [hats_at(own, own, axis, None)[0] for own in (points, np.nextafter(points, -np.inf))]
     return 0.5 * either[0] + 0.5 * either[1]
 
 
@@ -451,14 +462,8 @@ class _Runs:
     failure: float
 
     @classmethod
-    def of(
-        cls,
-        problem: CheckedProblem,
-        edges: tuple[FloatArray, ...],
-        inputs: FloatArray,
-        laws: NDArray[np.int64],
-        failure: float,
-    ) -> _Runs:
+    def of(cls, steps: Backups, inputs: FloatArray, laws: NDArray[np.int64], failure: float) -> _Runs:
+        problem, edges = steps.problem, steps.edges
         agent, automaton = problem.agents[0], problem.automaton
         rng, d = np.random.default_rng(20261127), len(agent.states)
         low, high = agent.state_box
@@ -468,7 +473,11 @@ class _Runs:
         for t in range(problem.horizon):
             u = interpolated(edges, inputs[laws[t]], x, q).T
             centre, _ = images_at(agent, x, u, t)
-            x = np.clip(centre[:d] + np.abs(centre[d:]) * rng.standard_normal((d, RUNS)), low[:, None], high[:, None])
+            drawn = [
+                own if noise is None else noise.drawn(own)
+                for noise, own in zip(steps.noises, rng.standard_normal((d, RUNS)), strict=True)
+            ]
+            x = np.clip(centre[:d] + np.abs(centre[d:]) * drawn, low[:, None], high[:, None])
             q = _followed(problem, q, x, t + 1)
             states.append(x)
             each.append(q)
