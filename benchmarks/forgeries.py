@@ -125,7 +125,7 @@ def _set(path: tuple[Any, ...], value: Any) -> Callable[[Header, Arrays], None]:
 
 
 def _of_structure(header: Header) -> Iterator[Forgery]:
-    """Vertices listed twice, agents exchanged, guards repeated, coordinates rescaled."""
+    """Vertices listed twice, agents exchanged, guards repeated."""
 
     def doubled(header: Header, arrays: Arrays) -> None:
         for entry in header["proof"]["skeleton"][0]:
@@ -150,26 +150,11 @@ def _of_structure(header: Header) -> Iterator[Forgery]:
         original = {name: header["proof"][name]}
         return forge
 
-    def rescaled(factor: float) -> Callable[[Header, Arrays], None]:
-        def forge(header: Header, arrays: Arrays) -> None:
-            for agent in header["proof"]["agents"]:
-                scale = np.ones(len(agent["edges"]))
-                scale[-1] = factor
-                arrays.append(arrays[agent["coordinates"]] @ np.diag(scale))
-                agent["coordinates"] = len(arrays) - 1
-                for name in ("edges", "lattice"):
-                    arrays.append(arrays[agent[name][-1]] / factor)
-                    agent[name][-1] = len(arrays) - 1
-
-        return forge
-
     if header["proof"].get("skeleton"):
         yield "vertices listed twice", doubled
     yield "agents exchanged", exchanged
     yield "guards repeated", repeated("guards")
     yield "start guards repeated", repeated("start_guards")
-    for factor in (1e9, 1e-9, 2.0, -1.0):
-        yield f"grid coordinates times {factor:g}", rescaled(factor)
 
 
 def _of_array(array: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str, Callable[[np.ndarray], np.ndarray]]]:

@@ -43,6 +43,8 @@ def random_spec(seed: int, relation: str | None = None) -> Spec:
             name: value for name, value in others.items() if name != "value" or relation not in ("boxes", "linear")
         }
         options["relation"] = relation
+    if options.get("relation") != "path":
+        make_independent(agents)
     return {
         "agents": agents,
         "propositions": kept,
@@ -52,6 +54,13 @@ def random_spec(seed: int, relation: str | None = None) -> Spec:
         "horizon": horizon,
         "options": options,
     }
+
+
+def make_independent(agents: list[Spec]) -> None:
+    """Leave agents their variances only: cells need noise that is independent along the states."""
+    for agent in agents:
+        if "noise_covariance" in agent:
+            agent["noise_covariance"] = np.diag(np.diag(agent["noise_covariance"])).tolist()
 
 
 def _agent(rng: np.random.Generator, name: str, n_agents: int) -> Spec:

@@ -13,7 +13,7 @@ import numpy as np
 
 from independent import Formula, names_in, text_of
 from random_expressions import _make_uneven, _write, _write_aimed
-from random_problems import Spec, _formula
+from random_problems import Spec, _formula, make_independent
 from tuple_expressions import Expression
 from tuple_expressions import text_of as expression_text
 
@@ -26,6 +26,8 @@ def small_spec(kind: str, seed: int) -> Spec:
 
 def _problem(rng: np.random.Generator, agents: list[Spec], options: Spec, horizons: tuple[int, ...]) -> Spec:
     """Regions, a task and starts for agents, drawn in this order."""
+    if options.get("relation") != "path":
+        make_independent(agents)
     propositions: dict[str, Spec] = {}
     goals, safes = list[str](), list[str]()
     for agent in agents:

@@ -153,7 +153,6 @@ def lawful() -> LinearAgent:
 ROWS: dict[str, Row] = {
     "exact matrices": Row(lambda: task(matrices()), 24, {"relation": "exact"}),
     "exact Laplace": Row(lambda: task(lawful()), 24, {"relation": "exact"}),
-    "exact correlated": Row(lambda: task(matrices(**PLANAR, noise_covariance=CORRELATED)), 14, {"relation": "exact"}),
     "exact expressions": Row(lambda: task(expressions()), 24, {"relation": "exact"}),
     "paper": Row(
         lambda: task(matrices()), 60, {"relation": "paper", "search": cg.SearchOptions(epsilon=0.1, inputs=10)}

@@ -92,7 +92,7 @@ def exact_model(problem: Problem, agent: int, tables: Any, labels: Sequence[int]
     grid, lattice, relation = (
         Grid((edges,)),
         (np.linspace(-1.0, 1.0, n_lattice),),
-        exact_relation(linear(model), np.eye(1)),
+        exact_relation(linear(model)),
     )
     low, high = np.zeros((n_cells, 1), dtype=np.int32), np.full((n_cells, 1), n_lattice, dtype=np.int32)
     windows = TargetWindows(grid, lattice, relation, low, high)

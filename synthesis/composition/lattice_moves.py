@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from ...envs.systems.agents import AnyAgent
 from ..abstraction.models import AgentModel, StepPolicy
-from ..relations.grids import FloatArray, RelationRefused, start_share
+from ..relations.grids import FloatArray, RelationRefused
 
 LARGER, ADDED = 1.0 + 1e-12, 1e-14
 """What masses are rounded up by: far more than special functions are off by."""
@@ -88,8 +88,6 @@ class NearPoints:
                 f"agent `{self.agent.name}`: what pairs may spoil is bounded for states that are numbers, got the "
                 f"angle {self.agent.angles[0]!r}, which wraps; ask for the relation `path`"
             )
-        if not np.array_equal(self.model.relation.coordinates, np.eye(self.agent.n_states)):
-            raise RelationRefused(f"agent `{self.agent.name}`: pairs compare states, which are not axes of its cells")
         if np.prod([len(axis) for axis in self.lattice]) > MOST_POINTS:
             raise RelationRefused(
                 f"agent `{self.agent.name}`: masses have at most {MOST_POINTS} lattice points, got more; ask for fewer "
@@ -103,7 +101,7 @@ class NearPoints:
 
     def share(self, agent: AnyAgent) -> FloatArray:
         """Return the mass (S,) of the start in cells."""
-        return start_share(self.model.grid, self.model.relation.coordinates, agent.initial.low, agent.initial.high)
+        return self.model.grid.overlap(agent.initial.low, agent.initial.high)
 
     def cells(self, places: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return which cells (S,) hold a place at which factors have values: one of their corners, or themselves."""

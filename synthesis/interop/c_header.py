@@ -4,7 +4,7 @@ For every agent there is ``void PREFIX_AGENT_act(const double *x, int q, int tim
 automaton state and the time, and its input u (m). Compiled without contraction of products and sums
 (``-ffp-contract=off``, and no ``-ffast-math``) it gives the numbers of ``AgentController.act``, to the last bit.
 
-    cell    the state in grid coordinates, moved into the grid; bisection finds its interval on every axis
+    cell    the state, moved into the grid; bisection finds its interval on every axis
     choice  a table over times, automaton states and cells
     input   an entry of the menu, or ``B^+ (target - drift - A x) + u_mid``
 """
@@ -51,7 +51,7 @@ def header_of(controller: Controller, prefix: str, agents: Sequence[str] = ()) -
 
 def _of_agent(agent: AgentController, prefix: str) -> str:
     """Return tables and function of one agent."""
-    relation, name = agent.relation, f"{prefix}_{_name(agent.name)}"
+    name = f"{prefix}_{_name(agent.name)}"
     mean_targets, input_set = _aims_and_menu(agent)
     policy, edges = agent.policy, agent.grid.edges
     T, Q, S = policy.shape
@@ -66,12 +66,10 @@ def _of_agent(agent: AgentController, prefix: str) -> str:
         lines += [_table(f"{name}_aims_{k}", axis - drift)
                   for k, (axis, drift) in enumerate(zip(targets, mean_targets.drift, strict=True))]  # fmt: skip
     d = len(edges)
-    coordinates = relation.to_grid(np.eye(d)) if not relation.has_state_coordinates else np.eye(d)
     lines += ["", f"static void {name}_act(const double *x, int q, int time, double *u) {{"]
     lines += [f"    double p[{d}];", "    long cell = 0, low, high, middle;", "    int choice;"]
-    inverse = rows_of(coordinates) if relation.has_state_coordinates else rows_of(np.linalg.inv(relation.coordinates))
-    for k, (axis, row) in enumerate(zip(edges, inverse, strict=True)):
-        lines.append(f"    p[{k}] = {_sum(row, 'x') if not relation.has_state_coordinates else f'x[{k}]'};")
+    for k, axis in enumerate(edges):
+        lines.append(f"    p[{k}] = x[{k}];")
         # Not a number goes to the low edge, as it does in Python.
         lines.append(f"    if (!(p[{k}] >= {_number(axis[0])})) p[{k}] = {_number(axis[0])};")
         lines.append(f"    if (p[{k}] > {_number(axis[-1])}) p[{k}] = {_number(axis[-1])};")

@@ -265,7 +265,7 @@ def improve(
 def wrap(problem: Problem, abstraction: Abstraction, policy: Decentralised) -> Policies:
     """Return policy tables (T, Q, S), one per agent: the admissible choice with the mean nearest to the policy's.
 
-    Choices are compared at the centre of each cell, by Euclidean distance in grid coordinates divided by the cell
+    Choices are compared at the centre of each cell, by Euclidean distance divided by the cell
     widths; -1 where no choice is admissible. Under the relation ``linear`` the corners decide between gains.
     """
     n_q, tables = problem.automaton.n_states, []
@@ -288,13 +288,13 @@ def _inputs(policy: Decentralised, i: int, q: int, t: int, states: FloatArray) -
 def _means_at(
     agent: AnyAgent, model: AgentModel, inputs: Callable[[FloatArray], FloatArray], points: FloatArray
 ) -> FloatArray:
-    """Return the means (d, S) of the next states in grid coordinates, from points (S, d) of the grid.
+    """Return the means (d, S) of the next states, from points (S, d) of the grid.
 
     Inputs are saturated.
     """
-    states, box = np.ascontiguousarray(np.asarray(model.relation.coordinates) @ points.T), agent.input_box
+    states, box = np.ascontiguousarray(points.T), agent.input_box
     saturated = np.clip(inputs(states), box.low[:, None], box.high[:, None])
-    return model.relation.to_grid(agent.mean(states, saturated))
+    return np.asarray(agent.mean(states, saturated))
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,7 @@ def test_turns_fill_a_disk_and_no_more() -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, 73)
     for least, radii in ((0.0, {0.0: True, 0.97: True, 1.001: False}), (0.4, {0.39: False, 0.42: True, 1.001: False})):
         agent = robot(["x + r*cos(a)", "y + r*sin(a)"], ["r", "a"], [least, 0.0], [1.0, 6.2832])
-        relation = symbolic_targets(agent, np.eye(2))
+        relation = symbolic_targets(agent)
         asked = relation.asked(low, high)
         for radius, fits in radii.items():
             targets = 0.5 + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)

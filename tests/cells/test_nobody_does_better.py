@@ -14,7 +14,6 @@ import certigym as cg
 from certigym.synthesis.abstraction.models.joint import join, start_of
 from certigym.synthesis.policy_search.bounds import continuous as continuous_bound
 from certigym.synthesis.policy_search.bounds.continuous import Optimist, continuous_upper_bound
-from certigym.synthesis.relations.grids import hats
 from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.binomial import clopper_pearson
 from kinds import mostly_thorough
@@ -65,48 +64,6 @@ def test_one_step_lies_above_what_points_and_inputs_lead_to(n_cells: int, dynami
             mean = agent.A[0, 0] * x + agent.B[0, 0] * u + 0.3
             between = (1.0 - share) * most[::2] + share * most[1::2]
             assert np.all(expected_hats(mean, edges, 0.4) @ value <= between + 1e-12)
-
-
-def test_one_step_in_the_plane_with_correlated_noise() -> None:
-    agent = cg.LinearAgent(
-        name="one",
-        A=[[0.9, 0.3], [-0.2, 0.8]],
-        B=[[0.0], [0.4]],
-        noise_covariance=[[0.3, 0.15], [0.15, 0.2]],
-        state_low=[-3.0, -3.0],
-        state_high=[3.0, 3.0],
-        input_low=[-1.0],
-        input_high=[1.0],
-        initial_state=[0.0, 0.0],
-    )
-    problem = cg.Problem(
-        name="one",
-        horizon=1,
-        agents=[agent],
-        propositions={"a": cg.Proposition("one", [1.0, 1.0], [3.0, 3.0])},
-        specification=cg.Specification("F a", "co-safe"),
-    )
-    model = abstract(problem, 24, relation="linear").models[0]
-    optimist, rng = Optimist.of(agent, model), np.random.default_rng(0)
-    assert optimist is not None
-    value = rng.random(4 * model.grid.n_cells) ** 8
-    most = optimist.back(value)
-
-    def read(table: NDArray, points: NDArray) -> NDArray:
-        places, weights = hats(model.grid, points)
-        return np.asarray((table[places] * weights).sum(axis=1))
-
-    normals = rng.standard_normal((20_000, 2)) @ agent.noise_factor.T
-    inverse = np.linalg.inv(model.relation.coordinates)
-    for s in rng.integers(model.grid.n_cells, size=20):
-        for _ in range(4):
-            point = model.grid.low[s] + rng.random(2) * (model.grid.high[s] - model.grid.low[s])
-            x = model.relation.coordinates @ point
-            after = (agent.A @ x + agent.B[:, 0] * rng.uniform(-1, 1) + normals) @ inverse.T
-            inside = np.all((after >= model.grid.low.min(axis=0)) & (after < model.grid.high.max(axis=0)), axis=1)
-            worth = read(value, after[inside].T)
-            error = 5.0 * np.sqrt(0.25 / len(after))  # 1e-6
-            assert worth.sum() / len(after) <= read(most, point[:, None])[0] + error
 
 
 def test_without_the_curvature_one_step_would_be_too_low(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,7 +26,6 @@ from certigym.synthesis.certificates.cell_probabilities.checked_laws import (
 )
 from certigym.synthesis.checker.distributions import read_distribution
 from certigym.synthesis.checker.fields import Entry
-from certigym.synthesis.relations.grids import grid_laws
 from kinds import mostly_thorough
 
 DECLARED: list[dict[str, Any]] = [
@@ -286,24 +285,6 @@ def test_a_charge_left_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         broken = cg.synthesize(problem, 80, relation="boxes").certificate
     assert cg.check(cg.synthesize(problem, 80, relation="boxes").certificate, problem).valid
     assert not cg.check(broken, problem)
-
-
-def test_laws_have_their_own_axes() -> None:
-    """Two components along oblique axes: certified in those coordinates, checked, and simulated as declared."""
-    agent = cg.LinearAgent(
-        name="robot", A=[[0.9, 0.1], [0.0, 0.8]], B=np.eye(2), noise=[DECLARED[4], DECLARED[1]],
-        noise_axes=[[1.0, 0.5], [0.0, 1.0]], state_low=[-3, -3], state_high=[3, 3], input_low=[-1, -1],
-        input_high=[1, 1], initial_state=[-2, -2],
-    )  # fmt: skip
-    problem = cg.Problem(
-        name="oblique", agents=[agent], propositions={"goal": cg.Proposition("robot", [0, 0], [2, 2])},
-        specification=cg.Specification("F goal", "co-safe"), horizon=4,
-    )  # fmt: skip
-    assert grid_laws(agent, agent.noise_axes) == agent.laws
-    certificate = cg.synthesize(problem, 32, relation="exact").certificate
-    assert cg.check(certificate, problem).valid
-    verdict = cg.validate(certificate, 20_000, seed=5, confidence=1.0 - 1e-6)
-    assert verdict.verdict != "refuted" and certificate.lower_bound > 0.5
 
 
 def test_laws_of_scipy_are_taken_with_the_error_that_is_stated(tmp_path: Path) -> None:

@@ -140,7 +140,7 @@ def test_a_relation_that_takes_more_inputs_than_there_are_is_refused() -> None:
 
 
 def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(finite_models, "error_labels", lambda p, i, g, c, reach: cell_labels(p, i, g, c))
+    monkeypatch.setattr(finite_models, "error_labels", lambda p, i, g, reach: cell_labels(p, i, g))
     options = cg.SearchOptions(epsilon=0.3, feedback=-0.5)
     certificate = cg.synthesize(two_agents(horizon=4), 64, relation="paper", search=options).certificate
     assert certificate.proof.bound == "nominal" and not cg.check(certificate)

@@ -165,14 +165,14 @@ def test_no_step_is_taken_with_an_angle_of_the_interval() -> None:
     """A vector of length 0 has no direction: any angle will do, if it is in the box."""
     for low, high in ([0.0, 2.0], [1.0, 3.0]), ([-1.0, -9.0], [0.0, -8.5]), ([-1.0, 40.0], [1.0, 50.0]):
         agent = robot(["x + r*cos(a)", "y + r*sin(a)"], ["r", "a"], low, high)
-        inputs = symbolic_targets(agent, np.eye(2)).inputs(np.zeros((2, 1)), np.zeros((2, 1)))
+        inputs = symbolic_targets(agent).inputs(np.zeros((2, 1)), np.zeros((2, 1)))
         assert inputs[0] == 0.0 and low[1] <= inputs[1] <= high[1]
 
 
 def test_a_component_alone_has_no_sector() -> None:
     agent = robot(["x + r*cos(a)", "y + u"], ["r", "a", "u"], [0.0, 0.0, -1.0], [1.0, 1.0, 1.0])
     with pytest.raises(ValueError, match="both components of polar inputs"):
-        symbolic_targets(agent, np.eye(2))
+        symbolic_targets(agent)
 
 
 # --- sabotage: searches and controllers that are wrong about one thing ----------------------------------------

@@ -20,7 +20,6 @@ from certigym.synthesis.policy_search.ascent.relaxation import relax
 from certigym.synthesis.policy_search.ascent.search_settings import Search
 from certigym.synthesis.policy_search.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.policy_search.portfolio.given_start import policies_from
-from certigym.synthesis.relations.grids import start_share
 from certigym.synthesis.verbs.abstract import abstract
 from certigym.validation.statistical_tests.binomial import REFUTED
 from kinds import mostly_thorough
@@ -238,7 +237,7 @@ def test_the_bound_from_above_is_a_mean_over_boxes() -> None:
     joint = join(problem, abstract(problem, 16))
     dense = dense_optimum(problem, list(joint.models))
     weights = [
-        start_share(m.grid, np.eye(1), np.array([low]), np.array([high]))
+        m.grid.overlap(np.array([low]), np.array([high]))
         for m, low, high in zip(joint.models, (0.0, -1.0), (1.0, 1.0), strict=True)
     ]
     initial = problem.replace(initial_state=[0.5, 0.0]).initial_q  # the start meets no region of the task

@@ -76,9 +76,9 @@ def test_maps_hold_all_means(name: str) -> None:
     low = rng.uniform([-1.5, -2.0], [1.2, 1.6], size=(40, 2))
     high, input_set = low + rng.uniform(0.02, 0.3, size=(40, 2)), np.array([[-1.0], [0.3], [1.0]])
     for cuts in (1, 2):
-        maps = AffineMeans(agent, np.eye(2), cuts).around(low, high, input_set)
+        maps = AffineMeans(agent, cuts).around(low, high, input_set)
         for a, inputs in enumerate(input_set):
-            own = map_enclosures(agent, low, high, np.repeat(inputs[None], 40, axis=0), np.eye(2), cuts)
+            own = map_enclosures(agent, low, high, np.repeat(inputs[None], 40, axis=0), cuts)
             gain, rest = (array[:, a if array.shape[1] > 1 else 0] for array in (maps.gain, maps.rest))
             np.testing.assert_allclose(own[0], maps.centre[:, a], atol=1e-9)
             assert np.all(own[2] <= rest * (1.0 + 1e-12) + 1e-300) and np.all(rest <= own[2] + 1e-9)
@@ -92,15 +92,15 @@ def test_maps_hold_all_means(name: str) -> None:
 
 def test_what_is_left_is_of_second_order() -> None:
     """Half the cell leaves a quarter."""
-    means = AffineMeans(oscillator(), np.eye(2), 2)
+    means = AffineMeans(oscillator(), 2)
     low = np.array([[0.5, 1.0]])
     wide, narrow = (means.around(low, low + width, np.zeros((1, 1))).rest[0, 0, 1] for width in (0.2, 0.1))
     assert wide == pytest.approx(4.0 * narrow, rel=0.2) and wide < 0.005
 
 
 def test_inputs_that_are_added_have_one_map() -> None:
-    assert AffineMeans(mover("pendulum"), np.eye(2), 1).pushes is not None
-    assert AffineMeans(mover("input inside"), np.eye(2), 1).pushes is None
+    assert AffineMeans(mover("pendulum"), 1).pushes is not None
+    assert AffineMeans(mover("input inside"), 1).pushes is None
 
 
 def expected(agent: Agent, grid: Grid, factor: np.ndarray, means: np.ndarray) -> np.ndarray:
@@ -129,7 +129,7 @@ def test_a_step_is_below_the_truth(name: str, noise: str) -> None:
     """Random factors, random choices, random points of cells, random disturbances: a step is never above."""
     agent, rng = mover(name, noise), np.random.default_rng(2)
     grid = Grid((np.linspace(-1.5, 1.5, 13), np.linspace(-2.0, 2.0, 17)))
-    _, _, kernel, choices = corner_model(agent, grid, np.eye(2))
+    _, _, kernel, choices = corner_model(agent, grid)
     x, y = (np.repeat(edges, 2)[1:-1] for edges in grid.edges)
     ramp = np.exp(-2.0 * ((x[:, None] - 0.3) ** 2 + (y[None] + 0.5) ** 2)).ravel()
     near = 1.0

@@ -183,4 +183,4 @@ def test_boxes_stand_beside_relations_that_are_never_lost() -> None:
 def test_inputs_that_mean_boxes_need_are_asked_for_in_words() -> None:
     agent = scalar_agent("one")
     with pytest.raises(ValueError, match="inputs inside their box"):
-        box_relation(agent, np.eye(1), np.array([[3.0]]))
+        box_relation(agent, np.array([[3.0]]))

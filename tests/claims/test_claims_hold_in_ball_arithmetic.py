@@ -277,7 +277,6 @@ SABOTAGE: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None], str]] = {
     "the complementary error function": ("exact matrices", times(checked_kernel, "erfc", UP), "a cell mass"),
     "a normal law of trains": ("train", times(checked_kernel, "erfc", UP), "a cell mass"),
     "a normal law of menus": ("paper", times(checked_kernel, "erfc", UP), "a cell mass"),
-    "correlated noise": ("exact correlated", times(checked_kernel, "erfc", UP), "a cell mass"),
     "the Laplace law": ("exact Laplace", times(checked_laws, "probability_below", UP), "a cell mass"),
     "masses of boxes": ("boxes Laplace", times(checked_laws, "probability_below", UP), "a cell mass"),
     "masses of scales": ("boxes noise scale", times(checked_laws, "probability_below", UP), "a cell mass"),

@@ -65,7 +65,6 @@ LOOK_AT_TIME = Reason(
     "policies have to look at it", "rates are those of steps that are all the same, which steps in time are not"
 )
 STEPS_DIFFER = Reason("the same at every step", "beyond its horizon nothing is said of a problem whose steps differ")
-TURNED = Reason("where noise is correlated", "its cells are turned against the box; paths have such starts")
 
 CANNOT: dict[str, dict[str, Reason]] = {
     "train": dict.fromkeys(BOXES + LINEAR, NOT_ADDITIVE),
@@ -93,7 +92,6 @@ CANNOT: dict[str, dict[str, Reason]] = {
         "subtraction": GROWS,
     },
     "no deadline": {"subtraction": GROWS, **dict.fromkeys([*TIMED, "path in time"], STEPS_DIFFER)},
-    "start box": {"exact correlated": TURNED},
     "start=": dict.fromkeys(PATHS, ON_PATHS),
 }
 """Refusals by mathematics: column, row, and why. The page of limits lists them (``docs/limits_table.py``)."""

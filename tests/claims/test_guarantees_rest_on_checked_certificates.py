@@ -100,38 +100,3 @@ def test_the_check_is_asked_once(exact: cg.Certificate, monkeypatch: pytest.Monk
     with pytest.raises(ValueError, match="refuses"):
         standing(with_other_guards(exact))
     assert len(calls) == 2
-
-
-def correlated(start: Any) -> cg.Certificate:
-    """One agent with correlated noise, whose cells lie along other axes than its states."""
-    agent = cg.LinearAgent(
-        name="a", A=0.9 * np.eye(2), B=np.eye(2), noise_covariance=[[0.04, 0.02], [0.02, 0.05]],
-        state_low=[-2.0, -2.0], state_high=[2.0, 2.0], input_low=[-0.5, -0.5], input_high=[0.5, 0.5],
-        initial_state=[*start],
-    )  # fmt: skip
-    problem = cg.Problem(
-        name="correlated",
-        horizon=3,
-        agents=[agent],
-        propositions={"safe": cg.Proposition("a", [-1.5, -1.5], [1.5, 1.5])},
-        specification=cg.Specification("G safe", "finite-trace"),
-    )
-    return cg.synthesize(problem, 24, relation="exact").certificate
-
-
-def test_starts_on_a_face_that_rounding_decides_are_refused() -> None:
-    """The controller and the check could stand in different cells; beside the face, and at 0, they cannot."""
-    certificate = correlated([0.1, 0.2])
-    assert cg.check(certificate)
-    part = certificate.proof.agents[0]
-    skewed = 1
-    assert np.count_nonzero(part.coordinates[skewed]) == 2 and np.count_nonzero(part.coordinates[0]) == 1
-    place = [part.grid.edges[0][14], part.grid.edges[skewed][14]]
-    on_both = part.coordinates @ place
-    forged = replace(certificate, problem=certificate.problem.replace(initial_state=on_both))
-    report = cg.check(forged)
-    assert not report and "lies on a face of cells to rounding" in report.failures[0]
-    # The search keeps off such faces; a coordinate that is a state is read without rounding.
-    assert cg.check(correlated(on_both))
-    beside = part.coordinates @ [place[0], place[1] + 1e-6]
-    assert cg.check(correlated(beside)) and cg.check(correlated([0.0, 0.0]))

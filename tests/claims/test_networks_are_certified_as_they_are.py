@@ -19,7 +19,7 @@ from certigym.synthesis.verbs.raw_networks import certify_network, differences
 from certigym.validation.policies.actors import CentralActor, SharedActor, load_actor, save_actor
 from certigym.validation.policies.views import CentralView
 from network_problems import RNG, means_at, network, proportional, reach, with_network
-from problems import cart, scalar_agent
+from problems import scalar_agent
 
 
 @pytest.fixture(scope="module")
@@ -102,19 +102,6 @@ def test_a_single_agent_may_have_a_network_that_sees_all() -> None:
     ours, deployed = (cg.rollout(problem, policy, episodes=5000, seed=0) for policy in (synthesis.controller, actor))
     assert np.array_equal(ours.success, deployed.success)
     assert not cg.check(with_network(synthesis.certificate, squashed=False))
-
-
-def test_correlated_noise_and_two_inputs(certified: Any) -> None:
-    """Cells that are no boxes of states: forms go through the coordinates."""
-    agent = cart(
-        B=[[0.5, 0.0], [0.0, 0.5]], input_low=[-2.0, -1.0], input_high=[2.0, 1.0],
-        noise_covariance=[[0.04, 0.02], [0.02, 0.05]], initial_state=[-1.0, 0.0],
-    )  # fmt: skip
-    problem = reach(agent, horizon=3)
-    synthesis = certify_network(problem, proportional(problem), 40)
-    assert cg.check(synthesis)
-    rate = cg.rollout(problem, synthesis.controller, episodes=5000, seed=0).success.mean()
-    assert 0.0 < synthesis.certificate.lower_bound < rate
 
 
 def test_other_weights_are_refused(certified: tuple[cg.Problem, SharedActor, cg.Synthesis]) -> None:

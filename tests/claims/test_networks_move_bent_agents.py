@@ -111,12 +111,10 @@ def test_maps_hold_what_the_deployed_network_does(make: Any) -> None:
     points, q = low + rng.random(low.shape) * (high - low), int(problem.initial_q or 0)
     mode = problem.automaton.n_states + q  # of the second step
     z, gain, rho = networked_maps(agent, part, (low, high), mode)
-    states = part.coordinates @ points.T
-    inputs = actor.inputs(0, states, np.full(len(cells), q), 1)
-    means = np.linalg.solve(part.coordinates, agent.mean(states, inputs)).T
+    inputs = actor.inputs(0, points.T, np.full(len(cells), q), 1)
+    means = agent.mean(points.T, inputs).T
     off = means - z - np.einsum("nkj,nj->nk", gain, points - 0.5 * (low + high))
-    inside = np.all((agent.workspace.low[:, None] <= states) & (states <= agent.workspace.high[:, None]), axis=0)
-    assert inside.sum() > 3_000 and np.all(np.abs(off[inside]) <= rho[inside] + 1e-12)
+    assert np.all(np.abs(off) <= rho + 1e-12)
     relation = certificate.controller.agents[0].relation
     searched = relation.means.around(part.grid.low[:50], part.grid.high[:50], relation.input_set)
     again = networked_maps(agent, part, (part.grid.low[:50], part.grid.high[:50]), mode)

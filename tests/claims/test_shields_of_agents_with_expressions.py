@@ -78,7 +78,7 @@ def test_least_values_are_below_those_of_every_disturbance(kind: str) -> None:
             share = np.where(rng.random(share.shape) < 0.5, np.rint(share), share)
             low, high = agent.disturbance_low[:, None], agent.disturbance_high[:, None]
             mean = agent.mean(states[i], inputs[i], low + share * (high - low), values.beside(i, states))
-            seen = np.minimum(seen, values.backed_up(2, q, i, values.relations[i].to_grid(mean)))
+            seen = np.minimum(seen, values.backed_up(2, q, i, mean))
         assert np.all(least <= seen + 1e-12)
         tightest = min(tightest, float(np.max(seen - least)))
     assert tightest < 0.05  # nothing much is given away

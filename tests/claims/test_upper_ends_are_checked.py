@@ -25,7 +25,6 @@ from certigym.synthesis.policy_search.ascent.train_backward import evaluate
 from certigym.synthesis.policy_search.bounds.above import evaluate_above
 from certigym.synthesis.policy_search.bounds.certified import deadlocked_mass, nominal_bound, train_bound
 from certigym.synthesis.policy_search.bounds.dense import dense_value
-from certigym.synthesis.relations.grids.grid import Grid
 from certigym.synthesis.verbs.abstract import abstract
 from kinds import mostly_thorough
 from problems import scalar_agent, two_agents
@@ -240,12 +239,6 @@ def test_start_guards_that_leave_something_out_have_no_upper_end() -> None:
     ):
         less = changed(whole, start_target=whole.proof.start_target[kept], start_mask=whole.proof.start_mask[kept])
         assert "leave out" in inexact(less)[0]
-
-
-def test_cells_in_other_coordinates_have_no_upper_end(certificate: OnGrid) -> None:
-    first, *others = certificate.proof.agents
-    moved = replace(first, coordinates=np.array([[2.0]]), grid=Grid((first.grid.edges[0] / 2.0,)))
-    assert "does not follow" in inexact(changed(certificate, agents=(moved, *others)))[0]
 
 
 def test_a_pruned_tree_is_found_out() -> None:

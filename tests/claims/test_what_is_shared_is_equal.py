@@ -63,11 +63,6 @@ def test_equal_agents_share_their_tables(certificate: cg.Certificate) -> None:
     assert first is second
 
 
-def test_tables_know_the_coordinates_of_cells(certificate: cg.Certificate) -> None:
-    agent, part = certificate.problem.agents[0], certificate.proof.agents[0]
-    assert kernel_key(agent, part) != kernel_key(agent, replace(part, coordinates=2.0 * part.coordinates))
-
-
 def test_a_forged_agent_that_is_scaled_elsewhere_is_refused(certificate: cg.Certificate) -> None:
     """Parts of agents that are scaled in x, said to be of one that is scaled in x and one that is scaled in y."""
     assert cg.check(certificate)

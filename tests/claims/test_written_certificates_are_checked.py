@@ -191,7 +191,7 @@ def test_a_variance_taken_for_a_deviation_is_refused(monkeypatch: pytest.MonkeyP
     problem = oscillator_reach(12)
     truth = box_model.grid_laws
     with monkeypatch.context() as patch:
-        patch.setattr(box_model, "grid_laws", lambda agent, c: [law.scaled(law.std) for law in truth(agent, c)])
+        patch.setattr(box_model, "grid_laws", lambda agent: [law.scaled(law.std) for law in truth(agent)])
         broken = cg.synthesize(problem, 25, relation="boxes").certificate
     report = cg.check(broken)
     assert not report and "exceed" in str(report)

@@ -175,7 +175,7 @@ def test_python(
 AGENTS_THAT_NO_RELATION_TAKES = [
     ({}, "exact", "as many independent inputs as states"),
     ({}, "paper", "take `exact` or `linear`"),
-    ({"noise_covariance": np.full((2, 2), 0.01)}, "auto", "give every state some noise"),
+    ({"noise_covariance": np.full((2, 2), 0.01)}, "auto", "ask for `path`"),
 ]
 
 

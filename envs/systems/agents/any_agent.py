@@ -354,6 +354,13 @@ class AnyAgent(ABC):
         return read_only(np.array([law.std == 0.0 for law in self.laws]))
 
     @property
+    def has_independent_noise(self) -> bool:
+        """Whether the noise of every state is independent of that of all others."""
+        if self.laws is not None:
+            return bool(np.array_equal(self.noise_axes, np.eye(self.n_states)))
+        return not np.any(self.noise_covariance - np.diag(np.diag(self.noise_covariance)))
+
+    @property
     def has_plain_noise(self) -> bool:
         """Whether every state has noise, and the noise is the same everywhere."""
         return self.noise_scale is None and not bool(np.any(self.still_axes))

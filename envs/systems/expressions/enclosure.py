@@ -34,7 +34,7 @@ Slopes = dict[int, Interval]
 class Affine:
     """What a name stands for: `constant + sum_k slopes[k] * variable k`, as arrays that broadcast.
 
-    States are variables themselves, or rows of a matrix times them; inputs of a menu are constants.
+    States are variables themselves; inputs of a menu are constants.
     """
 
     constant: FloatArray
@@ -53,10 +53,8 @@ class Affine:
         return value, slopes
 
 
-def enclosed(
-    trees: Sequence[Tree], names: Mapping[str, Affine], box: Sequence[Interval], rows: FloatArray | None = None
-) -> list[Interval]:
-    """Return intervals around expressions, or rows of a matrix times them, on boxes (outer bounds).
+def enclosed(trees: Sequence[Tree], names: Mapping[str, Affine], box: Sequence[Interval]) -> list[Interval]:
+    """Return intervals around expressions on boxes (outer bounds).
 
     Ends are not numbers where nothing is known: an operation is not defined everywhere on the box, or not bounded.
 
@@ -67,40 +65,38 @@ def enclosed(
         What the names stand for.
     box : sequence of intervals
         One interval per variable, arrays that broadcast: many boxes at once.
-    rows : (r, p) array, optional
-        Matrix that the values are multiplied with; none by default.
     """
     with np.errstate(all="ignore"):
-        values = _outputs(trees, names, box, rows)
+        values = _outputs(trees, names, box)
         middle = [(0.5 * (low + high),) * 2 for low, high in box]
-        at_middle = _outputs(trees, names, middle, rows)
+        at_middle = _outputs(trees, names, middle)
         result = []
         for k, ((natural, slopes), (centre, _)) in enumerate(zip(values, at_middle, strict=True)):
             ends = [natural, _mean_value(centre, slopes, box, middle)]
             if any(np.any((slope[0] >= 0.0) | (slope[1] <= 0.0)) for slope in slopes.values()):
-                one = (trees, names, rows, k)
+                one = (trees[k], names)
                 ends.append((_at_corner(one, slopes, box, True)[0], _at_corner(one, slopes, box, False)[1]))
             result.append(_common(natural, ends))
         return result
 
 
 def gradients(
-    trees: Sequence[Tree], names: Mapping[str, Affine], at: Sequence[FloatArray], rows: FloatArray | None = None
+    trees: Sequence[Tree], names: Mapping[str, Affine], at: Sequence[FloatArray]
 ) -> list[tuple[FloatArray, dict[int, FloatArray]]]:
-    """Return values and partial derivatives of expressions, or rows of a matrix times them, at points (rounded).
+    """Return values and partial derivatives of expressions at points (rounded).
 
     Derivatives that are left out are 0. At kinks they are between the slopes on both sides; where nothing is known they
     are not numbers.
 
     Parameters
     ----------
-    trees, names, rows
+    trees, names
         As for ``enclosed``.
     at : sequence of arrays
         The variables, arrays that broadcast.
     """
     with np.errstate(all="ignore"):
-        found = _outputs(trees, names, [(point, point) for point in at], rows)
+        found = _outputs(trees, names, [(point, point) for point in at])
         return [
             (0.5 * (low + high), {k: 0.5 * (slope[0] + slope[1]) for k, slope in slopes.items()})
             for (low, high), slopes in found
@@ -151,7 +147,7 @@ def _mean_value(centre: Interval, slopes: Slopes, box: Sequence[Interval], middl
 
 
 def _at_corner(
-    one: tuple[Sequence[Tree], Mapping[str, Affine], FloatArray | None, int],
+    one: tuple[Tree, Mapping[str, Affine]],
     slopes: Slopes,
     box: Sequence[Interval],
     least: bool,
@@ -164,10 +160,8 @@ def _at_corner(
         to_low, to_high = (rises, falls) if least else (falls, rises)
         # A slope that is not a number has no sign, and the whole interval stays.
         reduced[j] = np.where(to_high & ~to_low, high, low), np.where(to_low, low, high)
-    trees, names, rows, k = one
-    if rows is None:
-        return _dual(trees[k], _on_box(names, reduced), False)[0]
-    return _outputs(trees, names, reduced, rows[k : k + 1], False)[0][0]
+    tree, names = one
+    return _dual(tree, _on_box(names, reduced), False)[0]
 
 
 def _common(natural: Interval, ends: Sequence[Interval]) -> Interval:
@@ -184,28 +178,11 @@ def _on_box(names: Mapping[str, Affine], box: Sequence[Interval]) -> dict[str, t
 
 
 def _outputs(
-    trees: Sequence[Tree],
-    names: Mapping[str, Affine],
-    box: Sequence[Interval],
-    rows: FloatArray | None,
-    with_slopes: bool = True,
+    trees: Sequence[Tree], names: Mapping[str, Affine], box: Sequence[Interval]
 ) -> list[tuple[Interval, Slopes]]:
-    """Return natural enclosures and slopes of expressions, or of rows times them."""
+    """Return natural enclosures and slopes of expressions."""
     leaves = _on_box(names, box)
-    values = [_dual(tree, leaves, with_slopes) for tree in trees]
-    if rows is None:
-        return values
-    return [_row_times(row, values) for row in rows]
-
-
-def _row_times(row: FloatArray, values: Sequence[tuple[Interval, Slopes]]) -> tuple[Interval, Slopes]:
-    total: tuple[Interval, Slopes] = (np.zeros(1), np.zeros(1)), {}
-    for factor, (value, slopes) in zip(row, values, strict=True):
-        if factor != 0.0:
-            times = np.array([factor]), np.array([factor])
-            scaled = {k: on.multiply(times, slope) for k, slope in slopes.items()}
-            total = on.add(total[0], on.multiply(times, value)), _sum(total[1], scaled)
-    return total
+    return [_dual(tree, leaves, True) for tree in trees]
 
 
 def _dual(tree: Tree, leaves: Mapping[str, tuple[Interval, Slopes]], with_slopes: bool) -> tuple[Interval, Slopes]:

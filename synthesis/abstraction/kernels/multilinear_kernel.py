@@ -47,7 +47,7 @@ FAR = float(np.finfo(float).max ** 0.25)
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """Where the closed cells of n pairs of a cell and a choice are taken, in grid coordinates.
+    """Where the closed cells of n pairs of a cell and a choice are taken.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ Policies = tuple[NDArray[np.int32], ...]
 """Per agent (T, Q, S_i): choice of each cell by time and automaton state; -1 where none is admissible."""
 
 MeansAt = Callable[[FloatArray], FloatArray]
-"""Means (d, S) of the next states, from a point (S, d) of every cell; both in grid coordinates."""
+"""Means (d, S) of the next states, from a point (S, d) of every cell."""
 
 TIE = 1e-12
 """Relative improvement below which the incumbent stays: more than rounding, less than any policy is worth."""
@@ -163,7 +163,7 @@ class PointChoices(ActionTable):
 
     def kernel_on(self, agent: AnyAgent, grid: Grid) -> Kernel:
         """Return the masses of other cells around the lattice points."""
-        laws = grid_laws(agent, self.relation.coordinates)
+        laws = grid_laws(agent)
         found = [law_table(*axes) for axes in zip(self.lattice, grid.edges, laws, strict=True)]
         return Kernel(tuple(table for table, _ in found), sum(missing for _, missing in found))
 

@@ -42,12 +42,12 @@ BEYOND_GRID = 3.0
 """Standard deviations that target means may lie outside the grid: from farther away hardly any mass comes back."""
 
 
-def exact_model(agent: AnyAgent, grid: Grid, coordinates: FloatArray, targets_per_cell: int) -> SharedModel:
+def exact_model(agent: AnyAgent, grid: Grid, targets_per_cell: int) -> SharedModel:
     """Return relation, lattice, kernel and choices under the ``exact`` relation."""
-    relation = aimed_relation(agent, coordinates)
+    relation = aimed_relation(agent)
     _refuse_many(agent.name, "targets_per_cell", grid.n_cells * targets_per_cell ** len(grid.edges))
     means, reach = relation.on(grid).farthest
-    laws = grid_laws(agent, coordinates)
+    laws = grid_laws(agent)
     lattice, tables, loss = [], [], 0.0
     for k, edges in enumerate(grid.edges):
         lowest, highest = means[:, k].min() - reach[k], means[:, k].max() + reach[k]
@@ -136,7 +136,6 @@ def reaches_every_mean(agent: AnyAgent) -> bool:
     if not agent.has_plain_noise:
         return False  # only mean boxes know noise that varies, or is none
     try:
-        axes = agent.noise_axes if agent.laws is not None else np.eye(agent.n_states)
-        return bool(symbolic_targets(with_expressions(agent), axes))
+        return bool(symbolic_targets(with_expressions(agent)))
     except RelationRefused:
         return False

@@ -79,7 +79,7 @@ class BoxChoices(ActionTable):
 
     def kernel_on(self, agent: AnyAgent, grid: Grid) -> BoxKernel:
         """Return the kernel from the lattice to other cells."""
-        laws = grid_laws(agent, self.relation.coordinates)
+        laws = grid_laws(agent)
         return box_kernel_of(grid, self.lattice, laws, self.axes, agent.wrapped_axes.tolist())
 
     @property
@@ -113,7 +113,7 @@ class BoxChoices(ActionTable):
         return np.where(known, np.ravel_multi_index(tuple(index.T), self.shape), -1)
 
     def middles(self, choice: int) -> FloatArray:
-        """Return the middles (S, d) of one choice's boxes in grid coordinates, infinite off the lattice."""
+        """Return the middles (S, d) of one choice's boxes, infinite off the lattice."""
         middle, d = 0.5 * (self.low[:, choice] + self.high[:, choice]), len(self.grid.shape)
         result = np.full((len(middle), d), np.inf)
         inside = middle[:, 0] > 0

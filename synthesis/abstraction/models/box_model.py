@@ -24,7 +24,6 @@ from ...relations.grids import (
     ScaleAxis,
     cell_points,
     grid_laws,
-    in_grid_coordinates,
     lattice_axes,
 )
 from ...relations.kinds import BoxRelation, SymbolicMeans, box_relation
@@ -70,12 +69,12 @@ population is, and would ask for many times the points."""
 
 
 def box_model(
-    agent: AnyAgent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None
+    agent: AnyAgent, grid: Grid, per_cell: int | None = None
 ) -> tuple[BoxRelation, tuple[FloatArray, ...], BoxKernel, BoxChoices]:
     """Return relation, lattice, kernel and choices under the relation ``boxes``, with the choices of defaults."""
-    relation = relation_of(agent, grid, coordinates)
+    relation = relation_of(agent, grid)
     input_set, gains = relation.input_set, relation.gains
-    laws, spread = grid_laws(agent, coordinates), scale_range(agent, relation, grid)
+    laws, spread = grid_laws(agent), scale_range(agent, relation, grid)
     if spread is not None:  # the lattice of the means is made for the smallest noise, but for that of a few cells
         smallest = [law.scaled(least) for law, least in zip(laws, spread[3].tolist(), strict=True)]
     else:
@@ -147,18 +146,18 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
     return least, most, np.mean(np.concatenate(within), axis=0), np.quantile(np.concatenate(smallest), FEW, axis=0)
 
 
-def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:
+def relation_of(agent: AnyAgent, grid: Grid) -> BoxRelation:
     """Return the relation with the choices that are offered by default."""
     if agent.is_affine:
-        input_set, gains = inputs_and_gains(with_matrices(agent), grid, coordinates)
-        return box_relation(agent, coordinates, input_set, gains)
+        input_set, gains = inputs_and_gains(with_matrices(agent), grid)
+        return box_relation(agent, input_set, gains)
     if agent.has_clock:
-        return in_fitting_parts(agent, grid, coordinates, clock_input_set(agent, INPUT_LEVELS), {"steer": None})
+        return in_fitting_parts(agent, grid, clock_input_set(agent, INPUT_LEVELS), {"steer": None})
     input_set, steer = with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)), None
     # Where inputs command axes, every input is offered twice: as it is, and with targets for these axes.
-    if SymbolicMeans(with_expressions(agent), coordinates, 1).commands:
+    if SymbolicMeans(with_expressions(agent), 1).commands:
         input_set, steer = np.concatenate([input_set, input_set]), np.arange(2 * len(input_set)) >= len(input_set)
-    return in_fitting_parts(agent, grid, coordinates, input_set, {"steer": steer})
+    return in_fitting_parts(agent, grid, input_set, {"steer": steer})
 
 
 def clock_input_set(agent: AnyAgent, levels: Mapping[int, int]) -> FloatArray:
@@ -172,17 +171,15 @@ def clock_input_set(agent: AnyAgent, levels: Mapping[int, int]) -> FloatArray:
     return np.hstack([np.tile(others, (len(times), 1)), np.repeat(times, len(others))[:, None]])
 
 
-def in_fitting_parts(
-    agent: AnyAgent, grid: Grid, coordinates: FloatArray, input_set: FloatArray, written: Mapping[str, Any]
-) -> BoxRelation:
+def in_fitting_parts(agent: AnyAgent, grid: Grid, input_set: FloatArray, written: Mapping[str, Any]) -> BoxRelation:
     """Return the relation with cells cut into as many parts as make boxes noticeably smaller, judged by some of them.
 
     ``written`` are settings of the relation without ``parts``.
     """
     some = np.unique(np.linspace(0, grid.n_cells - 1, SAMPLED_CELLS).astype(np.int64))
-    best, width = box_relation(agent, coordinates, input_set, written=written), np.inf
+    best, width = box_relation(agent, input_set, written=written), np.inf
     for parts in (number for number in PARTS if number**agent.n_states <= MOST_CUTS):
-        relation = box_relation(agent, coordinates, input_set, written={**written, "parts": parts})
+        relation = box_relation(agent, input_set, written={**written, "parts": parts})
         boxes = relation.mean_boxes(grid.low[some], grid.high[some])
         widths = (boxes.high - boxes.low)[boxes.admissible]
         mean = float(np.mean(widths / np.mean(grid.half_widths, axis=0))) if len(widths) else np.inf
@@ -204,16 +201,16 @@ def evenly_with_rest(low: float, high: float, levels: int) -> FloatArray:
     return np.unique(np.append(axis, 0.0)) if low <= 0.0 <= high else axis
 
 
-def inputs_and_gains(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
+def inputs_and_gains(agent: LinearAgent, grid: Grid) -> tuple[FloatArray, FloatArray]:
     """Return inputs (A, m) and feedbacks (A, m, d) to choose from.
 
     First inputs that do not depend on the state; then those with the feedback that makes the mean the same for the
     whole cell on as many axes as inputs can command, where it leaves enough of the inputs.
     """
-    box, moves = agent.input_box, in_grid_coordinates(agent, coordinates)
+    box = agent.input_box
     input_set = _levels(box.low, box.high)
     gains = np.zeros((len(input_set), agent.n_inputs, agent.n_states))
-    feedback = cancelling(moves.A, moves.B, agent, grid)
+    feedback = cancelling(agent, grid)
     if feedback is not None:
         widest = np.array([0.5 * np.max(np.diff(edges)) for edges in grid.edges])
         need = np.abs(feedback) @ widest * (1.0 + 1e-9) + 1e-9 * (np.abs(box.low) + np.abs(box.high))
@@ -225,7 +222,7 @@ def inputs_and_gains(agent: LinearAgent, grid: Grid, coordinates: FloatArray) ->
     return input_set, gains
 
 
-def cancelling(A: FloatArray, B: FloatArray, agent: LinearAgent, grid: Grid) -> FloatArray | None:
+def cancelling(agent: LinearAgent, grid: Grid) -> FloatArray | None:
     """Return the feedback (m, d) that cancels the state on the axes that inputs command best; None if there is none.
 
     With ``B_R`` the rows of these axes, ``K = -B_R^+ A_R`` makes the rows R of ``A + B K`` zero.
@@ -233,14 +230,14 @@ def cancelling(A: FloatArray, B: FloatArray, agent: LinearAgent, grid: Grid) -> 
     # Units do not matter: axes are measured by cells, inputs by their box.
     cell = np.array([(edges[-1] - edges[0]) / (len(edges) - 1) for edges in grid.edges])
     unit = np.maximum(agent.input_box.half_width, np.finfo(float).tiny)
-    scaled = B * unit / cell[:, None]
+    scaled = agent.B * unit / cell[:, None]
     if not scaled.any():
         return None
     # Pivoting takes the axis that inputs move most, then the one they move most besides, and so on.
     _, R, pivots = qr(scaled.T, mode="economic", pivoting=True)
     sizes = np.abs(np.diag(R))
     rows = pivots[: int(np.sum(sizes > RANK * sizes[0]))]
-    return np.asarray(-(np.linalg.pinv(scaled[rows]) * unit[:, None] / cell[rows]) @ A[rows])
+    return np.asarray(-(np.linalg.pinv(scaled[rows]) * unit[:, None] / cell[rows]) @ agent.A[rows])
 
 
 def _levels(low: FloatArray, high: FloatArray) -> FloatArray:

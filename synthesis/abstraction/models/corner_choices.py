@@ -86,9 +86,7 @@ class CornerChoices(ActionTable):
 
     def kernel_on(self, agent: AnyAgent, grid: Grid) -> LatticeKernel:
         """Return the kernel from the lattice to other cells."""
-        return lattice_kernel_of(
-            grid, self.lattice, grid_laws(agent, self.relation.coordinates), self.multilinear.reach
-        )
+        return lattice_kernel_of(grid, self.lattice, grid_laws(agent), self.multilinear.reach)
 
     @cached_property
     def windows(self) -> TargetWindows | None:

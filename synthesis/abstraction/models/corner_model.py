@@ -65,7 +65,7 @@ CELLS_AT_ONCE = 4096
 
 
 def corner_model(
-    agent: AnyAgent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None, alone: bool = True
+    agent: AnyAgent, grid: Grid, per_cell: int | None = None, alone: bool = True
 ) -> tuple[MapRelation, tuple[FloatArray, ...], LatticeKernel, CornerChoices]:
     """Return relation, lattice, kernel and choices of an agent under the relation ``linear``.
 
@@ -81,15 +81,15 @@ def corner_model(
     if agent.has_clock:
         input_set = clock_input_set(agent, LEVELS_ALONE)
         relation, lattice, kernel, choices = lattice_model(
-            agent, grid, map_relation(agent, coordinates, input_set, numbers), per_cell
+            agent, grid, map_relation(agent, input_set, numbers), per_cell
         )
         return relation, lattice, kernel, replace(choices, n_times=int(agent.input_high[-1]) + 1)
     if reaches_every_mean(agent):
         input_set = with_rest(agent.input_box, LEVELS_BESIDE_TARGETS.get(agent.n_inputs, 2))
-        relation = map_relation(agent, coordinates, input_set, numbers, with_aims=True)
+        relation = map_relation(agent, input_set, numbers, with_aims=True)
     else:
         input_set = with_rest(agent.input_box, LEVELS_ALONE.get(agent.n_inputs, 3))
-        relation = map_relation(agent, coordinates, input_set, numbers)
+        relation = map_relation(agent, input_set, numbers)
     relation, lattice, kernel, choices = lattice_model(agent, grid, relation, per_cell)
     return relation, lattice, kernel, replace(choices, handicap=HANDICAP if alone else HANDICAP_IN_TEAMS)
 
@@ -104,7 +104,7 @@ def lattice_model(
     RelationRefused
         As for ``corner_model``.
     """
-    laws, d = grid_laws(agent, relation.coordinates), agent.n_states
+    laws, d = grid_laws(agent), agent.n_states
     _refuse_laws(agent, laws)
     if relation.mean_targets is not None and per_cell is None:
         points = _points_beside_targets(grid, laws)

@@ -2,11 +2,6 @@
 
 ``abstraction_of`` turns a problem into one ``AgentModel`` per agent. Agents with the same dynamics and the same grid
 share kernel and choices; those with the same labels, too, share the model object itself.
-
-Grid coordinates: the kernel is separable when the noise covariance is diagonal. An agent with a full covariance is
-gridded in coordinates ``x = L x_grid`` with ``Sigma = L D L'`` (L unit lower triangular), where the noise is diagonal;
-its cells are then parallelepipeds, labels and workspace are judged on their bounding boxes, and the result is a lower
-bound instead of an exact value (docs/theory/relations.md, "The exact relation").
 """
 
 from __future__ import annotations
@@ -34,7 +29,7 @@ from ...relations.grids import (
     cell_labels,
     cells_of_agent,
     error_labels,
-    hat_share_of,
+    hat_share,
     linear_agent,
     of_cells,
     refuse_angles,
@@ -42,7 +37,6 @@ from ...relations.grids import (
     refuse_uneven_noise,
     shape_text,
     spread,
-    start_share,
 )
 from ...relations.kinds import GONE, Relation
 from ..kernels import Kernel
@@ -77,9 +71,9 @@ class AgentModel:
     Parameters
     ----------
     grid : Grid
-        Cells in grid coordinates.
+        Cells.
     lattice : tuple of (Z_k,) arrays
-        Means per axis, in grid coordinates; a point is numbered in C order.
+        Means per axis; a point is numbered in C order.
     relation : Relation
         How the continuous agent follows the finite one, and how surely.
     kernel : Kernel
@@ -160,8 +154,8 @@ class AgentModel:
     def share(self, low: FloatArray, high: FloatArray) -> FloatArray:
         """Return the weight of every place under a start that is uniform on a box, or a point, of states."""
         if not self.is_linear:
-            return start_share(self.grid, self.relation.coordinates, low, high)
-        return hat_share_of(self.grid, self.relation.coordinates, low, high)
+            return self.grid.overlap(low, high)
+        return hat_share(self.grid, low, high)
 
     @property
     def delta(self) -> float:
@@ -304,19 +298,19 @@ def models_of(
     models = {}
     for i, kind in kinds.items():
         agent = problem.agents[i]
-        grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, cells))
+        grid = agent_grid(problem, i, cells_of_agent(agent, cells))
         # Agents with equal dynamics, grids and wishes share a model.
         wish = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
         if wish not in by_wish:
-            model = _shared_model(agent, kind, grid, coordinates, settings, problem.n_agents == 1)
+            model = _shared_model(agent, kind, grid, settings, problem.n_agents == 1)
             numbers = (*wish, *(a.tobytes() for a in model[0].arrays))
             by_wish[wish] = by_relation.setdefault(numbers, model)
         relation, lattice, kernel, choices = by_wish[wish]
         # Arriving in a cell an agent may be anywhere within E of its centre; at the start it is in the cell itself.
-        start_labels = cell_labels(problem, i, grid, coordinates)
+        start_labels = cell_labels(problem, i, grid)
         labels = start_labels
         if not relation.is_cell:
-            labels = error_labels(problem, i, grid, coordinates, relation.state_reach)  # type: ignore[union-attr]
+            labels = error_labels(problem, i, grid, relation.state_reach)  # type: ignore[union-attr]
         # With equal labels, too, agents share the whole model: searches recognise it by its identity.
         key = (id(by_wish[wish]), labels.key, start_labels.key)
         if key not in by_labels:
@@ -325,9 +319,7 @@ def models_of(
     return models
 
 
-def _shared_model(
-    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, settings: Settings, alone: bool
-) -> SharedModel:
+def _shared_model(agent: AnyAgent, kind: str, grid: Grid, settings: Settings, alone: bool) -> SharedModel:
     """Return relation, lattice, kernel and choices of one agent, which may have no team."""
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
     # Agents whose dynamics are expressions are enclosed in boxes unless their inputs reach every mean in most cells.
@@ -344,22 +336,22 @@ def _shared_model(
     elif kind != "boxes":
         refuse_uneven_noise(agent, kind)
     if kind == "boxes":
-        return box_model(agent, grid, coordinates, settings.targets_per_cell)
+        return box_model(agent, grid, settings.targets_per_cell)
     if is_any and agent.is_affine and agent.laws is not None:
         kind = "exact" if agent.has_full_rank else "boxes"
-        return _shared_model(agent, kind, grid, coordinates, settings, alone)
+        return _shared_model(agent, kind, grid, settings, alone)
     if is_any:
         # Exact targets, unless weak inputs leave many cells without one.
         if reaches_every_mean(agent):
-            exact = exact_model(agent, grid, coordinates, per_cell)
+            exact = exact_model(agent, grid, per_cell)
             if np.mean(exact[3].resting_choice < 0) <= STRANDED_CELLS:
                 return exact
         kind = "linear" if agent.is_affine else "boxes"
-        return _shared_model(agent, kind, grid, coordinates, settings, alone)
+        return _shared_model(agent, kind, grid, settings, alone)
     if kind == "linear":
-        return corner_model(agent, grid, coordinates, settings.targets_per_cell, alone)
+        return corner_model(agent, grid, settings.targets_per_cell, alone)
     if kind == "exact":
-        return exact_model(agent, grid, coordinates, per_cell)
+        return exact_model(agent, grid, per_cell)
     names = ("epsilon", "feedback", "inputs", "delta")
     return paper_model(linear_agent(agent, kind), grid, {name: getattr(settings, name) for name in names})
 

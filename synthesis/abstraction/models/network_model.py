@@ -77,13 +77,13 @@ def _network_model(
     refuse_angles(agent, "linear")
     refuse_uneven_noise(agent, "linear")
     asked = DEFAULT_CELLS.get(agent.n_states) if cells is None else cells
-    grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, asked))
-    labels = cell_labels(problem, i, grid, coordinates)
+    grid = agent_grid(problem, i, cells_of_agent(agent, asked))
+    labels = cell_labels(problem, i, grid)
     going = policy.modes_in(problem.automaton.n_states)[0, ~problem.automaton.absorbing]
     idle = np.setdiff1d(np.arange(policy.view.states), going).tolist()
     # What matrices leave is what the network leaves, in parts of a cell hardly less; expressions leave more.
     cuts = 1 if agent.is_affine else CUTS.get(agent.n_states, 1)
-    maps = network_linear_relation(agent, coordinates, policy, (1, cuts, (0,) * agent.n_states), idle)
+    maps = network_linear_relation(agent, policy, (1, cuts, (0,) * agent.n_states), idle)
     relation, lattice, kernel, choices = lattice_model(agent, grid, maps, targets_per_cell)
     return AgentModel(grid, lattice, relation, kernel, choices, labels, labels)
 

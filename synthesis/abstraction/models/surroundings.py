@@ -2,7 +2,7 @@
 
 Opposite tasks read exits as letters (``problem.opposite``): an agent that is outside has decided the task, wherever it
 is. So few cells are enough out there: one to either side of each axis, wide enough to hold what arrives. Where related
-states lie around the centre of a cell, or cells are askew, they are as wide as those inside, and go as far as most of
+states lie around the centre of a cell, they are as wide as those inside, and go as far as most of
 the noise does. Nobody chooses anything there; inside, choices are those of the models that are surrounded.
 """
 
@@ -133,10 +133,10 @@ def surrounded(problem: Problem, abstraction: Abstraction, policies: Policies) -
         if shared not in known:
             known[shared] = _around(agent, model)
         grid, kernel, choices = known[shared]
-        coordinates, relation = model.relation.coordinates, model.relation
-        starting = arriving = cell_labels(problem, i, grid, coordinates)
+        relation = model.relation
+        starting = arriving = cell_labels(problem, i, grid)
         if not relation.is_cell:
-            arriving = error_labels(problem, i, grid, coordinates, relation.state_reach)  # type: ignore[union-attr]
+            arriving = error_labels(problem, i, grid, relation.state_reach)  # type: ignore[union-attr]
         key = (*shared, arriving.key, starting.key)
         if key not in models:
             models[key] = AgentModel(grid, model.lattice, relation, kernel, choices, arriving, starting)
@@ -148,14 +148,13 @@ def surrounded(problem: Problem, abstraction: Abstraction, policies: Policies) -
 
 def _around(agent: AnyAgent, model: AgentModel) -> tuple[Grid, Kernel, InnerChoices]:
     """Return the grid of an agent with cells around it, the kernel to its cells, and the choices inside."""
-    inner, coordinates = model.grid, model.relation.coordinates
-    deviations = np.array([law.std for law in grid_laws(agent, coordinates)])
+    inner = model.grid
+    deviations = np.array([law.std for law in grid_laws(agent)])
     for axis, points in points_by_axis(agent, model.lattice).items() if agent.noise_scale is not None else ():
         if axis.is_logarithmic:
             deviations[axis.state] *= math.exp(points[-1])
-    is_straight = np.array_equal(coordinates, np.eye(len(coordinates)))
     # Sets of errors are as wide as the widest cell.
-    is_single = is_straight and not model.relation.has_memory
+    is_single = not model.relation.has_memory
     edges, within = [], []
     for k, own in enumerate(inner.edges):
         # Angles are not left, and lattices of states without noise number the cells that there are.
@@ -170,7 +169,7 @@ def _around(agent: AnyAgent, model: AgentModel) -> tuple[Grid, Kernel, InnerChoi
             below, above = own[0] - steps[::-1], own[-1] + steps
         # Workspaces hold their upper faces: what is beyond begins at the next number. That makes a cell wider by as
         # much, for which probabilities of losing a relation have no room.
-        is_wider = is_straight and len(above) and model.delta == 0.0
+        is_wider = len(above) and model.delta == 0.0
         last = np.nextafter(own[-1:], np.inf) if is_wider else own[-1:]
         edges.append(np.concatenate([below, own[:-1], last, above]))
         within.append(slice(len(below), len(below) + len(own) - 1))

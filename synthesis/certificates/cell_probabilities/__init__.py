@@ -4,7 +4,7 @@ What a certificate holds of each agent, and its cell probabilities once more, fo
 """
 
 from .agent_record import AgentRecord
-from .checked_kernel import axis_tables, backup, grid_noise, kernel_key, lost_to_rounding
+from .checked_kernel import axis_tables, backup, kernel_key, lost_to_rounding
 from .checked_laws import law_charge, law_error, law_height, probability_below, scale_charge
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .stated import Statement, noted, state
@@ -14,7 +14,6 @@ __all__ = [
     "BrokenTrainError",
     "Statement",
     "axis_tables",
-    "grid_noise",
     "kernel_key",
     "law_charge",
     "law_error",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent
 from ....envs.systems.arguments import tree_text
-from ...relations.grids import FloatArray, Grid, hats, shape_text, spread
+from ...relations.grids import FloatArray, Grid, hat_share, hats, shape_text, spread
 from ...relations.kinds import Relation, relation_from
 
 ENCLOSING = ("parts", "cuts", "reach", "blocks")
@@ -25,8 +25,6 @@ class AgentRecord:
     Parameters
     ----------
     grid : Grid
-    coordinates : (d, d) array
-        State = coordinates @ grid coordinates.
     relation : dict
         Kind and numbers, see ``relations.description``.
     lattice : tuple of (Z_k,) arrays
@@ -41,7 +39,6 @@ class AgentRecord:
     """
 
     grid: Grid
-    coordinates: FloatArray
     relation: dict[str, Any]
     lattice: tuple[FloatArray, ...]
     masks: NDArray[np.bool_]
@@ -62,7 +59,7 @@ class AgentRecord:
 
     def relation_of(self, agent: AnyAgent) -> Relation:
         """Return the relation of ``agent`` that is described, its numbers computed anew."""
-        return relation_from(self.relation, agent, self.grid, self.coordinates)
+        return relation_from(self.relation, agent, self.grid)
 
     @property
     def acting(self) -> dict[str, Any]:
@@ -106,6 +103,10 @@ class AgentRecord:
             return hats(self.grid, points)
         cells = self.grid.cell_of(points)[:, None]
         return cells, np.ones(cells.shape)
+
+    def share(self, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Return the share of a box of states, or of a point, in each cell or at each place, up to rounding."""
+        return hat_share(self.grid, low, high) if self.is_linear else self.grid.overlap(low, high)
 
     @property
     def masks_at_start(self) -> NDArray[np.bool_]:

@@ -40,7 +40,7 @@ def axis_tables(
 
 
 def _tables(agent: AnyAgent, part: AgentRecord) -> list[FloatArray]:
-    deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
+    deviations = np.sqrt(np.diag(agent.noise_covariance))
     if not agent.has_plain_noise:
         return _uneven_tables(agent, part, deviations)
     tables = []
@@ -71,13 +71,12 @@ COPIES = tuple(6.283185307179586 * number for number in (-3, -2, -1, 0, 1, 2, 3)
 
 
 def kernel_key(agent: AnyAgent, part: AgentRecord) -> tuple[bytes, ...]:
-    """Return all that tables are made of: noise, its axes, cells, and the lattice with what its axes stand for.
+    """Return all that tables are made of: noise, cells, and the lattice with what its axes stand for.
 
     Agents that differ in none of it may share what is computed from it. Arrays alone do not tell scales from means.
     """
     return (
         *agent.noise_key,
-        part.coordinates.tobytes(),
         repr(lattice_axes(agent)).encode(),
         agent.wrapped_axes.tobytes(),
         *(array.tobytes() for array in (*part.grid.edges, *part.lattice)),
@@ -126,7 +125,7 @@ def lost_to_rounding(agent: AnyAgent, part: AgentRecord) -> float:
         lost += _near_copies(agent, part)
         state("lost", agent, part, lost)
         return lost
-    total, deviations = 0.0, np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
+    total, deviations = 0.0, np.sqrt(np.diag(agent.noise_covariance))
     for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations, strict=True):
         if deviation == 0.0:
             continue  # whole numbers
@@ -161,9 +160,3 @@ def backup(factors: FloatArray, tables: list[FloatArray]) -> FloatArray:
     for axis, table in enumerate(tables, start=1):
         tensor = np.moveaxis(np.tensordot(tensor, table, axes=(axis, 1)), -1, axis)
     return tensor.reshape(len(factors), int(np.prod(tensor.shape[1:])))
-
-
-def grid_noise(covariance: FloatArray, coordinates: FloatArray) -> FloatArray:
-    """Covariance of the noise in grid coordinates (state = coordinates @ grid coordinates)."""
-    inverse = np.linalg.inv(coordinates)
-    return np.asarray(inverse @ covariance @ inverse.T)

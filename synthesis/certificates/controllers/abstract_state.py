@@ -30,12 +30,11 @@ class Memory:
     cells : (n, M) int array
         Abstract states xhat, as cells.
     error : (d, n, M) array
-        ``x - xhat`` in grid coordinates, finite.
+        ``x - xhat``, finite.
     lost : (n, M) bool array
         Whether the relation was ever lost.
     states, inputs, means : (d, n, M), (m, n, M), (d, n, M) arrays or None
-        State (grid coordinates) and input of the last step, and the mean of the abstract successor; None before the
-        first step.
+        State and input of the last step, and the mean of the abstract successor; None before the first step.
     """
 
     cells: NDArray[Any]
@@ -67,17 +66,13 @@ class Tracker:
     relation: CoupledRelation
     grid: Grid
 
-    def points(self, states: FloatArray) -> FloatArray:
-        """Return the grid coordinates (d, n, M) of states (d, n, M); they may be the same array."""
-        return states if self._inverse is None else product(self._inverse, states)
-
     def begin(self, points: FloatArray) -> Memory:
-        """Return the memory at time 0 at grid coordinates (d, n, M): the cells of the states; outside it is lost."""
+        """Return the memory at time 0 at states (d, n, M): the cells of the states; outside it is lost."""
         cells, error, inside = self.cells_of(points, points)
         return Memory(cells, np.nan_to_num(error, copy=False), ~inside)
 
     def follow(self, memory: Memory, points: FloatArray, uniform: FloatArray | None) -> Memory:
-        """Return the memory once the agents are at grid coordinates ``points`` (d, n, M), after the first step.
+        """Return the memory once the agents are at ``points`` (d, n, M), after the first step.
 
         ``uniform`` (n, M) are auxiliary draws, used where there is a coupling F.
         """
@@ -129,7 +124,7 @@ class Tracker:
     def cells_of(
         self, landed: FloatArray, points: FloatArray
     ) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.bool_]]:
-        """Return where abstract states land at grid coordinates (d, ...) while the agents are at ``points`` (d, ...).
+        """Return where abstract states (d, ...) land while the agents are at ``points`` (d, ...).
 
         Returns
         -------
@@ -156,11 +151,6 @@ class Tracker:
                 cells += place
         assert cells is not None
         return cells, error, inside
-
-    @cached_property
-    def _inverse(self) -> tuple[Row, ...] | None:
-        """Rows of the matrix from state to grid coordinates; None if these are the same."""
-        return None if self.relation.has_state_coordinates else rows_of(np.linalg.inv(self.relation.coordinates))
 
     @cached_property
     def _A(self) -> tuple[Row, ...]:

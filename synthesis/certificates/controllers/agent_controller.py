@@ -41,7 +41,7 @@ class AgentController:
     name : str
     grid : Grid
     lattice : tuple of (Z_k,) arrays
-        Means per axis, in grid coordinates.
+        Means per axis.
     relation : Relation
     policy : (T, Q, S) int32 array, or (n, T, Q, S) for n agents
         Choice in each cell by time and automaton state; -1 where there is none. After time T - 1 the last row is
@@ -89,7 +89,7 @@ class AgentController:
 
     def begin(self, states: FloatArray) -> Memory | None:
         """Return the memory at time 0 for states (d, n, M): the cells of the states; None if nothing is remembered."""
-        return None if self.tracker is None else self.tracker.begin(self.tracker.points(states))
+        return None if self.tracker is None else self.tracker.begin(states)
 
     def act(
         self,
@@ -106,18 +106,17 @@ class AgentController:
         draw per step; those that name others take their states, ``beside`` (l, n, M); inputs are no numbers there.
         """
         if memory is not None and self.tracker is not None:
-            points = self.tracker.points(states)
             # The memory holds the last step from the first action on: only then there is one to follow.
             if memory.means is not None:
-                memory = self.tracker.follow(memory, points, uniform)
-            return self._menu_steering.inputs(memory, points, q, time)
+                memory = self.tracker.follow(memory, states, uniform)
+            return self._menu_steering.inputs(memory, states, q, time)
         points = self.project(states)
         steering, cells = self._target_steering, self._cell_of(points)
         return steering.inputs(cells, points, q, time, beside), None
 
     def project(self, states: FloatArray) -> FloatArray:
-        """Return the grid coordinates of states, moved into the grid if they are outside; NaN goes to the low edge."""
-        return moved_into(self.grid, states if self._in_state_coordinates else self.relation.to_grid(states))
+        """Return states, moved into the grid if they are outside; NaN goes to the low edge."""
+        return moved_into(self.grid, states)
 
     @cached_property
     def _table(self) -> PolicyTable:
@@ -136,7 +135,3 @@ class AgentController:
     @cached_property
     def _cell_of(self) -> Callable[[FloatArray], NDArray[np.int64]]:
         return cell_finder(self.grid)
-
-    @cached_property
-    def _in_state_coordinates(self) -> bool:
-        return self.relation.has_state_coordinates

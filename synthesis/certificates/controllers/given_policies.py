@@ -66,7 +66,7 @@ class InputTable:
     Parameters
     ----------
     grid : Grid
-        Cells in state coordinates; states outside count as in the nearest cell.
+        Cells; states outside count as in the nearest cell.
     inputs : (T, Q, S, m) array
         Inputs in their units. After time T - 1 the last row is repeated, so that T = 1 is a stationary policy.
     """

@@ -92,7 +92,7 @@ class TargetSteering:
     table : PolicyTable
     grid : Grid
     lattice : tuple of (Z_k,) arrays
-        Means per axis, in grid coordinates.
+        Means per axis.
     relation : ExactRelation or WrittenTargets
     """
 
@@ -139,7 +139,7 @@ class _OnCells:
     table : PolicyTable
     grid : Grid
     lattice : tuple of (Z_k,) arrays
-        Means per axis, in grid coordinates; for boxes axes on which they are read, on which no input depends.
+        Means per axis; for boxes axes on which they are read, on which no input depends.
     """
 
     table: PolicyTable
@@ -178,7 +178,7 @@ class MapSteering(_OnCells):
         inputs = looked_up(self._menu, columns.astype(np.intp))
         network, mean_targets = self.relation.network, self.relation.mean_targets
         if network is not None:
-            return network.replaced(choices, self.relation.coordinates, points, (q, time), inputs)
+            return network.replaced(choices, points, (q, time), inputs)
         aimed = choices >= n_inputs
         if mean_targets is None or not aimed.any():
             return inputs
@@ -220,7 +220,7 @@ class MenuSteering:
     ----------
     table : PolicyTable
     lattice : tuple of (Z_k,) arrays
-        Means per axis, in grid coordinates.
+        Means per axis.
     relation : CoupledRelation
     menu : (S, A) int32 array
         Lattice point that each input of each cell leads to.

@@ -539,8 +539,6 @@ def _cells_of(agent: AnyAgent, known: CheckedAgent, part: AgentRecord, put: _Poo
     relation, kind = part.relation, part.relation["kind"]
     if kind not in ("exact", "linear", "boxes") or "network" in relation:
         raise NotCanonicalError(f"the relation {kind!r} of agent `{agent.name}` has no canonical form yet")
-    if not np.array_equal(part.coordinates, np.eye(agent.n_states)):
-        raise NotCanonicalError(f"the cells of agent `{agent.name}` are not along its states")
     if kind == "boxes" and (np.any(relation.get("gains", 0.0)) or "steer" in relation):
         raise NotCanonicalError(f"the inputs of agent `{agent.name}` vary in a cell")
     input_set = np.array(relation.get("menu", []), dtype=float).reshape(-1, agent.n_inputs)

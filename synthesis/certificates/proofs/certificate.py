@@ -115,7 +115,7 @@ class Certificate(Generic[P_co]):
         Parameters
         ----------
         low, high : array_like, shape (D,), or mappings from agent name to (d_i,) vector
-            Corners in joint state space; equal coordinates are points. The box is averaged cell by cell, each cell with
+            Corners in joint state space; equal ends are points. The box is averaged cell by cell, each cell with
             the letters that are certain in it.
 
         Raises

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ....envs.systems.arguments import slices_of, tree_text
 from ....envs.tasks.automata import Automaton
 from ....envs.tasks.problem import Problem
-from ...relations.grids import FloatArray, alike_text, hat_share_of, shape_text, start_share
+from ...relations.grids import FloatArray, alike_text, shape_text
 from ...relations.kinds import Relation
 from ..cell_probabilities import AgentRecord
 from ..value_functions import Guards, MergeLog, Terms, Trains, Unread, ValueFunction, term_depths
@@ -39,7 +39,7 @@ class Claim:
     problem : Problem
     agents : tuple of AgentPart
     relations : tuple of Relation
-        Relation of each agent; it says in which coordinates the cells lie.
+        Relation of each agent.
     start_target : (G0,) int array
         Automaton state after the letter of time 0, per start guard.
     start_mask : (G0, I) int array
@@ -98,7 +98,7 @@ class Claim:
         for i, (agent, part) in enumerate(zip(self.problem.agents, self.agents, strict=True)):
             x = joint[:, self.problem.columns[i]]
             inside &= np.all((agent.workspace.low <= x) & (x <= agent.workspace.high), axis=1)
-            at, weight = part.places_at(self.relations[i].to_grid(x.T))
+            at, weight = part.places_at(x.T)
             places.append(at)
             weights.append(weight)
         values = np.zeros(len(joint))
@@ -120,7 +120,7 @@ class Claim:
         Parameters
         ----------
         low, high : array_like, shape (D,), or mappings from agent name to (d_i,) vector
-            Corners in joint state space; equal coordinates are points. The box is averaged cell by cell, each cell with
+            Corners in joint state space; equal ends are points. The box is averaged cell by cell, each cell with
             the letters that are certain in it.
         """
         weights = self._box(low, high)
@@ -135,10 +135,7 @@ class Claim:
             If the box holds more than ``MAX_JOINT_CELLS`` joint cells.
         """
         boxes = zip(self.agents, *self._corners(low, high), strict=True)
-        cells = [
-            np.flatnonzero((hat_share_of if part.is_linear else start_share)(part.grid, part.coordinates, a, b))
-            for part, a, b in boxes
-        ]
+        cells = [np.flatnonzero(part.share(a, b)) for part, a, b in boxes]
         shape = tuple(len(numbers) for numbers in cells)
         count = float(np.prod(shape, dtype=float))
         if count > MAX_JOINT_CELLS:
@@ -195,10 +192,7 @@ class Claim:
 
     def _box(self, low: Any, high: Any) -> list[FloatArray]:
         """Return the share of the box in each agent's cells; it sums to 1 if the box lies inside the workspace."""
-        return [
-            (hat_share_of if part.is_linear else start_share)(part.grid, part.coordinates, a, b)
-            for part, a, b in zip(self.agents, *self._corners(low, high), strict=True)
-        ]
+        return [part.share(a, b) for part, a, b in zip(self.agents, *self._corners(low, high), strict=True)]
 
 
 def with_early_acceptance(

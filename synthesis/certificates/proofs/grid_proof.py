@@ -141,7 +141,7 @@ class GridProof(Proof):
         controllers, known = [], dict[object, Relation]()
         for agent, part in zip(problem.agents, self.agents, strict=True):
             # Agents with equal dynamics and cells share the relation of the first of them.
-            key = (*part.sharing_key(agent), id(part.grid), part.coordinates.tobytes())
+            key = (*part.sharing_key(agent), id(part.grid))
             relation = known[key] = known.get(key) or part.relation_of(agent)
             controllers.append(
                 AgentController(agent.name, part.grid, part.lattice, relation, part.policy, part.input_set)

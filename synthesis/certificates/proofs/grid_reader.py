@@ -107,6 +107,11 @@ class GridReader:
         n_axes = len(lattice_axes(agent)) if entry["relation"]["kind"] == "boxes" else d
         if len(entry["edges"]) != d or len(entry["lattice"]) != n_axes:
             raise ValueError("an agent has the wrong number of axes")
+        # Files of 0.3 have a matrix from grid axes to states.
+        if "coordinates" in entry and not np.array_equal(self._array(entry["coordinates"], "f", (d, d)), np.eye(d)):
+            raise ValueError(
+                "cells lie along other axes than states, which 0.4 does not read; make it anew along a path"
+            )
         grid = Grid(tuple(self._array(k, "f", (None,)) for k in entry["edges"]))
         lattice = tuple(self._array(k, "f", (None,)) for k in entry["lattice"])
         points = math.prod(len(axis) for axis in lattice)
@@ -128,7 +133,6 @@ class GridReader:
             raise ValueError(f"the lattice of an agent under the relation {kind} has axes of a single point")
         return AgentRecord(
             grid=grid,
-            coordinates=self._array(entry["coordinates"], "f", (d, d)),
             lattice=lattice,
             relation=entry["relation"],
             masks=self._array(entry["masks"], "b", (None, grid.n_cells)),

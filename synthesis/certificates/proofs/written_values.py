@@ -16,7 +16,6 @@ def put_agent(pool: Pool, part: AgentRecord) -> dict[str, Any]:
     """Return the entry of an agent, its arrays put into the pool."""
     return {
         "edges": [pool.put(a) for a in part.grid.edges],
-        "coordinates": pool.put(part.coordinates),
         "lattice": [pool.put(a) for a in part.lattice],
         "relation": part.relation,
         "masks": pool.put(part.masks),

@@ -4,7 +4,7 @@ The check uses no code of the search: it verifies guards against the automaton i
 inputs with the input box, and it grows the value tree again, vertex by vertex, with a kernel of its own. The sum over
 any set of vertices of a tree is a lower bound. So a certificate is right if
 
-1. its grids tile the workspaces and its noise coordinates make the noise independent;
+1. its grids tile the workspaces, and the noise is independent along their axes;
 2. every relation holds (``verify_relation``), and every choice can be commanded from every related state;
 3. guards out of one state are disjoint, and every letter of the states related to a guard's cells leads to its target
    (or, for co-safe tasks, to acceptance);
@@ -290,7 +290,7 @@ def _check_agents(certificate: OnGrid) -> tuple[list[str], list[FloatArray | Non
     except ValueError as error:  # a relation that cannot be made from its numbers
         return [str(error)], margins, loss
     for agent, part, controller in zip(certificate.problem.agents, certificate.proof.agents, controllers, strict=True):
-        arrays = [part.coordinates, part.policy, *part.lattice, *([] if part.input_set is None else [part.input_set])]
+        arrays = [part.policy, *part.lattice, *([] if part.input_set is None else [part.input_set])]
         key = (
             *part.sharing_key(agent),
             *agent.output_key,

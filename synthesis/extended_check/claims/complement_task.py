@@ -120,8 +120,11 @@ def other_controllers(certificate: OnGrid, complement: OnGrid) -> list[str]:
         certificate.problem.agents, certificate.proof.agents, complement.proof.agents, strict=True
     ):
         cells = _cells_within(other.grid, mine.grid)
-        ours, theirs = ([part.coordinates, *part.lattice] for part in (mine, other))
-        same = len(ours) == len(theirs) and all(map(np.array_equal, ours, theirs)) and mine.acting == other.acting
+        same = (
+            len(mine.lattice) == len(other.lattice)
+            and all(map(np.array_equal, mine.lattice, other.lattice))
+            and mine.acting == other.acting
+        )
         if cells is None or mine.input_set is None or other.input_set is None:
             same = same and cells is not None and mine.input_set is other.input_set
         else:

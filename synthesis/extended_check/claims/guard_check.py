@@ -16,7 +16,7 @@ from ....envs.tasks.problem import Problem
 from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.proofs import OnGrid
 from ...relations.grids import FloatArray
-from ..steps import box_image, cell_boxes, classes_in_boxes, is_identity
+from ..steps import OUTWARD, cell_boxes, classes_in_boxes
 
 
 def wrong_guards(certificate: OnGrid, margins: Sequence[FloatArray | None]) -> list[str]:
@@ -42,13 +42,11 @@ def cell_classes(
     """
     low, high = cell_boxes(part)
     workspace = problem.agents[agent].workspace
-    half_open = margin is None and is_identity(part.coordinates)
+    half_open = margin is None
     if margin is not None:
         centre = 0.5 * (low + high)
-        low, high = box_image(centre, centre, part.coordinates)
-        low, high = low - margin, high + margin
-    elif not half_open:
-        low, high = box_image(low, high, part.coordinates)
+        slack = OUTWARD * np.abs(centre)
+        low, high = centre - slack - margin, centre + slack + margin
     inside = np.all((workspace.low <= low) & (high <= workspace.high), axis=1)
     if not problem.labeling.reads_exits:
         classes, possible = classes_in_boxes(problem, agent, low, high, closed=not half_open)

@@ -23,7 +23,6 @@ from ....envs.systems.agents import AnyAgent
 from ....envs.systems.distributions import Law
 from ...certificates.cell_probabilities import (
     AgentRecord,
-    grid_noise,
     law_charge,
     law_error,
     probability_below,
@@ -66,7 +65,7 @@ class Axis(Protocol):
         """Numbers of a factor along the axis."""
 
     def place(self, means: FloatArray) -> FloatArray:
-        """Return where means (M,), in grid coordinates, are read: as they are, or the numbers of their cells."""
+        """Return where means (M,), are read: as they are, or the numbers of their cells."""
 
     def steps(self, sides: FloatArray, most: int) -> int:
         """Return into how many steps the widest of sides (M,) between places is cut; 0 reads the middle alone."""
@@ -121,9 +120,9 @@ class NoiseAxis(_Unscaled, _Spread):
     Parameters
     ----------
     edges : (S + 1,) array
-        Cell edges, in grid coordinates.
+        Cell edges.
     deviation : float
-        Standard deviation of the noise, in grid coordinates.
+        Standard deviation of the noise.
     hats : bool
         Whether factors are linear in cells, with a number at either end, or constant.
     """
@@ -147,7 +146,7 @@ class NoiseAxis(_Unscaled, _Spread):
         return SLOPE * sides if steps == 0 else BEND / 8.0 * (sides / steps) ** 2
 
     def masses(self, means: FloatArray, scales: FloatArray | None = None) -> FloatArray:
-        """Return lower bounds (M, size) on the mass of each number around means (M,), in grid coordinates.
+        """Return lower bounds (M, size) on the mass of each number around means (M,).
 
         Of a mean that is no number they are no numbers.
         """
@@ -186,7 +185,7 @@ class LawAxis(_Spread):
     Parameters
     ----------
     edges : (S + 1,) array
-        Cell edges, in grid coordinates.
+        Cell edges.
     law : Law
     is_scaled : bool
     """
@@ -273,7 +272,7 @@ def noise_axes(agent: AnyAgent, part: AgentRecord) -> tuple[Axis, ...]:
     """Return the axes of an agent's grid, each with its noise."""
     axes, edges = list[Axis](), part.grid.edges
     known = lattice_axes(agent)
-    deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates))).tolist()
+    deviations = np.sqrt(np.diag(agent.noise_covariance)).tolist()
     for k, (along, deviation) in enumerate(zip(edges, deviations, strict=True)):
         law = None if agent.laws is None else agent.laws[k]
         if CellAxis(k) in known:

@@ -101,10 +101,8 @@ class ActionValues:
     def _read(self, terms: Terms, q: int, states: tuple[FloatArray, ...]) -> FloatArray:
         """Return the sum of products (M,) of one automaton state at states (d_i, M) inside the workspaces."""
         product = np.ones((len(terms.index[q]), states[0].shape[1]))
-        for i, (part, relation, x) in enumerate(
-            zip(self.certificate.proof.agents, self.relations, states, strict=True)
-        ):
-            places, weights = part.places_at(relation.to_grid(x))
+        for i, (part, x) in enumerate(zip(self.certificate.proof.agents, states, strict=True)):
+            places, weights = part.places_at(x)
             rows, which = np.unique(terms.index[q][:, i], return_inverse=True)
             # One place is the cell itself, several are its corners.
             factors = terms.factors[i][rows]
@@ -119,16 +117,13 @@ class ActionValues:
         """
         agent = self.certificate.problem.agents[i]
         if isinstance(agent, Agent):
-            moving, beside = (self.relations[i].to_grid(states[i]), inputs), self.beside(i, states)
-            box = MeanBox.of(agent, self.certificate.proof.agents[i].coordinates, self.axes[i], moving, beside)
+            moving, beside = (states[i], inputs), self.beside(i, states)
+            box = MeanBox.of(agent, self.axes[i], moving, beside)
         elif agent.has_plain_noise:
             return self.backed_up(time, q, i, self.mean(i, states[i], inputs))
         else:
             # Where there is no noise it matters what means are off by.
-            means, off = (
-                self.mean(i, states[i], inputs),
-                mean_off(linear_agent(agent, "exact"), self.certificate.proof.agents[i].coordinates),
-            )
+            means, off = self.mean(i, states[i], inputs), mean_off(linear_agent(agent, "exact"))
             known = np.ones(means.shape[1], dtype=bool)
             box = MeanBox.around(means - off[:, None], means + off[:, None], self.axes[i], known)
         least = np.minimum.reduce([self.backed_up(time, q, i, *read) for read in box.points])
@@ -150,17 +145,17 @@ class ActionValues:
         return np.array([unknown if p.is_input else states[p.agent][p.component] for p in places])
 
     def mean(self, i: int, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the mean (d, M) of the next state of agent i at states (d, M) under inputs (m, M), grid coordinates.
+        """Return the mean (d, M) of the next state of agent i at states (d, M) under inputs (m, M).
 
         It is off by rounding, which ``loss`` counts.
         """
         agent = linear_agent(self.certificate.problem.agents[i], "exact")
-        return self.relations[i].to_grid(agent.A @ x + agent.B @ u + agent.offset[:, None])
+        return np.asarray(agent.A @ x + agent.B @ u + agent.offset[:, None])
 
     def backed_up(self, time: int, q: int, i: int, places: FloatArray, scales: FloatArray | None = None) -> FloatArray:
         """Return agent i's factors of all terms (R, M), expected around places (d, M) of the axes of its grid.
 
-        Places are means in grid coordinates, and numbers of cells where there is no noise; ``scales`` (d, M) are those
+        Places are means, and numbers of cells where there is no noise; ``scales`` (d, M) are those
         of the noise, 1 by default.
         """
         vertices, scales = self.vertices[time][q], np.ones(places.shape) if scales is None else scales
@@ -225,7 +220,7 @@ class ActionValues:
             per_step += relation.rounding_loss(agent, part.grid.edges)
             if isinstance(agent, Agent) or not agent.has_plain_noise:
                 continue  # what means are off by is in their boxes
-            per_step += mean_loss(linear_agent(agent, "exact"), part.coordinates, part.grid.edges)
+            per_step += mean_loss(linear_agent(agent, "exact"))
         return per_step * len(self.certificate.proof.merge_log) * (1.0 + 1e-9)
 
 

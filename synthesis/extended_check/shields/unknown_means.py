@@ -38,7 +38,7 @@ SCALE_OFF = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class MeanBox:
-    """Boxes that hold the means of M worlds, in grid coordinates, and the scales of their noise.
+    """Boxes that hold the means of M worlds, and the scales of their noise.
 
     Parameters
     ----------
@@ -58,7 +58,6 @@ class MeanBox:
     def of(
         cls,
         agent: Agent,
-        coordinates: FloatArray,
         axes: tuple[Axis, ...],
         moving: tuple[FloatArray, FloatArray],
         beside: FloatArray | None,
@@ -68,7 +67,7 @@ class MeanBox:
         ``beside`` (l, M) are the true states of others that the dynamics name.
         """
         points, inputs = moving
-        low, high = enclosed_means(agent, points.T, points.T, inputs.T, coordinates, 1, beside)
+        low, high = enclosed_means(agent, points.T, points.T, inputs.T, 1, beside)
         known, scales = np.all(np.isfinite(inputs), axis=0), None
         if agent.noise_scale is not None:
             least, largest = (end.T for end in enclosed_scales(agent, points.T, points.T, inputs.T, 1))

@@ -5,7 +5,7 @@ One step of one agent, found again: where it goes, and what values are there.
 
 from .carrying_out import wrong_actions
 from .execution import UNIT, execution_of
-from .geometry import box_image, cell_boxes, classes_in_boxes, is_identity, start_shares
+from .geometry import OUTWARD, cell_boxes, classes_in_boxes, start_shares
 from .linear_check import hat_weights, masks_of, places_of
 from .map_enclosures import networked_maps
 from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales
@@ -15,7 +15,7 @@ from .step_backups import step_backup_of, step_backups_of
 from .step_regions import RegionSpan
 
 __all__ = [
-    "box_image",
+    "OUTWARD",
     "cell_boxes",
     "classes_in_boxes",
     "Enclosed",
@@ -23,7 +23,6 @@ __all__ = [
     "enclosed_scales",
     "execution_of",
     "hat_weights",
-    "is_identity",
     "label_margin",
     "masks_of",
     "network_maps",

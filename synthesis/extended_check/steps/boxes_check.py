@@ -29,7 +29,6 @@ from ...certificates.cell_probabilities import (
     AgentRecord,
     axis_tables,
     backup,
-    grid_noise,
     law_charge,
     law_height,
     lost_to_rounding,
@@ -94,7 +93,7 @@ class BoxTables:
 
 @dataclass(frozen=True, eq=False)
 class WrittenBoxes:
-    """Corners (K, d) of boxes in grid coordinates, by increasing numbers ``cell * A + choice`` (K,).
+    """Corners (K, d) of boxes, by increasing numbers ``cell * A + choice`` (K,).
 
     ``scales`` are the ends (K, d) of what the noise is multiplied with; None where it is the same everywhere.
     """
@@ -117,7 +116,7 @@ class WrittenBoxes:
         for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1):
             here, inputs = cell[some], input_set[choice[some]]
             parts = int(part.relation["parts"])
-            first, last = enclosed_means(agent, low[here], high[here], inputs, part.coordinates, parts)
+            first, last = enclosed_means(agent, low[here], high[here], inputs, parts)
             steered = np.flatnonzero(np.array(part.relation["steer"], dtype=bool)[choice[some]])
             if len(steered):
                 at = low[here][steered], high[here][steered], inputs[steered]
@@ -152,7 +151,7 @@ def box_tables(
     if interpolation_error is None:
         # All laws are normal, and the noise is the same everywhere; states without noise are not interpolated.
         bent = tuple(place for place, axis in enumerate(lattice_axes(agent)) if axis.is_interpolated)
-        deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
+        deviations = np.sqrt(np.diag(agent.noise_covariance))
         r = np.array([_step(part.lattice[k]) / deviations[k] for k in bent])
     else:
         r = _rounded_steps(agent, part)
@@ -282,20 +281,15 @@ def _affine_boxes(
     agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], choices: NDArray[np.integer]
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (C, d) of boxes around means under inputs of the menu; they may be off by what means are off by."""
-    inverse = np.linalg.inv(part.coordinates)
-    plain = np.array_equal(part.coordinates, np.eye(len(inverse)))
-    A, B, offset = agent.A, agent.B, agent.offset
-    if not plain:
-        A, B, offset = inverse @ A @ part.coordinates, inverse @ B, inverse @ offset
     input_set, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
     index = np.unravel_index(cells, part.grid.shape)
     left = np.stack([edges[k] for edges, k in zip(part.grid.edges, index, strict=True)], axis=1)
     right = np.stack([edges[k + 1] for edges, k in zip(part.grid.edges, index, strict=True)], axis=1)
     centre, half = 0.5 * (left + right), 0.5 * (right - left) * OUTWARD
-    mean = centre @ A.T + (input_set @ B.T)[choices] + offset
+    mean = centre @ agent.A.T + (input_set @ agent.B.T)[choices] + agent.offset
     reach = np.zeros(mean.shape)
     for a in np.unique(choices):
-        reach[choices == a] = half[choices == a] @ np.abs(A + B @ gains[a]).T
+        reach[choices == a] = half[choices == a] @ np.abs(agent.A + agent.B @ gains[a]).T
     return mean - reach, mean + reach
 
 
@@ -309,7 +303,7 @@ def _state_boxes(agent: LinearAgent, part: AgentRecord, off: FloatArray) -> None
     pairs = np.broadcast_to(np.arange(part.policy.shape[-1]), asked.shape)[asked] * np.int64(len(input_set))
     cells, choices = np.divmod(np.unique(pairs + part.policy[asked]), len(input_set))
     low, high = _affine_boxes(agent, part, cells, choices)
-    spans = Enclosed(None, agent, input_set[choices], part.coordinates, True, fed=gains[choices])
+    spans = Enclosed(None, agent, input_set[choices], fed=gains[choices])
     corners = tuple(corner[cells] for corner in cell_boxes(part))
     state("spans", spans, corners, [], (low - 0.5 * off, high + 0.5 * off))
 

@@ -18,7 +18,7 @@ from ...certificates.controllers import AgentController
 from ...relations.grids import FloatArray, linear_agent
 from ...relations.kinds import CoupledRelation, commands_of
 from .execution import Execution
-from .geometry import cell_boxes, is_identity
+from .geometry import cell_boxes
 from .map_enclosures import networked_maps
 from .mean_enclosures import steered_spans
 from .network_enclosures import network_maps
@@ -67,15 +67,14 @@ def _wrong_means(
     """Inputs at time t outside their box, or means of the next state off the lattice point of the policy."""
     count = max(64, PROBES // len(part.policy))
     cells, q = rng.integers(part.grid.n_cells, size=count), rng.integers(part.policy.shape[1], size=count)
-    # inside the cells; a quarter of the coordinates on their lower faces where these can be told
+    # inside the cells; a quarter of the numbers on their lower faces
     share = NEAR + rng.random((len(part.grid.shape), count)) * (1.0 - 2.0 * NEAR)
-    if is_identity(part.coordinates):
-        share[rng.random(share.shape) < 0.25] = 0.0
+    share[rng.random(share.shape) < 0.25] = 0.0
     index = np.unravel_index(cells, part.grid.shape)
     axes = zip(part.grid.edges, index, share, strict=True)
     # Where a cell is a few units of rounding wide, its highest point is the one below the next edge.
     points = [np.minimum(e[k] + r * (e[k + 1] - e[k]), np.nextafter(e[k + 1], e[k])) for e, k, r in axes]
-    states = part.coordinates @ np.stack(points)
+    states = np.stack(points)
     beside = _anywhere(agent, count, rng)
     inputs = controller.act(states[:, None], q, t, None, None, None if beside is None else beside[:, None])[0][:, 0]
     if not np.all((agent.input_box.low[:, None] <= inputs) & (inputs <= agent.input_box.high[:, None])):
@@ -104,9 +103,7 @@ def _wrong_means(
     means = agent.A @ states + agent.B @ inputs + agent.offset[:, None]
     if "network" in part.relation:
         return _wrong_networked(agent, part, (cells, choice), states, means, execution)
-    off = np.abs(
-        np.linalg.solve(part.coordinates, means) - _asked_means(agent, part, np.maximum(choice, 0), cells, states)
-    )
+    off = np.abs(means - _asked_means(agent, part, np.maximum(choice, 0), cells, states))
     if np.any((off > execution.mean[:, None]) & (choice >= 0)):
         return ["its controller was seen to steer elsewhere than its policy says"]
     return []
@@ -130,19 +127,16 @@ def _wrong_networked(
     """Means (d, M) under modes of a network from states (d, M) in cells that are off the maps of these cells."""
     cells, choice = chosen
     low, high = cell_boxes(part)
-    # Cells in other coordinates reach beyond the workspace, where networks see what they were not enclosed for; such
-    # states have failed, so that nothing is claimed of the step from there.
-    inside = np.all((agent.workspace.low[:, None] <= states) & (states <= agent.workspace.high[:, None]), axis=0)
-    for mode in np.unique(choice[inside & (choice >= 0)]).tolist():
-        here = np.flatnonzero((choice == mode) & inside)[:NETWORKED]
+    for mode in np.unique(choice[choice >= 0]).tolist():
+        here = np.flatnonzero(choice == mode)[:NETWORKED]
         first, last = low[cells[here]], high[cells[here]]
         if isinstance(agent, Agent):
             z, gain, rho = networked_maps(agent, part, (first, last), mode)
         else:
             z, gain, rho = network_maps(with_matrices(agent), part, cells[here], mode)
-        offsets = np.linalg.solve(part.coordinates, states[:, here]).T - 0.5 * (first + last)
+        offsets = states[:, here].T - 0.5 * (first + last)
         asked = z + np.einsum("ckj,cj->ck", gain, offsets)
-        off = np.abs(np.linalg.solve(part.coordinates, means[:, here]).T - asked)
+        off = np.abs(means[:, here].T - asked)
         if np.any(off > rho + execution.mean):
             return ["its network was seen to lead beyond the means that it can lead to"]
     return []
@@ -196,20 +190,19 @@ def _wrong_written(
 def _asked_means(
     agent: LinearAgent, part: AgentRecord, choice: NDArray[Any], cells: NDArray[np.int64], states: FloatArray
 ) -> FloatArray:
-    """Means (d, M) that choices in cells ask for at states (d, M), in grid coordinates."""
+    """Means (d, M) that choices in cells ask for at states (d, M)."""
     if part.relation["kind"] not in ("boxes", "linear"):
         return _lattice_points(part, choice)
     low, high = cell_boxes(part)
-    offsets = np.linalg.solve(part.coordinates, states) - 0.5 * (low + high)[cells].T
+    offsets = states - 0.5 * (low + high)[cells].T
     input_set = np.array(part.relation["menu"], dtype=float)
     if part.relation["kind"] == "boxes":
         fed = np.einsum("nij,jn->in", np.array(part.relation["gains"], dtype=float)[choice], offsets)
-        asked = agent.A @ states + agent.B @ (input_set[choice].T + fed) + agent.offset[:, None]
-        return np.asarray(np.linalg.solve(part.coordinates, asked))
+        return np.asarray(agent.A @ states + agent.B @ (input_set[choice].T + fed) + agent.offset[:, None])
     if len(input_set):
         first = first_target(part)
         inputs = input_set[np.minimum(choice, len(input_set) - 1)].T
-        means = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
+        means = agent.A @ states + agent.B @ inputs + agent.offset[:, None]
         return np.where(choice >= first, _lattice_points(part, np.maximum(choice - first, 0)), means)
     gain, point = np.divmod(choice, int(np.prod([len(axis) for axis in part.lattice])))
     return _lattice_points(part, point) + gain * offsets
@@ -225,14 +218,13 @@ def _wrong_memory(
 ) -> list[str]:
     """Inputs, abstract states or errors that differ from those of episodes that are followed here."""
     assert part.input_set is not None
-    C, K, F = part.coordinates, relation.feedback, relation.coupling
-    A, B, c = (np.linalg.solve(C, own) for own in (agent.A @ C, agent.B, agent.offset[:, None]))
-    deviations = np.sqrt(np.diag(np.linalg.solve(C, np.linalg.solve(C, agent.noise_covariance).T)))[:, None]
+    K, F = relation.feedback, relation.coupling
+    deviations = np.sqrt(np.diag(agent.noise_covariance))[:, None]
     low, high = (np.array([edges[k] for edges in part.grid.edges])[:, None] for k in (0, -1))
     points = low + rng.random((len(low), EPISODES)) * (high - low)
     cells, error, sure = _placed(part, points, points)
     mean = target = points
-    memory, alive, lost = controller.begin((C @ points)[:, None]), np.ones(EPISODES, dtype=bool), ~sure
+    memory, alive, lost = controller.begin(points[:, None]), np.ones(EPISODES, dtype=bool), ~sure
     for t in range(MOST_STEPS if len(part.policy) == 1 else min(MOST_STEPS, len(part.policy))):
         q, uniform = rng.integers(part.policy.shape[1], size=EPISODES), rng.random(EPISODES)
         if t > 0:
@@ -244,7 +236,7 @@ def _wrong_memory(
             landed = target + deviations * np.where(uniform <= ratio, noise + move, mirrored)
             cells, error, sure = _placed(part, landed, points)
             sure &= np.abs(uniform - ratio) > NEAR
-        inputs, memory = controller.act((C @ points)[:, None], q, t, memory, uniform[None])
+        inputs, memory = controller.act(points[:, None], q, t, memory, uniform[None])
         assert memory is not None
         # what is outside, or was not told from the next cell, is not followed any more
         alive &= np.all((points > low) & (points < high), axis=0) & ~lost
@@ -262,7 +254,7 @@ def _wrong_memory(
             return ["its controller was seen to lose a relation that is never lost"]
         alive &= told & (chosen >= 0)  # where nothing is chosen nothing is promised
         target = _lattice_points(part, np.take_along_axis(part.input_set[cells], choice[:, None], axis=1)[:, 0])
-        mean = A @ points + B @ inputs[:, 0] + c
+        mean = agent.A @ points + agent.B @ inputs[:, 0] + agent.offset[:, None]
         points = mean + deviations * rng.standard_normal(points.shape)
     return []
 

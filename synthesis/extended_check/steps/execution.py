@@ -5,7 +5,7 @@ an input from numbers of its own, and a coupled one its abstract state. Here its
 agent: entry by entry, over the whole workspace, with the rounding of every operation. What they may be off by becomes a
 probability: a mean that is off by ``dev`` costs at most ``2 Phi(|Sigma^(-1/2) dev| / 2) - 1`` per step (total variation
 of two normal laws), a cell that is read off by ``rho`` at most the mass within ``rho`` of any cell edge. Both are added
-over steps and agents, whatever relation, units and coordinates there are.
+over steps and agents, whatever relation and units there are.
 
 The very code that acts is run in ``carrying_out``.
 """
@@ -39,7 +39,7 @@ COUPLING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Execution:
-    """How far a controller may be off, at every point of the workspace; upper bounds, in grid coordinates.
+    """How far a controller may be off, at every point of the workspace; upper bounds.
 
     Parameters
     ----------
@@ -61,26 +61,19 @@ class Execution:
 
 @dataclass(frozen=True, eq=False)
 class _Setting:
-    """The agent in grid coordinates, with what computing them may be off by, and the sizes of everything.
+    """The agent, and the sizes of everything.
 
-    ``A``, ``B``, ``c``, each with ``*_off`` (same shape); ``x``, ``u`` largest states and inputs; ``read`` what the
-    coordinates of a state are read off by; ``deviations``, ``narrow`` noise and narrowest cell per axis; ``law`` what
-    the noise is away, in total variation, from one that is independent along the axes; ``non_gaussian`` whether it has
-    other laws than the normal one.
+    ``A``, ``B``, ``c``; ``x``, ``u`` largest states and inputs; ``deviations``, ``narrow`` noise and narrowest cell per
+    axis; ``non_gaussian`` whether the noise has other laws than the normal one.
     """
 
     A: FloatArray
     B: FloatArray
     c: FloatArray
-    A_off: FloatArray
-    B_off: FloatArray
-    c_off: FloatArray
     x: FloatArray
     u: FloatArray
-    read: FloatArray
     deviations: FloatArray
     narrow: FloatArray
-    law: float
     unit: float
     non_gaussian: bool
 
@@ -102,7 +95,7 @@ def execution_of_numbers(setting: _Setting, agent: AnyAgent, part: AgentRecord, 
 
 def _setting(agent: AnyAgent, part: AgentRecord) -> _Setting:
     d, m = agent.n_states, agent.n_inputs
-    # Means of expressions are enclosed where they are used: here counts only how states are read.
+    # Means of expressions are enclosed where they are used.
     moves = np.zeros((d, d)), np.zeros((d, m)), np.zeros(d)
     if agent.is_affine:
         linear = with_matrices(agent)
@@ -110,36 +103,19 @@ def _setting(agent: AnyAgent, part: AgentRecord) -> _Setting:
     unit = (4.0 * (d + m) + 16.0) * UNIT
     x = np.array([max(abs(edges[0]), abs(edges[-1])) for edges in part.grid.edges])
     u = np.maximum(np.abs(agent.input_box.low), np.abs(agent.input_box.high))
-    C = part.coordinates
-    if np.array_equal(C, np.eye(d)):
-        inverse, wrong = np.eye(d), np.zeros((d, d))
-        read, (A, B, c) = np.zeros(d), moves
-    else:
-        inverse = np.linalg.inv(C)
-        # |C^-1 - inverse| <= 2 |inverse| |C inverse - I|, as long as the last is small
-        wrong = np.abs(inverse) @ (np.abs(C @ inverse - np.eye(d)) + unit * np.abs(C) @ np.abs(inverse)) * 2.0
-        read = (wrong + unit * np.abs(inverse)) @ np.abs(C) @ x
-        A, B, c = inverse @ moves[0] @ C, inverse @ moves[1], inverse @ moves[2]
-    off = wrong + (unit * np.abs(inverse) if np.any(wrong) else 0.0)
-    noise = inverse @ agent.noise_covariance @ inverse.T
-    noise_off = 2.0 * off @ np.abs(agent.noise_covariance) @ (np.abs(inverse) + off).T
-    deviations = np.sqrt(np.diag(noise))
-    noise_off += np.abs(noise - np.diag(np.diag(noise)))
+    deviations = np.sqrt(np.diag(agent.noise_covariance))
     if agent.laws is not None:
-        # Along their own axes components are independent; shifted by off, a density of this height changes by
-        # off times it, and d of them by the sum of all.
-        noise_off = np.full((d, d), 0.0 if np.array_equal(C, agent.noise_axes) else np.inf)
+        # Shifted by off, a density of this height changes by off times it, and d of them by the sum of all.
         deviations = np.array([0.39 / (law_height(law) * np.sqrt(d)) for law in agent.laws])
     return _Setting(
-        A=A, B=B, c=c,
-        A_off=off @ np.abs(moves[0]) @ np.abs(C), B_off=off @ np.abs(moves[1]), c_off=off @ np.abs(moves[2]),
-        x=x, u=u, read=read,
+        *moves,
+        x=x,
+        u=u,
         deviations=deviations * (1.0 - 1e-9),
-        law=_not_independent(noise_off, deviations),
         narrow=np.array([np.min(np.diff(edges)) for edges in part.grid.edges]),
         unit=unit,
         non_gaussian=agent.laws is not None,
-    )  # fmt: skip
+    )
 
 
 def _exact(s: _Setting, agent: AnyAgent, part: AgentRecord, relation: ExactRelation) -> Execution:
@@ -151,22 +127,21 @@ def _exact(s: _Setting, agent: AnyAgent, part: AgentRecord, relation: ExactRelat
     size = np.abs(s.A) @ s.x + np.abs(s.B) @ asked + np.abs(s.c) + z
     off = np.abs(s.A - moved @ A) @ s.x + np.abs(moved - np.eye(len(A))) @ z
     off += np.abs(s.c + s.B @ middle - moved @ drift)
-    off += s.A_off @ s.x + s.B_off @ asked + s.c_off + np.abs(moved) @ np.abs(A) @ s.read + s.unit * size
+    off += s.unit * size
     distance = float(np.sqrt(np.sum((off / s.deviations) ** 2)))
     loss = float(erf(distance / (2.0 * np.sqrt(2.0)))) * (1.0 + 1e-12)
     state("erf", distance / (2.0 * np.sqrt(2.0)), loss)
     if s.non_gaussian:  # the difference of tails is that of Gaussian noise; its slope at 0 bounds all
         loss = min(1.0, DENSITY * distance)
-    inputs = s.unit * asked + np.abs(R) @ np.abs(A) @ s.read
     state("aims", agent, part, relation, off)
-    return Execution(off, np.zeros(len(A)), inputs, loss + _misread(s, s.read) + s.law)
+    return Execution(off, np.zeros(len(A)), s.unit * asked, loss)
 
 
 def _aimed(s: _Setting, part: AgentRecord, relation: SymbolicTargets) -> Execution:
     """Expressions are solved for the inputs, and what these are off by moves the mean."""
     off = target_losses(part, relation)
     shift = min(1.0, DENSITY * float(np.sqrt(np.sum((off / s.deviations) ** 2))))
-    return Execution(off, np.zeros(len(off)), np.zeros(len(s.u)), shift + _misread(s, s.read) + s.law)
+    return Execution(off, np.zeros(len(off)), np.zeros(len(s.u)), shift)
 
 
 def targets_alone(part: AgentRecord) -> AgentRecord:
@@ -189,11 +164,9 @@ def _mapped(s: _Setting, agent: AnyAgent, part: AgentRecord, relation: MapRelati
 def _boxed(s: _Setting, gains: FloatArray) -> Execution:
     """Inputs of a menu, and what is fed back inside a cell (A, m, d); what means are off by goes into their boxes."""
     fed = np.abs(gains).max(axis=0)
-    # Grid coordinates are read by the controller, and once more where its means are compared.
-    inputs = 2.0 * fed @ (s.read + s.unit * s.x) + s.unit * np.any(fed, axis=1) * (s.u + fed @ s.x)
-    off = s.A_off @ s.x + s.B_off @ s.u + s.c_off + np.abs(s.B) @ inputs + s.read
-    off += s.unit * (np.abs(s.A) @ s.x + np.abs(s.B) @ s.u + np.abs(s.c))
-    return Execution(off, np.zeros(len(s.x)), inputs, _misread(s, s.read) + s.law)
+    inputs = 2.0 * fed @ (s.unit * s.x) + s.unit * np.any(fed, axis=1) * (s.u + fed @ s.x)
+    off = np.abs(s.B) @ inputs + s.unit * (np.abs(s.A) @ s.x + np.abs(s.B) @ s.u + np.abs(s.c))
+    return Execution(off, np.zeros(len(s.x)), inputs, 0.0)
 
 
 def _coupled(s: _Setting, part: AgentRecord, relation: CoupledRelation) -> Execution:
@@ -201,14 +174,13 @@ def _coupled(s: _Setting, part: AgentRecord, relation: CoupledRelation) -> Execu
     A, B, K, F = relation.A, relation.B, relation.feedback, relation.coupling
     z = np.array([np.max(np.abs(axis)) for axis in part.lattice])
     size = s.x + np.abs(A) @ s.x + np.abs(B) @ s.u + np.abs(relation.drift) + z
-    landed = (np.abs(s.A - A) + s.A_off) @ s.x + (np.abs(s.B - B) + s.B_off) @ s.u + np.abs(s.c - relation.drift)
-    landed += s.c_off + np.abs(A) @ s.read + s.read + s.unit * size
-    error = s.read + s.unit * s.x  # of ``x - xhat`` as it is computed
+    landed = np.abs(s.A - A) @ s.x + np.abs(s.B - B) @ s.u + np.abs(s.c - relation.drift) + s.unit * size
+    error = s.unit * s.x  # of ``x - xhat`` as it is computed
     if relation.is_cell:  # what is left of the error when both land in one cell
         landed += np.abs(s.A + s.B @ K - F) @ relation.reach
     disturbance = landed + (np.abs(s.B) @ np.abs(K) + np.abs(F)) @ error
     inputs = np.abs(K) @ error + s.unit * s.u * np.any(K, axis=1)  # without feedback it is a number of the relation
-    return Execution(landed, disturbance, inputs, _misread(s, disturbance) + s.law + (COUPLING if np.any(F) else 0.0))
+    return Execution(landed, disturbance, inputs, _misread(s, disturbance) + (COUPLING if np.any(F) else 0.0))
 
 
 def _misread(s: _Setting, off: FloatArray) -> float:
@@ -218,12 +190,6 @@ def _misread(s: _Setting, off: FloatArray) -> float:
     """
     with np.errstate(divide="ignore", invalid="ignore"):  # a state without noise must be read without an error
         return float(np.sum(np.where(off == 0.0, 0.0, 2.0 * off * (1.0 / s.narrow + DENSITY / s.deviations))))
-
-
-def _not_independent(noise_off: FloatArray, deviations: FloatArray) -> float:
-    """Upper bound on what noise lacks, in total variation, to be independent; infinite beside states without noise."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.linalg.norm(np.where(noise_off == 0.0, 0.0, noise_off / np.outer(deviations, deviations))))
 
 
 CARRIED_OUT: dict[type, Callable[[_Setting, AnyAgent, AgentRecord, Any], Execution]] = {

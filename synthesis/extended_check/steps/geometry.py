@@ -22,15 +22,10 @@ OUTWARD = 2.0**-47
 
 
 def cell_boxes(part: AgentRecord) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper corners (S, d) of the cells, in grid coordinates."""
+    """Lower and upper corners (S, d) of the cells."""
     sides = ([axis[:-1] for axis in part.grid.edges], [axis[1:] for axis in part.grid.edges])
     low, high = (np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes)) for axes in sides)
     return low, high
-
-
-def is_identity(matrix: FloatArray) -> bool:
-    """Whether grid coordinates are those of the state."""
-    return bool(np.array_equal(matrix, np.eye(len(matrix))))
 
 
 def box_image(low: FloatArray, high: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -123,10 +118,6 @@ def _along(
 def start_shares(agent: AnyAgent, part: AgentRecord) -> FloatArray:
     """Lower bounds (S,), up to rounding, on the probability of each cell under the start of an agent."""
     low, high = agent.initial.low, agent.initial.high
-    if not is_identity(part.coordinates):
-        if not np.array_equal(low, high):
-            raise ValueError("a start box is read on cells that are no boxes in state space")
-        low = high = np.linalg.solve(part.coordinates, low)
     shares = np.ones(1)
     for edges, a, b in zip(part.grid.edges, low.tolist(), high.tolist(), strict=True):
         left, right = edges[:-1], edges[1:]

@@ -117,10 +117,6 @@ def _below(at: FloatArray, corners: FloatArray, between: FloatArray, lacking: Fl
 def hat_weights(agent: AnyAgent, part: AgentRecord) -> FloatArray:
     """Weights (places,) that give the mean of a multilinear factor over the start of an agent, up to rounding."""
     low, high = agent.initial.low, agent.initial.high
-    if not np.array_equal(part.coordinates, np.eye(len(low))):
-        if not np.array_equal(low, high):
-            raise ValueError("a start box is read on cells that are no boxes in state space")
-        low = high = np.linalg.solve(part.coordinates, low)
     weights = np.ones(1)
     for edges, a, b in zip(part.grid.edges, low.tolist(), high.tolist(), strict=True):
         axis = np.zeros((len(edges) - 1, 2))

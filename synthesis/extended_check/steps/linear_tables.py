@@ -12,19 +12,12 @@ import math
 import numpy as np
 from scipy.special import erfc
 
-from ....envs.systems.agents import LinearAgent
-from ...certificates.cell_probabilities import AgentRecord
 from ...relations.grids import FloatArray
 
 UNIT = 2.0**-53
 
 FAINT = 1e-280
 """What is taken off every mass: numbers near the smallest double have few digits, and relative errors miss that."""
-
-
-def grid_matrix(agent: LinearAgent, part: AgentRecord) -> FloatArray:
-    """``A`` in grid coordinates."""
-    return np.asarray(np.linalg.solve(part.coordinates, agent.A @ part.coordinates))
 
 
 def normal_hats(axis: FloatArray, edges: FloatArray, sigma: float) -> tuple[FloatArray, float]:

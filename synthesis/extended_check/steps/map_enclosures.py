@@ -33,7 +33,7 @@ CELLS_AT_ONCE = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Maps:
-    """By increasing numbers ``cell * A + choice`` (K,): z (K, d), G (K, d, d) and rho (K, d), in grid coordinates."""
+    """By increasing numbers ``cell * A + choice`` (K,): z (K, d), G (K, d, d) and rho (K, d)."""
 
     numbers: NDArray[np.int64]
     z: FloatArray
@@ -61,7 +61,7 @@ def maps_of(agent: Agent, part: AgentRecord, numbers: NDArray[np.int64]) -> Maps
             if is_networked and len(some):
                 made = networked_maps(agent, part, corners, int(choice[some][0]))
             else:
-                made = map_enclosures(agent, *corners, inputs, part.coordinates, cuts)
+                made = map_enclosures(agent, *corners, inputs, cuts)
             maps.z[some], maps.gain[some], maps.rho[some] = made
     return maps
 
@@ -75,12 +75,7 @@ def networked_maps(
     disturbance; what is left of inputs is idle.
     """
     held, slopes, rho = input_maps(agent, part, *corners, mode)
-    middle = 0.5 * (corners[0] + corners[1]) @ part.coordinates.T
-    plain = np.array_equal(part.coordinates, np.eye(middle.shape[1]))
-    slopes = slopes if plain else slopes @ np.linalg.inv(part.coordinates)
-    if not plain:
-        reach = np.maximum(np.abs(corners[0]), np.abs(corners[1])) @ np.abs(part.coordinates).T
-        rho = rho + 1e-13 * np.einsum("cmd,cd->cm", np.abs(slopes), reach)
+    middle = 0.5 * (corners[0] + corners[1])
     numbers, moved = {f"middle {k}": column for k, column in enumerate(middle.T)}, dict[str, Tree]()
     for j, name in enumerate(agent.inputs[: held.shape[1]]):
         numbers[f"held {j}"] = held[:, j]
@@ -94,7 +89,7 @@ def networked_maps(
     places = {name: place for place, name in enumerate(driven.unknowns)}
     left = {places[name]: (-rho[:, j], rho[:, j]) for j, name in enumerate(agent.inputs[: held.shape[1]])}
     idle = np.zeros((len(corners[0]), 1))
-    return map_enclosures(driven, *corners, idle, part.coordinates, int(part.relation["cuts"]), fed, left)
+    return map_enclosures(driven, *corners, idle, int(part.relation["cuts"]), fed, left)
 
 
 def map_enclosures(
@@ -102,7 +97,6 @@ def map_enclosures(
     low: FloatArray,
     high: FloatArray,
     inputs: FloatArray,
-    coordinates: FloatArray,
     cuts: int,
     fed: Fed | None = None,
     ranges: Mapping[int, tuple[FloatArray, FloatArray]] | None = None,
@@ -113,17 +107,16 @@ def map_enclosures(
     the state, ``ranges`` ends (n,) of what is unknown, by its place, where more is known than the agent says.
     """
     n, d = low.shape
-    rows = None if np.array_equal(coordinates, np.eye(d)) else np.linalg.inv(coordinates)
     middle = 0.5 * (low + high)
     calm = [(np.full(n, a), np.full(n, b)) for a, b in agent.unknowns.values()]
     for place, ends_of in (ranges or {}).items():
         calm[place] = ends_of
     still = np.array([(x, x) for x in middle.T] + [(0.5 * (a + b),) * 2 for a, b in calm])
     with np.errstate(all="ignore"):
-        at = spans_of_means(agent, inputs, coordinates, rows, still, True, fed)
+        at = spans_of_means(agent, inputs, still, True, fed)
         z = np.stack([value.ends.mean(axis=0) for value in at], axis=1)
         gain = np.stack([value.slopes[:, :d].mean(axis=0).T for value in at], axis=1)
-        outputs = partial(_left, agent, inputs, coordinates, rows, (z, gain, middle), fed=fed)
+        outputs = partial(_left, agent, inputs, (z, gain, middle), fed=fed)
         first, last = np.full((n, d), np.inf), np.full((n, d), -np.inf)
         cut = [low + (high - low) * (k / cuts) for k in range(cuts)] + [high]
         for piece in itertools.product(range(cuts), repeat=d):
@@ -131,21 +124,16 @@ def map_enclosures(
             ends = np.stack(bounds(outputs, box), axis=-1)
             first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
         trees, numbers = (agent.trees, {}) if fed is None else (fed.trees, fed.numbers)
-        spans = Enclosed(trees, agent, inputs, coordinates, True, (z, gain), numbers)
+        spans = Enclosed(trees, agent, inputs, (z, gain), numbers)
         state("spans", spans, (low, high), calm, (first, last))
         moved = 0.5 * (first + last)
         rho = np.maximum(last - moved, moved - first) + COMPUTED * np.abs(z)
-        if rows is not None:
-            size = np.maximum(np.abs(low), np.abs(high)) + 1.0
-            rho = rho + 1e-13 * size @ (np.abs(rows) @ np.abs(coordinates)).T
     return z + moved, gain, rho
 
 
 def _left(
     agent: Agent,
     inputs: FloatArray,
-    coordinates: FloatArray,
-    rows: FloatArray | None,
     maps: tuple[FloatArray, FloatArray, FloatArray],
     on: FloatArray,
     with_slopes: bool = False,
@@ -154,7 +142,7 @@ def _left(
     """Spans of what is left of the mean: less ``z + G (x - middle)``."""
     z, gain, middle = maps
     result = []
-    for k, mean in enumerate(spans_of_means(agent, inputs, coordinates, rows, on, with_slopes, fed)):
+    for k, mean in enumerate(spans_of_means(agent, inputs, on, with_slopes, fed)):
         left = mean + (-Span.of(z[:, k], z[:, k], mean))
         for j in range(z.shape[1]):
             if np.any(gain[:, k, j]):

@@ -1,7 +1,7 @@
 """Boxes around means and outputs of agents with expressions, for the check: from the spans of ``step_intervals`` alone.
 
 The search's enclosures are not used. Names become spans on a cell, the trees of the agent are read on them, and the
-coordinates of the mean follow. Choices that steer have their input put into the trees by hand here.
+components of the mean follow. Choices that steer have their input put into the trees by hand here.
 """
 
 from __future__ import annotations
@@ -18,10 +18,7 @@ from ....envs.systems.expressions import Name, Operation, Tree, substituted
 from ...certificates.cell_probabilities import state
 from ...relations.grids import FloatArray
 from ...relations.kinds import Command
-from .step_intervals import Span, bounds, computed_off, products, span
-
-ROTATED = 1e-13
-"""Widening, relative to their size, of boxes in coordinates that are not the state."""
+from .step_intervals import Span, bounds, computed_off, span
 
 COMPUTED = 1e-13
 """Share of their size by which targets may be missed, and inputs be off, as they are computed: a thousand roundings."""
@@ -37,23 +34,17 @@ class Enclosed:
     agent : AnyAgent
         Whose states, inputs and unknowns the names are.
     inputs : (n, m) array
-    coordinates : (d, d) array
-        Grid coordinates to state.
-    turned : bool
-        Whether the expressions are states, and their grid coordinates are enclosed.
     less : pair of (n, d) and (n, d, d) arrays, optional
         z and G: what is enclosed is what is left after ``z + G (x - c)``, c being the middle of the cell.
     constants : mapping
         Further names, and a number (n,) for each cell.
     fed : (n, m, d) array, optional
-        What inputs of matrices are moved by per grid coordinate, from the middle of the cell on.
+        What inputs of matrices are moved by per state, from the middle of the cell on.
     """
 
     trees: Sequence[Tree] | None
     agent: AnyAgent
     inputs: FloatArray
-    coordinates: FloatArray
-    turned: bool = False
     less: tuple[FloatArray, FloatArray] | None = None
     constants: Mapping[str, FloatArray] = field(default_factory=dict)
     fed: FloatArray | None = None
@@ -65,7 +56,7 @@ class Enclosed:
         names, rows = tuple(self.constants), tuple(self.constants.values())
         ranges = None if self.trees is None else repr(getattr(self.agent, "unknowns", None))
         model = tuple(map(repr, self.agent.model_key))
-        return model, ranges, trees, self.inputs, self.coordinates, self.turned, self.less, names, rows, self.fed
+        return model, ranges, trees, self.inputs, self.less, names, rows, self.fed
 
 
 def enclosed_means(
@@ -73,29 +64,25 @@ def enclosed_means(
     low: FloatArray,
     high: FloatArray,
     inputs: FloatArray,
-    coordinates: FloatArray,
     parts: int,
     beside: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Corners (n, d) of boxes, in grid coordinates, that hold the means from closed cells under every disturbance.
+    """Corners (n, d) of boxes that hold the means from closed cells under every disturbance.
 
     Parameters
     ----------
     agent : Agent
     low, high : (n, d) arrays
-        Corners of cells, in grid coordinates.
+        Corners of cells.
     inputs : (n, m) array
         Input in each cell.
-    coordinates : (d, d) array
-        Grid coordinates to state.
     parts : int
         Parts into which cells are cut along each axis.
     beside : (l, n) array, optional
         States of others that the dynamics name, in the rows of inputs of others no numbers: these are anywhere in their
         boxes. By default all of them are anywhere.
     """
-    shape, plain = low.shape, np.array_equal(coordinates, np.eye(low.shape[1]))
-    rows = None if plain else np.linalg.inv(coordinates)
+    shape = low.shape
     first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
     cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
     calm = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
@@ -105,13 +92,10 @@ def enclosed_means(
     with np.errstate(all="ignore"):
         for part in itertools.product(range(parts), repeat=shape[1]):
             box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm
-            outputs = partial(spans_of_means, agent, inputs, coordinates, rows)
+            outputs = partial(spans_of_means, agent, inputs)
             ends = np.stack(bounds(outputs, np.array(box)), axis=-1)
             first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
-    if rows is not None:
-        size = np.maximum(np.abs(first), np.abs(last)) @ (np.abs(rows) @ np.abs(coordinates)).T
-        first, last = first - ROTATED * size, last + ROTATED * size
-    state("spans", Enclosed(agent.trees, agent, inputs, coordinates, True), (low, high), calm, (first, last))
+    state("spans", Enclosed(agent.trees, agent, inputs), (low, high), calm, (first, last))
     return first, last
 
 
@@ -124,7 +108,7 @@ def enclosed_scales(
     unknown = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
 
     def outputs(on: FloatArray, with_slopes: bool = False) -> list[Span]:
-        leaves = leaves_of(agent, on, inputs, np.eye(agent.n_states), with_slopes)
+        leaves = leaves_of(agent, on, inputs, with_slopes)
         return [span(tree, leaves) for tree in agent.scale_trees]
 
     with np.errstate(all="ignore"):
@@ -132,7 +116,7 @@ def enclosed_scales(
             box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)]
             ends = np.stack(bounds(outputs, np.array(box + unknown)), axis=-1)
             first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
-    spans = Enclosed(agent.scale_trees, agent, inputs, np.eye(agent.n_states))
+    spans = Enclosed(agent.scale_trees, agent, inputs)
     state("spans", spans, (low, high), unknown, (first, last))
     return first, last
 
@@ -155,14 +139,14 @@ def steered_spans(
     for command in commands:
         trees[command.axis] = Name(_target(command))
     targeted = {_target(c): targets[c.axis] for c in commands}
-    spans = Enclosed(trees, agent, inputs, np.eye(agent.n_states), constants=targeted)
+    spans = Enclosed(trees, agent, inputs, constants=targeted)
     asked_and_parts = [tree for c, u in zip(commands, asked, strict=True) for tree in (u, c.rest, c.factor)]
     first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
     cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
     unmeasured = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
 
     def outputs(of: Sequence[Tree], on: FloatArray, with_slopes: bool = False) -> list[Span]:
-        leaves = leaves_of(agent, on, inputs, np.eye(agent.n_states), with_slopes)
+        leaves = leaves_of(agent, on, inputs, with_slopes)
         for command in commands:
             leaves[_target(command)] = Span.of(
                 targets[command.axis], targets[command.axis], next(iter(leaves.values()))
@@ -180,7 +164,7 @@ def steered_spans(
                 state(
                     "spans", replace(spans, trees=asked_and_parts), sides, unmeasured, tuple(np.stack(found, axis=-1))
                 )
-            leaves = leaves_of(agent, box, inputs, np.eye(agent.n_states), False)
+            leaves = leaves_of(agent, box, inputs, False)
             for command, asked_for, rest, factor in zip(commands, found[::3], found[1::3], found[2::3], strict=True):
                 least, most = agent.input_low[command.input], agent.input_high[command.input]
                 # Inner terms may be larger than what they add up to, and lose more; twice, for products of losses.
@@ -205,36 +189,26 @@ def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[Float
     box, no_inputs = np.stack([low.T, high.T], axis=1), np.zeros((len(low), 0))
 
     def outputs(on: FloatArray, with_slopes: bool = False) -> list[Span]:
-        leaves = leaves_of(agent, on, no_inputs, np.eye(agent.n_states), with_slopes)
+        leaves = leaves_of(agent, on, no_inputs, with_slopes)
         return [span(tree, leaves) for tree in agent.output_trees]
 
     with np.errstate(all="ignore"):
         ends = np.stack(bounds(outputs, box), axis=-1)
-    state("spans", Enclosed(agent.output_trees, agent, no_inputs, np.eye(agent.n_states)), (low, high), [], tuple(ends))
+    state("spans", Enclosed(agent.output_trees, agent, no_inputs), (low, high), [], tuple(ends))
     return np.where(np.isnan(ends[0]), -np.inf, ends[0]), np.where(np.isnan(ends[1]), np.inf, ends[1])
 
 
-def leaves_of(
-    agent: Agent, box: FloatArray, inputs: FloatArray, coordinates: FloatArray, with_slopes: bool
-) -> dict[str, Span]:
+def leaves_of(agent: Agent, box: FloatArray, inputs: FloatArray, with_slopes: bool) -> dict[str, Span]:
     """Spans of all names on boxes (v, 2, n) of variables: the axes of the cell, then disturbances and neighbours."""
-    v, d, n = len(box), agent.n_states, box.shape[2]
+    v, n = len(box), box.shape[2]
     unit = np.zeros((v, 2, v if with_slopes else 0, n))
     for k in range(v if with_slopes else 0):
         unit[k, :, k] = 1.0
     variables = [Span(ends, slopes) for ends, slopes in zip(box, unit, strict=True)]
-    leaves = {}
-    for name, row in zip(agent.states, coordinates, strict=True):
-        total = None
-        for k in np.flatnonzero(row).tolist():
-            factor = np.full((2, n), row[k])
-            term = variables[k] if row[k] == 1.0 else variables[k].scaled(products(factor, box[k]), factor)
-            total = term if total is None else total + term
-        assert total is not None
-        leaves[name] = total
+    leaves = dict(zip(agent.states, variables, strict=False))
     for name, column in zip(agent.inputs, inputs.T, strict=False):  # outputs read no inputs
         leaves[name] = Span.of(column, column, variables[0])
-    return leaves | dict(zip(agent.unknowns, variables[d:], strict=False))
+    return leaves | dict(zip(agent.unknowns, variables[agent.n_states :], strict=False))
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,23 +222,13 @@ class Fed:
 def spans_of_means(
     agent: Agent,
     inputs: FloatArray,
-    coordinates: FloatArray,
-    rows: FloatArray | None,
     on: FloatArray,
     with_slopes: bool = False,
     fed: Fed | None = None,
 ) -> list[Span]:
-    """Spans of the coordinates of the mean on boxes (v, 2, n) of variables."""
-    leaves = leaves_of(agent, on, inputs, coordinates, with_slopes)
+    """Spans of the components of the mean on boxes (v, 2, n) of variables."""
+    leaves = leaves_of(agent, on, inputs, with_slopes)
     fed = fed or Fed(agent.trees, {})
     some = next(iter(leaves.values()))
     leaves |= {name: Span.of(number, number, some) for name, number in fed.numbers.items()}
-    values = [span(tree, leaves) for tree in fed.trees]
-    if rows is None:
-        return values
-    weighted = []
-    for row in rows:
-        factors = [np.full_like(f.ends, factor) for f, factor in zip(values, row, strict=True)]
-        terms = [f.scaled(products(a, f.ends), a) for f, a in zip(values, factors, strict=True) if np.any(a)]
-        weighted.append(sum(terms[1:], terms[0]))
-    return weighted
+    return [span(tree, leaves) for tree in fed.trees]

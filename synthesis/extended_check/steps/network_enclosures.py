@@ -77,7 +77,7 @@ def _pieces(low: FloatArray, high: FloatArray, count: int) -> Iterator[tuple[Flo
 def network_maps(
     agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], mode: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """z (C, d), G (C, d, d) and rho (C, d) of closed cells, in grid coordinates, under a mode of the network.
+    """z (C, d), G (C, d, d) and rho (C, d) of closed cells under a mode of the network.
 
     The mean from x in a cell with middle c is ``z + G (x - c)``, give or take rho; what means are off by in floating
     point besides the network is not in it. G is the same for all pieces into which a cell is cut.
@@ -109,7 +109,7 @@ def network_maps(
 def input_maps(
     agent: AnyAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """h (C, m), J (C, m, d) and rho (C, m) of boxes of states with corners (C, d), in grid coordinates.
+    """h (C, m), J (C, m, d) and rho (C, m) of boxes of states with corners (C, d).
 
     From x of a box with middle c the network answers the input ``h + J (x - c)``, give or take rho.
     """
@@ -135,14 +135,11 @@ def _spare(agent: AnyAgent, part: AgentRecord, layers: list[tuple[Any, Any]]) ->
 def _mean_forms(
     agent: LinearAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
 ) -> tuple[Forms, FloatArray]:
-    """Forms of the means from boxes of states with corners (C, d) in grid coordinates.
+    """Forms of the means from boxes of states with corners (C, d).
 
     Also what double precision may be off by (d,).
     """
-    inverse = np.linalg.inv(part.coordinates)
-    if np.array_equal(part.coordinates, np.eye(len(inverse))):
-        inverse = np.eye(len(inverse))
-    A, B, c = inverse @ agent.A @ part.coordinates, inverse @ agent.B, inverse @ agent.offset
+    A, B, c = agent.A, agent.B, agent.offset
     middle, half = 0.5 * (left + right), 0.5 * (right - left) * (1.0 + 1e-13)
     forms, layers = _answers(agent, part, middle, half, mode)
     box = agent.input_box
@@ -230,8 +227,8 @@ def _seen(
     first, shift = agent.workspace.low, 1.0
     if network.get("scale", "unit") == "raw":  # states are seen in their units
         scale, first, shift = np.ones(d), np.zeros(d), 0.0
-    slopes[:, :d] = scale[:, None] * part.coordinates
-    constants[:, :d] = (middle @ part.coordinates.T - first) * scale - shift
+    slopes[:, :d] = np.diag(scale)
+    constants[:, :d] = (middle - first) * scale - shift
     # States are scaled in double precision, and the row rounded to single.
     reach = np.abs(constants[:, :d]) + half @ np.abs(slopes[0, :d]).T
     doubled = 2.0**-50 * (1.0 + scale * (np.abs(agent.workspace.low) + np.abs(agent.workspace.high)))

@@ -59,8 +59,6 @@ def wrong_for_uneven_noise(agent: AnyAgent, part: AgentRecord) -> list[str]:
     """What is wrong with the grid of an agent whose noise has scales, or that has states without noise."""
     if part.relation["kind"] != "boxes":
         return [f"the relation of agent `{agent.name}` is not for noise that is larger in places, or nowhere at all"]
-    if not np.array_equal(part.coordinates, np.eye(agent.n_states)):
-        return [f"the grid axes of agent `{agent.name}` are not its states"]
     for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
         numbers = np.arange(-1.0, part.grid.shape[axis.state] + 1.0)
         if not axis.is_interpolated and not np.array_equal(points, numbers):
@@ -70,13 +68,13 @@ def wrong_for_uneven_noise(agent: AnyAgent, part: AgentRecord) -> list[str]:
 
 def label_margin(part: AgentRecord, relation: Relation, execution: Execution) -> FloatArray | None:
     """How far (d,) related states may be from the centres of their cells, in state units; None if in the same cell."""
-    if relation.is_cell:
+    if relation.is_cell or not isinstance(relation, CoupledRelation):
         return None
-    return error_support(relation, part.coordinates)  # type: ignore[arg-type]  # coupled
+    return error_support(relation, np.eye(len(relation.reach)))
 
 
 def error_support(relation: CoupledRelation, rows: FloatArray) -> FloatArray:
-    """Upper bounds (n,) on ``rows @ e`` for all errors of a coupled relation, rows (n, d) in grid coordinates."""
+    """Upper bounds (n,) on ``rows @ e`` for all errors of a coupled relation, rows (n, d)."""
     return np.asarray(np.abs(rows) @ relation.reach * WIDENED)
 
 
@@ -145,7 +143,7 @@ def _verify_coupled(agent: AnyAgent, part: AgentRecord, relation: CoupledRelatio
     if not np.all(np.isfinite(disturbance)):
         return ["its means are not those of its dynamics"]
     closed = relation.A + relation.B @ relation.feedback - relation.coupling
-    variances = np.diag(_grid_noise(agent, part))
+    variances = np.diag(agent.noise_covariance)
     if np.any(np.abs(relation.covariance - variances) > 1e-12 * variances):
         failures.append("its noise is not that of its agent")
     failures += _verify_interval(part, relation, closed, disturbance, variances)
@@ -191,12 +189,6 @@ def _verify_interval(
     if relation.delta < lost:
         failures.append("its delta is smaller than the probability that the coupling fails")
     return failures
-
-
-def _grid_noise(agent: LinearAgent, part: AgentRecord) -> FloatArray:
-    """Covariance of the noise in grid coordinates."""
-    inverse = np.linalg.inv(part.coordinates)
-    return np.asarray(inverse @ agent.noise_covariance @ inverse.T)
 
 
 VERIFIED: dict[type, Callable[[AnyAgent, AgentRecord, Any, Execution], list[str]]] = {

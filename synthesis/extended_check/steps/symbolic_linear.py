@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent, LinearAgent, with_expressions
-from ...certificates.cell_probabilities import AgentRecord, grid_noise, state
+from ...certificates.cell_probabilities import AgentRecord, state
 from ...relations.grids import FloatArray, linear_agent
 from .geometry import cell_boxes
-from .linear_tables import UNIT, applied, grid_matrix, normal_hats
+from .linear_tables import UNIT, applied, normal_hats
 from .map_enclosures import Maps, maps_of
 from .mean_enclosures import Enclosed
 from .network_enclosures import network_maps
@@ -60,8 +60,7 @@ class MatrixMaps:
         input_set, d = np.array(self.part.relation["menu"], dtype=float), len(self.off)
         cells, choices = np.divmod(numbers, len(input_set))
         low, high = cell_boxes(self.part)
-        slope = grid_matrix(self.agent, self.part)
-        pushed = np.linalg.solve(self.part.coordinates, (self.agent.offset + input_set @ self.agent.B.T).T).T
+        slope, pushed = self.agent.A, self.agent.offset + input_set @ self.agent.B.T
         z = (0.5 * (low + high))[cells] @ slope.T + pushed[choices]
         return z, np.broadcast_to(slope, (len(cells), d, d)), np.broadcast_to(2.0 * self.off, (len(cells), d))
 
@@ -111,7 +110,7 @@ def symbolic_tables(agent: AnyAgent, part: AgentRecord, off: FloatArray) -> Symb
     ValueError
         If its noise has laws for which the relation does not hold.
     """
-    deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
+    deviations = np.sqrt(np.diag(agent.noise_covariance))
     names = ["gaussian"] * len(deviations) if agent.laws is None else [law.name for law in agent.laws]
     if {*names} - {"gaussian", "uniform"} or names.count("uniform") > 1:
         raise ValueError(
@@ -165,7 +164,7 @@ def state_maps(agent: LinearAgent, part: AgentRecord, at: Any, rho: FloatArray) 
     input_set, numbers = np.array(part.relation["menu"], dtype=float), _asked(part)
     z, gain = at(numbers)[:2]
     cells, choices = np.divmod(numbers, len(input_set))
-    spans = Enclosed(None, agent, input_set[choices], part.coordinates, True, (z, gain))
+    spans = Enclosed(None, agent, input_set[choices], (z, gain))
     corners = tuple(corner[cells] for corner in cell_boxes(part))
     state("spans", spans, corners, [], tuple(np.broadcast_to(side * rho, z.shape) for side in (-1.0, 1.0)))
 

@@ -107,7 +107,7 @@ def inner_losses(relation: SymbolicTargets, low: FloatArray, high: FloatArray) -
     agent, d = relation.agent, relation.agent.n_states
     entries = [tree for row in relation.form.factors for tree in row]
     with np.errstate(all="ignore"):
-        leaves = leaves_of(agent, _variables(agent, low, high), np.zeros((len(low), 0)), np.eye(d), False)
+        leaves = leaves_of(agent, _variables(agent, low, high), np.zeros((len(low), 0)), False)
         lost = np.stack([computed_off(tree, leaves)[1] for tree in (*relation.form.rests, *entries)], axis=1)
         if not np.any(lost):
             return np.zeros((len(low), d))
@@ -143,7 +143,7 @@ def _spans(
     relation: SymbolicTargets, trees: Sequence[Tree], targets: FloatArray, on: FloatArray, with_slopes: bool = False
 ) -> list[Span]:
     agent = relation.agent
-    leaves = leaves_of(agent, on, np.zeros((on.shape[2], 0)), np.eye(agent.n_states), with_slopes)
+    leaves = leaves_of(agent, on, np.zeros((on.shape[2], 0)), with_slopes)
     some = next(iter(leaves.values()))
     leaves |= {name: Span.of(row, row, some) for name, row in zip(relation.targets, targets.T, strict=True)}
     return [span(tree, leaves) for tree in trees]
@@ -166,7 +166,6 @@ def _inside(
                 relation.trees,
                 relation.agent,
                 np.zeros((len(low), 0)),
-                np.eye(relation.agent.n_states),
                 constants=dict(zip(relation.targets, targets.T, strict=True)),
             )
             unknown = [(np.full(len(low), a), np.full(len(low), b)) for a, b in relation.agent.unknowns.values()]

@@ -1,7 +1,7 @@
 """An upper bound for *all* policies of the continuous system: nobody does better, with whatever controller.
 
 Every agent is relaxed as in ``relaxation``, and everything that the finite model leaves open is decided in its favour:
-the mean of the next state may be any in the smallest box, in noise coordinates, around those that some admissible input
+the mean of the next state may be any in the smallest box around those that some admissible input
 leads to; the letter is the best of all that occur in the cell, at the start as well; outside the workspace a run has
 failed.
 
@@ -32,7 +32,7 @@ from ....envs.tasks.problem import Problem
 from ...abstraction.kernels import Kernel, SecondDerivativeBounds, hat_table
 from ...abstraction.models import AgentModel, JointModel
 from ...certificates.value_functions import UNIT, Occupancy
-from ...relations.grids import FloatArray, Grid, corner_sides, hat_share_of, in_grid_coordinates, spread, to_places
+from ...relations.grids import FloatArray, Grid, corner_sides, hat_share, spread, to_places
 from ..ascent import favourable_successors
 
 FAR_DEVIATIONS = 9.0
@@ -110,13 +110,12 @@ class Optimist:
     @classmethod
     def _with(cls, agent: LinearAgent, model: AgentModel, rounds: int, per_cell: int) -> Optimist | None:
         """Return the same with that many lattice points per cell and axis; None if they are too many."""
-        grid, coordinates = model.grid, model.relation.coordinates
-        moves = in_grid_coordinates(agent, coordinates)
-        deviations = np.sqrt(np.diag(moves.covariance))
-        cells = _means(agent, grid.centres, grid.half_widths, coordinates)
+        grid = model.grid
+        deviations = np.sqrt(np.diag(agent.noise_covariance))
+        cells = _means(agent, grid.centres, grid.half_widths)
         sides = 2.0 * corner_sides(len(grid.shape)) - 1.0
         corners = (grid.centres[:, None] + grid.half_widths[:, None] * sides).reshape(-1, len(grid.shape))
-        points = _means(agent, corners, np.zeros_like(corners), coordinates)
+        points = _means(agent, corners, np.zeros_like(corners))
         spacing = np.array([(e[-1] - e[0]) / ((len(e) - 1) * per_cell) for e in grid.edges])
         # From farther out hardly any mass comes back: means there are taken to the end of the lattice.
         near = [(e[0] - FAR_DEVIATIONS * s, e[-1] + FAR_DEVIATIONS * s) for e, s in zip(grid.edges, deviations)]
@@ -133,7 +132,7 @@ class Optimist:
         axes = zip(lattice, grid.edges, deviations.tolist(), strict=True)
         tables, losses = zip(*(hat_table(*axis) for axis in axes), strict=True)
         loss = float(sum(losses))
-        steps = (moves.A * np.max([2.0 * half for half in grid.half_widths], axis=0)).T
+        steps = (agent.A * np.max([2.0 * half for half in grid.half_widths], axis=0)).T
         of_cells, of_corners = (
             _windows(np.clip(a, low, high), np.clip(b, low, high), first, spacing, shape) for a, b in (cells, points)
         )
@@ -190,9 +189,7 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
     for agent, model, follows in zip(problem.agents, joint.models, favourable_successors(problem), strict=True):
         # Agents with equal dynamics and cells share the optimistic model; with equal letters, too, the values.
         possible = _possible(model, follows)
-        # Of a box the means of hats are known where cells are boxes of states.
-        known_start = agent.initial.is_point or np.array_equal(model.relation.coordinates, np.eye(agent.n_states))
-        if not agent.is_linear_gaussian or not agent.has_plain_noise or not known_start:
+        if not agent.is_linear_gaussian or not agent.has_plain_noise:
             return None
         arrays = (agent.noise_covariance, agent.input_low, agent.input_high)
         alike = (id(model), *agent.motion_key, *(array.tobytes() for array in arrays))
@@ -231,7 +228,7 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
 
 def _hats(agent: AnyAgent, model: AgentModel) -> FloatArray:
     """Return the mean hat of every place (2^d S,) of an agent's grid at its start."""
-    return hat_share_of(model.grid, model.relation.coordinates, agent.initial.low, agent.initial.high)
+    return hat_share(model.grid, agent.initial.low, agent.initial.high)
 
 
 def _at_places(possible: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -285,15 +282,12 @@ def _possible(model: AgentModel, follows: NDArray[np.bool_]) -> NDArray[np.bool_
     return np.asarray(np.einsum("nc,qcp->qnp", sets.astype(np.int64), follows.astype(np.int64)) > 0)[:, labels.number]
 
 
-def _means(
-    agent: LinearAgent, centres: FloatArray, halves: FloatArray, coordinates: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return corners (S, d), in grid coordinates, of boxes around all means that the points of each cell can reach."""
-    moves = in_grid_coordinates(agent, coordinates)
+def _means(agent: LinearAgent, centres: FloatArray, halves: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return corners (S, d) of boxes around all means that the points of each cell can reach."""
     middle, reach = 0.5 * (agent.input_low + agent.input_high), 0.5 * (agent.input_high - agent.input_low)
-    centre = centres @ moves.A.T + moves.offset + moves.B @ middle
-    spread = halves @ np.abs(moves.A).T + np.abs(moves.B) @ reach
-    slack = 1e-12 * (np.abs(centre) + spread + np.abs(centres) @ np.abs(moves.A).T)
+    centre = centres @ agent.A.T + agent.offset + agent.B @ middle
+    spread = halves @ np.abs(agent.A).T + np.abs(agent.B) @ reach
+    slack = 1e-12 * (np.abs(centre) + spread + np.abs(centres) @ np.abs(agent.A).T)
     return centre - spread - slack, centre + spread + slack
 
 

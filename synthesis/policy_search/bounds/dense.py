@@ -59,7 +59,7 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
     """
     _refuse_bounds(models)
     if any(model.choices.dense_cost is None for model in models):
-        raise ValueError("`models`: expected agents whose admissible targets are boxes in grid coordinates")
+        raise ValueError("`models`: expected agents whose admissible targets are boxes")
     outcome = joint_outcomes(problem, models)
     value = _terminal(problem, outcome, models).astype(float)
     for _ in range(problem.horizon):

@@ -89,7 +89,6 @@ def certificate_of(
     for i, model in enumerate(joint.models):
         part = AgentRecord(
             grid=model.grid,
-            coordinates=model.relation.coordinates,
             relation=describe_relation(model.relation),
             lattice=model.lattice,
             masks=model.of_cells(joint.masks[i]),

@@ -202,8 +202,8 @@ def box_work(problem: Problem, cells: Mapping[str, tuple[int, ...]]) -> float:
     total = 0.0
     for agent in problem.agents:
         if agent.name in cells and isinstance(agent, Agent):
-            grid, coordinates = agent_grid(problem, problem.agent_names.index(agent.name), cells[agent.name])
-            points = points_per_cell(grid, grid_laws(agent, coordinates))
+            grid = agent_grid(problem, problem.agent_names.index(agent.name), cells[agent.name])
+            points = points_per_cell(grid, grid_laws(agent))
             lattice = math.prod(n * count for n, count in zip(grid.shape, points, strict=True))
             if agent.noise_scale is not None:
                 lattice = max(lattice, min(lattice * MOST_SCALES, MOST_SCALED))

@@ -22,9 +22,9 @@ from .axes_of_lattices import (
     lattice_axes,
     points_by_axis,
 )
-from .corners import corner_sides, hat_share_of, hats, of_cells, spread, start_share, to_places
+from .corners import corner_sides, hat_share, hats, of_cells, spread, to_places
 from .grid import FloatArray, Grid
-from .grid_dynamics import GridDynamics, grid_covariance, grid_laws, in_grid_coordinates, sharpness
+from .grid_noise import grid_laws, sharpness
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
 from .noise_reach import NearWindow, near_windows
@@ -48,7 +48,6 @@ __all__ = [
     "FEWER",
     "FloatArray",
     "Grid",
-    "GridDynamics",
     "LatticeAxis",
     "MOST_CELLS",
     "MeanAxis",
@@ -66,13 +65,11 @@ __all__ = [
     "corner_sides",
     "deviations_of",
     "error_labels",
-    "hat_share_of",
+    "hat_share",
     "hats",
     "fewest_cells",
-    "grid_covariance",
     "grid_laws",
     "sharpness",
-    "in_grid_coordinates",
     "lattice_axes",
     "linear_agent",
     "near_windows",
@@ -84,7 +81,6 @@ __all__ = [
     "region_boundaries",
     "shape_text",
     "spread",
-    "start_share",
     "to_places",
     "to_who_asked_for_none",
 ]

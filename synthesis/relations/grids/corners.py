@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .grid import FloatArray, Grid
-from .refusal import RelationRefused
 
 
 def spread(values: NDArray, shape: tuple[int, ...]) -> NDArray:
@@ -63,33 +62,10 @@ def hats(grid: Grid, points: FloatArray) -> tuple[NDArray[np.int64], FloatArray]
     return places, weights
 
 
-def start_share(grid: Grid, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return the share (S,) of a box of states, or of a point, in each cell, up to rounding."""
-    return grid.overlap(*_in_grid_coordinates(coordinates, low, high))
-
-
-def hat_share_of(grid: Grid, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return the mean hat of every place (2^d S,) over a box of states, up to rounding; see ``hat_share``."""
-    return hat_share(grid, *_in_grid_coordinates(coordinates, low, high))
-
-
-def _in_grid_coordinates(coordinates: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a box of states in grid coordinates: a point in any, one with an inside only in those of the state."""
-    if np.array_equal(coordinates, np.eye(len(coordinates))):
-        return low, high
-    if not np.array_equal(low, high):
-        raise RelationRefused(
-            "`initial_low`, `initial_high`: expected an `initial_state` on cells where noise is correlated, got "
-            "a box; ask for `path`"
-        )
-    point = np.linalg.solve(coordinates, low)
-    return point, point
-
-
 def hat_share(grid: Grid, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return the mean hat of every place (2^d S,) over a box in grid coordinates, up to rounding.
+    """Return the mean hat of every place (2^d S,) over a box of states, up to rounding.
 
-    The mean of a multilinear factor over the box is the sum of its numbers, weighted so. Equal coordinates are points;
+    The mean of a multilinear factor over the box is the sum of its numbers, weighted so. Equal ends are points;
     what lies outside the grid has no weight.
     """
     share = np.ones(1)

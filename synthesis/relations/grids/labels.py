@@ -53,21 +53,14 @@ class CellLabels:
         return (self.number.tobytes(), self.sets.tobytes(), self.sets.shape)
 
 
-def cell_labels(problem: Problem, agent: int, grid: Grid, coordinates: FloatArray) -> CellLabels:
-    """Return the label sets of the points of the cells themselves (exact in state coordinates, else supersets).
-
-    In state coordinates cells are half-open boxes; in others their closed bounding boxes are read.
-    """
-    if np.array_equal(coordinates, np.eye(len(coordinates))):
-        return _labels(problem, agent, grid.low, grid.high, np.zeros(grid.n_cells, dtype=bool))
-    centre, reach = grid.centres @ coordinates.T, grid.half_widths @ np.abs(coordinates).T
-    return _closed(problem, agent, centre, reach)
+def cell_labels(problem: Problem, agent: int, grid: Grid) -> CellLabels:
+    """Return the label sets of the points of the cells themselves, half-open boxes (exact)."""
+    return _labels(problem, agent, grid.low, grid.high, np.zeros(grid.n_cells, dtype=bool))
 
 
-def error_labels(problem: Problem, agent: int, grid: Grid, coordinates: FloatArray, reach: FloatArray) -> CellLabels:
+def error_labels(problem: Problem, agent: int, grid: Grid, reach: FloatArray) -> CellLabels:
     """Return supersets of the labels within ``reach`` (d,) state units of each cell centre, faces included."""
-    centre = grid.centres @ coordinates.T
-    return _closed(problem, agent, centre, np.broadcast_to(reach, centre.shape))
+    return _closed(problem, agent, grid.centres, np.broadcast_to(reach, grid.centres.shape))
 
 
 def _closed(problem: Problem, agent: int, centre: FloatArray, reach: FloatArray) -> CellLabels:

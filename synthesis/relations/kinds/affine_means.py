@@ -36,11 +36,9 @@ from ....envs.systems.expressions import (
 )
 from ..grids import FloatArray, RelationRefused, linear_agent
 from .boxes import LinearMeans, MeanBoxes, linear_means
-from .coordinates import ReadsCoordinates
+from .cell_relation import ReadsCells
 from .exact import ExactRelation, aimed_relation
 from .inverse_means import SymbolicTargets
-from .rounding import missed_cells, reading_of
-from .symbolic_means import ROTATED
 
 BLOCKS, LEAST_REACH = 3, 4
 """Blocks of lattice points within reach to either side, and the reach from which two of them are enough: more of them
@@ -57,7 +55,7 @@ class AffineBoxes:
     Parameters
     ----------
     centre : (n, A, d) array
-        z, in grid coordinates; not a number where nothing is known of the mean.
+        z; not a number where nothing is known of the mean.
     gain : (n, 1 or A, d, d) array
         G; for all choices alike if they differ by constants.
     rest : (n, 1 or A, d) array
@@ -90,19 +88,16 @@ class AffineMaps(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class AffineMeans:
-    """Affine maps of an agent with expressions, in grid coordinates, over all its disturbances.
+    """Affine maps of an agent with expressions, over all its disturbances.
 
     Parameters
     ----------
     agent : Agent
-    coordinates : (d, d) array
-        Grid coordinates to state.
     cuts : int
         Parts into which cells are cut along each axis to enclose what is left.
     """
 
     agent: Agent
-    coordinates: FloatArray
     cuts: int
     network = None
 
@@ -117,20 +112,20 @@ class AffineMeans:
         # The map: value and Jacobian at the centre of the cell, with everything else at the middle of its interval.
         at = [*(column[:, None] for column in middle.T), *unknown]
         centre, gain = np.empty(shape), np.zeros((*shape, shape[2]))
-        for k, (value, slopes) in enumerate(gradients(self.agent.trees, names, at, self._rows)):
+        for k, (value, slopes) in enumerate(gradients(self.agent.trees, names, at)):
             centre[..., k] = value
             for j in range(shape[2]):
                 gain[..., k, j] = slopes.get(j, 0.0)
         # What is left, on every part of the cell.
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
-        trees, rows = self._residuals(gain)
+        trees = self._residuals(gain)
         names |= self._map_names(centre, gain, middle)
         for box in self._parts(low, high):
-            for k, (below, above) in enumerate(enclosed(trees, names, [*box, *beside], rows)):
+            for k, (below, above) in enumerate(enclosed(trees, names, [*box, *beside])):
                 np.minimum(first[..., k], below, out=first[..., k])
                 np.maximum(last[..., k], above, out=last[..., k])
         moved = 0.5 * (first + last)
-        rest = np.maximum(last - moved, moved - first) * (1.0 + COMPUTED) + self._rounding(low, high)[:, None]
+        rest = np.maximum(last - moved, moved - first) * (1.0 + COMPUTED)
         centre += moved
         if self.pushes is None:
             rest += COMPUTED * np.abs(centre)
@@ -146,8 +141,8 @@ class AffineMeans:
         """Return what names are in the variables, and intervals of further variables behind all others: none here."""
         return self._names(inputs), []
 
-    def _residuals(self, gain: FloatArray) -> tuple[tuple[Tree, ...], FloatArray | None]:
-        """Return the expressions of what is left along each axis, and the matrix that they are multiplied with."""
+    def _residuals(self, gain: FloatArray) -> tuple[Tree, ...]:
+        """Return the expressions of what is left along each axis."""
         maps: list[Tree] = []
         for k in range(self.agent.n_states):
             total: Tree = Name(f"centre {k}")
@@ -156,9 +151,7 @@ class AffineMeans:
                     away = Operation("-", (Name(f"axis {j}"), Name(f"middle {j}")))
                     total = Operation("+", (total, Operation("*", (Name(f"gain {k} {j}"), away))))
             maps.append(total)
-        if self._rows is None:
-            return tuple(Operation("-", pair) for pair in zip(self.agent.trees, maps, strict=True)), None
-        return (*self.agent.trees, *maps), np.hstack([self._rows, -np.eye(len(maps))])
+        return tuple(Operation("-", pair) for pair in zip(self.agent.trees, maps, strict=True))
 
     def _map_names(self, centre: FloatArray, gain: FloatArray, middle: FloatArray) -> dict[str, Affine]:
         """Return what the names of the maps are; no state has a name with a blank."""
@@ -182,19 +175,11 @@ class AffineMeans:
     def _names(self, inputs: FloatArray) -> dict[str, Affine]:
         """Return what states, inputs and all that is not known are in the variables."""
         one, names = np.ones((1, 1)), {}
-        for state, row in zip(self.agent.states, self.coordinates, strict=True):
-            slopes = {k: entry * one for k, entry in enumerate(row.tolist()) if entry != 0.0}
-            names[state] = Affine(np.zeros((1, 1)), slopes)
+        for k, state in enumerate(self.agent.states):
+            names[state] = Affine(np.zeros((1, 1)), {k: one})
         names |= {name: Affine(column[None]) for name, column in zip(self.agent.inputs, inputs.T, strict=True)}
         unknown = enumerate(self.agent.unknowns, start=self.agent.n_states)
         return names | {name: Affine(np.zeros((1, 1)), {k: one}) for k, name in unknown}
-
-    def _rounding(self, low: FloatArray, high: FloatArray) -> FloatArray:
-        """Return what the inverse of the coordinates may be off by, times the largest numbers of each cell (n, d)."""
-        if self._rows is None:
-            return np.zeros(low.shape)
-        size = np.maximum(np.abs(low), np.abs(high)) + 1.0
-        return np.asarray(ROTATED * size @ (np.abs(self._rows) @ np.abs(self.coordinates)).T)
 
     @cached_property
     def pushes(self) -> FloatArray | None:
@@ -207,13 +192,7 @@ class AffineMeans:
                     return None
                 tree, factor = split
                 matrix[k, j] = float(computed([factor], {name: np.zeros(1)})[0][0])
-        return matrix if self._rows is None else np.asarray(self._rows @ matrix)
-
-    @cached_property
-    def _rows(self) -> FloatArray | None:
-        """State to grid coordinates; None where these are the state."""
-        plain = np.array_equal(self.coordinates, np.eye(len(self.coordinates)))
-        return None if plain else np.asarray(np.linalg.inv(self.coordinates))
+        return matrix
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
@@ -224,7 +203,7 @@ class AffineMeans:
 
 @dataclass(frozen=True, eq=False)
 class MatrixMaps:
-    """The maps of a linear agent, in grid coordinates: one slope for all cells, and nothing but rounding is left.
+    """The maps of a linear agent: one slope for all cells, and nothing but rounding is left.
 
     Parameters
     ----------
@@ -251,7 +230,7 @@ class MatrixMaps:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapRelation(ReadsCoordinates):
+class MapRelation(ReadsCells):
     """The relation ``linear``: constant inputs, whose means are affine maps in a cell, and targets beside them.
 
     Choices below the number of inputs are inputs; ``number of inputs + z`` puts the mean on lattice point z from all
@@ -261,8 +240,6 @@ class MapRelation(ReadsCoordinates):
     ----------
     means : AffineMaps
         What makes the maps of inputs.
-    coordinates : (d, d) array
-        Grid coordinates to state.
     menu : (A, m) array
         Inputs to choose from; for networks they stand for nothing, and the choices are their modes.
     parts : int
@@ -274,7 +251,6 @@ class MapRelation(ReadsCoordinates):
     """
 
     means: AffineMaps
-    coordinates: FloatArray
     input_set: FloatArray
     parts: int = 1
     reach: tuple[int, ...] = ()
@@ -284,7 +260,7 @@ class MapRelation(ReadsCoordinates):
     delta = 0.0
 
     def __repr__(self) -> str:
-        d, m = len(self.coordinates), self.input_set.shape[1]
+        d, m = len(self.reach), self.input_set.shape[1]
         targets = "" if self.mean_targets is None else ", and targets"
         choices = counted(len(self.input_set), "choice")
         return f"MapRelation({counted(d, 'state')}, {counted(m, 'input')}, {choices}{targets})"
@@ -324,17 +300,14 @@ class MapRelation(ReadsCoordinates):
         """All numbers, for comparing relations."""
         of_aims = () if self.mean_targets is None else (np.ones(1), *self.mean_targets.arrays)
         numbers = np.array([self.parts, *self.reach])
-        return (*self.means.arrays, self.coordinates, self.input_set, numbers, *of_aims)
+        return (*self.means.arrays, self.input_set, numbers, *of_aims)
 
     def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
 
-        What means under inputs are off by is in what is left of them; there remain cells that are misread, and what
-        means miss targets by.
+        What means under inputs are off by is in what is left of them; there remains what means miss targets by.
         """
-        reading = reading_of(agent, self.coordinates)
-        misread = missed_cells(reading, reading.read, edges)
-        return misread if self.mean_targets is None else max(misread, self.mean_targets.rounding_loss(agent, edges))
+        return 0.0 if self.mean_targets is None else self.mean_targets.rounding_loss(agent, edges)
 
 
 def block_of(reach: int) -> int:
@@ -344,17 +317,15 @@ def block_of(reach: int) -> int:
 
 def map_relation(
     agent: AnyAgent,
-    coordinates: FloatArray,
     input_set: FloatArray,
     numbers: tuple[int, int, Sequence[int]] | None = None,
     with_aims: bool = False,
 ) -> MapRelation:
-    """Return the relation ``linear`` of an agent in the given grid coordinates.
+    """Return the relation ``linear`` of an agent.
 
     Parameters
     ----------
     agent : AnyAgent
-    coordinates : (d, d) array
     menu : (A, m) array
         Inputs to choose from.
     numbers : parts, cuts and reach, optional
@@ -373,10 +344,8 @@ def map_relation(
     parts, cuts, reach = numbers or (1, 1, (0,) * d)
     means: AffineMaps
     if agent.is_affine:
-        means = MatrixMaps(
-            linear_means(linear_agent(agent, "linear"), coordinates, np.zeros((1, agent.n_inputs, d))), cuts
-        )
+        means = MatrixMaps(linear_means(linear_agent(agent, "linear"), np.zeros((1, agent.n_inputs, d))), cuts)
     else:
-        means = AffineMeans(with_expressions(agent), coordinates, cuts)
-    mean_targets = aimed_relation(agent, coordinates) if with_aims else None
-    return MapRelation(means, coordinates, input_set, parts, tuple(int(n) for n in reach), mean_targets)
+        means = AffineMeans(with_expressions(agent), cuts)
+    mean_targets = aimed_relation(agent) if with_aims else None
+    return MapRelation(means, input_set, parts, tuple(int(n) for n in reach), mean_targets)

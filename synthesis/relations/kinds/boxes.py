@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from ....envs.systems.agents import Agent, AnyAgent, LinearAgent
 from ....envs.systems.arguments import counted
-from ..grids import FloatArray, RelationRefused, linear_agent
-from .coordinates import ReadsCoordinates, Unsteered
+from ..grids import FloatArray, RelationRefused, linear_agent, sharpness
+from .cell_relation import ReadsCells, Unsteered
 from .exact import INPUT_MARGIN
-from .rounding import missed_cells, reading_of, sizes_of
+from .rounding import missed_cells, sizes_of
 from .symbolic_means import SymbolicMeans
 
 ROUNDED_TWICE = 2.0
@@ -47,7 +47,7 @@ class MeanBoxes:
     Parameters
     ----------
     low, high : (n, A, d) arrays
-        Corners, in grid coordinates: the mean from every point of the closed cell lies between them.
+        Corners: the mean from every point of the closed cell lies between them.
     admissible : (n, A) bool array
         Whether the input of the choice is admissible at every point of the closed cell.
     scales : pair of (n, A, d) arrays, or None
@@ -63,7 +63,7 @@ class MeanBoxes:
 
 @dataclass(frozen=True, eq=False)
 class LinearMeans(Unsteered):
-    """Boxes around the means of a linear agent. Matrices are in grid coordinates.
+    """Boxes around the means of a linear agent.
 
     Parameters
     ----------
@@ -107,15 +107,13 @@ class LinearMeans(Unsteered):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BoxRelation(ReadsCoordinates):
+class BoxRelation(ReadsCells):
     """Mean boxes of an agent (delta = 0, no memory).
 
     Parameters
     ----------
     means : LinearMeans or SymbolicMeans
         What makes the boxes.
-    coordinates : (d, d) array
-        Grid coordinates to state.
     menu : (A, m) array
         Inputs u_a at the centres of cells.
     gains : (A, m, d) array
@@ -125,7 +123,6 @@ class BoxRelation(ReadsCoordinates):
     """
 
     means: LinearMeans | SymbolicMeans
-    coordinates: FloatArray
     input_set: FloatArray
     gains: FloatArray
     input_low: FloatArray
@@ -135,7 +132,7 @@ class BoxRelation(ReadsCoordinates):
     delta = 0.0
 
     def __repr__(self) -> str:
-        d, m = len(self.coordinates), len(self.input_low)
+        d, m = self.gains.shape[2], len(self.input_low)
         choices = counted(len(self.input_set), "choice")
         return f"BoxRelation({counted(d, 'state')}, {counted(m, 'input')}, {choices}, delta 0)"
 
@@ -225,7 +222,6 @@ class BoxRelation(ReadsCoordinates):
         """All matrices, for comparing relations."""
         return (
             *self.means.arrays,
-            self.coordinates,
             self.input_set,
             self.gains,
             self.input_low,
@@ -235,26 +231,22 @@ class BoxRelation(ReadsCoordinates):
     def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
 
-        What means are off by is in the boxes; there remain cells that are misread where coordinates are not the state.
+        What means are off by is in the boxes; angles are rounded once more where they wrap.
         """
-        reading = reading_of(agent, self.coordinates)
-        # Angles are rounded once more where they wrap.
-        return missed_cells(reading, reading.read + np.where(agent.wrapped_axes, WRAPPED_OFF, 0.0), edges)
+        return missed_cells(sharpness(agent), np.where(agent.wrapped_axes, WRAPPED_OFF, 0.0), edges)
 
 
 def box_relation(
     agent: AnyAgent,
-    coordinates: FloatArray,
     input_set: FloatArray,
     gains: FloatArray | None = None,
     written: Mapping[str, Any] | None = None,
 ) -> BoxRelation:
-    """Return the relation of mean boxes of an agent in the given grid coordinates.
+    """Return the relation of mean boxes of an agent.
 
     Parameters
     ----------
     agent : AnyAgent
-    coordinates : (d, d) array
     menu : (A, m) array
         Inputs to choose from, at the centres of cells.
     gains : (A, m, d) array, optional
@@ -280,24 +272,22 @@ def box_relation(
         written = {"parts": 1, **(written or {})}
         steer = written.get("steer")
         steer = np.zeros(len(input_set), dtype=bool) if steer is None else np.array(steer, dtype=bool)
-        means = SymbolicMeans(agent, coordinates, int(written["parts"]), steer)
+        means = SymbolicMeans(agent, int(written["parts"]), steer)
         if steer.shape != (len(input_set),) or (np.any(steer) and not means.commands):
             raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")
     else:
-        means = linear_means(linear_agent(agent, "boxes"), coordinates, gains)
-    return BoxRelation(means, coordinates, input_set, gains, box.low, box.high)
+        means = linear_means(linear_agent(agent, "boxes"), gains)
+    return BoxRelation(means, input_set, gains, box.low, box.high)
 
 
-def linear_means(agent: LinearAgent, coordinates: FloatArray, gains: FloatArray) -> LinearMeans:
+def linear_means(agent: LinearAgent, gains: FloatArray) -> LinearMeans:
     """Return what boxes of a linear agent are made of, with the feedbacks (A, m, d) of its choices."""
-    sizes = sizes_of(agent, coordinates)
+    sizes = sizes_of(agent)
     # Of the input: the centre of a cell, the difference to it, and a product for each state.
     largest = np.abs(gains).max(axis=0)
-    input_off = largest @ (sizes.read + 2.0 * sizes.unit * sizes.states) + sizes.unit * np.any(largest, axis=1) * (
+    input_off = largest @ (2.0 * sizes.unit * sizes.states) + sizes.unit * np.any(largest, axis=1) * (
         sizes.inputs + largest @ sizes.states
     )
-    # Of the mean: the products here and those of the agent, in its own coordinates.
-    mean_off = ROUNDED_TWICE * sizes.unit * (sizes.means + sizes.spread @ sizes.means)
-    moves = sizes.moves
-    rounding = mean_off + sizes.spread @ np.abs(moves.B) @ input_off
-    return LinearMeans(moves.A, moves.B, moves.offset, rounding)
+    # Of the mean: the products here and those of the agent.
+    mean_off = 2.0 * ROUNDED_TWICE * sizes.unit * sizes.means
+    return LinearMeans(agent.A, agent.B, agent.offset, mean_off + np.abs(agent.B) @ input_off)

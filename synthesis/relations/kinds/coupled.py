@@ -1,6 +1,6 @@
 """The (epsilon, delta) simulation relation, in which the controller remembers the abstract state (``paper``).
 
-Error ``e = x - xhat`` in grid coordinates, interface ``u = uhat + K e``, noise coupling ``what = w + F e``:
+Error ``e = x - xhat``, interface ``u = uhat + K e``, noise coupling ``what = w + F e``:
 
     e' = (A + B K - F) e + beta,      |beta| <= half a cell.
 
@@ -22,7 +22,7 @@ from scipy.special import ndtr
 from ....envs.systems.agents import AnyAgent
 from ....envs.systems.arguments import box_text, counted, tree_text
 from ..grids import FloatArray, linear_agent
-from .coordinates import ReadsByRows
+from .cell_relation import ReadsCells
 from .rounding import COUPLING, error_rounding, missed_cells, sizes_of
 
 FORGIVEN = 1e-12
@@ -37,8 +37,8 @@ COUPLED_NUMBERS = ("epsilon", "feedback", "inputs", "delta")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CoupledRelation(ReadsByRows):
-    """Interface and coupling between an agent and its finite model, in grid coordinates.
+class CoupledRelation(ReadsCells):
+    """Interface and coupling between an agent and its finite model.
 
     Parameters
     ----------
@@ -52,15 +52,13 @@ class CoupledRelation(ReadsByRows):
     reach : (d,) array
         Half widths of the box around E.
     state_reach : (d,) array
-        Half widths of the box around E in state coordinates, for labels.
+        Half widths of the box around E, for labels.
     delta : float
         Upper bound on the probability, per step, that the coupling fails.
     inputs : (A, m) array
         Abstract inputs uhat, all in U less K E.
     input_low, input_high : (m,) arrays
         Input box.
-    coordinates : (d, d) array
-        Grid coordinates to state.
     is_cell : bool
         Whether related states lie in the same cell.
     """
@@ -77,7 +75,6 @@ class CoupledRelation(ReadsByRows):
     inputs: FloatArray
     input_low: FloatArray
     input_high: FloatArray
-    coordinates: FloatArray
     is_cell: bool = False
 
     def __repr__(self) -> str:
@@ -121,17 +118,16 @@ class CoupledRelation(ReadsByRows):
             self.inputs,
             self.input_low,
             self.input_high,
-            self.coordinates,
             np.array([self.delta]),
         )
 
     def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
-        sizes = sizes_of(linear_agent(agent, self.kind), self.coordinates)
+        sizes = sizes_of(linear_agent(agent, self.kind))
         off = error_rounding(sizes, self.feedback, self.coupling)
         if self.is_cell:  # what is left of the error where both land in one cell
             off = off + np.abs(self.A + self.B @ self.feedback - self.coupling) @ self.reach
-        return missed_cells(sizes, off, edges) + (COUPLING if np.any(self.coupling) else 0.0)
+        return missed_cells(sizes.deviations, off, edges) + (COUPLING if np.any(self.coupling) else 0.0)
 
     def means(self, centres: FloatArray) -> FloatArray:
         """Return the means (S, A, d) of the abstract successors of each cell centre (S, d) under each input."""

@@ -4,7 +4,7 @@
 expressions), ``{"kind": "linear", "input_set", "parts", "cuts", "reach", "blocks"}``
 (with ``"mean_targets"`` where targets are offered beside the menu, and ``"network"`` where networks move agents),
 and ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``; matrices
-are nested lists in grid coordinates. They come from files, and nothing in them is trusted.
+are nested lists. They come from files, and nothing in them is trusted.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ....envs.systems.agents import AnyAgent
-from ..grids import FloatArray, Grid, linear_agent
+from ..grids import Grid, linear_agent
 from .affine_means import MapRelation, map_relation
 from .boxes import BoxRelation, box_relation
 from .coupled import COUPLED_NUMBERS, CoupledRelation
@@ -55,7 +55,7 @@ def describe_relation(relation: Relation) -> dict[str, Any]:
     return relation.describe()
 
 
-def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> Relation:
+def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid) -> Relation:
     """Return the relation of ``agent`` that is described, its margins and delta computed anew (upper bounds).
 
     Raises
@@ -67,18 +67,16 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     if kind == "boxes":
         input_set, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
         written: dict[str, Any] = {name: description[name] for name in ("parts", "steer") if name in description}
-        return box_relation(agent, coordinates, input_set, gains, written)
+        return box_relation(agent, input_set, gains, written)
     if kind == "linear" and "network" not in description:
         input_set = np.array(description["menu"], dtype=float)
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
-        return map_relation(agent, coordinates, input_set, numbers, "aims" in description)
+        return map_relation(agent, input_set, numbers, "aims" in description)
     if kind == "exact":
-        return aimed_relation(agent, coordinates)
+        return aimed_relation(agent)
     if kind == "linear":
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
-        return network_linear_relation(agent, coordinates, network_policy(description["network"], agent), numbers)
-    if not np.array_equal(coordinates, np.eye(len(coordinates))):
-        raise ValueError("the `paper` relation is for grids in state coordinates")
+        return network_linear_relation(agent, network_policy(description["network"], agent), numbers)
     agent = linear_agent(agent, kind)
     return paper_relation(agent, grid.edges[0], **{name: description[name] for name in NUMBER_ENTRIES["paper"]})
 

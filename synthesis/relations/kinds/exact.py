@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ....envs.systems.agents import AnyAgent, LinearAgent, with_expressions
 from ....envs.systems.arguments import counted
 from ..grids import FloatArray, Grid, RelationRefused, linear_agent
-from .coordinates import ReadsByRows
+from .cell_relation import ReadsCells
 from .inverse_means import SymbolicTargets, symbolic_targets
 from .rounding import sizes_of, target_loss, target_rounding
 from .rows import Row, product, rows_of, times
@@ -34,10 +34,8 @@ INPUT_MARGIN = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ExactRelation(ReadsByRows):
+class ExactRelation(ReadsCells):
     """Target-mean interface of an agent with full-row-rank ``B`` (exact relation: delta = 0, epsilon = half a cell).
-
-    All matrices are in grid coordinates ``x_grid`` with ``x = coordinates @ x_grid``.
 
     Parameters
     ----------
@@ -49,8 +47,6 @@ class ExactRelation(ReadsByRows):
         ``c + B u_mid``, the mean from the origin under the central input.
     input_centre, input_half_width : (m,) arrays
         Input box.
-    coordinates : (d, d) array
-        Grid coordinates to state.
     rounding : (m,) array
         Upper bounds on the rounding of an input.
     """
@@ -61,7 +57,6 @@ class ExactRelation(ReadsByRows):
     drift: FloatArray
     input_centre: FloatArray
     input_half_width: FloatArray
-    coordinates: FloatArray
     rounding: FloatArray
 
     kind = "exact"
@@ -69,8 +64,7 @@ class ExactRelation(ReadsByRows):
 
     def __repr__(self) -> str:
         d, m = self.B.shape
-        rotated = "" if self.has_state_coordinates else ", coordinates of its noise"
-        return f"ExactRelation({counted(d, 'state')}, {counted(m, 'input')}, delta 0{rotated})"
+        return f"ExactRelation({counted(d, 'state')}, {counted(m, 'input')}, delta 0)"
 
     def means(self, cells: FloatArray) -> FloatArray:
         """Return the means (S, d) reached from the points (S, d) under the central input, up to rounding."""
@@ -95,12 +89,12 @@ class ExactRelation(ReadsByRows):
 
     def rounding_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
-        sizes = sizes_of(linear_agent(agent, self.kind), self.coordinates)
-        return target_loss(sizes, edges, self.right_inverse, self.drift, self.input_centre)
+        sizes = sizes_of(linear_agent(agent, self.kind))
+        return target_loss(sizes, self.right_inverse, self.drift, self.input_centre)
 
     @cached_property
     def is_box(self) -> bool:
-        """Whether the admissible targets of a cell are a box in grid coordinates (scaled permutation)."""
+        """Whether the admissible targets of a cell are a box (scaled permutation)."""
         used = self.right_inverse != 0
         return bool(np.all(used.sum(axis=1) <= 1) and np.all(used.sum(axis=0) == 1))
 
@@ -114,7 +108,6 @@ class ExactRelation(ReadsByRows):
             self.drift,
             self.input_centre,
             self.input_half_width,
-            self.coordinates,
         )
 
     @property
@@ -129,7 +122,7 @@ class ExactRelation(ReadsByRows):
     def inputs(
         self, mean_targets: Sequence[FloatArray] | FloatArray, states: FloatArray, beside: FloatArray | None = None
     ) -> FloatArray:
-        """Return the inputs (m, ...) that put the mean of the next grid state on targets, from ``states`` (d, ...).
+        """Return the inputs (m, ...) that put the mean of the next state on targets, from ``states`` (d, ...).
 
         They are ``B^+ (mean_targets - A x) + u_mid``; linear agents name nobody who is ``beside``.
         """
@@ -188,18 +181,18 @@ class ExactOnCells:
         return bool(np.all(self.reserve >= share * self.relation.input_half_width))
 
 
-def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation:
-    """Return the exact relation of an agent in the given grid coordinates.
+def exact_relation(agent: LinearAgent) -> ExactRelation:
+    """Return the exact relation of an agent.
 
     Raises
     ------
     ValueError
         If ``B`` does not have full row rank: no input then reaches an arbitrary mean.
     """
-    sizes, box = sizes_of(agent, coordinates), agent.input_box
+    sizes, box = sizes_of(agent), agent.input_box
     # Units do not matter: states are measured by the workspace, inputs by their box.
     state_unit, input_unit = sizes.states, np.maximum(box.half_width, np.finfo(float).tiny)
-    scaled = sizes.moves.B * input_unit / state_unit[:, None]
+    scaled = agent.B * input_unit / state_unit[:, None]
     rank = np.linalg.matrix_rank(scaled)
     if rank < agent.n_states:
         raise RelationRefused(
@@ -212,13 +205,12 @@ def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation
     half = np.minimum(box.high - centre, centre - box.low)
     right_inverse = _right_inverse(scaled) * input_unit[:, None] / state_unit
     return ExactRelation(
-        A=sizes.moves.A,
-        B=sizes.moves.B,
+        A=agent.A,
+        B=agent.B,
         right_inverse=right_inverse,
-        drift=sizes.moves.offset + sizes.moves.B @ centre,
+        drift=agent.offset + agent.B @ centre,
         input_centre=centre,
         input_half_width=half,
-        coordinates=coordinates,
         rounding=target_rounding(sizes, right_inverse, centre),
     )
 
@@ -231,8 +223,8 @@ def _right_inverse(matrix: FloatArray) -> FloatArray:
     return np.linalg.pinv(matrix)
 
 
-def aimed_relation(agent: AnyAgent, coordinates: FloatArray) -> ExactRelation | SymbolicTargets:
+def aimed_relation(agent: AnyAgent) -> ExactRelation | SymbolicTargets:
     """Return the exact relation of an agent, or refuse it in words."""
     if agent.is_affine:
-        return exact_relation(linear_agent(agent, "exact"), coordinates)
-    return symbolic_targets(with_expressions(agent), coordinates)
+        return exact_relation(linear_agent(agent, "exact"))
+    return symbolic_targets(with_expressions(agent))

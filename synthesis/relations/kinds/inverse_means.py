@@ -39,10 +39,10 @@ from ....envs.systems.expressions import (
     substituted,
 )
 from ..grids import FloatArray, Grid, RelationRefused, sharpness
-from .coordinates import ReadsCoordinates
+from .cell_relation import ReadsCells
 from .input_cones import input_cones_of, is_whole, largest_angle, polar_inputs, reached
 from .input_forms import Turn, held, independent_columns, turned_inputs
-from .rounding import DENSITY, missed_cells, reading_of
+from .rounding import DENSITY
 
 ROUNDED = 8.0 * 2.0**-53
 """Share of their size by which each operation of an expression may put inputs off; the check allows for less."""
@@ -146,7 +146,7 @@ class SymbolicOnCells:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SymbolicTargets(ReadsCoordinates):
+class SymbolicTargets(ReadsCells):
     """Target-mean interface of an agent with expressions (exact relation: delta = 0, epsilon = half a cell).
 
     Parameters
@@ -414,15 +414,9 @@ class SymbolicTargets(ReadsCoordinates):
 
         Inputs are off by a share of their parts, which B turns into a shift of the mean.
         """
-        reading = reading_of(agent, self.coordinates)
         off = self.asked_on(edges).off.max(axis=0, initial=0.0)
-        shift = float(np.linalg.norm(off / sharpness(agent, self.coordinates))) * (1 + 1e-9)
-        return min(1.0, DENSITY * shift) + missed_cells(reading, reading.read, edges)
-
-    @cached_property
-    def coordinates(self) -> FloatArray:  # type: ignore[override]
-        """Grid coordinates to state: the identity (d, d)."""
-        return np.eye(self.agent.n_states)
+        shift = float(np.linalg.norm(off / sharpness(agent))) * (1 + 1e-9)
+        return min(1.0, DENSITY * shift)
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
@@ -430,7 +424,7 @@ class SymbolicTargets(ReadsCoordinates):
         return tuple(np.frombuffer(text, dtype=np.uint8) for text in self.agent.motion_key)
 
 
-def symbolic_targets(agent: Agent, coordinates: FloatArray) -> SymbolicTargets:
+def symbolic_targets(agent: Agent) -> SymbolicTargets:
     """Return the exact relation of an agent with expressions.
 
     Raises
@@ -451,8 +445,6 @@ def symbolic_targets(agent: Agent, coordinates: FloatArray) -> SymbolicTargets:
     told = {owner.split(".")[0] for owner in agent.others} - {*agent.communicated}
     if told:
         raise refused(f"cancels what it is told, and the states of {', '.join(sorted(told))} are not `communicated`")
-    if not np.array_equal(coordinates, np.eye(agent.n_states)):
-        raise refused("of expressions is for noise that is independent along the states")
     trees, turns = turned_inputs(agent)
     taken = {agent.inputs[j] for turn in turns for j in (turn.size, turn.angle)}
     names = [*(name for name in agent.inputs if name not in taken), *(name for turn in turns for name in turn.names)]

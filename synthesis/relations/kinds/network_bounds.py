@@ -210,7 +210,6 @@ def _layers(policy: NetworkPolicy) -> list[Layer]:
 def mean_form(
     policy: NetworkPolicy,
     moves: tuple[FloatArray, FloatArray, FloatArray],
-    coordinates: FloatArray,
     cells: tuple[FloatArray, FloatArray],
     mode: int,
 ) -> Form:
@@ -222,9 +221,7 @@ def mean_form(
     ----------
     policy : NetworkPolicy
     moves : A (k, d), B (k, m), offset (k,)
-        Dynamics in grid coordinates, or anything else that is ``A x + B u + offset``.
-    coordinates : (d, d) array
-        Grid coordinates to state.
+        Dynamics, or anything else that is ``A x + B u + offset``.
     cells : two (N, d) arrays
     mode : int
     """
@@ -232,7 +229,7 @@ def mean_form(
     layers = _layers(policy)
     weights, biases = [layer.weight for layer in layers], [layer.bias - layer.moved for layer in layers]
     kinds = [network.activation] * (len(layers) - 1) + ["tanh" if network.squashed else "clip"]
-    slopes, before, error = _first_layer(policy, layers[0], coordinates, cells, mode)
+    slopes, before, error = _first_layer(policy, layers[0], cells, mode)
     form = Form(np.broadcast_to(slopes, (len(centre), *slopes.shape)), before, error)
     low, high = form.ends(half)
     line = line_around(kinds[0], low, high)
@@ -260,19 +257,17 @@ def mean_form(
 def _first_layer(
     policy: NetworkPolicy,
     layer: Layer,
-    coordinates: FloatArray,
     cells: tuple[FloatArray, FloatArray],
     mode: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the first layer before its activation: slopes (n, d), centres (N, n) and errors (N, n)."""
-    d, space, weight = len(coordinates), policy.workspace, layer.weight
+    d, space, weight = policy.workspace.dimension, policy.workspace, layer.weight
     # What is seen of a state x is ``scale (x - low) - 1``, or x itself.
     scale, low, shift = 2.0 / (space.high - space.low), space.low, 1.0
     if policy.view.scale == "raw":
         scale, low, shift = np.ones(d), np.zeros(d), 0.0
-    seen = scale[:, None] * coordinates  # of what is seen, by grid coordinates
-    centre = cells[0] @ seen.T - scale * low - shift
-    largest = np.abs(centre) + cells[1] @ np.abs(seen).T
+    centre = cells[0] * scale - scale * low - shift
+    largest = np.abs(centre) + cells[1] * scale
     # A row is computed in double precision and rounded to single.
     off = SINGLE * largest + 2.0**-49 * (1.0 + scale * (np.abs(space.low) + np.abs(space.high)))
     constants = policy.constants(mode)
@@ -281,7 +276,7 @@ def _first_layer(
     size = np.zeros((len(largest), weight.shape[1]))
     size[:, :d], size[:, policy.view.width :] = largest + off, np.abs(constants)
     error = off @ np.abs(weight[:, :d]).T * WIDER + layer.rounded(size)
-    return weight[:, :d] @ seen, before, error
+    return weight[:, :d] * scale, before, error
 
 
 def _values(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:

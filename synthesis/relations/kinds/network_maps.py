@@ -33,14 +33,12 @@ ends of every part, and the check, which rounds otherwise, must find its ends in
 
 @dataclass(frozen=True, eq=False)
 class NetworkMaps:
-    """Affine maps of a linear agent that a network moves, in grid coordinates; choices are modes (``NetworkPolicy``).
+    """Affine maps of a linear agent that a network moves; choices are modes (``NetworkPolicy``).
 
     Parameters
     ----------
     linear : LinearMeans
     policy : NetworkPolicy
-    coordinates : (d, d) array
-        Grid coordinates to state.
     cuts : int
         Parts into which cells are cut along each axis to enclose what the maps leave.
     idle : tuple of int
@@ -49,7 +47,6 @@ class NetworkMaps:
 
     linear: LinearMeans
     policy: NetworkPolicy
-    coordinates: FloatArray
     cuts: int
     idle: tuple[int, ...] = ()
 
@@ -101,7 +98,7 @@ class NetworkMaps:
     def _bounds(self, low: FloatArray, high: FloatArray, mode: int) -> Form:
         """Return affine forms of the means from boxes (n, d) around their middles."""
         moves = (self.linear.A, self.linear.B, self.linear.offset)
-        return mean_form(self.policy, moves, self.coordinates, (0.5 * (low + high), _half(low, high)), mode)
+        return mean_form(self.policy, moves, (0.5 * (low + high), _half(low, high)), mode)
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
@@ -140,7 +137,7 @@ class DrivenMaps(AffineMeans):
         slopes = np.zeros((n, modes, m, d))
         moves = np.zeros((m, d)), np.eye(m), np.zeros(m)
         for mode in (k for k in range(modes) if k % self.policy.view.states not in self.idle):
-            form = mean_form(self.policy, moves, self.coordinates, (centre, half), mode)
+            form = mean_form(self.policy, moves, (centre, half), mode)
             held[:, mode], slopes[:, mode], left[:, mode] = form.centre, form.slopes, form.radius
         size = np.einsum("nkmd,nd->nkm", np.abs(slopes), np.abs(centre) + half)
         left = left * (1.0 + OUTWARD) + widening(self.policy, np.eye(m)) + OUTWARD * (np.abs(held) + size)
@@ -165,7 +162,6 @@ def _half(low: FloatArray, high: FloatArray) -> FloatArray:
 
 def network_linear_relation(
     agent: AnyAgent,
-    coordinates: FloatArray,
     policy: NetworkPolicy,
     numbers: tuple[int, int, Sequence[int]],
     idle: Sequence[int] = (),
@@ -175,7 +171,6 @@ def network_linear_relation(
     Parameters
     ----------
     agent : AnyAgent
-    coordinates : (d, d) array
     policy : NetworkPolicy
     numbers : parts, cuts and reach
         See ``MapRelation`` and ``NetworkMaps``.
@@ -185,8 +180,8 @@ def network_linear_relation(
     parts, cuts, reach = numbers
     maps: NetworkMaps | DrivenMaps
     if agent.is_affine:
-        linear = linear_means(linear_agent(agent, "linear"), coordinates, np.zeros((1, agent.n_inputs, agent.n_states)))
-        maps = NetworkMaps(linear, policy, coordinates, cuts, tuple(idle))
+        linear = linear_means(linear_agent(agent, "linear"), np.zeros((1, agent.n_inputs, agent.n_states)))
+        maps = NetworkMaps(linear, policy, cuts, tuple(idle))
     else:
-        maps = DrivenMaps(with_expressions(agent), coordinates, cuts, policy, tuple(idle))
-    return MapRelation(maps, coordinates, policy.idle_menu, parts, tuple(int(n) for n in reach))
+        maps = DrivenMaps(with_expressions(agent), cuts, policy, tuple(idle))
+    return MapRelation(maps, policy.idle_menu, parts, tuple(int(n) for n in reach))

@@ -155,7 +155,6 @@ class NetworkPolicy:
     def replaced(
         self,
         choices: NDArray[Any],
-        coordinates: FloatArray,
         points: FloatArray,
         moment: tuple[NDArray[Any], int],
         inputs: FloatArray,
@@ -166,18 +165,13 @@ class NetworkPolicy:
         ----------
         choices : (n, M) int array
             Modes are the first ones; -1 for none.
-        coordinates : (d, d) array
-            Grid coordinates to state.
         points : (d, n, M) array
-            In grid coordinates.
         moment : automaton states (M,), time
         inputs : (m, n, M) array
         """
         q, time = moment
         asked = (choices >= 0) & (choices < self.n_modes)
         states = points[:, asked]
-        if not np.array_equal(coordinates, np.eye(len(coordinates))):
-            states = coordinates @ states
         own_q = np.broadcast_to(q, choices.shape)[asked]
         result = np.array(inputs)
         if states.size:

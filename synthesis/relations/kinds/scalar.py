@@ -85,7 +85,7 @@ def paper_relation(
     # The feedback takes |K| epsilon of the inputs on both sides.
     a, b, variance = float(agent.A[0, 0]), float(agent.B[0, 0]), float(agent.noise_covariance[0, 0])
     closed = a + b * feedback
-    sizes = sizes_of(agent, np.eye(1))
+    sizes = sizes_of(agent)
     reserve = abs(feedback) * epsilon * WIDENED + float(feedback_rounding(sizes, np.array([[feedback]]))[0])
     low, high = float(agent.input_box.low[0]) + reserve, float(agent.input_box.high[0]) - reserve
     if low > high:
@@ -122,6 +122,5 @@ def paper_relation(
         inputs=grid[:, None],
         input_low=agent.input_box.low,
         input_high=agent.input_box.high,
-        coordinates=np.eye(1),
         is_cell=is_cell,
     )

@@ -23,11 +23,6 @@ from ....envs.systems.expressions import Affine, Interval, enclosed, roundings
 from ..grids import FloatArray
 from .commands import Command, commands_of, steered_inputs, steered_trees
 
-ROTATED = 1e-12
-"""Share of their size by which boxes are widened where grid coordinates are not the state: the inverse matrix is
-rounded. The check widens by less."""
-
-
 INNER = 4.0
 """Factor on what inner terms of expressions lose, for products of such losses; the check allows for half of it."""
 
@@ -43,8 +38,6 @@ class SymbolicMeans:
     Parameters
     ----------
     agent : Agent
-    coordinates : (d, d) array
-        Grid coordinates to state.
     parts : int
         Parts into which cells are cut along each axis.
     steer : (A,) bool array, optional
@@ -52,7 +45,6 @@ class SymbolicMeans:
     """
 
     agent: Agent
-    coordinates: FloatArray
     parts: int
     steer: NDArray[np.bool_] | None = None
 
@@ -94,11 +86,13 @@ class SymbolicMeans:
         shape = (len(low), len(input_set), self.agent.n_states)
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
         for box in self.cut(low, high):
-            for axis, (below, above) in enumerate(self._enclosed(box, input_set)):
+            for axis, (below, above) in enumerate(
+                enclosed(self.agent.trees, self._names(input_set), self.variables(box))
+            ):
                 # minimum and maximum keep what is not a number
                 np.minimum(first[..., axis], below, out=first[..., axis])
                 np.maximum(last[..., axis], above, out=last[..., axis])
-        return self.widened(first, last)
+        return first, last
 
     def _steered(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the corners for choices that steer."""
@@ -141,11 +135,6 @@ class SymbolicMeans:
         for part in product(range(self.parts), repeat=low.shape[1]):
             yield [(cuts[k][:, axis, None], cuts[k + 1][:, axis, None]) for axis, k in enumerate(part)]
 
-    def _enclosed(self, box: list[Interval], input_set: FloatArray) -> list[Interval]:
-        """Return intervals (n, A) around the mean along each axis, from boxes of n cells."""
-        rows = None if self.is_plain else self._inverse
-        return enclosed(self.agent.trees, self._names(input_set), self.variables(box), rows)
-
     def variables(self, box: list[Interval]) -> list[Interval]:
         """Return all variables: the axes of the cell, and disturbances and neighbours, anything in their intervals."""
         one = np.ones((1, 1))
@@ -154,9 +143,8 @@ class SymbolicMeans:
     def _names(self, input_set: FloatArray) -> dict[str, Affine]:
         """Return what states, inputs and disturbances are in the variables."""
         one, names = np.ones((1, 1)), {}
-        for state, row in zip(self.agent.states, self.coordinates, strict=True):
-            slopes = {k: entry * one for k, entry in enumerate(row.tolist()) if entry != 0.0}
-            names[state] = Affine(np.zeros((1, 1)), slopes)
+        for k, state in enumerate(self.agent.states):
+            names[state] = Affine(np.zeros((1, 1)), {k: one})
         for name, column in zip(self.agent.inputs, input_set.T, strict=True):
             names[name] = Affine(column[None])
         for k, name in enumerate(self.agent.unknowns, start=self.agent.n_states):
@@ -173,8 +161,7 @@ class SymbolicMeans:
     ) -> FloatArray:
         """Return the inputs (m, ...) of choices (...) at points (d, ...) of cells with centres (d, ...).
 
-        ``u`` are the inputs of the menu, ``beside`` (l, ...) the states of others that the dynamics name, if any. Grid
-        coordinates are the state where choices steer.
+        ``u`` are the inputs of the menu, ``beside`` (l, ...) the states of others that the dynamics name, if any.
         """
         if self.steer is None or not np.any(self.steer):
             return u
@@ -182,24 +169,8 @@ class SymbolicMeans:
 
     @cached_property
     def commands(self) -> tuple[Command, ...]:
-        """Axes that have targets: none where grid coordinates are not the state."""
-        return commands_of(self.agent) if self.is_plain else ()
-
-    def widened(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return boxes (.., d) with what turning them into grid coordinates may be off by."""
-        if self.is_plain:
-            return low, high
-        size = np.maximum(np.abs(low), np.abs(high)) @ (np.abs(self._inverse) @ np.abs(self.coordinates)).T
-        return low - ROTATED * size, high + ROTATED * size
-
-    @cached_property
-    def is_plain(self) -> bool:
-        """Whether grid coordinates are the state."""
-        return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
-
-    @cached_property
-    def _inverse(self) -> FloatArray:
-        return np.asarray(np.linalg.inv(self.coordinates))
+        """Axes that have targets."""
+        return commands_of(self.agent)
 
     @property
     def description(self) -> dict[str, Any]:

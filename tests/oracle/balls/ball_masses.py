@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from flint import arb, arb_mat
+from flint import arb
 from numpy.typing import NDArray
 
 from certigym.envs.systems.agents import AnyAgent
@@ -75,9 +75,7 @@ def _laws(agent: AnyAgent, part: AgentRecord) -> list[Any]:
     """The law of the noise along every grid axis; deviations of normal ones are balls."""
     if agent.laws is not None:
         return [ExactLaw(law) for law in agent.laws]
-    inverse = np.array(arb_mat(part.coordinates.tolist()).inv().tolist(), dtype=object)
-    variances = np.diag(inverse @ balls(agent.noise_covariance) @ inverse.T)
-    return [Normal(variance.sqrt()) for variance in variances]
+    return [Normal(variance.sqrt()) for variance in np.diag(balls(agent.noise_covariance))]
 
 
 def masses(memory: Memory, agent: AnyAgent, part: AgentRecord, tables: Sequence[FloatArray]) -> Proof:

@@ -7,10 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from flint import arb, arb_mat
-from numpy.typing import NDArray
+from flint import arb
 
-from certigym.synthesis.certificates.cell_probabilities import AgentRecord
 from certigym.synthesis.relations.grids import FloatArray
 
 from .ball_memory import Memory, Proof
@@ -77,13 +75,3 @@ def angles(memory: Memory, middle: Any, corners: Any, found: Any, off: FloatArra
             turn = arb.atan2(x[i] * b_i - y[i] * a_i, x[i] * a_i + y[i] * b_i)
             wrong += not abs(turn - arb(way[i])) <= room
     return len(x) * 5, ["the angle of an input was not proved"] if wrong else []
-
-
-def start(memory: Memory, part: AgentRecord, at: FloatArray, points: FloatArray, own: NDArray[np.bool_]) -> Proof:
-    """A start is in the cell that it is taken to be in; coordinates that are states are read as they are."""
-    exact = np.array(arb_mat(part.coordinates.tolist()).inv().tolist(), dtype=object) @ balls(at)
-    for edges, x, point, is_state in zip(part.grid.edges, exact, points.tolist(), own.tolist(), strict=True):
-        k = int(np.searchsorted(edges, point, side="right"))
-        if not is_state and np.any(at) and not ((k == 0 or edges[k - 1] < x) and (k == len(edges) or x < edges[k])):
-            return len(points), ["the cell of a start was not proved"]
-    return len(points), []

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from .ball_masses import hats, lost, masses, near
 from .ball_memory import Proof
-from .ball_numbers import angles, error_function, function, interpolation_error, spans, start
+from .ball_numbers import angles, error_function, function, interpolation_error, spans
 from .ball_relations import disturbance, mean_targets, targets
 from .ball_sums import differences, spare, sums
 
@@ -21,6 +21,6 @@ PROOFS: dict[str, Callable[..., Proof]] = {
     "function": function, "spans": spans,
     "aims": mean_targets, "targets": targets,
     "disturbance": disturbance,
-    "spare": spare, "angles": angles, "start": start, "sums": sums, "differences": differences,
+    "spare": spare, "angles": angles, "sums": sums, "differences": differences,
 }  # fmt: skip
 """By the names of statements."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from flint import arb, arb_mat
+from flint import arb
 
 from certigym.envs.systems.agents import LinearAgent
 from certigym.synthesis.certificates.cell_probabilities import AgentRecord
@@ -21,9 +21,7 @@ def mean_targets(
     memory: Memory, agent: LinearAgent, part: AgentRecord, relation: ExactRelation, off: FloatArray
 ) -> Proof:
     """Means ``A x + B (R (z - d - A_r x) + mid) + c`` miss z by no more than is said."""
-    C = balls(part.coordinates)
-    inverse = np.array(arb_mat(part.coordinates.tolist()).inv().tolist(), dtype=object)
-    A, B, c = inverse @ balls(agent.A) @ C, inverse @ balls(agent.B), inverse @ balls(agent.offset)
+    A, B, c = balls(agent.A), balls(agent.B), balls(agent.offset)
     A_r, R = balls(relation.A), balls(relation.right_inverse)
     drift, middle = balls(relation.drift), balls(relation.input_centre)
     x = balls([max(abs(edges[0]), abs(edges[-1])) for edges in part.grid.edges])

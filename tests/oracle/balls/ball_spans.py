@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from flint import arb, arb_mat
+from flint import arb
 
 from certigym.envs.systems.agents import with_matrices
 from certigym.envs.systems.expressions import Name, Number, Tree, whole_exponent
@@ -186,18 +186,12 @@ def _raised(base: Span, exponent: Span, tree: Tree) -> Span:
 
 
 class _Outputs:
-    """What is enclosed, as functions of boxes of variables: grid coordinates of the cell, then what is unknown."""
+    """What is enclosed, as functions of boxes of variables: states in the cell, then what is unknown."""
 
     def __init__(self, enclosed: Enclosed) -> None:
         self.enclosed, self.moving = enclosed, enclosed.agent
         assert enclosed.trees is not None  # those of matrices are maps
         self.trees = enclosed.trees
-        C = enclosed.coordinates
-        self.rows = [[(k, arb(x)) for k, x in enumerate(row) if x != 0.0] for row in C.tolist()]
-        plain = np.array_equal(C, np.eye(len(C)))
-        self.turned = None
-        if enclosed.turned and not plain:
-            self.turned = arb_mat(C.tolist()).inv().tolist()
 
     def at(self, i: int, middle: Sequence[Any]) -> Callable[[Sequence[Ends], bool], list[Span]]:
         """The functions on parts of cell i, whose middle is given."""
@@ -211,13 +205,10 @@ class _Outputs:
             variables = [Span(ends, tuple(ONE if j == k else ZERO for j in range(count))) for k, ends in enumerate(box)]
             nothing = tuple(ZERO for _ in range(count))
             leaves = {name: Span((x, x), nothing) for name, x in given.items()}
-            for name, row in zip(m.states, self.rows, strict=True):
-                leaves[name] = _combined([(x, variables[k]) for k, x in row], nothing)
+            leaves |= dict(zip(m.states, variables, strict=False))
             leaves |= {name: Span((u, u), nothing) for name, u in zip(m.inputs, inputs, strict=False)}
             leaves |= dict(zip(m.unknowns, variables[d:], strict=False))
             values = [span(tree, leaves) for tree in self.trees]
-            if self.turned is not None:
-                values = [_combined(list(zip(row, values, strict=True)), nothing) for row in self.turned]
             if e.less is not None:
                 z, gain = (own[i].tolist() for own in e.less)
                 moved = [_combined([(arb(1), v), (arb(-1), Span((c, c), nothing))], nothing)
@@ -298,9 +289,8 @@ def unproved(
 
 def _unproved_maps(enclosed: Enclosed, low: Any, high: Any, first: Any, last: Any) -> int:
     """How many boxes were not shown to hold the means of matrices, which are extreme at corners of cells."""
-    agent, C = with_matrices(enclosed.agent), balls(enclosed.coordinates)
-    inverse = np.array(arb_mat(enclosed.coordinates.tolist()).inv().tolist(), dtype=object)
-    A, B, c = (inverse @ own for own in (balls(agent.A) @ C, balls(agent.B), balls(agent.offset)))
+    agent = with_matrices(enclosed.agent)
+    A, B, c = balls(agent.A), balls(agent.B), balls(agent.offset)
     middle = balls(0.5 * (low + high))
     half = np.maximum(balls(high) - middle, middle - balls(low))
     at, slope = middle @ A.T + balls(enclosed.inputs) @ B.T + c, np.broadcast_to(A, (len(low), *A.shape))
