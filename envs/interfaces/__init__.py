@@ -5,7 +5,7 @@ Problems as PettingZoo and Gymnasium environments, and their rendering: scenes, 
 
 from .automaton_drawing import automaton_to_dot, places
 from .central_env import CentralEnv
-from .device_team_env import DeviceTeamEnv, TeamState
+from .device_team_env import DeviceTeamEnv
 from .guard_texts import edges
 from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
 from .observation import AUTOMATON, SCALES, SCOPES, Bounds, checked_option, joint_bounds, relative_bounds
@@ -18,52 +18,5 @@ from .shaping import Potential
 from .specified import Specified
 from .task_roles import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
 from .tasks_env import TasksEnv
-from .team_env import TeamEnv, TeamStep
+from .team_env import TeamEnv
 from .vector_env import ProblemVectorEnv
-
-__all__ = [
-    "AGENTS",
-    "AGENTS_ON_DARK",
-    "AUTOMATON",
-    "AVOIDED",
-    "Bounds",
-    "CentralEnv",
-    "Curve",
-    "DeviceTeamEnv",
-    "Drawer",
-    "FREE",
-    "KEPT",
-    "LOOKS",
-    "MIXED",
-    "MOST_STRETCHED",
-    "Panel",
-    "Picture",
-    "Potential",
-    "ProblemEnv",
-    "ProblemVectorEnv",
-    "REACHED",
-    "Region",
-    "SCALES",
-    "SCOPES",
-    "Specified",
-    "TasksEnv",
-    "TeamEnv",
-    "TeamState",
-    "TeamStep",
-    "agent_color",
-    "automaton_to_dot",
-    "checked_neighbours",
-    "checked_option",
-    "common_sizes",
-    "coordinate_name",
-    "edges",
-    "have_one_scale",
-    "joint_bounds",
-    "nearest_bounds",
-    "nearest_seen",
-    "panels",
-    "places",
-    "relative_bounds",
-    "roles",
-    "verdict_text",
-]

@@ -6,18 +6,3 @@ How problems move and how they are judged, with the same bits for one world and 
 from .batch_simulator import Draws, Dynamics, Worlds, joint, letters, neighbours, split_joint
 from .disturbances import BEHAVIOURS, Behaviour, checked_behaviour
 from .single_simulator import SingleSimulator, World
-
-__all__ = [
-    "BEHAVIOURS",
-    "Behaviour",
-    "Draws",
-    "Dynamics",
-    "SingleSimulator",
-    "World",
-    "Worlds",
-    "checked_behaviour",
-    "joint",
-    "letters",
-    "neighbours",
-    "split_joint",
-]

@@ -22,11 +22,3 @@ from .steps import Joint, Trajectory, Tube
 from .trajectories import failure_of, linear_forms, walk
 from .trajectories import read_proof as read_trajectories
 from .verdict import Verdict, bound_of, check, check_contents, shown
-
-__all__ = [
-    "FORMAT", "MOST_BYTES", "VERSION", "CheckedAgent", "Network", "CheckedProblem", "Contents", "Joint",
-    "Refused", "Trajectory", "Tube", "Unreadable", "Verdict", "affine_dynamics", "automaton_states", "bound_of",
-    "check", "check_angles", "check_contents", "check_words", "demands", "failure_of", "followed", "known_at",
-    "known_at_start", "linear_forms", "parse_file", "read_file", "read_problem", "read_trajectories", "row_seen",
-    "shown", "value_on", "walk",
-]  # fmt: skip

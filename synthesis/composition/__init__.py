@@ -9,17 +9,3 @@ from .collision_probability import CollisionProbability
 from .horizons import each_horizon, horizons_of, without_deadline
 from .independent_tasks import synthesize_parts
 from .joint_tasks import joint_strategies
-
-__all__ = [
-    "CollisionProbability",
-    "each_horizon",
-    "horizons_of",
-    "less_proximity",
-    "proximity",
-    "relevant_pairs",
-    "synthesize_parts",
-    "usual_values",
-    "joint_strategies",
-    "without_deadline",
-    "without_pairs",
-]

@@ -8,23 +8,5 @@ from .importers import RUN, as_policy, batchable, certifiable, is_model
 from .layers import TORCH_ACTIVATIONS
 from .local_policies import LocalBatch
 from .model_policies import TeamModels
-from .observation_maps import ObservationMap
 from .writing import is_written_policy, save_policy
 from .written_feedback import SymbolicPolicies
-
-__all__ = [
-    "LocalBatch",
-    "NotAnActor",
-    "RUN",
-    "TORCH_ACTIVATIONS",
-    "ObservationMap",
-    "TeamModels",
-    "SymbolicPolicies",
-    "as_policy",
-    "batchable",
-    "certifiable",
-    "is_model",
-    "is_written_policy",
-    "save_policy",
-    "stored",
-]

@@ -12,47 +12,6 @@ from .ranking import Leaderboard, Standing, judged, judging_plan, leaderboard, r
 from .ranking_page import page_of
 from .recording import Recording, record
 from .rollout_policies import IdleController, RandomController, as_controller
-from .shielded_batches import ShieldedTeamEnv, ShieldedVectorEnv
-from .shielded_envs import ShieldedCentralEnv, ShieldedEnv, ShieldedTasksEnv
 from .smoothing import smoothed
 from .tier_rule import tier_of
 from .training import ALGORITHMS, Training, certificate_of, train
-
-__all__ = [
-    "ALGORITHMS",
-    "Attempt",
-    "Comparison",
-    "IdleController",
-    "Leaderboard",
-    "NotAnActor",
-    "Probe",
-    "RandomController",
-    "Recording",
-    "ShieldedCentralEnv",
-    "ShieldedEnv",
-    "ShieldedTasksEnv",
-    "ShieldedTeamEnv",
-    "ShieldedVectorEnv",
-    "Sources",
-    "Standing",
-    "Training",
-    "as_controller",
-    "certificate_of",
-    "compare",
-    "given",
-    "judged",
-    "judging_plan",
-    "label_of",
-    "leaderboard",
-    "load_actor",
-    "page_of",
-    "probe",
-    "publish",
-    "record",
-    "replayed",
-    "save_actor",
-    "shield",
-    "smoothed",
-    "tier_of",
-    "train",
-]

@@ -11,23 +11,3 @@ from .declared_names import MOST_OUTPUTS, TIME
 from .expression_agent import Agent, with_expressions
 from .neighbours import Place, neighbour, place_of, tied
 from .products import linear, row_times
-
-__all__ = [
-    "Agent",
-    "AnyAgent",
-    "Box",
-    "LinearAgent",
-    "MOST_OUTPUTS",
-    "Place",
-    "TIME",
-    "TURN",
-    "checked_name",
-    "linear",
-    "neighbour",
-    "place_of",
-    "row_times",
-    "tied",
-    "with_expressions",
-    "with_matrices",
-    "wrapped",
-]

@@ -20,29 +20,3 @@ from .checks import (
 )
 from .printing import box_text, counted, matrix_text, names_text, shortened, tree_text, vector_text
 from .saving import write_bytes, write_json, write_text
-
-__all__ = [
-    "OTHER_NAMES",
-    "MOST_AGENTS",
-    "UnknownArgument",
-    "box_text",
-    "checked_count",
-    "checked_states",
-    "counted",
-    "float_array",
-    "for_all_axes",
-    "matrix_text",
-    "names_text",
-    "read_only",
-    "shortened",
-    "shown",
-    "slices_of",
-    "tree_text",
-    "names_arguments",
-    "near",
-    "unknown_argument",
-    "vector_text",
-    "write_bytes",
-    "write_json",
-    "write_text",
-]

@@ -19,21 +19,3 @@ from .libraries import (
 )
 from .one_thread import on_one_thread
 from .random_numbers import Numbers, numbers_beside
-
-__all__ = [
-    "Array",
-    "HOST",
-    "LIBRARIES",
-    "Numbers",
-    "concatenated",
-    "device_put",
-    "double",
-    "is_host",
-    "is_whole",
-    "namespace",
-    "numbers_beside",
-    "on_one_thread",
-    "single",
-    "special",
-    "to_host",
-]

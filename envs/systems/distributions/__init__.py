@@ -7,16 +7,3 @@ from .composed_laws import ScipyLaw
 from .envelopes import Envelope, Tail
 from .laws import Gaussian, Law, Uniform
 from .noise import declared_noise, is_own_law, laws_by_author, laws_of
-
-__all__ = [
-    "Gaussian",
-    "Law",
-    "Envelope",
-    "ScipyLaw",
-    "Tail",
-    "Uniform",
-    "declared_noise",
-    "is_own_law",
-    "laws_by_author",
-    "laws_of",
-]

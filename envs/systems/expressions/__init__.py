@@ -13,32 +13,3 @@ from .linear_systems import AffineForm, affine_form, replaced, solved
 from .programs import Program
 from .reading import ExpressionError, checked_variable, read_expression
 from .repeating import turns
-
-__all__ = [
-    "Affine",
-    "AffineForm",
-    "Compiled",
-    "ExpressionError",
-    "Interval",
-    "Name",
-    "Number",
-    "Operation",
-    "Program",
-    "Tree",
-    "affine",
-    "affine_form",
-    "checked_variable",
-    "computed",
-    "enclosed",
-    "gradients",
-    "names_in",
-    "operations_in",
-    "read_expression",
-    "replaced",
-    "roundings",
-    "solved",
-    "split_at",
-    "substituted",
-    "turns",
-    "whole_exponent",
-]

@@ -13,27 +13,3 @@ from .time_unrolled import Places, states_in_time, unrolled_in_time
 from .unreachable import OutOfReach, out_of_reach
 from .unrolling import Unrolled, unrolled
 from .unsatisfiable import cut_by_the_end, doubts, why_unsatisfiable
-
-__all__ = [
-    "policy_in_file",
-    "JOINT_NOISE_REFUSAL",
-    "OutOfReach",
-    "Places",
-    "Problem",
-    "Specification",
-    "Unrolled",
-    "checked_problem",
-    "crossed_starts",
-    "cut_by_the_end",
-    "doubts",
-    "load_problem",
-    "complement_inside",
-    "complement_of",
-    "out_of_reach",
-    "problem_from_dict",
-    "problem_from_toml",
-    "states_in_time",
-    "unrolled",
-    "why_unsatisfiable",
-    "unrolled_in_time",
-]

@@ -10,25 +10,3 @@ from .pieces import Combined, Form, Frame, Limit, Piece
 from .proposition import Proposition
 from .shapes import SHAPES
 from .timed_corners import DECIMALS
-
-__all__ = [
-    "Combined",
-    "DECIMALS",
-    "FLAT",
-    "Form",
-    "Frame",
-    "Labeling",
-    "Limit",
-    "MOVING_REFUSAL",
-    "Pair",
-    "PairRegion",
-    "Piece",
-    "Proposition",
-    "REFUSAL",
-    "SHAPES",
-    "contains",
-    "heading_of",
-    "holds",
-    "inside",
-    "of_hint",
-]

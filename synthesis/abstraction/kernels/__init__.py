@@ -10,27 +10,3 @@ from .lattice_kernel import LatticeKernel, lattice_kernel_of
 from .linear_kernel import hat_table
 from .multilinear_kernel import BESIDE, FAR, Images, MultilinearKernel, in_chunks
 from .second_derivative_bounds import SecondDerivativeBounds
-
-__all__ = [
-    "BESIDE",
-    "FAR",
-    "SecondDerivativeBounds",
-    "BoxKernel",
-    "MultilinearKernel",
-    "Images",
-    "Kernel",
-    "LatticeKernel",
-    "MOST_SCALED",
-    "MOST_SCALES",
-    "box_kernel_of",
-    "box_lattice",
-    "each_window_minima",
-    "gaussian_table",
-    "hat_table",
-    "in_chunks",
-    "lattice_kernel_of",
-    "law_table",
-    "least_over_boxes",
-    "points_per_cell",
-    "scale_levels",
-]

@@ -21,33 +21,3 @@ from .finite_models import (
 from .joint import JointModel, count_of_decisions, join, spread_start, start_of
 from .network_model import network_abstraction, network_tables
 from .surroundings import surrounded
-
-__all__ = [
-    "Abstraction",
-    "AgentModel",
-    "BoxChoices",
-    "ActionTable",
-    "RELATIONS",
-    "JointModel",
-    "Policies",
-    "Relations",
-    "Settings",
-    "StepPolicy",
-    "TIE",
-    "abstraction_of",
-    "best_offered",
-    "check_names",
-    "count_of_decisions",
-    "gather",
-    "reaches_every_mean",
-    "join",
-    "lost_beside",
-    "models_of",
-    "network_abstraction",
-    "network_tables",
-    "relations_of",
-    "shifted",
-    "spread_start",
-    "start_of",
-    "surrounded",
-]

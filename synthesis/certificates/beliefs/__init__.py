@@ -4,5 +4,3 @@ What a search believed of its certificate, in numbers that the checker computes 
 """
 
 from .alarms import alarm, alarm_in, believed_along, believed_on_cells, is_canonical
-
-__all__ = ["alarm", "alarm_in", "believed_along", "believed_on_cells", "is_canonical"]

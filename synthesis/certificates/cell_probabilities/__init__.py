@@ -8,21 +8,3 @@ from .checked_kernel import axis_tables, backup, kernel_key, lost_to_rounding
 from .checked_laws import law_charge, law_error, law_height, probability_below, scale_charge
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .stated import Statement, noted, state
-
-__all__ = [
-    "AgentRecord",
-    "BrokenTrainError",
-    "Statement",
-    "axis_tables",
-    "kernel_key",
-    "law_charge",
-    "law_error",
-    "law_height",
-    "lost_to_rounding",
-    "noted",
-    "probability_below",
-    "regrow_trains",
-    "scale_charge",
-    "backup",
-    "state",
-]

@@ -12,25 +12,3 @@ from .path_covariances import covariances_along
 from .product_controller import ProductController
 from .timed_controller import TimedController
 from .vertex_controller import VertexController, interpolated
-
-__all__ = [
-    "AgentController",
-    "Controller",
-    "Decentralised",
-    "InputTable",
-    "LOCAL",
-    "JointNetworkController",
-    "NetworkController",
-    "PathController",
-    "Policy",
-    "Vectorized",
-    "ProductController",
-    "TimedController",
-    "VertexController",
-    "covariances_along",
-    "covariances_of",
-    "decentralised",
-    "interpolated",
-    "nominal_states",
-    "vectorized",
-]

@@ -7,26 +7,7 @@ from .certificate_check import check
 from .checked_first import checked_once, claim_text, standing
 from .complement_task import wrong_complement
 from .greedy import greedy_disturbance
-from .invariance_rate import SHORTEST, SafetyRate, is_safety, safety_rate
+from .invariance_rate import SHORTEST, is_safety, safety_rate
 from .regrown_tree import regrow, vertices_of
 from .timed_check import wrong_in_time
 from .values_in_time import ValueInTime, claimed_values, value_in_time
-
-__all__ = [
-    "check",
-    "checked_once",
-    "claim_text",
-    "claimed_values",
-    "greedy_disturbance",
-    "is_safety",
-    "regrow",
-    "safety_rate",
-    "SafetyRate",
-    "SHORTEST",
-    "standing",
-    "value_in_time",
-    "ValueInTime",
-    "vertices_of",
-    "wrong_in_time",
-    "wrong_complement",
-]

@@ -4,7 +4,7 @@ One step of one agent, found again: where it goes, and what values are there.
 """
 
 from .carrying_out import wrong_actions
-from .execution import UNIT, execution_of
+from .execution import execution_of
 from .geometry import OUTWARD, cell_boxes, classes_in_boxes, start_shares
 from .linear_check import hat_weights, masks_of, places_of
 from .map_enclosures import networked_maps
@@ -13,27 +13,3 @@ from .network_enclosures import network_maps
 from .relation_check import label_margin, verify_relation, wrong_for_uneven_noise
 from .step_backups import step_backup_of, step_backups_of
 from .step_regions import RegionSpan
-
-__all__ = [
-    "OUTWARD",
-    "cell_boxes",
-    "classes_in_boxes",
-    "Enclosed",
-    "enclosed_means",
-    "enclosed_scales",
-    "execution_of",
-    "hat_weights",
-    "label_margin",
-    "masks_of",
-    "network_maps",
-    "networked_maps",
-    "places_of",
-    "step_backup_of",
-    "step_backups_of",
-    "RegionSpan",
-    "start_shares",
-    "UNIT",
-    "verify_relation",
-    "wrong_actions",
-    "wrong_for_uneven_noise",
-]

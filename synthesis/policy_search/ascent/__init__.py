@@ -13,35 +13,3 @@ from .stationary import stationary_best
 from .train_ascent import TrainSweep
 from .train_backward import backward
 from .tree import Candidates, assemble, candidates, terminal_terms
-
-__all__ = [
-    "Candidates",
-    "FINAL",
-    "SearchResult",
-    "Limits",
-    "MANY_TERMS",
-    "RELAXED",
-    "Relaxation",
-    "Search",
-    "Stage",
-    "Sweep",
-    "TrainSweep",
-    "assemble",
-    "backward",
-    "candidates",
-    "favourable_successors",
-    "find_policies",
-    "forward",
-    "relax",
-    "relax_one",
-    "relaxed_policies",
-    "start_value",
-    "stationary_best",
-    "BAR",
-    "BEGINS",
-    "shown_on",
-    "sweep_bar",
-    "sweep",
-    "terminal_terms",
-    "upper_bound",
-]

@@ -19,20 +19,3 @@ from .certified import (
 )
 from .continuous import continuous_upper_bound
 from .optimum import abstract_bound
-
-__all__ = [
-    "Bound",
-    "a_posteriori_bound",
-    "abstract_bound",
-    "continuous_upper_bound",
-    "rounding_loss",
-    "evaluate_above",
-    "nominal_bound",
-    "plain_loss",
-    "relative_rounding",
-    "robust_bound",
-    "robust_loss",
-    "deadlocked_mass",
-    "train_bound",
-    "undecided_steps",
-]

@@ -6,14 +6,3 @@ From policies on cells to certificates: bounds collected, and what the check say
 from .agreement import along_path, judged
 from .certification import certificate_of
 from .on_cells import Plan, compared, continued, plain, searched
-
-__all__ = [
-    "Plan",
-    "along_path",
-    "certificate_of",
-    "compared",
-    "continued",
-    "judged",
-    "plain",
-    "searched",
-]

@@ -9,30 +9,3 @@ from .refinement_levels import Run, box_work, finer_levels, first_cells, linear_
 from .relation_choice import Tries, groups_of, has_linear_cells
 from .strategies import GOOD, SOLVED, Results, Strategy, best_of, in_order, leading, refused, with_settings
 from .weak_inputs import cells_where_scarce
-
-__all__ = [
-    "Effort",
-    "OutOfTime",
-    "GOOD",
-    "Results",
-    "Run",
-    "SOLVED",
-    "Tries",
-    "Strategy",
-    "best_of",
-    "box_work",
-    "cells_where_scarce",
-    "finer_levels",
-    "first_cells",
-    "groups_of",
-    "has_linear_cells",
-    "in_order",
-    "leading",
-    "linear_levels",
-    "linear_work",
-    "policies_from",
-    "refused",
-    "settings_of",
-    "with_settings",
-    "work_of",
-]

@@ -14,38 +14,3 @@ from .path_limits import Limits, corners_along, farthest_sides, limits_along, si
 from .soft_limits import soft_costs
 from .strip_constraints import StripConstraints, failure_of, input_strips, limits_of, state_strips
 from .team_model import TeamModel, Tie, key_of
-
-__all__ = [
-    "LinearizationErrors",
-    "Feedback",
-    "Limits",
-    "NominalPath",
-    "NonlinearModel",
-    "PairAim",
-    "PairLimits",
-    "PairRows",
-    "StripConstraints",
-    "Spreads",
-    "TeamModel",
-    "Tie",
-    "Worth",
-    "corners_along",
-    "deviations_of",
-    "failure_of",
-    "farthest_sides",
-    "input_strips",
-    "key_of",
-    "least_by_times",
-    "limits_along",
-    "limits_of",
-    "most_missed",
-    "nearest_by_times",
-    "pair_limits",
-    "pair_rows",
-    "satisfies",
-    "sides_of",
-    "soft_costs",
-    "state_strips",
-    "without_far_ends",
-    "worth_of",
-]

@@ -7,5 +7,3 @@ from .counted_work import CountedWork
 from .path_search import path_certificate, refuse_without_path
 from .policy_paths import networks_along
 from .start_cells import networks_from
-
-__all__ = ["CountedWork", "networks_along", "networks_from", "path_certificate", "refuse_without_path"]

@@ -9,22 +9,3 @@ from .safe_reach import Reach, whatever_others_do
 from .segments import segmented_ways
 from .timed_words import fastest_moves, spans_of, timed_ways
 from .visits import HALVES, with_windows
-
-__all__ = [
-    "Cube",
-    "HALVES",
-    "Plan",
-    "Reach",
-    "AutomatonPath",
-    "cubes_of",
-    "fastest_moves",
-    "letters_of",
-    "segmented_ways",
-    "spans_of",
-    "targets_of",
-    "timed_ways",
-    "automaton_paths_of",
-    "whatever_others_do",
-    "with_windows",
-    "without_needless",
-]

@@ -8,18 +8,3 @@ from .lograsm import AIM, certified_networks, write_networks
 from .lograsm import table as network_table
 from .reproduction import Reproduction, computed
 from .targets import TARGETS, lines_of, target_of
-
-__all__ = [
-    "AIM",
-    "RECORDED",
-    "Reproduction",
-    "TARGETS",
-    "certified_networks",
-    "computed",
-    "lines_of",
-    "lines_text",
-    "network_table",
-    "target_of",
-    "summary_text",
-    "write_networks",
-]
