@@ -46,7 +46,7 @@ from ...checker.cells import start_weights
 from ...checker.distributions import NORMAL
 from ...checker.formula import wrong_automaton
 from ...checker.intervals import up
-from ...checker.motions import Labels, cell_labels
+from ...checker.motions import cell_labels
 from ...checker.rigorous import Array, Truth, U, Whole, wrong_arithmetic
 from ...checker.tree import finished
 from .closed_loops import closed_loop, corners_of, names_time
@@ -99,7 +99,7 @@ class Backups:
     near: float = NEAR
     noise_laws: Sequence[Law] | None = None
     images: dict[tuple[int, bytes], Images] = field(default_factory=dict)
-    labels: dict[int, Labels] = field(default_factory=dict)
+    letters: dict[int, list[tuple[dict[int, bool], Truth]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.problem.agents) != 1 or self.problem.pairs:
@@ -159,6 +159,18 @@ class Backups:
                 )
         return result
 
+    @cached_property
+    def reached(self) -> Truth:
+        """Which automaton states (T + 1, Q) runs may be in at each time, those apart that have lost the task."""
+        automaton = self.problem.automaton
+        result = np.zeros((self.problem.horizon + 1, len(automaton.accepting)), dtype=bool)
+        ways = [[*automaton.targets(q, {})] for q in range(result.shape[1])]
+        result[0, ways[automaton.initial]] = True
+        for now, later in itertools.pairwise(result):
+            for q in np.flatnonzero(now):
+                later[ways[q]] = True
+        return result & ~np.array(automaton.dead())
+
     def at_end(self) -> tuple[Array, Truth]:
         """Return numbers (Q, n_1 + 1, ..) at vertices at the end, and which cells (Q, n_1, ..) are 0: none."""
         accepting = np.array(self.problem.automaton.accepting)
@@ -169,12 +181,13 @@ class Backups:
     def backup(self, values: Array, given_up: Truth, inputs: Array, t: int) -> tuple[Array, Truth]:
         """Return the same one step earlier, for inputs (Q, V, m) at the vertices."""
         below, nothing = np.zeros_like(values), np.ones_like(given_up)
-        dead, done = self.problem.automaton.dead(), finished(self.problem.automaton)
+        done = finished(self.problem.automaton)
         memory: dict[bytes, tuple[Array, Truth]] = {}
-        for q in range(len(values)):
+        # where no run is at that time V is 0, as good as any lower bound
+        for q in np.flatnonzero(self.reached[t]).tolist():
             if done[q]:
                 below[q], nothing[q] = 1.0, False
-            elif not dead[q]:
+            else:
                 W = self.after_letter(values, given_up, q, t + 1)
                 key = W.tobytes() + inputs[q].tobytes()
                 if key not in memory:
@@ -206,16 +219,16 @@ class Backups:
         automaton = self.problem.automaton
         moves = any(np.any(own.low != own.low[0]) or np.any(own.high != own.high[0]) for own in self.problem.regions)
         t = t if moves else 0
-        if t not in self.labels:
+        if t not in self.letters:
             here = [replace(own, low=own.low[[t]], high=own.high[[t]]) for own in self.problem.regions]
-            self.labels[t] = cell_labels(replace(self.problem, regions=tuple(here)), 0, self.edges)[1]
-        kinds, which = np.unique(self.labels[t], axis=0, return_inverse=True)
-        mine = [p for p, region in enumerate(self.problem.regions) if region.agents == (0,)]
+            labels = cell_labels(replace(self.problem, regions=tuple(here)), 0, self.edges)[1]
+            mine = [p for p, region in enumerate(self.problem.regions) if region.agents == (0,)]
+            kinds, which = np.unique(labels, axis=0, return_inverse=True)
+            known = [{p: label > 0 for p, label in zip(mine, kind, strict=True) if label} for kind in kinds.tolist()]
+            self.letters[t] = [(own, doubled(which.reshape(self.shape) == k)) for k, own in enumerate(known)]
         result = np.zeros(tuple(2 * n for n in self.shape))
-        for k, kind in enumerate(kinds.tolist()):
-            known = {p: label > 0 for p, label in zip(mine, kind, strict=True) if label}
+        for known, here in self.letters[t]:
             each = [self._on_cells(values[target], given_up[target]) for target in automaton.targets(q, known)]
-            here = doubled(which.reshape(self.shape) == k)
             result = np.where(here, np.min(each, axis=0), result)
         return result
 

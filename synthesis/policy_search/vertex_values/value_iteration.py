@@ -55,6 +55,9 @@ FINE_SIZES = 0.4
 FINE_CELLS = 0.7
 """Deviations that cells are wide at least where means are interpolated between the middle of a cell and its ends."""
 
+ONCE = 1e-3
+"""Work of anything that is done once in an automaton state and a step, however few vertices there are."""
+
 READ = 6e-7
 """Work of a mean that is read, in core seconds."""
 
@@ -250,7 +253,7 @@ class Counted(Backups):
 
     def below(self, W: FloatArray, images: Images) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return numbers at vertices of a function that is at most F, and the cells on which it is 0."""
-        self.spent += PRODUCT * (images.vertices.products + _per_cell(W.ndim) * images.products)
+        self.spent += ONCE + PRODUCT * (images.vertices.products + _per_cell(W.ndim) * images.products)
         values, nothing = super().below(W, images)
         here = np.where(nothing, 0.0, corners_of(values, W.ndim).reshape(*nothing.shape, -1).mean(axis=-1)).ravel()
         self.bent = self.bent + self._bends @ here
@@ -277,9 +280,9 @@ class _Choice:
         self.axis = np.linspace(0.0, 1.0, self.count)
         tried = np.stack(np.meshgrid(*[self.axis] * self.m, indexing="ij"), axis=-1).reshape(-1, self.m)
         self.tried = self.low + tried * (high - self.low)
-        # laws (V, m) so far, and the same in shares of ranges: in the middle at first
-        self.shares = [np.full((self.at.shape[1], self.m), 0.5)]
-        self.laws = [self.low + self.shares[0] * self.range]
+        # laws (V, m) so far, the first one in the middle, and of which inputs that are tried they are means
+        self.laws, self.between = list[FloatArray](), list[tuple[NDArray[np.int64], FloatArray]]()
+        self._add(np.full((self.at.shape[1], self.m), 0.5))
         self.known: tuple[int, tuple[_Reading, FloatArray]] | None = None
         # Every vertex and the next one along each axis, both ways, and how many neighbours it has.
         axes, every = range(len(steps.edges)), slice(None)
@@ -297,12 +300,12 @@ class _Choice:
     def of(self, values: FloatArray, t: int, later: NDArray[np.int64]) -> tuple[NDArray[np.int64], FloatArray]:
         """Return which law acts in each automaton state (Q,), from those a step later, and values (Q, n_1 + 1, ..)."""
         automaton = self.steps.problem.automaton
-        dead, which, result = automaton.dead(), later.copy(), np.zeros_like(values)
+        which, result = later.copy(), np.zeros_like(values)
         alike, nothing = dict[bytes, list[int]](), np.zeros((len(values), *self.steps.shape), bool)
-        for q in range(len(values)):
+        for q in np.flatnonzero(self.steps.reached[t]).tolist():
             if automaton.is_co_safe and automaton.accepting[q]:
                 result[q] = 1.0
-            elif not dead[q]:
+            else:
                 W = self.steps.after_letter(values, nothing, q, t + 1)
                 alike.setdefault(W.tobytes(), []).append(q)
         shape = tuple(2 * n for n in self.steps.shape)
@@ -329,25 +332,48 @@ class _Choice:
         """Return a law for values one step later, and means under it: a known one where that loses little."""
         reading, apart = self._images(t)
         table = reading.means(W).reshape(*[self.count] * self.m, -1)
-        self.steps.spent += READ * table.size
-        shares = self._best(table)
-        for _ in range(SWEEPS):
-            shares = 0.5 * shares + 0.5 * self._swept(table, shares, APART * apart)
-        worth = self._read(table, shares)
-        known = dict.fromkeys([*later.tolist(), *range(len(self.laws))[:-MOST_TRIED:-1]])
-        means = np.stack([self._read(table, self.shares[k]) for k in known])
+        self.steps.spent += READ * table.size + ONCE
+        known = list(dict.fromkeys([*later.tolist(), *range(len(self.laws))[:-MOST_TRIED:-1]]))
+        means = self._under(table, known)
+        # The best inputs of all vertices without regard to neighbours are no worse than those that are looked for.
+        law = self._alike(table.reshape(-1, table.shape[-1]).max(axis=0), means, passing)
+        if law is None:
+            shares = self._best(table)
+            for _ in range(SWEEPS):
+                shares = 0.5 * shares + 0.5 * self._swept(table, shares, APART * apart)
+            worth = self._read(table, shares)
+            law = self._alike(worth, means, passing)
+        if law is None:
+            self._add(shares)
+            return len(self.laws) - 1, worth
+        return known[law], means[law]
+
+    def _alike(self, worth: FloatArray, means: FloatArray, passing: FloatArray) -> int | None:
+        """Return which of some means (K, V) loses least, if that is little."""
         loss = worth - means
         # what is lost everywhere, and what runs lose that pass there, with those that none of them has seen
         little = np.all(loss <= SAME * (1.0 - worth) + NO_DIFFERENCE, axis=1)
         lost = loss @ passing + loss.max(axis=1) / RUNS
         if self.runs is not None:
-            little |= lost <= SAME_PASSING * self.runs.failure / self.steps.problem.horizon
-        if little.any():
-            best = int(np.where(little, lost, np.inf).argmin())
-            return [*known][best], means[best]
+            failure = max(self.runs.failure, SAME_PASSING * ENOUGH)
+            little |= lost <= SAME_PASSING * failure / self.steps.problem.horizon
+        return int(np.where(little, lost, np.inf).argmin()) if little.any() else None
+
+    def _add(self, shares: FloatArray) -> None:
+        """Add a law, and where it is between inputs that are tried."""
         self.laws.append(np.clip(self.low + shares * self.range, *self.steps.agent.input_box))
-        self.shares.append(shares)
-        return len(self.laws) - 1, worth
+        place = np.minimum((shares * (self.count - 1)).astype(int), self.count - 2)
+        part, index, weight = shares * (self.count - 1) - place, [], []
+        for corner in itertools.product((0, 1), repeat=self.m):
+            index.append(np.ravel_multi_index((place + corner).T, (self.count,) * self.m))
+            weight.append(np.prod(np.where(corner, part, 1.0 - part), axis=1))
+        self.between.append((np.stack(index), np.stack(weight)))
+
+    def _under(self, table: FloatArray, laws: Sequence[int]) -> FloatArray:
+        """Return means (K, V) under some of the laws."""
+        flat, at = table.reshape(-1, table.shape[-1]), np.arange(table.shape[-1])
+        each = [np.sum(weight * flat[index, at], axis=0) for index, weight in (self.between[k] for k in laws)]
+        return np.stack(each)
 
     def _best(self, table: FloatArray) -> FloatArray:
         places = np.unravel_index(table.reshape(-1, table.shape[-1]).argmax(axis=0), table.shape[:-1])
