@@ -14,7 +14,7 @@ from certigym.envs.systems.distributions.noise import laws_of
 from certigym.synthesis.extended_check.shields import Shield, noise_probabilities, shield_of, unknown_means
 from certigym.synthesis.extended_check.shields.noise_probabilities import LawAxis, NoiseAxis, StillAxis
 from certigym.synthesis.extended_check.shields.unknown_means import MeanBox
-from composing import expressions, lawful, matrices, task
+from composing import lawful, matrices, task
 from kinds import mostly_thorough
 from shield_trials import anything, episodes, the_worst
 from test_noise_that_is_uneven import task as clocked
@@ -167,10 +167,3 @@ def test_a_shield_that_reads_one_cell_alone_is_caught(monkeypatch: pytest.Monkey
     monkeypatch.setattr(noise_probabilities.StillAxis, "steps", lambda self, sides, most: 0)
     box = MeanBox.around(np.array([[-1e-16]]), np.array([[1e-16]]), (axis,), np.ones(1, dtype=bool))
     assert {float(places[0, 0]) for places, _ in box.points} == {2.0}
-
-
-def test_linear_cells_with_uniform_noise_are_refused_in_words() -> None:
-    problem = task(expressions(noise=[{"law": "uniform", "low": -0.6, "high": 0.6}]))
-    found = cg.synthesize(problem, 20, relation="linear").certificate
-    with pytest.raises(ValueError, match="Gaussian noise under linear cells"):
-        shield_of(found, 0.1)

@@ -38,13 +38,6 @@ def of_team() -> cg.Certificate:
 
 
 @cache
-def of_rotated() -> cg.Certificate:
-    """Correlated noise: cells are no boxes of states."""
-    problem = oscillator_reach(15, noise_covariance=[[0.2, 0.08], [0.08, 0.2]])
-    return cg.synthesize(problem, 40, relation="boxes").certificate
-
-
-@cache
 def of_ring() -> cg.Certificate:
     """Propositions about the distance from the origin: cells may or may not be in their regions."""
     agent = oscillator(outputs=["x**2 + y**2"], initial_state=[-0.4, 0.4], noise_covariance=[[0.02, 0], [0, 0.02]])
@@ -58,7 +51,7 @@ def of_ring() -> cg.Certificate:
     return cg.synthesize(problem, 60, relation="boxes").certificate
 
 
-CERTIFICATES = {"oscillator": of_oscillator, "team": of_team, "rotated": of_rotated, "ring": of_ring}
+CERTIFICATES = {"oscillator": of_oscillator, "team": of_team, "ring": of_ring}
 
 
 @pytest.mark.thorough
@@ -72,7 +65,7 @@ def test_files_checks_and_rollouts_agree(name: str, tmp_path: Path) -> None:
     assert isinstance(loaded, cg.Certificate) and isinstance(loaded.problem.agents[0], cg.Agent)
     report = cg.check(loaded, certificate.problem)
     assert report, report
-    assert loaded.lower_bound == certificate.lower_bound > {"oscillator": 0.3, "rotated": 0.1}.get(name, 0.4)
+    assert loaded.lower_bound == certificate.lower_bound > {"oscillator": 0.3}.get(name, 0.4)
     validated = cg.validate(loaded, 40_000, seed=1, confidence=1 - FALSE_ALARM)
     assert validated.verdict != "refuted" and validated.details["inadmissible"] == 0
     assert not cg.audit(loaded, 2_000, seed=2, confidence=1 - FALSE_ALARM).refuted

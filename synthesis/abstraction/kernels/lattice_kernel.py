@@ -8,9 +8,8 @@ lattice points, the largest of these around it (``reach`` lattice steps along ea
 - mixed differences of neighbouring points, in absolute value, for each pair of axes: how much I bends between planes;
 - differences of neighbouring points along each axis, in absolute value: how steep I is.
 
-How far g itself may be below I is a matter of the noise: for normal noise an eighth of the second differences, and a
-slack (``box_kernel``); for uniform noise what the factor varies at the two ends of the noise (docs/theory/linear.md,
-"One reading for all").
+How far g itself may be below I is a matter of the noise, which is normal: an eighth of the second differences, and a
+slack (``box_kernel``; docs/theory/linear.md, "One reading for all").
 """
 
 from __future__ import annotations
@@ -23,14 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from ....envs.systems.distributions import Gaussian, Law, Uniform
-from ...relations.grids import FloatArray, Grid, RelationRefused
+from ....envs.systems.distributions import Law
+from ...relations.grids import FloatArray, Grid
 from ...relations.kinds import block_of
 from .box_kernel import rounding_of, slack_of
 from .kernel import Kernel
 from .linear_kernel import hat_table
-from .second_derivative_bounds import SECOND
-from .uniform_ends import UniformEnds, uniform_hats
 
 NUMBERS_AT_ONCE = 200_000
 """Numbers of tables whose differences are formed at once: they fit into the cache of a core."""
@@ -48,7 +45,7 @@ class LatticeKernel(Kernel):
     """Kernel whose smoothed factors (n, ..) have Z values, largest differences, and what is lost everywhere.
 
     The differences have as many columns as there are blocks: second ones of each axis; mixed ones of each pair of axes;
-    first ones of each axis; and what uniform noise adds between lattice points, if there is any.
+    first ones of each axis.
 
     Parameters
     ----------
@@ -58,13 +55,10 @@ class LatticeKernel(Kernel):
         Lattice steps along each axis within which the largest differences are taken.
     slack : float
         How far g may be below I wherever it is, besides what differences say, for factors of at most 1.
-    ends : UniformEnds or None
-        The axis with uniform noise, if there is one.
     """
 
     reach: tuple[int, ...] = field(kw_only=True)
     slack: float = field(kw_only=True)
-    ends: UniformEnds | None = field(kw_only=True, default=None)
 
     @property
     def n_points(self) -> int:
@@ -75,7 +69,7 @@ class LatticeKernel(Kernel):
     def n_columns(self) -> int:
         """Number of columns of smoothed factors."""
         d = len(self.reach)
-        return self.n_points + (2 * d + math.comb(d, 2) + (self.ends is not None)) * self.n_blocks + 1
+        return self.n_points + (2 * d + math.comb(d, 2)) * self.n_blocks + 1
 
     @property
     def n_blocks(self) -> int:
@@ -98,12 +92,10 @@ class LatticeKernel(Kernel):
         result = np.empty((len(values), self.n_columns))
         result[:, : self.n_points] = values
         result[:, -1] = self.slack * factors.max(axis=1, initial=0.0)
-        added = None if self.ends is None else np.stack([*self.ends.charges(self.tables, factors)])
         rows_at_once = max(1, NUMBERS_AT_ONCE // self.n_points)
         for first in range(0, len(values), rows_at_once):
             rows = slice(first, first + rows_at_once)
             tables = largest_differences(values[rows].reshape(-1, *self.lattice_shape), self.reach)
-            tables += [] if added is None else [largest_of_blocks(added[rows], self.reach)]
             for k, table in enumerate(tables):
                 start = self.n_points + k * self.n_blocks
                 result[rows, start : start + self.n_blocks] = table
@@ -129,11 +121,6 @@ def largest_differences(values: FloatArray, reach: tuple[int, ...]) -> list[Floa
         inside = slice(first - below, last - below)
         parts.append([_blocks(table[:, inside], reach) for table in differences(values[:, below:above])])
     return [_around(np.concatenate(tables, axis=1), reach) for tables in zip(*parts, strict=True)]
-
-
-def largest_of_blocks(tables: FloatArray, reach: tuple[int, ...]) -> FloatArray:
-    """Return the largest numbers (n, blocks) within reach of every block, of numbers (n, Z_1, ..) of lattice points."""
-    return _around(_blocks(tables, reach), reach)
 
 
 def _blocks(tables: FloatArray, reach: tuple[int, ...]) -> FloatArray:
@@ -244,34 +231,17 @@ def bend_of(steps: FloatArray) -> FloatArray:
 def lattice_kernel_of(
     grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law], reach: tuple[int, ...]
 ) -> LatticeKernel:
-    """Return the kernel on a lattice."""
-    tables, loss, ends, ratios = [], 0.0, None, []
-    for k, (axis, edges, law) in enumerate(zip(lattice, grid.edges, laws, strict=True)):
-        lattice_spacing = float(axis[-1] - axis[0]) / (len(axis) - 1)
-        ratios.append(min(lattice_spacing / law.std, LONGEST))
-        if isinstance(law, Uniform):
-            ends = UniformEnds(k, axis, edges, law)
-            table, missing = uniform_hats(axis, edges, law)
-            if lattice_spacing > float(np.min(np.diff(edges))):
-                raise RelationRefused(
-                    "the relation `linear` needs lattice steps no wider than cells under uniform noise"
-                )
-        else:
-            table, missing = hat_table(axis, edges, law.std)
+    """Return the kernel on a lattice, for normal noise."""
+    tables, loss, ratios = [], 0.0, []
+    for axis, edges, law in zip(lattice, grid.edges, laws, strict=True):
+        ratios.append(min(float(axis[-1] - axis[0]) / (len(axis) - 1) / law.std, LONGEST))
+        table, missing = hat_table(axis, edges, law.std)
         tables.append(table)
         loss += missing
-    return LatticeKernel(
-        tuple(tables), loss, reach=reach, slack=_slack(np.array(ratios), laws, lattice) + loss, ends=ends
-    )
+    return LatticeKernel(tuple(tables), loss, reach=reach, slack=_slack(np.array(ratios)) + loss)
 
 
-def _slack(ratios: FloatArray, laws: Sequence[Law], lattice: tuple[FloatArray, ...]) -> float:
+def _slack(ratios: FloatArray) -> float:
     """Return how far g may be below its interpolant besides what differences say, for factors of at most 1."""
-    normal = np.array([isinstance(law, Gaussian) for law in laws])
-    slack = slack_of(ratios[normal]) - rounding_of(ratios[normal]) if np.any(normal) else 0.0
-    # Second derivatives along normal axes are read at lattice points of the uniform one as well.
-    for axis, law in zip(lattice, laws, strict=True):
-        if isinstance(law, Uniform):
-            share = float(axis[-1] - axis[0]) / (len(axis) - 1) / (law.high - law.low)
-            slack += float(np.sum(ratios[normal] ** 2)) / 8.0 * 2.0 * SECOND * 0.5 * share
-    return slack * (1.0 + 1e-9) + rounding_of(ratios)
+    rounding = rounding_of(ratios)
+    return (slack_of(ratios) - rounding) * (1.0 + 1e-9) + rounding

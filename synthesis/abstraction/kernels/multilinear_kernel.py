@@ -35,6 +35,9 @@ A half would make rounding decide, as positions on half steps are common; search
 BESIDE = 1.63
 """Lattice steps that the point where differences are read may be off the position, and one to the next point."""
 
+CHARGED = 0.125
+"""What second differences along each axis count for g below I."""
+
 NUMBERS_AT_ONCE = 200_000
 """Numbers of factors at points that are formed at once: they fit into the cache of a core."""
 
@@ -86,18 +89,12 @@ class MultilinearKernel:
         Evenly spaced lattice axes.
     reach : tuple of int
         Lattice steps along each axis within which largest differences are taken.
-    charged : tuple of float
-        What second differences along each axis count for g below I: an eighth for normal noise, 0 for uniform noise.
-    has_ends : bool
-        Whether tables have columns for what uniform noise adds between lattice points.
     parts : int
         Parts of each side of an image at which it is read for lower bounds.
     """
 
     lattice: tuple[FloatArray, ...]
     reach: tuple[int, ...]
-    charged: tuple[float, ...]
-    has_ends: bool = False
     parts: int = field(default=2, kw_only=True)
 
     @property
@@ -221,10 +218,9 @@ class MultilinearKernel:
         index = np.clip(np.floor(middle + LOOK).astype(np.int64), 0, np.array(self.shape) - 1)
         blocks = blocks_of(self.shape, reach)
         flat = np.ravel_multi_index(tuple(index[:, k] // block_of(n) for k, n in enumerate(reach)), blocks)
-        weights = [bend_of(steps[:, i]).sum(axis=1) + self.charged[i] for i in range(d)]
+        weights = [bend_of(steps[:, i]).sum(axis=1) + CHARGED for i in range(d)]
         weights += [0.25 * (steps[:, i] * steps[:, j]).sum(axis=1) for i, j in combinations(range(d), 2)]
         weights += [rest[:, i] for i in range(d)]
-        weights += [np.ones(len(middle))] if self.has_ends else []
         lacking = np.zeros((len(table), len(middle)))
         if table.shape[1] == self.n_points:  # about right is enough
             return lacking

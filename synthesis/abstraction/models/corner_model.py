@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ....envs.systems.agents import AnyAgent
-from ....envs.systems.distributions import Gaussian, Law, Uniform
+from ....envs.systems.distributions import Gaussian, Law
 from ...relations.grids import FEWER, FloatArray, Grid, RelationRefused, grid_laws
 from ...relations.kinds import AffineBoxes, MapRelation, map_relation
 from ..kernels import BESIDE, LatticeKernel, MultilinearKernel, box_lattice, lattice_kernel_of
@@ -34,9 +34,6 @@ WIDE = 1.25
 
 MOST_PER_CELL = {1: 64, 2: 16, 3: 4}
 """The same, at most."""
-
-POINTS_PER_UNIFORM = 24.0
-"""Lattice points per width of uniform noise, at least."""
 
 MOST_LATTICE = 8_000_000
 """Most lattice points of an agent: 64 MB for each of some ten columns of a factor."""
@@ -127,18 +124,15 @@ def lattice_model(
     steps = 2.0 * float(np.max(_most_of(half / lattice_spacing, 0.9)))
     relation = replace(relation, parts=int(np.clip(round(steps), 2, PARTS.get(d, 2))), reach=reach)
     kernel = lattice_kernel_of(grid, lattice, laws, reach)
-    charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
-    multilinear = MultilinearKernel(lattice, reach, charged, kernel.ends is not None, parts=relation.parts)
+    multilinear = MultilinearKernel(lattice, reach, parts=relation.parts)
     return relation, lattice, kernel, CornerChoices(grid, lattice, relation, max(points), maps, multilinear)
 
 
 def _refuse_laws(agent: AnyAgent, laws: Sequence[Law]) -> None:
     """Refuse noise of which nothing is known between lattice points."""
-    uniform = [law for law in laws if isinstance(law, Uniform)]
-    if len(uniform) > 1 or not all(isinstance(law, Gaussian | Uniform) for law in laws):
+    if not all(isinstance(law, Gaussian) for law in laws):
         raise RelationRefused(
-            f"agent `{agent.name}`: the relation `linear` is for Gaussian noise, uniform along one axis at most, got "
-            "other laws; ask for `boxes`"
+            f"agent `{agent.name}`: the relation `linear` is for Gaussian noise, got other laws; ask for `boxes`"
         )
 
 
@@ -174,10 +168,7 @@ def _points_per_cell(grid: Grid, laws: Sequence[Law], per_cell: int | None) -> t
     d, points = len(grid.shape), []
     for edges, n, law in zip(grid.edges, grid.shape, laws, strict=True):
         width = float(edges[-1] - edges[0]) / n
-        if isinstance(law, Gaussian):
-            wanted = width / law.std * POINTS_PER_DEVIATION.get(d, FEWER_PER_DEVIATION)
-        else:
-            wanted = width / (law.std * math.sqrt(12.0)) * POINTS_PER_UNIFORM
+        wanted = width / law.std * POINTS_PER_DEVIATION.get(d, FEWER_PER_DEVIATION)
         fewest = per_cell or POINTS_PER_CELL.get(d, 2)
         points.append(max(fewest, math.ceil(min(wanted, max(fewest, MOST_PER_CELL.get(d, 2))))))
     return tuple(points)

@@ -25,13 +25,12 @@ from .linear_tables import UNIT, applied, normal_hats
 from .map_enclosures import Maps, maps_of
 from .mean_enclosures import Enclosed
 from .network_enclosures import network_maps
-from .uniform_noise import Ends, uniform_ends
 
 ROUNDING = 2.999e-9
 """Share of the largest value that is taken off for rounding and lattices that are uneven by 1e-9 of a step."""
 
-STRAIGHT, CROSSED, SECOND = 1.40031, 0.46840, 0.48395
-"""Half the L1 norms of ``phi''''``, ``phi'' phi''`` and ``phi''``, rounded up."""
+STRAIGHT, CROSSED = 1.40031, 0.46840
+"""Half the L1 norms of ``phi''''`` and ``phi'' phi''``, rounded up."""
 
 LOOK, BESIDE = 0.37, 1.63
 """What is added to a position, in lattice steps, before it is rounded down to where differences are read, and how far
@@ -92,18 +91,16 @@ class SymbolicTables:
     """What a step needs of one agent.
 
     ``masses`` are hat masses (Z_k, 2 S_k) of every axis, from below; ``slack`` is what is taken off per unit of the
-    largest value; ``normal`` says along which axes the noise is normal, ``ends`` what is needed of the uniform one.
+    largest value.
     """
 
     masses: list[FloatArray]
     maps: Maps | MatrixMaps | NetworkMaps
     slack: float
-    normal: list[bool]
-    ends: Ends | None
 
 
 def symbolic_tables(agent: AnyAgent, part: AgentRecord, off: FloatArray) -> SymbolicTables:
-    """Compute the tables of one agent with expressions, or with a network, anew; ``off`` is as for ``NetworkMaps``.
+    """Compute the tables of one agent anew; ``off`` is as for ``NetworkMaps``.
 
     Raises
     ------
@@ -111,34 +108,23 @@ def symbolic_tables(agent: AnyAgent, part: AgentRecord, off: FloatArray) -> Symb
         If its noise has laws for which the relation does not hold.
     """
     deviations = np.sqrt(np.diag(agent.noise_covariance))
-    names = ["gaussian"] * len(deviations) if agent.laws is None else [law.name for law in agent.laws]
-    if {*names} - {"gaussian", "uniform"} or names.count("uniform") > 1:
-        raise ValueError(
-            "linear cells of agents with expressions are for Gaussian noise, and uniform noise on one axis"
-        )
-    masses, lost, ends = [], 0.0, None
+    if any(law.name != "gaussian" for law in agent.laws or ()):
+        raise ValueError("linear cells are for Gaussian noise")
+    masses, lost = [], 0.0
     lattice_spacing = np.array([(a[-1] - a[0]) / (len(a) - 1) for a in part.lattice])
     # Nothing is known between lattice points that are far apart: what is taken off is far above 1 as it is.
     ratios = np.minimum(lattice_spacing, LONGEST * deviations) / deviations
     for k, (edges, axis) in enumerate(zip(part.grid.edges, part.lattice, strict=True)):
-        if names[k] == "uniform":
-            assert agent.laws is not None
-            table, missing, ends = uniform_ends(k, edges, axis, agent.laws[k].to_dict())
-        else:
-            table, missing = normal_hats(axis, edges, float(deviations[k]))
+        table, missing = normal_hats(axis, edges, float(deviations[k]))
         masses.append(table)
         lost += missing
     state("hats", agent, part, masses, lost)
-    normal, slack = [name == "gaussian" for name in names], ROUNDING * (1.0 + float(ratios.sum())) + lost
-    for k in np.flatnonzero(normal).tolist():
+    slack = ROUNDING * (1.0 + float(ratios.sum())) + lost
+    for k in range(len(ratios)):
         # An eighth of: a twelfth of fourth derivatives, and an eighth of them along each axis between lattice points.
         r = float(ratios[k])
         slack += STRAIGHT * r**4 / 96.0
-        slack += sum(
-            (STRAIGHT if e == k else CROSSED) * (r * float(ratios[e])) ** 2 / 64.0 for e in np.flatnonzero(normal)
-        )
-        if ends is not None:  # between points along the uniform axis second derivatives jump by a share of their range
-            slack += r * r / 8.0 * 2.0 * SECOND * ends.share / 2.0
+        slack += sum((STRAIGHT if e == k else CROSSED) * (r * float(ratios[e])) ** 2 / 64.0 for e in range(len(ratios)))
     maps: Maps | MatrixMaps | NetworkMaps
     if not agent.is_affine:
         maps = maps_of(with_expressions(agent), part, _asked(part))
@@ -148,7 +134,7 @@ def symbolic_tables(agent: AnyAgent, part: AgentRecord, off: FloatArray) -> Symb
         if kind is MatrixMaps:
             # Maps are off by twice this; half of it is for controllers and simulators, which add up the same numbers.
             state_maps(linear_agent(agent, "linear"), part, maps.at, 0.5 * off)
-    return SymbolicTables(masses, maps, slack, normal, ends)
+    return SymbolicTables(masses, maps, slack)
 
 
 def _asked(part: AgentRecord) -> NDArray[np.int64]:
@@ -172,8 +158,8 @@ def state_maps(agent: LinearAgent, part: AgentRecord, at: Any, rho: FloatArray) 
 def written_values(part: AgentRecord, tables: SymbolicTables, factors: FloatArray) -> list[FloatArray]:
     """Values (n, Z_1, ..) of factors (n, places) on the lattice, from below, and largest differences around each point.
 
-    Second differences of every axis that are positive, mixed ones of every pair of axes, first ones of every axis, and
-    what is below the interpolant at the ends of uniform noise; all without a sign.
+    Second differences of every axis that are positive, mixed ones of every pair of axes, and first ones of every axis;
+    all without a sign.
     """
     d, shape = len(part.lattice), [len(axis) for axis in part.lattice]
     values = applied(factors, tables.masses).reshape(len(factors), *shape)
@@ -185,8 +171,6 @@ def written_values(part: AgentRecord, tables: SymbolicTables, factors: FloatArra
         found.append(_placed(np.abs(np.diff(np.diff(values, axis=i), axis=j)), values.shape, (i, j), 0))
     for k in range(1, d + 1):
         found.append(_placed(np.abs(np.diff(values, axis=k)), values.shape, (k,), 0))
-    if tables.ends is not None:
-        found.append(tables.ends.added(tables.masses, factors))
     return [values, *(_largest(table, part.relation["reach"], _blocks(part)) for table in found)]
 
 
@@ -283,13 +267,13 @@ def _moving_images(
     at = _interpolated(around[0], position[:, None] + np.einsum("cik,qk->cqi", moved, 2.0 * share - 1.0))
     steps = 2.0 * np.abs(moved) / int(part.relation["parts"])
     second_derivatives = np.where(steps < 1.0, steps / 4.0, (steps * steps + 1.0) / 8.0).sum(axis=2)
-    weights = [second_derivatives[:, k] + (0.125 if tables.normal[k] else 0.0) for k in range(d)]
+    weights = [second_derivatives[:, k] + 0.125 for k in range(d)]
     weights += [(steps[:, i] * steps[:, j]).sum(axis=1) / 4.0 for i, j in itertools.combinations(range(d), 2)]
-    weights += [rest[:, k] for k in range(d)] + [np.ones(len(cells))]
+    weights += [rest[:, k] for k in range(d)]
     sizes = np.array(_blocks(part))
     looked = tuple((np.floor(position + LOOK).astype(np.int64) // sizes).T)
     lacking = np.repeat(tables.slack * largest[:, None], len(cells), axis=1)
-    for weight, table in zip(weights, around[1:], strict=False):
+    for weight, table in zip(weights, around[1:], strict=True):
         lacking += weight * table[(slice(None), *looked)]
     return at, lacking * (1.0 + 4.0 * UNIT), inside
 

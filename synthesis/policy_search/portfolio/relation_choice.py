@@ -137,8 +137,7 @@ def has_linear_cells(agent: AnyAgent) -> bool:
     if not agent.has_plain_noise or agent.angles:
         return False
     if isinstance(agent, Agent):
-        laws = [] if agent.laws is None else [law.name for law in agent.laws]
-        return not agent.others and {*laws} <= {"gaussian", "uniform"} and laws.count("uniform") <= 1
+        return not agent.others and all(law.name == "gaussian" for law in agent.laws or ())
     return agent.laws is None
 
 
