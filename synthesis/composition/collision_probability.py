@@ -28,10 +28,6 @@ from ..abstraction.models import JointModel, Policies
 from ..certificates.value_functions import Guards
 from ..relations.grids import FloatArray, RelationRefused
 from .compared_states import compared_axes, marginal
-from .lattice_moves import moves_of
-
-Reach = tuple[FloatArray, ...]
-"""How far (d,) the means of each agent may be from lattice points, along each axis."""
 
 Ends = tuple[float, float]
 """Ends of a box along one axis."""
@@ -99,7 +95,6 @@ class CollisionProbability:
         self.pairs = problem.labeling.pairs
         for pair in self.pairs:
             compared_axes(problem, pair)  # refuses what the tables could not say
-        self.moves = [moves_of(agent, model) for agent, model in zip(base.agents, joint.models, strict=True)]
         self._tables: dict[object, list[FloatArray]] = {}
 
     @cached_property
@@ -116,8 +111,8 @@ class CollisionProbability:
 
     def start(self, modes: Sequence[NDArray[np.int64]]) -> list[Term]:
         """Return the mass at time 0, the first letter read without pairs; none if the task is decided then."""
-        q, agents = self.base.initial_q, zip(self.moves, self.base.agents, strict=True)
-        shares = [moves.share(agent) for moves, agent in agents]
+        q, agents = self.base.initial_q, zip(self.joint.models, self.base.agents, strict=True)
+        shares = [model.share(agent.initial.low, agent.initial.high) for model, agent in agents]
         if q is not None:
             return [Term(m, tuple(shares)) for m, states in enumerate(modes) if q in states]
         # Starts of several letters, or none inside: each mode has the cells that some guard of the start leads to.
@@ -141,30 +136,29 @@ class CollisionProbability:
         if not len(used):
             return None
         passages = []
-        for moves, masks, rows in zip(self.moves, all_masks, guards.mask[used].T, strict=True):
-            passages.append(moves.cells(np.asarray(np.any(masks[np.unique(rows)] != 0, axis=0))))
+        for masks, rows in zip(all_masks, guards.mask[used].T, strict=True):
+            passages.append(np.asarray(np.any(masks[np.unique(rows)] != 0, axis=0)))
         return passages
 
-    def course(self, policies: Policies) -> tuple[list[list[Term]], list[list[tuple[list[FloatArray], Reach]]]]:
-        """Return the terms of the mass at times 0 .. T - 1, and where each of them moves: lattice points (Z_i,), reach.
+    def course(self, policies: Policies) -> tuple[list[list[Term]], list[list[list[FloatArray]]]]:
+        """Return the terms of the mass at times 0 .. T - 1, and where each of them moves: lattice points (Z_i,).
 
         Raises
         ------
         RelationRefused
             If there are too many terms.
         """
-        modes = self.modes(policies)
+        modes, models = self.modes(policies), self.joint.models
         ways = {(m, n): self.passage(modes[m], modes[n]) for m in range(len(modes)) for n in range(len(modes))}
         terms, all_terms, all_points = self.start(modes), [], []
         for t in range(self.joint.horizon):
-            following, points = [], list[tuple[list[FloatArray], Reach]]()
+            following, points = [], list[list[FloatArray]]()
             for term in terms:
                 q = int(modes[term.mode][0])
-                steps = [moves.step(policy[t, q]) for moves, policy in zip(self.moves, policies, strict=True)]
-                known = list(zip(self.moves, term.cells, steps, strict=True))
-                on_points = [_gathered(moves.lattice, own, to) for moves, own, (to, _) in known]
-                propagated = [moves.propagated(own, to, reach) for moves, own, (to, reach) in known]
-                points.append((on_points, tuple(reach for _, reach in steps)))
+                steps = [model.choices.points(policy[t, q]) for model, policy in zip(models, policies, strict=True)]
+                known = list(zip(models, term.cells, steps, strict=True))
+                points.append([_gathered(model.lattice, own, to) for model, own, to in known])
+                propagated = [model.kernel.propagate(own[None], to)[0] for model, own, to in known]
                 for n in range(len(modes)):
                     if (way := ways[term.mode, n]) is not None:
                         masked = tuple(np.where(open_, own, 0.0) for own, open_ in zip(propagated, way))
@@ -187,10 +181,10 @@ class CollisionProbability:
         asked = [self.relevant[states].any(axis=0) for states in modes]
         near = self.unusual_at_start
         for terms, points in zip(*self.course(policies), strict=True):
-            for term, (lattice_masses, reach) in zip(terms, points, strict=True):
-                near += self._near(np.flatnonzero(asked[term.mode]), lattice_masses, reach)
+            for term, lattice_masses in zip(terms, points, strict=True):
+                near += self._near(np.flatnonzero(asked[term.mode]), lattice_masses)
         # What kernels lost on the way may be near, once for each agent.
-        lost = self.joint.horizon * sum(moves.loss for moves in self.moves)
+        lost = self.joint.horizon * sum(model.kernel.loss for model in self.joint.models)
         return float(near) * INFLATION + SPARE * len(self.pairs) + lost * INFLATION
 
     @cached_property
@@ -213,7 +207,7 @@ class CollisionProbability:
             total += 1.0 - near if self.usual[k] else near
         return total
 
-    def _near(self, asked: NDArray[np.int64], masses: Sequence[FloatArray], reach: Reach) -> float:
+    def _near(self, asked: NDArray[np.int64], masses: Sequence[FloatArray]) -> float:
         """Return the sum over the pairs ``asked`` of the mass of a term in which they are not as usual after a step."""
         totals = np.array([own.sum() for own in masses])
         if not np.all(totals > 0.0):
@@ -223,40 +217,41 @@ class CollisionProbability:
         for k in asked:
             pair = self.pairs[k]
             i, j = pair.first, pair.second
-            tables = self.tables(pair, bool(self.usual[k]), reach)
+            tables = self.tables(pair, bool(self.usual[k]))
             # Equal agents have one table, by which the second agent is spread once for all of its pairs that compare
             # the same of its states.
             axes_i, axes_j = compared_axes(self.problem, pair)
             key = (j, id(tables), tuple(axes_j))
             if key not in spread:
-                spread[key] = _along(tables, marginal(masses[j], self.moves[j].lattice, axes_j))
-            own = marginal(masses[i], self.moves[i].lattice, axes_i)
+                spread[key] = _along(tables, marginal(masses[j], self.joint.models[j].lattice, axes_j))
+            own = marginal(masses[i], self.joint.models[i].lattice, axes_i)
             near = float(np.sum(own * spread[key]))
             if self.usual[k]:  # whatever is not surely near is charged
                 near = max(0.0, float(totals[i] * totals[j]) - near) + DIFFERENCE_ERROR
             total += near * float(np.prod(np.delete(totals, [i, j])))
         return total
 
-    def tables(self, pair: PairRegion, from_below: bool = False, reach: Reach | None = None) -> list[FloatArray]:
+    def tables(self, pair: PairRegion, from_below: bool = False) -> list[FloatArray]:
         """Return bounds (Z_i, Z_j), per axis, on the probability that the agents are near from lattice points.
 
-        They are upper bounds, or lower ones if they are asked for; means are within ``reach`` of the points.
+        They are upper bounds, or lower ones if they are asked for.
         """
         i, j = pair.first, pair.second
         agents = self.problem.agents
         axes = compared_axes(self.problem, pair)
-        lattices = [(self.moves[i].lattice[a], self.moves[j].lattice[b]) for a, b in zip(*axes, strict=True)]
-        apart = [0.0 if reach is None else float(reach[i][a] + reach[j][b]) for a, b in zip(*axes, strict=True)]
+        lattices = [
+            (self.joint.models[i].lattice[a], self.joint.models[j].lattice[b]) for a, b in zip(*axes, strict=True)
+        ]
         spreads = [
             math.sqrt(agents[i].noise_covariance[a, a] + agents[j].noise_covariance[b, b]) for a, b in zip(*axes)
         ]
         low, high = pair.inner_box if from_below else (pair.low, pair.high)
-        box = (from_below, low.tobytes(), high.tobytes(), tuple(spreads), tuple(apart))
+        box = (from_below, low.tobytes(), high.tobytes(), tuple(spreads))
         key = (*box, *(x.tobytes() for both in lattices for x in both))
         if key not in self._tables:
-            boxes = zip(lattices, spreads, zip(low.tolist(), high.tolist(), strict=True), apart, strict=True)
+            boxes = zip(lattices, spreads, zip(low.tolist(), high.tolist(), strict=True), strict=True)
             table = _surely_near_table if from_below else _near_table
-            self._tables[key] = [table(a, b, std, ends, most) for (a, b), std, ends, most in boxes]
+            self._tables[key] = [table(a, b, std, ends) for (a, b), std, ends in boxes]
         return self._tables[key]
 
 
@@ -284,30 +279,22 @@ def _uniformly_between(
     return max(0.0, below(high) - below(low))
 
 
-def _near_table(first: FloatArray, second: FloatArray, std: float, box: Ends, apart: float) -> FloatArray:
-    """Return upper bounds (Z, Z') on ``P(low <= z - z' + a + w < high)``, w of deviation ``std``, |a| <= ``apart``."""
-    mass = _between(first, second, std, box, apart)
+def _near_table(first: FloatArray, second: FloatArray, std: float, box: Ends) -> FloatArray:
+    """Return upper bounds (Z, Z') on ``P(low <= z - z' + w < high)``, w of deviation ``std``."""
+    mass = _between(first, second, std, box)
     return np.asarray(np.minimum(1.0, np.maximum(mass, 0.0) * (1.0 + 1e-12) + TABLE_ERROR))
 
 
-def _surely_near_table(first: FloatArray, second: FloatArray, std: float, box: Ends, apart: float) -> FloatArray:
+def _surely_near_table(first: FloatArray, second: FloatArray, std: float, box: Ends) -> FloatArray:
     """Return lower bounds (Z, Z') on the same."""
-    mass = _between(first, second, std, box, apart, -1.0)
+    mass = _between(first, second, std, box, -1.0)
     return np.asarray(np.maximum(0.0, np.minimum(mass, 1.0) * (1.0 - 1e-12) - TABLE_ERROR))
 
 
-def _between(
-    first: FloatArray, second: FloatArray, std: float, box: Ends, apart: float, sign: float = 1.0
-) -> FloatArray:
-    """Return the probability (Z, Z') of a box made wider (``sign`` 1) or narrower (-1) by a little.
-
-    It is the largest, or the least one, of all gaps within ``apart``: it falls with the distance from the middle.
-    """
+def _between(first: FloatArray, second: FloatArray, std: float, box: Ends, sign: float = 1.0) -> FloatArray:
+    """Return the probability (Z, Z') of a box made wider (``sign`` 1) or narrower (-1) by a little."""
     low, high = box
     gap = first[:, None] - second[None]
-    if apart > 0.0:
-        inward = 0.5 * (low + high) - gap
-        gap = gap + (np.clip(inward, -apart, apart) if sign > 0.0 else np.where(inward > 0.0, -apart, apart))
     wider = sign * (WIDER * std + 1e-14 * (np.abs(first).max() + np.abs(second).max() + abs(low) + abs(high)))
     upper, lower = (high + wider - gap) / std, (low - wider - gap) / std
     # The difference of the tails that are small: of the upper ones where the box lies above the mean.

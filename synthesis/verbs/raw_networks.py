@@ -18,7 +18,6 @@ from ...envs.suite import as_problem
 from ...envs.tasks.problem import Problem
 from ..abstraction.models import Abstraction, Policies, join, network_abstraction, network_tables, start_of
 from ..certificates.proofs import Certificate, OnGrid, Synthesis
-from ..composition import CollisionProbability, less_proximity, proximity, relevant_pairs, usual_values, without_pairs
 from ..interop import SymbolicPolicies, certifiable
 from ..policy_search.ascent import FINAL, sweep
 from ..policy_search.cell_certificates import certificate_of
@@ -39,7 +38,7 @@ def certify_network(
     Parameters
     ----------
     problem : Problem, id or path
-        It may be about pairs of agents, whose noise then is normal along states.
+        Without pairs of agents, and with linear dynamics.
     actor : SharedActor, TeamActor, or what ``as_policy`` takes
         Networks that see the agent's own state, the automaton state and the time.
     cells : int, sequence of int or mapping from agent name to one of these, optional
@@ -65,8 +64,14 @@ def certify_network(
             "`cells` a network is certified along its trajectory"
         )
     if given.labeling.pairs:
-        return _less_nearness(given, networks, cells, targets_per_cell)
-    return _on_grids(given, networks, cells, targets_per_cell)[0]
+        raise RelationRefused(
+            "`problem`: expected no pairs of agents for networks on cells, got some; without `cells` a network is "
+            "certified along its trajectory"
+        )
+    began = time.perf_counter()
+    abstraction = network_abstraction(given, networks, cells, targets_per_cell)
+    middle, tables = time.perf_counter(), network_tables(given, abstraction)
+    return _certified(given, abstraction, tables, (began, middle))
 
 
 PLENTY, FEW_STATES = 1e-3, 2
@@ -125,29 +130,6 @@ def points_of_networks(settings: Mapping[str, Any]) -> int | None:
     return settings.get("targets_per_cell")
 
 
-def _on_grids(
-    problem: Problem, policies: Sequence[NetworkPolicy], cells: CellCounts, targets_per_cell: int | None
-) -> tuple[Synthesis, Abstraction]:
-    """Certify networks of a problem without pairs that does not name the time, and return the finite models as well."""
-    began = time.perf_counter()
-    abstraction = network_abstraction(problem, policies, cells, targets_per_cell)
-    middle, tables = time.perf_counter(), network_tables(problem, abstraction)
-    return _certified(problem, abstraction, tables, (began, middle)), abstraction
-
-
-def _less_nearness(
-    problem: Problem, policies: Sequence[NetworkPolicy], cells: CellCounts, targets_per_cell: int | None
-) -> Synthesis:
-    """Certify the task without pairs, and subtract what these may spoil under the networks."""
-    usual = usual_values(problem)
-    base = without_pairs(problem, usual)
-    found, abstraction = _on_grids(base, policies, cells, targets_per_cell)
-    masses = CollisionProbability(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
-    near = proximity(masses, network_tables(base, abstraction))
-    certificate = less_proximity(problem, found.certificate, usual, near, dict(found.certificate.settings))
-    return Synthesis(certificate, certificate.controller, {**found.stats, "near": certificate.proof.near})
-
-
 def _policies(problem: Problem, actor: Any, along: bool = False) -> list[Any]:
     """Return the networks of all agents, or raise ValueError if they see more than is certified."""
     actor = certifiable(problem, actor, along)
@@ -201,15 +183,14 @@ def differences(certificate: Certificate, actor: Any) -> list[str]:
     ``check`` verifies a certificate for the networks stored in it; this compares them with those that are deployed.
     """
     problem, found = certificate.problem, list[str]()
-    base = getattr(certificate.proof, "base", certificate)  # of proofs about a problem written in another way
     policies: Sequence[NetworkPolicy] = _policies(problem, actor)
-    for name, part, policy in zip(base.problem.agent_names, base.proof.agents, policies, strict=True):
+    for name, part, policy in zip(problem.agent_names, certificate.proof.agents, policies, strict=True):
         stored, given = part.relation.get("network"), policy.description
         if stored is None:
             found.append(f"agent `{name}` is not moved by a network")
             continue
         keys = dict.fromkeys((*given, *stored))
         found += [f"agent `{name}`: its network has other {key}" for key in keys if stored.get(key) != given.get(key)]
-        if np.any(part.policy != policy.modes_in(base.problem.automaton.n_states)[..., None]):
+        if np.any(part.policy != policy.modes_in(problem.automaton.n_states)[..., None]):
             found.append(f"agent `{name}`: its network was replaced in some cells")
     return found

@@ -177,25 +177,25 @@ class OneStepEarly(CollisionProbability):
 class OnlyTheFirstPair(CollisionProbability):
     """A pair is left out."""
 
-    def _near(self, asked: Any, masses: Any, reach: Any) -> float:
-        return super()._near(asked[:1], masses, reach)
+    def _near(self, asked: Any, masses: Any) -> float:
+        return super()._near(asked[:1], masses)
 
 
 class Negated(CollisionProbability):
     """The difference is that of the second agent less the first."""
 
-    def tables(self, pair: Any, from_below: bool = False, reach: Any = None) -> Any:
-        return super().tables(replace(pair, low=-pair.high, high=-pair.low), from_below, reach)
+    def tables(self, pair: Any, from_below: bool = False) -> Any:
+        return super().tables(replace(pair, low=-pair.high, high=-pair.low), from_below)
 
 
 class Halved(CollisionProbability):
     """Only one of the two agents has noise."""
 
-    def tables(self, pair: Any, from_below: bool = False, reach: Any = None) -> Any:
+    def tables(self, pair: Any, from_below: bool = False) -> Any:
         lattices = [self.joint.models[i].lattice[0] for i in (pair.first, pair.second)]
         std = float(np.sqrt(self.problem.agents[pair.first].noise_covariance[0, 0]))
         first, second = lattices
-        return [near_module._near_table(first, second, std, (float(pair.low[0]), float(pair.high[0])), 0.0)]
+        return [near_module._near_table(first, second, std, (float(pair.low[0]), float(pair.high[0])))]
 
 
 THREE = ((-2.5,), (-0.5,), (1.5,))
@@ -372,5 +372,5 @@ def test_masses_that_are_next_to_nothing_charge_next_to_nothing() -> None:
     masses = CollisionProbability(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
     sizes = [len(model.lattice[0]) for model in masses.joint.models]
     tiny = [np.full(size, 1e-200) for size in sizes]
-    assert masses._near(np.array([0]), tiny, (np.zeros(1), np.zeros(1))) == 0.0
-    assert masses._near(np.array([0]), [np.full(size, 1.0 / size) for size in sizes], (np.zeros(1), np.zeros(1))) > 0.0
+    assert masses._near(np.array([0]), tiny) == 0.0
+    assert masses._near(np.array([0]), [np.full(size, 1.0 / size) for size in sizes]) > 0.0

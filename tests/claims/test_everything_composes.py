@@ -57,6 +57,10 @@ MAY_BE_LOST = Reason("delta = 0", "what may be lost at every step cannot be prom
 ON_LINEAR_CELLS = Reason(
     "along its trajectory", "networks on cells have linear cells, whose noise is Gaussian and the same everywhere"
 )
+LINEAR_ONLY = Reason(
+    "along its trajectory",
+    "networks on cells move agents with linear dynamics that no pair is about; others are certified along trajectories",
+)
 MODES = Reason(
     "along its trajectory", "networks on cells have a mode for each automaton state, which written out counts"
 )
@@ -78,6 +82,17 @@ CANNOT: dict[str, dict[str, Reason]] = {
     },
     "certify": dict.fromkeys(PATHS, OWN_FEEDBACK),
     "network": dict.fromkeys(["exact Laplace", "boxes Laplace", "boxes noise scale", "boxes no noise"], ON_LINEAR_CELLS)
+    | dict.fromkeys(
+        [
+            "exact expressions",
+            "linear expressions",
+            "boxes expressions",
+            "boxes disturbance",
+            "boxes coupled",
+            "subtraction",
+        ],
+        LINEAR_ONLY,
+    )
     | dict.fromkeys([*TIMED, "path in time"], MODES),
     "at": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": AT_PAIRS},
     "values in time": {**dict.fromkeys(PATHS, ON_PATHS), "subtraction": BY_SUBTRACTION},

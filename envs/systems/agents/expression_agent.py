@@ -390,15 +390,6 @@ class Agent(AnyAgent):
         object.__setattr__(agent, "neighbour_inputs", inputs)
         return agent
 
-    @cached_property
-    def driven(self) -> Agent:
-        """The agent with its inputs as disturbances of the same names: it moves as under any inputs in their box."""
-        data = self.to_dict() | dict.fromkeys(("inputs", "input_low", "input_high"))
-        ends = zip(self.inputs, self.input_low.tolist(), self.input_high.tolist(), strict=True)
-        data["disturbances"] = {**self.disturbances, **{name: (low, high) for name, low, high in ends}}
-        agent = type(self)(**data)
-        return agent if self.neighbour_ranges is None else agent.tied_to(self.neighbour_ranges, self.neighbour_inputs)
-
     @property
     def unknowns(self) -> dict[str, tuple[float, float]]:
         """Intervals of everything that moves the mean besides state and input, by names in trees.

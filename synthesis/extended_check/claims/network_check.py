@@ -36,7 +36,7 @@ def wrong_networks(certificate: OnGrid) -> list[str]:
         if network is None:
             continue
         asked = expected | {"agent": i} | alone(network)
-        if part.relation["kind"] not in ("boxes", "linear"):
+        if part.relation["kind"] != "linear" or not agent.is_affine:
             failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
         elif network["activation"] not in ON_CELLS:
             failures.append(f"the network of agent `{agent.name}` has an activation that is not known on cells")

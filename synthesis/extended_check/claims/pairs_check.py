@@ -27,13 +27,12 @@ from ....envs.systems.agents import AnyAgent
 from ....envs.systems.distributions import Gaussian
 from ....envs.tasks.automata import Automaton
 from ....envs.tasks.regions import PairRegion
-from ...certificates.cell_probabilities import state
+from ...certificates.cell_probabilities import axis_tables, lost_to_rounding, state
 from ...certificates.proofs import OnGrid
 from ...relations.grids import FloatArray
 from ..steps import start_shares
 from .forward_occupancy import moved
 from .guard_check import cell_classes
-from .pair_moves import ExactMoves, NetworkMoves, moves_of, wrong_moves
 
 if TYPE_CHECKING:
     from ....envs.tasks.problem import Problem
@@ -129,8 +128,8 @@ def _wrong_agents(problem: Problem, base: OnGrid) -> list[str]:
     """The next state of every agent is a lattice point plus Gaussian noise that is independent along its states."""
     failures = []
     for agent, part in zip(problem.agents, base.proof.agents, strict=True):
-        if wrong := wrong_moves(agent, part):
-            failures.append(wrong)
+        if part.relation["kind"] != "exact" or part.input_set is not None:
+            failures.append(f"the relation of agent `{agent.name}` is not exact, so pairs cannot be subtracted")
         elif not has_plain_noise(agent):
             failures.append(f"the noise of agent `{agent.name}` is not Gaussian and independent along its states")
     for pair in problem.labeling.pairs:
@@ -165,9 +164,9 @@ def _spoiled(problem: Problem, base: OnGrid, usual: NDArray[np.bool_]) -> float:
     charged = _spoiled_at_start(problem, usual, asked[problem.automaton.initial], charges)
     if charged >= 1.0:
         return 1.0
-    for _, states, masses, reach in undecided_course(base):
+    for _, states, masses in undecided_course(base):
         about = np.flatnonzero(np.any([asked[q] for q in states], axis=0))
-        charged += charges.of(about, masses, reach)
+        charged += charges.of(about, masses)
     state("differences", base, len(problem.labeling.pairs), RELATIVE)
     return min(1.0, (charged + lost_on_the_way(base)) * RELATIVE)
 
@@ -212,21 +211,14 @@ def _below(z: float, ends: list[float]) -> Fraction:
 
 def lost_on_the_way(base: OnGrid) -> float:
     """Return an upper bound on the mass that kernels lose on the way: it may be near, once for each agent."""
-    each = (moves.loss for moves in _moves(base))
+    each = (lost_to_rounding(a, p) for a, p in zip(base.problem.agents, base.proof.agents, strict=True))
     return sum(each) * base.problem.horizon
 
 
-def _moves(base: OnGrid) -> list[ExactMoves | NetworkMoves]:
-    """How all agents move."""
-    known: dict[tuple[bytes, ...], list[FloatArray]] = {}
-    return [moves_of(a, p, known) for a, p in zip(base.problem.agents, base.proof.agents, strict=True)]
-
-
-def undecided_course(base: OnGrid) -> Iterator[tuple[int, list[int], list[FloatArray], list[FloatArray]]]:
+def undecided_course(base: OnGrid) -> Iterator[tuple[int, list[int], list[FloatArray]]]:
     """Yield, for each step and product of the mass of undecided runs, its automaton states and lattice masses.
 
-    The time is that of the step, and masses (Z_1, ..) are those of each agent on the lattice points it moves to, within
-    a reach (d,) of which its means are.
+    The time is that of the step, and masses (Z_1, ..) are those of each agent on the lattice points it moves to.
     """
     modes = modes_of(base)
     arriving = base.proof.guard_source, base.proof.guard_target, base.proof.guard_mask
@@ -234,15 +226,16 @@ def undecided_course(base: OnGrid) -> Iterator[tuple[int, list[int], list[FloatA
     passages = {
         (m, n): _passage(masks, arriving, modes[m], modes[n]) for m in range(len(modes)) for n in range(len(modes))
     }
-    moves, products = _moves(base), _first_products(base, modes)
+    known: dict[tuple[bytes, ...], list[FloatArray]] = {}
+    parts, products = base.proof.agents, _first_products(base, modes)
+    tables = [axis_tables(a, p, known) for a, p in zip(base.problem.agents, parts, strict=True)]
     for t in range(base.problem.horizon):
         following = []
         for product in products:
             states = modes[product.mode]
-            points, reach = map(list, zip(*(own.step(t, states[0]) for own in moves), strict=True))
-            yield t, states, [_on_lattice(*own) for own in zip(base.proof.agents, product.factors, points)], reach
-            steps = zip(moves, product.factors, points, reach, strict=True)
-            pushed = [moved(own[None], to, how.masses(most))[0] for how, own, to, most in steps]
+            points = [part.points(t, states[0]) for part in parts]
+            yield t, states, [_on_lattice(*own) for own in zip(parts, product.factors, points)]
+            pushed = [moved(own[None], to, axes)[0] for own, to, axes in zip(product.factors, points, tables)]
             for n in range(len(modes)):
                 if (open_cells := passages[product.mode, n]) is not None:
                     factors = [own * cells for own, cells in zip(pushed, open_cells)]
@@ -325,7 +318,7 @@ class _Charges:
         self.problem, self.base, self.usual = problem, base, usual
         self.known: dict[object, FloatArray] = {}
 
-    def of(self, asked: NDArray[np.integer], masses: list[FloatArray], reach: list[FloatArray]) -> float:
+    def of(self, asked: NDArray[np.integer], masses: list[FloatArray]) -> float:
         """Return the sum, over the pairs asked about, of the mass of a product in which they are not as usual."""
         totals = np.array([own.sum() for own in masses])
         total, spread = 0.0, dict[object, FloatArray]()
@@ -335,8 +328,7 @@ class _Charges:
             axes = self.axes(pair)
             first = over_axes(masses[pair.first], [a for a, _ in axes])
             stays = bool(self.usual[k])
-            apart = [float(reach[pair.first][a] + reach[pair.second][b]) for a, b in axes]
-            names, tables = zip(*(self.table(pair, n, ab, stays, apart[n]) for n, ab in enumerate(axes)))
+            names, tables = zip(*(self.table(pair, n, ab, stays) for n, ab in enumerate(axes)))
             key = (pair.second, tuple(b for _, b in axes), names)
             if key not in spread:
                 reached = over_axes(masses[pair.second], [b for _, b in axes])
@@ -359,22 +351,17 @@ class _Charges:
             found.append((a[0], b[0]))
         return found
 
-    def table(
-        self, pair: PairRegion, n: int, axes: tuple[int, int], from_below: bool, apart: float
-    ) -> tuple[object, FloatArray]:
-        """Return bounds (Z, Z') on being near along comparison n, between two states, and their name before them.
-
-        Gaps are those of lattice points, give or take ``apart``.
-        """
+    def table(self, pair: PairRegion, n: int, axes: tuple[int, int], from_below: bool) -> tuple[object, FloatArray]:
+        """Return bounds (Z, Z') on being near along comparison n, between two states, and their name before them."""
         a, b = axes
         i, j = pair.first, pair.second
         mine, theirs = self.base.proof.agents[i].lattice[a], self.base.proof.agents[j].lattice[b]
         agents = self.problem.agents
         variances = float(agents[i].noise_covariance[a, a]), float(agents[j].noise_covariance[b, b])
         low, high = (float(end[n]) for end in (pair.inner_box if from_below else (pair.low, pair.high)))
-        name = (mine.tobytes(), theirs.tobytes(), *variances, low, high, from_below, apart)
+        name = (mine.tobytes(), theirs.tobytes(), *variances, low, high, from_below)
         if name not in self.known:
-            self.known[name] = _near_probability((mine, theirs), variances, (low, high), from_below, apart)
+            self.known[name] = _near_probability((mine, theirs), variances, (low, high), from_below)
         return name, self.known[name]
 
 
@@ -389,19 +376,13 @@ def _near_probability(
     variances: tuple[float, float],
     box: tuple[float, float],
     from_below: bool,
-    apart: float = 0.0,
 ) -> FloatArray:
-    """Return bounds (Z, Z') on ``P(low <= z - z' + a + w < high)``, w Gaussian: from above, or ``from_below``.
+    """Return bounds (Z, Z') on ``P(low <= z - z' + w < high)``, w Gaussian: from above, or ``from_below``.
 
-    The box is made wider, or narrower, by what the rounding of the states and of their difference can move it. What is
-    not known of the gap, |a| <= ``apart``, brings it towards the middle of the box, or away from it.
+    The box is made wider, or narrower, by what the rounding of the states and of their difference can move it.
     """
     (mine, theirs), (low, high) = points, box
     gap = np.subtract.outer(mine, theirs)
-    if apart > 0.0:
-        middle = 0.5 * (low + high)
-        nearest = np.minimum(np.maximum(middle, gap - apart), gap + apart)
-        gap = np.where(gap > middle, gap + apart, gap - apart) if from_below else nearest
     size = np.abs(mine).max() + np.abs(theirs).max() + abs(low) + abs(high)
     scale = np.sqrt(2.0 * sum(variances))
     wider = (1e-14 * size + 1e-12 * scale) * (-1.0 if from_below else 1.0)

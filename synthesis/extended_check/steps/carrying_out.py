@@ -12,14 +12,13 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from ....envs.systems.agents import Agent, AnyAgent, LinearAgent, with_expressions, with_matrices
+from ....envs.systems.agents import Agent, AnyAgent, LinearAgent, with_expressions
 from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.controllers import AgentController
 from ...relations.grids import FloatArray, linear_agent
 from ...relations.kinds import CoupledRelation, commands_of
 from .execution import Execution
 from .geometry import cell_boxes
-from .map_enclosures import networked_maps
 from .mean_enclosures import steered_spans
 from .network_enclosures import network_maps
 
@@ -92,10 +91,6 @@ def _wrong_means(
                 return ["its controller was seen to steer elsewhere than its policy says"]
         if part.relation["kind"] == "exact":
             return []
-        if "network" in part.relation:
-            return _wrong_networked(
-                agent, part, (cells, choice), states, agent.mean(states, inputs, None, beside), execution
-            )
         fixed = (choice >= 0) & (mean_targets < 0)
         chosen = np.where(fixed, cells, -1), np.where(fixed, choice, 0)
         return _wrong_written(agent, part, states, inputs, *chosen, beside)
@@ -117,7 +112,7 @@ def first_target(part: AgentRecord) -> int:
 
 
 def _wrong_networked(
-    agent: AnyAgent,
+    agent: LinearAgent,
     part: AgentRecord,
     chosen: tuple[NDArray[np.int64], NDArray[Any]],
     states: FloatArray,
@@ -130,10 +125,7 @@ def _wrong_networked(
     for mode in np.unique(choice[choice >= 0]).tolist():
         here = np.flatnonzero(choice == mode)[:NETWORKED]
         first, last = low[cells[here]], high[cells[here]]
-        if isinstance(agent, Agent):
-            z, gain, rho = networked_maps(agent, part, (first, last), mode)
-        else:
-            z, gain, rho = network_maps(with_matrices(agent), part, cells[here], mode)
+        z, gain, rho = network_maps(agent, part, cells[here], mode)
         offsets = states[:, here].T - 0.5 * (first + last)
         asked = z + np.einsum("ckj,cj->ck", gain, offsets)
         off = np.abs(means[:, here].T - asked)

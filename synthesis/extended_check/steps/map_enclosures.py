@@ -1,14 +1,12 @@
-"""Affine maps around means of expressions, for the check: under inputs of a menu, and under networks.
+"""Affine maps around means of expressions under inputs of a menu, for the check.
 
 The map of a cell has the value and the slopes in its middle; what is left of the mean is enclosed with the spans of
-``step_intervals``, under every disturbance (docs/theory/linear.md, "One reading for all"). Under a network an input is
-an affine map of the state and something that is not known (docs/theory/networks.md, "Linear cells").
+``step_intervals``, under every disturbance (docs/theory/linear.md, "One reading for all").
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import Agent
-from ....envs.systems.expressions import Name, Operation, Tree, substituted
 from ...certificates.cell_probabilities import AgentRecord, state
 from ...relations.grids import FloatArray
 from .geometry import cell_boxes
-from .mean_enclosures import Enclosed, Fed, spans_of_means
-from .network_enclosures import input_maps
+from .mean_enclosures import Enclosed, spans_of_means
 from .step_intervals import Span, bounds, products
 
 COMPUTED = 1e-14
@@ -53,43 +49,10 @@ def maps_of(agent: Agent, part: AgentRecord, numbers: NDArray[np.int64]) -> Maps
     low, high = cell_boxes(part)
     d, cuts = low.shape[1], int(part.relation["cuts"])
     maps = Maps(numbers, np.zeros((len(numbers), d)), np.zeros((len(numbers), d, d)), np.zeros((len(numbers), d)))
-    is_networked = "network" in part.relation
-    for group in [choice == mode for mode in np.unique(choice)] if is_networked else [choice >= 0]:
-        asked = np.flatnonzero(group)
-        for some in np.array_split(asked, len(asked) // CELLS_AT_ONCE + 1):
-            corners, inputs = (low[cell[some]], high[cell[some]]), input_set[choice[some]]
-            if is_networked and len(some):
-                made = networked_maps(agent, part, corners, int(choice[some][0]))
-            else:
-                made = map_enclosures(agent, *corners, inputs, cuts)
-            maps.z[some], maps.gain[some], maps.rho[some] = made
+    for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1):
+        made = map_enclosures(agent, low[cell[some]], high[cell[some]], input_set[choice[some]], cuts)
+        maps.z[some], maps.gain[some], maps.rho[some] = made
     return maps
-
-
-def networked_maps(
-    agent: Agent, part: AgentRecord, corners: tuple[FloatArray, FloatArray], mode: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """z, G and rho as ``map_enclosures`` gives them, under a mode of a network: its inputs move with the state.
-
-    Each input is ``h + J (x - c)`` and something that is not known, which an agent that is driven takes for a
-    disturbance; what is left of inputs is idle.
-    """
-    held, slopes, rho = input_maps(agent, part, *corners, mode)
-    middle = 0.5 * (corners[0] + corners[1])
-    numbers, moved = {f"middle {k}": column for k, column in enumerate(middle.T)}, dict[str, Tree]()
-    for j, name in enumerate(agent.inputs[: held.shape[1]]):
-        numbers[f"held {j}"] = held[:, j]
-        moved[name] = Operation("+", (Name(name), Name(f"held {j}")))
-        for k, state_name in enumerate(agent.states):
-            numbers[f"slope {j} {k}"] = slopes[:, j, k]
-            away = Operation("-", (Name(state_name), Name(f"middle {k}")))
-            moved[name] = Operation("+", (moved[name], Operation("*", (Name(f"slope {j} {k}"), away))))
-    driven = agent.driven
-    fed = Fed([substituted(tree, moved) for tree in driven.trees], numbers)
-    places = {name: place for place, name in enumerate(driven.unknowns)}
-    left = {places[name]: (-rho[:, j], rho[:, j]) for j, name in enumerate(agent.inputs[: held.shape[1]])}
-    idle = np.zeros((len(corners[0]), 1))
-    return map_enclosures(driven, *corners, idle, int(part.relation["cuts"]), fed, left)
 
 
 def map_enclosures(
@@ -98,33 +61,27 @@ def map_enclosures(
     high: FloatArray,
     inputs: FloatArray,
     cuts: int,
-    fed: Fed | None = None,
-    ranges: Mapping[int, tuple[FloatArray, FloatArray]] | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """z (n, d), G (n, d, d) and rho (n, d) of closed cells (n, d) under inputs (n, m), whatever disturbances do.
 
-    rho is infinite, or no number, where nothing is known of the mean. ``fed`` are dynamics with inputs that move with
-    the state, ``ranges`` ends (n,) of what is unknown, by its place, where more is known than the agent says.
+    rho is infinite, or no number, where nothing is known of the mean.
     """
     n, d = low.shape
     middle = 0.5 * (low + high)
     calm = [(np.full(n, a), np.full(n, b)) for a, b in agent.unknowns.values()]
-    for place, ends_of in (ranges or {}).items():
-        calm[place] = ends_of
     still = np.array([(x, x) for x in middle.T] + [(0.5 * (a + b),) * 2 for a, b in calm])
     with np.errstate(all="ignore"):
-        at = spans_of_means(agent, inputs, still, True, fed)
+        at = spans_of_means(agent, inputs, still, True)
         z = np.stack([value.ends.mean(axis=0) for value in at], axis=1)
         gain = np.stack([value.slopes[:, :d].mean(axis=0).T for value in at], axis=1)
-        outputs = partial(_left, agent, inputs, (z, gain, middle), fed=fed)
+        outputs = partial(_left, agent, inputs, (z, gain, middle))
         first, last = np.full((n, d), np.inf), np.full((n, d), -np.inf)
         cut = [low + (high - low) * (k / cuts) for k in range(cuts)] + [high]
         for piece in itertools.product(range(cuts), repeat=d):
             box = np.array([(cut[k][:, axis], cut[k + 1][:, axis]) for axis, k in enumerate(piece)] + calm)
             ends = np.stack(bounds(outputs, box), axis=-1)
             first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
-        trees, numbers = (agent.trees, {}) if fed is None else (fed.trees, fed.numbers)
-        spans = Enclosed(trees, agent, inputs, (z, gain), numbers)
+        spans = Enclosed(agent.trees, agent, inputs, (z, gain))
         state("spans", spans, (low, high), calm, (first, last))
         moved = 0.5 * (first + last)
         rho = np.maximum(last - moved, moved - first) + COMPUTED * np.abs(z)
@@ -137,12 +94,11 @@ def _left(
     maps: tuple[FloatArray, FloatArray, FloatArray],
     on: FloatArray,
     with_slopes: bool = False,
-    fed: Fed | None = None,
 ) -> list[Span]:
     """Spans of what is left of the mean: less ``z + G (x - middle)``."""
     z, gain, middle = maps
     result = []
-    for k, mean in enumerate(spans_of_means(agent, inputs, on, with_slopes, fed)):
+    for k, mean in enumerate(spans_of_means(agent, inputs, on, with_slopes)):
         left = mean + (-Span.of(z[:, k], z[:, k], mean))
         for j in range(z.shape[1]):
             if np.any(gain[:, k, j]):

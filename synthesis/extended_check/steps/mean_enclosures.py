@@ -211,24 +211,12 @@ def leaves_of(agent: Agent, box: FloatArray, inputs: FloatArray, with_slopes: bo
     return leaves | dict(zip(agent.unknowns, variables[agent.n_states :], strict=False))
 
 
-@dataclass(frozen=True, eq=False)
-class Fed:
-    """Dynamics with inputs that move with the state: trees, and numbers (n,) that their further names stand for."""
-
-    trees: Sequence[Tree]
-    numbers: Mapping[str, FloatArray]
-
-
 def spans_of_means(
     agent: Agent,
     inputs: FloatArray,
     on: FloatArray,
     with_slopes: bool = False,
-    fed: Fed | None = None,
 ) -> list[Span]:
     """Spans of the components of the mean on boxes (v, 2, n) of variables."""
     leaves = leaves_of(agent, on, inputs, with_slopes)
-    fed = fed or Fed(agent.trees, {})
-    some = next(iter(leaves.values()))
-    leaves |= {name: Span.of(number, number, some) for name, number in fed.numbers.items()}
-    return [span(tree, leaves) for tree in fed.trees]
+    return [span(tree, leaves) for tree in agent.trees]

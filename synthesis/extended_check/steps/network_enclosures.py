@@ -106,25 +106,6 @@ def network_maps(
     return z, gain, rho
 
 
-def input_maps(
-    agent: AnyAgent, part: AgentRecord, left: FloatArray, right: FloatArray, mode: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """h (C, m), J (C, m, d) and rho (C, m) of boxes of states with corners (C, d).
-
-    From x of a box with middle c the network answers the input ``h + J (x - c)``, give or take rho.
-    """
-    box, d = agent.chosen_box, left.shape[1]
-    held, slopes, rho = np.zeros((len(left), box.dimension)), np.zeros((len(left), box.dimension, d)), []
-    wide, centre = np.diag(0.5 * (box.high - box.low)), 0.5 * (box.low + box.high)
-    for some in np.array_split(np.arange(len(left)), len(left) // BOXES_AT_ONCE + 1):
-        middle, half = 0.5 * (left + right)[some], 0.5 * (right - left)[some] * (1.0 + 1e-13)
-        forms, layers = _answers(agent, part, middle, half, mode)
-        forms = forms.through(wide, centre)
-        held[some], slopes[some] = forms.constants, forms.slopes
-        rho.append(np.abs(forms.symbols).sum(axis=2) + forms.own + _spare(agent, part, layers))
-    return held, slopes, np.concatenate(rho)
-
-
 def _spare(agent: AnyAgent, part: AgentRecord, layers: list[tuple[Any, Any]]) -> FloatArray:
     """What double precision may be off by in inputs (m,)."""
     network, box = part.relation["network"], agent.chosen_box

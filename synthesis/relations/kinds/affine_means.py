@@ -105,9 +105,8 @@ class AffineMeans:
         """Return the maps of the closed cells ``[low, high]``, (n, d) each, under inputs (A, m)."""
         inputs = input_set if self.pushes is None else input_set[:1]
         middle = 0.5 * (low + high)
-        names, beside = self._inputs(low, high, inputs)
+        names = self._names(inputs)
         unknown = [0.5 * (a + b) * np.ones((1, 1)) for a, b in self.agent.unknowns.values()]
-        unknown += [0.5 * (a + b) for a, b in beside]
         shape = (len(low), len(inputs), self.agent.n_states)
         # The map: value and Jacobian at the centre of the cell, with everything else at the middle of its interval.
         at = [*(column[:, None] for column in middle.T), *unknown]
@@ -121,7 +120,7 @@ class AffineMeans:
         trees = self._residuals(gain)
         names |= self._map_names(centre, gain, middle)
         for box in self._parts(low, high):
-            for k, (below, above) in enumerate(enclosed(trees, names, [*box, *beside])):
+            for k, (below, above) in enumerate(enclosed(trees, names, box)):
                 np.minimum(first[..., k], below, out=first[..., k])
                 np.maximum(last[..., k], above, out=last[..., k])
         moved = 0.5 * (first + last)
@@ -134,12 +133,6 @@ class AffineMeans:
             rest += COMPUTED * np.abs(centre).max(axis=1, keepdims=True)
         known = np.all(np.isfinite(rest) & np.isfinite(gain).all(axis=-1), axis=2)
         return AffineBoxes(np.where(known[..., None], centre, np.nan), gain, rest)
-
-    def _inputs(
-        self, low: FloatArray, high: FloatArray, inputs: FloatArray
-    ) -> tuple[dict[str, Affine], list[Interval]]:
-        """Return what names are in the variables, and intervals of further variables behind all others: none here."""
-        return self._names(inputs), []
 
     def _residuals(self, gain: FloatArray) -> tuple[Tree, ...]:
         """Return the expressions of what is left along each axis."""

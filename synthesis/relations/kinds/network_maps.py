@@ -18,10 +18,9 @@ from itertools import product
 
 import numpy as np
 
-from ....envs.systems.agents import AnyAgent, with_expressions
-from ....envs.systems.expressions import Affine, Interval
-from ..grids import FloatArray, linear_agent
-from .affine_means import AffineBoxes, AffineMeans, MapRelation
+from ....envs.systems.agents import AnyAgent
+from ..grids import FloatArray, RelationRefused, linear_agent
+from .affine_means import AffineBoxes, MapRelation
 from .boxes import LinearMeans, linear_means
 from .network_bounds import CELLS_AT_ONCE, OUTWARD, Form, mean_form, widening
 from .networks import NetworkPolicy
@@ -106,54 +105,6 @@ class NetworkMaps:
         return (*self.linear.arrays, *self.policy.arrays, np.array([self.cuts]))
 
 
-@dataclass(frozen=True, eq=False)
-class DrivenMaps(AffineMeans):
-    """The same of an agent with expressions: its inputs are affine maps of the state, up to what these leave.
-
-    Parameters
-    ----------
-    policy : NetworkPolicy
-    idle : tuple of int
-        As for ``NetworkMaps``.
-    """
-
-    policy: NetworkPolicy
-    idle: tuple[int, ...] = ()
-
-    pushes = None  # no input is the same in all of a cell
-
-    @property
-    def network(self) -> NetworkPolicy:  # type: ignore[override]
-        """The network."""
-        return self.policy
-
-    def _inputs(
-        self, low: FloatArray, high: FloatArray, inputs: FloatArray
-    ) -> tuple[dict[str, Affine], list[Interval]]:
-        """Return the names with inputs as maps of the axes, and behind them what is left of each (n, modes)."""
-        n, d, m, modes = *low.shape, self.policy.input_box.dimension, self.policy.n_modes
-        centre, half = 0.5 * (low + high), _half(low, high)
-        held, left = np.full((n, modes, m), np.nan), np.full((n, modes, m), np.nan)
-        slopes = np.zeros((n, modes, m, d))
-        moves = np.zeros((m, d)), np.eye(m), np.zeros(m)
-        for mode in (k for k in range(modes) if k % self.policy.view.states not in self.idle):
-            form = mean_form(self.policy, moves, (centre, half), mode)
-            held[:, mode], slopes[:, mode], left[:, mode] = form.centre, form.slopes, form.radius
-        size = np.einsum("nkmd,nd->nkm", np.abs(slopes), np.abs(centre) + half)
-        left = left * (1.0 + OUTWARD) + widening(self.policy, np.eye(m)) + OUTWARD * (np.abs(held) + size)
-        held = held - np.einsum("nkmd,nd->nkm", slopes, centre)
-        names, one = self._names(inputs), np.ones((1, 1))
-        first = d + len(self.agent.unknowns)
-        for j, name in enumerate(self.agent.inputs[:m]):
-            names[name] = Affine(held[..., j], {**{k: slopes[..., j, k] for k in range(d)}, first + j: one})
-        return names, [(-left[..., j], left[..., j]) for j in range(m)]
-
-    @property
-    def arrays(self) -> tuple[FloatArray, ...]:
-        """All that maps depend on, for comparing relations."""
-        return (*super().arrays, *self.policy.arrays)
-
-
 def _half(low: FloatArray, high: FloatArray) -> FloatArray:
     """Return half widths (n, d) of boxes, rounded outward."""
     centre = 0.5 * (low + high)
@@ -178,10 +129,11 @@ def network_linear_relation(
         See ``NetworkMaps``.
     """
     parts, cuts, reach = numbers
-    maps: NetworkMaps | DrivenMaps
-    if agent.is_affine:
-        linear = linear_means(linear_agent(agent, "linear"), np.zeros((1, agent.n_inputs, agent.n_states)))
-        maps = NetworkMaps(linear, policy, cuts, tuple(idle))
-    else:
-        maps = DrivenMaps(with_expressions(agent), cuts, policy, tuple(idle))
-    return MapRelation(maps, policy.idle_menu, parts, tuple(int(n) for n in reach))
+    if not agent.is_affine:
+        raise RelationRefused(
+            f"agent `{agent.name}`: networks on cells move agents with linear dynamics, got expressions"
+        )
+    linear = linear_means(linear_agent(agent, "linear"), np.zeros((1, agent.n_inputs, agent.n_states)))
+    return MapRelation(
+        NetworkMaps(linear, policy, cuts, tuple(idle)), policy.idle_menu, parts, tuple(int(n) for n in reach)
+    )
