@@ -16,9 +16,9 @@ from scipy.stats import beta
 import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical_problem
 from certigym.synthesis.checker import CheckedProblem, Refused, read_problem
-from certigym.synthesis.extended_check.vertex_grids import Backups, Images, backups, failure_of, images, noise
+from certigym.synthesis.extended_check.vertex_grids import Backups, Images, backups, failure_of, images, noise_bounds
 from certigym.synthesis.extended_check.vertex_grids.images import Planes
-from certigym.synthesis.extended_check.vertex_grids.noise import Normal, Tabled
+from certigym.synthesis.extended_check.vertex_grids.noise_bounds import Normal, Tabled
 from certigym.synthesis.policy_search.vertex_values import value_iteration
 from certigym.synthesis.trajectories.planning import CountedWork
 
@@ -198,7 +198,7 @@ def test_tables_of_laws_bound_what_they_say(law: str) -> None:
     size = np.sort(rng.uniform(0.5, 1.5, (2, 300)), axis=0)
     seen = table.seen(axis - y[1][:, None], axis - y[0][:, None], size[0][:, None], size[1][:, None])
     for _ in range(50):
-        tau = (axis - rng.uniform(*y)[:, None]) / rng.uniform(*size)[:, None]
+        tau = (axis - rng.uniform(y[0], y[1])[:, None]) / rng.uniform(size[0], size[1])[:, None]
         step = 1e-5
         above = [own.tails((tau + k * step) * table.unit)[1] for k in (-1, 0, 1)]
         jumps = [abs(tau - at) < 2e-5 for at, _ in table.jumps]
@@ -235,7 +235,7 @@ def test_what_is_left_out_of_a_law_is_noticed(part: str, monkeypatch: pytest.Mon
 
     def less(*arguments: Any) -> Any:
         seen = whole(*arguments)
-        value = {"dens": [0.02 * own for own in seen.dens], "slope": [0.02 * own for own in seen.slope],
+        value: Any = {"dens": [0.02 * own for own in seen.dens], "slope": [0.02 * own for own in seen.slope],
                  "mass": 0.02 * seen.mass, "leaps": None}[part]  # fmt: skip
         return seen._replace(**{part: value})
 
@@ -322,18 +322,18 @@ def test_blocks_change_nothing_but_rounding(name: str, monkeypatch: pytest.Monke
     for a, b in zip(many[:2], one[:2], strict=True):
         assert np.allclose(a, b, rtol=1e-9, atol=1e-9)
     # kinks are rounded by the width of the narrowest cell that is near
-    assert np.allclose(many[2], one[2], rtol=1e-6, atol=1e-6)
+    assert np.allclose(many[2], one[2], rtol=1e-4, atol=1e-6)  # single precision, rounded up by the length of sums
 
 
 def test_tables_of_densities_and_tails_enclose_what_scipy_computes() -> None:
     t = np.concatenate([np.random.default_rng(0).uniform(0.0, 9.0, 20_000), np.arange(12.0), np.sqrt([1.0, 2.0, 3.0])])
-    place = (t * noise.FINE).astype(int)
-    for p, table in enumerate(noise._densities()):
+    place = (t * noise_bounds.FINE).astype(int)
+    for p, table in enumerate(noise_bounds._densities()):
         true = t**p * np.exp(-0.5 * t * t) / np.sqrt(2.0 * np.pi)
         assert np.all(true <= table[place] * (1.0 + 1e-13)) and np.all(table[place] <= true * 1.02 + 1e-3)
-    low, high = noise._tails(t)
+    low, high = noise_bounds._tails(t)
     assert np.all(low <= ndtr(-t) * (1.0 + 1e-12)) and np.all(ndtr(-t) <= high * (1.0 + 1e-12))
-    assert np.all(high - low <= 1e-3) and noise._tails(np.array([50.0]))[0] == 0.0
+    assert np.all(high - low <= 1e-3) and noise_bounds._tails(np.array([50.0]))[0] == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -391,11 +391,11 @@ def test_more_agents_or_other_noise_are_refused_in_words() -> None:
 def test_what_was_found_is_returned_at_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
-    def iterated(steps: Any, runs: Any = None) -> Any:
-        calls.append(steps)
+    def iterated(*arguments: Any, **more: Any) -> Any:
+        calls.append(arguments)
         if len(calls) == 4:  # two coarse grids, the first one, and the next one, which is broken off
             raise KeyboardInterrupt
-        return found(steps, runs)
+        return found(*arguments, **more)
 
     found = value_iteration.iterated
     monkeypatch.setattr(value_iteration, "iterated", iterated)

@@ -50,7 +50,8 @@ MAY_IMPORT = {
     "synthesis.abstraction.kernels": f"{ENVS} synthesis.relations synthesis.certificates.value_functions",
     "synthesis.abstraction.models": f"{ENVS} synthesis.relations synthesis.certificates.value_functions "
     "synthesis.abstraction.kernels",
-    "synthesis.extended_check.vertex_grids": "synthesis.checker",
+    "synthesis.extended_check.vertex_grids": "envs.systems.distributions synthesis.certificates.cell_probabilities "
+    "synthesis.checker",
     "synthesis.extended_check.steps": f"{ENVS} {CERTIFICATES}",
     "synthesis.extended_check.claims": f"{ENVS} envs.suite {CERTIFICATES} synthesis.checker "
     "synthesis.extended_check.vertex_grids synthesis.extended_check.steps",

@@ -3,7 +3,7 @@
 from .backups import FARTHEST, NEAR, Backups, failure_of
 from .closed_loops import corners_of, images_at, names_time, vertices_of
 from .images import Images, hats_at
-from .noise import Noise
+from .noise_bounds import Noise
 
 __all__ = [
     "FARTHEST",

@@ -51,7 +51,7 @@ from ...checker.rigorous import Array, Truth, U, Whole, wrong_arithmetic
 from ...checker.tree import finished
 from .closed_loops import closed_loop, corners_of, names_time
 from .images import Images
-from .noise import Noise, noise_of
+from .noise_bounds import Noise, noise_of
 
 KEPT = 4e7  # numbers of images that are kept
 NEAR = 6.8  # deviations of the noise that are looked at, unless a proof says otherwise
@@ -227,9 +227,9 @@ class Backups:
             known = [{p: label > 0 for p, label in zip(mine, kind, strict=True) if label} for kind in kinds.tolist()]
             self.letters[t] = [(own, doubled(which.reshape(self.shape) == k)) for k, own in enumerate(known)]
         result = np.zeros(tuple(2 * n for n in self.shape))
-        for known, here in self.letters[t]:
-            each = [self._on_cells(values[target], given_up[target]) for target in automaton.targets(q, known)]
-            result = np.where(here, np.min(each, axis=0), result)
+        for letter, where in self.letters[t]:
+            each = [self._on_cells(values[target], given_up[target]) for target in automaton.targets(q, letter)]
+            result = np.where(where, np.min(each, axis=0), result)
         return result
 
     def _on_cells(self, values: Array, given_up: Truth) -> Array:

@@ -9,15 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...checker.intervals import down, up
 from ...checker.rigorous import Array, Truth, U, Whole
 from .closed_loops import ClosedLoop, corners_of
-from .noise import Noise, Seen
+from .noise_bounds import Noise, Seen
 
+TINY = 1e-18  # more than what sums lose where products are too small for single precision
 ROUNDED = 1.0 + 2.0**-26  # more than sums of 2^22 products of numbers of one sign, and their factors, are rounded by
+Singles = NDArray[np.float32]
 AT_ONCE = 2**22  # numbers that are formed at once
 BESIDE = 2e5  # products that a block of points costs beside its own
 
@@ -40,13 +44,13 @@ def _largest_ends(table: Array, axes: Sequence[int]) -> Array:
     return table
 
 
-def contracted(table: Array, weights: Sequence[Array], last: Sequence[Sequence[Array]] = ((),)) -> Array:
+def contracted(table: Any, weights: Sequence[Any], last: Sequence[Sequence[Any]] = ((),)) -> Any:
     """Return sums (.., n) over a table, each number times a weight (n, .) along every axis.
 
     ``last`` are choices of the weights of the axes that remain, one or two: a row of sums for each of them.
     """
     n = len((*weights, *last[0])[0])
-    result, flat = np.empty((len(last), n)), table.reshape(len(table), -1)
+    result, flat = np.empty((len(last), n), dtype=table.dtype), table.reshape(len(table), -1)
     for some in np.array_split(np.arange(n), n * flat.shape[1] // AT_ONCE + 1):
         total = table[None]
         if weights:
@@ -60,8 +64,8 @@ def contracted(table: Array, weights: Sequence[Array], last: Sequence[Sequence[A
     return result if last[0] else result[0]
 
 
-def _product(weights: Array, tables: Array) -> Array:
-    return np.asarray((weights[:, None] @ tables)[:, 0])
+def _product(weights: Any, tables: Any) -> Any:
+    return (weights[:, None] @ tables)[:, 0]
 
 
 def blocks_of(first: Whole, last: Whole) -> Iterator[tuple[Whole, tuple[slice, ...]]]:
@@ -171,6 +175,32 @@ class Means:
 
 
 @dataclass(frozen=True, eq=False)
+class Weights:
+    """What planes and intervals of one axis weigh at most as seen from cells, in single precision (S, .).
+
+    ``mass`` are probabilities of intervals, ``seconds`` and ``firsts`` weights of features for second and first
+    derivatives along each side of the cell, ``off`` the same for what images may be off by.
+    """
+
+    mass: Singles
+    seconds: list[Singles]
+    firsts: list[Singles]
+    off: Singles
+
+    @classmethod
+    def of(cls, planes: Planes | Crossed, moves: Sequence[Sequence[Array]], off: Sequence[Array]) -> Weights:
+        """Return the weights, for y and sigma that move and bend so far, and may be off by so much."""
+        seconds = [_rounded_up(planes.second(*own)) for own in moves]
+        firsts = [_rounded_up(planes.first(*own[:2])) for own in moves]
+        return cls(_rounded_up(planes.mass), seconds, firsts, _rounded_up(planes.first(*off)))
+
+    @property
+    def size(self) -> int:
+        """How many numbers of double precision would take as much room."""
+        return (self.mass.size + self.off.size + sum(own.size for own in (*self.seconds, *self.firsts))) // 2
+
+
+@dataclass(frozen=True, eq=False)
 class Images:
     """Where a closed loop leads: weights of means at vertices, and bounds on weights on the images of cells.
 
@@ -182,12 +212,8 @@ class Images:
     ----------
     vertices : Means
         Of W around the images of vertices.
-    blocks : list of (places, windows, d of Planes or Crossed)
-        Cells of each block, intervals that are near their images, and planes of each axis as seen from these.
-    moves : (d axes, d directions) of four arrays (S, 1)
-        By how much y and sigma move along the side of a cell, and how far both bend.
-    off : d pairs of arrays (S, 1)
-        What y and sigma may be off by.
+    blocks : list of (places, windows, d of Weights)
+        Cells of each block, intervals that are near their images, and what planes of each axis weigh from there.
     beyond : (S,)
         Upper bounds on the probability of what is not near.
     known : (S,) bool
@@ -195,16 +221,14 @@ class Images:
     """
 
     vertices: Means
-    blocks: list[tuple[Whole, tuple[slice, ...], list[Planes | Crossed]]]
-    moves: list[list[list[Array]]]
-    off: list[list[Array]]
+    blocks: list[tuple[Whole, tuple[slice, ...], list[Weights]]]
     beyond: Array
     known: Truth
 
     @property
     def size(self) -> int:
         """How many numbers it holds."""
-        return self.vertices.size + sum(own.size for _, _, planes in self.blocks for own in planes)
+        return self.vertices.size + sum(own.size for _, _, weights in self.blocks for own in weights)
 
     @property
     def products(self) -> float:
@@ -235,7 +259,7 @@ class Images:
             inside = ends[0, d + k] > 0.0 if noises[k] else (ends[0, k] > axis[0]) & (ends[1, k] < axis[-1])
             known &= inside
         ends = np.where(known, ends, 1.0)
-        moved, off, first, last = [], [], [], []
+        moved, off, first, last = list[list[list[Array]]](), list[list[Array]](), [], []
         for k, axis in enumerate(edges):
             # y and sigma of cells, and how both move in each direction
             moves = [
@@ -248,19 +272,21 @@ class Images:
             start, stop = _reached(ends[0, k] - away, ends[1, k] + away, axis)
             first.append(np.where(known, start, len(axis)).reshape(cells))
             last.append(np.where(known, stop, 0).reshape(cells))
-        blocks, beyond = list[tuple[Whole, tuple[slice, ...], list[Planes | Crossed]]](), np.zeros(len(known))
+        blocks, beyond = list[tuple[Whole, tuple[slice, ...], list[Weights]]](), np.zeros(len(known))
         for places, windows in blocks_of(np.stack(first), np.stack(last)):
-            some, seen = places[known[places]], list[Planes | Crossed]()
+            some, weights = places[known[places]], list[Weights]()
             for k, own in enumerate(windows):
                 y, sigma = ends[:, k, some], ends[:, d + k, some]
                 axis, noise = edges[k][own.start : own.stop + 1], noises[k]
-                seen.append(Crossed.of(y, axis) if noise is None else Planes.of(y, sigma, axis, noise))
+                planes = Crossed.of(y, axis) if noise is None else Planes.of(y, sigma, axis, noise)
+                moves = [[each[some] for each in direction] for direction in moved[k]]
+                weights.append(Weights.of(planes, moves, [each[some] for each in off[k]]))
                 if noise is not None and own.start > 0:
                     beyond[some] += noise.beyond(y[0] - axis[0], sigma[1], -1)
                 if noise is not None and own.stop < cells[k]:
                     beyond[some] += noise.beyond(axis[-1] - y[1], sigma[1], 1)
-            blocks.append((some, windows, seen))
-        return cls(Means.of(loop.centre, edges, noises, near), blocks, moved, off, beyond, known)
+            blocks.append((some, windows, weights))
+        return cls(Means.of(loop.centre, edges, noises, near), blocks, beyond, known)
 
     def means(self, W: Array) -> Array:
         """Return means of W around the images of vertices (V,), less what they may be above."""
@@ -272,11 +298,9 @@ class Images:
         """Return what ``rho`` and what is far may cost on each cell (S,), and bounds on second derivatives (d, S)."""
         d, largest = W.ndim, float(np.abs(W).max())
         always, bends = np.zeros(len(self.known)), np.zeros((d, len(self.known)))
-        for places, windows, planes in self.blocks:
+        for places, windows, weights in self.blocks:
             near = [axis[own.start : own.stop + 1] for axis, own in zip(edges, windows, strict=True)]
-            moves = [[[own[places] for own in each] for each in axis] for axis in self.moves]
-            off = [[own[places] for own in axis] for axis in self.off]
-            always[places], bends[:, places] = _cost(_part(W, windows), near, planes, moves, off, largest)
+            always[places], bends[:, places] = _cost(_part(W, windows), near, weights, largest)
         return (always + largest * self.beyond) * ROUNDED, bends * ROUNDED
 
 
@@ -289,9 +313,7 @@ def _sizes(sizes: Array, noises: Sequence[Noise | None]) -> Array:
 def _cost(
     W: Array,
     edges: Sequence[Array],
-    planes: Sequence[Planes | Crossed],
-    moves: Sequence[Sequence[Sequence[Array]]],
-    off: Sequence[Sequence[Array]],
+    weights: Sequence[Weights],
     largest: float,
 ) -> tuple[Array, Array]:
     """Return what ``off`` may cost (M,), and second derivatives along each axis (d, M), for the cells of a block."""
@@ -300,25 +322,33 @@ def _cost(
         np.repeat([4.0 / np.diff(axis).min(), 2.0, 2.0 / np.diff(axis).min()], [len(axis), len(axis), len(axis) - 1])
         for axis in edges
     ]
-    d, n = W.ndim, len(off[0][0])
+    d, n = W.ndim, len(weights[0].mass)
     always, bends = np.zeros(n), np.zeros((d, n))
     for i in range(d):
         signed, others = _features(W, i, edges[i]), [k for k in range(d) if k != i]
         size = np.abs(signed) + _along(64.0 * U * largest * grain[i], i, d)
         upward = np.maximum(np.take(signed, range(len(edges[i])), axis=i), 0.0)
         upward = upward + 64.0 * U * largest * grain[i][0]
-        weights = [planes[k].mass for k in others]
-        table = np.moveaxis(_largest_ends(np.concatenate([upward, size], axis=i), others), i, -1)
-        bends += contracted(table, weights, [(planes[i].second(*own),) for own in moves[i]])
-        always += contracted(table[..., len(edges[i]) :], weights, [(planes[i].first(*off[i]),)])[0]
+        masses = [weights[k].mass for k in others]
+        table = _rounded_up(np.moveaxis(_largest_ends(np.concatenate([upward, size], axis=i), others), i, -1))
+        bends += contracted(table, masses, [(own,) for own in weights[i].seconds])
+        always += contracted(table[..., len(edges[i]) :], masses, [(weights[i].off,)])[0]
         for j in range(i + 1, d):
             both = np.abs(_features(signed, j, edges[j]))
             both = both + 256.0 * U * largest * _along(grain[i], i, d) * _along(grain[j], j, d)
             rest = [k for k in others if k != j]
-            table = np.moveaxis(_largest_ends(both, rest), (i, j), (-2, -1))
-            pairs = [tuple(planes[k].first(*moves[k][m][:2]) for k in (i, j)) for m in range(d)]
-            bends += 2.0 * contracted(table, [planes[k].mass for k in rest], pairs)
-    return always, bends
+            table = _rounded_up(np.moveaxis(_largest_ends(both, rest), (i, j), (-2, -1)))
+            pairs = [*zip(weights[i].firsts, weights[j].firsts, strict=True)]
+            bends += 2.0 * contracted(table, [weights[k].mass for k in rest], pairs)
+    # sums of numbers that are not negative, in single precision, and what is too small for it
+    count = sum(own.seconds[0].shape[1] for own in weights) + 16
+    return always * (1.0 + count * 2.0**-23) + TINY, bends * (1.0 + count * 2.0**-23) + TINY
+
+
+def _rounded_up(table: Array) -> Singles:
+    """Return numbers in single precision that are no smaller."""
+    with np.errstate(over="ignore"):
+        return np.nextafter(table.astype(np.float32), np.float32(np.inf))
 
 
 def _along(numbers: Array, k: int, d: int) -> Array:
@@ -360,11 +390,6 @@ class Planes:
         """Largest probabilities of intervals (S, n)."""
         return self.seen.mass
 
-    @property
-    def size(self) -> int:
-        """How many numbers it holds."""
-        return self.mass.size + 4 * self.seen.rest.size
-
     def first(self, y: Array, sigma: Array) -> Array:
         """Return weights (S, 3 n + 2) of features in size, for first derivatives of y and sigma up to these (S, 1)."""
         mass, (dens, tau, _), _, rest, _ = self.seen
@@ -401,11 +426,6 @@ class Crossed:
         """Return what means between ends (2, S) meet."""
         met = (axis <= y[1][:, None]) & (axis >= y[0][:, None])
         return cls(((axis[:-1] <= y[1][:, None]) & (axis[1:] >= y[0][:, None])).astype(float), met.astype(float))
-
-    @property
-    def size(self) -> int:
-        """How many numbers it holds."""
-        return self.mass.size + self.met.size
 
     def first(self, y: Array, sigma: Array) -> Array:
         """Return weights (S, 3 n + 2) of features in size; there are no jumps."""

@@ -15,11 +15,12 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ....envs.systems.distributions import Law
 from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
 from ...certificates.proofs import Certificate, NotCanonicalError, Synthesis, VertexProof, canonical_problem
@@ -88,7 +89,7 @@ NO_DIFFERENCE = 1e-11
 GROWS = 1.45
 """Power of the number of vertices with which work grows, about."""
 
-WEIGHT, PRODUCT = 1e-7, 1.2e-10
+WEIGHT, PRODUCT = 6e-8, 4.5e-11
 """Work of a weight of a plane or an interval, and of a weight times a number of a table, in core seconds."""
 
 RUNS, QUANTILE, BESIDE = 3000, 1e-3, 6.0
@@ -107,8 +108,8 @@ ENOUGH = 1e-6
 WIDE = 1.5
 """Deviations from which on a cell is wide: values are continuous across it."""
 
-CLAIMED = 1.0 + 1e-9
-"""Factor on the failure that is claimed: other machines add in another order, and prove the same up to rounding."""
+CLAIMED = 1.0 + 1e-5
+"""Factor on the failure that is claimed: other machines add in another order, in single precision where values bend."""
 
 NARROW, MOST_NARROW = 2.0, 5e4
 """Deviations of the noise that a cell is as wide as, and the most cells so wide that a workspace may have."""
@@ -151,54 +152,67 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
     """Return the certificate of the best grid that the work allows; RelationRefused where there is none."""
     refuse_vertex_grid(problem)
     began = time.perf_counter()
-    checked = read_problem({"problem": canonical_problem(problem)})
-    noise_laws = problem.agents[0].laws
-    spreads, vertices = spreads_of(checked), float(FIRST[problem.agents[0].n_states])
-    # Coarse values say where runs pass, and nothing is charged there.
-    alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
-    window, finer, failure = alive, np.ones(len(spreads)), 1.0
-    for more in COARSE:
-        edges = grid_of(checked, spreads, round(vertices * more), window)
-        coarse = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws)
-        inputs, laws, failure = iterated(coarse)
-        work.count(coarse.spent)
-        runs = _Runs.of(coarse, inputs, laws, failure)
-        window = _within(alive, runs.window(checked, spreads))
-    best, levels, near = None, dict[str, float](), _near(coarse, failure)
-    while True:
-        edges = grid_of(checked, spreads, round(vertices), window, finer)
-        jumps = jumps_of(checked, edges)
-        steps = Counted(checked, edges, jumps, near, noise_laws)
-        try:
-            inputs, laws, failure = iterated(steps, runs)
-        except KeyboardInterrupt:
-            if best is None or best.failure >= 1.0:
-                raise
-            work.is_interrupted = True
-            break
-        work.count(steps.spent)
-        levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
-        # Axes along which more is charged get more cells: what is charged falls with the square of their number.
-        finer *= np.clip(np.sqrt(steps.bent / np.exp(np.log(steps.bent).mean())), *MOST_ADJUSTED)
-        runs = _Runs.of(steps, inputs, laws, runs.failure)
-        window = _within(alive, runs.window(checked, spreads))
-        last = 1.0 if best is None else best.failure
-        if best is None or failure < best.failure:
-            best = VertexProof(edges, inputs, laws, jumps, near, min(1.0, failure * CLAIMED))
-            work.tell(failure)
-        finer_steps = FINER_STEPS if failure > POOR else FINER_STEPS[FINER_STEPS <= 2.5]
-        vertices *= float(next((own for own in finer_steps if work.allows(steps.spent * own**GROWS)), math.inf))
-        slow = last < 1.0 and failure > (1.0 - GAINS) * last
-        if failure < ENOUGH or slow or vertices > MOST_FINER:
-            break
-    if best.failure >= 1.0:
-        raise RelationRefused(f"nothing is proved on grids of {', '.join(levels)} cells; ask for more `effort`")
-    settings = {"relation": "vertex grid", "levels": levels}
-    certificate = Certificate(problem, best, settings)
+    best, levels = _refined(problem, work)
+    certificate = Certificate(problem, best, {"relation": "vertex grid", "levels": levels})
     seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
     stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
     return Synthesis(certificate, certificate.controller, stats)
+
+
+def _refined(problem: Problem, work: CountedWork) -> tuple[VertexProof, dict[str, float]]:
+    """Return the best proof on finer and finer grids, and the bound of each of them."""
+    checked, noise_laws = read_problem({"problem": canonical_problem(problem)}), problem.agents[0].laws
+    spreads, vertices = spreads_of(checked), float(FIRST[problem.agents[0].n_states])
+    alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
+    best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
+    try:
+        runs, near = _coarse(checked, noise_laws, vertices, alive, work)
+        while True:
+            window = _within(alive, runs.window(checked, spreads))
+            edges = grid_of(checked, spreads, round(vertices), window, finer)
+            steps = Counted(checked, edges, jumps_of(checked, edges), near, noise_laws).within(work)
+            inputs, laws, failure = iterated(steps, runs)
+            levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
+            # Axes along which more is charged get more cells: what is charged falls with the square of their number.
+            finer *= np.clip(np.sqrt(steps.bent / np.exp(np.log(steps.bent).mean())), *MOST_ADJUSTED)
+            runs = _Runs.of(steps, inputs, laws, runs.failure)
+            slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
+            if best is None or failure < best.failure:
+                best = VertexProof(edges, inputs, laws, steps.jumps, near, min(1.0, failure * CLAIMED))
+                work.tell(failure)
+            each = FINER_STEPS if failure > POOR else FINER_STEPS[FINER_STEPS <= 2.5]
+            vertices *= float(next((own for own in each if work.allows(steps.spent * own**GROWS)), math.inf))
+            if failure < ENOUGH or slow or vertices > MOST_FINER:
+                break
+    except KeyboardInterrupt:
+        if best is None or best.failure >= 1.0:
+            raise
+        work.is_interrupted = True
+    except BrokenOff:
+        pass
+    if best is None or best.failure >= 1.0:
+        raise RelationRefused(
+            f"nothing is proved on grids of {', '.join(levels) or 'few'} cells; ask for more `effort`"
+        )
+    return best, levels
+
+
+def _coarse(
+    problem: CheckedProblem, noise_laws: Sequence[Law] | None, vertices: float, alive: FloatArray, work: CountedWork
+) -> tuple[_Runs, float]:
+    """Return runs under coarse values, which nothing is charged for, and how many deviations have to be looked at."""
+    spreads, window, runs = spreads_of(problem), alive, None
+    for more in COARSE:
+        edges = grid_of(problem, spreads, round(vertices * more), window)
+        steps = Counted(problem, edges, jumps_of(problem, edges), NEAR, noise_laws).within(work)
+        inputs, laws, failure = iterated(steps, runs, is_coarse=True)
+        if failure >= 1.0:
+            raise RelationRefused("no inputs lead anywhere on coarse grids: is the task out of reach?")
+        runs = _Runs.of(steps, inputs, laws, failure)
+        window = _within(alive, runs.window(problem, spreads))
+    assert runs is not None
+    return runs, _near(steps, failure)
 
 
 def _near(steps: Backups, failure: float) -> float:
@@ -219,10 +233,12 @@ def jumps_of(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> tuple[bo
     )
 
 
-def iterated(steps: Counted, runs: _Runs | None = None) -> tuple[FloatArray, NDArray[np.int64], float]:
+def iterated(
+    steps: Counted, runs: _Runs | None, is_coarse: bool = False
+) -> tuple[FloatArray, NDArray[np.int64], float]:
     """Return tables of inputs (L, V, m), which one acts at what time and automaton state (T, Q), and the failure.
 
-    Without ``runs`` the grid is a coarse one: nothing is charged, and the failure is an estimate.
+    ``runs`` say where inputs matter. ``is_coarse``: nothing is charged, and the failure is hoped for.
     """
     problem, choice = steps.problem, _Choice(steps, runs)
     bounds, given_up = steps.at_end()
@@ -230,16 +246,33 @@ def iterated(steps: Counted, runs: _Runs | None = None) -> tuple[FloatArray, NDA
     laws = np.zeros((problem.horizon, len(values)), dtype=np.int64)
     for t in range(problem.horizon - 1, -1, -1):
         laws[t], values = choice.of(values, t, laws[min(t + 1, problem.horizon - 1)])
-        if runs is not None:
+        if not is_coarse:
             bounds, given_up = steps.backup(bounds, given_up, np.stack([choice.laws[k] for k in laws[t]]), t)
-    failure = steps.failure(*((values, nowhere) if runs is None else (bounds, given_up)))
+    failure = steps.failure(*((values, nowhere) if is_coarse else (bounds, given_up)))
     return np.stack(choice.laws), laws, failure
+
+
+class BrokenOff(Exception):
+    """Seconds are over in the middle of a grid."""
 
 
 class Counted(Backups):
     """Backups that count their work, in core seconds."""
 
     spent = 0.0
+    work = CountedWork()
+
+    def within(self, work: CountedWork) -> Self:
+        """Count for a search."""
+        self.work = work
+        return self
+
+    def count(self, work: float) -> None:
+        """Count work; raise BrokenOff where what was found so far has to do."""
+        self.spent += work
+        self.work.count(work)
+        if self.work.is_broken_off():
+            raise BrokenOff
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -248,12 +281,12 @@ class Counted(Backups):
     def image_of(self, inputs: FloatArray, t: int) -> Images:
         """Return where inputs (V, m) lead at a time."""
         images = super().image_of(inputs, t)
-        self.spent += WEIGHT * images.size
+        self.count(WEIGHT * images.size)
         return images
 
     def below(self, W: FloatArray, images: Images) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return numbers at vertices of a function that is at most F, and the cells on which it is 0."""
-        self.spent += ONCE + PRODUCT * (images.vertices.products + _per_cell(W.ndim) * images.products)
+        self.count(ONCE + PRODUCT * (images.vertices.products + _per_cell(W.ndim) * images.products))
         values, nothing = super().below(W, images)
         here = np.where(nothing, 0.0, corners_of(values, W.ndim).reshape(*nothing.shape, -1).mean(axis=-1)).ravel()
         self.bent = self.bent + self._bends @ here
@@ -332,7 +365,7 @@ class _Choice:
         """Return a law for values one step later, and means under it: a known one where that loses little."""
         reading, apart = self._images(t)
         table = reading.means(W).reshape(*[self.count] * self.m, -1)
-        self.steps.spent += READ * table.size + ONCE
+        self.steps.count(READ * table.size + ONCE)
         known = list(dict.fromkeys([*later.tolist(), *range(len(self.laws))[:-MOST_TRIED:-1]]))
         means = self._under(table, known)
         # The best inputs of all vertices without regard to neighbours are no worse than those that are looked for.

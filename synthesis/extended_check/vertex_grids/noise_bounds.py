@@ -161,8 +161,8 @@ class Tabled:
     @property
     def is_even(self) -> bool:
         """Whether it is the same to both sides."""
-        low, mode, high = (getattr(self.law, name, None) for name in ("low", "mode", "high"))
-        return self.law.name in EVEN or (low is not None and low == -high and not mode)
+        low, mode, high = (getattr(self.law, name, math.nan) for name in ("low", "mode", "high"))
+        return self.law.name in EVEN or (low == -high and not mode > 0.0 and not mode < 0.0)
 
     @property
     def mean(self) -> float:
