@@ -24,9 +24,9 @@ from ..certificates.proofs import (
     timed_certificate,
 )
 from ..composition import each_horizon, horizons_of, joint_strategies, synthesize_parts, without_deadline
-from ..policy_search.ascent import Search, sweep_bar
+from ..policy_search.ascent import Search
 from ..policy_search.cell_certificates import Plan, along_path, continued, judged
-from ..policy_search.portfolio import Effort, Strategy, best_of, in_order, settings_of
+from ..policy_search.portfolio import Effort, Strategy, best_of, in_order, settings_of, sweep_bar
 from ..policy_search.vertex_values import vertex_grid_certificate
 from ..relations.grids import CellCounts, RelationRefused, to_who_asked_for_none
 from .search_options import SearchOptions, options_of

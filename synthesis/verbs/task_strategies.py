@@ -225,13 +225,15 @@ def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
         refuse_vertex_grid(problem)
     except RelationRefused as error:
         return refused("vertices", error)
-    work = plan.along_paths
+    effort = plan.effort
+    # What is told is proved, and Ctrl-C keeps it.
+    work = replace(plan.along_paths, told=effort.tell_bound)
 
     def run(results: Results) -> Synthesis:
         with work.within(SHARE_OF_VERTICES * work.limit):
             found = vertex_grid_certificate(problem, work)
-        plan.effort.is_interrupted |= work.is_interrupted
-        plan.effort.spent += work.spent
+        effort.is_interrupted |= work.is_interrupted
+        effort.spent += work.spent
         return found
 
     # Where a path does well it takes a fraction of the time.

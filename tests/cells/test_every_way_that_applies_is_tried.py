@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -223,6 +224,24 @@ def test_a_way_that_takes_far_more_than_it_said_is_given_up_for_others(table: Ta
     assert found.certificate.lower_bound == 0.8
     # Half of what there was is left for the others, of which one took 2.
     assert effort.spent == 0.5 * effort.limit + 2.0
+
+
+@pytest.mark.parametrize(("outcome", "taken"), [("no path", 40.0), (0.0, 40.0), (0.2, 1.0)])
+def test_what_a_way_took_that_gave_nothing_is_shown_and_charged(
+    table: Table, outcome: float | str, taken: float
+) -> None:
+    """It took 60 of 80 and said 1: half of the effort is left for the others, and what is shown never falls."""
+    seen: list[str] = []
+    effort = Effort(80.0, progress=lambda text, bound: seen.append(text))
+    inner = table.strategy("path", outcome)
+
+    def run(results: Results) -> cg.Synthesis:
+        effort.tell_again(60.0)
+        return inner.run(results)
+
+    best_of([Strategy("path", run, 1.0), table.strategy("grid", 0.5, 2.0)], effort)
+    assert effort.spent == taken + 2.0
+    assert [re.findall(r"effort (\d+)", text)[0] for text in seen] == ["0", "60", "60"]
 
 
 def test_where_nothing_else_gives_anything_it_may_take_what_it_takes(table: Table) -> None:

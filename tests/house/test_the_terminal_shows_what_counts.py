@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import io
+import contextlib
+import fcntl
+import os
 import re
+import struct
+import subprocess
 import sys
+import termios
 
 import pytest
-from tqdm import tqdm
 
 import certigym as cg
 from certigym.cli.colors import colored, wants_colors
 from certigym.cli.main import main
 from certigym.cli.parser import build_parser
-from certigym.synthesis.policy_search.ascent import BAR, shown_on
+from certigym.synthesis.policy_search.portfolio import BEGINS, Status, Way
 from problems import scalar_agent
 
 CODES = re.compile(r"\033\[\d+m")
@@ -44,24 +48,64 @@ def test_colours_are_for_terminals(monkeypatch: pytest.MonkeyPatch, terminal: bo
     assert wants_colors() == wanted
 
 
-def test_the_bar_shows_the_bound_before_what_a_narrow_terminal_cuts_off() -> None:
-    text = io.StringIO()
-    with tqdm(bar_format=BAR, file=text, ncols=60, mininterval=0.0) as bar:
-        told = shown_on(bar)
-        told("way: linear, 160 cells, at most 0.9141, effort 0 of 80", 0.9046089)
-        bar.refresh()
-    last = [line for line in text.getvalue().split("\r") if "linear" in line][-1]
-    assert "] P >= 0.904608 so far; linear, 160 cells" in last and len(last.rstrip()) <= 60
+def way(name: str, spent: float = 20.0, turn: tuple[int, int] = (2, 4)) -> Way:
+    told = Way(f"{BEGINS}{name}, effort {spent:.0f} of 80")
+    told.turn, told.spent, told.taken, told.limit = turn, spent, spent, 80.0
+    return told
 
 
-def test_a_search_that_found_nothing_shows_nothing_below_0() -> None:
-    text = io.StringIO()
-    with tqdm(bar_format=BAR, file=text, ncols=90, mininterval=0.0) as bar:
-        told = shown_on(bar)
-        told("way: linear", 0.0)
-        told("descent", -1e-9)
-        bar.refresh()
-    assert "this search: 0.000000" in text.getvalue() and "-0" not in text.getvalue()
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_the_line_of_a_search_fits_and_shows_strategy_and_bound_first(width: int) -> None:
+    status = Status()
+    status.take(way("linear, 160 cells, at most 0.9141"), 0.9046089)
+    line = status.line(width)
+    assert "2/4 linear: P >= 0.9046" in line and len(line) < width
+    assert ("s left" in line, "Ctrl-C keeps it" in line) == (True, width >= 80)
+    assert "\N{FULL BLOCK}" in line and status.line(width, is_ascii=True).isascii()
+    status.take(way("linear"), 1.0 - 3.05e-3)
+    assert "fails <= 0.0031" in status.line(width)
+
+
+def test_a_search_that_found_nothing_shows_nothing_below_0_and_that_ctrl_c_stops_it() -> None:
+    status = Status()
+    status.take(way("linear"), 0.0)
+    status.take("descent", -1e-9)
+    assert "linear: nothing proved yet" in status.line(90) and "Ctrl-C stops" in status.line(90)
+    status.take("descent", 0.25)
+    assert "in search 0.2500" in status.line(90)
+
+
+def pages_of(environment: dict[str, str]) -> str:
+    """Return what a search writes to a terminal of 80 columns."""
+    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": os.pathsep.join(sys.path), **environment}
+    leader, follower = os.openpty()
+    fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    command = [sys.executable, "-m", "certigym", "run", "reach-avoid-v0", "--cells", "60", "--episodes", "100"]
+    with subprocess.Popen(command, stdout=follower, stderr=follower, env=environment) as running:
+        os.close(follower)
+        written = b""
+        with contextlib.suppress(OSError):  # what Linux says when the other end is closed
+            while piece := os.read(leader, 65536):
+                written += piece
+    os.close(leader)
+    assert running.returncode == 0
+    return written.decode()
+
+
+@pytest.mark.parametrize(
+    ("environment", "moves"),
+    [
+        ({"TERM": "xterm", "PYTHONUTF8": "1"}, True),
+        ({"TERM": "xterm", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "NO_COLOR": "1"}, True),
+        ({"TERM": "dumb", "PYTHONUTF8": "1"}, False),
+    ],
+)
+def test_terminals_show_one_line_that_is_written_over(environment: dict[str, str], moves: bool) -> None:
+    written = pages_of(environment)
+    lines = [line for line in re.split(r"[\r\n]+", written) if "Ctrl-C" in line]
+    assert bool(lines) == moves and all(len(line) <= 80 for line in lines)
+    assert ("\033[1m" in written) == (moves and "NO_COLOR" not in environment)
+    assert "LC_ALL" not in environment or all(line.isascii() for line in lines)
 
 
 def test_a_bound_far_below_the_rollouts_comes_with_advice() -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from ..envs.suite import make_problem, problem_ids, tier_of_id
 from ..envs.systems.agents import AnyAgent
@@ -19,7 +18,7 @@ from ..envs.tasks.regions import Pair, Proposition
 from ..synthesis.certificates.proofs import is_exact, lasting_bound, save_certificate, start_of_claim
 from ..synthesis.certificates.proofs.canonical import checker_text
 from ..synthesis.extended_check.claims import safety_rate
-from ..synthesis.policy_search.ascent import BAR
+from ..synthesis.policy_search.portfolio import bar_of
 from ..synthesis.verbs.in_files import check as check_claim
 from ..synthesis.verbs.in_files import load
 from ..synthesis.verbs.synthesize import strategies_ahead
@@ -42,7 +41,7 @@ def describe(options: Namespace) -> int:
     """List the suite, or print one problem."""
     if options.problem is None:
         return _list_suite(options)
-    with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
+    with bar_of() as bar, ticking(bar):
         bar.set_description_str("the automaton of the task")
         problem = problem_of(options)
     semantics = problem.specification.semantics

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from ..envs.tasks.problem import Problem, crossed_starts, doubts
 from ..synthesis.certificates.proofs import CheckReport, Synthesis, rounded_down
 from ..synthesis.extended_check.claims import checked_once
-from ..synthesis.policy_search.ascent import BAR, shown_on
+from ..synthesis.policy_search.portfolio import DESCRIBED, Status, bar_of, show_status
 from ..synthesis.verbs.synthesize import synthesize
 from ..validation.policies import Training
 from ..validation.policies import train as train_baseline
@@ -25,9 +25,9 @@ from .given import budget_of, cells_of, is_endless, problem_of, relation_of
 
 Part = TypeVar("Part")
 
-TICK, PATIENCE, REMIND = 1.0, 3.0, 15.0
-"""Seconds from one showing of the clock to the next, what it counts; where there is no clock, seconds after which a way
-is told of that takes longer, and seconds after which something is said in any case."""
+TICK, QUICK, PATIENCE, REMIND = 1.0, 0.25, 3.0, 15.0
+"""Seconds from one showing of the clock to the next, and of a search; where there is no terminal, seconds after which a
+strategy is told of that takes longer, and after which something is said of what is no search."""
 
 
 def synthesized(options: Namespace) -> Synthesis:
@@ -36,36 +36,41 @@ def synthesized(options: Namespace) -> Synthesis:
     for why in (crossed_starts(problem), *doubts(problem)):
         if why:
             print(f"certigym: note: {why}", file=sys.stderr)
-    with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
-        report = shown_on(bar)
+    status = Status()
+    with bar_of(DESCRIBED) as bar, ticking(bar, status):
         chosen = {**relation_of(options), **budget_of(options), "above": options.above}
         if is_endless(options):
             chosen["horizon"] = None
-        return synthesize(problem, cells, **chosen, progress=report)
+        return synthesize(problem, cells, **chosen, progress=status.take)
 
 
 @contextmanager
-def ticking(bar: tqdm) -> Iterator[None]:
-    """Let the clock of a bar go on while nothing is reported, so that a long step does not look like a halt.
+def ticking(bar: tqdm, status: Status | None = None) -> Iterator[None]:
+    """Let a bar go on while nothing is reported, so that a long step does not look like a halt.
 
-    Where there is no bar, as output goes to no terminal, each way that takes longer than ``PATIENCE`` is a line there,
-    and how far it is another one every ``REMIND`` seconds.
+    Where there is no bar, as output goes to no terminal, each strategy of a search that takes longer than ``PATIENCE``
+    is a line there; of what is no search how far it is is another one every ``REMIND`` seconds.
     """
-    ended = Event()
+    ended, began = Event(), time.monotonic()
+
+    def under_way() -> tuple[str, str]:
+        """What is done, by name, and how it stands."""
+        if status is not None:
+            return status.strategy, f"{status.strategy}: {status.best}"
+        said = getattr(bar, "desc", "").rstrip(": ")
+        return said, f"{said}; {how_far}" if (how_far := getattr(bar, "postfix", None)) else said
 
     def tick() -> None:
-        said, began = "", time.monotonic()
-        since = last = began
-        while not ended.wait(TICK):
-            bar.refresh()
-            now, under_way = time.monotonic(), (getattr(bar, "desc", "") if bar.disable else "").rstrip(": ")
-            # How much was spent stands last, and is another way of saying the same.
-            way = under_way.rpartition(", ")[0] or under_way
-            if way != said:
-                said, since = way, now
-            if under_way and (now - since >= PATIENCE or now - last >= REMIND):
-                how_far = getattr(bar, "postfix", None)
-                line = f"{under_way}; {how_far}" if how_far else under_way
+        said, since, last, pause = "", began, began, 0.0
+        while not ended.wait(pause):
+            pause = TICK if bar.disable or status is None else QUICK
+            if not bar.disable:
+                bar.refresh() if status is None else show_status(bar, status)
+                continue
+            now, (name, line) = time.monotonic(), under_way()
+            if name != said:
+                said, since = name, now
+            if name and (now - since >= PATIENCE or (status is None and now - last >= REMIND)):
                 print(f"[{now - began:.0f} s] {line}", file=sys.stderr, flush=True)
                 since, last = math.inf, now
 
@@ -101,7 +106,7 @@ def within(seconds: float, parts: Iterable[Part]) -> tuple[list[Part], bool]:
 
 def checked_again(certificate: Any) -> CheckReport:
     """Return the check of a certificate from a file; meanwhile a bar says what there is, and that it is checked."""
-    with tqdm(bar_format=BAR, disable=None, leave=False) as bar, ticking(bar):
+    with bar_of() as bar, ticking(bar):
         bar.set_description_str(f"P >= {rounded_down(certificate.lower_bound)}; separate code computes it again")
         return checked_once(certificate)
 

@@ -8,7 +8,7 @@ from .limits import Limits
 from .multistart import FINAL, MANY_TERMS, RELAXED, SearchResult, find_policies
 from .occupancy import forward
 from .relaxation import Relaxation, favourable_successors, relax, relax_one, relaxed_policies, upper_bound
-from .search_settings import BAR, BEGINS, Search, shown_on, sweep_bar
+from .search_settings import Search
 from .stationary import stationary_best
 from .train_ascent import TrainSweep
 from .train_backward import backward

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import floor
-
-from tqdm import tqdm
 
 from ....envs.systems.arguments import checked_count
 from .limits import Limits
@@ -22,39 +19,6 @@ VALUE_FORMS = ("auto", "tree", "train")
 
 Progress = Callable[[str, float], None]
 """Called with the name of a start and the best value so far."""
-
-
-BEGINS = "way: "
-"""What begins texts of progress that name a way or a level; others name a start of a search."""
-
-BAR = "[{elapsed}] {desc}{postfix}"
-"""What a bar shows: how long all took, the bound so far, the way that is tried, and the value of this search.
-
-A narrow terminal cuts off the end: what counts stands first."""
-
-
-def sweep_bar() -> Progress:
-    """Return a progress bar of sweeps, for terminals and notebooks; it closes when nobody holds it any more."""
-    return shown_on(tqdm(bar_format=BAR, leave=False))
-
-
-def shown_on(bar: tqdm) -> Progress:
-    """Return what shows on a bar which way is tried, and the largest bound so far."""
-    bound = 0.0
-
-    def report(text: str, value: float) -> None:
-        nonlocal bound
-        if text.startswith(BEGINS):
-            bound = max(bound, value)
-            so_far = f"P >= {floor(1e6 * bound) / 1e6:.6f} so far" if bound > 0.0 else "nothing certified yet"
-            bar.set_description_str(f"{so_far}; {text.removeprefix(BEGINS)}", refresh=False)
-            bar.set_postfix_str("")
-        else:
-            # What is hardly above 0 may be found below it, by rounding.
-            bar.set_postfix_str(f"this search: {max(value, 0.0):.6f}", refresh=False)
-            bar.update()
-
-    return report
 
 
 @dataclass(frozen=True)

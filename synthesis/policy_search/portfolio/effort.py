@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from ...certificates.proofs import rounded_up
-from ..ascent import BEGINS
+from .search_bar import BEGINS, Way
 
 EFFORT = 80.0
 """Core seconds that a task may take by default: a minute on one core, of what pays; the rest is for comparisons."""
@@ -31,6 +31,9 @@ LEADS = 0.85
 
 FOR_LOST = 2.0
 """Core seconds that are spent on tasks that are out of reach."""
+
+GIVEN_UP = 0.5
+"""Share of what is left of the effort that a way that gave nothing takes from it."""
 
 BROKEN_OFF = "broken off by Ctrl-C"
 """What is said of what the user had no time for."""
@@ -85,7 +88,13 @@ class Effort:
     is_overdrawn: bool = False
     """Whether what was given up last took more work than it was allowed."""
     begun: tuple[str, float] = ("", 0.0)
-    """Which way or level was told last, and the largest bound then."""
+    """Which way or level was told last, and the largest bound so far."""
+    turn: tuple[int, int] = (0, 0)
+    """Which way is under way, of how many."""
+    under_way: float = 0.0
+    """Work that the way under way took and that is not spent yet, in core seconds."""
+    shown: float = 0.0
+    """Work that was told last: it never falls, as estimates of work may that was not needed."""
     until: float | None = None
 
     def __post_init__(self) -> None:
@@ -96,7 +105,7 @@ class Effort:
         number = isinstance(self.until, int | float) and not isinstance(self.until, bool)
         if self.until is not None and not (number and 0.0 < self.until <= 1.0):
             raise ValueError(f"`until`: expected a lower bound above 0, 1 at most, got {self.until!r}; leave it out")
-        self.began = time.perf_counter()
+        self.began, self.counted_before, self.spent_before = time.perf_counter(), 0.0, 0.0
         self.limit = self.work if self.work is not None else EFFORT if self.seconds is None else math.inf
 
     def give_up(self, why: str) -> None:
@@ -126,21 +135,41 @@ class Effort:
 
     def tell(self, what: str, bound: float) -> None:
         """Say which way or level begins, what may be left to gain and to spend, beside the largest bound so far."""
-        self.begun = what, bound
+        self.begun = what, max(bound, self.begun[1])
         self.tell_again(0.0)
+
+    def tell_bound(self, bound: float) -> None:
+        """Say that the way under way has proved a bound, which is kept."""
+        self.begun = self.begun[0], max(bound, self.begun[1])
+        self.tell_again(self.under_way)
 
     def tell_again(self, more: float) -> None:
         """Say once more which way is under way, when it has taken so much work that is not counted as spent yet."""
+        self.under_way, swept = more, self.spent_before + self.counted - self.counted_before
+        self.shown = min(max(self.shown, self.spent + more, swept), self.limit)
         if self.progress is not None and self.begun[0]:
             what, bound = self.begun
             most = f", at most {rounded_up(self.above, 4)}" if self.above < 1.0 else ""
-            self.progress(f"{BEGINS}{what}{most}{self._in_hand(more)}", bound)
+            by_clock = self.seconds is not None
+            done, limit = (self.elapsed, self.seconds) if self.seconds is not None else (self.shown, self.limit)
+            in_hand = f"{done:.0f} of {limit:.0f} s" if by_clock else f"effort {done:.0f} of {limit:.0f}"
+            way = Way(f"{BEGINS}{what}{most}, {in_hand}")
+            way.turn, way.is_clock = self.turn, by_clock
+            way.spent, way.taken, way.limit = done, done if by_clock else self.spent + more, limit
+            self.progress(way, bound)
 
-    def _in_hand(self, more: float) -> str:
-        """What was spent, of how much, in words that leave 80 columns room for it; every task has as much."""
-        if self.seconds is not None:
-            return f", {self.elapsed:.0f} of {self.seconds:.0f} s"
-        return f", effort {min(self.spent + more, self.limit):.0f} of {self.limit:.0f}"
+    def begins(self, turn: tuple[int, int]) -> None:
+        """Begin a way, the first or a later one of some."""
+        self.turn, self.under_way = turn, 0.0
+        self.counted_before, self.spent_before = self.counted, self.spent
+
+    def charge(self, before: float, estimate: float, is_worthless: bool) -> None:
+        """Count a way that is finished: its estimate, and what it took if nothing came of it.
+
+        Half of what was left stays for the others, as long as there was any.
+        """
+        taken = min(self.under_way, GIVEN_UP * max(0.0, self.limit - before)) if is_worthless else 0.0
+        self.spent = max(self.spent, before + max(estimate, taken))
 
     def count(self, work: float) -> None:
         """Count work of a sweep that is about to be done; raise OutOfTime if it is not allowed."""

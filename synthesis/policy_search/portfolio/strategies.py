@@ -16,7 +16,7 @@ from typing import Any
 from ....envs.tasks.problem import why_unsatisfiable
 from ...certificates.proofs import Synthesis, rounded_up
 from ...relations.grids import NoRunFound, RelationRefused, to_who_asked_for_none
-from .effort import BROKEN_OFF, Effort, OutOfTime
+from .effort import BROKEN_OFF, GIVEN_UP, Effort, OutOfTime
 
 SOLVED, GOOD = 0.9995, 0.9
 """Bounds from which nothing is worth its work, and from which ways that take long and rarely gain are left out."""
@@ -32,9 +32,6 @@ PATH = "path"
 
 LEAST_ALLOWED, OFF = 1000.0, 2.0
 """Counted work that every way may take, in core seconds, and how much more than was estimated."""
-
-GIVEN_UP = 0.5
-"""Share of what is left of the effort that a way that is given up takes from it."""
 
 Results = Mapping[str, Synthesis]
 """What the ways so far gave, by name."""
@@ -107,6 +104,7 @@ def best_of(strategies: Sequence[Strategy], effort: Effort) -> Synthesis:
     tried, refusals = dict[str, Any](), dict[str, str]()
     ended_by: str | None = None
     waiting, given_up = in_order(strategies), list[Strategy]()
+    outer, names = effort.turn, [strategy.name for strategy in waiting if not strategy.refusal]
     # Where nothing else gave anything, what was given up may take what it takes.
     while waiting or (given_up and not results):
         strategy = waiting.pop(_next(waiting, results, bool(effort.lost))) if waiting else given_up.pop(0)
@@ -116,10 +114,9 @@ def best_of(strategies: Sequence[Strategy], effort: Effort) -> Synthesis:
         if reason is not None:
             tried |= {strategy.name: reason} if reason else {}
             continue
-        before, counted, best = effort.spent, effort.counted, leading(results)
-        work = f" (about {strategy.work:.2g} core seconds)" if strategy.work >= 1.0 else ""
-        shown = "other relations" if strategy.name == "others" else strategy.name
-        effort.tell(f"{shown}{work}", 0.0 if best is None else _bound(best))
+        before, counted, result = effort.spent, effort.counted, None
+        effort.begins(outer if any(outer) or strategy.refusal else (names.index(strategy.name) + 1, len(names)))
+        _tell(strategy, leading(results), effort)
         alone = not waiting and not results
         allowed = _allowed(strategy, effort, bool(results), alone)
         try:
@@ -139,7 +136,7 @@ def best_of(strategies: Sequence[Strategy], effort: Effort) -> Synthesis:
             given_up.append(strategy)
             continue
         finally:
-            effort.spent = max(effort.spent, before + strategy.work)
+            effort.charge(before, strategy.work, result is None or _bound(result) <= 0.0)
         results[strategy.name], effort.has_result = result, True
         effort.above = min(effort.above, _above(result))
         tried |= _outcomes(strategy, result)
@@ -149,9 +146,17 @@ def best_of(strategies: Sequence[Strategy], effort: Effort) -> Synthesis:
             ended_by = f"at most {1.0 - result.certificate.lower_bound:.2g} is left to gain after `{strategy.name}`"
             if strategy.ends <= 0.0 and result.certificate.lower_bound < HARDLY_LEFT:
                 ended_by = f"agents have more states than grids hold as a rule, which `{strategy.name}` is for"
+    effort.turn = outer
     if not results:
         raise _refused(strategies, refusals, effort.lost)
     return _recorded(results, tried | effort.left_out, began, effort)
+
+
+def _tell(strategy: Strategy, best: Synthesis | None, effort: Effort) -> None:
+    """Say that a way begins."""
+    work = f" (about {strategy.work:.2g} core seconds)" if strategy.work >= 1.0 else ""
+    shown = "other relations" if strategy.name == "others" else strategy.name
+    effort.tell(f"{shown}{work}", 0.0 if best is None else _bound(best))
 
 
 HARDLY_LEFT = 0.99
