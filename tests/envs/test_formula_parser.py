@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from certigym.envs.tasks.automata import translate
 from certigym.envs.tasks.automata.parser import Formula, FormulaError, is_proposition_name, parse_formula
-from temporal_oracle import random_formula, text
+from temporal_oracle import all_words, random_formula, text
 
 PRECEDENCE = [
     ("!a U b", "(!a) U b"),
@@ -63,6 +64,7 @@ ERRORS = [
     ("F[3,1] a", 4, "upper bound of at least 3, got 1"),
     ("F[0,inf] a", 4, "without a bound write F alone"),
     ("F[0:3] a", 3, "bounds are written with a comma"),
+    ("a R[1,2] b", 3, "bounds follow one of"),
     ("X[1,2] a", 3, "windows are written F[a,b]"),
     ("X[-1] a", 2, "expected a whole number"),
     ("G[0,1000000] a", 4, "at most 100000"),
@@ -121,6 +123,15 @@ def test_printing_and_reading_are_inverse() -> None:
         assert again == formula and str(again) == str(formula)
     for written in ("a & (b & c) & d", "(a -> b) -> c", "a U (b U c)", "all(safe) | any(t)", "(a <-> b) <-> c"):
         assert parse_formula(str(parse_formula(written))) == parse_formula(written)
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 0), (0, 2), (2, 4), (3, 3)])
+def test_an_until_with_bounds_is_the_until_whose_goal_comes_in_time(first: int, last: int) -> None:
+    """On all words of six letters: some b at a step from first to last, and a at all steps before."""
+    task = translate(f"a U[{first},{last}] b", ("a", "b"), "finite-trace")
+    for word in all_words(2, 6):
+        asked = any(word[t, 1] and word[:t, 0].all() for t in range(first, last + 1))
+        assert asked == task.accepts([[name for name, has in zip("ab", letter, strict=True) if has] for letter in word])
 
 
 def test_spans_name_the_subformulas() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.envs.tasks.problem import doubts, problem_from_toml
+from certigym.envs.tasks.problem import doubts, out_of_reach, problem_from_toml, why_unsatisfiable
 
 FILE = """
 specification = "F goal"
@@ -36,6 +36,8 @@ def test_one_number_stands_for_all_axes() -> None:
     agent = problem_from_toml(FILE).agents[0]
     assert agent.state_low.tolist() == [-5.0, -5.0] and agent.input_high.tolist() == [1.0, 1.0]
     assert np.array_equal(agent.noise_covariance, np.diag([0.1**2, 0.1**2]))
+    laws = problem_from_toml(FILE.replace("noise_std = 0.1", 'noise = { law = "laplace", scale = 0.1 }')).agents[0].laws
+    assert laws is not None and len(laws) == 2
 
 
 def test_a_corner_that_is_missing_is_called_missing() -> None:
@@ -53,11 +55,17 @@ def test_tables_of_other_tools_are_led_to_ours() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ('"x + 0.5*u", "y + 0.5*v"', '"u", "v"', 'write "x + dt*(u)"'),
+        ('"x + 0.5*u", "y + 0.5*v"', '"u", "v"', 'write dynamics = ["x + dt*(u)", "y + dt*(v)"]'),
         ('"F goal"', '"F[5,30] goal"', "runs end after 20 steps"),
+        (
+            '"F goal"',
+            '"!goal U[5,40] goal"',
+            "`!goal U[5,40] goal` has a window beyond the horizon",
+        ),
+        ('"F goal"', '"!goal U[5,20] goal"', ""),
         ('"F goal"', '"G F[2,25] goal"', "end the window at 20"),
         ('"F goal"', '"F[5,20] goal"', ""),
-        ('"x + 0.5*u", "y + 0.5*v"', '"y", "x + u + v"', 'write "x + dt*(y)"'),
+        ('"x + 0.5*u", "y + 0.5*v"', '"y", "x + u + v"', 'write dynamics = ["x + dt*(y)"'),
         ('"x + 0.5*u", "y + 0.5*v"', '"y", "0.5*y + u + v"', ""),
     ],
 )
@@ -76,12 +84,51 @@ def test_doubts_are_none_in_the_suite() -> None:
         (["chek", "file.npz"], "no command `chek`; did you mean `check`?"),
         (["qqqq"], "no command `qqqq`; `certigym --help` lists all"),
         (["run", "meeting-v0", "--efort", "3"], "did you mean `--effort`?"),
+        (["describe", "--tier", "hrad"], "did you mean `hard`?"),
     ],
 )
 def test_commands_and_options(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         main(words)
     assert left.value.code == 2 and says in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("noise_std = 0.1", 'noise = { law = "studnt-t", scale = 0.1 }', "did you mean 'student-t'?"),
+        ('["x", "y"]', '"x"', 'write states = ["x"]'),
+        ('"x + 0.5*u"', '"x\' = x + 0.5*u"', "give the right-hand side alone"),
+        ("input_high = 1\n", "", "`input_high` is missing"),
+        ('"F goal"', '"F gaol"', "did you mean goal?"),
+        ("state_low", "sate_low", "did you mean `state_low`?"),
+    ],
+)
+def test_files(old: str, new: str, says: str) -> None:
+    with pytest.raises(ValueError) as refused:
+        problem_from_toml(FILE.replace(old, new))
+    assert says in str(refused.value)
+
+
+def test_files_and_relations_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cart.toml").write_text(FILE, encoding="utf-8")
+    for words, says in (["cart"], "`cart.toml`"), (["crat.toml"], "`cart.toml`"):
+        assert main(["run", *words]) == 2 and f"did you mean {says}?" in capsys.readouterr().err
+    assert main(["run", "cart.toml", "--relation", "linaer"]) == 2
+    assert "did you mean 'linear'?" in capsys.readouterr().err
+
+
+def test_what_is_out_of_reach_says_how_many_steps_it_takes_without_noise() -> None:
+    """From 0 to 2 in steps of .5 with noise of .5: noise may help, but nobody can rely on it."""
+    lost = out_of_reach(problem_from_toml(FILE.replace("horizon = 20", "horizon = 1").replace("0.1", "0.2")))
+    assert lost is not None and "it takes 4 at least without noise" in lost.why
+
+
+def test_a_formula_that_looks_beyond_the_horizon_says_how_far() -> None:
+    assert "it looks 30 steps ahead" in why_unsatisfiable(problem_from_toml(FILE.replace('"F goal"', '"X[30] goal"')))
 
 
 def test_ids(capsys: pytest.CaptureFixture[str]) -> None:

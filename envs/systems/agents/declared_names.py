@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..arguments import float_array, read_only, shown
+from ..arguments import counted, float_array, read_only, shown
 from ..expressions import checked_variable
 
 TIME = "t"
@@ -23,8 +23,9 @@ def checked_texts(value: Any, argument: str, length: int | None, most: int = MOS
     """Return a list of strings, as many as there should be, or raise ValueError."""
     is_list = isinstance(value, Sequence) and not isinstance(value, str) and all(isinstance(t, str) for t in value)
     if not is_list or not 0 < len(value) <= most or (length is not None and len(value) != length):
-        wanted = f"{length} strings, one for each state" if length else f"1 to {most} strings"
-        raise ValueError(f"`{argument}`: expected a list of {wanted}, got {shown(value)}")
+        wanted = f"{counted(length, 'string')}, one for each state" if length else f"1 to {most} strings"
+        remedy = f'; write {argument} = ["{value}"]' if isinstance(value, str) else ""
+        raise ValueError(f"`{argument}`: expected a list of {wanted}, got {shown(value)}{remedy}")
     return tuple(value)
 
 

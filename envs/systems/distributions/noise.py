@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arguments import float_array, read_only, shown
+from ..arguments import float_array, near, read_only, shown
 from .composed_laws import Mixture, TruncatedGaussian, scipy_law
 from .laws import Gaussian, Laplace, Law, Logistic, StudentT, Triangular, Uniform
 
@@ -44,13 +44,16 @@ def laws_of(noise: Any, d: int) -> tuple[Law, ...]:
     Parameters
     ----------
     noise : sequence of d mappings or laws
-        Such as `{ law = "gaussian", std = 0.05 }`, one for each axis; numbers are in units of the state.
+        Such as `{ law = "gaussian", std = 0.05 }`, one for each axis, or a single one for
+        all; numbers are in units of the state.
 
     Raises
     ------
     ValueError
         If a law is unknown, or a number is missing or makes no sense.
     """
+    if isinstance(noise, Mapping):
+        noise = [noise] * d
     if not isinstance(noise, Sequence) or isinstance(noise, str) or len(noise) != d:
         raise ValueError(
             f"`noise`: expected a list of {d} laws, one for each state, such as "
@@ -77,7 +80,9 @@ def _law(entry: Any) -> Law:
         return _mixture(entry)
     kind = KINDS.get(entry["law"]) if isinstance(entry["law"], str) else None
     if kind is None:
-        raise ValueError(f"`noise`: expected one of the laws {NAMES}, got {shown(entry['law'])}")
+        meant = near(str(entry["law"]), KINDS)
+        remedy = f"; did you mean {meant!r}?" if meant else ""
+        raise ValueError(f"`noise`: expected one of the laws {NAMES}, got {shown(entry['law'])}{remedy}")
     wanted = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     if {*entry} != {"law", *wanted}:
         raise ValueError(f"`noise`: expected {', '.join(wanted)} for a {kind.name} law, got {shown(dict(entry))}")

@@ -49,6 +49,7 @@ _HINTS = {
     "[": "brackets are round",
     "{": "brackets are round",
     "=": "give the right-hand side alone",
+    "'": "give the right-hand side alone, the value one step later",
     "<": "there are no comparisons; use min, max, clip or abs",
     ">": "there are no comparisons; use min, max, clip or abs",
     "%": "there is no remainder",

@@ -125,6 +125,11 @@ class Formula:
             yield formula
             stack.extend(reversed(formula.operands))
 
+    @property
+    def written(self) -> str:
+        """The formula as it was written, where it was read from a text."""
+        return self.text[slice(*self.span)] or str(self)
+
     def __str__(self) -> str:
         return _printed(self, 0)
 

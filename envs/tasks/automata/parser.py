@@ -4,7 +4,7 @@ Syntax, from the tightest binding to the loosest::
 
     true false  a  all(family) any(family)  (...)
     ! X N F G  X[k] N[k] F[a,b] G[a,b]          next X, weak next N, eventually F, always G
-    U R W M                                     until, release, weak until, strong release; right associative
+    U R W M  U[a,b]                             until, release, weak until, strong release; right associative
     &
     |
     ->                                          right associative
@@ -12,7 +12,8 @@ Syntax, from the tightest binding to the loosest::
 
 ``&&``, ``||`` and ``~`` are read as ``&``, ``|`` and ``!``. Names are letters, digits and underscores. An operator of
 one letter is read as an operator only when it stands alone, so ``Fa`` is an atom. ``F[a,b] f`` means that f holds at
-one of the letters a, ..., b, counted from now (0 = now).
+one of the letters a, ..., b, counted from now (0 = now). ``f U[a,b] g`` stands for ``G[0,a-1] f & X[a] ((f U g) &
+F[0,b-a] g)``: the first g comes in time.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ _HINTS = {
     ">": 'numbers are compared in `[propositions]`, such as `fast = { agent = "car", low = [2], high = [9] }`',
     "=": "implication is written ->, equivalence <->; numbers are compared in `[propositions]`",
     "-": "the operators with - are -> and <->",
-    "[": "bounds follow one of X, N, F, G; always is written G",
+    "[": "bounds follow one of X, N, F, G, U; always is written G",
     ":": "bounds are written with a comma: F[0,3]",
     **dict.fromkeys(("eventually", "finally"), "write F for eventually"),
     **dict.fromkeys(("always", "globally"), "write G for always"),
@@ -172,8 +173,9 @@ class _Parser:
         start = self.token.start
         left = self.unary()
         while not self.token.is_a("end") and POWER.get(self.token.text, -1) >= least:
-            operator = self.advance().text
-            power = POWER[operator]
+            token = self.advance()
+            operator, power = token.text, POWER[token.text]
+            bounds = self.bounds(token) if operator == "U" and self.token.text == "[" else None
             operands = [left]
             if operator in ("&", "|"):
                 # A chain of one operator becomes one node, so that long conjunctions do not nest.
@@ -183,9 +185,19 @@ class _Parser:
                     operands.append(self.binary(power + 1))
             else:
                 operands.append(self.binary(power))
-            left = self.make(operator, start, tuple(operands))
+            left = self.until(operands, bounds, start) if bounds else self.make(operator, start, tuple(operands))
         self.depth -= 1
         return left
+
+    def until(self, operands: list[Formula], bounds: tuple[int, int], start: int) -> Formula:
+        """Return ``f U[a,b] g`` in the operators that there are."""
+        (before, goal), (first, last) = operands, bounds
+        in_time = self.make("F", start, (goal,), bounds=(0, last - first))
+        then = self.make("&", start, (self.make("U", start, (before, goal)), in_time))
+        if first == 0:
+            return then
+        stays = self.make("G", start, (before,), bounds=(0, first - 1))
+        return self.make("&", start, (stays, self.make("X", start, (then,), bounds=(first, first))))
 
     def unary(self) -> Formula:
         """Read prefix operators and what they apply to."""
@@ -228,10 +240,10 @@ class _Parser:
         raise self.unexpected("expected a formula")
 
     def bounds(self, operator: _Token) -> tuple[int, int]:
-        """Read ``[k]`` after X or N, ``[a,b]`` after F or G."""
+        """Read ``[k]`` after X or N, ``[a,b]`` after F, G or U."""
         self.expect("[", "expected [")
         low = high = self.bound(operator)
-        if operator.text in ("F", "G"):
+        if operator.text in ("F", "G", "U"):
             if self.token.text == "]":  # F[3] means one or the other elsewhere
                 advice = f"{operator.text}[0,{low}] looks at the next {low} letters too, X[{low}] {low} letters ahead"
                 raise self.error(f"expected two bounds: {advice}", self.token)
@@ -249,7 +261,7 @@ class _Parser:
         """Read one number between the brackets."""
         token = self.token
         if not token.is_a("number"):
-            form = f"{operator.text}[a,b]" if operator.text in ("F", "G") else f"{operator.text}[k]"
+            form = f"{operator.text}[a,b]" if operator.text in ("F", "G", "U") else f"{operator.text}[k]"
             hint = f"; without a bound write {operator.text} alone" if token.is_a("name") else ""
             if token.text == "<":
                 raise self.error(

@@ -130,10 +130,12 @@ def _words(problem: Problem, reach: _Reach, lost: int | None) -> str:
     why = f"{what} in {problem.horizon} steps, whatever the inputs are"
     if not problem.automaton.is_co_safe or problem.names_time or problem.labeling.moves:
         return why
+    # What the rarest noise would save of the way is no help: without noise more steps are needed.
     known: dict[int, bytes] = {}
-    for t, reached in enumerate(reach.steps(LONGER * problem.horizon)):
+    still = _Reach(problem, 0.0)
+    for t, reached in enumerate(still.steps(LONGER * problem.horizon)):
         if any(problem.automaton.finished[q] for q in reached):
-            return f"{why}: it takes {t} at least, so give it a longer `horizon`, or faster agents"
+            return f"{why}: it takes {t} at least without noise; give it a longer `horizon`, or faster agents"
         now = {q: b"".join(end.tobytes() for ends in boxes for end in ends) for q, boxes in reached.items()}
         if now == known:
             return f"{why}, nor in more: inputs are too weak for it, or something is in the way"

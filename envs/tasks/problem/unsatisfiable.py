@@ -11,6 +11,7 @@ from ...systems.expressions import names_in
 from ..automata import (
     AutomatonSizeError,
     Formula,
+    ahead,
     fitting,
     is_cut,
     may_accept,
@@ -34,9 +35,11 @@ def why_unsatisfiable(problem: Problem) -> str:
     if problem.specification.formula is None:
         return why
     formula = parse_formula(problem.specification.formula)
-    shorter = fitting(formula, problem.horizon)
+    shorter, needed = fitting(formula, problem.horizon), ahead(formula)
+    if shorter == formula and needed > problem.horizon:
+        return f"{why}: it looks {needed} steps ahead; give the task a longer `horizon`, or end its windows sooner"
     if shorter == formula:
-        return f"{why}: it contradicts itself, or asks for more steps than the horizon has"
+        return f"{why}: it contradicts itself"
     try:
         task = translate(str(shorter), tuple(problem.written), problem.specification.semantics, problem.families)
     except AutomatonSizeError:
@@ -74,17 +77,19 @@ def _derivatives(problem: Problem) -> list[str]:
             continue
         own = [state in names_in(tree) for state, tree in zip(agent.states, agent.timed_trees, strict=True)]
         if not any(own):
-            state, text = agent.states[0], agent.dynamics[0]
+            names, texts = agent.states, agent.dynamics
+            written = ", ".join(f'"{name} + dt*({text})"' for name, text in zip(names[:2], texts[:2], strict=True))
+            more = ", ..." if len(names) > 2 else ""
             lines.append(
-                f"agent {agent.name}: `{state}` does not occur in its own next value `{text}`, nor does any other "
-                f"state; dynamics are the states one step later, not derivatives: for {state}' = {text} write "
-                f'"{state} + dt*({text})", with the length of a step in `parameters`'
+                f"agent {agent.name}: `{names[0]}` does not occur in its own next value `{texts[0]}`; dynamics are the "
+                f"states one step later, not derivatives: for {names[0]}' = {texts[0]} write dynamics = "
+                f"[{written}{more}] and `parameters = {{ dt = 0.1 }}`, the length of a step"
             )
     return lines
 
 
 def _window_beyond(problem: Problem) -> str:
-    """Return which window of an `F` ends beyond the horizon, in words; "" if none does."""
+    """Return which window of an `F` or `U` ends beyond the horizon, in words; "" if none does."""
     if problem.specification.formula is None:
         return ""
     horizon = problem.horizon
@@ -92,13 +97,15 @@ def _window_beyond(problem: Problem) -> str:
     if beyond is None:
         return ""
     return (
-        f"`{beyond}` has a window beyond the horizon: runs end after {horizon} steps, and what comes later does not "
-        f"count; give the task a longer `horizon`, or end the window at {horizon}"
+        f"`{beyond.written}` has a window beyond the horizon: runs end after {horizon} steps, and what comes later "
+        f"does not count; give the task a longer `horizon`, or end the window at {horizon}"
     )
 
 
 def _first_beyond(formula: Formula, horizon: int) -> Formula | None:
-    """Return the first subformula ``F[a,b]`` with b beyond the horizon."""
-    if formula.operator == "F" and formula.bounds is not None and formula.bounds[1] > horizon:
+    """Return the first subformula ``F[a,b]``, or X over one, with b beyond the horizon."""
+    bounds, operator = formula.bounds, formula.operator
+    if operator == "F" and bounds is not None and bounds[1] > horizon:
         return formula
-    return next((found for one in formula.operands if (found := _first_beyond(one, horizon)) is not None), None)
+    left = horizon - bounds[1] if bounds is not None and operator in ("X", "N") else horizon
+    return next((found for one in formula.operands if (found := _first_beyond(one, left)) is not None), None)

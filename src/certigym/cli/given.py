@@ -30,7 +30,8 @@ def named_problem(name: str, horizon: int | None = None) -> Problem:
     elif Path(name).is_file():
         problem = load_problem(name)
     else:
-        close = get_close_matches(name, problem_ids(), n=1)
+        files = [str(one) for one in Path(name).parent.glob("*.toml")]
+        close = [f"{name}.toml"] if f"{name}.toml" in files else get_close_matches(name, [*problem_ids(), *files], n=1)
         remedy = f"did you mean `{close[0]}`?" if close else "`certigym describe` lists the ids"
         raise ValueError(f"`{name}`: expected a suite id or a problem file, found neither; {remedy}")
     return problem if horizon is None else problem.replace(horizon=horizon)

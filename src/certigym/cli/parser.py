@@ -116,6 +116,9 @@ class Parser(argparse.ArgumentParser):
         if found := re.fullmatch(r"argument COMMAND: invalid choice: '(.*)' \(choose from (.*)\)", message):
             word, known = found[1], re.findall(r"[\w-]+", found[2])
             self.exit(2, f"{self.prog}: error: no command `{word}`; {nearest(word, known)}\n")
+        if found := re.fullmatch(r"argument (.*): invalid choice: '(.*)' \(choose from (.*)\)", message):
+            close = get_close_matches(found[2], re.findall(r"[\w-]+", found[3]), n=1)
+            message += f"; did you mean `{close[0]}`?" if close else ""
         super().error(message)
 
 

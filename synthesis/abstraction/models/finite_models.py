@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent
-from ....envs.systems.arguments import checked_count, counted, tree_text
+from ....envs.systems.arguments import checked_count, counted, near, tree_text
 from ....envs.tasks.problem import Problem
 from ...relations.grids import (
     DEFAULT_TARGETS,
@@ -284,7 +284,9 @@ def relations_of(problem: Problem, relation: Relations) -> list[str]:
         if name in (*GONE, "coupled"):
             raise ValueError(f"`relation`: {name!r} is gone since 0.4; write 'linear', or 'paper' for scalar agents")
         if name not in RELATIONS:
-            raise ValueError(f"`relation`: expected one of {', '.join(RELATIONS)}, got {name!r}")
+            meant = near(str(name), (*RELATIONS, "path", "vertices", "best"))
+            remedy = f"; did you mean {meant!r}?" if meant else ""
+            raise ValueError(f"`relation`: expected one of {', '.join(RELATIONS)}, got {name!r}{remedy}")
     return [asked.get(name, "auto") for name in problem.agent_names]
 
 
