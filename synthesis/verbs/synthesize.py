@@ -25,7 +25,7 @@ from ..certificates.proofs import (
 )
 from ..composition import each_horizon, horizons_of, joint_strategies, synthesize_parts, without_deadline
 from ..policy_search.ascent import Search
-from ..policy_search.cell_certificates import Plan, along_path, continued, judged
+from ..policy_search.cell_certificates import Plan, along_path, continued, judged, with_textbook_feedback
 from ..policy_search.portfolio import Effort, Strategy, best_of, in_order, settings_of, sweep_bar
 from ..policy_search.vertex_values import vertex_grid_certificate
 from ..relations.grids import CellCounts, RelationRefused, to_who_asked_for_none
@@ -185,10 +185,19 @@ def _of_problem(
         check_names("relation", relation, problem)
 
         def of_part(task: Problem, sizes: CellCounts, kinds: Relations) -> Synthesis:
-            return _of_task(task, sizes, kinds, plan.anew())
+            return _or_textbook(task, sizes, kinds, plan.anew())
 
         return synthesize_parts(problem, cells, relation, of_part)
-    return _of_task(problem, cells, relation, plan.anew(), start)
+    return _or_textbook(problem, cells, relation, plan.anew(), start)
+
+
+def _or_textbook(
+    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None = None
+) -> Synthesis:
+    """Synthesize one task; where nothing is certified and nothing was asked for, textbook feedback is tried, too."""
+    found = _of_task(problem, cells, relation, plan, start)
+    asked = cells is not None or relation != "auto" or start is not None or not has_usual_search(plan)
+    return found if asked else with_textbook_feedback(found, plan)
 
 
 def _of_task(

@@ -92,6 +92,9 @@ def _headline(report: ValidationReport) -> str:
     checked = "not asked" if check is None else "valid" if check["valid"] else "NOT valid"
     word = "CLAIMED" if report.is_invalid else "CERTIFIED" if check is None else "PROVED"
     seconds = sum(value for value in report.seconds.values() if value is not None)
+    if report.lower_bound <= 0.0 and not report.is_invalid:
+        estimate = f"ESTIMATE {report.estimate:.5f} [{report.ci_low:.5f}, {report.ci_high:.5f}] by rollouts"
+        return f"{word} nothing   {estimate}   CHECKED {checked}   {seconds:.1f} s"
     measured = f"MEASURED {report.estimate:.5f} [{report.ci_low:.5f}, {report.ci_high:.5f}]"
     bound = shown_bound(report.lower_bound, report.gap if report.exact else None)
     return f"{word} {bound}   {measured}   CHECKED {checked}   {seconds:.1f} s"

@@ -27,6 +27,9 @@ HOPELESS = 1e-3
 NEARLY = 1.05
 """How much more a grid may fail than a path and still be kept, as a factor: it has values at other states."""
 
+TINY = 1e-12
+"""Bound of a grid below which it is not preferred to a path: it claims nothing."""
+
 PATH = "path"
 """Name of the way along a path: where nothing is certified so far it is asked first whether a run exists at all."""
 
@@ -193,7 +196,7 @@ def leading(results: Results) -> Synthesis | None:
     if best.certificate.proof.has_cells:
         return best
     least = 1.0 - NEARLY * (1.0 - _bound(best))
-    grids = (one for one in results.values() if one.certificate.proof.has_cells and _bound(one) >= least)
+    grids = (one for one in results.values() if one.certificate.proof.has_cells and _bound(one) >= max(least, TINY))
     return max(grids, key=_bound, default=best)
 
 
