@@ -13,8 +13,8 @@ import numpy as np
 from PIL import Image
 
 import certigym as cg
-from certigym.cli.moving_pictures import Player, film
 from certigym.envs.interfaces.rendering import SIDE, WIDTH
+from certigym.validation.presentation.figures.moving_pictures import Player, film
 from environment_pages import FOLDER, filmed
 
 CERTIFICATES = Path(__file__).parent / "_certificates"

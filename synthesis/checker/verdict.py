@@ -91,8 +91,7 @@ def check_contents(contents: Contents) -> Verdict:
             failure, worst, steps = failure_of(problem, proof)
     except (Refused, RecursionError) as error:  # trees are followed by functions that call themselves
         deep = "a formula or an expression is nested too deeply to be proved"
-        # that a task fails with a probability of 1 at most needs no proof
-        return Verdict(claimed >= 1.0, claimed, 1.0, modules, str(error) if isinstance(error, Refused) else deep)
+        return Verdict(False, claimed, 1.0, modules, str(error) if isinstance(error, Refused) else deep)
     if not failure <= claimed:  # nan proves nothing
         reason = f"a failure of at most {failure:.5g} follows, not {claimed:.5g}{worst}"
         return Verdict(False, claimed, failure, modules, reason, steps)

@@ -161,7 +161,7 @@ def test_the_command_draws_a_certified_rollout(tmp_path: Path, capsys: pytest.Ca
 def test_the_command_says_what_it_cannot_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import certigym.cli.moving_pictures as command
+    import certigym.validation.presentation.figures.moving_pictures as command
 
     task = tmp_path / "task.toml"
     task.write_text(TASK)
@@ -220,7 +220,7 @@ def test_boxes_of_outputs_are_drawn_where_they_are(outputs: list[str], rock: str
 
 def test_mp4_goes_through_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A stand-in for ffmpeg counts the bytes it is given: whole pictures, the last one held."""
-    import certigym.cli.moving_pictures as command
+    import certigym.validation.presentation.figures.moving_pictures as command
 
     task, tool = tmp_path / "task.toml", tmp_path / "ffmpeg"
     task.write_text(TASK)

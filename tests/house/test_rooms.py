@@ -91,7 +91,7 @@ MAY_IMPORT = {
     "validation.presentation.figures": f"{EVIDENCE} envs.interfaces envs.suite synthesis.extended_check.claims "
     "validation.statistical_tests validation.policies",
     "validation.presentation.studio": f"{EVIDENCE} envs.interfaces synthesis.verbs validation.statistical_tests "
-    "validation.presentation.reports",
+    "validation.presentation.reports validation.presentation.figures",
 }
 """Rooms and chapters that files of one may import, lazily or for types, too; a room stands for its chapters."""
 

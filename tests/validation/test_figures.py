@@ -15,6 +15,7 @@ from certigym.cli.main import main
 from certigym.validation.presentation.figures import certificate_figures as figures
 from certigym.validation.presentation.figures import figure_scenes as scenes
 from certigym.validation.presentation.figures.figure_style import new_figure, save_figure
+from certigym.validation.statistical_tests import OddsScale
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +37,19 @@ def test_a_map_shows_the_bounds_of_the_certificate(certificate: cg.Certificate) 
     mesh = figure.axes[0].collections[0]
     assert mesh.get_clim() == (0.0, 1.0)
     values: Any = np.asarray(mesh.get_array()).reshape(20, 20)
-    assert values[3, 7] == certificate.at([[-20 + 25 * 7.5 / 20, -20 + 25 * 3.5 / 20]])[0]
+    centres = [-20 + 25 * (k + 0.5) / 20 for k in range(20)]
+    bounds = certificate.at([[x, y] for y in centres for x in centres]).reshape(20, 20)
+    odds = OddsScale.of(bounds)
+    assert values[3, 7] == odds.at(bounds[3, 7]) and 0.0 < odds.at(bounds[3, 7]) < 1.0
     assert "lower bound" in figure.axes[1].get_ylabel()
+    assert [label.get_text() for label in figure.axes[1].get_yticklabels()] == [name for name, _ in odds.ticks]
+
+
+def test_nines_are_as_far_apart_as_tenths() -> None:
+    odds = OddsScale.of([0.5, 0.9, 0.99, 0.9999])
+    steps = np.diff([odds.at(p) for p in (0.9, 0.99, 0.999, 0.9999)])
+    assert np.allclose(steps, steps[0], rtol=0.1) and steps[0] > 0.2
+    assert OddsScale.of([]).at(0.0) == 0.0 and OddsScale.of([1.0]).at(1.0) == 1.0
 
 
 def test_a_bound_against_the_horizon_is_drawn_as_a_bound(certificate: cg.Certificate) -> None:

@@ -20,6 +20,7 @@ from .cluster import DaskExecutor, executor_for, processes
 from .fields import FieldReport, find_weakest, validate_field
 from .loop import CHUNK, Batchable, BatchPolicy, Loop
 from .mismatch import Mismatch
+from .odds_scale import OddsScale
 from .report_text import LABEL_WIDTH, Saved, html_table
 from .rollouts import Rollouts, rollout
 from .starts import corner_starts, random_starts, slice_axes, slice_starts, start_box, workspace_box

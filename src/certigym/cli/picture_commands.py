@@ -10,10 +10,9 @@ from ..envs.systems.arguments import counted
 from ..synthesis.certificates.proofs import load_certificate
 from ..synthesis.verbs.synthesize import synthesize
 from ..validation.presentation import figures
-from ..validation.presentation.figures import check_format
+from ..validation.presentation.figures import Player, check_film, check_format, render_episode
 from ..validation.statistical_tests import TrialPlan, each_report
 from .given import cells_of, problem_of, relation_of, show
-from .moving_pictures import Player, check_film, render_episode
 from .policy_words import policy_of_word
 
 

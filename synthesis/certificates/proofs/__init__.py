@@ -36,7 +36,7 @@ from .certificate import (
 from .certificate_file import load_certificate, save_certificate
 from .check_report import CheckReport, told_assumed, told_claim
 from .claim import Claim, joint_states
-from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
+from .digits import EXACT_GAP, in_runs, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import (
     as_certificate,
     certificate_from,

@@ -11,6 +11,9 @@ EXACT_GAP = 1e-6
 NEXT_TO_AN_END = 1e-12
 """Bounds nearer to 0 or 1 than this have no leading digits to count: they get a fixed number."""
 
+IN_FAILURES = 0.99
+"""Bound from which words count failures."""
+
 LEAST_DIGITS = 6
 """Digits after the point that are always printed."""
 
@@ -68,6 +71,22 @@ def _to_digits(value: float, digits: int, rounding: str) -> str:
     """Return a value with that many significant digits, in scientific notation if it is small."""
     exact = Context(prec=digits, rounding=rounding).create_decimal_from_float(float(value))
     return f"{exact:f}" if exact.adjusted() >= -4 else f"{exact:.{digits - 1}e}"
+
+
+def in_runs(lower: float) -> str:
+    """Return a lower bound in words, rounded to the safe side; nothing for a bound of 0.
+
+    Examples
+    --------
+    >>> in_runs(0.857), in_runs(1.0 - 1.51e-5), in_runs(0.0)
+    ('at least 85 of 100 runs succeed', 'at most 1 run in 66,000 fails', '')
+    """
+    if lower < IN_FAILURES:
+        share = math.floor(100.0 * lower)
+        return f"at least {share} of 100 runs succeed" if share > 0 else ""
+    runs = math.floor(1.0 / (1.0 - lower)) if lower < 1.0 - NEXT_TO_AN_END else round(1.0 / NEXT_TO_AN_END)
+    tens = 10 ** max(0, len(str(runs)) - 2)
+    return f"at most 1 run in {runs // tens * tens:,} fails"
 
 
 def shown_bound(lower: float, gap: float | None) -> str:

@@ -121,7 +121,7 @@ def shown_bound(bound: float) -> str:
     Examples
     --------
     >>> shown_bound(0.98311), shown_bound(1.0 - 3.05e-3)
-    ('P >= 0.9831', 'fails <= 3.1e-3')
+    ('P >= 0.9831', 'fails <= 0.0031')
     """
     if bound < AS_SUCCESS:
         return f"P >= {rounded_down(bound, 4)}"

@@ -17,7 +17,7 @@ from ....envs.tasks.problem import Problem
 from ....synthesis.certificates.cell_probabilities import regrow_trains
 from ....synthesis.certificates.proofs import OnGrid, as_certificate, of_first_task, on_cells
 from ....synthesis.certificates.value_functions import Trains
-from ...statistical_tests import ValidationReport, slice_axes, slice_starts, workspace_box
+from ...statistical_tests import OddsScale, ValidationReport, slice_axes, slice_starts, workspace_box
 from .figure_regions import bands, region_boxes
 from .figure_style import (
     AT_LEAST,
@@ -37,9 +37,6 @@ from .figure_style import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-CONTOURS = (0.1, 0.5, 0.9, 0.99)
-"""Contours of a map of bounds: denser near 1, where bounds are of interest."""
 
 STATES_SHOWN = 5
 """Automaton states with a coloured line and a name in a figure of ranks: as many as can be told apart."""
@@ -106,15 +103,16 @@ def _map(
     """Draw bounds (N, N) over two coordinates, with contours that the scale repeats, and the regions."""
     figure, (plot,) = new_figure(6.6, 5.0)
     x, y = (np.unique(states[:, k]) for k in shown)
-    image = plot.pcolormesh(x, y, grid, cmap=MAP, vmin=0.0, vmax=1.0, shading="nearest", rasterized=True)
-    scale = figure.colorbar(image, ax=plot, label="certified lower bound on P(satisfied)", pad=0.02)
+    odds = OddsScale.of(grid)
+    shares = np.vectorize(odds.at)(grid)
+    image = plot.pcolormesh(x, y, shares, cmap=MAP, vmin=0.0, vmax=1.0, shading="nearest", rasterized=True)
+    scale = figure.colorbar(image, ax=plot, label="certified lower bound on P(satisfied), by its odds", pad=0.02)
+    scale.set_ticks([odds.at(p) for _, p in odds.ticks], labels=[name for name, _ in odds.ticks])
     # Contours that are not on the map would warn; dark ones stand on bright colours.
-    inside = [level for level in CONTOURS if grid.min() < level < grid.max()]
+    inside = [level for _, p in odds.ticks if shares.min() < (level := odds.at(p)) < shares.max()]
     if inside:
-        colors = ["white" if level < 0.7 else INK for level in inside]
-        scale.add_lines(plot.contour(x, y, grid, levels=inside, colors=colors, linewidths=0.9))
-        scale.set_ticks([0.0, *inside, *([1.0] if inside[-1] < 0.97 else [])])
-        scale.ax.yaxis.set_major_formatter("{x:g}")
+        colors = ["white" if level < 0.6 else INK for level in inside]
+        scale.add_lines(plot.contour(x, y, shares, levels=inside, colors=colors, linewidths=0.9))
     # Regions are boxes inside the map if both coordinates belong to one agent, otherwise bars along its edges.
     rows = region_boxes(plot, problem, shown)
     for k, across in zip(shown, (True, False), strict=True):

@@ -21,7 +21,7 @@ from ....envs.interfaces import AGENTS, MOST_STRETCHED, Curve, Panel, coordinate
 from ....envs.tasks.problem import Problem
 from ....synthesis.certificates.proofs import members_of, on_cells, seen_by, speaks_of_one_start
 from ....synthesis.extended_check.claims import ValueInTime, claimed_values
-from ...statistical_tests import Loop, paths, slice_axes, slice_starts, start_box
+from ...statistical_tests import Loop, OddsScale, paths, slice_axes, slice_starts, start_box
 from .inline_pictures import panel_axes
 from .other_starts import MOST_WORK, along_paths, bounds_from, reach, work_of
 
@@ -90,17 +90,22 @@ def explored(certificate: Any, seed: int, axes: Sequence[int] | None = None) -> 
     """Return what can be explored of a certificate."""
     problem = certificate.problem
     chosen = _axes(problem) if axes is None else slice_axes(problem, axes)
-    own = None
-    if speaks_of_one_start(certificate) and not has_values(certificate):
-        starts, shape, own, bounds = _around_one_start(certificate, chosen)
-    else:
-        shape = _shape(problem, len(chosen))
-        starts = slice_starts(problem, chosen, shape)
-        bounds = certificate.at(starts)
+    starts, shape, own, bounds = bounds_of_starts(certificate, chosen)
     count = EPISODES * len(starts)
     states, success = paths(Loop(problem, certificate.controller, seed, count, starts), count)
     times, values = _in_time(certificate, starts)
     return Explored(chosen, starts, shape, bounds, times, values, states, success, own)
+
+
+def bounds_of_starts(
+    certificate: Any, axes: tuple[int, ...], work: float = MOST_WORK
+) -> tuple[NDArray[Any], tuple[int, ...], int | None, NDArray[Any]]:
+    """Return starts, points per axis, the number of the certificate's own start (None: any), and lower bounds."""
+    if speaks_of_one_start(certificate) and not has_values(certificate):
+        return _around_one_start(certificate, axes, work)
+    shape = _shape(certificate.problem, len(axes))
+    starts = slice_starts(certificate.problem, axes, shape)
+    return starts, shape, None, certificate.at(starts)
 
 
 def has_values(certificate: Any) -> bool:
@@ -109,12 +114,12 @@ def has_values(certificate: Any) -> bool:
 
 
 def _around_one_start(
-    certificate: Any, axes: tuple[int, ...]
+    certificate: Any, axes: tuple[int, ...], work: float
 ) -> tuple[NDArray[Any], tuple[int, ...], int, NDArray[Any]]:
     """Return starts, points per axis, the number of the certificate's own start, and what is known from them."""
     problem, (most, *_) = certificate.problem, _shape(certificate.problem, len(axes))
     known = along_paths(certificate)
-    points = int((MOST_WORK / work_of(certificate)) ** (1.0 / len(axes))) if known else 0
+    points = int((work / work_of(certificate)) ** (1.0 / len(axes))) if known else 0
     known = points >= FEWEST_POINTS
     shape = (min(most, points) if known else min(most, 17),) * len(axes)
     starts = slice_starts(problem, axes, shape, box=reach(certificate, axes) if known else None)
@@ -135,10 +140,14 @@ def _around_one_start(
 def _axes(problem: Problem) -> tuple[int, ...]:
     """Return both coordinates of the first agent on a map if it has one, otherwise those of `slice_axes`."""
     first = panels(problem)[0]
-    rows = first.curves[0].rows
-    if first.is_map and all(np.count_nonzero(row) == 1 and row.max() == 1.0 for row in rows):
-        return tuple(int(np.argmax(row)) for row in rows)
-    return slice_axes(problem, None)
+    return (coordinates_of(first.curves[0]) if first.is_map else ()) or slice_axes(problem, None)
+
+
+def coordinates_of(curve: Curve) -> tuple[int, ...]:
+    """Return the joint coordinates that a curve shows; none where it shows others, such as sums."""
+    if all(np.count_nonzero(row) == 1 and row.max() == 1.0 for row in curve.rows):
+        return tuple(int(np.argmax(row)) for row in curve.rows)
+    return ()
 
 
 def _shape(problem: Problem, axes: int) -> tuple[int, ...]:
@@ -174,6 +183,8 @@ def explorer_data(content: Explored, problem: Problem) -> dict[str, Any]:
         "low": [float(x[0] - h) for x, h in zip(grid, half)],
         "high": [float(x[-1] + h) for x, h in zip(grid, half)],
         "unit": UNIT,
+        # At the start, and later: on the scale of odds, where colours begin and end, and what stands below them.
+        "scales": [_scale(numbers) for numbers in (content.bounds, content.values)],
         "own": content.own,
         "bounds": _packed(_down(content.bounds), "<u4"),
         "times": list(content.times),
@@ -187,6 +198,12 @@ def explorer_data(content: Explored, problem: Problem) -> dict[str, Any]:
         "regions": _regions(content.axes, shown[0]),
         "panels": [_curves(panel, content, problem.horizon) for panel in shown],
     }
+
+
+def _scale(bounds: NDArray[Any]) -> dict[str, Any]:
+    """Return the scale of the colours of some bounds."""
+    odds = OddsScale.of(bounds[~np.isnan(bounds)])
+    return {"low": odds.low, "high": odds.high, "ticks": [[name, odds.at(p)] for name, p in odds.ticks]}
 
 
 def _nearest(line: NDArray[Any], axis: int, problem: Problem) -> int:

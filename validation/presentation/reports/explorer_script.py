@@ -8,7 +8,7 @@ EXPLORER_STYLE = """
 .explorer .map .region-name{fill:#1b2430;stroke:#fff;stroke-width:3px;stroke-linejoin:round}
 .x-handle{fill:#fff;stroke:#111;stroke-width:2.5}
 .x-handle:focus{outline:none;stroke-width:4;stroke:var(--run)}
-.x-own{fill:none;stroke:#111;stroke-width:2}.x-blank{fill:none;stroke:var(--line);stroke-width:.5}
+.x-bar{fill:var(--bound)}.x-own{fill:none;stroke:#111;stroke-width:2}.x-blank{fill:none;stroke:var(--line);stroke-width:.5}
 .x-cross{stroke:#111;stroke-width:.7;stroke-dasharray:3 3}
 .x-path{fill:none;stroke-width:1.3;stroke-opacity:.75}.x-path.lost{stroke-dasharray:3 2}
 .x-lost{stroke:var(--bad)!important;
@@ -34,7 +34,7 @@ function make(g,name,set,text){var e=document.createElementNS(ns,name);for(var k
 if(text!==undefined)e.textContent=text;g.appendChild(e);return e}
 var up=flat?1:(d.high[1]-d.low[1])/(d.high[0]-d.low[0]),wide=d.scaled?Math.min(304,300/up):304,
 B={left:46+(304-wide)/2,top:12,width:wide,height:flat?70:d.scaled?wide*up:270};
-map.setAttribute("viewBox","0 0 360 "+(B.height+50).toFixed(1));
+map.setAttribute("viewBox","0 0 360 "+(B.height+74).toFixed(1));
 function px(v){return B.left+(v-d.low[0])/(d.high[0]-d.low[0])*B.width}
 function py(v){return flat?B.top+B.height/2:B.top+B.height-(v-d.low[1])/(d.high[1]-d.low[1])*B.height}
 function where(i,j){return i*ny+j}
@@ -66,8 +66,15 @@ function digits(n){var s=String(n).padStart(9,"0"),cut=n>=d.unit?"1":"0."+s.slic
 if(n<d.unit&&n>.9999*d.unit)cut="0."+s;return cut}
 if(d.own!==null){var ox=px(d.grid[0][Math.floor(d.own/ny)]),oy=flat?py(0):py(d.grid[1][d.own%ny]);
 over.insertBefore(make(over,"path",{"class":"x-own",d:"M"+(ox-6)+" "+oy+"h12m-6 -6v12"}),handle)}
-function colour(){for(var p=0;p<count;p++){rects[p].style.fillOpacity=
-whole(p)===UNKNOWN?0:(.05+.95*whole(p)/d.unit).toFixed(3)}}
+var bar=make(map,"g",{});
+function shade(n,s){var f=Math.max(1-n/d.unit,.5/d.unit),o=n?Math.log10(n/d.unit/f):-9;
+return Math.max(0,Math.min(1,(o-s.low)/(s.high-s.low)))}
+function colour(){var s=d.scales[later()?1:0],y=B.top+B.height+34,k;for(var p=0;p<count;p++){rects[p].style.fillOpacity=
+whole(p)===UNKNOWN?0:(.06+.94*shade(whole(p),s)).toFixed(3)}
+bar.textContent="";for(k=0;k<32;k++)make(bar,"rect",{"class":"x-bar",x:B.left+k*B.width/32,y:y,width:B.width/32+.3,height:8,
+style:"fill-opacity:"+(.06+.94*(k+.5)/32).toFixed(3)});
+s.ticks.forEach(function(t){make(bar,"text",
+{"class":"tick "+(t[1]>.93?"end":"middle"),x:B.left+t[1]*B.width,y:y+18},t[0])})}
 function show(){var p=where(at[0],at[1]),x=px(d.grid[0][at[0]]),y=flat?py(0):py(d.grid[1][at[1]]),good=0,n=d.episodes;
 handle.setAttribute("cx",x);handle.setAttribute("cy",y);
 [["x1",x],["x2",x]].forEach(function(s){lineX.setAttribute(s[0],s[1])});

@@ -14,7 +14,7 @@ from ....envs.interfaces import AGENTS, Curve, Panel, Region, coordinate_name, h
 from ....envs.tasks.automata import Automaton
 from ....envs.tasks.problem import Problem
 from ....synthesis.certificates.proofs import Tube, rounded_down
-from ...statistical_tests import FieldReport
+from ...statistical_tests import FieldReport, OddsScale
 from . import svg
 from .svg import Axes
 
@@ -26,6 +26,9 @@ MOST_DOTS = 60
 
 FEW_STATES = 5
 """Automaton states up to which arrows to dead states are drawn; with more they would cover the others."""
+
+BAR_ROOM, SHADES, NEAR_END = 24.0, 32, 0.93
+"""Height of a colour bar with its numbers, how many shades it shows, and where numbers end with it."""
 
 RADIUS = 20.0
 """Radius of an automaton state: ``places`` leaves room for as much."""
@@ -82,9 +85,9 @@ def margin_pictures(problem: Problem, field: FieldReport, axes_shown: tuple[int,
     scaled = have_one_scale(problem, axes_shown)
     # The stronger the colour, the larger the bound, or the margin relative to the largest one.
     scale = float(np.max(np.abs(field.margins), initial=1e-9))
-    bound = _map(
-        field, axes_shown, names, [f"fill-opacity:{0.06 + 0.94 * b:.3f}" for b in field.lower_bounds], None, scaled
-    )
+    odds = OddsScale.of(field.lower_bounds)
+    styles = [f"fill-opacity:{0.06 + 0.94 * odds.at(b):.3f}" for b in field.lower_bounds]
+    bound = _map(field, axes_shown, names, styles, None, scaled, odds)
     roles = np.where(field.margins < 0, "under", "over").tolist()
     margin = _map(
         field, axes_shown, names, [f"fill-opacity:{abs(m) / scale:.3f}" for m in field.margins], roles, scaled
@@ -113,6 +116,7 @@ def _map(
     styles: list[str],
     roles: list[str] | None,
     scaled: bool,
+    odds: OddsScale | None = None,
 ) -> str:
     """Draw a cell per start, its numbers as a hint; refuted cells stand out, confirmed ones carry a dot.
 
@@ -130,6 +134,8 @@ def _map(
         Role of each such cell; None for a map of bounds.
     scaled : bool
         Whether both axes have one scale.
+    odds : OddsScale, optional
+        What the colour of a map of bounds says.
     """
     # Starts are centres of equal cells: half a spacing around them, the cells tile the map.
     x, y = (np.unique(field.states[:, k]) for k in shown)
@@ -154,7 +160,28 @@ def _map(
     # Grid lines would cross the cells.
     frame = svg.frame(axes, f"start of {names[0]}", f"start of {names[1]}")
     shapes += [shape for shape in frame if '"grid"' not in shape]
-    return svg.picture(axes, shapes, "A map of starts")
+    if odds is None:
+        return svg.picture(axes, shapes, "A map of starts")
+    taller = replace(axes, height=axes.height + BAR_ROOM)
+    return svg.picture(taller, [*shapes, *color_bar(odds, axes)], "A map of starts")
+
+
+def color_bar(odds: OddsScale, axes: Axes) -> list[str]:
+    """Draw what the colours of a map of bounds say, below its axes."""
+    left, width = axes.left, axes.width - axes.left - axes.right
+    top, step = axes.height + 2.0, width / SHADES
+    shapes = [
+        svg.rectangle(
+            (left + k * step, top),
+            (left + (k + 1) * step + 0.3, top + 8.0),
+            "cell",
+            style=f"fill-opacity:{0.06 + 0.94 * (k + 0.5) / SHADES:.3f}",
+        )
+        for k in range(SHADES)
+    ]
+    places = [(name, odds.at(p)) for name, p in odds.ticks]
+    roles = ["tick end" if at > NEAR_END else "tick middle" for _, at in places]
+    return shapes + [svg.text(left + at * width, top + 18.0, name, role) for (name, at), role in zip(places, roles)]
 
 
 def _in_scale(axes: Axes, proportion: float) -> Axes:

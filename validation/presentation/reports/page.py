@@ -17,6 +17,7 @@ from ....synthesis.certificates.proofs import (
     Certificate,
     Tube,
     alike_members,
+    in_runs,
     members_of,
     rounded_down,
     shown_bound,
@@ -150,7 +151,8 @@ def _explorer(content: ReportContent) -> str:
     others = ONE_START if of_one else "The others start where the problem says."
     body = (
         '<div class="explorer" hidden><p class=soft>Drag the ring, or move it with the arrow keys. The stronger the '
-        f"colour, the larger the certified bound at that point; the paths are ten episodes from there. {others}</p>"
+        "colour, the better the odds that are certified at that point; the paths are ten episodes from there. "
+        f"{others}</p>"
         '<div class=controls><span class=later><label>automaton <select><option value="start">at the start</option>'
         '</select></label> <label><span class=when></span> <input type="range" min="0" value="0"></label></span></div>'
         "<p class=read aria-live=polite></p><div class=row><figure>"
@@ -177,7 +179,9 @@ def _answer(content: ReportContent) -> str:
     above = "the probability is at least this" if upper is None else "the probability lies between these"
     # What stands in brackets is not broken at the minus of an exponent.
     shown = re.sub(r"\(.*\)", r"<span class=whole>\g<0></span>", escape(shown_bound(v.lower_bound, v.gap)))
-    proved = f"<p>Under these controllers, {escape(start)}, {above}: proved for the model, not estimated.</p>"
+    words = in_runs(v.lower_bound)
+    said = f"<p class=words>{words[:1].upper()}{escape(words[1:])}.</p>" if words else ""
+    proved = f"{said}<p>Under these controllers, {escape(start)}, {above}: proved for the model, not estimated.</p>"
     if v.verdict == VACUOUS:
         why = escape(v.details.get("nothing", ""))
         proved = f"<p>{_verdict(VACUOUS)} {escape(MEANINGS[VACUOUS])}.</p>" + (
@@ -299,7 +303,7 @@ def _starts(content: ReportContent) -> str:
     else:
         orange = f" {_key('run')}They lie below it, by chance unless a cell is refuted." if below else ""
         captions = [
-            f"{_key('bound')}The stronger the colour, the larger the bound. {_key('good')}confirmed by rollouts.{red}",
+            f"{_key('bound')}The stronger the colour, the better the odds. {_key('good')}confirmed by rollouts.{red}",
             f"{_key('bound')}The rollouts lie above the bound; the stronger the colour, the farther.{orange}{red}",
         ]
     figures = [

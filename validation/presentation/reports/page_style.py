@@ -26,7 +26,7 @@ margin-top:20px;padding:20px;background:var(--card);border:1px solid var(--line)
 border-radius:8px}
 .answer.is-confirmed{border-left-color:var(--good)}.answer:is(.is-refuted,.is-invalid){border-left-color:var(--bad)}
 .answer h2{border:0;margin:0 0 4px;padding:0;font-size:.95rem;color:var(--soft)}
-.big{font-size:1.35rem;font-weight:650;line-height:1.25;overflow-wrap:anywhere}.whole{white-space:nowrap}
+.big{font-size:1.35rem;font-weight:650;line-height:1.25;overflow-wrap:anywhere}.whole{white-space:nowrap}.words{font-size:1.1rem}
 .verdict{display:inline-block;text-indent:0;
 padding:1px 12px;border-radius:14px;font-weight:600;color:#fff;background:#3f566f}
 .confirmed{background:#1a6e45}.refuted,.invalid{background:#a3211a}.vacuous{background:#6b5a1e}

@@ -13,11 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from ....envs.interfaces import AGENTS, panels
+from ....envs.interfaces import AGENTS, Panel, panels
 from ....envs.tasks.problem import problem_from_toml
-from ....synthesis.certificates.proofs import Synthesis, rounded_down, rounded_up, save_certificate, start_of_claim
+from ....synthesis.certificates.proofs import (
+    Synthesis,
+    in_runs,
+    rounded_down,
+    rounded_up,
+    save_certificate,
+    start_of_claim,
+)
 from ....synthesis.verbs.synthesize import synthesize
-from ...statistical_tests import Loop, paths, rollout
+from ...statistical_tests import Loop, OddsScale, paths, rollout
+from ..figures import Player, render_episode
+from ..reports import bounds_of_starts, coordinates_of, report
 from .looking import MOST_PANELS
 
 EPISODES = 24
@@ -25,6 +34,12 @@ EPISODES = 24
 
 COUNTED = 2000
 """Episodes from which the share of successes is estimated."""
+
+REPORTED, FPS = 20_000, 8
+"""Episodes of a report, and control steps a second of an animation."""
+
+MOST_MAPS, MAP_WORK = 4, 800
+"""Agents of a panel with maps of their starts, and states of a path times starts that are checked for one of these."""
 
 MOST_CURVES = 40
 """Curves of one episode that are sent to the page."""
@@ -85,10 +100,35 @@ class Certifier:
             "seed": job["seed"],
         }
 
+    def maps(self, job: dict[str, Any]) -> dict[str, Any]:
+        """Return of each panel what is certified from other starts of each agent: shades by odds, -1 where unknown."""
+        problem = self._certificate.problem
+        return {"maps": [self._maps_of(panel) if panel.is_map else [] for panel in panels(problem)[:MOST_PANELS]]}
+
+    def _maps_of(self, panel: Panel) -> list[dict[str, Any]]:
+        maps = []
+        for curve in panel.curves[:MOST_MAPS]:
+            if axes := coordinates_of(curve):
+                starts, shape, _, bounds = bounds_of_starts(self._certificate, axes, MAP_WORK)
+                odds = OddsScale.of(bounds[~np.isnan(bounds)])
+                shades = [-1.0 if np.isnan(b) else round(odds.at(b), 3) for b in bounds]
+                points = [np.unique(starts[:, k]) for k in axes]
+                facts = {"points": [x.tolist() for x in points], "shades": shades, "shape": list(shape)}
+                facts["ticks"] = [[name, odds.at(p)] for name, p in odds.ticks]
+                facts["shown"] = ["" if np.isnan(b) else rounded_down(b) for b in bounds]
+                maps.append({"color": curve.number % len(AGENTS), **facts})
+        return maps
+
     def save(self, job: dict[str, Any]) -> dict[str, Any]:
-        """Write the certificate."""
-        save_certificate(self._certificate, job["path"])
-        return {"saved": Path(job["path"]).name}
+        """Write the certificate, a report about it, or an animation of an episode, by the ending of the name."""
+        path, certificate = Path(job["path"]), self._certificate
+        if path.suffix == ".html":
+            report(certificate, path, REPORTED)
+        elif path.suffix == ".gif":
+            render_episode(certificate.problem, [Player.of(path.stem, certificate)], str(path), 0, FPS)
+        else:
+            save_certificate(certificate, path)
+        return {"saved": path.name}
 
 
 class _Telling:
@@ -129,6 +169,7 @@ def result_facts(result: Synthesis) -> dict[str, Any]:
         "lower_bound": certificate.lower_bound,
         "shown": rounded_down(certificate.lower_bound),
         "claim": result.claim,
+        "words": in_runs(certificate.lower_bound),
         "above": above,
         "above_shown": None if above is None else rounded_up(above),
         "method": certificate.proof.method,

@@ -10,7 +10,7 @@ from ....envs.systems.arguments import shown, write_text
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_. -]{0,99}")
 
 
-def place(folder: Path, name: object, ending: str) -> Path:
+def place(folder: Path, name: object, *endings: str) -> Path:
     """Return the path of a file in a folder.
 
     Parameters
@@ -18,17 +18,18 @@ def place(folder: Path, name: object, ending: str) -> Path:
     folder : Path
     name : object
         A file name as the page sends it.
-    ending : str
-        What it has to end with, such as ``.toml``.
+    *endings : str
+        What it has to end with, such as ``.toml``: one of these.
 
     Raises
     ------
     ValueError
         If it is no plain name with this ending, or stands for a place outside of the folder.
     """
-    if not isinstance(name, str) or not _NAME.fullmatch(name) or not name.endswith(ending) or name == ending:
+    if not isinstance(name, str) or not _NAME.fullmatch(name) or not name.endswith(endings) or name in endings:
+        wanted = " or ".join(endings)
         raise ValueError(
-            f"`name`: expected a file name of letters, digits, -, _ that ends in {ending}, got {shown(name)}"
+            f"`name`: expected a file name of letters, digits, -, _ that ends in {wanted}, got {shown(name)}"
         )
     path = folder / name
     # A link may lead anywhere: what counts is where the file is.

@@ -70,7 +70,7 @@ class Axes {
 
 export class Picture {
   constructor(edit, redraw) {
-    Object.assign(this, {edit, redraw, tool: "move", chosen: "", held: null, views: [], seen: null, key: ""});
+    Object.assign(this, {edit, redraw, tool: "move", chosen: "", held: null, views: [], seen: null, key: "", maps: [], of: ""});
     document.querySelectorAll("[data-tool]").forEach(b => { b.onclick = () => this.take(b.dataset.tool); });
     at("remove").onclick = () => this.remove(this.chosen);
     addEventListener("pointermove", event => this.move(event));
@@ -106,6 +106,36 @@ export class Picture {
     at("whose").hidden = names.length < 2;
     if ([...pick.options].map(o => o.value).join() !== names.join())
       pick.replaceChildren(...names.map(name => new Option(name, name)));
+  }
+
+  /** Takes what is certified from other starts; it says nothing of a text in which more than starts was moved. */
+  take_maps(maps, number, old) {
+    const of = number + "/" + Boolean(maps);
+    if (of !== this.of) { this.of = of; this.maps = maps || []; this.shifted = false; }
+    else if (old && !this.held && !this.shifted) this.maps = [];
+  }
+
+  /** Draws below a start that is held what is certified from elsewhere, and what its colours say. */
+  map(view, p) {
+    const {axes, inside, above} = view, held = this.held, map = (this.maps[p] || []).find(m => m.color === held.thing.color);
+    if (!map) return;
+    const [nx, ny] = map.shape, step = map.points.map(x => x[1] - x[0]), shade = v => "fill-opacity:" + (0.06 + 0.9 * v).toFixed(3);
+    map.shades.forEach((v, k) => {
+      if (v < 0) return;
+      const [x, y] = [map.points[0][Math.floor(k / ny)] - step[0] / 2, map.points[1][k % ny] + step[1] / 2];
+      make(inside, "rect", {class: "cell", style: shade(v), x: axes.x(x), y: axes.y(y),
+        width: axes.x(x + step[0]) - axes.x(x) + 0.4, height: axes.y(y - step[1]) - axes.y(y) + 0.4});
+    });
+    const long = 170, left = axes.left + 12, top = TOP + 26;
+    make(above, "rect", {class: "paper", x: left - 8, y: TOP + 4, width: long + 16, height: 50});
+    for (let k = 0; k < 24; k++)
+      make(above, "rect", {class: "cell", style: shade((k + 0.5) / 24), x: left + k * long / 24, y: top, width: long / 24 + 0.3, height: 9});
+    for (const [name, v] of map.ticks)
+      make(above, "text", {class: "tick " + (v > 0.85 ? "end" : "middle"), x: left + v * long, y: top + 22}, name);
+    const place = held.thing.low.map((v, n) => (v + held.thing.high[n]) / 2);
+    const [i, j] = map.points.map((x, n) => x.reduce((best, v, k) => Math.abs(v - place[n]) < Math.abs(x[best] - place[n]) ? k : best, 0));
+    const shown = map.shown[i * ny + j];
+    make(above, "text", {x: left, y: TOP + 19}, shown ? "from here P ≥ " + shown : "from here nothing is known");
   }
 
   roleOf(panel, name) {
@@ -166,6 +196,7 @@ export class Picture {
   shapes(view, p) {
     const {panel, axes, inside, names, above} = view, moved = new Set(panel.shapes.filter(s => !s.part).map(s => s.name));
     for (const g of [inside, names, above]) g.replaceChildren();
+    if (this.held && this.held.part === "start" && this.held.p === p) this.map(view, p);
     const trace = points => "M" + points.map(q => axes.x(q[0]).toFixed(1) + " " + axes.y(q[1]).toFixed(1)).join("L") + "Z";
     const title = (x, y, name) => make(names, "text", {class: "shape-name", x: Math.max(axes.left + 4, x + 5), y: Math.max(TOP + 15, y + 16)}, name);
     for (const r of panel.regions.filter(r => !moved.has(r.name))) {
@@ -346,6 +377,7 @@ export class Picture {
     if (held.part === "all" || held.part === "start") this.shift(thing, axes, by);
     else this.resize(thing, axes, held.part, by, to);
     held.moved = true;
+    this.shifted = held.part === "start";
     this.shapes(this.views[held.p], held.p);
     this.send(held.part === "start" ? this.startSets(thing) : this.shapeSets(thing), held.sent);
     held.sent = true;
@@ -358,6 +390,8 @@ export class Picture {
     if (held.part === "new") {
       held.ghost.remove();
       if (event) this.created(held);
+    } else if (held.part === "start") {
+      this.shapes(this.views[held.p], held.p);
     }
   }
 

@@ -1,7 +1,7 @@
 // What is certified: the bound as it grows, its upper end, the ways that were tried, and episodes of the controllers.
 
 const at = id => document.getElementById(id), NS = "http://www.w3.org/2000/svg";
-const FRAME = 70;
+const FRAME = 70, LEAST = 12;  // milliseconds of a step, and powers of ten of a failure
 
 export class Result {
   constructor(link, picture) {
@@ -10,7 +10,7 @@ export class Result {
     at("stop").onclick = () => link.post("stop", {});
     at("play").onclick = () => this.play();
     at("again").onclick = () => { this.seed += 1; this.simulate(); };
-    at("keep").onclick = () => this.keep();
+    document.querySelectorAll("[data-keep]").forEach(b => { b.onclick = () => this.keep(b.dataset.keep); });
     at("time").oninput = () => { this.halt(); this.frame(); };
   }
 
@@ -22,8 +22,8 @@ export class Result {
     this.say(await this.link.post("certify", {seconds: seconds > 0 ? seconds : null}));
   }
 
-  async keep() {
-    const name = this.link.state.file.name.replace(/\.toml$/, ".npz");
+  async keep(ending) {
+    const name = this.link.state.file.name.replace(/\.toml$/, "") + ending;
     this.say(await this.link.post("certificate", {name}));
   }
 
@@ -48,6 +48,7 @@ export class Result {
     at("after").hidden = !found || job.state !== "done" && job.state !== "playing";
     at("play").disabled = at("again").disabled = job.state === "playing" || this.link.away;
     this.tried(found);
+    this.picture.take_maps(found && found.maps, job.number, old);
     this.take(state.run, old);
   }
 
@@ -60,10 +61,10 @@ export class Result {
   upper(job) {
     if (job.result) {
       const above = job.result.above_shown;
-      return [above === null ? "" : "no controller does better than " + above,
+      return [job.result.words, above === null ? "" : "no controller does better than " + above,
         job.result.start === "mean" ? "on average over the box of starts" : ""].filter(Boolean).join("; ");
     }
-    const most = job.now && /at most ([0-9.]*[0-9]) for anyone/.exec(job.now.way);
+    const most = job.now && /, at most ([0-9.]*[0-9])/.exec(job.now.way);
     return most ? "no controller does better than " + most[1] : "";
   }
 
@@ -81,32 +82,37 @@ export class Result {
       old ? "about an earlier text" : "", message].filter(Boolean).join("; ");
   }
 
-  /** Draws the bound against the seconds. */
+  /** Draws the failure that is proved against the seconds, by its powers of ten: what is gained falls. */
   curve(job) {
     const svg = at("curve"), points = (job.told || []).slice();
     svg.textContent = "";
     if (job.result) points.push([job.result.seconds, job.result.lower_bound]);
     svg.toggleAttribute("hidden", !points.length);
     if (!points.length) return;
-    const end = Math.max(points[points.length - 1][0], 0.1), x = t => 30 + 264 * t / end, y = p => 84 - 76 * p;
+    const power = p => Math.max(-LEAST, Math.log10(Math.max(1 - p, 1e-99))), best = Math.max(...points.map(q => q[1]));
+    const deepest = Math.min(-1, Math.floor(power(best))), every = Math.ceil(-deepest / 4);
+    const end = Math.max(points[points.length - 1][0], 0.1), x = t => 36 + 258 * t / end;
+    const y = p => 8 + 76 * Math.min(1, power(p) / deepest), low = y(1);
     const add = (name, set, text) => {
       const e = document.createElementNS(NS, name);
       for (const key in set) e.setAttribute(key, set[key]);
       if (text !== undefined) e.textContent = text;
       svg.append(e);
     };
-    for (const p of [0, 0.5, 1]) {
-      add("line", {class: "grid", x1: 30, x2: 294, y1: y(p), y2: y(p)});
-      add("text", {class: "tick end", x: 25, y: y(p) + 3.5}, p);
+    for (let k = 0; k >= deepest; k -= every) {
+      const height = y(1 - 10 ** k);
+      add("line", {class: "grid", x1: 36, x2: 294, y1: height, y2: height});
+      add("text", {class: "tick end", x: 32, y: height + 3.5}, k > -3 ? 10 ** k : "1e" + k);
     }
+    add("text", {class: "tick", x: 40, y: 95}, "fails at most");
     add("text", {class: "tick end", x: 294, y: 95}, end.toFixed(1) + " s");
-    let line = "M" + x(0) + " " + y(0), best = 0;
-    for (const [t, p] of points) { line += "H" + x(t) + "V" + y(best = Math.max(best, p)); }
-    add("path", {class: "fill", d: line + "H" + x(end) + "V" + y(0) + "Z"});
+    let line = "M" + x(0) + " " + y(0), most = 0;
+    for (const [t, p] of points) line += "H" + x(t) + "V" + y(most = Math.max(most, p));
+    add("path", {class: "fill", d: line + "H" + x(end) + "V" + low + "H" + x(0) + "Z"});
     add("path", {class: "rise", d: line + "H" + x(end)});
-    const above = job.result ? job.result.above : null, most = parseFloat((/than ([0-9.]+)/.exec(this.upper(job)) || [])[1]);
-    const top = above === null ? most : above;
-    if (top <= 1) add("line", {class: "most", x1: 30, x2: 294, y1: y(top), y2: y(top)});
+    const above = job.result ? job.result.above : null, told = parseFloat((/than ([0-9.]+)/.exec(this.upper(job)) || [])[1]);
+    const top = above === null ? told : above;
+    if (top < 1 && power(top) >= deepest) add("line", {class: "most", x1: 36, x2: 294, y1: y(top), y2: y(top)});
   }
 
   tried(found) {

@@ -242,6 +242,9 @@ class Session:
                 self._message = (
                     f"saved {message['saved']}" if "saved" in message else message.get("failed", "not saved")
                 )
+            elif message["done"] == "maps":
+                if message["number"] == self._job["number"] and self._job["result"] and "maps" in message:
+                    self._job["result"] = self._job["result"] | {"maps": message["maps"]}
             elif message["number"] == self._job["number"]:
                 self._take_done(message)
             self._touch()
@@ -272,6 +275,7 @@ class Session:
         result |= {"seconds": message["seconds"], "stopped": stopped}
         self._job |= {"state": "done", "result": result, "before": None, "why": ""}
         self._run = None
+        self._worker().send({"job": "maps", "number": message["number"]})
 
     def _give_back(self) -> None:
         """Hand the last certificate to a new process: the one that had it is gone."""
@@ -301,9 +305,12 @@ class Session:
             self._touch()
 
     def save_certificate(self, name: Any) -> None:
-        """Write the certificate."""
-        path = place(self.folder, name, ".npz")
+        """Write the certificate, a report about it, or an animation of it."""
+        path = place(self.folder, name, ".npz", ".html", ".gif")
         with self._changed:
             if self._job["state"] != "done" or not self._job.get("result"):
                 raise Refused("there is no certificate; certify first")
             self._worker().send({"job": "save", "number": self._job["number"], "path": str(path)})
+            if path.suffix != ".npz":
+                self._message = f"{path.name} is being written"
+                self._touch()

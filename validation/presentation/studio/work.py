@@ -93,6 +93,6 @@ class Desk:
             from .certifying import Certifier
 
             self._certifier = Certifier(self._send)
-        kinds = {name: getattr(self._certifier, name) for name in ("certify", "play", "save", "take")}
+        kinds = {name: getattr(self._certifier, name) for name in ("certify", "play", "maps", "save", "take")}
         # The first job of a process that computes is to be ready for the others.
         return {} if job["job"] == "ready" else kinds[job["job"]](job)

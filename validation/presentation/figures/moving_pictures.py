@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.interfaces import Picture, verdict_text
-from ..envs.systems.arguments import write_bytes
-from ..envs.tasks.problem import Problem
-from ..synthesis.certificates.proofs import Certificate
-from ..synthesis.extended_check.claims import ValueInTime, claim_text, value_in_time
-from ..validation.statistical_tests import Batchable, Loop, paths, task_tracks
+from ....envs.interfaces import Picture, verdict_text
+from ....envs.systems.arguments import write_bytes
+from ....envs.tasks.problem import Problem
+from ....synthesis.certificates.proofs import Certificate
+from ....synthesis.extended_check.claims import ValueInTime, claim_text, value_in_time
+from ...statistical_tests import Batchable, Loop, paths, task_tracks
 
 _HOLD = 1.5  # seconds for which the last picture stays, so that its verdict can be read
 _COLORS = 128  # of a GIF: enough for flat colours, and half the size of 256
