@@ -16,7 +16,7 @@ from .rendering import Picture, verdict_text
 from .scene import MOST_STRETCHED, Curve, Panel, Region, coordinate_name, have_one_scale, panels
 from .shaping import Potential
 from .specified import Specified
-from .task_roles import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
+from .task_roles import AVOIDED, FREE, KEPT, MIXED, REACHED, SHARED, roles
 from .tasks_env import TasksEnv
 from .team_env import TeamEnv
 from .vector_env import ProblemVectorEnv

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .task_roles import AVOIDED, FREE, KEPT, MIXED, REACHED
+from .task_roles import AVOIDED, FREE, KEPT, MIXED, REACHED, SHARED
 
 AGENTS = ("#2458d8", "#dc0050", "#231f33", "#b07ae8", "#7a3b00", "#8a0a7a")
 """Colours of agents, taken in turn, on white."""
@@ -36,6 +36,7 @@ LOOKS = {
     AVOIDED: Look("#d55e00", "x", "avoid"),
     KEPT: Look("#56b4e9", "-", "keep"),
     MIXED: Look("#e69f00", "|", "reach and avoid"),
+    SHARED: Look("#cc79a7", "\\", "one at a time"),
     FREE: Look("#8a8f98", "", ""),
 }
 """The look of each role; what the task does not ask about is grey and has no hatch."""

@@ -16,7 +16,7 @@ from ..tasks.problem import Problem
 from ..tasks.regions import Pair
 from .label_places import Cell, Labels, beside
 from .palette import LOOKS, agent_color, rgb
-from .scene import Panel, Region, panels
+from .scene import Curve, Panel, Region, figure, panels
 from .task_roles import roles
 from .window import Window
 
@@ -30,6 +30,9 @@ _VERDICTS = {"satisfied": (34, 130, 60), "failed": (190, 40, 40), "not satisfied
 _VALUE = (61, 122, 186)
 _TINT, _FAINT, _LINES, _SPACING = 46, 21, 120, 8
 """Opacity of regions, of those of crowded panels, and of the lines of a hatch, of 255; and pixels from line to line."""
+
+_MOVED = 1.5
+"""Pixels that an agent without a heading moves before it points there."""
 
 _TRAIL = 6
 """Steps for which a way is drawn strongly: what moved last is seen at once."""
@@ -52,6 +55,15 @@ def checked_render_mode(value: Any, modes: Sequence[str]) -> str | None:
     if value is not None and value not in modes:
         raise ValueError(f"`render_mode`: expected None or {' or '.join(map(repr, modes))}, got {shown(value)}")
     return None if value is None else str(value)
+
+
+def _direction(curve: Curve, state: np.ndarray, points: Sequence[tuple[float, float]]) -> float | None:
+    """Return the angle at which an agent on a map points: its heading, or where it last moved; None if it did not."""
+    if curve.heading is not None:
+        return float(state[curve.heading]) if np.isfinite(state[curve.heading]) else None
+    x, y = points[-1]
+    moved = ((x - a, b - y) for a, b in reversed(points[:-1]) if np.hypot(x - a, y - b) > _MOVED)
+    return next((float(np.arctan2(up, across)) for across, up in moved), None)
 
 
 def verdict_text(satisfied: bool, failed: bool, over: bool) -> str:
@@ -100,7 +112,13 @@ class Picture:
         self._side(draw, caption)
 
     def frame(
-        self, track: np.ndarray, q: int, letter: Sequence[str], verdict: str, value: float | None = None
+        self,
+        track: np.ndarray,
+        q: int,
+        letter: Sequence[str],
+        verdict: str,
+        value: float | None = None,
+        part: float = 1.0,
     ) -> np.ndarray:
         """Return one picture, uint8 (height, width, 3).
 
@@ -116,28 +134,33 @@ class Picture:
             "" while undecided.
         value : float, optional
             Certified lower bound on the probability of success from here on, drawn as a meter.
+        part : float
+            Share of the last step that is over, in (0, 1]: between two steps the last state is one on the way.
         """
+        now = len(track) - 1 if part >= 1.0 else len(track) - 2
         image = self._background.copy()
         draw = self._draw(image)
         for panel, cell, names in zip(self._panels, self._frames, self._names):
             # On maps, regions that move are where they are now.
-            here = [region for region in panel.regions if panel.is_map and region.time == len(track) - 1]
+            here = [region for region in panel.regions if panel.is_map and region.time == now]
             for region in here:
                 self._region(image, panel, cell, region)
-            self._curves(draw, panel, cell, track, Labels(cell, names))
+            self._curves(draw, panel, cell, track, Labels(cell, names), part)
             self._rings(draw, panel, cell, track[-1], letter)
-        self._status(draw, len(track) - 1, q, letter, verdict)
+        self._status(draw, now, q, letter, verdict)
         if value is not None:
             self._meter(draw, value)
         return np.array(image)
 
-    def _curves(self, draw: Any, panel: Panel, cell: Cell, track: np.ndarray, labels: Labels) -> None:
-        """Draw each agent: its way, strong where it is recent, a dot where it is now, and its name if they are few."""
+    def _curves(
+        self, draw: Any, panel: Panel, cell: Cell, track: np.ndarray, labels: Labels, part: float = 1.0
+    ) -> None:
+        """Draw each agent: its way, strong where it is recent, itself where it is now, and its name if they are few."""
         few = len(panel.curves) <= _FEW
-        radius, width = (5, 2) if few else (3, 1)
+        radius, width, long = (5, 2, 13) if few else (3, 1, 6)
         ends = []
         for curve in panel.curves:
-            points = self._points(panel, cell, track @ curve.rows.T)
+            points = self._points(panel, cell, track @ curve.rows.T, part)
             color = rgb(agent_color(curve.number))
             recent = points[-_TRAIL - 1 :]
             if len(points) > len(recent):
@@ -147,17 +170,18 @@ class Picture:
             for x, y in recent[:-1] if few else ():
                 draw.rectangle((x - 1, y - 1, x + 1, y + 1), fill=color)
                 labels.keep_free((x - 3, y - 3, x + 3, y + 3))
-            ends.append((curve, points[-1], color, curve.arrow(track[-1])))
+            ends.append((curve, points[-1], color, _direction(curve, track[-1], points) if panel.is_map else None))
         # Dots and names come after all ways, so that no line covers them.
-        for _, (x, y), color, arrow in ends:
-            if arrow is None:
+        for curve, (x, y), color, angle in ends:
+            if angle is None:
                 draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=color, outline=_PAPER)
-            else:
-                corners = [(x + 2 * radius * a, y - 2 * radius * b) for a, b in arrow.tolist()]
-                draw.polygon(corners, fill=color, outline=_PAPER)
-            labels.keep_free((x - radius, y - radius, x + radius, y + radius))
-        for curve, (x, y), color, _ in ends if few else ():
-            spots = beside(x, y, radius + 3, self._small.getlength(curve.name), _LINE)
+            for corners, is_body in () if angle is None else figure((curve.name, self._problem.name), angle):
+                places = [(x + long * a, y - long * b) for a, b in corners.tolist()]
+                draw.polygon(places, fill=color if is_body else _PAPER, outline=_PAPER if is_body else None)
+            room = radius if angle is None else long
+            labels.keep_free((x - room, y - room, x + room, y + room))
+        for curve, (x, y), color, angle in ends if few else ():
+            spots = beside(x, y, 3 + (radius if angle is None else long), self._small.getlength(curve.name), _LINE)
             place = labels.place(spots, self._small.getlength(curve.name), _LINE, at_least=True)
             draw.text(place, curve.name, fill=color, font=self._small)
 
@@ -173,13 +197,14 @@ class Picture:
             self._window.close()
             self._window = None
 
-    def _points(self, panel: Panel, cell: Cell, y: np.ndarray) -> list[tuple[float, float]]:
+    def _points(self, panel: Panel, cell: Cell, y: np.ndarray, part: float = 1.0) -> list[tuple[float, float]]:
         """Return the pixels of a curve (t + 1, k), moved to the rim of the panel if they lie beyond it."""
         left, top, right, bottom = cell
         # Positions as shares of the axes; a point beyond the panel is drawn just outside its rim.
         share = (y - np.array(panel.low)) / (np.array(panel.high) - np.array(panel.low))
         share = np.clip(np.nan_to_num(share, nan=0.0), -0.02, 1.02)
-        across = share[:, 0] if panel.is_map else np.arange(len(y)) / self._problem.horizon
+        times = np.minimum(np.arange(len(y)), len(y) - 2 + part)
+        across = share[:, 0] if panel.is_map else times / self._problem.horizon
         return list(zip((left + across * (right - left)).tolist(), (bottom - share[:, -1] * (bottom - top)).tolist()))
 
     def _region(self, image: Any, panel: Panel, cell: Cell, region: Region) -> None:
@@ -207,13 +232,13 @@ class Picture:
             self._draw(image).rectangle((x0, y0, x1, y1), outline=look.rgb)
 
     def _hatch(self, hatch: str) -> Any:
-        """Return lines all over a frame, as a mask: ``/`` rising, ``x`` crossed, ``-`` level, ``|`` upright."""
+        r"""Return lines all over a frame, as a mask: ``/`` and ``\`` slanted, ``x`` both, ``-``, ``|``."""
         lines = self._image.new("L", (WIDTH, HEIGHT), 0)
         draw = self._draw(lines)
         for k in range(-HEIGHT, WIDTH, _SPACING):
             if hatch in ("/", "x"):
                 draw.line((k, HEIGHT, k + HEIGHT, 0), fill=_LINES)
-            if hatch == "x":
+            if hatch in ("x", "\\"):
                 draw.line((k, 0, k + HEIGHT, HEIGHT), fill=_LINES)
             if hatch == "-":
                 draw.line((0, k, WIDTH, k), fill=_LINES)

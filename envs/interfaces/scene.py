@@ -9,12 +9,14 @@ time at which it holds anything. Each has the role that the task gives it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..systems.agents import AnyAgent, Box, LinearAgent
+from ..systems.expressions import names_in
 from ..tasks.automata import Formula
 from ..tasks.problem import Problem
 from ..tasks.regions import Pair, Proposition, heading_of
@@ -30,6 +32,42 @@ MOST_PLACES = 8
 
 _ARROW = np.array([(1.0, 0.0), (-0.7, 0.6), (-0.4, 0.0), (-0.7, -0.6)])
 """Corners of an arrow that points along the first axis."""
+
+
+SIDE = ", from the side"
+"""What ends names of agents in second views."""
+
+_CAR = [(1.0, 0.3), (0.8, 0.48), (-0.8, 0.48), (-0.95, 0.35), (-0.95, -0.35), (-0.8, -0.48), (0.8, -0.48), (1.0, -0.3)]
+_WINDOW = [(0.45, 0.34), (0.12, 0.38), (0.12, -0.38), (0.45, -0.34)]
+_ROUND = [(np.cos(a), np.sin(a)) for a in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)]
+_FIGURES = {
+    "car": [(_CAR, True), (_WINDOW, False)],
+    "drone": [
+        *(([(0.7, 0.55 * s), (0.55, 0.7 * s), (-0.7, -0.55 * s), (-0.55, -0.7 * s)], True) for s in (1, -1)),
+        *(([(0.62 * i + 0.4 * x, 0.62 * j + 0.4 * y) for x, y in _ROUND], True) for i in (1, -1) for j in (1, -1)),
+        ([(0.4 * x, 0.4 * y) for x, y in _ROUND], True),
+        ([(0.35, 0.0), (0.0, 0.25), (0.0, -0.25)], False),
+    ],
+    "robot": [
+        ([(0.8 * x, 0.8 * y) for x, y in _ROUND], True),
+        ([(0.75, 0.0), (0.1, 0.4), (0.25, 0.0), (0.1, -0.4)], False),
+    ],
+}
+_WORDS = {
+    "robot": "robot|rover|vacuum",
+    "car": "car|truck|bus|vehicle|trailer|lift|agv|bicycle|rig",
+    "drone": "drone|quad|copter|uav|rotor|hover",
+}
+
+
+def figure(names: Sequence[str], angle: float) -> list[tuple[np.ndarray, bool]]:
+    """Return an agent as it looks from above, by its names: polygons (n, 2) about the origin, and which are its body.
+
+    Others stand out from it. The first name with a word for robots, cars or drones tells; without any it is a robot.
+    """
+    kinds = (kind for name in names for kind, words in _WORDS.items() if re.search(words, name.lower()))
+    turns = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return [(np.array(corners) @ turns, is_body) for corners, is_body in _FIGURES[next(kinds, "robot")]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,10 +216,14 @@ def panels(problem: Problem) -> tuple[Panel, ...]:
             shown[key] = _robot(key, shown[key], single) if key in shown else single
         else:
             shown[agent.name] = single
+    for i, agent in enumerate(problem.agents):
+        if agent.name in shown and (beside := _from_the_side(problem, i, shown[agent.name])) is not None:
+            shown[agent.name + SIDE] = beside
     # Over time, a panel also needs equal regions: bands of different agents could not be told apart.
     groups: dict[object, list[_Shown]] = {}
-    for item in shown.values():
-        axes = (tuple(item.box.low), tuple(item.box.high), len(item.box.low) == 2 or _signature(item.regions))
+    for key, item in shown.items():
+        like = len(item.box.low) == 2 or _signature(item.regions)
+        axes = (tuple(item.box.low), tuple(item.box.high), like, key.endswith(SIDE))
         groups.setdefault(axes, []).append(item)
     told = roles(problem)
     return tuple(_panel(problem, group, told) for group in _with_pairs(problem, list(groups.values())))
@@ -263,12 +305,29 @@ def _signature(regions: tuple[Region, ...]) -> tuple[object, ...]:
     return tuple(sorted((r.name, r.low, r.high, -1 if r.time is None else r.time) for r in regions))
 
 
-def _agent(problem: Problem, i: int, number: int) -> _Shown:
-    """Return one agent on the axes that its regions restrict."""
+def _from_the_side(problem: Problem, i: int, item: _Shown) -> _Shown | None:
+    """Return an agent on the first and the third axis, where regions restrict three that are places; None elsewhere.
+
+    States that move the first two are no places, but velocities and headings, and angles are none, either.
+    """
+    agent, columns = problem.agents[i], problem.columns[i]
+    own = item.curve.rows[:, columns]
+    if len(own) != 2 or any(np.count_nonzero(row) != 1 for row in own):
+        return None
+    first = [int(np.argmax(row)) for row in own]
+    third = [k for k in _restricted_states(problem, i, agent.n_states) if k not in first]
+    moved_by = {name for k in first for name in names_in(agent.timed_trees[k])}
+    third = [k for k in third if not agent.wrapped_axes[k] and agent.states[k] not in moved_by]
+    third = [k for k in third if item.curve.heading != columns.start + k]
+    return _agent(problem, i, item.curve.number, (first[0], third[0])) if third else None
+
+
+def _agent(problem: Problem, i: int, number: int, seen: tuple[int, int] | None = None) -> _Shown:
+    """Return one agent on the axes that its regions restrict, or on two of its states."""
     agent = problem.agents[i]
     shapes = (isinstance(p, Proposition) and p.agent == agent.name and p.shape for p in problem.written.values())
-    if not agent.has_straight_outputs or any(shapes):
-        return _shaped(problem, i, number)
+    if not agent.has_straight_outputs or any(shapes) or seen is not None:
+        return _shaped(problem, i, number, seen)
     # Regions carry the name of their family, so that all agents' regions of one family share a colour.
     low, high = _output_box(agent)
     families = {member: family for family, members in problem.families.items() for member in members}
@@ -295,11 +354,11 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
     return _Shown(Curve(agent.name, number, rows), Box(low[axes], high[axes]), regions)
 
 
-def _shaped(problem: Problem, i: int, number: int) -> _Shown:
-    """Return an agent with shapes, or outputs that are no states, on the first two states that its regions restrict."""
+def _shaped(problem: Problem, i: int, number: int, seen: tuple[int, int] | None) -> _Shown:
+    """Return an agent on two states, by default the first ones that its regions restrict, whatever its regions are."""
     agent = problem.agents[i]
     own = {n: p for n, p in problem.written.items() if isinstance(p, Proposition) and p.agent == agent.name}
-    axes = _restricted_states(problem, i)
+    axes = _restricted_states(problem, i) if seen is None else [*seen]
     low, high = agent.state_low[axes], agent.state_high[axes]
     rows = np.zeros((len(axes), problem.n_states))
     rows[np.arange(len(axes)), problem.columns[i].start + np.array(axes)] = 1.0
@@ -320,8 +379,8 @@ def _shaped(problem: Problem, i: int, number: int) -> _Shown:
     return _Shown(Curve(agent.name, number, rows), Box(low, high), tuple(regions))
 
 
-def _restricted_states(problem: Problem, i: int) -> list[int]:
-    """Return the first two states that regions of an agent restrict."""
+def _restricted_states(problem: Problem, i: int, count: int = 2) -> list[int]:
+    """Return the first two states, or more, that regions of an agent restrict."""
     agent = problem.agents[i]
     states = set[int]()
     for name, region in problem.propositions.items():
@@ -336,7 +395,7 @@ def _restricted_states(problem: Problem, i: int) -> list[int]:
             for k in limited_outputs(agent, least, most):
                 straight = agent.straight_output(k)
                 states |= {0, 1} if straight is None else {*np.flatnonzero(straight[0]).tolist()}
-    return sorted(states & {*range(agent.n_states)})[:2] or [*range(min(2, agent.n_states))]
+    return sorted(states & {*range(agent.n_states)})[:count] or [*range(min(2, agent.n_states))]
 
 
 def _atoms(formula: Formula) -> list[str]:

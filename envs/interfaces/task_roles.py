@@ -2,9 +2,10 @@
 
 A proposition *helps* in a state if, all others equal, letting it hold leads to a state from which strictly more words
 are accepted, and *hurts* if strictly fewer are. What only hurts is avoided. What helps is reached, unless it only saves
-from failure while the task stays where it is: that is kept. What helps at one place and hurts at another is both. All
-this is about letters that points of the workspace have; where none of them tells the role of a proposition, since its
-region borders on others on all sides, it is about all letters.
+from failure while the task stays where it is: that is kept. What helps at one place and hurts at another is both. What
+hurts only while another one does, such as p and q in ``G !(p & q)``, is for one at a time. All this
+is about letters that points of the workspace have; where none of them tells the role of a proposition, since its region
+borders on others on all sides, it is about all letters.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from ..tasks.problem import Problem
 from .guard_texts import possible_letters
 from .outlines import terms_of
 
-REACHED, AVOIDED, KEPT, MIXED, FREE = "reached", "avoided", "kept", "mixed", "free"
-"""The roles: to be reached, avoided, kept; one at some times and another at others; not asked about."""
+REACHED, AVOIDED, KEPT, MIXED, FREE, SHARED = "reached", "avoided", "kept", "mixed", "free", "shared"
+"""The roles: to be reached, avoided, kept; one now and another then; not asked about; for one agent at a time."""
 
 _MOST_PAIRS = 3000
 """Pairs of states whose words are compared at most; beyond, states are told apart as lost, undecided and won alone."""
@@ -28,7 +29,7 @@ _MOST_PAIRS = 3000
 _MOST_WORK = 40_000
 """States times propositions up to which every pair of both is looked at: a second or two."""
 
-_TURNED = {REACHED: AVOIDED, AVOIDED: KEPT, KEPT: AVOIDED, MIXED: MIXED, FREE: FREE}
+_TURNED = {REACHED: AVOIDED, AVOIDED: KEPT, KEPT: AVOIDED, MIXED: MIXED, FREE: FREE, SHARED: MIXED}
 """Roles of what a region is the complement of, as roles of the region."""
 
 Pairs = frozenset[tuple[int, int]]
@@ -116,7 +117,15 @@ class _Reading:
         changes = {p: dict(self._changes(p, live, possible)) for p in range(len(automaton.propositions))}
         told = {pair for of_state in changes.values() for pairs in of_state.values() for pair in pairs}
         self._compare(told, possible)
-        return {name: self._role(changes[p]) for p, name in enumerate(automaton.propositions)}
+        found = {name: self._role(changes[p]) for p, name in enumerate(automaton.propositions)}
+        avoided = [p for p, name in enumerate(automaton.propositions) if found[name] == AVOIDED]
+        for p in avoided if len(avoided) > 1 else ():
+            # Does it hurt while no other one that is avoided holds?
+            others = [self.manager.literal(other, False) for other in avoided if other != p]
+            alone = self.manager.conjoin_all([*others, *([] if possible is None else [possible])])
+            if self._role(dict(self._changes(p, live, alone))) == FREE:
+                found[automaton.propositions[p]] = SHARED
+        return found
 
     def _role(self, changes: dict[int, Pairs]) -> str:
         """Return the role of a proposition from the pairs of states that it decides between, by state."""

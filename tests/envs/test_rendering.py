@@ -16,7 +16,7 @@ import fake_pygame
 from certigym.cli.main import main
 from certigym.envs.interfaces import AGENTS
 from certigym.envs.interfaces.palette import rgb
-from certigym.envs.interfaces.scene import panels
+from certigym.envs.interfaces.scene import figure, panels
 from certigym.envs.tasks.problem import problem_from_toml
 from kinds import ALL_IDS, mostly_thorough
 from sample_problems import mixed_problem
@@ -151,7 +151,7 @@ def test_the_command_draws_a_certified_rollout(tmp_path: Path, capsys: pytest.Ca
     said = capsys.readouterr().out
     steps = int(said.split(": ")[2].split()[0])
     with Image.open(out) as picture:
-        assert picture.n_frames == steps + 1 and picture.size == (720, 480)  # type: ignore[attr-defined]
+        assert picture.n_frames == 6 * steps + 1 and picture.size == (720, 480)  # type: ignore[attr-defined]
     assert main(["synthesize", str(task), "--cells", "40", "--out", str(certificate)]) == 0
     assert main(["plot", "episode", str(certificate), "--out", str(tmp_path / "y.gif"), "--seed", "1"]) == 0
     assert (tmp_path / "y.gif").read_bytes() == out.read_bytes()
@@ -232,7 +232,7 @@ def test_mp4_goes_through_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     out = tmp_path / "x.mp4"
     assert main(["plot", "episode", str(task), "--cells", "20", "--out", str(out)]) == 0
     pictures, rest = divmod(int(out.read_text()), 480 * 720 * 3)
-    assert rest == 0 and 2 + 6 <= pictures <= 4 + 6
+    assert rest == 0 and (pictures - 1 - 36) / 6 in (1, 2, 3)  # six pictures a step
     tool.write_text(f"#!{sys.executable}\nimport sys\nsys.stdin.buffer.read()\nsys.exit('no such codec')\n")
     assert main(["plot", "episode", str(task), "--cells", "20", "--out", str(out)]) == 2
 
@@ -252,7 +252,34 @@ def test_policies_are_shown_beside_each_other_on_the_same_start(
     assert [one["policy"] for one in shown][1:] == ["random", "idle"]
     with Image.open(out) as film:
         assert film.size == (3 * 720, 480)
-        assert film.n_frames == 1 + max(one["steps"] for one in shown)  # type: ignore[attr-defined]
+        assert film.n_frames == 1 + 6 * max(one["steps"] for one in shown)  # type: ignore[attr-defined]
         first = np.asarray(film.convert("RGB")).reshape(480, 3, 720, 3)
     # The tracks begin at the same point; captions and the meter differ.
     assert (first[:, 0, :500] == first[:, 1, :500]).all() and (first[:, 0] != first[:, 1]).any()
+
+
+@pytest.mark.parametrize(
+    ("names", "like"),
+    [
+        (("car_0", "x"), "car"),
+        (("robot", "forklift"), "robot"),
+        (("a", "drone-window"), "drone"),
+        (("a", "b"), "robot"),
+    ],
+)
+def test_agents_look_like_what_they_are_called(names: tuple[str, str], like: str) -> None:
+    """The body of a car is longer than wide, a drone has four rotors; all of them look where they point."""
+    bodies = [corners for corners, is_body in figure(names, np.pi / 2) if is_body]
+    assert len(bodies) == {"car": 1, "robot": 1, "drone": 7}[like]
+    across, up = np.ptp(np.concatenate(bodies), axis=0)
+    assert (up > 1.5 * across) == (like == "car")
+    (nose,) = [corners for corners, is_body in figure(names, np.pi / 2) if not is_body]
+    assert nose[:, 1].max() > 0.3 and abs(nose[:, 0].mean()) < 1e-9
+
+
+def test_a_task_in_space_has_a_second_view() -> None:
+    """The wall of the quadrotor has a gate, which its height alone lets it through: seen from above it is closed."""
+    above, beside = panels(cg.make_problem("quadrotor-v0"))
+    assert (above.names, beside.names) == (("x", "y"), ("x", "z"))
+    assert above.curves[0].number == beside.curves[0].number
+    assert len(panels(cg.make_problem("meeting-v0"))) == 1

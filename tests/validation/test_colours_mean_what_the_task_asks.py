@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.interfaces import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
+from certigym.envs.interfaces import AVOIDED, FREE, KEPT, MIXED, REACHED, SHARED, roles
 from certigym.envs.interfaces.palette import rgb
 from certigym.envs.interfaces.scene import panels
 from certigym.envs.interfaces.task_roles import proposition_roles
@@ -24,7 +24,8 @@ CASES = [
     # Nested: what comes later has the role that it has there.
     ("!a U (b & (!c U d))", "co-safe", {"a": AVOIDED, "b": REACHED, "c": AVOIDED, "d": REACHED}),
     ("F (a & (!b U c))", "co-safe", {"a": REACHED, "b": AVOIDED, "c": REACHED}),
-    ("(!p | !q) U r", "co-safe", {"p": AVOIDED, "q": AVOIDED, "r": REACHED}),
+    ("(!p | !q) U r", "co-safe", {"p": SHARED, "q": SHARED, "r": REACHED}),
+    ("G (!(p & q) & !w)", "finite-trace", {"p": SHARED, "q": SHARED, "w": AVOIDED}),
     # Both signs: a proposition that is asked for and against at different times, or that chooses between ways.
     ("!b U a & F b", "co-safe", {"a": REACHED, "b": MIXED}),
     ("F a & F !a", "co-safe", {"a": MIXED}),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,10 +33,9 @@ class OddsScale:
     high: float
 
     @classmethod
-    def of(cls, probabilities: Iterable[float] | NDArray[np.float64]) -> OddsScale:
+    def of(cls, probabilities: Sequence[float] | NDArray[np.float64]) -> OddsScale:
         """Return the scale that holds what is above 0 of some probabilities."""
-        numbers = np.asarray([*np.ravel(probabilities)], dtype=float)  # type: ignore[arg-type]
-        known = [_log_odds(p) for p in numbers[numbers > 0.0]]
+        known = [_log_odds(p) for p in np.ravel(np.asarray(probabilities, dtype=float)).tolist() if p > 0.0]
         high = min(MOST, max(known, default=0.0))
         low = min(max(LEAST, min(known, default=0.0)), high - NARROWEST)
         return cls(low, high)

@@ -21,6 +21,7 @@ from ....synthesis.extended_check.claims import ValueInTime, claim_text, value_i
 from ...statistical_tests import Batchable, Loop, paths, task_tracks
 
 _HOLD = 1.5  # seconds for which the last picture stays, so that its verdict can be read
+_MOST_BETWEEN, _MOST_PICTURES = 6, 240  # pictures of a control step, and of an episode, at most
 _COLORS = 128  # of a GIF: enough for flat colours, and half the size of 256
 
 
@@ -85,13 +86,14 @@ def render_episode(problem: Problem, players: Sequence[Player], out: str, seed: 
         If the kind of file is unknown, or if the program that writes it is not installed.
     """
     kind, ffmpeg = check_film(out, seed, fps)
-    filmed = [film(problem, player, seed) for player in players]
+    between = 1 if kind == ".png" else _between(problem.horizon)
+    filmed = [film(problem, player, seed, between) for player in players]
     longest = max(len(frames) for frames, _ in filmed)
     # Whoever is decided first waits at the last picture.
     films = [frames + [frames[-1]] * (longest - len(frames)) for frames, _ in filmed]
     frames = [np.concatenate(pictures, axis=1) for pictures in zip(*films, strict=True)]
     if kind == ".mp4":
-        _write_mp4(ffmpeg, frames, out, fps)
+        _write_mp4(ffmpeg, frames, out, fps * between)
     else:
         from PIL import Image
 
@@ -99,12 +101,12 @@ def render_episode(problem: Problem, players: Sequence[Player], out: str, seed: 
         if kind == ".png":
             images[-1].save(file, format="PNG")
         else:
-            durations = [1000 // fps] * (len(images) - 1) + [int(1000 * _HOLD)]
+            durations = [1000 // (fps * between)] * (len(images) - 1) + [int(1000 * _HOLD)]
             images = [image.quantize(_COLORS) for image in images]
             images[0].save(file, format="GIF", save_all=True, append_images=images[1:], duration=durations, loop=0)
         write_bytes(out, file.getvalue())
     shown = [
-        {"policy": player.caption, "steps": len(each) - 1, "satisfied": satisfied}
+        {"policy": player.caption, "steps": (len(each) - 1) // between, "satisfied": satisfied}
         for player, (each, satisfied) in zip(players, filmed, strict=True)
     ]
     return {"problem": problem.name, "seed": seed, "file": out, "shown": shown}
@@ -120,8 +122,13 @@ def check_film(out: str, seed: int, fps: int) -> tuple[str, str]:
     return kind, _ffmpeg() if kind == ".mp4" else ""
 
 
-def film(problem: Problem, player: Player, seed: int) -> tuple[list[np.ndarray], bool]:
-    """Return the pictures of one episode, and whether it satisfied the task."""
+def _between(steps: int) -> int:
+    """Return how many pictures a control step has: fewer in long episodes, whose files would be large."""
+    return max(1, min(_MOST_BETWEEN, _MOST_PICTURES // steps))
+
+
+def film(problem: Problem, player: Player, seed: int, between: int = 1) -> tuple[list[np.ndarray], bool]:
+    """Return the pictures of one episode, some for each control step, and whether it satisfied the task."""
     try:
         picture = Picture(problem, player.caption)
     except ImportError as error:
@@ -129,7 +136,8 @@ def film(problem: Problem, player: Player, seed: int) -> tuple[list[np.ndarray],
     states, success = paths(Loop(problem, player.controller, seed, 1), 1)
     read, hold = task_tracks(problem, states)
     track = states[~np.isnan(states[:, 0]).any(axis=1), 0]
-    frames = []
+    wraps = np.concatenate([agent.wrapped_axes for agent in problem.agents])
+    frames = list[np.ndarray]()
     for time in range(len(track)):
         names = problem.told(name for name, holds in zip(problem.automaton.propositions, hold[time, :, 0]) if holds)
         last = time == len(track) - 1
@@ -138,6 +146,12 @@ def film(problem: Problem, player: Player, seed: int) -> tuple[list[np.ndarray],
         if player.value is not None:
             value = float(player.value.at(track[time], int(read[time, 0]), problem.horizon - time)[0])
         frames.append(picture.frame(track[: time + 1], int(read[time, 0]), names, verdict, value))
+        for part in () if last else np.arange(1, between) / between:
+            # Angles take the shorter way.
+            way = track[time + 1] - track[time]
+            way = np.where(wraps, (way + np.pi) % (2.0 * np.pi) - np.pi, way)
+            moving = np.concatenate([track[: time + 1], (track[time] + part * way)[None]])
+            frames.append(picture.frame(moving, int(read[time, 0]), names, verdict, value, float(part)))
     return frames, bool(success[0])
 
 

@@ -74,7 +74,7 @@ _PRINT = """@media print{body{background:#fff;font-size:10pt}main{max-width:none
 .playing .all{opacity:1}.one{display:none}.here{fill:var(--card)!important}}
 """
 
-_LINES = {"/": "M0 8L8 0", "x": "M0 8L8 0M0 0L8 8", "-": "M0 4H8", "|": "M4 0V8"}
+_LINES = {"/": "M0 8L8 0", "x": "M0 8L8 0M0 0L8 8", "-": "M0 4H8", "|": "M4 0V8", "\\": "M0 0L8 8"}
 """The lines of one tile of a hatch, 8 units wide and high."""
 
 
