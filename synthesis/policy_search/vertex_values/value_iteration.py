@@ -68,6 +68,10 @@ SAME = 5e-3
 SAME_PASSING = 0.1
 """The same where runs that pass there lose at most this share of the failure that is hoped for, over all steps."""
 
+AIMS = 0.01, 1e-3
+"""Failure that the first grid aims at, unless no more is hoped for: laws that lose little beside it are not made anew.
+Later ones aim at a share of what the grid before failed by."""
+
 LEFT_OUT, LEAST_NEAR = 1e-3, 4.0
 """Share of the failure that noise may have which is not looked at, in all steps, and deviations that always are."""
 
@@ -80,7 +84,7 @@ MOST_STATES = 4
 FIRST = {1: 60, 2: 400, 3: 1200, 4: 2000}
 """Vertices of the first grid, by the number of states."""
 
-FINER_STEPS, MOST_FINER, POOR = np.array([5.0, 4.2, 3.5, 3.0, 2.5, 2.2, 1.9, 1.7, 1.5]), 30_000, 0.03
+FINER_STEPS, MOST_FINER, POOR = np.array([5.0, 4.2, 3.5, 3.0, 2.5, 2.2, 1.9, 1.7, 1.5]), 3e4, 0.03
 """How many times as many vertices the next grid has, as the work allows: the most, and 2.5 below a failure of POOR."""
 
 NO_DIFFERENCE = 1e-11
@@ -167,24 +171,30 @@ def _refined(problem: Problem, work: CountedWork) -> tuple[VertexProof, dict[str
     alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
     best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
     try:
-        runs, near = _coarse(checked, noise_laws, vertices, alive, work)
+        runs = _coarse(checked, noise_laws, vertices, alive, work)
+        hoped, aim = runs.failure, AIMS[0]
         while True:
             window = _within(alive, runs.window(checked, spreads))
             edges = grid_of(checked, spreads, round(vertices), window, finer)
-            steps = Counted(checked, edges, jumps_of(checked, edges), near, noise_laws).within(work)
+            runs.failure = max(hoped, aim)
+            steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
+            steps.near = _near(steps, runs.failure)
             inputs, laws, failure = iterated(steps, runs)
             levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
             finer *= np.clip(np.sqrt(steps.bent / np.exp(np.log(steps.bent).mean())), *MOST_ADJUSTED)
-            runs = _Runs.of(steps, inputs, laws, runs.failure)
+            runs, aim = _Runs.of(steps, inputs, laws, hoped), min(aim, AIMS[1] * failure)
             slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
             if best is None or failure < best.failure:
-                best = VertexProof(edges, inputs, laws, steps.jumps, near, min(1.0, failure * CLAIMED))
+                best = VertexProof(edges, inputs, laws, steps.jumps, steps.near, min(1.0, failure * CLAIMED))
                 work.tell(failure)
             each = FINER_STEPS if failure > POOR else FINER_STEPS[FINER_STEPS <= 2.5]
-            vertices *= float(next((own for own in each if work.allows(steps.spent * own**GROWS)), math.inf))
-            if failure < ENOUGH or slow or vertices > MOST_FINER:
+            more = next(
+                (own for own in each if work.allows(steps.spent * min(own, MOST_FINER / vertices) ** GROWS)), None
+            )
+            if failure < ENOUGH or slow or more is None or vertices >= MOST_FINER:
                 break
+            vertices = min(vertices * float(more), MOST_FINER)
     except KeyboardInterrupt:
         if best is None or best.failure >= 1.0:
             raise
@@ -200,8 +210,8 @@ def _refined(problem: Problem, work: CountedWork) -> tuple[VertexProof, dict[str
 
 def _coarse(
     problem: CheckedProblem, noise_laws: Sequence[Law] | None, vertices: float, alive: FloatArray, work: CountedWork
-) -> tuple[_Runs, float]:
-    """Return runs under coarse values, which nothing is charged for, and how many deviations have to be looked at."""
+) -> _Runs:
+    """Return runs under coarse values, which nothing is charged for."""
     spreads, window, runs = spreads_of(problem), alive, None
     for more in COARSE:
         edges = grid_of(problem, spreads, round(vertices * more), window)
@@ -212,7 +222,7 @@ def _coarse(
         runs = _Runs.of(steps, inputs, laws, failure)
         window = _within(alive, runs.window(problem, spreads))
     assert runs is not None
-    return runs, _near(steps, failure)
+    return runs
 
 
 def _near(steps: Backups, failure: float) -> float:
@@ -512,9 +522,9 @@ def _hats(points: FloatArray, axis: FloatArray, size: float, noise: Noise | None
     return 0.5 * either[0] + 0.5 * either[1]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Runs:
-    """Runs under inputs on a grid (sampled, fixed seed): states (T + 1, d, RUNS), automaton states, a failure hoped."""
+    """Runs under inputs on a grid (sampled, fixed seed): states (T + 1, d, M), automaton states, a failure to aim at."""
 
     states: FloatArray
     q: NDArray[np.int64]
