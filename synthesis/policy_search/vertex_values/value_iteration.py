@@ -524,7 +524,7 @@ def _hats(points: FloatArray, axis: FloatArray, size: float, noise: Noise | None
 
 @dataclass(eq=False)
 class _Runs:
-    """Runs under inputs on a grid (sampled, fixed seed): states (T + 1, d, M), automaton states, a failure to aim at."""
+    """Runs under inputs (sampled, fixed seed): states (T + 1, d, M), automaton states, and a failure to aim at."""
 
     states: FloatArray
     q: NDArray[np.int64]
