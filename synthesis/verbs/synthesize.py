@@ -140,7 +140,8 @@ def synthesize(
     told = sweep_bar() if progress is True else progress or None
     problem = as_problem(problem)
     endless = horizon is None
-    ascent = options.search(progress=told, stationary=options.stationary or endless)
+    enough = math.inf if until is None else until
+    ascent = options.search(progress=told, stationary=options.stationary or endless, enough=enough)
 
     is_single = isinstance(horizon, int | np.integer) or horizon == OWN
 

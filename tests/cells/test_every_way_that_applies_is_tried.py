@@ -119,6 +119,16 @@ def test_searches_on_cells_and_along_paths_end_with_the_bound(
     assert until <= found.certificate.lower_bound < most and cg.check(found.certificate)
 
 
+@pytest.mark.parametrize("value", ["tree", "train"])
+def test_sweeps_end_with_the_bound(value: str) -> None:
+    """Not only ways: the first sweep has it, and no other one is made."""
+    search = cg.SearchOptions(value=value)
+    first = cg.synthesize("reach-avoid-v0", 24, relation="exact", search=search, until=0.5)
+    whole = cg.synthesize("reach-avoid-v0", 24, relation="exact", search=search)
+    assert len(list(first.stats["sweeps"])) == 1 < len(list(whole.stats["sweeps"]))  # type: ignore[call-overload]
+    assert 0.5 < first.certificate.lower_bound <= whole.certificate.lower_bound
+
+
 @pytest.mark.full_search
 def test_what_needs_another_way_comes_after_it(table: Table) -> None:
     strategies = [

@@ -191,7 +191,7 @@ def find_policies(
     frozen, gain = _frozen(joint, policies, start)
     # Go on with the full tree while one agent alone could still gain.
     for _ in range(POLISHING if search.max_sweeps else 0):
-        if gain <= LEAST_GAIN_SHARE * frozen.value:
+        if gain <= LEAST_GAIN_SHARE * frozen.value or frozen.value >= search.enough:
             break
         better = _answered(joint, frozen.policies, start, spread, FINAL)
         trees.values.append(better.value)
@@ -350,7 +350,8 @@ class _TreeAscent:
     @property
     def is_solved(self) -> bool:
         """Whether the best is so near the upper bound that no further start is tried."""
-        return self.best is not None and self.best.value >= self.how.good_share * self.most
+        least = min(self.how.good_share * self.most, self.how.enough)
+        return self.best is not None and self.best.value >= least
 
     @property
     def is_long(self) -> bool:
@@ -368,7 +369,8 @@ class _TreeAscent:
             self.starts[name] = max(outcome.value, self.starts.get(name, 0.0))
             self.best = outcome if self.best is None or outcome.value > self.best.value else self.best
             self.how.tell(name, self.best.value)
-            if outcome.value <= last * (1 + self.progress) or outcome.value >= self.most * (1 - LEAST_ROOM):
+            ends = min(self.most * (1 - LEAST_ROOM), self.how.enough)
+            if outcome.value <= last * (1 + self.progress) or outcome.value >= ends:
                 break
             last, policies = outcome.value, outcome.policies
         if outcome is not None and not all(model.is_additive for model in self.joint.models):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import inf
 
 from ....envs.systems.arguments import checked_count
 from .limits import Limits
@@ -44,6 +45,8 @@ class Search:
         Share of the upper bound from which a start is good enough and no further ones are tried.
     spend : callable, optional
         Told the work of sweeps over trees before it is done (see ``JointModel``).
+    enough : float
+        Value from which nothing is improved.
 
     Raises
     ------
@@ -59,6 +62,7 @@ class Search:
     stationary: bool = False
     good_share: float = GOOD_SHARE
     spend: Callable[[float], None] | None = None
+    enough: float = inf
 
     def __post_init__(self) -> None:
         for name in ("max_sweeps", "restarts"):

@@ -91,7 +91,8 @@ class TrainAscent:
     @property
     def is_good(self) -> bool:
         """Whether the best is so near the upper bound that no further start is tried."""
-        return self.best is not None and self.best.value >= self.how.good_share * self.most
+        least = min(self.how.good_share * self.most, self.how.enough)
+        return self.best is not None and self.best.value >= least
 
     @property
     def tolerance(self) -> float:
@@ -107,7 +108,8 @@ class TrainAscent:
     @property
     def is_solved(self) -> bool:
         """Whether more sweeps are not worth their time."""
-        return self.best is not None and self.best.value >= (1 - 2 * self.fine) * self.most
+        least = min((1 - 2 * self.fine) * self.most, self.how.enough)
+        return self.best is not None and self.best.value >= least
 
 
 def _tolerance(wanted: float) -> float:
