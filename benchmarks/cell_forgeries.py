@@ -117,7 +117,7 @@ def _menu_point(part: Any, rng: np.random.Generator) -> Any:
 
 def _number(part: Any, rng: np.random.Generator) -> Any:
     """One number of the relation: an input of the menu, or a gain."""
-    names = [name for name in ("menu", "gains", "feedback", "F", "inputs") if np.size(part.relation.get(name, ()))]
+    names = [name for name in ("menu", "feedback", "F", "inputs") if np.size(part.relation.get(name, ()))]
     if not names:
         return None
     name = str(rng.choice(names))

@@ -80,10 +80,9 @@ def uneven(certificate: cg.Certificate) -> cg.Certificate:
 FORGERIES: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
     "a stored factor raised": raised_factor,
     "inputs outside their box": lambda c: times(c, "menu", 1.5),
-    "feedback that inputs have no room for": lambda c: times(c, "gains", 4.0),
     "inputs exchanged": lambda c: relation_changed(c, menu=c.proof.agents[0].relation["menu"][::-1]),
-    "no inputs": lambda c: relation_changed(c, menu=[], gains=[]),
-    "fewer gains than inputs": lambda c: relation_changed(c, gains=c.proof.agents[0].relation["gains"][1:]),
+    "no inputs": lambda c: relation_changed(c, menu=[]),
+    "feedback inside cells": lambda c: relation_changed(c, gains=[[[1.0]]] * len(c.proof.agents[0].relation["menu"])),
     "an input that is not there": lambda c: part_changed(
         c, policy=np.full_like(c.proof.agents[0].policy, len(c.proof.agents[0].relation["menu"]))
     ),

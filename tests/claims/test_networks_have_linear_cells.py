@@ -32,8 +32,7 @@ SHAPES = [
 
 def maps_of(policy: NetworkPolicy, agent: LinearAgent, cuts: int) -> NetworkMaps:
     """Maps of an agent that a network moves."""
-    still = np.zeros((1, agent.n_inputs, agent.n_states))
-    return NetworkMaps(linear_means(agent, still), policy, cuts)
+    return NetworkMaps(linear_means(agent), policy, cuts)
 
 
 @pytest.mark.parametrize("hidden, activation, squashed", SHAPES)

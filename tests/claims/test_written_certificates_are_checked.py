@@ -195,9 +195,9 @@ def test_targets_that_inputs_do_not_reach_are_refused(monkeypatch: pytest.Monkey
     problem = oscillator_reach(12)
     around = SymbolicMeans.around
 
-    def generous(self: SymbolicMeans, low: NDArray, high: NDArray, input_set: NDArray, gains: NDArray) -> Any:
+    def generous(self: SymbolicMeans, low: NDArray, high: NDArray, input_set: NDArray) -> Any:
         larger = self.agent.replace(input_low=[-1.5], input_high=[1.5])
-        return around(replace(self, agent=larger), low, high, 1.5 * input_set, gains)
+        return around(replace(self, agent=larger), low, high, 1.5 * input_set)
 
     with monkeypatch.context() as patch:
         patch.setattr(SymbolicMeans, "around", generous)
@@ -231,12 +231,9 @@ def with_relation(certificate: cg.Certificate, **changes: Any) -> cg.Certificate
 def test_forged_relations_are_refused(tmp_path: Path) -> None:
     certificate = of_oscillator()
     input_set = np.array(certificate.proof.agents[0].relation["menu"])
-    gains = np.zeros((len(input_set), 1, 2))
-    gains[:, 0, 1] = -0.5
     for forged in (
         with_relation(certificate, menu=(1.01 * input_set).tolist()),
         with_relation(certificate, menu=input_set[::-1].tolist()),
-        with_relation(certificate, gains=gains.tolist()),
         with_relation(certificate, steer=[not flag for flag in certificate.proof.agents[0].relation["steer"]]),
         with_relation(certificate, steer=[True] * len(input_set)),
         changed(certificate, lower_bound=certificate.lower_bound + 1e-6),

@@ -102,7 +102,7 @@ def test_true_values_lie_in_both_enclosures(text: str) -> None:
     """Fifty digits at random points and corners of 150 boxes; where the enclosure knows nothing it says so."""
     agent = agent_of(text, "y")
     tree, (low, high), rng = agent.trees[0], boxes(1), np.random.default_rng(2)
-    first, last = SymbolicMeans(agent, 1).around(low, high, np.zeros((1, 1)), np.zeros((1, 1, 2)))
+    first, last = SymbolicMeans(agent, 1).around(low, high, np.zeros((1, 1)))
     own_first, own_last = enclosed_means(agent, low, high, np.zeros((len(low), 1)), 1)
     unknown = np.isnan(first[:, 0, 0])
     assert not unknown.all() and np.array_equal(unknown, np.isnan(own_first[:, 0]))
@@ -126,9 +126,7 @@ def test_enclosures_of_small_boxes_are_tight(text: str) -> None:
     low[:25] *= -1.0
     low[:, 1] = np.abs(low[:, 1])
     high = low + 0.01
-    first, last = (
-        ends[:, 0, 0] for ends in SymbolicMeans(agent, 1).around(low, high, np.zeros((1, 1)), np.zeros((1, 1, 2)))
-    )
+    first, last = (ends[:, 0, 0] for ends in SymbolicMeans(agent, 1).around(low, high, np.zeros((1, 1))))
     share = np.stack([axis.ravel() for axis in np.meshgrid(np.linspace(0, 1, 30), np.linspace(0, 1, 30))])
     points = low[..., None] + 0.01 * share
     values = agent.mean(np.moveaxis(points, 1, 0), np.zeros((1, 50, 900)))[0]
@@ -153,7 +151,7 @@ def test_parts_hold_the_means() -> None:
     high, input_set = low + rng.uniform(0.01, 1.0, (200, 2)), np.array([[-1.0], [0.5]])
     widths = []
     for parts in (1, 3):
-        first, last = SymbolicMeans(agent, parts).around(low, high, input_set, np.zeros((2, 1, 2)))
+        first, last = SymbolicMeans(agent, parts).around(low, high, input_set)
         widths.append(float((last - first).mean()))
         for choice, u in enumerate(input_set[:, 0]):
             own = enclosed_means(agent, low, high, np.full((200, 1), u), parts)

@@ -9,9 +9,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.linalg import qr
 
-from ....envs.systems.agents import AnyAgent, Box, LinearAgent, with_expressions, with_matrices
+from ....envs.systems.agents import AnyAgent, Box, with_expressions
 from ....envs.systems.arguments import shortened
 from ...relations.grids import (
     FEWER,
@@ -32,12 +31,6 @@ from .box_choices import BoxChoices, box_choices
 
 INPUT_LEVELS = {1: 17, 2: 7, 3: 4}
 """Levels of each input, by the number of inputs; 3 beyond."""
-
-LEAST_RANGE = 0.05
-"""Share of the input box that feedback must leave to the choice, for every component, to be offered."""
-
-RANK = 1e-9
-"""Relative size, after scaling, of pivots that count as 0."""
 
 PARTS, LEAST_SHRINKAGE = (1, 2, 4), 0.03
 """Parts into which cells are cut along each axis to enclose expressions, and by how much that must shrink boxes."""
@@ -73,7 +66,7 @@ def box_model(
 ) -> tuple[BoxRelation, tuple[FloatArray, ...], BoxKernel, BoxChoices]:
     """Return relation, lattice, kernel and choices under the relation ``boxes``, with the choices of defaults."""
     relation = relation_of(agent, grid)
-    input_set, gains = relation.input_set, relation.gains
+    input_set = relation.input_set
     laws, spread = grid_laws(agent), scale_range(agent, relation, grid)
     if spread is not None:  # the lattice of the means is made for the smallest noise, but for that of a few cells
         smallest = [law.scaled(least) for law, least in zip(laws, spread[3].tolist(), strict=True)]
@@ -82,8 +75,8 @@ def box_model(
     deviations = np.sqrt(np.diag(agent.noise_covariance)) if spread is not None else np.array([w.std for w in laws])
     axes = lattice_axes(agent)
     points = (per_cell,) * agent.n_states if per_cell is not None else points_per_cell(grid, smallest, len(axes))
-    # Means from anywhere in the grid under any input; feedback keeps inputs in their box, so it adds none.
-    constant = ~np.any(gains, axis=(1, 2))
+    # Means from anywhere in the grid under any input.
+    constant = np.ones(len(input_set), dtype=bool)
     if isinstance(relation.means, SymbolicMeans) and relation.means.steer is not None:
         constant &= ~relation.means.steer  # targets are means of other choices
     whole = relation.mean_boxes(*(np.array([[edges[k] for edges in grid.edges]]) for k in (0, -1)))
@@ -149,8 +142,7 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
 def relation_of(agent: AnyAgent, grid: Grid) -> BoxRelation:
     """Return the relation with the choices that are offered by default."""
     if agent.is_affine:
-        input_set, gains = inputs_and_gains(with_matrices(agent), grid)
-        return box_relation(agent, input_set, gains)
+        return box_relation(agent, _levels(agent.input_box.low, agent.input_box.high))
     if agent.has_clock:
         return in_fitting_parts(agent, grid, clock_input_set(agent, INPUT_LEVELS), {"steer": None})
     input_set, steer = with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)), None
@@ -199,45 +191,6 @@ def evenly_with_rest(low: float, high: float, levels: int) -> FloatArray:
     """Return evenly spaced numbers of an interval, both ends among them, and 0 if it lies in the interval."""
     axis = np.clip(np.linspace(low, high, levels), low, high) if high > low else np.array([low])
     return np.unique(np.append(axis, 0.0)) if low <= 0.0 <= high else axis
-
-
-def inputs_and_gains(agent: LinearAgent, grid: Grid) -> tuple[FloatArray, FloatArray]:
-    """Return inputs (A, m) and feedbacks (A, m, d) to choose from.
-
-    First inputs that do not depend on the state; then those with the feedback that makes the mean the same for the
-    whole cell on as many axes as inputs can command, where it leaves enough of the inputs.
-    """
-    box = agent.input_box
-    input_set = _levels(box.low, box.high)
-    gains = np.zeros((len(input_set), agent.n_inputs, agent.n_states))
-    feedback = cancelling(agent, grid)
-    if feedback is not None:
-        widest = np.array([0.5 * np.max(np.diff(edges)) for edges in grid.edges])
-        need = np.abs(feedback) @ widest * (1.0 + 1e-9) + 1e-9 * (np.abs(box.low) + np.abs(box.high))
-        low, high = box.low + need, box.high - need
-        if np.all(high - low >= LEAST_RANGE * (box.high - box.low)) and np.all(high > low):
-            more = _levels(low, high)
-            input_set = np.concatenate([input_set, more])
-            gains = np.concatenate([gains, np.broadcast_to(feedback, (len(more), *feedback.shape))])
-    return input_set, gains
-
-
-def cancelling(agent: LinearAgent, grid: Grid) -> FloatArray | None:
-    """Return the feedback (m, d) that cancels the state on the axes that inputs command best; None if there is none.
-
-    With ``B_R`` the rows of these axes, ``K = -B_R^+ A_R`` makes the rows R of ``A + B K`` zero.
-    """
-    # Units do not matter: axes are measured by cells, inputs by their box.
-    cell = np.array([(edges[-1] - edges[0]) / (len(edges) - 1) for edges in grid.edges])
-    unit = np.maximum(agent.input_box.half_width, np.finfo(float).tiny)
-    scaled = agent.B * unit / cell[:, None]
-    if not scaled.any():
-        return None
-    # Pivoting takes the axis that inputs move most, then the one they move most besides, and so on.
-    _, R, pivots = qr(scaled.T, mode="economic", pivoting=True)
-    sizes = np.abs(np.diag(R))
-    rows = pivots[: int(np.sum(sizes > RANK * sizes[0]))]
-    return np.asarray(-(np.linalg.pinv(scaled[rows]) * unit[:, None] / cell[rows]) @ agent.A[rows])
 
 
 def _levels(low: FloatArray, high: FloatArray) -> FloatArray:

@@ -202,9 +202,8 @@ class BoxSteering(_OnCells):
         ``beside`` (l, n, M) are the states of others that the dynamics name, if there are any.
         """
         choices = self.table.choices(self.table.places(cells, q, time))
-        offsets = points - looked_up(self._centres, cells)
         chosen = np.maximum(choices, 0).astype(np.intp)
-        inputs = self.relation.inputs(chosen, offsets)
+        inputs = self.relation.inputs(chosen)
         inputs = self.relation.means.steered(chosen, points, looked_up(self._centres, cells), inputs, beside)
         # Cells without a choice get the mean of all inputs.
         if self.table.has_idle_cells(time):

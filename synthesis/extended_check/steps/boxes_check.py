@@ -281,15 +281,13 @@ def _affine_boxes(
     agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], choices: NDArray[np.integer]
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (C, d) of boxes around means under inputs of the menu; they may be off by what means are off by."""
-    input_set, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
+    input_set = np.array(part.relation["menu"], dtype=float)
     index = np.unravel_index(cells, part.grid.shape)
     left = np.stack([edges[k] for edges, k in zip(part.grid.edges, index, strict=True)], axis=1)
     right = np.stack([edges[k + 1] for edges, k in zip(part.grid.edges, index, strict=True)], axis=1)
     centre, half = 0.5 * (left + right), 0.5 * (right - left) * OUTWARD
     mean = centre @ agent.A.T + (input_set @ agent.B.T)[choices] + agent.offset
-    reach = np.zeros(mean.shape)
-    for a in np.unique(choices):
-        reach[choices == a] = half[choices == a] @ np.abs(agent.A + agent.B @ gains[a]).T
+    reach = half @ np.abs(agent.A).T
     return mean - reach, mean + reach
 
 
@@ -298,12 +296,12 @@ def _state_boxes(agent: LinearAgent, part: AgentRecord, off: FloatArray) -> None
 
     They are said to be off by half of ``off``; the other half is for controllers, which add up the same numbers.
     """
-    input_set, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
+    input_set = np.array(part.relation["menu"], dtype=float)
     asked = part.policy >= 0
     pairs = np.broadcast_to(np.arange(part.policy.shape[-1]), asked.shape)[asked] * np.int64(len(input_set))
     cells, choices = np.divmod(np.unique(pairs + part.policy[asked]), len(input_set))
     low, high = _affine_boxes(agent, part, cells, choices)
-    spans = Enclosed(None, agent, input_set[choices], fed=gains[choices])
+    spans = Enclosed(None, agent, input_set[choices])
     corners = tuple(corner[cells] for corner in cell_boxes(part))
     state("spans", spans, corners, [], (low - 0.5 * off, high + 0.5 * off))
 

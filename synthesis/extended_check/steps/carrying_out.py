@@ -189,8 +189,7 @@ def _asked_means(
     offsets = states - 0.5 * (low + high)[cells].T
     input_set = np.array(part.relation["menu"], dtype=float)
     if part.relation["kind"] == "boxes":
-        fed = np.einsum("nij,jn->in", np.array(part.relation["gains"], dtype=float)[choice], offsets)
-        return np.asarray(agent.A @ states + agent.B @ (input_set[choice].T + fed) + agent.offset[:, None])
+        return np.asarray(agent.A @ states + agent.B @ input_set[choice].T + agent.offset[:, None])
     if len(input_set):
         first = first_target(part)
         inputs = input_set[np.minimum(choice, len(input_set) - 1)].T

@@ -152,7 +152,7 @@ def targets_alone(part: AgentRecord) -> AgentRecord:
 
 def _mapped(s: _Setting, agent: AnyAgent, part: AgentRecord, relation: MapRelation) -> Execution:
     """Inputs of a menu, whose means are off by what goes into their maps; targets miss theirs with some probability."""
-    inputs = _boxed(s, np.zeros((1, len(s.u), len(s.x))))
+    inputs = _boxed(s)
     if relation.mean_targets is None:
         return inputs
     part = targets_alone(part)
@@ -161,12 +161,10 @@ def _mapped(s: _Setting, agent: AnyAgent, part: AgentRecord, relation: MapRelati
     return Execution(np.maximum(inputs.mean, aimed.mean), aimed.disturbance, aimed.inputs, max(inputs.loss, aimed.loss))
 
 
-def _boxed(s: _Setting, gains: FloatArray) -> Execution:
-    """Inputs of a menu, and what is fed back inside a cell (A, m, d); what means are off by goes into their boxes."""
-    fed = np.abs(gains).max(axis=0)
-    inputs = 2.0 * fed @ (s.unit * s.x) + s.unit * np.any(fed, axis=1) * (s.u + fed @ s.x)
-    off = np.abs(s.B) @ inputs + s.unit * (np.abs(s.A) @ s.x + np.abs(s.B) @ s.u + np.abs(s.c))
-    return Execution(off, np.zeros(len(s.x)), inputs, 0.0)
+def _boxed(s: _Setting) -> Execution:
+    """Inputs of a menu; what means are off by goes into their boxes."""
+    off = s.unit * (np.abs(s.A) @ s.x + np.abs(s.B) @ s.u + np.abs(s.c))
+    return Execution(off, np.zeros(len(s.x)), np.zeros(len(s.u)), 0.0)
 
 
 def _coupled(s: _Setting, part: AgentRecord, relation: CoupledRelation) -> Execution:
@@ -195,7 +193,7 @@ def _misread(s: _Setting, off: FloatArray) -> float:
 CARRIED_OUT: dict[type, Callable[[_Setting, AnyAgent, AgentRecord, Any], Execution]] = {
     ExactRelation: _exact,
     MapRelation: _mapped,
-    BoxRelation: lambda setting, agent, part, relation: _boxed(setting, relation.gains),
+    BoxRelation: lambda setting, agent, part, relation: _boxed(setting),
     SymbolicTargets: lambda setting, agent, part, relation: _aimed(setting, part, relation),
     CoupledRelation: lambda setting, agent, part, relation: _coupled(setting, part, relation),
 }

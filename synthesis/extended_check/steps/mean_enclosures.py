@@ -38,8 +38,6 @@ class Enclosed:
         z and G: what is enclosed is what is left after ``z + G (x - c)``, c being the middle of the cell.
     constants : mapping
         Further names, and a number (n,) for each cell.
-    fed : (n, m, d) array, optional
-        What inputs of matrices are moved by per state, from the middle of the cell on.
     """
 
     trees: Sequence[Tree] | None
@@ -47,7 +45,6 @@ class Enclosed:
     inputs: FloatArray
     less: tuple[FloatArray, FloatArray] | None = None
     constants: Mapping[str, FloatArray] = field(default_factory=dict)
-    fed: FloatArray | None = None
 
     @property
     def told_apart_by(self) -> tuple[object, ...]:
@@ -56,7 +53,7 @@ class Enclosed:
         names, rows = tuple(self.constants), tuple(self.constants.values())
         ranges = None if self.trees is None else repr(getattr(self.agent, "unknowns", None))
         model = tuple(map(repr, self.agent.model_key))
-        return model, ranges, trees, self.inputs, self.less, names, rows, self.fed
+        return model, ranges, trees, self.inputs, self.less, names, rows
 
 
 def enclosed_means(

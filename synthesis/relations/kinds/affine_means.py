@@ -337,7 +337,7 @@ def map_relation(
     parts, cuts, reach = numbers or (1, 1, (0,) * d)
     means: AffineMaps
     if agent.is_affine:
-        means = MatrixMaps(linear_means(linear_agent(agent, "linear"), np.zeros((1, agent.n_inputs, d))), cuts)
+        means = MatrixMaps(linear_means(linear_agent(agent, "linear")), cuts)
     else:
         means = AffineMeans(with_expressions(agent), cuts)
     mean_targets = aimed_relation(agent) if with_aims else None

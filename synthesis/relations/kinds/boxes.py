@@ -1,11 +1,7 @@
 """The relation of mean boxes: from all points of a cell the mean of the next state lies in a known box.
 
 The controller reads the cell of the true state, the automaton state and the time, and has no memory. From state x of
-cell s with centre c, choice a applies the input
-
-    u = u_a + K_a (x - c),
-
-which is admissible on the whole closed cell. All that the finite model knows of the mean is that it lies in the box
+cell s choice a applies the input ``u_a``. All that the finite model knows of the mean is that it lies in the box
 ``M(s, a)``; the kernel takes the least value over it (docs/theory/boxes.md). So nothing depends on how the boxes were
 made, and an agent needs no more than boxes for all points of a cell, and inputs. Here they are made for
 linear agents, in ``symbolic_means`` for those whose dynamics are expressions, in ``network_bounds`` for linear agents
@@ -35,9 +31,6 @@ ROUNDED_TWICE = 2.0
 
 WRAPPED_OFF = 2e-13
 """What an angle that wraps is off by in floating point, at most."""
-
-AS_FAR_AS = 1e-3
-"""Square of the share of the input box by which inputs may differ before feedback, or none, counts for less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +65,7 @@ class LinearMeans(Unsteered):
     offset : (d,) array
         Mean from the origin under the input 0.
     rounding : (d,) array
-        Upper bounds on what means are off by in floating point, the controller's input included.
+        Upper bounds on what means are off by in floating point.
     """
 
     A: FloatArray
@@ -80,19 +73,16 @@ class LinearMeans(Unsteered):
     offset: FloatArray
     rounding: FloatArray
 
-    def around(
-        self, low: FloatArray, high: FloatArray, input_set: FloatArray, gains: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def around(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each.
 
-        With ``x = c + e``, ``|e| <= h``, the mean is ``A c + B u_a + offset + (A + B K_a) e``: it is off its centre by
-        ``|A + B K_a| h`` at most, and by what is rounded.
+        With ``x = c + e``, ``|e| <= h``, the mean is ``A c + B u_a + offset + A e``: it is off its centre by ``|A| h``
+        at most, and by what is rounded.
         """
         centre = 0.5 * (low + high)
         half = np.maximum(high - centre, centre - low) * (1.0 + INPUT_MARGIN)
-        closed = np.abs(self.A + self.B @ gains)  # (A, d, d)
         middle = (centre @ self.A.T + self.offset)[:, None] + (input_set @ self.B.T)[None]
-        extent = np.einsum("aij,nj->nai", closed, half) + self.rounding
+        extent = (half @ np.abs(self.A).T + self.rounding)[:, None]
         return middle - extent, middle + extent
 
     @property
@@ -115,16 +105,13 @@ class BoxRelation(ReadsCells):
     means : LinearMeans or SymbolicMeans
         What makes the boxes.
     menu : (A, m) array
-        Inputs u_a at the centres of cells.
-    gains : (A, m, d) array
-        Feedback K_a of each choice inside its cell.
+        Inputs u_a.
     input_low, input_high : (m,) arrays
         Input box.
     """
 
     means: LinearMeans | SymbolicMeans
     input_set: FloatArray
-    gains: FloatArray
     input_low: FloatArray
     input_high: FloatArray
 
@@ -132,16 +119,15 @@ class BoxRelation(ReadsCells):
     delta = 0.0
 
     def __repr__(self) -> str:
-        d, m = self.gains.shape[2], len(self.input_low)
+        m = len(self.input_low)
         choices = counted(len(self.input_set), "choice")
-        return f"BoxRelation({counted(d, 'state')}, {counted(m, 'input')}, {choices}, delta 0)"
+        return f"BoxRelation({counted(m, 'input')}, {choices}, delta 0)"
 
     def describe(self) -> dict[str, Any]:
         """Return the description that files hold."""
         return {
             "kind": "boxes",
             "menu": self.input_set.tolist(),
-            "gains": self.gains.tolist(),
             **self.means.description,
         }
 
@@ -155,20 +141,13 @@ class BoxRelation(ReadsCells):
 
         A choice is not admissible, either, where nothing is known of its mean.
         """
-        first, last = self.means.around(low, high, self.input_set, self.gains)
-        # Inputs: u_a is a number of the menu; what feedback adds to it is rounded.
-        centre = 0.5 * (low + high)
-        half = np.maximum(high - centre, centre - low) * (1.0 + INPUT_MARGIN)
-        need = np.einsum("aij,nj->nai", np.abs(self.gains), half)
-        moves = np.any(self.gains, axis=2)
-        scale = np.maximum(np.abs(self.input_low), np.abs(self.input_high))
-        need = need + moves * (INPUT_MARGIN * (scale + need))
-        inside = (self.input_low <= self.input_set - need) & (self.input_set + need <= self.input_high)
+        first, last = self.means.around(low, high, self.input_set)
+        inside = np.all((self.input_low <= self.input_set) & (self.input_set <= self.input_high), axis=1)
         known = np.all(np.isfinite(first) & np.isfinite(last), axis=2)
         scales = self.scales(low, high)
         if scales is not None:
             known &= np.all((scales[0] > 0.0) & np.isfinite(scales[1]), axis=2)
-        return MeanBoxes(first, last, np.all(inside, axis=2) & known, scales)
+        return MeanBoxes(first, last, inside & known, scales)
 
     def scales(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return ends (n, A, d) of what noise is multiplied with in the closed cells ``[low, high]``, (n, d) each.
@@ -177,45 +156,21 @@ class BoxRelation(ReadsCells):
         """
         return self.means.scales(low, high, self.input_set)
 
-    def inputs(self, choices: NDArray[np.intp], offsets: FloatArray) -> FloatArray:
-        """Return the inputs ``u_a + K_a e`` (m, ...) of choices (...) at states e (d, ...) from centres of cells.
-
-        Summed in a fixed order, so that the bits are the same for any number of worlds.
-        """
-        inputs = np.empty((len(self.input_low), *choices.shape))
-        for j, component in enumerate(inputs):
-            self._columns[j].take(choices, out=component, mode="clip")
-            for k, offset in enumerate(offsets):
-                if self._moves[j, k]:
-                    component += self._gain_columns[j, k].take(choices, mode="clip") * offset
-        return inputs
+    def inputs(self, choices: NDArray[np.intp]) -> FloatArray:
+        """Return the inputs ``u_a`` (m, ...) of choices (...)."""
+        return np.stack([column.take(choices, mode="clip") for column in self._columns])
 
     def nearest_choices(self, other: BoxRelation) -> NDArray[np.intp]:
-        """Return the choice of this relation that does most nearly what each choice (A',) of another one does.
-
-        Inputs count first, as shares of their box, then whether there is feedback.
-        """
-        if np.array_equal(self.input_set, other.input_set) and np.array_equal(self.gains, other.gains):
+        """Return the choice of this relation that does most nearly what each choice (A',) of another one does."""
+        if np.array_equal(self.input_set, other.input_set):
             return np.arange(len(other.input_set))
         width = np.where(self.input_high > self.input_low, self.input_high - self.input_low, 1.0)
-        apart = np.sum(((other.input_set[:, None] - self.input_set) / width) ** 2, axis=2)
-        feeds = [np.any(relation.gains, axis=(1, 2)) for relation in (other, self)]
-        return np.argmin(apart + AS_FAR_AS * (feeds[0][:, None] != feeds[1]), axis=1)
+        return np.argmin(np.sum(((other.input_set[:, None] - self.input_set) / width) ** 2, axis=2), axis=1)
 
     @cached_property
     def _columns(self) -> FloatArray:
         """Inputs (m, A) of the choices, each component on its own."""
         return np.ascontiguousarray(self.input_set.T)
-
-    @cached_property
-    def _gain_columns(self) -> FloatArray:
-        """Gains (m, d, A) of the choices."""
-        return np.ascontiguousarray(np.moveaxis(self.gains, 0, 2))
-
-    @cached_property
-    def _moves(self) -> NDArray[np.bool_]:
-        """Whether any choice feeds state k back to input j, (m, d)."""
-        return np.asarray(np.any(self.gains, axis=0))
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
@@ -223,7 +178,6 @@ class BoxRelation(ReadsCells):
         return (
             *self.means.arrays,
             self.input_set,
-            self.gains,
             self.input_low,
             self.input_high,
         )
@@ -239,7 +193,6 @@ class BoxRelation(ReadsCells):
 def box_relation(
     agent: AnyAgent,
     input_set: FloatArray,
-    gains: FloatArray | None = None,
     written: Mapping[str, Any] | None = None,
 ) -> BoxRelation:
     """Return the relation of mean boxes of an agent.
@@ -248,27 +201,20 @@ def box_relation(
     ----------
     agent : AnyAgent
     menu : (A, m) array
-        Inputs to choose from, at the centres of cells.
-    gains : (A, m, d) array, optional
-        Feedback of each choice inside its cell; none by default.
+        Inputs to choose from.
     written : mapping, optional
         Further settings of ``SymbolicMeans``: ``parts`` and which choices ``steer``.
 
     Raises
     ------
     ValueError
-        If an input is outside its box, or there is not one gain for each input.
+        If an input is outside its box.
     """
-    box, d, m = agent.input_box, agent.n_states, agent.n_inputs
-    gains = np.zeros((len(input_set), m, d)) if gains is None else gains
-    if gains.shape != (len(input_set), m, d):
-        raise RelationRefused(f"agent `{agent.name}`: mean boxes need one feedback for each input of their menu")
+    box = agent.input_box
     if not len(input_set) or not np.all((box.low <= input_set) & (input_set <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
     means: LinearMeans | SymbolicMeans
     if isinstance(agent, Agent):
-        if np.any(gains):
-            raise RelationRefused(f"agent `{agent.name}`: mean boxes of expressions have no feedback inside a cell")
         written = {"parts": 1, **(written or {})}
         steer = written.get("steer")
         steer = np.zeros(len(input_set), dtype=bool) if steer is None else np.array(steer, dtype=bool)
@@ -276,18 +222,11 @@ def box_relation(
         if steer.shape != (len(input_set),) or (np.any(steer) and not means.commands):
             raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")
     else:
-        means = linear_means(linear_agent(agent, "boxes"), gains)
-    return BoxRelation(means, input_set, gains, box.low, box.high)
+        means = linear_means(linear_agent(agent, "boxes"))
+    return BoxRelation(means, input_set, box.low, box.high)
 
 
-def linear_means(agent: LinearAgent, gains: FloatArray) -> LinearMeans:
-    """Return what boxes of a linear agent are made of, with the feedbacks (A, m, d) of its choices."""
+def linear_means(agent: LinearAgent) -> LinearMeans:
+    """Return what boxes of a linear agent are made of; means are computed here and by the agent."""
     sizes = sizes_of(agent)
-    # Of the input: the centre of a cell, the difference to it, and a product for each state.
-    largest = np.abs(gains).max(axis=0)
-    input_off = largest @ (2.0 * sizes.unit * sizes.states) + sizes.unit * np.any(largest, axis=1) * (
-        sizes.inputs + largest @ sizes.states
-    )
-    # Of the mean: the products here and those of the agent.
-    mean_off = 2.0 * ROUNDED_TWICE * sizes.unit * sizes.means
-    return LinearMeans(agent.A, agent.B, agent.offset, mean_off + np.abs(agent.B) @ input_off)
+    return LinearMeans(agent.A, agent.B, agent.offset, 2.0 * ROUNDED_TWICE * sizes.unit * sizes.means)

@@ -1,6 +1,6 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
-``{"kind": "exact"}``, ``{"kind": "boxes", "input_set", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
+``{"kind": "exact"}``, ``{"kind": "boxes", "input_set"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
 expressions), ``{"kind": "linear", "input_set", "parts", "cuts", "reach", "blocks"}``
 (with ``"mean_targets"`` where targets are offered beside the menu, and ``"network"`` where networks move agents),
 and ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``; matrices
@@ -36,7 +36,7 @@ NUMBER_ENTRIES = {"boxes": (), "exact": (), "linear": ("parts",), "paper": COUPL
 LARGEST = 1e60
 """Largest number of a description: products of a few such numbers are still numbers."""
 
-ARRAY_ENTRIES = {"boxes": ("menu", "gains"), "exact": (), "linear": ("menu",), "paper": ()}
+ARRAY_ENTRIES = {"boxes": ("menu",), "exact": (), "linear": ("menu",), "paper": ()}
 """Entries that are arrays, by kind."""
 
 
@@ -65,9 +65,9 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid) -> R
     """
     kind = description["kind"]
     if kind == "boxes":
-        input_set, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
+        input_set = np.array(description["menu"], dtype=float)
         written: dict[str, Any] = {name: description[name] for name in ("parts", "steer") if name in description}
-        return box_relation(agent, input_set, gains, written)
+        return box_relation(agent, input_set, written)
     if kind == "linear" and "network" not in description:
         input_set = np.array(description["menu"], dtype=float)
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
@@ -93,6 +93,8 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         raise ValueError(f"relations {description['kind']!r} are gone since 0.4; synthesize anew, relation='linear'")
     if not isinstance(description, dict) or description.get("kind") not in NUMBER_ENTRIES:
         raise ValueError("it has a relation of an unknown kind")
+    if np.any(np.array(description.get("gains", 0.0), dtype=float)):
+        raise ValueError("boxes have no feedback inside cells since 0.4; synthesize anew, relation='linear'")
     numbers = [description[name] for name in NUMBER_ENTRIES[description["kind"]]]
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
@@ -122,9 +124,9 @@ def check_description(description: Any, agent: AnyAgent) -> None:
             raise ValueError("a relation says of its choices neither that they steer nor that they do not")
         if len(steer) != len(description["menu"]):
             raise ValueError("a relation has other choices that steer than its menu")
-    d, m = agent.n_states, agent.n_inputs
+    m = agent.n_inputs
     # -1 stands for any length: the number of choices.
-    shapes = {"menu": (-1, m), "gains": (-1, m, d)}
+    shapes = {"menu": (-1, m)}
     for name in ARRAY_ENTRIES[description["kind"]]:
         array = np.array(description[name], dtype=float)
         if name == "menu" and description["kind"] == "linear" and array.shape == (0,):

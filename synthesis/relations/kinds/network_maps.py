@@ -133,7 +133,7 @@ def network_linear_relation(
         raise RelationRefused(
             f"agent `{agent.name}`: networks on cells move agents with linear dynamics, got expressions"
         )
-    linear = linear_means(linear_agent(agent, "linear"), np.zeros((1, agent.n_inputs, agent.n_states)))
+    linear = linear_means(linear_agent(agent, "linear"))
     return MapRelation(
         NetworkMaps(linear, policy, cuts, tuple(idle)), policy.idle_menu, parts, tuple(int(n) for n in reach)
     )

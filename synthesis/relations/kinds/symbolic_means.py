@@ -48,13 +48,10 @@ class SymbolicMeans:
     parts: int
     steer: NDArray[np.bool_] | None = None
 
-    def around(
-        self, low: FloatArray, high: FloatArray, input_set: FloatArray, gains: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def around(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each.
 
-        They are not numbers where nothing is known of the mean, or an input that steers is not admissible. There are no
-        gains.
+        They are not numbers where nothing is known of the mean, or an input that steers is not admissible.
         """
         if self.steer is None or not np.any(self.steer):
             return self.of_menu(low, high, input_set)

@@ -294,8 +294,6 @@ def _unproved_maps(enclosed: Enclosed, low: Any, high: Any, first: Any, last: An
     middle = balls(0.5 * (low + high))
     half = np.maximum(balls(high) - middle, middle - balls(low))
     at, slope = middle @ A.T + balls(enclosed.inputs) @ B.T + c, np.broadcast_to(A, (len(low), *A.shape))
-    if enclosed.fed is not None:
-        slope = slope + np.array([B @ gain for gain in balls(enclosed.fed)] or slope)
     if enclosed.less is not None:
         z, gain = map(balls, enclosed.less)
         at, slope = at - z, slope - gain
