@@ -41,7 +41,7 @@ LONGER: dict[str, list[dict[str, Any]]] = {
         {"cells": 2000, "relation": "exact"},
         {"cells": 1000, "relation": "exact", "search": cg.SearchOptions(restarts=2)},
     ],
-    "van-der-pol-v0": [{"cells": 260, "relation": "linear"}, {"cells": [500, 80], "relation": "boxes"}],
+    "van-der-pol-v0": [{"cells": 260, "relation": "linear"}],
 }
 """Settings for about ten minutes, of problems whose bound for any policy is .02 or more above what defaults certify."""
 

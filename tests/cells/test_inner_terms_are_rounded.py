@@ -10,9 +10,9 @@ import pytest
 
 import certigym as cg
 from certigym.envs.systems.expressions import Affine, Number, Operation, Tree, computed, read_expression, roundings
-from certigym.synthesis.extended_check.steps import mean_enclosures, target_enclosures
+from certigym.synthesis.extended_check.steps import target_enclosures
 from certigym.synthesis.extended_check.steps.step_intervals import Span, computed_off
-from certigym.synthesis.relations.kinds import inverse_means, symbolic_means
+from certigym.synthesis.relations.kinds import inverse_means
 
 NAMES = ("x", "y")
 
@@ -117,20 +117,4 @@ def test_the_check_refuses_searches_that_forget_inner_terms(monkeypatch: pytest.
     assert forged.lower_bound > 0.999999 and not cg.check(forged)
     # Its eye for inner terms is what refuses: without it the forgery passes.
     monkeypatch.setattr(target_enclosures, "inner_losses", lambda relation, low, high: np.zeros(low.shape))
-    assert cg.check(forged)
-
-
-@pytest.mark.thorough
-def test_choices_that_steer_are_charged_for_inner_terms(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Boxes around targets are wider by what is lost; a search that forgets it is refused."""
-    steered = reaches(agent("5e13*(x+1) - 5e13*x - 5e13"))
-    honest = cg.synthesize(steered, 60, relation="boxes").certificate
-    assert cg.check(honest)
-    monkeypatch.setattr(symbolic_means, "roundings", forgetful)
-    forged = cg.synthesize(steered, 60, relation="boxes").certificate
-    assert isinstance(forged, cg.Certificate)
-    used = np.unique(forged.proof.agents[0].policy[forged.proof.agents[0].policy >= 0])
-    assert np.any(np.array(forged.proof.agents[0].relation["steer"])[used])
-    assert not cg.check(forged)
-    monkeypatch.setattr(mean_enclosures, "computed_off", lambda tree, leaves: (None, np.zeros(1)))
     assert cg.check(forged)

@@ -15,10 +15,7 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.envs.systems.agents import Agent
-from certigym.envs.systems.expressions import Number, Operation
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.extended_check.steps.carrying_out import wrong_actions
-from certigym.synthesis.extended_check.steps.execution import execution_of
 from certigym.synthesis.relations.kinds import MeanBoxes, SymbolicMeans
 from kinds import mostly_thorough
 from written_problems import bent_team, oscillator, oscillator_reach
@@ -84,7 +81,7 @@ def test_values_stay_below_dense_programming_with_an_adversary() -> None:
     problem = bent_team(3)
     certificate = cg.synthesize(problem, 8, relation="boxes").certificate
     assert cg.check(certificate) and certificate.proof.rank >= 1
-    edges, steered = [part.grid.edges[0] for part in certificate.proof.agents], 0
+    edges = [part.grid.edges[0] for part in certificate.proof.agents]
     automaton, terms = problem.automaton, certificate.proof.tree
     centres = [0.5 * (axis[1:] + axis[:-1]) for axis in edges]
     n = [len(c) for c in centres]
@@ -102,18 +99,10 @@ def test_values_stay_below_dense_programming_with_an_adversary() -> None:
                     choice = part.policy[t, q, s[i]]
                     states = np.linspace(edges[i][s[i]], edges[i][s[i] + 1], 41)
                     u = part.relation["menu"][choice][0]
-                    inputs, centre = np.full(41, u), 0.5 * (states[0] + states[-1])
-                    if part.relation["steer"][choice]:
-                        # The mean is to be where the input has it from the centre; worked out by hand.
-                        goal = centre - 0.2 * np.tanh(centre) + u / (1 + 0.2 * centre**2)
-                        inputs = (goal - states + 0.2 * np.tanh(states)) * (1 + 0.2 * states**2)
-                        assert np.all(np.abs(inputs) <= 1.5)
-                        steered += 1
-                    means = states - 0.2 * np.tanh(states) + inputs / (1 + 0.2 * states**2)
+                    means = states - 0.2 * np.tanh(states) + u / (1 + 0.2 * states**2)
                     tables.append(np.array([masses(edges[i], m, 0.6) for m in means]))
                 before[q, s[0] * n[1] + s[1]] = (tables[0] @ arriving @ tables[1].T).min()
         value = before
-    assert steered > 50
     for state in range(automaton.n_states):
         tree = sum(
             (np.multiply.outer(terms.factors[0][a], terms.factors[1][b]) for a, b in terms.index[state]),
@@ -208,21 +197,6 @@ def test_targets_that_inputs_do_not_reach_are_refused(monkeypatch: pytest.Monkey
     )
 
 
-@pytest.mark.thorough
-def test_controllers_that_steer_elsewhere_are_noticed() -> None:
-    """Sabotage of the object that is deployed: its expression has another sign."""
-    certificate = of_oscillator()
-    controller: Any = certificate.controller.agents[0]
-    agent, part = certificate.problem.agents[0], certificate.proof.agents[0]
-    execution = execution_of(agent, part, controller.relation)
-    assert wrong_actions(agent, part, controller, execution) == []
-    [command] = controller.relation.means.commands
-    means = replace(controller.relation.means)
-    means.__dict__["commands"] = (replace(command, rest=Operation("*", (Number(0.999), command.rest))),)
-    broken = replace(controller, relation=replace(controller.relation, means=means))
-    assert wrong_actions(agent, part, broken, execution) != []
-
-
 def with_relation(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
     part = certificate.proof.agents[0]
     return changed(certificate, agents=(replace(part, relation=part.relation | changes), *certificate.proof.agents[1:]))
@@ -234,8 +208,6 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
     for forged in (
         with_relation(certificate, menu=(1.01 * input_set).tolist()),
         with_relation(certificate, menu=input_set[::-1].tolist()),
-        with_relation(certificate, steer=[not flag for flag in certificate.proof.agents[0].relation["steer"]]),
-        with_relation(certificate, steer=[True] * len(input_set)),
         changed(certificate, lower_bound=certificate.lower_bound + 1e-6),
     ):
         assert not cg.check(forged)
@@ -244,8 +216,8 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
         {"parts": 0},
         {"kind": "exact"},
         {"parts": "two"},
-        {"steer": [1] * len(input_set)},
-        {"steer": []},
+        {"steer": [True] * len(input_set)},
+        {"gains": np.ones((len(input_set), 1, 2)).tolist()},
     )
     for description in descriptions:
         forged = with_relation(certificate, **description)
@@ -283,6 +255,4 @@ def test_boxes_are_mean_boxes() -> None:
     """What the relation hands to the kernel is what the protocol asks for."""
     controller: Any = of_oscillator().controller.agents[0]
     boxes = controller.relation.mean_boxes(np.array([[0.0, 0.0]]), np.array([[0.1, 0.1]]))
-    assert isinstance(boxes, MeanBoxes) and boxes.low.shape == (1, 14, 2) and boxes.admissible[0, :7].all()
-    # Choices that steer have the mean of y on a point, as far as inputs reach; the first and the last have no reserve.
-    assert np.all((boxes.high - boxes.low)[0, 8:13, 1] < 1e-10) and not boxes.admissible[0, [7, 13]].any()
+    assert isinstance(boxes, MeanBoxes) and boxes.low.shape == (1, 7, 2) and boxes.admissible.all()

@@ -12,7 +12,6 @@ import pytest
 import certigym as cg
 from certigym.envs.simulation import Dynamics, SingleSimulator, batch_simulator
 from certigym.envs.tasks.problem import problem_from_dict
-from certigym.synthesis.relations.kinds import commands_of
 from team_problems import ring, room
 
 FALSE_ALARM = 1e-6
@@ -59,10 +58,9 @@ def test_certificates_are_checked_and_hold(told: bool) -> None:
     assert cg.check(result.certificate)
     assert len({id(part.grid) for part in result.certificate.proof.agents}) == 1
     assert ("room_0 by room_2, room_1" in repr(result.certificate)) is told
-    assert any(any(part.relation["steer"]) for part in result.certificate.proof.agents) is told
     report = cg.validate(result.certificate, 10_000, seed=0, confidence=1.0 - FALSE_ALARM)
     assert report.verdict != "refuted"
-    assert result.certificate.lower_bound > (0.9 if told else 0.5)
+    assert result.certificate.lower_bound > 0.5
 
 
 def test_neighbours_count_as_disturbances_where_nothing_is_told() -> None:
@@ -111,11 +109,9 @@ def test_controllers_act_alike_in_environments_and_batches() -> None:
 def test_targets_need_what_is_told() -> None:
     """A certificate that cancels what nobody tells is refused."""
     told, untold = ring(3), ring(3, told=False)
-    assert len(commands_of(told.agents[0])) == 1 and not commands_of(untold.agents[0])  # type: ignore[arg-type]
-    for relation, reason in {"boxes": "cannot steer", "exact": "not `communicated`"}.items():
-        certificate = cg.synthesize(told, cells=32, relation=relation).certificate
-        report = cg.check(replace(certificate, problem=untold))
-        assert not report and reason in str(report)
+    certificate = cg.synthesize(told, cells=32, relation="exact").certificate
+    report = cg.check(replace(certificate, problem=untold))
+    assert not report and "not `communicated`" in str(report)
 
 
 def test_a_range_of_neighbours_that_is_too_small_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,11 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 
-from ....envs.systems.agents import AnyAgent, Box, with_expressions
+from ....envs.systems.agents import AnyAgent, Box
 from ....envs.systems.arguments import shortened
 from ...relations.grids import (
     FEWER,
@@ -25,7 +24,7 @@ from ...relations.grids import (
     grid_laws,
     lattice_axes,
 )
-from ...relations.kinds import BoxRelation, SymbolicMeans, box_relation
+from ...relations.kinds import BoxRelation, box_relation
 from ..kernels import MOST_SCALED, MOST_SCALES, BoxKernel, box_kernel_of, box_lattice, points_per_cell, scale_levels
 from .box_choices import BoxChoices, box_choices
 
@@ -76,11 +75,8 @@ def box_model(
     axes = lattice_axes(agent)
     points = (per_cell,) * agent.n_states if per_cell is not None else points_per_cell(grid, smallest, len(axes))
     # Means from anywhere in the grid under any input.
-    constant = np.ones(len(input_set), dtype=bool)
-    if isinstance(relation.means, SymbolicMeans) and relation.means.steer is not None:
-        constant &= ~relation.means.steer  # targets are means of other choices
     whole = relation.mean_boxes(*(np.array([[edges[k] for edges in grid.edges]]) for k in (0, -1)))
-    low, high = whole.low[:, constant].min(axis=(0, 1)), whole.high[:, constant].max(axis=(0, 1))
+    low, high = whole.low.min(axis=(0, 1)), whole.high.max(axis=(0, 1))
     # Where expressions have no bound on the whole grid, the lattice goes as far as it ever does.
     low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
     count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
@@ -144,12 +140,8 @@ def relation_of(agent: AnyAgent, grid: Grid) -> BoxRelation:
     if agent.is_affine:
         return box_relation(agent, _levels(agent.input_box.low, agent.input_box.high))
     if agent.has_clock:
-        return in_fitting_parts(agent, grid, clock_input_set(agent, INPUT_LEVELS), {"steer": None})
-    input_set, steer = with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)), None
-    # Where inputs command axes, every input is offered twice: as it is, and with targets for these axes.
-    if SymbolicMeans(with_expressions(agent), 1).commands:
-        input_set, steer = np.concatenate([input_set, input_set]), np.arange(2 * len(input_set)) >= len(input_set)
-    return in_fitting_parts(agent, grid, input_set, {"steer": steer})
+        return in_fitting_parts(agent, grid, clock_input_set(agent, INPUT_LEVELS))
+    return in_fitting_parts(agent, grid, with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)))
 
 
 def clock_input_set(agent: AnyAgent, levels: Mapping[int, int]) -> FloatArray:
@@ -163,15 +155,12 @@ def clock_input_set(agent: AnyAgent, levels: Mapping[int, int]) -> FloatArray:
     return np.hstack([np.tile(others, (len(times), 1)), np.repeat(times, len(others))[:, None]])
 
 
-def in_fitting_parts(agent: AnyAgent, grid: Grid, input_set: FloatArray, written: Mapping[str, Any]) -> BoxRelation:
-    """Return the relation with cells cut into as many parts as make boxes noticeably smaller, judged by some of them.
-
-    ``written`` are settings of the relation without ``parts``.
-    """
+def in_fitting_parts(agent: AnyAgent, grid: Grid, input_set: FloatArray) -> BoxRelation:
+    """Return the relation with cells cut into as many parts as make boxes noticeably smaller, judged by some."""
     some = np.unique(np.linspace(0, grid.n_cells - 1, SAMPLED_CELLS).astype(np.int64))
-    best, width = box_relation(agent, input_set, written=written), np.inf
+    best, width = box_relation(agent, input_set), np.inf
     for parts in (number for number in PARTS if number**agent.n_states <= MOST_CUTS):
-        relation = box_relation(agent, input_set, written={**written, "parts": parts})
+        relation = box_relation(agent, input_set, parts)
         boxes = relation.mean_boxes(grid.low[some], grid.high[some])
         widths = (boxes.high - boxes.low)[boxes.admissible]
         mean = float(np.mean(widths / np.mean(grid.half_widths, axis=0))) if len(widths) else np.inf

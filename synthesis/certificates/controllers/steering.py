@@ -148,11 +148,6 @@ class _OnCells:
     relation: Any
 
     @cached_property
-    def _centres(self) -> FloatArray:
-        """Centres (d, S) of the cells."""
-        return np.ascontiguousarray(self.grid.centres.T)
-
-    @cached_property
     def _menu(self) -> FloatArray:
         """Inputs (m, A + 1)."""
         input_set = self.relation.input_set
@@ -204,7 +199,6 @@ class BoxSteering(_OnCells):
         choices = self.table.choices(self.table.places(cells, q, time))
         chosen = np.maximum(choices, 0).astype(np.intp)
         inputs = self.relation.inputs(chosen)
-        inputs = self.relation.means.steered(chosen, points, looked_up(self._centres, cells), inputs, beside)
         # Cells without a choice get the mean of all inputs.
         if self.table.has_idle_cells(time):
             inputs[:, choices < 0] = self.relation.input_set.mean(axis=0)[:, None]

@@ -539,8 +539,8 @@ def _cells_of(agent: AnyAgent, known: CheckedAgent, part: AgentRecord, put: _Poo
     relation, kind = part.relation, part.relation["kind"]
     if kind not in ("exact", "linear", "boxes") or "network" in relation:
         raise NotCanonicalError(f"the relation {kind!r} of agent `{agent.name}` has no canonical form yet")
-    if kind == "boxes" and "steer" in relation:
-        raise NotCanonicalError(f"the inputs of agent `{agent.name}` vary in a cell")
+    if kind == "boxes" and "parts" in relation:
+        raise NotCanonicalError(f"boxes of agent `{agent.name}` are those of expressions")
     input_set = np.array(relation.get("menu", []), dtype=float).reshape(-1, agent.n_inputs)
     targets = np.any(part.policy >= len(input_set))
     inverse = None

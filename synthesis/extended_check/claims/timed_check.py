@@ -89,8 +89,7 @@ def _within(numbers: np.ndarray, ends: np.ndarray) -> bool:
 
 def _wrong_clock(agent: AnyAgent, part: AgentRecord, horizon: int) -> str:
     """Return what is wrong with how the policies of an agent set its clock; nothing if they set it to the time."""
-    is_plain = part.relation["kind"] in ("boxes", "linear")
-    if not is_plain or np.any(np.array(part.relation.get("steer") or False)):
+    if part.relation["kind"] not in ("boxes", "linear"):
         return "its clock is set by choices of another kind than inputs that are the same in a whole cell, and networks"
     input_set = np.array(part.relation["menu"], dtype=float)
     if input_set.ndim != 2 or np.any(part.policy >= len(input_set)):

@@ -36,9 +36,8 @@ from ...certificates.cell_probabilities import (
     state,
 )
 from ...relations.grids import FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
-from ...relations.kinds import commands_of
 from .geometry import cell_boxes
-from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales, steered_spans
+from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales
 from .proximity_slack import ProximitySlack
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
@@ -117,10 +116,6 @@ class WrittenBoxes:
             here, inputs = cell[some], input_set[choice[some]]
             parts = int(part.relation["parts"])
             first, last = enclosed_means(agent, low[here], high[here], inputs, parts)
-            steered = np.flatnonzero(np.array(part.relation["steer"], dtype=bool)[choice[some]])
-            if len(steered):
-                at = low[here][steered], high[here][steered], inputs[steered]
-                first[steered], last[steered] = steered_spans(agent, *at, commands_of(agent), parts)
             corners.append((first, last))
             if agent.noise_scale is not None:
                 scales.append(enclosed_scales(agent, low[here], high[here], inputs, parts))

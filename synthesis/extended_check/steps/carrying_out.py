@@ -12,14 +12,13 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from ....envs.systems.agents import Agent, AnyAgent, LinearAgent, with_expressions
+from ....envs.systems.agents import AnyAgent, LinearAgent, with_expressions
 from ...certificates.cell_probabilities import AgentRecord
 from ...certificates.controllers import AgentController
 from ...relations.grids import FloatArray, linear_agent
-from ...relations.kinds import CoupledRelation, commands_of
+from ...relations.kinds import CoupledRelation
 from .execution import Execution
 from .geometry import cell_boxes
-from .mean_enclosures import steered_spans
 from .network_enclosures import network_maps
 
 PROBES = 20_000
@@ -30,9 +29,6 @@ NETWORKED = 64
 
 EPISODES, MOST_STEPS = 256, 25
 """Episodes, and steps of each, in which the memory of a coupled controller is followed."""
-
-STEERED = 1e-9
-"""Share of their size by which means may be seen to miss targets: far more than rounding, far less than a cell."""
 
 NEAR = 1e-9
 """Points are passed over that are nearer than this, in cells, to an edge that decides, or draws to what they decide."""
@@ -92,8 +88,10 @@ def _wrong_means(
         if part.relation["kind"] == "exact":
             return []
         fixed = (choice >= 0) & (mean_targets < 0)
-        chosen = np.where(fixed, cells, -1), np.where(fixed, choice, 0)
-        return _wrong_written(agent, part, states, inputs, *chosen, beside)
+        input_set = np.array(part.relation["menu"], dtype=float)
+        if np.any((inputs != input_set[np.where(fixed, choice, 0)].T) & fixed):
+            return ["its controller was seen to do something else than its policy says"]
+        return []
     agent = linear_agent(agent, part.relation["kind"])
     means = agent.A @ states + agent.B @ inputs + agent.offset[:, None]
     if "network" in part.relation:
@@ -140,43 +138,6 @@ def _anywhere(agent: AnyAgent, count: int, rng: Generator) -> FloatArray | None:
         return None
     low, high = np.array(list(agent.unknowns.values())[len(agent.disturbances) :]).T[..., None]
     return np.asarray(low + (high - low) * rng.random((len(low), count)))
-
-
-def _wrong_written(
-    agent: Agent,
-    part: AgentRecord,
-    states: FloatArray,
-    inputs: FloatArray,
-    cells: NDArray[np.int64],
-    choice: NDArray[Any],
-    beside: FloatArray | None,
-) -> list[str]:
-    """Inputs of agents with expressions that are not those of the menu, or steer elsewhere than to their targets.
-
-    Cells are -1 where there is no choice.
-    """
-    input_set = np.array(part.relation["menu"], dtype=float)
-    steer = np.array(part.relation.get("steer", [False] * len(input_set)), dtype=bool)[choice]
-    if np.any((inputs != input_set[choice].T) & (cells >= 0) & ~steer):
-        return ["its controller was seen to do something else than its policy says"]
-    low, high = cell_boxes(part)
-    steered = np.flatnonzero(steer & (cells >= 0))
-    if not len(steered):
-        return []
-    targets = agent.mean((0.5 * (low + high))[cells[steered]].T, input_set[choice[steered]].T)
-    means = agent.mean(states[:, steered], inputs[:, steered], None, None if beside is None else beside[:, steered])
-    commands = commands_of(agent)
-    # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate. Many points share a cell.
-    pairs, place_of = np.unique(cells[steered] * np.int64(len(input_set)) + choice[steered], return_inverse=True)
-    cell, chosen = np.divmod(pairs, len(input_set))
-    first, _ = steered_spans(agent, low[cell], high[cell], input_set[chosen], commands, 1)
-    known = np.all(~np.isnan(first), axis=1)[place_of]
-    for command in commands:
-        off = np.abs(means[command.axis] - targets[command.axis])
-        size = np.abs(agent.workspace.low[command.axis]) + np.abs(agent.workspace.high[command.axis])
-        if np.any(known & ~(off <= STEERED * (np.abs(targets[command.axis]) + size))):
-            return ["its controller was seen to steer elsewhere than its policy says"]
-    return []
 
 
 def _asked_means(

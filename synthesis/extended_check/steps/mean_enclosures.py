@@ -1,27 +1,23 @@
 """Boxes around means and outputs of agents with expressions, for the check: from the spans of ``step_intervals`` alone.
 
 The search's enclosures are not used. Names become spans on a cell, the trees of the agent are read on them, and the
-components of the mean follow. Choices that steer have their input put into the trees by hand here.
+components of the mean follow.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
 from ....envs.systems.agents import Agent, AnyAgent
-from ....envs.systems.expressions import Name, Operation, Tree, substituted
+from ....envs.systems.expressions import Tree
 from ...certificates.cell_probabilities import state
 from ...relations.grids import FloatArray
-from ...relations.kinds import Command
-from .step_intervals import Span, bounds, computed_off, span
-
-COMPUTED = 1e-13
-"""Share of their size by which targets may be missed, and inputs be off, as they are computed: a thousand roundings."""
+from .step_intervals import Span, bounds, span
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,69 +112,6 @@ def enclosed_scales(
     spans = Enclosed(agent.scale_trees, agent, inputs)
     state("spans", spans, (low, high), unknown, (first, last))
     return first, last
-
-
-def steered_spans(
-    agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, commands: Sequence[Command], parts: int
-) -> tuple[FloatArray, FloatArray]:
-    """Corners (n, d) of boxes around the means under choices that steer; not numbers where an input may leave its box.
-
-    A commanded axis, with mean ``a + b u``, gets the target that the input of the menu has at the centre of the cell:
-    ``u = (target - a) / b``. All other axes are enclosed with this u. Parameters as for ``enclosed_means``; cells are
-    boxes of states.
-    """
-    centre = 0.5 * (low + high)
-    targets = agent.mean(centre.T, inputs.T)
-    asked = [Operation("/", (Operation("-", (Name(_target(c)), c.rest)), c.factor)) for c in commands]
-    trees = [
-        substituted(t, {agent.inputs[c.input]: u for c, u in zip(commands, asked, strict=True)}) for t in agent.trees
-    ]
-    for command in commands:
-        trees[command.axis] = Name(_target(command))
-    targeted = {_target(c): targets[c.axis] for c in commands}
-    spans = Enclosed(trees, agent, inputs, constants=targeted)
-    asked_and_parts = [tree for c, u in zip(commands, asked, strict=True) for tree in (u, c.rest, c.factor)]
-    first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
-    cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
-    unmeasured = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
-
-    def outputs(of: Sequence[Tree], on: FloatArray, with_slopes: bool = False) -> list[Span]:
-        leaves = leaves_of(agent, on, inputs, with_slopes)
-        for command in commands:
-            leaves[_target(command)] = Span.of(
-                targets[command.axis], targets[command.axis], next(iter(leaves.values()))
-            )
-        return [span(tree, leaves) for tree in of]
-
-    with np.errstate(all="ignore"):
-        for part in itertools.product(range(parts), repeat=low.shape[1]):
-            box = np.array([(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + unmeasured)
-            ends = np.stack(bounds(partial(outputs, trees), box), axis=-1)
-            first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
-            found = bounds(partial(outputs, asked_and_parts), box)
-            if commands:
-                sides = tuple(side.T for side in np.moveaxis(box[: low.shape[1]], 1, 0))
-                state(
-                    "spans", replace(spans, trees=asked_and_parts), sides, unmeasured, tuple(np.stack(found, axis=-1))
-                )
-            leaves = leaves_of(agent, box, inputs, False)
-            for command, asked_for, rest, factor in zip(commands, found[::3], found[1::3], found[2::3], strict=True):
-                least, most = agent.input_low[command.input], agent.input_high[command.input]
-                # Inner terms may be larger than what they add up to, and lose more; twice, for products of losses.
-                lost, of_factor = (computed_off(tree, leaves)[1] for tree in (command.rest, command.factor))
-                nearest, missed = np.abs(factor).min(axis=0), 2.0 * (lost + of_factor * max(abs(least), abs(most)))
-                spare, target = COMPUTED * (abs(least) + abs(most)) + missed / nearest, targets[command.axis]
-                off = COMPUTED * (np.abs(target) + 2.0 * np.abs(rest).max(axis=0)) + missed
-                first[:, command.axis] = np.minimum(first[:, command.axis], target - off)
-                last[:, command.axis] = np.maximum(last[:, command.axis], target + off)
-                inside = (asked_for[0] >= least + spare) & (asked_for[1] <= most - spare)
-                first[~(inside & (of_factor <= 0.5 * nearest))] = np.nan
-    state("spans", spans, (low, high), unmeasured, (first, last))
-    return first, last
-
-
-def _target(command: Command) -> str:
-    return f"target of {command.axis}"
 
 
 def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from ....envs.systems.agents import AnyAgent, with_expressions
+from ....envs.systems.agents import Agent, AnyAgent, with_expressions
+from ....envs.systems.expressions import Affine, Number, Tree, computed, enclosed, names_in, split_at
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray, deviations_of, region_boundaries
-from ...relations.kinds import commands_of
 
 Shape = tuple[int, ...]
 
@@ -84,7 +84,7 @@ def axis_weights(agent: AnyAgent) -> FloatArray:
     inputs = np.broadcast_to(middle[:, None], (len(middle), WEIGHING_STATES))
     deviations = np.maximum(deviations_of(agent), 1e-12 * span)
     free = np.ones(d, dtype=bool)
-    free[[command.axis for command in commands_of(agent)]] = False
+    free[commanded_axes(agent)] = False
     free = free if np.any(free) else ~free
     cost = np.zeros(d)
     for j in range(d):
@@ -97,6 +97,42 @@ def axis_weights(agent: AnyAgent) -> FloatArray:
     if not np.max(cost) > 0.0:
         return np.ones(d)
     return np.asarray(np.maximum(cost / np.max(cost), LEAST_WEIGHT))
+
+
+def commanded_axes(agent: Agent) -> list[int]:
+    """Return the axes whose means inputs put anywhere, at most one for each input: that which it moves farthest.
+
+    The mean along such an axis is ``a(x) + b(x) u`` with one input u. The distance is measured at the middle of the
+    workspace, in shares of its width.
+    """
+    axes: list[int] = []
+    if agent.has_clock or any(names_in(tree) & {*agent.inputs} for tree in agent.scale_trees):
+        return axes
+    middle = {state: np.array([x]) for state, x in zip(agent.states, agent.workspace.center.tolist(), strict=True)}
+    middle |= {name: np.array([0.5 * low + 0.5 * high]) for name, (low, high) in agent.unknowns.items()}
+    for name in agent.inputs:
+        best, farthest = None, 0.0
+        for k, tree in enumerate(agent.trees):
+            others = names_in(tree) & ({*agent.inputs, *agent.unknowns} - {name} - agent.measured)
+            split = None if others or k in axes else split_at(tree, name)
+            if split is None or split[1] == Number(0.0) or not _never_zero(agent, split[1]):
+                continue
+            [factor] = computed([split[1]], middle)
+            moved = abs(float(factor[0])) / (agent.state_high[k] - agent.state_low[k])
+            if moved > farthest:
+                best, farthest = k, moved
+        if best is not None:
+            axes.append(best)
+    return axes
+
+
+def _never_zero(agent: Agent, factor: Tree) -> bool:
+    """Return whether a factor has one sign in the whole workspace."""
+    names = {name: Affine(np.zeros(1), {k: np.ones(1)}) for k, name in enumerate((*agent.states, *agent.unknowns))}
+    ends = [*zip(agent.state_low, agent.state_high, strict=True), *agent.unknowns.values()]
+    box = [(np.array([low]), np.array([high])) for low, high in ends]
+    [(least, most)] = enclosed([factor], names, box)
+    return bool(least[0] > 0.0 or most[0] < 0.0)
 
 
 def _agent_cells(agent: AnyAgent, boundaries: Sequence[list[float]], resolution: float) -> Shape:

@@ -5,7 +5,6 @@ What ties a state to its cell: exact maps, boxes, linear cells, the paper's (eps
 
 from .affine_means import AffineBoxes, AffineMeans, MapRelation, block_of, map_relation
 from .boxes import BoxRelation, MeanBoxes, box_relation
-from .commands import Command, commands_of
 from .coupled import CoupledRelation, couple, joint_delta
 from .description import GONE, Relation, check_description, describe_relation, relation_from
 from .exact import ExactOnCells, ExactRelation, aimed_relation

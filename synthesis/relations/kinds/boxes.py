@@ -10,7 +10,7 @@ that a network moves; kernel, search and tree are the same.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ....envs.systems.agents import Agent, AnyAgent, LinearAgent
 from ....envs.systems.arguments import counted
 from ..grids import FloatArray, RelationRefused, linear_agent, sharpness
-from .cell_relation import ReadsCells, Unsteered
+from .cell_relation import ReadsCells
 from .exact import INPUT_MARGIN
 from .rounding import missed_cells, sizes_of
 from .symbolic_means import SymbolicMeans
@@ -55,7 +55,7 @@ class MeanBoxes:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearMeans(Unsteered):
+class LinearMeans:
     """Boxes around the means of a linear agent.
 
     Parameters
@@ -84,6 +84,10 @@ class LinearMeans(Unsteered):
         middle = (centre @ self.A.T + self.offset)[:, None] + (input_set @ self.B.T)[None]
         extent = (half @ np.abs(self.A).T + self.rounding)[:, None]
         return middle - extent, middle + extent
+
+    def scales(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Return None: the noise is the same everywhere."""
+        return None
 
     @property
     def description(self) -> dict[str, Any]:
@@ -190,11 +194,7 @@ class BoxRelation(ReadsCells):
         return missed_cells(sharpness(agent), np.where(agent.wrapped_axes, WRAPPED_OFF, 0.0), edges)
 
 
-def box_relation(
-    agent: AnyAgent,
-    input_set: FloatArray,
-    written: Mapping[str, Any] | None = None,
-) -> BoxRelation:
+def box_relation(agent: AnyAgent, input_set: FloatArray, parts: int = 1) -> BoxRelation:
     """Return the relation of mean boxes of an agent.
 
     Parameters
@@ -202,8 +202,8 @@ def box_relation(
     agent : AnyAgent
     menu : (A, m) array
         Inputs to choose from.
-    written : mapping, optional
-        Further settings of ``SymbolicMeans``: ``parts`` and which choices ``steer``.
+    parts : int
+        Of ``SymbolicMeans``, where dynamics are expressions.
 
     Raises
     ------
@@ -215,12 +215,7 @@ def box_relation(
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
     means: LinearMeans | SymbolicMeans
     if isinstance(agent, Agent):
-        written = {"parts": 1, **(written or {})}
-        steer = written.get("steer")
-        steer = np.zeros(len(input_set), dtype=bool) if steer is None else np.array(steer, dtype=bool)
-        means = SymbolicMeans(agent, int(written["parts"]), steer)
-        if steer.shape != (len(input_set),) or (np.any(steer) and not means.commands):
-            raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")
+        means = SymbolicMeans(agent, parts)
     else:
         means = linear_means(linear_agent(agent, "boxes"))
     return BoxRelation(means, input_set, box.low, box.high)

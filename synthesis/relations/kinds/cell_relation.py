@@ -1,11 +1,8 @@
-"""What relations share: what they lack by default, and the means that their boxes are put around."""
+"""What relations share: what they lack by default."""
 
 from __future__ import annotations
 
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ..grids import FloatArray
 
@@ -28,17 +25,3 @@ class ReadsCells:
     def matrices(self) -> tuple[Any, FloatArray] | None:
         """The exact relation, or None, and the inputs (A, m) that are choices, where these are all there is to it."""
         return None
-
-
-class Unsteered:
-    """What means share that are under inputs alone, with noise that is the same everywhere."""
-
-    def scales(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Return None: the noise is the same everywhere."""
-        return None
-
-    def steered(
-        self, choices: NDArray[np.intp], points: FloatArray, centres: FloatArray, inputs: FloatArray, beside: Any
-    ) -> FloatArray:
-        """Return inputs (m, ...) of choices (...) as they are: none steers."""
-        return inputs

@@ -1,7 +1,7 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
-``{"kind": "exact"}``, ``{"kind": "boxes", "input_set"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
-expressions), ``{"kind": "linear", "input_set", "parts", "cuts", "reach", "blocks"}``
+``{"kind": "exact"}``, ``{"kind": "boxes", "input_set"}`` (with ``"parts"`` where dynamics are expressions),
+``{"kind": "linear", "input_set", "parts", "cuts", "reach", "blocks"}``
 (with ``"mean_targets"`` where targets are offered beside the menu, and ``"network"`` where networks move agents),
 and ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``; matrices
 are nested lists. They come from files, and nothing in them is trusted.
@@ -66,8 +66,7 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid) -> R
     kind = description["kind"]
     if kind == "boxes":
         input_set = np.array(description["menu"], dtype=float)
-        written: dict[str, Any] = {name: description[name] for name in ("parts", "steer") if name in description}
-        return box_relation(agent, input_set, written)
+        return box_relation(agent, input_set, int(description.get("parts", 1)))
     if kind == "linear" and "network" not in description:
         input_set = np.array(description["menu"], dtype=float)
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
@@ -95,6 +94,8 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         raise ValueError("it has a relation of an unknown kind")
     if np.any(np.array(description.get("gains", 0.0), dtype=float)):
         raise ValueError("boxes have no feedback inside cells since 0.4; synthesize anew, relation='linear'")
+    if np.any(np.array(description.get("steer", False), dtype=bool)):
+        raise ValueError("boxes have no targets since 0.4; synthesize anew, relation='linear'")
     numbers = [description[name] for name in NUMBER_ENTRIES[description["kind"]]]
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
@@ -102,7 +103,7 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     is_linear = description["kind"] == "linear"
     if "network" in description and not is_linear:
         raise ValueError("networks have linear cells only since 0.4; certify the network anew")
-    known = {"boxes": ("parts", "steer"), "linear": ("parts", "cuts", "reach"), "exact": () if is_written else None}
+    known = {"boxes": ("parts",), "linear": ("parts", "cuts", "reach"), "exact": () if is_written else None}
     named = known.get(description["kind"])
     if (is_written or is_linear) != (named is not None and all(name in description for name in named)):
         raise ValueError("it has a relation that is not for the dynamics of its agent")
@@ -116,14 +117,8 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     if is_linear:
         _check_maps(description, agent)
         _check_modes(description)
-    elif is_written and description["kind"] == "boxes":
-        if description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL:
-            raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
-        steer = description["steer"]
-        if not isinstance(steer, list) or not all(isinstance(flag, bool) for flag in steer):
-            raise ValueError("a relation says of its choices neither that they steer nor that they do not")
-        if len(steer) != len(description["menu"]):
-            raise ValueError("a relation has other choices that steer than its menu")
+    elif in_parts and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL:
+        raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
     m = agent.n_inputs
     # -1 stands for any length: the number of choices.
     shapes = {"menu": (-1, m)}
