@@ -30,16 +30,15 @@ SHAPES = [
 ]
 
 
-def maps_of(policy: NetworkPolicy, agent: LinearAgent, cuts: int) -> NetworkMaps:
+def maps_of(policy: NetworkPolicy, agent: LinearAgent) -> NetworkMaps:
     """Maps of an agent that a network moves."""
-    return NetworkMaps(linear_means(agent), policy, cuts)
+    return NetworkMaps(linear_means(agent), policy)
 
 
 @pytest.mark.parametrize("hidden, activation, squashed", SHAPES)
 @mostly_thorough("make", [lambda: scalar_agent("a"), cart])
-@mostly_thorough("cuts", [1, 2])
 def test_no_point_of_a_cell_leaves_its_map(
-    hidden: list[int], activation: str, squashed: bool, make: Callable[[], LinearAgent], cuts: int
+    hidden: list[int], activation: str, squashed: bool, make: Callable[[], LinearAgent]
 ) -> None:
     """Dense samples of closed cells, corners among them, lie within what maps leave: in the search and in the check."""
     agent = make()
@@ -47,7 +46,6 @@ def test_no_point_of_a_cell_leaves_its_map(
     view = SharedView(problem)
     actor = SharedActor(problem, network([view.size, *hidden, view.n_actions], activation, squashed))
     part = certify_network(problem, actor, 12 if d == 1 else 6).certificate.proof.agents[0]
-    part = dataclasses.replace(part, relation={**part.relation, "cuts": cuts})
     relation = part.relation_of(agent)
     assert isinstance(relation, MapRelation) and relation.means is not None
     low, high = part.grid.low, part.grid.high
@@ -69,21 +67,16 @@ def test_no_point_of_a_cell_leaves_its_map(
             assert np.all(np.abs(left) <= rest[:, None] + 1e-12)
 
 
-@pytest.mark.parametrize("cuts", [1, 2])
-def test_what_maps_leave_is_of_second_order(cuts: int) -> None:
-    """With cells half as wide, what maps leave falls to about a quarter; cut cells leave less than whole ones."""
+def test_what_maps_leave_is_of_second_order() -> None:
+    """With cells half as wide, what maps leave falls to about a quarter."""
     problem = reach(scalar_agent("a"))
     actor = SharedActor(problem, network([SharedView(problem).size, 16, 16, 1], "tanh", True))
     agent, rests = linear(problem.agents[0]), []
     for cells in (24, 48):
         edges = np.linspace(-4.0, 4.0, cells + 1)[:, None]
         input_set = np.zeros((problem.automaton.n_states, 1))
-        boxes = [
-            maps_of(actor.agent_policy(0), agent, k).around(edges[:-1], edges[1:], input_set).rest[:, 0]
-            for k in (1, cuts)
-        ]
-        assert np.all(boxes[1] <= boxes[0])
-        rests.append(boxes[1].mean())
+        boxes = maps_of(actor.agent_policy(0), agent).around(edges[:-1], edges[1:], input_set)
+        rests.append(boxes.rest[:, 0].mean())
     assert rests[1] < 0.35 * rests[0]
 
 
@@ -91,7 +84,7 @@ def test_stable_relus_leave_rounding() -> None:
     """Where no relu has its kink in a cell, and nothing is clipped, the closed loop is affine."""
     problem = reach(scalar_agent("a"))
     net = network([SharedView(problem).size, 8, 1], "relu", scale=0.2)
-    boxes = maps_of(SharedActor(problem, net).agent_policy(0), linear(problem.agents[0]), 1)
+    boxes = maps_of(SharedActor(problem, net).agent_policy(0), linear(problem.agents[0]))
     edges = np.linspace(-4.0, 4.0, 401)[:, None]
     rest = boxes.around(edges[:-1], edges[1:], np.zeros((1, 1))).rest[:, 0, 0]
     assert np.sum(rest > 1e-5) <= 8 + 2  # one cell for each kink, and the two ends of clipping

@@ -19,7 +19,7 @@ from ...relations.grids import (
 )
 from ...relations.kinds import ON_CELLS, NetworkPolicy, network_linear_relation
 from .action_tables import Policies
-from .corner_model import CUTS, lattice_model
+from .corner_model import lattice_model
 from .finite_models import Abstraction, AgentModel
 
 DEFAULT_CELLS = {1: 1000, 2: 100}
@@ -81,9 +81,7 @@ def _network_model(
     labels = cell_labels(problem, i, grid)
     going = policy.modes_in(problem.automaton.n_states)[0, ~problem.automaton.absorbing]
     idle = np.setdiff1d(np.arange(policy.view.states), going).tolist()
-    # What matrices leave is what the network leaves, in parts of a cell hardly less; expressions leave more.
-    cuts = 1 if agent.is_affine else CUTS.get(agent.n_states, 1)
-    maps = network_linear_relation(agent, policy, (1, cuts, (0,) * agent.n_states), idle)
+    maps = network_linear_relation(agent, policy, 1, (0,) * agent.n_states, idle)
     relation, lattice, kernel, choices = lattice_model(agent, grid, maps, targets_per_cell)
     return AgentModel(grid, lattice, relation, kernel, choices, labels, labels)
 

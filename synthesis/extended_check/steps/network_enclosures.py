@@ -9,8 +9,6 @@ every layer (docs/theory/networks.md).
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,41 +66,20 @@ class Forms:
         return Forms(self.slopes * scale, self.constants * share + shift, self.symbols * scale, radius)
 
 
-def _pieces(low: FloatArray, high: FloatArray, count: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield corners (C, d) of the pieces of boxes with corners (C, d) that are cut into ``count`` along each axis."""
-    for which in itertools.product(range(count), repeat=low.shape[1]):
-        yield low + (high - low) * np.array(which) / count, low + (high - low) * (np.array(which) + 1) / count
-
-
 def network_maps(
     agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], mode: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """z (C, d), G (C, d, d) and rho (C, d) of closed cells under a mode of the network.
 
     The mean from x in a cell with middle c is ``z + G (x - c)``, give or take rho; what means are off by in floating
-    point besides the network is not in it. G is the same for all pieces into which a cell is cut.
+    point besides the network is not in it.
     """
     low, high = (corner[cells] for corner in cell_boxes(part))
-    pieces, d = int(part.relation["cuts"]), low.shape[1]
-    z, gain, rho = np.zeros(low.shape), np.zeros((*low.shape, d)), np.zeros(low.shape)
+    z, gain, rho = np.zeros(low.shape), np.zeros((*low.shape, low.shape[1])), np.zeros(low.shape)
     for some in np.array_split(np.arange(len(cells)), len(cells) // BOXES_AT_ONCE + 1):
-        left, right = low[some], high[some]
-        form, spare = _mean_forms(agent, part, left, right, mode)
-        gain[some] = form.slopes
-        whole = np.abs(form.symbols).sum(axis=2) + form.own
-        first, last = form.constants - whole, form.constants + whole
-        if pieces > 1:
-            least, most = np.full(left.shape, np.inf), np.full(left.shape, -np.inf)
-            for begin, end in _pieces(left, right, pieces):
-                own = _mean_forms(agent, part, begin, end, mode)[0]
-                # What the map of the cell leaves of the one of the piece: its value there, and the other slopes.
-                moved = np.einsum("ckj,cj->ck", form.slopes, 0.5 * (begin + end) - 0.5 * (left + right))
-                rest = Forms(own.slopes - form.slopes, own.constants - moved, own.symbols, own.own)
-                ends = rest.between(0.5 * (end - begin) * (1.0 + 1e-13))
-                least, most = np.minimum(least, ends[0]), np.maximum(most, ends[1])
-            first, last = np.maximum(first, least), np.minimum(last, most)
-        z[some] = 0.5 * (first + last)
-        rho[some] = np.maximum(last - z[some], z[some] - first) + spare
+        form, spare = _mean_forms(agent, part, low[some], high[some], mode)
+        z[some], gain[some] = form.constants, form.slopes
+        rho[some] = np.abs(form.symbols).sum(axis=2) + form.own + spare
     return z, gain, rho
 
 

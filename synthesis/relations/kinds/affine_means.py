@@ -201,12 +201,10 @@ class MatrixMaps:
     Parameters
     ----------
     linear : LinearMeans
-    cuts : int
-        Stands for nothing: there is nothing to enclose.
     """
 
     linear: LinearMeans
-    cuts: int = 1
+    cuts = 1  # there is nothing to enclose
     network = None
 
     def around(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> AffineBoxes:
@@ -337,7 +335,7 @@ def map_relation(
     parts, cuts, reach = numbers or (1, 1, (0,) * d)
     means: AffineMaps
     if agent.is_affine:
-        means = MatrixMaps(linear_means(linear_agent(agent, "linear")), cuts)
+        means = MatrixMaps(linear_means(linear_agent(agent, "linear")))
     else:
         means = AffineMeans(with_expressions(agent), cuts)
     mean_targets = aimed_relation(agent) if with_aims else None

@@ -74,8 +74,8 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid) -> R
     if kind == "exact":
         return aimed_relation(agent)
     if kind == "linear":
-        numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
-        return network_linear_relation(agent, network_policy(description["network"], agent), numbers)
+        policy = network_policy(description["network"], agent)
+        return network_linear_relation(agent, policy, int(description["parts"]), description["reach"])
     agent = linear_agent(agent, kind)
     return paper_relation(agent, grid.edges[0], **{name: description[name] for name in NUMBER_ENTRIES["paper"]})
 
@@ -143,6 +143,8 @@ def _check_maps(description: dict[str, Any], agent: AnyAgent) -> None:
     cuts, reach = description["cuts"], description["reach"]
     if description.get("aims", True) is not True or ("aims" in description and "network" in description):
         raise ValueError("a relation offers targets to a network, or does not say that it offers them")
+    if "network" in description and cuts != 1:
+        raise ValueError("cells of networks are cut into no parts since 0.4; certify the network anew")
     if type(cuts) is not int or not 1 <= cuts**agent.n_states <= MOST_BOXES_OF_A_CELL:
         raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
     if not isinstance(reach, list) or len(reach) != agent.n_states:
