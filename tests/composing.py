@@ -136,11 +136,6 @@ class Row:
         return {**({} if self.cells is None else {"cells": self.cells}), **self.options}
 
 
-CORRELATED = [[0.05, 0.02], [0.02, 0.04]]
-PLANAR: dict[str, Any] = {
-    "A": 0.9 * np.eye(2), "B": 0.8 * np.eye(2), "state_low": [-3.0, -3.0], "state_high": [3.0, 3.0],
-    "input_low": [-1.5, -1.5], "input_high": [1.5, 1.5], "initial_state": [-0.9, 0.1],
-}  # fmt: skip
 LAPLACE = {"law": "laplace", "scale": 0.32}
 
 

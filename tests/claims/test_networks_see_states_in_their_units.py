@@ -45,7 +45,7 @@ def policy_of(problem: cg.Problem, form: tuple[str, str], shape: tuple[list[int]
 def agents() -> list[Any]:
     moved = cart(
         B=[[0.5, 0.0], [0.0, 0.5]], input_low=[-2.0, -0.25], input_high=[1.0, 1.5],
-        noise_covariance=[[0.04, 0.02], [0.02, 0.05]], initial_state=[-1.0, 0.0],
+        noise_covariance=[[0.04, 0.0], [0.0, 0.05]], initial_state=[-1.0, 0.0],
     )  # fmt: skip
     return [scalar_agent("a"), cart(), moved]
 
