@@ -32,8 +32,8 @@ class AgentRecord:
     masks, start_masks : (K, S), (K0, S) bool arrays
         Factors of the guards on the cells, for arriving and for starting in them.
     policy : (T, Q, S) int32 array, or (1, Q, S) for a stationary policy
-        Choice of each cell, -1 for none: a lattice point (``exact``), ``gain * Z + point`` or an input (``linear``), or
-        an input (all others).
+        Choice of each cell, -1 for none: a lattice point (``exact``), an input or, beyond their number, a lattice point
+        (``linear``), or an input (all others).
     menu : (S, A) int32 array or None
         Lattice point that each input of each cell leads to.
     """

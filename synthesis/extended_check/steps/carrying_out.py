@@ -96,7 +96,7 @@ def _wrong_means(
     means = agent.A @ states + agent.B @ inputs + agent.offset[:, None]
     if "network" in part.relation:
         return _wrong_networked(agent, part, (cells, choice), states, means, execution)
-    off = np.abs(means - _asked_means(agent, part, np.maximum(choice, 0), cells, states))
+    off = np.abs(means - _asked_means(agent, part, np.maximum(choice, 0), states))
     if np.any((off > execution.mean[:, None]) & (choice >= 0)):
         return ["its controller was seen to steer elsewhere than its policy says"]
     return []
@@ -140,24 +140,17 @@ def _anywhere(agent: AnyAgent, count: int, rng: Generator) -> FloatArray | None:
     return np.asarray(low + (high - low) * rng.random((len(low), count)))
 
 
-def _asked_means(
-    agent: LinearAgent, part: AgentRecord, choice: NDArray[Any], cells: NDArray[np.int64], states: FloatArray
-) -> FloatArray:
-    """Means (d, M) that choices in cells ask for at states (d, M)."""
+def _asked_means(agent: LinearAgent, part: AgentRecord, choice: NDArray[Any], states: FloatArray) -> FloatArray:
+    """Means (d, M) that choices ask for at states (d, M)."""
     if part.relation["kind"] not in ("boxes", "linear"):
         return _lattice_points(part, choice)
-    low, high = cell_boxes(part)
-    offsets = states - 0.5 * (low + high)[cells].T
     input_set = np.array(part.relation["menu"], dtype=float)
     if part.relation["kind"] == "boxes":
         return np.asarray(agent.A @ states + agent.B @ input_set[choice].T + agent.offset[:, None])
-    if len(input_set):
-        first = first_target(part)
-        inputs = input_set[np.minimum(choice, len(input_set) - 1)].T
-        means = agent.A @ states + agent.B @ inputs + agent.offset[:, None]
-        return np.where(choice >= first, _lattice_points(part, np.maximum(choice - first, 0)), means)
-    gain, point = np.divmod(choice, int(np.prod([len(axis) for axis in part.lattice])))
-    return _lattice_points(part, point) + gain * offsets
+    first = first_target(part)
+    inputs = input_set[np.minimum(choice, len(input_set) - 1)].T
+    means = agent.A @ states + agent.B @ inputs + agent.offset[:, None]
+    return np.where(choice >= first, _lattice_points(part, np.maximum(choice - first, 0)), means)
 
 
 def _wrong_memory(

@@ -124,8 +124,6 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     shapes = {"menu": (-1, m)}
     for name in ARRAY_ENTRIES[description["kind"]]:
         array = np.array(description[name], dtype=float)
-        if name == "menu" and description["kind"] == "linear" and array.shape == (0,):
-            continue
         expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
         if not array.ndim or array.shape != expected or not array.size or not np.all(np.abs(array) <= LARGEST):
             raise ValueError(f"a relation has settings that are not matrices: `{name}` has shape {array.shape}")
