@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 LEAST, MOST = -2.0, 6.0
 """Ends of the widest scale, in decimal logarithms of odds: .01, and a failure of a millionth."""
 
+ROOM = 0.19
+"""Share of a scale between two numbers beside it, at least."""
+
 NARROWEST = 1.0
 """Least length of a scale: bounds that hardly differ have about one colour."""
 
@@ -46,11 +49,15 @@ class OddsScale:
 
     @property
     def ticks(self) -> list[tuple[str, float]]:
-        """Round probabilities on the scale, as they are written, and their values."""
+        """Round probabilities on the scale, as they are written, and their values; numbers have room beside others."""
         nines = [(f".{'9' * k}", 1.0 - 10.0**-k) for k in range(1, round(MOST) + 1)]
         round_ones = [(".01", 0.01), (".1", 0.1), (".5", 0.5), *nines]
         off = 0.02 * (self.high - self.low)
-        return [one for one in round_ones if self.low - off <= _log_odds(one[1]) <= self.high + off]
+        shown = list[tuple[str, float]]()
+        for one in reversed([one for one in round_ones if self.low - off <= _log_odds(one[1]) <= self.high + off]):
+            if not shown or self.at(shown[-1][1]) - self.at(one[1]) >= ROOM:
+                shown.append(one)
+        return shown[::-1]
 
 
 def _log_odds(probability: float) -> float:
