@@ -357,6 +357,25 @@ def test_certificates_are_checked_and_stand_rollouts(certificate: cg.Certificate
     assert cg.check(again) and again.lower_bound == certificate.lower_bound
 
 
+def test_noise_of_other_laws_is_certified_checked_and_stands_rollouts() -> None:
+    problem = cg.load(Path(__file__).parents[2] / "examples" / "own" / "inventory.toml")
+    found = cg.synthesize(problem, relation="vertices", effort=3.0)
+    proof: Any = found.certificate.proof
+    assert proof.kind == "vertex-grid" and proof.failure < 1e-3 and cg.check(found.certificate)
+    rollouts, alarm = 20_000, 1e-6
+    successes = cg.rollout(problem, found.policy, episodes=rollouts, seed=3).successes
+    most = 1.0 if successes == rollouts else beta.ppf(1.0 - alarm, successes + 1, rollouts - successes)
+    assert found.certificate.lower_bound <= most
+    # Sabotage: seen from a law that is half as wide nothing of this holds.
+    narrow = [replace(law, low=0.5 * law.low, high=0.5 * law.high) for law in problem.agents[0].laws]
+    checked = read_problem({"problem": canonical_problem(problem)})
+    with pytest.raises(Refused, match="law"):
+        failure_of(checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, None)
+    wide = failure_of(checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, problem.agents[0].laws)
+    less = failure_of(checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, narrow)
+    assert less < 0.5 * wide <= 0.5 * proof.failure
+
+
 @pytest.mark.parametrize("forge", ["failure", "inputs", "edges", "no number", "laws", "jumps"])
 def test_forgeries_are_refused(certificate: cg.Certificate, forge: str) -> None:
     proof: Any = certificate.proof

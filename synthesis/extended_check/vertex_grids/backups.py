@@ -15,19 +15,19 @@ at least the chord of both ends less a and b, if ``sqrt a + sqrt b >= sqrt(D_k /
 Taken one axis after the other, with a and b that may depend on the ends of axes before, this leaves a multilinear
 function below F. *Proof.* D s (1 - s) / 2 <= a (1 - s) + b s is tangent to the parabola, or above it. QED
 
-Along an axis W is a sum of jumps j_e at planes e, of kinks kappa_e (y - e)^+, and of nothing else. With tau = (e - y) /
-sigma, and derivatives along the side of a cell, the mean of (y + noise - e)^+ has the second derivative
+Along an axis W is a sum of jumps j_e at planes e, of kinks kappa_e (y - e)^+, and of nothing else. With f the density
+of the noise, tau = (e - y) / sigma, and derivatives along the side of a cell, a kink bends by
 
-    phi(tau) (y' + tau sigma')^2 / sigma + phi(tau) sigma'' + P(y + noise > e) y'',
+    f(tau) (y' + tau sigma')^2 / sigma + R(tau) sigma'' + P(y + noise > e) y''
 
-so that only kinks upward count in its first term. That of the probability of a jump is in size at most
+(R: ``noise_bounds``), so that only kinks upward count in its first term. A jump bends by at most
 
-    phi(tau) (|tau| (y' + tau sigma')^2 + sigma |y'' + tau sigma''| + 2 |sigma' (y' + tau sigma')|) / sigma^2.
+    (|f'(tau)| (y' + tau sigma')^2 + f(tau) (sigma |y'' + tau sigma''| + 2 |sigma' (y' + tau sigma')|)) / sigma^2.
 
 A kink that y crosses leaves at most kappa (|y'| + |y''|) s (1 - s), since between two crossings y turns; also with
-noise w, for y + sigma w in the place of y, where the mean of |w| is below 1. Means along several axes multiply, and
-mixed derivatives are products of first ones. All of these are sums over planes and cells of numbers of W, with weights
-that are bounded on the image of the cell. *Proof* and more: docs/theory/vertices.md.
+noise w, for y + sigma w in the place of y. Means along several axes multiply, and mixed derivatives are products of
+first ones. All of these are sums over planes and cells of numbers of W, with weights that are bounded on the image of
+the cell. *Proof* and more: docs/theory/vertices.md.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class Backups:
         """The noise of each axis, in units of the deviation of its source; None where there is none."""
         laws, agent, result = self.noise_laws, self.agent, list[Noise | None]()
         if laws is None and any(own.tail != NORMAL or own.mean or own.off or own.lost for own in agent.envelopes):
-            raise Refused(f"the noise of `{agent.name}` is not normal")
+            raise Refused(f"the noise of `{agent.name}` is not normal, and nothing says which law it has")
         for row in agent.noise:
             (source, *_), noisy = np.argsort(-np.abs(row)).tolist(), row.any()
             result.append(
