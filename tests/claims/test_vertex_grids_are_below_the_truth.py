@@ -366,14 +366,14 @@ def test_noise_of_other_laws_is_certified_checked_and_stands_rollouts() -> None:
     successes = cg.rollout(problem, found.policy, episodes=rollouts, seed=3).successes
     most = 1.0 if successes == rollouts else beta.ppf(1.0 - alarm, successes + 1, rollouts - successes)
     assert found.certificate.lower_bound <= most
-    # Sabotage: seen from a law that is half as wide nothing of this holds.
-    narrow = [replace(law, low=0.5 * law.low, high=0.5 * law.high) for law in problem.agents[0].laws]
-    checked = read_problem({"problem": canonical_problem(problem)})
-    with pytest.raises(Refused, match="law"):
-        failure_of(checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, None)
-    wide = failure_of(checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, problem.agents[0].laws)
-    less = failure_of(checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, narrow)
-    assert less < 0.5 * wide <= 0.5 * proof.failure
+    checked, laws = read_problem({"problem": canonical_problem(problem)}), problem.agents[0].laws or ()
+    held = proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near
+    assert failure_of(checked, *held, laws) <= proof.failure
+    # The law is that of the problem: a narrower one proves another number, and none proves nothing.
+    narrow: Any = next(iter(laws))
+    assert failure_of(checked, *held, [replace(narrow, low=-1.6, high=1.6)]) != failure_of(checked, *held, laws)
+    with pytest.raises(Refused, match="which law"):
+        failure_of(checked, *held, None)
 
 
 @pytest.mark.parametrize("forge", ["failure", "inputs", "edges", "no number", "laws", "jumps"])
