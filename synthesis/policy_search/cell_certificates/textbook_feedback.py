@@ -34,6 +34,9 @@ SHARES = (0.1, 0.5, 1.0)
 EPISODES, SEED, BETTER = 1000, 20240, 10
 """Rollouts of each controller, their seed, and by how many successes other feedback has to be better."""
 
+FEEDBACK = {True: "with linear-quadratic feedback that is clipped", False: "with feedback for less noise"}
+"""What is said of the controllers."""
+
 MOST_WORK = 4.0
 """Core seconds that each run may take."""
 
@@ -49,19 +52,18 @@ def with_textbook_feedback(found: Synthesis, plan: Plan) -> Synthesis:
     problem, effort = found.certificate.problem, plan.effort
     if found.certificate.lower_bound > NOTHING or effort.lost or effort.is_interrupted or effort.is_over:
         return found
-    tried = [(rollouts_of(problem, found.controller), found)]
+    tried = [(rollouts_of(problem, found.controller), found, False)]
     for share in SHARES:
         effort.tell(f"textbook feedback, {share:g} of the noise", 0.0)
-        for run in textbook_runs(problem, share, plan):
+        for number, run in enumerate(textbook_runs(problem, share, plan)):
             other = replace(found, certificate=run, controller=run.controller)
-            tried.append((rollouts_of(problem, run.controller), other))
+            tried.append((rollouts_of(problem, run.controller), other, number > 0))
     tried.sort(key=lambda one: one[0][0] - BETTER * (one[1] is not found), reverse=True)
     # Of some runs the check proves not even that: a tube may be as wide as a turn of an angle.
-    (successes, why), best = next((one for one in tried if checked_once(one[1].certificate)), tried[0])
+    (successes, why), best, is_lqr = next((one for one in tried if checked_once(one[1].certificate)), tried[0])
     said = f"in {EPISODES} rollouts {successes} satisfy the task"
     said += f", most others fail as {why}" if why else ""
-    if best is not found:
-        said += "; the controllers are linear-quadratic feedback around a run without noise, clipped"
+    said += "" if best is found else f"; the controllers follow a run without noise, {FEEDBACK[is_lqr]}"
     # What is most likely to be lost by the bounds of a path is no news beside what rollouts lose.
     first = str(found.stats.get("nothing", "")).partition(", with noise most")[0]
     nothing = f"{first}; {said}" if first else said
@@ -70,7 +72,7 @@ def with_textbook_feedback(found: Synthesis, plan: Plan) -> Synthesis:
 
 
 def textbook_runs(problem: Problem, share: float, plan: Plan, most: float = MOST_WORK) -> list[AlongPath]:
-    """Return runs that are found for a share of the noise, as claims of nothing: with LQR, and as they are."""
+    """Return runs that are found for a share of the noise, as claims of nothing: as they are, and with LQR."""
     work = replace(plan.along_paths, limit=most, told=lambda bound: None, counted=lambda spent: None)
     try:
         run: AlongPath = along_path(problem.replace(disturbance_scale=share), work).certificate
