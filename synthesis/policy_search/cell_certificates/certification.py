@@ -122,17 +122,17 @@ def certificate_of(
 
 
 def _stored(problem: Problem, joint: JointModel, terms: Terms) -> Terms:
-    """Return the value function to be stored: factors of steps that are not additive a little lower: they are bounds.
+    """Return the value function to be stored: factors a little lower, unless all steps are additive: they are bounds.
 
     What remains after unions from below, and how much an image bends, depend on rounding in both directions; so do
     means, by what an execution may lose. A check that computes all of them anew must find no factor too large.
     """
-    factors = []
+    factors, additive = [], all(model.is_additive for model in joint.models)
     for agent, model, rows in zip(problem.agents, joint.models, terms.factors, strict=True):
         lost = model.relation.rounding_loss(agent, model.grid.edges) + model.kernel.loss + STORED_LOSS
         loss = STORED_MARGIN * rows.max(axis=1, initial=0.0)[:, None] + joint.horizon * lost
         lower = np.maximum(rows - loss, 0.0)
-        factors.append(rows if model.is_additive else lower)
+        factors.append(rows if additive else lower)  # unions from below leave remainders of any agent
     return Terms(tuple(factors), terms.index)
 
 
