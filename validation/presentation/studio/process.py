@@ -47,6 +47,8 @@ class Worker:
             try:
                 message = pipe.recv()
             except (EOFError, OSError):
+                # closed by whoever reads it: another thread might close it in the middle of a message
+                pipe.close()
                 if pipe is self._pipe:  # not one that was replaced
                     self._hear({"died": True})
                 return
@@ -86,7 +88,6 @@ class Worker:
             self._end()
 
     def _end(self) -> None:
-        pipe, self._pipe = self._pipe, None  # type: ignore[assignment]
+        self._pipe = None  # type: ignore[assignment]
         self._process.kill()
         self._process.join(5.0)
-        pipe.close()
