@@ -407,6 +407,17 @@ def test_more_agents_or_other_noise_are_refused_in_words() -> None:
     assert failure_of.__doc__
 
 
+def test_noise_far_from_0_is_refused() -> None:
+    # Its density is beyond all bins, where it would count as next to nothing.
+    far = [{"law": "uniform", "low": 10.0, "high": 10.1}, {"law": "mixture", "parts": [
+        {"weight": 0.5, "mean": 30.0, "law": "laplace", "scale": 0.1},
+        {"weight": 0.5, "mean": 30.2, "law": "laplace", "scale": 0.1},
+    ]}]  # fmt: skip
+    for law in far:
+        with pytest.raises(ValueError, match="add it to the dynamics"):
+            cg.synthesize(problem_of("one state, other noise", noise=[law]), relation="vertices")
+
+
 def test_what_was_found_is_returned_at_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 

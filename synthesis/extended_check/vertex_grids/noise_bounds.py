@@ -31,6 +31,7 @@ from ...checker.tables import normal_table
 FAR = 38.0  # deviations beyond which normal densities count as at them
 FINE = 2048  # intervals of a deviation for which they and tails are tabled
 BIN, WIDEST = 256, 40  # bins of a unit of other laws, and where the last ones begin
+CENTRED = 10.0  # units that the mean may be away from 0: beyond WIDEST all laws fall faster than |t|^-2 then
 PARTS = 16  # parts of a bin, at whose ends S is known where it is integrated
 OUTWARD = 1.0 + 1e-9  # far more than what densities and their factors are rounded by
 MOVED = 1e-13  # far more than what a distribution function changes by where its argument is rounded
@@ -125,7 +126,7 @@ class Tabled:
 
     def __init__(self, law: Law, unit: float) -> None:
         self.law, self.unit, self.off = law, unit, law_error(law) + MOVED
-        # Bins between points, and two that have no end: beyond WIDEST all of |t|^p f and |t|^p |f'| fall.
+        # Bins between points, and two that have no end: there all of |t|^p f and |t|^p |f'| fall (``CENTRED``).
         self.points = np.arange(-WIDEST * BIN, WIDEST * BIN + 1) / BIN
         left = np.concatenate([self.points[:1] - 1.0 / BIN, self.points])
         right = left + 1.0 / BIN
@@ -242,7 +243,11 @@ def noise_of(law: Law | None, unit: float) -> Noise:
         return Normal()
     if not is_own_law(law) or law.std > unit * OUTWARD or law.envelope is None:
         raise Refused(f"the law {law.name!r} is not one that grids of vertices know")
-    return Tabled(law, unit)
+    noise = Tabled(law, unit)
+    # Bins must see all that does not fall: parts of mixtures are no wider than the unit, and two of it from the mean.
+    if not noise.mean <= CENTRED:
+        raise Refused(f"the mean of the noise is {noise.mean:.3g} times its deviation: add it to the dynamics")
+    return noise
 
 
 EVEN = ("gaussian", "laplace", "logistic", "student-t")
