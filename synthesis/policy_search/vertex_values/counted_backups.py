@@ -1,0 +1,69 @@
+"""Backups on grids of vertices that count their work as they do it, and are broken off where seconds are over."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...extended_check.vertex_grids import Backups, Images, corners_of
+from ...relations.grids import FloatArray
+from ...trajectories.planning import CountedWork
+
+ONCE = 1e-3
+"""Work of anything that is done once in an automaton state and a step, however few vertices there are."""
+
+WEIGHT, PRODUCT = 6e-8, 4.5e-11
+"""Work of a weight of a plane or an interval, and of a weight times a number of a table, in core seconds."""
+
+
+class BrokenOff(Exception):
+    """Seconds are over in the middle of a grid."""
+
+
+class Counted(Backups):
+    """Backups that count their work, in core seconds."""
+
+    spent = 0.0
+    work = CountedWork()
+
+    def within(self, work: CountedWork) -> Self:
+        """Count for a search."""
+        self.work = work
+        return self
+
+    def count(self, work: float) -> None:
+        """Count work; raise BrokenOff where what was found so far has to do."""
+        self.spent += work
+        self.work.count(work)
+        if self.work.is_broken_off():
+            raise BrokenOff
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.bent = np.full(len(self.edges), 1e-300)  # what is charged along each axis where values are high
+
+    def image_of(self, inputs: FloatArray, t: int) -> Images:
+        """Return where inputs (V, m) lead at a time."""
+        images = super().image_of(inputs, t)
+        self.count(WEIGHT * images.size)
+        return images
+
+    def below(self, W: FloatArray, images: Images) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return numbers at vertices of a function that is at most F, and the cells on which it is 0."""
+        self.count(ONCE + PRODUCT * (images.vertices.products + _per_cell(W.ndim) * images.products))
+        values, nothing = super().below(W, images)
+        here = np.where(nothing, 0.0, corners_of(values, W.ndim).reshape(*nothing.shape, -1).mean(axis=-1)).ravel()
+        self.bent = self.bent + self._bends @ here
+        return values, nothing
+
+    def charge(self, W: FloatArray, images: Images) -> tuple[FloatArray, FloatArray]:
+        """Return what is taken off all corners of each cell (S,), and what F may bend along each axis (d, S)."""
+        always, self._bends = super().charge(W, images)
+        return always, self._bends
+
+
+def _per_cell(d: int) -> float:
+    """Return products of a cell with another one: its mean and all that F may bend."""
+    return 2.0**d * (1.0 + 4.0 * d + 4.5 * d * (d - 1))

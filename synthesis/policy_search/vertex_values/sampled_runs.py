@@ -1,0 +1,75 @@
+"""Runs under inputs on a grid: where cells have to be narrow, and where it matters which inputs there are."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...certificates.controllers import interpolated
+from ...checker import CheckedProblem, followed, value_on
+from ...extended_check.vertex_grids import Backups, images_at
+from ...relations.grids import FloatArray
+
+RUNS, QUANTILE, BESIDE = 3000, 1e-3, 6.0
+"""Runs that say where the next grid has narrow cells, the share of states that may lie beyond, and by how many
+deviations it is wider than that."""
+
+
+@dataclass(eq=False)
+class Runs:
+    """Runs under inputs (sampled, fixed seed): states (T + 1, d, M), automaton states, and a failure to aim at."""
+
+    states: FloatArray
+    q: NDArray[np.int64]
+    failure: float
+
+    @classmethod
+    def of(cls, steps: Backups, inputs: FloatArray, laws: NDArray[np.int64], failure: float) -> Runs:
+        """Return runs of tables of inputs (L, V, m), of which ``laws`` (T, Q) act, with a failure to aim at."""
+        problem, edges = steps.problem, steps.edges
+        agent, automaton = problem.agents[0], problem.automaton
+        rng, d = np.random.default_rng(20261127), len(agent.states)
+        low, high = agent.state_box
+        x = rng.uniform(agent.start[0][:, None], agent.start[1][:, None], (d, RUNS))
+        q = _followed(problem, np.full(RUNS, automaton.initial), x, 0)
+        states, each = [x], [q]
+        for t in range(problem.horizon):
+            u = interpolated(edges, inputs[laws[t]], x, q).T
+            centre, _ = images_at(agent, x, u, t)
+            drawn = [
+                own if noise is None else noise.drawn(own)
+                for noise, own in zip(steps.noises, rng.standard_normal((d, RUNS)), strict=True)
+            ]
+            x = np.clip(centre[:d] + np.abs(centre[d:]) * drawn, low[:, None], high[:, None])
+            q = _followed(problem, q, x, t + 1)
+            states.append(x)
+            each.append(q)
+        return cls(np.stack(states), np.stack(each), failure)
+
+    def window(self, problem: CheckedProblem, spreads: FloatArray) -> FloatArray:
+        """Return a window (2, d) of states in which nearly all runs stay."""
+        low, high = problem.agents[0].state_box
+        ends = np.quantile(self.states, [QUANTILE, 1.0 - QUANTILE], axis=(0, 2))
+        beside = BESIDE * np.median(spreads, axis=1)
+        return np.stack([np.maximum(ends[0] - beside, low), np.minimum(ends[1] + beside, high)])
+
+
+def _followed(problem: CheckedProblem, q: NDArray[Any], x: FloatArray, t: int) -> NDArray[Any]:
+    """Return automaton states (M,) after the letters of states x (d, M)."""
+    agent, automaton = problem.agents[0], problem.automaton
+    names = {name: np.stack([row, row]) for name, row in zip(agent.states, x, strict=True)}
+    held = np.ones((len(problem.regions), x.shape[1]), dtype=bool)
+    for p, region in enumerate(problem.regions):
+        for column, output in enumerate(region.outputs[0]):
+            y = value_on(agent.outputs[output], names)[0]
+            held[p] &= (region.low[t, column] <= y) & (y < region.high[t, column])
+    result = q.copy()
+    for letter, state in itertools.product(np.unique(held, axis=1).T, np.unique(q)):
+        here = (q == state) & np.all(held == letter[:, None], axis=0)
+        if here.any():
+            (result[here],) = followed(automaton, [int(state)], dict(enumerate(letter.tolist())))
+    return result
