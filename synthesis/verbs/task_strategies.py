@@ -87,6 +87,9 @@ NEAR_PATH = 0.5
 MOST_CELLS_OF_LOST = 100_000
 """Cells of an agent up to which a task that is out of reach has a grid, where no run comes near."""
 
+PATIENCE = 2.0
+"""Core seconds after which a path that proves nothing is left for a grid of vertices."""
+
 SHARE_OF_VERTICES = 0.9
 """Share of the effort that is left, which grids of vertices may take before others are tried."""
 
@@ -142,7 +145,7 @@ def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synt
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
     ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) else []
-    return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS)]
+    return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS, why_not=_beside_vertices)]
 
 
 def is_beyond_grids(problem: Problem) -> bool:
@@ -191,7 +194,8 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
         levels = _linear(problem, plan, few=problem.n_agents <= FEW_AGENTS or is_scalar(problem))
         # Trees of many terms take long whatever the cells are.
         strategies.append(replace(levels, work=max(levels.work, exact, _tree_work(problem))))
-    if has_other_noise(problem):
+    # A task written out in time had its grid of vertices as it was written.
+    if plan.paths and has_other_noise(problem):
         strategies.insert(0, vertex_strategy(problem, plan))
     if is_scalar(problem) and problem.n_agents > FEW_AGENTS:
         strategies.append(_doubled(problem, kinds, plan))
@@ -210,7 +214,16 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
     work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
     # Boxes and round regions cost grids of agents with expressions a hundredth that paths do not lose.
     enough = WRITTEN_ENOUGH if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
-    return Strategy("path", lambda results: along_path(problem, plan.along_paths), work, enough=enough, ends=PATH_ENDS)
+    has_vertices = has_other_noise(problem) and not vertex_strategy(problem, plan).refusal
+
+    def run(results: Results) -> Synthesis:
+        along = plan.along_paths
+        if has_vertices:
+            seconds_over = along.is_broken_off
+            along.is_broken_off = lambda: seconds_over() or (along.largest <= 0.0 and along.spent > PATIENCE)
+        return along_path(problem, along)
+
+    return Strategy("path", run, work, enough=enough, ends=PATH_ENDS)
 
 
 def has_other_noise(problem: Problem) -> bool:
@@ -318,10 +331,13 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
     def run(results: Results) -> Synthesis:
         return compared(problem, cells, kinds, plan, None if cells or any(written) else results.get("exact"))
 
-    def why_not(results: Results) -> str | None:
-        return None if "vertices" not in results else "skipped: vertices bound values more closely than boxes do"
+    enough = SOLVED if scalar or not linear else GOOD
+    return Strategy("others", run, work, enough=enough, why_not=_beside_vertices)
 
-    return Strategy("others", run, work, enough=SOLVED if scalar or not linear else GOOD, why_not=why_not)
+
+def _beside_vertices(results: Results) -> str | None:
+    """Return why boxes are left out beside a grid of vertices."""
+    return None if "vertices" not in results else "skipped: vertices bound values more closely than boxes do"
 
 
 def _tree_work(problem: Problem) -> float:

@@ -46,7 +46,7 @@ GROWS = 1.45
 MOST_ADJUSTED = 0.5, 2.0
 """By how much the share of cells of an axis changes from one grid to the next, at most."""
 
-ENOUGH = 1e-6
+ENOUGH = 1e-5
 """Failure from which no finer grid is tried."""
 
 GAINS = 0.02
