@@ -120,7 +120,7 @@ class LinearAgent(AnyAgent):
     def __init__(
         self,
         *,
-        name: str,
+        name: str = "agent",
         A: Any,
         B: Any = None,
         noise: Any = None,

@@ -152,7 +152,7 @@ class Agent(AnyAgent):
     def __init__(
         self,
         *,
-        name: str,
+        name: str = "agent",
         states: Any,
         inputs: Any = None,
         dynamics: Any,
