@@ -118,7 +118,9 @@ def strategies_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], pla
         on_grids = Strategy("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
         ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) else []
         return [path, *ways, on_grids] if plan.paths else [*ways, on_grids]
-    return [*_on_grids(problem, kinds, plan), *([path_strategy(problem, plan)] if plan.paths else [])]
+    grids, paths = _on_grids(problem, kinds, plan), [path_strategy(problem, plan)] if plan.paths else []
+    # Boxes of three states take a minute, and are for where no path proves anything.
+    return [*grids, *(replace(path, work=0.0) if _is_for_paths(problem) else path for path in paths)]
 
 
 def _strategies_of_lost(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strategy]:
@@ -331,8 +333,18 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
     def run(results: Results) -> Synthesis:
         return compared(problem, cells, kinds, plan, None if cells or any(written) else results.get("exact"))
 
+    def why_not(results: Results) -> str | None:
+        if "path" in results and results["path"].certificate.lower_bound > 0.0 and _is_for_paths(problem):
+            return f"skipped: boxes of {MOST_GRID_STATES} states do not come near a path that proves something"
+        return _beside_vertices(results)
+
     enough = SOLVED if scalar or not linear else GOOD
-    return Strategy("others", run, work, enough=enough, why_not=_beside_vertices)
+    return Strategy("others", run, work, enough=enough, why_not=why_not)
+
+
+def _is_for_paths(problem: Problem) -> bool:
+    """Return whether an agent has as many states as a grid has room for, and inputs that do not reach all means."""
+    return any(agent.n_states >= MOST_GRID_STATES and not reaches_every_mean(agent) for agent in problem.agents)
 
 
 def _beside_vertices(results: Results) -> str | None:
