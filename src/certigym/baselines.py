@@ -16,6 +16,7 @@ from .validation.policies import (
     Sources,
     Training,
     load_actor,
+    record_tiers,
     smoothed,
     train,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "Sources",
     "Training",
     "load_actor",
+    "record_tiers",
     "smoothed",
     "train",
 ]

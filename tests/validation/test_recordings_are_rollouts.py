@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.baselines import RandomController, Recording
+from certigym.baselines import RandomController, Recording, record_tiers
 from certigym.cli.main import main
 from certigym.validation.policies.recording import _central_env
+from certigym.validation.policies.rollout_policies import NoisyController, as_controller
 from problems import linear
 
+TIERED = "invariance-b-20-v0"
 IDS = ["reach-avoid-v0", "invariance-v0", "meeting-v0", "patrol-recharge-v0"]
 
 
@@ -98,6 +100,43 @@ def test_a_dataset_of_minari_holds_the_same(tmp_path: Path, monkeypatch: pytest.
     assert recovered.unwrapped.problem.fingerprint == found.problem.fingerprint
     assert recovered.action_space == dataset.action_space
     assert recovered.observation_space == dataset.observation_space
+
+
+def expert(x: np.ndarray, q: int, t: int) -> np.ndarray:
+    """Bring agents back to the middle: .9998 on this problem, where random inputs have .0006."""
+    return np.clip(-x, -2.0, 2.0)
+
+
+def test_tiers_are_random_inputs_half_of_the_gain_and_the_expert() -> None:
+    found = record_tiers(TIERED, expert, 400, seed=5)
+    rates = {tier: float(data.satisfied.mean()) for tier, data in found.items()}
+    assert list(rates) == ["random", "medium", "expert"]
+    # The share is found with 1,000 episodes: three deviations of a rate on 400 are .075.
+    assert abs(rates["medium"] - 0.5 * (rates["random"] + rates["expert"])) < 0.1, rates
+    assert rates["expert"] > 0.9 > 0.1 > rates["random"]
+    assert "random inputs at" in found["medium"].information
+    again = record_tiers(TIERED, expert, 400, seed=5)
+    assert np.array_equal(again["medium"].inputs, found["medium"].inputs, equal_nan=True)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_noisy_controllers_draw_as_many_inputs_as_they_say(share: float) -> None:
+    """Within five deviations of the share of inputs that are not the expert's."""
+    problem = cg.make_problem(TIERED)
+    found = cg.record(problem, NoisyController(as_controller(problem, expert), share, "x"), 200, seed=3)
+    own = np.isclose(found.inputs, np.clip(-found.states[:, :-1], -2.0, 2.0))[np.isfinite(found.inputs)]
+    assert abs((1.0 - own.mean()) - share) <= 5.0 * np.sqrt(share * (1.0 - share) / own.size)
+
+
+def test_the_command_writes_a_file_for_each_tier(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mine.py").write_text("def half(x, q, t):\n    return -0.5 * x\n", encoding="utf-8")
+    words = ["record", "invariance-v0", "--policy", f"{tmp_path / 'mine.py'}:half", "--episodes", "50", "--tiers"]
+    assert main([*words, "--out", str(tmp_path / "data"), "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert list(told) == ["random", "medium", "expert"]
+    for facts in told.values():
+        with np.load(facts["file"], allow_pickle=False) as stored:
+            assert stored["satisfied"].sum() == facts["satisfied"] and len(stored["satisfied"]) == 50
 
 
 def test_recordings_know_the_id_they_are_about() -> None:

@@ -10,7 +10,7 @@ from .competitors import Sources, given, label_of, publish
 from .probing import Attempt, Probe, probe
 from .ranking import Leaderboard, Standing, judged, judging_plan, leaderboard, replayed
 from .ranking_page import page_of
-from .recording import Recording, record
+from .recording import Recording, record, record_tiers
 from .rollout_policies import IdleController, RandomController, as_controller
 from .smoothing import smoothed
 from .tier_rule import tier_of

@@ -2,6 +2,7 @@
 
 Episodes are those of ``rollout`` with the same seed and chunk, to the last bit: the successes of both agree. The file
 names the problem by its fingerprint, the policy by what its agents see, and the seed, so that it can be made again.
+Data for offline learners come in three tiers (``record_tiers``).
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from ...envs.simulation import batch_simulator as core
 from ...envs.suite import as_problem, central_env, problem_ids
 from ...envs.systems.arguments import counted, names_arguments, tree_text, write_bytes
 from ...envs.tasks.problem import Problem
-from ..statistical_tests import CHUNK, BatchPolicy, Loop, chunks_of, frames
+from ..statistical_tests import CHUNK, BatchPolicy, Loop, chunks_of, frames, rollout
 from .comparison import contestants_of
+from .rollout_policies import NoisyController, RandomController
 
 if TYPE_CHECKING:
     from minari import MinariDataset
@@ -32,6 +34,10 @@ Array = NDArray[Any]
 
 RECORDING_FORMAT = "certigym recording 1"
 """Name and version of the file format, whose states have always been as they are."""
+
+TRIED, HALVINGS = 1000, 8
+"""Episodes that judge a share of random inputs, a rate to .03, and how often the share is halved: it is found to .004,
+which changes the rate by less."""
 
 RAW_STATES = "states as they are, outside of workspaces, too"
 """What the description of a Minari dataset says of its states."""
@@ -201,6 +207,44 @@ def record(problem: Any, policy: Any, episodes: int = 1000, seed: int = 0, chunk
     parts = [_chunk(loop, number, count) for number, count in chunks_of(episodes, chunk)]
     arrays = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
     return Recording(problem, contestant.information, int(seed), chunk, *arrays)
+
+
+@names_arguments()
+def record_tiers(
+    problem: Any, expert: Any, episodes: int = 1000, seed: int = 0, chunk: int = CHUNK
+) -> dict[str, Recording]:
+    """Return episodes of three policies: "random" inputs, "medium", and "expert".
+
+    The medium policy is the expert with random inputs at a share of the steps of each agent. That share is found by
+    bisection, so that about half of what the expert gains over random inputs is left.
+
+    Parameters
+    ----------
+    problem, episodes, seed, chunk
+        As for `record`.
+    expert : anything that ``record`` takes as a policy
+
+    Examples
+    --------
+    >>> found = record_tiers("invariance-v0", lambda x, q, t: -0.5 * x, 100)
+    >>> list(found)
+    ['random', 'medium', 'expert']
+    """
+    problem = as_problem(problem)
+    entrant = contestants_of(problem, "expert", expert)[0]
+
+    def mixed(share: float) -> NoisyController:
+        return NoisyController(entrant.controller, share, entrant.information)
+
+    def successes(share: float) -> int:
+        return rollout(problem, mixed(share), TRIED, seed=seed).successes
+
+    aim, low, high = 0.5 * (successes(0.0) + successes(1.0)), 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if successes(middle) > aim else (low, middle)
+    policies = {"random": RandomController(), "medium": mixed(high), "expert": entrant.controller}
+    return {tier: record(problem, policy, episodes, seed, chunk) for tier, policy in policies.items()}
 
 
 @dataclass(frozen=True, eq=False)

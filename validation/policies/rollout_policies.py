@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ...envs.simulation import Dynamics, Worlds
 from ...envs.suite import as_problem
 from ...synthesis.interop import batchable
+from ..statistical_tests import Batchable, BatchPolicy
 
 Array = NDArray[Any]
 
@@ -74,6 +75,53 @@ class IdleBatch:
         """Return inputs (m, n, M) per block."""
         middles = [0.5 * block.input_low + 0.5 * block.input_high for block in self.dynamics.blocks]
         return tuple(np.repeat(middle, worlds.n_worlds, axis=-1) for middle in middles), None
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyController:
+    """An expert of which every agent takes a uniformly random input at a share of its steps.
+
+    Parameters
+    ----------
+    expert : object with ``batch(dynamics)``
+    share : float
+        From 0, the expert itself, to 1, random inputs.
+    sees : str
+        What the agents of the expert see.
+    """
+
+    expert: Batchable
+    share: float
+    sees: str
+
+    @property
+    def information(self) -> str:
+        """What agents see, and how often they do not look."""
+        return f"{self.sees}; random inputs at {100.0 * self.share:.4g} % of the steps"
+
+    def batch(self, dynamics: Dynamics) -> NoisyBatch:
+        """Return the policy for batches of ``dynamics``."""
+        return NoisyBatch(self.expert.batch(dynamics), RandomBatch(dynamics), self.share)
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyBatch:
+    """A policy with random inputs, arranged for batches; the memory is that of the policy, and the generator."""
+
+    policy: BatchPolicy
+    random: RandomBatch
+    share: float
+
+    def begin(self, worlds: Worlds, rng: np.random.Generator) -> tuple[Any, np.random.Generator]:
+        """Return the memory of the policy, and the generator."""
+        return self.policy.begin(worlds, rng), rng
+
+    def act(self, worlds: Worlds, memory: tuple[Any, np.random.Generator]) -> tuple[tuple[Array, ...], Any]:
+        """Return inputs (m, n, M) per block."""
+        chosen, own = self.policy.act(worlds, memory[0])
+        drawn, rng = self.random.act(worlds, memory[1])
+        mixed = [np.where(rng.random(u.shape[1:]) < self.share, v, u) for u, v in zip(chosen, drawn, strict=True)]
+        return tuple(mixed), (own, rng)
 
 
 def as_controller(problem: Any, policy: Any) -> Any:

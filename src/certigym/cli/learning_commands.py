@@ -23,6 +23,7 @@ from ..synthesis.verbs.certify import is_certified_as_given
 from ..validation.policies import (
     ALGORITHMS,
     Leaderboard,
+    Recording,
     Sources,
     Standing,
     certificate_of,
@@ -31,6 +32,7 @@ from ..validation.policies import (
     judging_plan,
     label_of,
     page_of,
+    record_tiers,
     replayed,
     save_actor,
     smoothed,
@@ -211,21 +213,35 @@ def _made(folder: str | None) -> Path | None:
 
 
 def record(options: Namespace) -> int:
-    """Write episodes of a policy, and say how many of them satisfied the task."""
+    """Write episodes of a policy, or of three tiers, and say how many of them satisfied the task."""
     problem = problem_of(options)
     policy = policy_of_word(problem, options.policy, options)
-    found = record_episodes(problem, policy, options.episodes, options.seed)
-    found.save(options.out)
-    if options.minari:
-        found.to_minari(options.minari)
-    facts = {"problem": problem.name, "fingerprint": problem.fingerprint, "seed": found.seed}
+    if not options.tiers:
+        found = record_episodes(problem, policy, options.episodes, options.seed)
+        show(options, found, _written(found, options.out, options.minari))
+        return 0
+    folder, data, told = Path(options.out), {}, []
+    folder.mkdir(parents=True, exist_ok=True)
+    for tier, found in record_tiers(problem, policy, options.episodes, options.seed).items():
+        name = f"{options.minari}/{tier}-v0" if options.minari else None
+        data[tier] = _written(found, str(folder / f"{tier}.npz"), name)
+        told.append(f"{tier}: {found}")
+    show(options, "\n".join(told), data)
+    return 0
+
+
+def _written(found: Recording, file: str, minari: str | None) -> dict[str, Any]:
+    """Write episodes as arrays, and as a Minari dataset if it has a name; return what is known of them."""
+    found.save(file)
+    if minari:
+        found.to_minari(minari)
+    facts = {"problem": found.problem.name, "fingerprint": found.problem.fingerprint, "seed": found.seed}
     counts = {
         "episodes": len(found.lengths),
         "satisfied": int(found.satisfied.sum()),
         "steps": int(found.lengths.sum()),
     }
-    show(options, found, {**facts, **counts, "information": found.information, "file": options.out})
-    return 0
+    return {**facts, **counts, "information": found.information, "file": file}
 
 
 def save_policy(options: Namespace) -> int:

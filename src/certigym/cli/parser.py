@@ -374,8 +374,10 @@ def _add_comparing(commands: Any) -> None:
     record.add_argument("--steps", type=int, metavar="N", help="world steps of a learner (default: by algorithm)")
     record.add_argument("--train-seeds", nargs="+", type=int, default=[0], metavar="S", help="of learners (0)")
     add_models(record)
-    record.add_argument("--out", metavar="DATA", required=True, help="file to write (.npz)")
-    record.add_argument("--minari", metavar="NAME", help="also write this Minari dataset (needs certigym[data])")
+    record.add_argument("--tiers", action="store_true", help="write random, medium and expert (POLICY) into a folder")
+    record.add_argument("--out", metavar="DATA", required=True, help="file to write (.npz), or folder for --tiers")
+    minari = "also write Minari dataset NAME, or NAME/TIER-v0 (needs certigym[data])"
+    record.add_argument("--minari", metavar="NAME", help=minari)
 
     save = commands.add_parser("save-policy", help="write a policy for other programs: networks as ONNX, tables as C")
     add_problem(save)
