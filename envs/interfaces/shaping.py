@@ -31,9 +31,9 @@ import numpy as np
 
 from ..simulation import Dynamics, Worlds
 from ..simulation import batch_simulator as core
-from ..systems.backends import namespace, to_host
+from ..systems.backends import is_host, namespace, to_host
 from ..tasks.automata import Automaton
-from .tour import CELLS, Tour, cell_of, detours
+from .tour import CELLS, Tour, cells_of, detours
 
 Weights = list[tuple[list[int], Any]]
 """Places of gaps, and what these take off a level in each automaton state, floats (Q,)."""
@@ -121,13 +121,14 @@ class Potential:
         """Return the levels that worlds have if no agent has left its workspace, (M,) or (n, M)."""
         gaps, q, rows = self._gaps(worlds), worlds.q, []
         for weights in self._weights[own]:
-            row = self._placed("counted")[q]
+            row = _entries(self._placed("counted"), q)
             for places, weight in weights:
-                row = row - weight[q] * reduce(add, (gaps[k] for k in places))
+                row = row - _entries(weight, q) * reduce(add, (gaps[k] for k in places))
             rows.append(row)
-        for agent, detour in self._detours.items():
-            row = agent if own else 0
-            rows[row] = rows[row] - detour(worlds) * (1.0 if own else 1.0 / self.dynamics.problem.n_agents)
+        for agents, detours_now in self._detours[own]:
+            for agent, detour in zip(agents, detours_now(worlds)):
+                row = agent if own else 0
+                rows[row] = rows[row] - detour
         result: np.ndarray = namespace(q).stack(rows) if own else rows[0]
         return result
 
@@ -140,11 +141,11 @@ class Potential:
         if self.is_survival:
             worth = worth + self._placed("clock")[worlds.time, worlds.q]
         result: np.ndarray = namespace(worth).where(
-            worlds.failed | self._placed("dead")[worlds.q], before - self.loss(care), worth
+            worlds.failed | _entries(self._placed("dead"), worlds.q), before - self.loss(care), worth
         )
         return result
 
-    @property
+    @cached_property
     def parts(self) -> float:
         """Into how many parts levels are divided: the most automaton steps that are needed, and acceptance."""
         return float(self.steps[np.isfinite(self.steps)].max(initial=0.0)) + 1.0
@@ -160,18 +161,15 @@ class Potential:
         return self.dynamics.problem.automaton.dead
 
     @cached_property
-    def _pursued(self) -> np.ndarray:
-        """Propositions that letters of the route ask for, int (K,)."""
-        return np.unique(np.concatenate([np.zeros(0, dtype=int), *self.route]))
-
-    @cached_property
-    def _asked(self) -> np.ndarray:
-        """Of which agent each automaton state asks which of these propositions, bool (n, Q, K)."""
-        asks = np.array([np.isin(self._pursued, letter) for letter in self.route])
-        asked: np.ndarray = _owned(self.dynamics)[:, None, self._pursued] & asks
+    def _asked(self) -> tuple[np.ndarray, np.ndarray]:
+        """Propositions whose gaps count, int (K,), and of which agent each automaton state asks which, (n, Q, K)."""
+        pursued = np.unique(np.concatenate([np.zeros(0, dtype=int), *self.route]))
+        asks = np.array([np.isin(pursued, letter) for letter in self.route])
+        asked: np.ndarray = _owned(self.dynamics)[:, None, pursued] & asks
         for agent, table in self._tables.items():
             asked[agent, table.any(axis=1)] = False  # the way is measured around what is avoided
-        return asked
+        counts = asked.any(axis=(0, 1))
+        return pursued[counts], asked[..., counts]
 
     @cached_property
     def _tables(self) -> dict[int, np.ndarray]:
@@ -180,22 +178,28 @@ class Potential:
         return detours(host, self.route, self.avoided)
 
     @cached_property
-    def _detours(self) -> dict[int, Callable[[Worlds], np.ndarray]]:
-        """What takes the ways around what is avoided off the levels of agents, (M,) each."""
+    def _detours(self) -> list[list[tuple[list[int], Callable[[Worlds], np.ndarray]]]]:
+        """What takes the ways around what is avoided off the level of the team, and of agents: (k, M) for k of them."""
         first = core.begin(self.dynamics, tuple(0.5 * (b.initial_low + b.initial_high) for b in self.dynamics.blocks))
-        found = {}
-        for agent, table in self._tables.items():
-            cell = cell_of(self.dynamics, agent)
-            start = table[:, int(cell(first)[0])].max()
-            shares = np.minimum(table / (2.0 * start if start > 0.0 else 1.0), 1.0) / self.parts
-            found[agent] = _lookup(self.dynamics.put(shares.ravel()), cell)
+        found: list[list[tuple[list[int], Callable[[Worlds], np.ndarray]]]] = [[], []]
+        for number, block in enumerate(self.dynamics.blocks):
+            agents = [agent for agent in self._tables if self.dynamics.position[agent][0] == number]
+            if not agents:
+                continue
+            cells, shares = cells_of(block, [self.dynamics.position[agent][1] for agent in agents]), []
+            for agent, cell in zip(agents, to_host(cells(first.states[number]))[:, 0]):
+                table, start = self._tables[agent], self._tables[agent][:, cell].max()
+                shares.append(np.minimum(table / (2.0 * start if start > 0.0 else 1.0), 1.0) / self.parts)
+            for own, weight in enumerate((1.0 / self.dynamics.problem.n_agents, 1.0)):
+                flat = self.dynamics.put((np.stack(shares) * weight).ravel())
+                found[own].append((agents, _lookup(flat, number, self.dynamics.put(np.arange(len(agents))), cells)))
         return found
 
     @cached_property
     def _weights(self) -> tuple[list[Weights], list[Weights]]:
         """What gaps take off the level of the team, and of each agent."""
-        counts = np.maximum(self._asked.sum(axis=2, keepdims=True), 1)
-        each = self._asked / (self.parts * counts)
+        _, asked = self._asked
+        each = asked / (self.parts * np.maximum(asked.sum(axis=2, keepdims=True), 1))
 
         def entries(table: np.ndarray) -> Weights:
             # Gaps of equal weights are added before they are weighed.
@@ -209,13 +213,13 @@ class Potential:
     @cached_property
     def _gaps(self) -> Callable[[Worlds], list[Any]]:
         # Gaps are measured by twice the way that their owners have to go from the start of the problem.
-        first = _at_start(self.dynamics)[self._pursued]
-        ways = np.where(self._asked.any(axis=1), first, 0.0).max(axis=1, initial=0.0)
-        longest = np.where(self._asked.any(axis=1), ways[:, None], 0.0).max(axis=0, initial=0.0)
+        pursued, asked = self._asked
+        ways = np.where(asked.any(axis=1), _at_start(self.dynamics)[pursued], 0.0).max(axis=1, initial=0.0)
+        longest = np.where(asked.any(axis=1), ways[:, None], 0.0).max(axis=0, initial=0.0)
         units = np.where(longest > 0.0, 2.0 * longest, 1.0)
-        return _gaps_of(self.dynamics, self._pursued, units)
+        return _gaps_of(self.dynamics, pursued, units)
 
-    @property
+    @cached_property
     def is_survival(self) -> bool:
         """Whether the task asks for nothing but to survive: all automaton states that are not lost accept."""
         return not self.dynamics.problem.automaton.is_co_safe and self.parts == 1.0
@@ -246,11 +250,17 @@ class Potential:
         return {}
 
 
-def _lookup(table: Any, cell: Callable[[Worlds], Any]) -> Callable[[Worlds], np.ndarray]:
-    """Return what reads a table (Q * CELLS^2,) at the automaton states and cells of worlds."""
+def _entries(table: Any, places: Any) -> Any:
+    """Return the entries of a flat table at places of any shape; numpy is faster where it need not ask for the axis."""
+    return table.take(places) if is_host(table) else table[places]
+
+
+def _lookup(table: Any, number: int, agents: Any, cells: Callable[[np.ndarray], Any]) -> Callable[[Worlds], np.ndarray]:
+    """Return what reads a table (k * Q * CELLS^2,) at automaton state and cells of k agents of a block: (k, M)."""
+    first = agents[:, None] * (len(table) // len(agents))
 
     def read(worlds: Worlds) -> np.ndarray:
-        result: np.ndarray = table[worlds.q * CELLS**2 + cell(worlds)]
+        result: np.ndarray = _entries(table, cells(worlds.states[number]) + first + worlds.q * CELLS**2)
         return result
 
     return read
@@ -348,9 +358,10 @@ def _joined(y: np.ndarray, low: np.ndarray, high: np.ndarray, scales: np.ndarray
         length = xp.sqrt((y * y).sum(axis=0))
         outside = xp.abs(y) * xp.where(length > radius, 1.0 - radius / xp.where(length > 0.0, length, 1.0), 0.0)
         gap = xp.where(radius < np.inf, outside, gap)
-    total = (xp.where(gap <= 0.0, 0.0, gap) * scales).sum(axis=0)
+    parts = (np.maximum(gap, 0.0) if is_host(gap) else xp.where(gap <= 0.0, 0.0, gap)) * scales
+    total = parts[0] if len(parts) == 1 else parts.sum(axis=0)
     # What is no number is as far away as can be.
-    result: np.ndarray = xp.where(total < 1.0, total, 1.0)
+    result: np.ndarray = np.fmin(total, 1.0) if is_host(total) else xp.where(total < 1.0, total, 1.0)
     return result
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..simulation import Dynamics, Worlds
+from ..simulation import Dynamics
 from ..systems.backends import is_host, namespace, to_host
 
 DETOUR, POINTS = 2.0, 32
@@ -174,26 +174,29 @@ def is_planar(block: Any) -> bool:
     return hasattr(block.motion, "C") or all(map(block.motion.agent.output_axis, range(2)))
 
 
-def cell_of(dynamics: Dynamics, agent: int) -> Callable[[Worlds], Any]:
-    """Return what tells the cells of an agent, int (M,), the nearest one outside of the grid."""
-    b, place = dynamics.position[agent]
-    block = dynamics.blocks[b]
-    low, width = _corner(block, place), block.output_width[:, place]
+def cells_of(block: Any, agents: list[int]) -> Callable[[np.ndarray], Any]:
+    """Return what tells the cells (k, M) of agents of a block from its states (d, n, M); the nearest if outside."""
+    places = slice(None) if agents == list(range(len(block.agents))) else agents  # a view, where that will do
+    low, width = _corner(block, places), block.output_width[:, places]
 
-    def cell(worlds: Worlds) -> Any:
-        share = (block.outputs(worlds.states[b])[:, place] - low) / width * CELLS
-        xp = namespace(share)
+    def cells(states: np.ndarray) -> Any:
+        share = block.outputs(states)[:, places] - low
         # What is no number is not above 0 either.
-        share = xp.where(share > 0.0, xp.where(share < CELLS - 1.0, share, CELLS - 1.0), 0.0)
-        whole = share.astype(np.int64) if is_host(share) else xp.astype(share, xp.int64)
+        if is_host(share):
+            share /= width
+            share *= CELLS
+            whole = np.fmin(np.fmax(share, 0.0, out=share), CELLS - 1.0, out=share).astype(np.int64)
+        else:
+            xp, share = namespace(share), share / width * CELLS
+            whole = xp.astype(xp.where(share > 0.0, xp.where(share < CELLS - 1.0, share, CELLS - 1.0), 0.0), xp.int64)
         return whole[0] * CELLS + whole[1]
 
-    return cell
+    return cells
 
 
-def _corner(block: Any, place: int) -> Any:
-    """Return the lower corner (2, 1) of the outputs of the workspace of an agent."""
-    return block.outputs(0.5 * (block.state_low + block.state_high))[:, place] - 0.5 * block.output_width[:, place]
+def _corner(block: Any, places: Any) -> Any:
+    """Return the lower corners (2, k, 1) of the outputs of the workspaces of agents, (2, 1) of one."""
+    return block.outputs(0.5 * (block.state_low + block.state_high))[:, places] - 0.5 * block.output_width[:, places]
 
 
 def _cells(block: Any, place: int) -> np.ndarray:

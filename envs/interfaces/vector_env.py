@@ -281,15 +281,15 @@ class ProblemVectorEnv(Specified, VectorEnv[np.ndarray, np.ndarray, np.ndarray])
         worlds = self._present()
         rewards = (core.satisfied(self._dynamics, worlds) > fresh).astype(np.float64)
         if self._potential is not None:
-            # Both pay differences of levels; that of "shaped" is 0 in ended worlds.
-            before, levels = self._levels, self._leveled(worlds, self._levels)
+            # Both pay differences of levels; that of "shaped" is 0 in ended worlds. Fresh worlds had nothing before,
+            # which counts where a start may lose the task.
+            is_any_fresh, before = fresh.any(), self._levels
+            if is_any_fresh and self._may_rest:
+                before = np.where(fresh, 0.0, before)
+            self._levels = levels = self._leveled(worlds, before)
             after = np.where(ended, 0.0, levels) if self._reward == "shaped" else levels
-            self._levels = levels
             paid = self.discount * after - before
-            if fresh.any():
-                paid = np.where(fresh, 0.0, paid)
-                self._relevel(fresh, begun=True)
-            rewards = rewards + paid
+            rewards = rewards + (np.where(fresh, 0.0, paid) if is_any_fresh else paid)
         if self._has_own:
             # Half for what an agent has done itself, half for what the team has: their mean is the reward of the team.
             own = np.broadcast_to(rewards, self.own_rewards.shape)

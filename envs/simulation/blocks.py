@@ -15,7 +15,7 @@ from ..systems.arguments import counted, read_only
 from ..systems.backends import double, is_host, is_whole, namespace
 from ..systems.expressions import Compiled
 from ..tasks.problem import Problem
-from ..tasks.regions import MOVING_REFUSAL, PairRegion, holds
+from ..tasks.regions import MOVING_REFUSAL, PairRegion, contains, holds
 
 Put = Callable[[np.ndarray], Any]
 """How arrays get to where worlds live: see `arrays.device_put`."""
@@ -341,6 +341,8 @@ class PairBlock:
                 if self._is_round:  # no box: what is no number is not near, either
                     squares = reduce(add, (own * own for own in apart))
                     np.less(squares, radius[rows] * radius[rows], out=result[rows])
+                elif self._is_boxed:
+                    result[rows] = contains(apart, low[:, rows], high[:, rows])
                 else:
                     result[rows] = holds(apart, low[:, rows], high[:, rows], radius[rows])
         return result
@@ -350,6 +352,11 @@ class PairBlock:
         """Whether all pairs stand still and have radii alone."""
         boundless = np.all(self.low == -np.inf) and np.all(self.high == np.inf)
         return bool(self.low.ndim == 3 and boundless and np.all(self.radius < np.inf))
+
+    @cached_property
+    def _is_boxed(self) -> bool:
+        """Whether no pair has a radius."""
+        return bool(np.all(self.radius == np.inf))
 
     @cached_property
     def _runs(self) -> list[tuple[slice, int, slice]]:

@@ -10,7 +10,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.interfaces.shaping import DEATH, EASE, SURVIVAL, Potential
-from certigym.envs.interfaces.tour import CELLS, Tour, cell_of, detours
+from certigym.envs.interfaces.tour import CELLS, Tour, cells_of, detours
 from certigym.envs.simulation import batch_simulator as core
 from kinds import mostly_thorough
 
@@ -219,6 +219,7 @@ def test_ways_lead_around_what_loses_the_task(id: str) -> None:
     nearest = np.minimum.reduce([padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]])
     free = (ways > 0.0) & (ways < ways.max())
     assert free.sum() > CELLS and ways[free] == pytest.approx(nearest[free] + 0.5 / CELLS)
-    start = cell_of(dynamics, agent)(core.begin(dynamics, tuple(block.initial_low for block in dynamics.blocks)))
+    number, place = dynamics.position[agent]
+    start = cells_of(dynamics.blocks[number], [place])(dynamics.blocks[number].initial_low)[0]
     straight = Tour.of(dynamics)._way({}, frozenset(found.route[q].tolist()), frozenset())
     assert ways.ravel()[start[0]] > straight + (0.1 if id == "car-slalom-v0" else -1.0 / CELLS)
