@@ -23,7 +23,7 @@ def synthesize_parts(
     check_names("cells", cells, problem)
     distinct: dict[tuple[str, str], Synthesis] = {}
     results = []
-    for task in problem.tasks:
+    for task in problem.tasks_apart:
         task_cells, kinds = _of_task(task, cells), _of_task(task, relation)
         # the key holds what was asked for agent by agent in order, so that names make no difference
         options = (task_cells, kinds)

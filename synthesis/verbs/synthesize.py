@@ -20,6 +20,7 @@ from ..certificates.proofs import (
     UnionBoundProof,
     certificate_from,
     checked_certificate,
+    nameless,
     on_cells,
     timed_certificate,
 )
@@ -31,9 +32,11 @@ from ..policy_search.vertex_values import vertex_grid_certificate
 from ..relations.grids import CellCounts, RelationRefused, to_who_asked_for_none
 from .search_options import SearchOptions, options_of
 from .task_strategies import (
+    are_better_apart,
     has_usual_search,
     path_strategy,
     still_problem,
+    strategies_apart,
     strategies_in_time,
     strategies_of,
 )
@@ -226,6 +229,40 @@ def _of_task(
         if cells is not None or start is not None:
             raise ValueError(f"`relation`: expected no cells or start with {relation!r}, which needs none; leave out")
         return (along_path if relation == "path" else vertex_grid_certificate)(problem, plan.along_paths)
+    is_free = cells is None and relation == "auto" and start is None and plan.paths and has_usual_search(plan)
+    if is_free and not plan.effort.lost and are_better_apart(problem):
+        ways = (lambda: _apart(problem, plan)), (lambda: _in_time(problem, None, "auto", plan, None))
+        return best_of(strategies_apart(problem, plan, *ways), plan.effort)
+    return _together(problem, cells, relation, plan, start)
+
+
+def _apart(problem: Problem, plan: Plan) -> Synthesis:
+    """Synthesize independent tasks one by one, each with an equal share of what those before it left."""
+    waiting = len({nameless(task) for task in problem.tasks_apart})
+
+    def of_part(task: Problem, sizes: CellCounts, kinds: Relations) -> Synthesis:
+        nonlocal waiting
+        own = plan.anew()
+        own.effort.limit, own.effort.until = plan.effort.left / waiting, None
+        own.effort.seconds = own.effort.seconds and own.effort.seconds / waiting
+        waiting -= 1
+        found = _of_task(task, sizes, kinds, own)
+        plan.effort.spent += own.effort.spent
+        plan.effort.is_interrupted |= own.effort.is_interrupted
+        return found
+
+    found = synthesize_parts(problem, None, "auto", of_part)
+    try:
+        found.certificate.controller.states  # noqa: B018
+    except ValueError as reason:
+        raise RelationRefused(str(reason)) from None
+    return found
+
+
+def _together(
+    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
+) -> Synthesis:
+    """Synthesize one task as a whole."""
     if problem.names_time:
         return _in_time(problem, cells, relation, plan, start)
     kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
@@ -253,6 +290,8 @@ def strategies_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Strategy]
         strategies = _under_joint_noise(problem, None, "auto", plan, None)
     elif problem.labeling.pairs:
         strategies = joint_strategies(problem, None, "auto", plan)
+    elif are_better_apart(problem):
+        strategies = strategies_apart(problem, plan, nothing, nothing)
     elif problem.names_time:
         strategies = strategies_in_time(problem, plan, nothing)
     else:

@@ -150,6 +150,35 @@ def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synt
     return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS, why_not=_beside_vertices)]
 
 
+def are_better_apart(problem: Problem) -> bool:
+    """Return whether tasks of a team are independent, and an agent has noise that only grids of vertices know closely.
+
+    Other teams have one value of all states, which shields and plots read, and lose nothing by it.
+    """
+    has_other = any(agent.noise_scale is not None or agent.laws is not None for agent in problem.agents)
+    return has_other and bool(problem.apart) and not problem.groups
+
+
+def strategies_apart(
+    problem: Problem, plan: Plan, one_by_one: Callable[[], Synthesis], in_time: Callable[[], Synthesis]
+) -> list[Strategy]:
+    """Return the ways of agents whose tasks are independent: a path, the tasks one by one, and the team as a whole."""
+    path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
+
+    def why_not(results: Results) -> str | None:
+        apart = results.get("tasks")
+        return "skipped: the tasks of agents are independent" if apart and apart.certificate.lower_bound > 0.0 else None
+
+    def together(results: Results) -> Synthesis:
+        if problem.names_time:
+            return in_time()
+        ways = strategies_of(problem, None, ["auto"] * problem.n_agents, plan)
+        return best_of([way for way in ways if way.name != path.name], plan.effort)
+
+    apart = Strategy("tasks", lambda results: one_by_one(), 1.0, enough=PATH_ENDS)
+    return [path, apart, Strategy("together", together, 2.0, enough=GOOD, why_not=why_not)]
+
+
 def is_beyond_grids(problem: Problem) -> bool:
     """Return whether an agent has more states than a grid has room for, or states whose noise is that of others."""
     for agent in problem.agents:

@@ -67,6 +67,8 @@ def independent_groups(
     families: Mapping[str, Sequence[str]],
     owners: Sequence[frozenset[int]],
     n_agents: int,
+    *,
+    always: bool = False,
 ) -> tuple[Group, ...]:
     """Return the groups of agents with independent tasks; none if the task is one, or its automaton is small anyway.
 
@@ -81,6 +83,8 @@ def independent_groups(
     owners : sequence of frozenset of int
         Agents of each proposition: those of a pair have to stay in one group.
     n_agents : int
+    always : bool
+        Whether they are asked for also where the automaton of the whole is small.
 
     Raises
     ------
@@ -108,7 +112,7 @@ def independent_groups(
     for group in groups:
         states = min(states * int((~group.automaton.dead).sum()), MOST_STATES + 1)
     most = MOST_STATES if semantics == "co-safe" else min(MOST_STATES, MOST_OF_TRACES)
-    return tuple(groups) if states > most else ()
+    return tuple(groups) if always or states > most else ()
 
 
 def joint_automaton(

@@ -267,6 +267,24 @@ class Problem:
         """
         return tuple(self._task(group) for group in self.groups) or (self,)
 
+    @cached_property
+    def apart(self) -> tuple[Group, ...]:
+        """Groups of agents with independent tasks, also where the task has one automaton; none where it is one task.
+
+        Whoever moves, shares noise, or is compared with others has no task alone.
+        """
+        are_tied = any(getattr(agent, "others", ()) for agent in self.agents) or any(map(np.any, self.shared_noise))
+        if self.groups or are_tied or self.labeling.pairs:
+            return self.groups
+        owners = {self.agent_names[i]: frozenset([i]) for i in range(self.n_agents)}
+        of_names = {name: owners[p.agent] for name, p in self.written.items() if isinstance(p, Proposition)}
+        return _groups(self.specification, of_names, self.families, self.n_agents, always=True)
+
+    @cached_property
+    def tasks_apart(self) -> tuple[Problem, ...]:
+        """One problem per group of ``apart``, as ``tasks`` has them; the problem itself if there is only one task."""
+        return tuple(self._task(group) for group in self.apart) or (self,)
+
     def _task(self, group: Group) -> Problem:
         """Return the problem of one group of agents."""
         names = self.labeling.names
@@ -604,13 +622,15 @@ def _groups(
     owners: Mapping[str, frozenset[int]],
     families: Mapping[str, tuple[str, ...]],
     n_agents: int,
+    always: bool = False,
 ) -> tuple[Group, ...]:
     """Return the groups of agents with independent tasks; a task given as an automaton is not taken apart."""
     if specification.formula is None:
         return ()
     names = tuple(owners)
+    each = tuple(owners.values())
     return independent_groups(
-        specification.formula, specification.semantics, names, families, tuple(owners.values()), n_agents
+        specification.formula, specification.semantics, names, families, each, n_agents, always=always
     )
 
 

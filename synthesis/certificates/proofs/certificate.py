@@ -145,7 +145,7 @@ def members_of(certificate: Certificate) -> tuple[Certificate, ...]:
 def member_agents(certificate: Certificate) -> tuple[tuple[int, ...], ...]:
     """Return the numbers of the agents that each member is about."""
     if certificate.proof.factors:
-        return tuple(group.agents for group in certificate.problem.groups)
+        return tuple(group.agents for group in certificate.problem.apart)
     return (tuple(range(certificate.problem.n_agents)),)
 
 

@@ -34,13 +34,13 @@ class ProductProof(Proof):
     Parameters
     ----------
     parts : tuple of Certificate
-        One for each of the problem's ``tasks``, in order.
+        One for each of the problem's ``tasks_apart``, in order.
     """
 
     parts: tuple[Certificate, ...]
 
     kind = "product"
-    inside = frozenset({"grid", "path", "timed"})
+    inside = frozenset({"grid", "path", "timed", "vertex-grid"})
 
     @property
     def factors(self) -> tuple[Certificate, ...]:
@@ -92,7 +92,7 @@ class ProductProof(Proof):
     def agents_of(self, problem: Problem) -> tuple[AgentRecord, ...]:
         """Return what is stored of each agent, in the order of the problem's agents."""
         stored: dict[int, AgentRecord] = {}
-        for group, part in zip(problem.groups, self.parts, strict=True):
+        for group, part in zip(problem.apart, self.parts, strict=True):
             stored |= dict(zip(group.agents, part.proof.agents_of(part.problem), strict=True))
         return tuple(stored[i] for i in range(problem.n_agents))
 
@@ -124,7 +124,7 @@ class ProductProof(Proof):
     @classmethod
     def read(cls, problem: Problem, stored: Stored) -> Self:
         """Return the proof in a file; the problem itself says which tasks these are."""
-        if not problem.groups:
+        if not problem.apart:
             raise ValueError("its problem does not decompose into independent tasks")
         parts = tuple(stored.certificate(number) for number in stored.entry["parts"])
         return cls(product_certificate(problem, parts).proof.parts)
@@ -168,7 +168,7 @@ def split(problem: Problem, states: Any) -> list[FloatArray]:
     """Return the shares (M, D_k) of each independent task in joint states, in any form that ``at`` takes."""
     joint, components = joint_states(problem, states), np.arange(problem.n_states)
     of_agent = [components[columns] for columns in problem.columns]
-    return [joint[:, np.concatenate([of_agent[i] for i in group.agents])] for group in problem.groups]
+    return [joint[:, np.concatenate([of_agent[i] for i in group.agents])] for group in problem.apart]
 
 
 def _product(values: Any) -> float:
@@ -185,7 +185,7 @@ def product_certificate(problem: Problem, parts: tuple[Certificate, ...]) -> Cer
     ValueError
         If a certificate is not of the task it stands for, up to names.
     """
-    tasks = problem.tasks
+    tasks = problem.tasks_apart
     if len(parts) != len(tasks):
         raise ValueError(f"`parts`: expected one certificate per task, {len(tasks)}, got {len(parts)}")
     named = []

@@ -238,7 +238,7 @@ def _check_product(product: Certificate[ProductProof], problem: Problem) -> Chec
         failures = ["it was made for another problem (the fingerprints differ)"]
         return CheckReport(False, product.lower_bound, float("nan"), tuple(failures))
     failures, recomputed, above, told = [], 1.0, 1.0, ""
-    if [part.fingerprint for part in product.proof.parts] != [task.fingerprint for task in problem.tasks]:
+    if [part.fingerprint for part in product.proof.parts] != [task.fingerprint for task in problem.tasks_apart]:
         failures.append("its parts are not the independent tasks of its problem")
     for same in alike_members(product):
         report = check(part := product.proof.parts[same[0]])

@@ -291,6 +291,11 @@ def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shie
         if p > source.most:
             raise ValueError(_too_much(p, source.most))
         return source.shield(p, form)
+    if certificate.proof.factors and not certificate.problem.groups:
+        raise ValueError(
+            "`certificate`: expected values of the whole task, got a product of those of independent tasks; synthesize "
+            "it with `relation`, which keeps the team together, or shield the problems of `.tasks_apart` one by one"
+        )
     # Tasks that differ in names alone share their tables.
     sources = {k: _Source.of(members_of(certificate)[same[0]]) for same in alike_members(certificate) for k in same}
     most = math.prod(source.most for source in sources.values())

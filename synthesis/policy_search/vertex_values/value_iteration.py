@@ -37,8 +37,11 @@ Later ones aim at a share of what the grid before failed by."""
 LEFT_OUT, LEAST_NEAR = 1e-3, 4.0
 """Share of the failure that noise may have which is not looked at, in all steps, and deviations that always are."""
 
-FINER_STEPS, MOST_FINER, POOR = np.array([5.0, 4.2, 3.5, 3.0, 2.5, 2.2, 1.9, 1.7, 1.5]), 3e4, 0.03
+FINER_STEPS, POOR = np.array([5.0, 4.2, 3.5, 3.0, 2.5, 2.2, 1.9, 1.7, 1.5]), 0.03
 """How many times as many vertices the next grid has, as the work allows: the most, and 2.5 below a failure of POOR."""
+
+MOST_VERTICES = {1: 2e3, 2: 3e4, 3: 3e4, 4: 3e4}
+"""Vertices of the finest grid, by the number of states: on a line each looks at all others."""
 
 GROWS = 1.45
 """Power of the number of vertices with which work grows, about."""
@@ -102,7 +105,8 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
 def _refined(problem: Problem, work: CountedWork) -> tuple[VertexProof, dict[str, float]]:
     """Return the best proof on finer and finer grids, and the bound of each of them."""
     checked, noise_laws = read_problem({"problem": canonical_problem(problem)}), problem.agents[0].laws
-    spreads, vertices = spreads_of(checked), float(FIRST[problem.agents[0].n_states])
+    spreads, states = spreads_of(checked), problem.agents[0].n_states
+    vertices, most = float(FIRST[states]), MOST_VERTICES[states]
     alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
     best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
     try:
@@ -124,12 +128,10 @@ def _refined(problem: Problem, work: CountedWork) -> tuple[VertexProof, dict[str
                 best = VertexProof(edges, inputs, laws, steps.jumps, steps.near, min(1.0, failure * CLAIMED))
                 work.tell(failure)
             each = FINER_STEPS if failure > POOR else FINER_STEPS[FINER_STEPS <= 2.5]
-            more = next(
-                (own for own in each if work.allows(steps.spent * min(own, MOST_FINER / vertices) ** GROWS)), None
-            )
-            if failure < ENOUGH or slow or more is None or vertices >= MOST_FINER:
+            more = next((own for own in each if work.allows(steps.spent * min(own, most / vertices) ** GROWS)), None)
+            if failure < ENOUGH or slow or more is None or vertices >= most:
                 break
-            vertices = min(vertices * float(more), MOST_FINER)
+            vertices = min(vertices * float(more), most)
     except KeyboardInterrupt:
         if best is None or best.failure >= 1.0:
             raise
