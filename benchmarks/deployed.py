@@ -89,21 +89,12 @@ class Followed:
 
     def __init__(self, spec: Spec, paths: Sequence[Any]) -> None:
         self.paths, self.agents = paths, spec["agents"]
-        self.nominal = []
-        for agent, path in zip(spec["agents"], paths):
-            if path.states is not None:
-                self.nominal.append(list(path.states))
-                continue
-            x = [np.array(agent["initial_state"], dtype=float)]
-            for u in path.inputs:
-                x.append(np.array(agent["A"]) @ x[-1] + np.array(agent["B"]) @ u + np.array(agent["offset"]))
-            self.nominal.append(x)
 
     def __call__(self, states: list[np.ndarray], held: list[dict[str, np.ndarray]], t: int) -> list[np.ndarray]:
         inputs = []
-        for agent, path, nominal, x in zip(self.agents, self.paths, self.nominal, states):
+        for agent, path, x in zip(self.agents, self.paths, states):
             k = min(t, len(path.inputs) - 1)
-            wanted = path.inputs[k][:, None] + path.gains[k] @ (x - nominal[k][:, None])
+            wanted = path.inputs[k][:, None] + path.gains[k] @ (x - path.states[k][:, None])
             low, high = (np.array(agent[side])[:, None] for side in ("input_low", "input_high"))
             inputs.append(np.clip(wanted, low, high))
         return inputs

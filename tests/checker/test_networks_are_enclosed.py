@@ -272,7 +272,7 @@ def test_files_hold_networks_and_forgeries_are_refused(tmp_path: Any) -> None:
     proof, (policy,) = certificate.proof, policies
     smaller = replace(proof, failure=0.9 * proof.failure)
     wilder = replace(policy, network=replace(policy.network, weights=tuple(3 * w for w in policy.network.weights)))
-    path = replace(proof.paths[0], states=proof.paths[0].states + 0.05)  # type: ignore[operator,arg-type]
+    path = replace(proof.paths[0], states=proof.paths[0].states + 0.05)
     for forged in (
         smaller,
         replace(proof, networks=(wilder,)),

@@ -10,7 +10,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import AgentPath, AlongPath, PathProof
-from certigym.synthesis.trajectories.planning import path_search
+from certigym.synthesis.trajectories.planning import nonlinear_search, path_search
 
 
 def robot(name: str, start: Any, **changes: Any) -> cg.LinearAgent:
@@ -51,7 +51,9 @@ def path_from(start: list[float]) -> AlongPath:
     letters = np.zeros((4, 1), dtype=np.int8)
     letters[3] = 1
     faces = np.full(letters.shape, -1)
-    proof = PathProof((AgentPath(inputs, np.zeros((4, 4))),), letters, faces, 1e-6)
+    states = np.array(start) + np.vstack([np.zeros(4), np.cumsum(inputs, axis=0)])
+    path = AgentPath(inputs, np.zeros((3, 4, 4)), states, np.full((4, 8), np.inf))
+    proof = PathProof((path,), letters, faces, 1e-6)
     return cg.Certificate(problem, proof, {"relation": "path"})
 
 
@@ -75,6 +77,7 @@ def test_teams_and_products_from_outside_are_refused_by_the_check(monkeypatch: p
     """The search is made to forget the start, and claims nearly 1; the check of what it made is not fooled."""
     monkeypatch.setattr("certigym.synthesis.verbs.synthesize._refuse_outside", lambda problem: None)
     monkeypatch.setattr(path_search, "refuse_without_path", lambda problem: None)
+    monkeypatch.setattr(nonlinear_search, "is_inside", lambda nominal: True)
     monkeypatch.setattr("certigym.envs.tasks.problem.Problem.starts_outside", ())
     agents = robot("left", OUTSIDE), robot("right", [-1.0, 1.0, 0.0, 0.0])
     forged = [

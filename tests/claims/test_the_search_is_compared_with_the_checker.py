@@ -65,7 +65,7 @@ TAMPERED: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "smaller deviations": (step("deviations", 2, 0.999), "as the deviation of state 0 at step 2"),
     "larger deviations": (step("deviations", 3, 1.001), "as the deviation of state 0 at step 3"),
     "limits farther away": (step("nearest", 4, 1.001), "deviations to the nearest limit (`safe` at time 4) at step 4"),
-    "limits nearer": (step("nearest", 1, 0.999), "deviations to the nearest limit (`safe` at time 1) at step 1"),
+    "limits nearer": (step("nearest", 1, 0.999), "at time 1) at step 1"),
     "nan": (step("nearest", 1, np.nan), "the search believed nan, the checker recomputes"),
     "a step less": (lambda believed: believed["nearest"].pop(), "not readable, or of other steps"),
     "a state less": (lambda believed: [row.pop() for row in believed["deviations"]], "not readable, or of other steps"),

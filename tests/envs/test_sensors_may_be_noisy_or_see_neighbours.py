@@ -197,7 +197,7 @@ def test_the_sensors_of_independent_tasks_are_told_for_the_whole(monkeypatch: py
 @pytest.mark.parametrize("kind", ["path", "product"])
 def test_all_controllers_look_for_readings_first(kind: str) -> None:
     problem = cg.make_problem("reach-avoid-v0")
-    names, path = problem.agent_names, [(np.zeros((3, 1)), np.zeros((1, 1)), None)] * 2
+    names, path = problem.agent_names, [(np.zeros((3, 1)), np.zeros((3, 1, 1)), np.zeros((4, 1)))] * 2
     inner: Any = PathController(problem, tuple(path))
     controller: Any = inner if kind == "path" else ProductController(problem, (inner,))
     _, infos = cg.parallel_env(problem, sensor_noise=0.1).reset(seed=0)

@@ -55,7 +55,7 @@ def plan() -> Plan:
 def without_feedback() -> cg.Synthesis:
     """A run that claims nothing, and whose controllers do not look at the state."""
     run: AlongPath = textbook_runs(CART, 0.1, plan(), 1.0)[0]
-    paths = tuple(replace(path, gain=np.zeros_like(path.gain)) for path in run.proof.paths)
+    paths = tuple(replace(path, gains=np.zeros_like(path.gains)) for path in run.proof.paths)
     open_loop = changed(run, paths=paths)
     return cg.Synthesis(open_loop, open_loop.controller, {"nothing": "too much noise, with noise most is lost at v"})
 

@@ -68,9 +68,8 @@ FORGERIES = {
     "directions of another step": lambda c: changed(c, normals=np.roll(c.proof.normals, 3, axis=0)),
     "directions turned round": lambda c: changed(c, normals=-c.proof.normals),
     "directions that do not fit": lambda c: changed(c, normals=c.proof.normals[:, :1]),
-    "paths without states": lambda c: with_first(c, AgentPath(c.proof.paths[0].inputs, c.proof.paths[0].gain)),
     "agents exchanged": lambda c: changed(c, paths=c.proof.paths[::-1]),
-    "one agent without feedback": lambda c: with_first(c, replace(c.proof.paths[0], gain=0.0 * c.proof.paths[0].gain)),
+    "one agent without feedback": lambda c: with_first(c, replace(c.proof.paths[0], gains=0 * c.proof.paths[0].gains)),
 }  # fmt: skip
 
 
@@ -157,7 +156,7 @@ def test_pairs_are_read_at_time_0(start: float, holds: bool) -> None:
     certificate = path_of(safe)
     assert cg.check(certificate)
     paths = tuple(
-        replace(path, states=path.states + (0.0 if k == 0 else start - 3.0))  # type: ignore[operator, arg-type]
+        replace(path, states=path.states + (0.0 if k == 0 else start - 3.0))
         for k, path in enumerate(certificate.proof.paths)
     )
     forged = changed(certificate, problem=problem, paths=paths, failure=0.999999)

@@ -135,9 +135,9 @@ FORGERIES = {
     "inputs": lambda c: shifted(c, inputs=lambda u: 0.9 * u),
     "states": lambda c: shifted(c, states=lambda x: x + 0.05),
     "start": lambda c: shifted(c, states=lambda x: np.vstack([x[:1] + 0.3, x[1:]])),
-    "gains": lambda c: shifted(c, gain=lambda k: 1.5 * k),
-    "gains of another step": lambda c: shifted(c, gain=lambda k: np.roll(k, 3, axis=0)),
-    "no feedback": lambda c: shifted(c, gain=lambda k: 0.0 * k),
+    "gains": lambda c: shifted(c, gains=lambda k: 1.5 * k),
+    "gains of another step": lambda c: shifted(c, gains=lambda k: np.roll(k, 3, axis=0)),
+    "no feedback": lambda c: shifted(c, gains=lambda k: 0.0 * k),
     "wide strips": lambda c: shifted(c, strips=lambda s: 4.0 * s),
     "no strips": lambda c: shifted(c, strips=lambda s: np.full_like(s, np.inf)),
     "narrow strips": lambda c: shifted(c, strips=lambda s: 0.5 * s),
@@ -145,7 +145,7 @@ FORGERIES = {
     "too large inputs": lambda c: shifted(c, inputs=lambda u: u + 3.0),
     "one step less": lambda c: changed(
         c, letters=c.proof.letters[1:], faces=c.proof.faces[1:],
-        paths=tuple(AgentPath(p.inputs[1:], p.gain[1:], p.states[1:], p.strips[1:]) for p in c.proof.paths)),
+        paths=tuple(AgentPath(p.inputs[1:], p.gains[1:], p.states[1:], p.strips[1:]) for p in c.proof.paths)),
     "form": lambda c: shifted(c, states=lambda x: x[:-1]),
 }  # fmt: skip
 
@@ -177,9 +177,9 @@ def test_inputs_keep_their_box_with_their_feedback(value: float, gain: float, ad
     letters[5] = 1
     found = search.quick(letters)
     assert found is not None
-    inputs, gains = found.path.inputs.copy(), found.path.gain.copy()
+    inputs, gains = found.path.inputs.copy(), found.path.gains.copy()
     inputs[:, 2], gains[:, 2] = value, [gain, 0.0, 0.0, 0.0]
-    path = replace(found.path, inputs=inputs, gain=gains)
+    path = replace(found.path, inputs=inputs, gains=gains)
     certificate = cg.Certificate(problem, PathProof((path,), letters, np.full((6, 1), -1), 0.1), {})
     assert bool(cg.check(certificate)) == admissible
 

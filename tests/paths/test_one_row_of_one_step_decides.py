@@ -90,7 +90,7 @@ def along(
         np.zeros((steps + 1, d)) if states is None else np.array(states),
         np.concatenate([np.array(strips), np.full((steps + 1, 1), np.inf)], axis=1),
     )
-    path.gain[1:, :, 0] = gain
+    path.gains[1:, :, 0] = gain
     normals = np.zeros((steps + 1, 1)) if problem.labeling.pairs else None
     proof = PathProof((path,) * len(agents), letters, faces, 1.0, normals)
     return Certificate(problem, proof, {"relation": "path"})

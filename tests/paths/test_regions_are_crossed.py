@@ -74,7 +74,7 @@ def test_nominal_states_that_are_off_are_shifted() -> None:
     honest = crossing(line(0.6, 0.1))
     (path,) = honest.proof.paths
     assert path.states is not None
-    slower = AgentPath(path.inputs, path.gain, 0.5 * path.states, path.strips)
+    slower = AgentPath(path.inputs, path.gains, 0.5 * path.states, path.strips)
     failures, failure = wrong_paths(changed(honest, paths=(slower,)))
     assert not failures and failure == pytest.approx(wrong_paths(honest)[1], rel=1e-6)
 

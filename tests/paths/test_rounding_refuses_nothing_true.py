@@ -13,8 +13,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.trajectories.planning import CountedWork
-from certigym.synthesis.trajectories.planning.path_search import linear_certificate
+from certigym.synthesis.trajectories.planning import path_certificate
 from certigym.synthesis.verbs.raw_networks import certify_network
 from kinds import mostly_thorough
 from network_problems import proportional
@@ -79,13 +78,6 @@ def test_a_task_on_such_edges_has_a_path() -> None:
     assert cg.check(cg.synthesize(problem, relation="path").certificate)
 
 
-def straight(problem: cg.Problem) -> Any:
-    """Return a certificate along a path with one feedback for all times."""
-    found = linear_certificate(problem, CountedWork())
-    assert found is not None
-    return found[0].certificate
-
-
 def turned(unit: list[float], **changes: Any) -> cg.Problem:
     """Two states in units of their own that are to stay near the middle."""
     u = np.array(unit)
@@ -102,11 +94,22 @@ def turned(unit: list[float], **changes: Any) -> cg.Problem:
     return cg.Problem(name="turned", horizon=4, agents=[agent], propositions={"safe": safe}, specification=task)
 
 
+def rescaled(unit: list[float]) -> Any:
+    """Return a certificate along a path in units of its own: that of plain units, with all its numbers."""
+    certificate: Any = path_certificate(turned([1.0, 1.0])).certificate
+    (path,), u = certificate.proof.paths, np.array(unit)
+    strips = path.strips * np.append(u, 1.0)
+    path = replace(path, states=path.states * u, gains=path.gains / u, strips=strips)
+    return changed(
+        replace(certificate, problem=turned(unit)), paths=(path,), failure=1.0001 * certificate.proof.failure
+    )
+
+
 @pytest.mark.parametrize("unit", [[1.0, 1.0], [3e4, 7e-4], [1e-7, 1e8]])
 def test_the_check_of_paths_proves_the_same_in_all_units(unit: list[float]) -> None:
     """Rounding of states that are counted in large numbers is not charged to those counted in small ones."""
-    plain = cg.check(straight(turned([1.0, 1.0])))
-    certificate = straight(turned(unit))
+    plain = cg.check(rescaled([1.0, 1.0]))
+    certificate = rescaled(unit)
     report = cg.check(certificate)
     assert report, report.failures
     # which of two earlier constraints is looked at may hang on the last bits
@@ -116,5 +119,5 @@ def test_the_check_of_paths_proves_the_same_in_all_units(unit: list[float]) -> N
 
 def test_rollouts_agree_in_uneven_units() -> None:
     """20,000 episodes with a fixed seed; a true claim is refuted with probability 1e-6."""
-    certificate = straight(turned([3e4, 7e-4]))
+    certificate = rescaled([3e4, 7e-4])
     assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - 1e-6).verdict != "refuted"

@@ -164,7 +164,7 @@ def test_a_path_moved_to_another_start_is_followed_by_the_same_controllers() -> 
     """Its nominal inputs are those of the old controllers there, so that ``u`` is the same for every noise."""
     certificate: Any = cg.synthesize(FOLDER / "bas_4_deviation.toml", relation="path").certificate
     start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
-    assert np.any(certificate.proof.paths[0].gain), "without feedback nothing would be seen"
+    assert np.any(certificate.proof.paths[0].gains), "without feedback nothing would be seen"
     moved = begun_at(certificate, start + 0.01)
     for t, inputs in enumerate(moved_inputs(certificate, start + 0.01)):
         np.testing.assert_allclose(np.concatenate([path.inputs[t] for path in moved.proof.paths]), inputs, rtol=1e-12)

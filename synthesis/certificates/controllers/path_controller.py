@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.simulation import Dynamics, Worlds
-from ....envs.systems.agents import LinearAgent, wrapped
+from ....envs.systems.agents import wrapped
 from ....envs.systems.arguments import tree_text
 from ....envs.tasks.problem import Problem
 from ...relations.grids import FloatArray
@@ -28,29 +27,23 @@ class PathController(Predicting):
     Parameters
     ----------
     problem : Problem
-        Agents with a start that is a point, or along nonlinear paths a box.
-    paths : tuple of (inputs, gain, states)
-        Nominal inputs (S, m) of every agent, feedback (m, d) or (S, m, d), and along a nonlinear path nominal states
-        (S + 1, d); None for those that the inputs lead a linear agent to.
+    paths : tuple of (inputs, gains, states)
+        Nominal inputs (S, m) of every agent, feedbacks (S, m, d), and nominal states (S + 1, d).
     """
 
     information = "own state, time"
 
     problem: Problem
-    paths: tuple[tuple[FloatArray, FloatArray, FloatArray | None], ...]
+    paths: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]
 
     def __repr__(self) -> str:
         rows = [("agents", len(self.paths)), ("steps", len(self.paths[0][0]))]
         return tree_text(f"PathController of {self.problem.name!r}", rows)
 
-    @cached_property
+    @property
     def nominal(self) -> tuple[FloatArray, ...]:
-        """Nominal states (S + 1, d) of every agent (rounded)."""
-        pairs = zip(self.problem.agents, self.paths, strict=True)
-        return tuple(
-            nominal_states(agent, inputs) if states is None else states  # type: ignore[arg-type]
-            for agent, (inputs, _, states) in pairs
-        )
+        """Nominal states (S + 1, d) of every agent."""
+        return tuple(states for _, _, states in self.paths)
 
     def reset(
         self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None, seed: int | None = None
@@ -79,14 +72,13 @@ class PathController(Predicting):
 
     def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
         """Return the inputs (m, M) of an agent at states (d, M), within its box, whatever the automaton states are."""
-        own, (inputs, gain, _) = self.problem.agents[agent], self.paths[agent]
+        own, (inputs, gains, nominal) = self.problem.agents[agent], self.paths[agent]
         t = min(time, len(inputs) - 1)
-        feedback = gain[t] if gain.ndim == 3 else gain
-        deviation = states - self.nominal[agent][t][:, None]
+        deviation = states - nominal[t][:, None]
         if own.angles:
             # Nominal angles may be turns away: what counts is the nearest of all that the angle stands for.
             deviation[own.wrapped_axes] = wrapped(deviation[own.wrapped_axes], -np.pi)
-        wanted = inputs[t][:, None] + feedback @ deviation
+        wanted = inputs[t][:, None] + gains[t] @ deviation
         return np.clip(wanted, own.input_low[:, None], own.input_high[:, None])
 
     def batch(self, dynamics: Dynamics) -> BatchPaths:
@@ -115,21 +107,3 @@ class BatchPaths:
             each = [self.controller.inputs(int(i), states[:, k], worlds.q, time) for k, i in enumerate(members)]
             blocks.append(np.stack(each, axis=1))
         return tuple(blocks), None
-
-
-def nominal_states(agent: LinearAgent, inputs: FloatArray) -> FloatArray:
-    """Return the states (S + 1, d) of an agent without noise under inputs (S, m), from its start (rounded)."""
-    states = np.empty((len(inputs) + 1, agent.n_states))
-    states[0] = agent.initial.low
-    for t, u in enumerate(inputs):
-        states[t + 1] = agent.A @ states[t] + agent.B @ u + agent.offset
-    return states
-
-
-def covariances_of(agent: LinearAgent, gain: FloatArray, steps: int) -> FloatArray:
-    """Return the covariances (S + 1, d, d) of the deviations from a nominal path under a feedback (rounded)."""
-    closed = agent.A + agent.B @ gain
-    result = np.zeros((steps + 1, agent.n_states, agent.n_states))
-    for t in range(steps):
-        result[t + 1] = closed @ result[t] @ closed.T + agent.noise_covariance
-    return result

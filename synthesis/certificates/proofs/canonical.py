@@ -438,18 +438,14 @@ def _along_trajectories(
 ) -> dict[str, Any]:
     """Return the entry of a proof along trajectories, and add its arrays to those of the file."""
     put = put or _Pool(arrays)
-    for agent, path in zip(problem.agents, proof.paths):
-        if path.states is None and not isinstance(agent, LinearAgent):
-            raise NotCanonicalError(f"the trajectory of agent `{agent.name}` has no nominal states")
-    nominal = proof.controller(problem).nominal
     return {
         "kind": "trajectory",
         "letters": put(proof.letters, np.int8),
         "faces": put(proof.faces, np.int32),
         "normals": put(np.zeros((proof.n_steps + 1, 0)) if proof.normals is None else proof.normals),
         "agents": [
-            {key: put(array) for key, array in _trajectory(*each).items()} | _network_of(problem, proof, i, put)
-            for i, each in enumerate(zip(problem.agents, proof.paths, nominal, strict=True))
+            {key: put(array) for key, array in _trajectory(path).items()} | _network_of(problem, proof, i, put)
+            for i, path in enumerate(proof.paths)
         ],
     }
 
@@ -487,11 +483,9 @@ def _network_of(problem: Problem, proof: PathProof, i: int, put: _Pool) -> dict[
     }
 
 
-def _trajectory(agent: AnyAgent, path: AgentPath, states: FloatArray) -> dict[str, FloatArray]:
+def _trajectory(path: AgentPath) -> dict[str, FloatArray]:
     """Return nominal inputs, gains, states and widths of the tube of one agent."""
-    steps, d, m = path.n_steps, agent.n_states, agent.n_inputs
-    widths = np.full((steps + 1, d + m), np.inf) if path.strips is None else path.strips
-    return {"inputs": path.inputs, "gains": np.array(path.gains), "states": states, "widths": widths}
+    return {"inputs": path.inputs, "gains": path.gains, "states": path.states, "widths": path.strips}
 
 
 def _on_cells(problem: Problem, proof: GridProof, arrays: list[np.ndarray]) -> dict[str, Any]:

@@ -1,11 +1,10 @@
 """Proofs along a path: no grid, any number of states, noise that need not reach all of them.
 
-Agents with Gaussian noise start from a point and apply ``u_t = ubar_t + K (x_t - xbar_t)``, where xbar is the
-nominal path under the nominal inputs ubar. Then all deviations of linear agents are jointly Gaussian with mean 0; those
-of others, along a *nonlinear path*, are so up to a drift. At every time the certificate says which propositions are to
-hold and which are not; as long as they do, no agent leaves its workspace and no input its box, the automaton reads a
-word that it accepts. The certified bound is that of these linear inequalities (docs/theory/paths.md): everything else
-is computed from the problem.
+Agents apply ``u_t = ubar_t + K_t (x_t - xbar_t)``, where xbar is the nominal path under the nominal inputs ubar. Under
+Gaussian noise all deviations are jointly Gaussian with mean 0, up to a drift where dynamics are not linear. At every
+time the certificate says which propositions are to hold and which are not; as long as they do, no agent leaves its
+workspace and no input its box, the automaton reads a word that it accepts. The certified bound is that of these linear
+inequalities (docs/theory/paths.md): everything else is computed from the problem.
 """
 
 from __future__ import annotations
@@ -42,40 +41,35 @@ SOMETIME = 2
 
 @dataclass(frozen=True, eq=False)
 class AgentPath:
-    """Nominal inputs of one agent and its feedback; along a *nonlinear path* nominal states and strips, too.
+    """Nominal inputs and states of one agent, its feedback, and the strips in which deviations keep.
 
     Parameters
     ----------
     inputs : (S, m) array
         Nominal inputs at times 0 to S - 1.
-    gain : (m, d) or (S, m, d) array
-        Feedback K on the deviation from the nominal path, one for all times or one for each; 0 for none.
-    states : (S + 1, d) array, optional
-        Nominal states of a nonlinear path. Without, they are those that the inputs lead a linear agent to.
-    strips : (S + 1, d + m) array, optional
-        Of a nonlinear path: what the linear deviation of each state is kept within, and that of each input (in the last
-        row they say nothing); infinite where nothing is asked.
+    gains : (S, m, d) array
+        Feedback on the deviation from the nominal path at each time; 0 for none.
+    states : (S + 1, d) array
+        Nominal states.
+    strips : (S + 1, d + m) array
+        What the linear deviation of each state is kept within, and that of each input (in the last row they say
+        nothing); infinite where nothing is asked.
     """
 
     inputs: FloatArray
-    gain: FloatArray
-    states: FloatArray | None = None
-    strips: FloatArray | None = None
+    gains: FloatArray
+    states: FloatArray
+    strips: FloatArray
 
     @property
     def arrays(self) -> list[FloatArray]:
-        """Inputs and gain, and along a nonlinear path states and strips."""
-        return [array for array in (self.inputs, self.gain, self.states, self.strips) if array is not None]
+        """Inputs, gains, states and strips."""
+        return [self.inputs, self.gains, self.states, self.strips]
 
     @property
     def n_steps(self) -> int:
         """Number of steps S."""
         return len(self.inputs)
-
-    @property
-    def gains(self) -> FloatArray:
-        """Feedbacks (S, m, d) of all times."""
-        return self.gain if self.gain.ndim == 3 else np.broadcast_to(self.gain, (self.n_steps, *self.gain.shape))
 
 
 OTHER_STARTS = (
@@ -139,7 +133,7 @@ class PathProof(FailureProof):
         """How the bound was found, in words."""
         if self.networks is not None:
             return f"{'networks' if self.acts_by_networks else 'policies'} as they are, along {self.n_steps} steps"
-        gains = any(np.any(path.gain) for path in self.paths)
+        gains = any(np.any(path.gains) for path in self.paths)
         return f"nominal path of {self.n_steps} steps, {'with feedback' if gains else 'open loop'}"
 
     @property
@@ -153,7 +147,7 @@ class PathProof(FailureProof):
 
     def controller(self, problem: Problem) -> PathController:
         """Return the controllers the bound belongs to."""
-        paths = tuple((path.inputs, path.gain, path.states) for path in self.paths)
+        paths = tuple((path.inputs, path.gains, path.states) for path in self.paths)
         if self.networks is None:
             return PathController(problem, paths)
         joint = any(own.sees_all for own in self.networks)
@@ -181,18 +175,16 @@ class PathProof(FailureProof):
         paths = []
         for agent, numbers in zip(problem.agents, entries, strict=True):
             steps, d, m = len(letters) - 1, agent.n_states, agent.n_inputs
-            shapes = [(steps, m), (m, d)] if len(numbers) == 2 else [(steps, m), (steps, m, d)]
-            shapes += [] if len(numbers) == 2 else [(steps + 1, d), (steps + 1, d + m)]
+            shapes = [(steps, m), (steps, m, d), (steps + 1, d), (steps + 1, d + m)]
+            if len(numbers) == 2:
+                raise ValueError("paths with one feedback for all times are gone since 0.4; synthesize anew")
             arrays = [stored.numbers(number) for number in numbers]
-            if (
-                len(arrays) == 4
-                and arrays[3].shape == (steps + 1, 2 * d + m)
-                and np.all(arrays[3][:, d + m :] == np.inf)
-            ):
+            spare = len(arrays) == 4 and arrays[3].shape == (steps + 1, 2 * d + m)
+            if spare and np.all(arrays[3][:, d + m :] == np.inf):
                 arrays[3] = arrays[3][:, : d + m]  # up to version 0.4 noise could have strips, too
             if [array.shape for array in arrays] != shapes or not all(np.all(np.isfinite(a)) for a in arrays[:3]):
                 raise ValueError(f"the inputs of agent {agent.name!r} do not fit")
-            if len(numbers) == 4 and not np.all(arrays[3] >= 0.0):
+            if not np.all(arrays[3] >= 0.0):
                 raise ValueError(f"the strips of agent {agent.name!r} are none")
             paths.append(AgentPath(*arrays))
         normals = _normals(problem, stored, len(letters))

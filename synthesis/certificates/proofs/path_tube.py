@@ -30,9 +30,9 @@ class Tube:
     middle : (S + 1, k) array
         Nominal values at times 0 to S.
     covariances : (S + 1, k, k) array
-        Covariances of the deviations (rounded); along a nonlinear path those of the linear ones.
+        Covariances of the deviations (rounded); where dynamics are not linear those of the linear ones.
     is_linear : bool
-        Whether these are all deviations. Along a nonlinear path dynamics drift from them: certified, and not drawn.
+        Whether these are all deviations. Dynamics that are not linear drift from them: certified, and not drawn.
     is_normal : bool
         Whether all noise is normal, so that linear deviations keep within the radius as often as ``KEPT`` says.
     """
@@ -93,7 +93,7 @@ def tube_along(certificate: Any, rows: FloatArray) -> Tube | None:
         middle += nominal[: steps + 1] @ own.T
         deviations = covariances_along(agent, nominal, path.inputs, path.gains)[: steps + 1]
         covariances += np.einsum("kd,tde,le->tkl", own, deviations, own)
-    is_linear = all(part.proof.paths[k].states is None for part, k in (paths[i] for i in moved))
+    is_linear = all(problem.agents[i].is_affine and paths[i][0].proof.networks is None for i in moved)
     laws = [law for i in moved for law in problem.agents[i].laws or ()]
     return Tube(middle, covariances, is_linear, all(isinstance(law, Gaussian) for law in laws))
 

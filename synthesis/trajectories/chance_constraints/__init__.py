@@ -4,13 +4,12 @@ Chance constraints along a trajectory: constraint tightening by noise and linear
 """
 
 from .feedback_bounds import Feedback, NominalPath, Spreads, worth_of
-from .limit_rows import Worth, least_by_times, nearest_by_times
+from .limit_rows import Worth, least_by_times
 from .linearization_errors import LinearizationErrors
 from .noise_free_runs import most_missed, satisfies
 from .nonlinear_model import NonlinearModel
 from .pair_costs import PairAim, PairLimits, pair_limits
 from .pair_inequalities import PairRows, deviations_of, pair_rows
-from .path_limits import Limits, corners_along, farthest_sides, limits_along, sides_of, without_far_ends
+from .path_limits import Limits, corners_along, limits_along, sides_of
 from .soft_limits import soft_costs
-from .strip_constraints import StripConstraints, failure_of, input_strips, limits_of, state_strips
 from .team_model import TeamModel, Tie, key_of

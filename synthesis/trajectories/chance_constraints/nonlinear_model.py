@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ....envs.systems.agents import TIME, AnyAgent
+from ....envs.systems.agents import TIME, AnyAgent, with_matrices
 from ....envs.systems.distributions import Envelope, Tail
 from ....envs.systems.expressions import Number, Operation, Program, Tree
 from ...relations.grids import FloatArray
+from .affine_forms import AffineForms
 
 LATEST = 1e6
 """No step is later than that."""
@@ -57,18 +58,26 @@ class NonlinearModel:
         return np.array([name in names or k in self.watched for k, name in enumerate(own)])
 
     @cached_property
-    def motion(self) -> Program:
+    def motion(self) -> Program | AffineForms:
         """The mean of the next state."""
+        if self.agent.is_affine:
+            return AffineForms.of_motion(with_matrices(self.agent), self._mean_of_noise)
         return Program.of(self._means, self.names)
 
     @cached_property
-    def step_parts(self) -> Program:
+    def step_parts(self) -> Program | AffineForms:
         """The mean of the next state, and what the noise is multiplied with: most share what they are made of."""
+        if not self.agent.timed_scale_trees:
+            return self.motion
         return Program.of([*self._means, *self.agent.timed_scale_trees], self.names)
+
+    @property
+    def _mean_of_noise(self) -> FloatArray:
+        return np.asarray(self.agent.noise_axes @ self.laws[0])
 
     @cached_property
     def _means(self) -> list[Tree]:
-        means = (self.agent.noise_axes @ self.laws[0]).tolist()
+        means = self._mean_of_noise.tolist()
         trees: list[Tree] = list(self.agent.timed_trees)
         scales = self.agent.timed_scale_trees or [Number(1.0)] * len(trees)
         for k, mean in enumerate(means):
@@ -77,8 +86,10 @@ class NonlinearModel:
         return trees
 
     @cached_property
-    def output(self) -> Program:
+    def output(self) -> Program | AffineForms:
         """Outputs, of states alone."""
+        if self.agent.is_affine:
+            return AffineForms.of_outputs(with_matrices(self.agent))
         states = self.names[: self.agent.n_states]
         return Program.of(self.agent.output_trees, states)
 
@@ -258,7 +269,7 @@ class Tube:
         """Which variables (v,) have a reach: what has none, such as the time, adds nothing."""
         return np.any(self.sides[2] != 0.0, axis=1)
 
-    def curved(self, program: Program) -> Curved:
+    def curved(self, program: Program | AffineForms) -> Curved:
         """Return first and second derivatives of expressions in these boxes."""
         return program.curved(np.array([self.low, self.high]))
 

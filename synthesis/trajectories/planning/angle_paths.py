@@ -60,7 +60,6 @@ def _sides(problem: Problem, flat: Unrolled, found: AlongPath, name: str, column
     """
     i = problem.agent_names.index(problem.propositions[name].agent)
     agent, states = flat.problem.agents[i], found.proof.paths[i].states
-    assert states is not None
     outputs, angles = agent.outputs(states.T), problem.agents[i].angle_outputs
     sides = np.full(len(states), -1)
     regions = [flat.problem.propositions[copy] for copy in flat.copies[name]]

@@ -20,9 +20,6 @@ ROUND = 7e-5
 LEAST_TOLD = 1e-6
 """Smallest bound that is told: the terminal shows six digits."""
 
-PROGRAM = 3e-4
-"""Work of finding the nominal inputs of a linear agent, for each of them."""
-
 DOUBLED = 6.5
 """States at which a step of planning takes twice as long as at one."""
 
@@ -86,10 +83,6 @@ class CountedWork:
     def walk(self, steps: int, states: int, candidates: int) -> None:
         """Count a walk along a path with some candidates of feedback."""
         self.count(work_of_walk(steps, states, candidates))
-
-    def programmed(self, inputs: int) -> None:
-        """Count a program of so many nominal inputs."""
-        self.count(PROGRAM * inputs)
 
     def planned(self, steps: int, states: int, rounds: int) -> None:
         """Count some rounds of planning."""

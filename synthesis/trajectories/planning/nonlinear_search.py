@@ -56,8 +56,11 @@ PURSUED, LOOK_AHEAD = 100, 3
 WELL = -4.0
 """Logarithm of the failure from which a guess is not followed from other inputs."""
 
-ENOUGH = 1e-9
-"""Failure from which a nominal path is not improved."""
+ENOUGH, CERTAIN = 1e-9, 1e-15
+"""Failures from which a nominal path is not improved, and from which nothing more is looked for at all."""
+
+AT_ONCE = 7000
+"""Candidates that are looked at together, times the square of the states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +146,7 @@ class NonlinearSearch:
 
     def full(self, letters: NDArray[np.int8], found: FeedbackTrajectory) -> FeedbackTrajectory:
         """Return a nominal path that is better than one that was found, if there is work left for one."""
-        if self.work.is_over():
+        if self.work.is_over() or found.failure <= CERTAIN:
             return found
         found = self.searched(found, GENERATIONS)
         reserves = [*reserves_for(found.failure)]
@@ -202,7 +205,7 @@ class NonlinearSearch:
                 return None
         nominal = self.snapped(letters, states, u, faces)
         found = self.of_thetas(nominal, faces, self.thetas(warm))
-        again = self._planned_anew(letters, found)
+        again = None if found.failure <= CERTAIN else self._planned_anew(letters, found)
         return again if again is not None and again.score < found.score else found
 
     @property
@@ -367,8 +370,16 @@ class NonlinearSearch:
     def _scored(
         self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray
     ) -> tuple[FeedbackTrajectory, FloatArray]:
-        """Return the best of some candidates, and the scores of all."""
-        return scored([(self, nominal, thetas)], faces)[0]
+        """Return the best of some candidates, and the scores of all: infinite of those that nobody needs any more."""
+        scores, parts = np.full(len(thetas), np.inf), list[FeedbackTrajectory]()
+        together = max(1, AT_ONCE // self.agent.n_states**2)
+        for first in range(0, len(thetas), together):
+            found, own = scored([(self, nominal, thetas[first : first + together])], faces)[0]
+            scores[first : first + together] = own
+            parts.append(found)
+            if found.failure <= CERTAIN:
+                break
+        return min(parts, key=lambda one: one.score), scores
 
 
 def reserves_for(failure: float) -> tuple[float, ...]:

@@ -451,7 +451,8 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""
         raise NoRunFound(f"{NO_PATH}{more}")
-    best = team.crossed(team.refined())
+    # Windows of a team may be met in many orders: it tries other times of the jumps first.
+    best = team.refined() if problem.n_agents > 1 else team.crossed(team.refined())
     if best.failure > GOOD and pairs <= FEW_PAIRS and not work.is_over():
         # Other times of the jumps, each looked at after little work.
         before = team.best[0]
@@ -460,6 +461,7 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
         if team.best[0] < before or best.failure > FAIR:
             again = team.crossed(team.refined(REFINED))
             best = again if again.failure < best.failure else best
+    best = team.crossed(best)
     # Small moves make good plans better; where nothing is left of a bound they take longest and change nothing.
     return team.tried, best if work.is_over() or best.failure >= WORTHLESS else team.touched_up(best)
 

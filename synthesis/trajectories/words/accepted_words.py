@@ -25,10 +25,10 @@ class Course:
     """Where letters lead an automaton, for sets of its states as bits."""
 
     def __init__(self, automaton: Automaton) -> None:
-        self.automaton, self.roots = automaton, automaton.root.tolist()
         self.dead, self.rejecting = _bits(automaton.dead), _bits(~automaton.accepting)
-        self._nodes = _children_first(automaton)
-        self._targets: dict[bytes, list[int]] = {}
+        self.roots, self.variable = automaton.root.tolist(), automaton.variable.tolist()
+        self.low, self.high = automaton.low.tolist(), automaton.high.tolist()
+        self._reached: dict[bytes, dict[int, int]] = {}
         self._after: dict[tuple[bytes, int], int] = {}
 
     def after(self, letter: NDArray[np.int8], states: int) -> int:
@@ -37,30 +37,32 @@ class Course:
         if key not in self._after:
             if len(self._after) >= MOST_KNOWN:
                 self._after.clear()
-            targets, result, left = self._of(letter), 0, states
+            if key[0] not in self._reached and len(self._reached) >= MOST_LETTERS:
+                self._reached.clear()
+            holds, reached = letter.tolist(), self._reached.setdefault(key[0], {})
+            result, left = 0, states
             while left:
                 lowest = left & -left
-                result |= targets[lowest.bit_length() - 1]
+                result |= self._from(self.roots[lowest.bit_length() - 1], holds, reached)
                 left ^= lowest
             self._after[key] = result
         return self._after[key]
 
-    def _of(self, letter: NDArray[np.int8]) -> list[int]:
-        """Return, by state, the states to which words lead that agree with a letter."""
-        key = letter.tobytes()
-        if key not in self._targets:
-            if len(self._targets) >= MOST_LETTERS:
-                self._targets.clear()
-            holds, reached = letter.tolist(), dict[int, int]()
-            for node, p, low, high in self._nodes:
-                to = 0
-                if holds[p] >= 0:
-                    to |= reached[high] if high >= 0 else 1 << (-1 - high)
-                if holds[p] <= 0:
-                    to |= reached[low] if low >= 0 else 1 << (-1 - low)
-                reached[node] = to
-            self._targets[key] = [reached[root] if root >= 0 else 1 << (-1 - root) for root in self.roots]
-        return self._targets[key]
+    def _from(self, node: int, holds: list[int], reached: dict[int, int]) -> int:
+        """Return the states to which words lead from a node of the diagrams; ``reached`` are those that are known.
+
+        Only nodes below the states that are asked about are looked at: of thousands a word is in a few.
+        """
+        if node < 0:
+            return 1 << (-1 - node)
+        if node not in reached:
+            value, result = holds[self.variable[node]], 0
+            if value >= 0:
+                result |= self._from(self.high[node], holds, reached)
+            if value <= 0:
+                result |= self._from(self.low[node], holds, reached)
+            reached[node] = result
+        return reached[node]
 
 
 @lru_cache(maxsize=4)
@@ -72,24 +74,6 @@ def course_of(automaton: Automaton) -> Course:
 def _bits(states: NDArray[np.bool_]) -> int:
     """Return the number whose bits are some states."""
     return sum(1 << q for q in np.flatnonzero(states).tolist())
-
-
-def _children_first(automaton: Automaton) -> list[tuple[int, int, int, int]]:
-    """Return all nodes of the diagrams with proposition and children, each after its children."""
-    low, high, variable = automaton.low.tolist(), automaton.high.tolist(), automaton.variable.tolist()
-    result, done = list[tuple[int, int, int, int]](), set[int]()
-    stack = [root for root in automaton.root.tolist() if root >= 0]
-    while stack:
-        node = stack[-1]
-        missing = [child for child in (low[node], high[node]) if child >= 0 and child not in done]
-        if missing:
-            stack += missing
-            continue
-        stack.pop()
-        if node not in done:
-            done.add(node)
-            result.append((node, variable[node], low[node], high[node]))
-    return result
 
 
 def is_accepted(problem: Problem, letters: NDArray[np.int8]) -> bool:

@@ -1,7 +1,7 @@
 """What is proved from other starts for the controllers of a certificate that speaks of its own.
 
 A path certificate is about one start, but its controllers can begin anywhere, and the check can be asked what it proves
-of them there: along a nonlinear path for a box of starts around its own, of a linear agent along the nominal path to
+of them there: for a box of starts around its own, of a linear agent along the nominal path to
 which ``u = ubar + K (x - xbar)`` leads from there (the same inputs, written about another path). Nothing is taken over
 from the certificate's own claim. What cannot be asked, or not for long, is not known (NaN).
 """
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ....envs.systems.agents import LinearAgent
+from ....envs.systems.agents import LinearAgent, with_matrices
 from ....synthesis.certificates.proofs import (
     AgentPath,
     AlongPath,
@@ -100,13 +100,8 @@ def reach(certificate: Any, axes: tuple[int, ...]) -> tuple[NDArray[Any], NDArra
 def _proved(certificate: Any, start: NDArray[Any]) -> float:
     """Return the lower bound that the check proves from a start (D,); 0 if it proves nothing."""
     path = begun_at(path_under(certificate), start)
-    # A nominal trajectory that is stored begins where it does: it is asked about a box of starts around that place.
-    first = np.concatenate(
-        [
-            start[columns] if own.states is None else own.states[0]
-            for own, columns in zip(path.proof.paths, path.problem.columns, strict=True)
-        ]
-    )
+    # A nominal trajectory begins where it does: it is asked about a box of starts around that place.
+    first = np.concatenate([own.states[0] for own in path.proof.paths])
     off = np.abs(start - first)
     box = {
         "initial_low": np.minimum(first - off, start).tolist(),
@@ -124,20 +119,18 @@ def _proved(certificate: Any, start: NDArray[Any]) -> float:
 def begun_at(certificate: AlongPath, start: NDArray[Any]) -> AlongPath:
     """Return a certificate that claims nothing, for the same inputs from another start (D,)."""
     problem, paths = certificate.problem, []
-    nominal = certificate.controller.nominal
-    for agent, path, xbar, columns in zip(
-        problem.agents, certificate.proof.paths, nominal, problem.columns, strict=True
-    ):
-        linear = path.states is None and isinstance(agent, LinearAgent)
-        paths.append(_from(agent, path, xbar, start[columns]) if linear else path)  # type: ignore[arg-type]
+    for agent, path, columns in zip(problem.agents, certificate.proof.paths, problem.columns, strict=True):
+        is_linear = agent.is_affine and certificate.proof.networks is None
+        paths.append(_from(with_matrices(agent), path, start[columns]) if is_linear else path)
     moved = replace(certificate, problem=problem.replace(initial_state=start.tolist()))
     return changed(moved, paths=tuple(paths), failure=1.0)
 
 
-def _from(agent: LinearAgent, path: AgentPath, nominal: NDArray[Any], state: NDArray[Any]) -> AgentPath:
-    """Return the nominal inputs of a linear agent that its feedback gives from another start, without noise."""
-    inputs = np.empty_like(path.inputs)
+def _from(agent: LinearAgent, path: AgentPath, start: NDArray[Any]) -> AgentPath:
+    """Return the nominal path of a linear agent that its feedback gives from another start, without noise."""
+    inputs, states = np.empty_like(path.inputs), np.empty_like(path.states)
+    states[0] = start
     for t, (u, gain) in enumerate(zip(path.inputs, path.gains, strict=True)):
-        inputs[t] = u + gain @ (state - nominal[t])
-        state = agent.A @ state + agent.B @ inputs[t] + agent.offset
-    return replace(path, inputs=inputs)
+        inputs[t] = u + gain @ (states[t] - path.states[t])
+        states[t + 1] = agent.A @ states[t] + agent.B @ inputs[t] + agent.offset
+    return replace(path, inputs=inputs, states=states)
