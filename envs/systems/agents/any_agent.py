@@ -152,6 +152,14 @@ class AnyAgent(ABC):
 
     @property
     @abstractmethod
+    def trees(self) -> tuple[Tree, ...]:
+        """Dynamics as expression trees of states, inputs and unknowns; ValueError where they name the time."""
+
+    scale_trees: tuple[Tree, ...] = ()
+    """The same of what the noise of each state is multiplied with; empty for nothing."""
+
+    @property
+    @abstractmethod
     def timed_trees(self) -> tuple[Tree, ...]:
         """Dynamics as expression trees of states, inputs, unknowns and the time."""
 

@@ -1,9 +1,8 @@
 """The relation ``boxes``, once more: enclosures of means, the charge of the lattice and least values over boxes.
 
-From every x of a closed cell the mean is ``A x + B (u_a + K_a (x - c)) + c_0``, affine in x; its box is the mean from
-the centre, give or take ``|A + B K_a| h`` and what is rounded. Boxes of expressions are those of ``step_intervals``. On
-a lattice of steps eta, with ``g(z) = E v(z + w)``, a multilinear interpolant of g is above g by at most ``sum_k eta_k^2
-/ 8 sup (d_k^2 g)^+``, and the supremum over a small box is found from second differences at its corners, up to fourth
+Boxes around means are those of ``step_intervals``, whether dynamics are matrices or expressions. On a lattice of steps
+eta, with ``g(z) = E v(z + w)``, a multilinear interpolant of g is above g by at most ``sum_k eta_k^2 / 8 sup (d_k^2
+g)^+``, and the supremum over a small box is found from second differences at its corners, up to fourth
 derivatives (docs/theory/boxes.md, "The charge"). Taking both off at lattice points leaves an interpolant below g. It is
 least over a box at a point each of whose coordinates is an end of the box or a lattice point between the ends; here all
 of them are tried.
@@ -24,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ....envs.systems.agents import Agent, AnyAgent, LinearAgent, with_expressions, with_matrices
+from ....envs.systems.agents import AnyAgent
 from ...certificates.cell_probabilities import (
     AgentRecord,
     axis_tables,
@@ -37,7 +36,7 @@ from ...certificates.cell_probabilities import (
 )
 from ...relations.grids import FloatArray, MeanAxis, ScaleAxis, lattice_axes, points_by_axis
 from .geometry import cell_boxes
-from .mean_enclosures import Enclosed, enclosed_means, enclosed_scales
+from .mean_enclosures import enclosed_means, enclosed_scales
 from .proximity_slack import ProximitySlack
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
@@ -47,9 +46,6 @@ in the fifth digit."""
 ROUNDING = 2.999e-9
 """Share of the largest value that is taken off for rounding and lattices that are uneven by 1e-9 of a step: hardly less
 than for the search, since what is left after unions from below depends on it in both directions."""
-
-OUTWARD = 1.0 + 1e-13
-"""Widening of half widths, far above their rounding."""
 
 MOST_POINTS = 100_000
 """Most points of a box, as they are tried one by one; larger boxes are worth nothing."""
@@ -78,8 +74,8 @@ class BoxTables:
         Axes of the lattice along which second differences are taken off; None where laws bound what they do.
     off : (d,) array
         What means are off by in floating point, at most.
-    written : WrittenBoxes or None
-        Boxes of all cells and choices that policies use, where dynamics are expressions.
+    written : WrittenBoxes
+        Boxes of all cells and choices that policies use.
     """
 
     masses: list[FloatArray]
@@ -87,7 +83,7 @@ class BoxTables:
     near: ProximitySlack | None
     bent: tuple[int, ...] | None
     off: FloatArray
-    written: WrittenBoxes | None
+    written: WrittenBoxes
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +99,7 @@ class WrittenBoxes:
     scales: tuple[FloatArray, FloatArray] | None
 
     @classmethod
-    def of(cls, agent: Agent, part: AgentRecord) -> WrittenBoxes:
+    def of(cls, agent: AnyAgent, part: AgentRecord) -> WrittenBoxes:
         """Boxes around the means of every cell under every choice that a policy makes there."""
         input_set = np.array(part.relation["menu"], dtype=float)
         cells = np.broadcast_to(np.arange(part.policy.shape[-1]), part.policy.shape)
@@ -114,7 +110,7 @@ class WrittenBoxes:
         corners, scales = [], []
         for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1):
             here, inputs = cell[some], input_set[choice[some]]
-            parts = int(part.relation["parts"])
+            parts = int(part.relation.get("parts", 1))
             first, last = enclosed_means(agent, low[here], high[here], inputs, parts)
             corners.append((first, last))
             if agent.noise_scale is not None:
@@ -157,13 +153,10 @@ def box_tables(
             (STRAIGHT if e == k else CROSSED) * own**2 * other**2 / 64.0 for e, other in enumerate(r.tolist())
         )
     slack = slack + ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent, part)
-    if agent.is_affine:
-        _state_boxes(with_matrices(agent), part, off)
-    written = None if agent.is_affine else WrittenBoxes.of(with_expressions(agent), part)
     masses = axis_tables(agent, part, known)
     near = None if interpolation_error is None else ProximitySlack.of(agent, part, interpolation_error, masses)
     slack = slack if near is not None or interpolation_error is None else slack + interpolation_error
-    return BoxTables(masses, slack, near, bent, off, written)
+    return BoxTables(masses, slack, near, bent, off, WrittenBoxes.of(agent, part))
 
 
 def _step(axis: FloatArray) -> float:
@@ -260,45 +253,11 @@ def mean_positions(
     agent: AnyAgent, part: AgentRecord, tables: BoxTables, cells: NDArray[np.int64], choices: NDArray[np.integer]
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (C, D), in lattice steps, of boxes that hold what moves from all points of cells under choices."""
-    if tables.written is not None:
-        numbers = cells * len(part.relation["menu"]) + choices
-        low, high = tables.written.at(numbers)
-        ends = low - tables.off, high + tables.off
-        scales = tables.written.scales_at(numbers) if tables.written.scales is not None else ends
-        return _positions(agent, part, ends[0], scales[0]), _positions(agent, part, ends[1], scales[1])
-    agent = with_matrices(agent)
-    low, high = _affine_boxes(agent, part, cells, choices)
-    off = tables.off
-    return _positions(agent, part, low - off, low), _positions(agent, part, high + off, high)
-
-
-def _affine_boxes(
-    agent: LinearAgent, part: AgentRecord, cells: NDArray[np.int64], choices: NDArray[np.integer]
-) -> tuple[FloatArray, FloatArray]:
-    """Corners (C, d) of boxes around means under inputs of the menu; they may be off by what means are off by."""
-    input_set = np.array(part.relation["menu"], dtype=float)
-    index = np.unravel_index(cells, part.grid.shape)
-    left = np.stack([edges[k] for edges, k in zip(part.grid.edges, index, strict=True)], axis=1)
-    right = np.stack([edges[k + 1] for edges, k in zip(part.grid.edges, index, strict=True)], axis=1)
-    centre, half = 0.5 * (left + right), 0.5 * (right - left) * OUTWARD
-    mean = centre @ agent.A.T + (input_set @ agent.B.T)[choices] + agent.offset
-    reach = half @ np.abs(agent.A).T
-    return mean - reach, mean + reach
-
-
-def _state_boxes(agent: LinearAgent, part: AgentRecord, off: FloatArray) -> None:
-    """State that boxes hold all means, of cells under all inputs that a policy chooses there.
-
-    They are said to be off by half of ``off``; the other half is for controllers, which add up the same numbers.
-    """
-    input_set = np.array(part.relation["menu"], dtype=float)
-    asked = part.policy >= 0
-    pairs = np.broadcast_to(np.arange(part.policy.shape[-1]), asked.shape)[asked] * np.int64(len(input_set))
-    cells, choices = np.divmod(np.unique(pairs + part.policy[asked]), len(input_set))
-    low, high = _affine_boxes(agent, part, cells, choices)
-    spans = Enclosed(None, agent, input_set[choices])
-    corners = tuple(corner[cells] for corner in cell_boxes(part))
-    state("spans", spans, corners, [], (low - 0.5 * off, high + 0.5 * off))
+    numbers = cells * len(part.relation["menu"]) + choices
+    low, high = tables.written.at(numbers)
+    ends = low - tables.off, high + tables.off
+    scales = tables.written.scales_at(numbers) if tables.written.scales is not None else ends
+    return _positions(agent, part, ends[0], scales[0]), _positions(agent, part, ends[1], scales[1])
 
 
 def _positions(agent: AnyAgent, part: AgentRecord, means: FloatArray, scales: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from ....envs.systems.agents import Agent, AnyAgent
+from ....envs.systems.agents import AnyAgent
 from ....envs.systems.expressions import Tree
 from ...certificates.cell_probabilities import state
 from ...relations.grids import FloatArray
@@ -53,7 +53,7 @@ class Enclosed:
 
 
 def enclosed_means(
-    agent: Agent,
+    agent: AnyAgent,
     low: FloatArray,
     high: FloatArray,
     inputs: FloatArray,
@@ -64,7 +64,7 @@ def enclosed_means(
 
     Parameters
     ----------
-    agent : Agent
+    agent : AnyAgent
     low, high : (n, d) arrays
         Corners of cells.
     inputs : (n, m) array
@@ -93,7 +93,7 @@ def enclosed_means(
 
 
 def enclosed_scales(
-    agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, parts: int
+    agent: AnyAgent, low: FloatArray, high: FloatArray, inputs: FloatArray, parts: int
 ) -> tuple[FloatArray, FloatArray]:
     """Ends (n, d) of what the noise is multiplied with on closed cells (n, d) of states, under inputs (n, m)."""
     first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
@@ -114,7 +114,7 @@ def enclosed_scales(
     return first, last
 
 
-def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+def output_spans(agent: AnyAgent, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Corners (n, p) of boxes around outputs from closed boxes (n, d) of states; infinite where nothing is known."""
     box, no_inputs = np.stack([low.T, high.T], axis=1), np.zeros((len(low), 0))
 
@@ -128,7 +128,7 @@ def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[Float
     return np.where(np.isnan(ends[0]), -np.inf, ends[0]), np.where(np.isnan(ends[1]), np.inf, ends[1])
 
 
-def leaves_of(agent: Agent, box: FloatArray, inputs: FloatArray, with_slopes: bool) -> dict[str, Span]:
+def leaves_of(agent: AnyAgent, box: FloatArray, inputs: FloatArray, with_slopes: bool) -> dict[str, Span]:
     """Spans of all names on boxes (v, 2, n) of variables: the axes of the cell, then disturbances and neighbours."""
     v, n = len(box), box.shape[2]
     unit = np.zeros((v, 2, v if with_slopes else 0, n))
@@ -142,7 +142,7 @@ def leaves_of(agent: Agent, box: FloatArray, inputs: FloatArray, with_slopes: bo
 
 
 def spans_of_means(
-    agent: Agent,
+    agent: AnyAgent,
     inputs: FloatArray,
     on: FloatArray,
     with_slopes: bool = False,
