@@ -31,7 +31,7 @@ CERTIFIED: dict[str, float] = {
     "meeting-v0": 0.996984482,
     "needle-v0": 0.999315485,
     "package-delivery-eased-v0": 0.999624272,
-    "package-delivery-kinematic-v0": 0.999980239,
+    "package-delivery-kinematic-v0": 0.999979394,
     "package-delivery-single-v0": 0.996684931,
     "package-delivery-v0": 0.05051398,
     "patrol-recharge-v0": 0.985516941,

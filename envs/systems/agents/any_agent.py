@@ -155,8 +155,10 @@ class AnyAgent(ABC):
     def trees(self) -> tuple[Tree, ...]:
         """Dynamics as expression trees of states, inputs and unknowns; ValueError where they name the time."""
 
-    scale_trees: tuple[Tree, ...] = ()
-    """The same of what the noise of each state is multiplied with; empty for nothing."""
+    @property
+    def scale_trees(self) -> tuple[Tree, ...]:
+        """The same of what the noise of each state is multiplied with; empty for nothing."""
+        return ()
 
     @property
     @abstractmethod
