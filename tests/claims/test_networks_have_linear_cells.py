@@ -14,7 +14,7 @@ from certigym.envs.systems.agents import LinearAgent
 from certigym.synthesis.certificates.proofs import changed
 from certigym.synthesis.extended_check.steps.network_enclosures import network_maps
 from certigym.synthesis.relations.kinds import AffineBoxes, MapRelation, NetworkMaps, NetworkPolicy, check_description
-from certigym.synthesis.relations.kinds.boxes import linear_means
+from certigym.synthesis.relations.kinds.linear_means import linear_means
 from certigym.synthesis.verbs.raw_networks import certify_network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView

@@ -137,8 +137,6 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
 
 def relation_of(agent: AnyAgent, grid: Grid) -> BoxRelation:
     """Return the relation with the choices that are offered by default."""
-    if agent.is_affine:
-        return box_relation(agent, _levels(agent.input_box.low, agent.input_box.high))
     if agent.has_clock:
         return in_fitting_parts(agent, grid, clock_input_set(agent, INPUT_LEVELS))
     return in_fitting_parts(agent, grid, with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)))
@@ -180,10 +178,3 @@ def evenly_with_rest(low: float, high: float, levels: int) -> FloatArray:
     """Return evenly spaced numbers of an interval, both ends among them, and 0 if it lies in the interval."""
     axis = np.clip(np.linspace(low, high, levels), low, high) if high > low else np.array([low])
     return np.unique(np.append(axis, 0.0)) if low <= 0.0 <= high else axis
-
-
-def _levels(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return evenly spaced inputs (A, m) of a box, its corners among them."""
-    levels = INPUT_LEVELS.get(len(low), 3)
-    axes = [np.linspace(a, b, levels) if b > a else np.array([a]) for a, b in zip(low, high, strict=True)]
-    return np.clip(np.array(list(product(*axes))), low, high)

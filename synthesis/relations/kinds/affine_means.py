@@ -35,10 +35,11 @@ from ....envs.systems.expressions import (
     split_at,
 )
 from ..grids import FloatArray, RelationRefused, linear_agent
-from .boxes import LinearMeans, MeanBoxes, linear_means
+from .boxes import MeanBoxes
 from .cell_relation import ReadsCells
 from .exact import ExactRelation, aimed_relation
 from .inverse_means import SymbolicTargets
+from .linear_means import LinearMeans, linear_means
 
 BLOCKS, LEAST_REACH = 3, 4
 """Blocks of lattice points within reach to either side, and the reach from which two of them are enough: more of them

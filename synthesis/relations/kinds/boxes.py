@@ -3,9 +3,8 @@
 The controller reads the cell of the true state, the automaton state and the time, and has no memory. From state x of
 cell s choice a applies the input ``u_a``. All that the finite model knows of the mean is that it lies in the box
 ``M(s, a)``; the kernel takes the least value over it (docs/theory/boxes.md). So nothing depends on how the boxes were
-made, and an agent needs no more than boxes for all points of a cell, and inputs. Here they are made for
-linear agents, in ``symbolic_means`` for those whose dynamics are expressions, in ``network_bounds`` for linear agents
-that a network moves; kernel, search and tree are the same.
+made, and an agent needs no more than boxes for all points of a cell, and inputs. They are made in ``symbolic_means``,
+whether dynamics are expressions or matrices, which are sums of products.
 """
 
 from __future__ import annotations
@@ -18,16 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ....envs.systems.agents import Agent, AnyAgent, LinearAgent
+from ....envs.systems.agents import AnyAgent
 from ....envs.systems.arguments import counted
-from ..grids import FloatArray, RelationRefused, linear_agent, sharpness
+from ..grids import FloatArray, RelationRefused, sharpness
 from .cell_relation import ReadsCells
-from .exact import INPUT_MARGIN
-from .rounding import missed_cells, sizes_of
+from .rounding import missed_cells
 from .symbolic_means import SymbolicMeans
-
-ROUNDED_TWICE = 2.0
-"""Factor on the rounding of a mean: it is computed here, and by the agent itself."""
 
 WRAPPED_OFF = 2e-13
 """What an angle that wraps is off by in floating point, at most."""
@@ -54,59 +49,13 @@ class MeanBoxes:
     scales: tuple[FloatArray, FloatArray] | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class LinearMeans:
-    """Boxes around the means of a linear agent.
-
-    Parameters
-    ----------
-    A, B : (d, d), (d, m) arrays
-        Dynamics.
-    offset : (d,) array
-        Mean from the origin under the input 0.
-    rounding : (d,) array
-        Upper bounds on what means are off by in floating point.
-    """
-
-    A: FloatArray
-    B: FloatArray
-    offset: FloatArray
-    rounding: FloatArray
-
-    def around(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each.
-
-        With ``x = c + e``, ``|e| <= h``, the mean is ``A c + B u_a + offset + A e``: it is off its centre by ``|A| h``
-        at most, and by what is rounded.
-        """
-        centre = 0.5 * (low + high)
-        half = np.maximum(high - centre, centre - low) * (1.0 + INPUT_MARGIN)
-        middle = (centre @ self.A.T + self.offset)[:, None] + (input_set @ self.B.T)[None]
-        extent = (half @ np.abs(self.A).T + self.rounding)[:, None]
-        return middle - extent, middle + extent
-
-    def scales(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Return None: the noise is the same everywhere."""
-        return None
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """What files hold of it."""
-        return {}
-
-    @property
-    def arrays(self) -> tuple[FloatArray, ...]:
-        """All that boxes depend on, for comparing relations."""
-        return (self.A, self.B, self.offset)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class BoxRelation(ReadsCells):
     """Mean boxes of an agent (delta = 0, no memory).
 
     Parameters
     ----------
-    means : LinearMeans or SymbolicMeans
+    means : SymbolicMeans
         What makes the boxes.
     menu : (A, m) array
         Inputs u_a.
@@ -114,7 +63,7 @@ class BoxRelation(ReadsCells):
         Input box.
     """
 
-    means: LinearMeans | SymbolicMeans
+    means: SymbolicMeans
     input_set: FloatArray
     input_low: FloatArray
     input_high: FloatArray
@@ -203,7 +152,7 @@ def box_relation(agent: AnyAgent, input_set: FloatArray, parts: int = 1) -> BoxR
     menu : (A, m) array
         Inputs to choose from.
     parts : int
-        Of ``SymbolicMeans``, where dynamics are expressions.
+        Of ``SymbolicMeans``.
 
     Raises
     ------
@@ -213,15 +162,4 @@ def box_relation(agent: AnyAgent, input_set: FloatArray, parts: int = 1) -> BoxR
     box = agent.input_box
     if not len(input_set) or not np.all((box.low <= input_set) & (input_set <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
-    means: LinearMeans | SymbolicMeans
-    if isinstance(agent, Agent):
-        means = SymbolicMeans(agent, parts)
-    else:
-        means = linear_means(linear_agent(agent, "boxes"))
-    return BoxRelation(means, input_set, box.low, box.high)
-
-
-def linear_means(agent: LinearAgent) -> LinearMeans:
-    """Return what boxes of a linear agent are made of; means are computed here and by the agent."""
-    sizes = sizes_of(agent)
-    return LinearMeans(agent.A, agent.B, agent.offset, 2.0 * ROUNDED_TWICE * sizes.unit * sizes.means)
+    return BoxRelation(SymbolicMeans(agent, parts), input_set, box.low, box.high)

@@ -20,7 +20,7 @@ import numpy as np
 from ....envs.systems.agents import AnyAgent
 from ..grids import FloatArray, RelationRefused, linear_agent
 from .affine_means import AffineBoxes, MapRelation
-from .boxes import LinearMeans, linear_means
+from .linear_means import LinearMeans, linear_means
 from .network_bounds import CELLS_AT_ONCE, OUTWARD, Form, mean_form, widening
 from .networks import NetworkPolicy
 

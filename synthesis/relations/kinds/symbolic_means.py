@@ -1,4 +1,4 @@
-"""Boxes around the means of agents whose dynamics are expressions (docs/theory/boxes.md, "Boxes of expressions").
+"""Boxes around means, read off expressions (docs/theory/boxes.md, "Boxes of expressions").
 
 From every state of a cell, under every disturbance, the mean lies in the box of ``expressions.enclosed``. Cells may be
 cut into parts first, whose boxes are united: that is tighter where dynamics bend strongly inside a cell.
@@ -13,23 +13,23 @@ from typing import Any
 
 import numpy as np
 
-from ....envs.systems.agents import Agent
+from ....envs.systems.agents import AnyAgent
 from ....envs.systems.expressions import Affine, Interval, enclosed
 from ..grids import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class SymbolicMeans:
-    """Boxes around the means of an agent with expressions, over all its disturbances.
+    """Boxes around the means of an agent, over all its disturbances.
 
     Parameters
     ----------
-    agent : Agent
+    agent : AnyAgent
     parts : int
         Parts into which cells are cut along each axis.
     """
 
-    agent: Agent
+    agent: AnyAgent
     parts: int
 
     def scales(self, low: FloatArray, high: FloatArray, input_set: FloatArray) -> tuple[FloatArray, FloatArray] | None:
@@ -90,7 +90,7 @@ class SymbolicMeans:
     @property
     def description(self) -> dict[str, Any]:
         """What files hold of it."""
-        return {"parts": self.parts}
+        return {} if self.agent.is_affine else {"parts": self.parts}
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
