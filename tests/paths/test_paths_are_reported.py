@@ -38,7 +38,7 @@ def test_a_page_shows_claim_rollouts_and_tube(saved: str, tmp_path: Path) -> Non
     content = cg.report(saved, page, episodes=2000)
     text = page.read_text(encoding="utf-8")
     assert not content.refuted and content.audit is None and content.field is None
-    assert "0.9997838" in text and text.count('<polygon class="tube') == 2 * 6 and "kept with probability 0.99" in text
+    assert "0.99977" in text and text.count('<polygon class="tube') == 2 * 6 and "kept with probability 0.99" in text
     assert "Other starts" not in text and "Step by step" not in text
 
 
