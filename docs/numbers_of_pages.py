@@ -326,6 +326,16 @@ def readme_table() -> str:
     return "\n".join(lines)
 
 
+def offline_table() -> str:
+    """Return what offline learners make of three tiers of data, measured by `docs/offline_learners.py`."""
+    lines = ["| id | tier | in the data | cloned | IQL |", "|---|---|---|---|---|"]
+    for key, row in table("offline").items():
+        id, tier = key.split("/")
+        shares = [_limits(row[name], failures=False) if name in row else "-" for name in ("data", "bc", "iql")]
+        lines.append(f"| {id} | {tier} | {' | '.join(shares)} |")
+    return "\n".join(lines)
+
+
 def printed(command: str) -> str:
     """Return what a command prints, as a block of words; of it the first line if that is asked for."""
     from certigym.cli.main import main
@@ -347,8 +357,9 @@ def number(word: str) -> str:
 
 def part(name: str) -> str:
     """Return the text of a part of a page: a table, a number, or what a command prints."""
-    if name == "readme":
-        return readme_table()
+    tables = {"readme": readme_table, "offline": offline_table}
+    if name in tables:
+        return tables[name]()
     return printed(name) if name.startswith("certigym ") else number(name)
 
 
