@@ -118,9 +118,7 @@ def strategies_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], pla
         on_grids = Strategy("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
         ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) else []
         return [path, *ways, on_grids] if plan.paths else [*ways, on_grids]
-    grids, paths = _on_grids(problem, kinds, plan), [path_strategy(problem, plan)] if plan.paths else []
-    # Boxes of three states take a minute, and are for where no path proves anything.
-    return [*grids, *(replace(path, work=0.0) if _is_for_paths(problem) else path for path in paths)]
+    return [*_on_grids(problem, kinds, plan), *([path_strategy(problem, plan)] if plan.paths else [])]
 
 
 def _strategies_of_lost(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strategy]:
@@ -368,7 +366,9 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
         return _beside_vertices(results)
 
     enough = SOLVED if scalar or not linear else GOOD
-    return Strategy("others", run, work, enough=enough, why_not=why_not)
+    # Boxes of three states take a minute, and are for where no path proves anything.
+    after = "path" if plan.paths and _is_for_paths(problem) else ""
+    return Strategy("others", run, work, enough=enough, why_not=why_not, after=after)
 
 
 def _is_for_paths(problem: Problem) -> bool:

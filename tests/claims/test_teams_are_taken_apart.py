@@ -119,5 +119,5 @@ def test_who_is_compared_or_shares_a_task_stays_together() -> None:
 
 
 def test_there_is_no_shield_of_the_whole(found: Any) -> None:
-    with pytest.raises(ValueError, match="independent tasks|values of all states"):
+    with pytest.raises(ValueError, match=r"independent tasks|values of all states"):
         cg.shield(None, found.certificate, probability=0.1)

@@ -430,7 +430,8 @@ def test_what_was_found_is_returned_at_ctrl_c(monkeypatch: pytest.MonkeyPatch) -
     found = value_iteration.iterated
     monkeypatch.setattr(value_iteration, "iterated", iterated)
     work = CountedWork(1e3)
-    result = value_iteration.vertex_grid_certificate(problem_of("one state, its noise grows with it"), work)
+    problem = problem_of("one state, its noise grows with it", noise_std=[2.5])
+    result = value_iteration.vertex_grid_certificate(problem, work)
     assert len(calls) == 4 and work.is_interrupted and cg.check(result.certificate)
 
 

@@ -88,11 +88,17 @@ def refused(name: str, error: RelationRefused) -> Strategy:
 
 def in_order(strategies: Sequence[Strategy]) -> list[Strategy]:
     """Return ways in the order in which they are tried: cheapest first; of equal ones the first of the table."""
-    work = {strategy.name: strategy.work for strategy in strategies}
-    return sorted(
-        strategies,
-        key=lambda strategy: (max(strategy.work, work.get(strategy.after, strategy.work)), strategy.after in work),
-    )
+    named = {strategy.name: strategy for strategy in strategies}
+
+    def place(strategy: Strategy) -> tuple[float, int]:
+        """Work of it and of all that it waits for, and how many these are."""
+        work, waits = strategy.work, 0
+        while strategy.after in named:
+            strategy, waits = named[strategy.after], waits + 1
+            work = max(work, strategy.work)
+        return work, waits
+
+    return sorted(strategies, key=place)
 
 
 def best_of(strategies: Sequence[Strategy], effort: Effort) -> Synthesis:
