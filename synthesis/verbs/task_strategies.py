@@ -90,6 +90,9 @@ MOST_CELLS_OF_LOST = 100_000
 PATIENCE = 2.0
 """Core seconds after which a path that proves nothing is left for a grid of vertices."""
 
+MANY_TOGETHER = 8
+"""Automaton states of a team above which independent tasks are certified one by one."""
+
 SHARE_OF_VERTICES = 0.9
 """Share of the effort that is left, which grids of vertices may take before others are tried."""
 
@@ -149,12 +152,15 @@ def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synt
 
 
 def are_better_apart(problem: Problem) -> bool:
-    """Return whether tasks of a team are independent, and an agent has noise that only grids of vertices know closely.
+    """Return whether tasks of a team are independent, and the team as a whole costs much more, or knows less.
 
-    Other teams have one value of all states, which shields and plots read, and lose nothing by it.
+    An agent may have noise that only grids of vertices know closely, or the automaton may have many states, each a
+    combination of those of the tasks. Other teams have one value of all states, which shields and plots read.
     """
+    if problem.groups or not problem.apart:
+        return False
     has_other = any(agent.noise_scale is not None or agent.laws is not None for agent in problem.agents)
-    return has_other and bool(problem.apart) and not problem.groups
+    return has_other or problem.automaton.n_states > MANY_TOGETHER
 
 
 def strategies_apart(
