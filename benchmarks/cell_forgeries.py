@@ -244,7 +244,7 @@ def _nominal_input(certificate: Any, rng: np.random.Generator) -> Forged | None:
 
 def _gain(certificate: Any, rng: np.random.Generator) -> Forged | None:
     """One number of the feedback moved."""
-    return _of_path(certificate, rng, "gain", 0.5)
+    return _of_path(certificate, rng, "gains", 0.5)
 
 
 def _letter(certificate: Any, rng: np.random.Generator) -> Forged | None:
