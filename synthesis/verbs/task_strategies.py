@@ -185,6 +185,8 @@ def strategies_apart(
 
 def is_beyond_grids(problem: Problem) -> bool:
     """Return whether an agent has more states than a grid has room for, or states whose noise is that of others."""
+    if not all(agent.has_independent_noise for agent in problem.agents):
+        return True
     for agent in problem.agents:
         noisy = int(np.sum(~agent.still_axes))
         if agent.n_states > MOST_GRID_STATES or np.linalg.matrix_rank(agent.noise_covariance) < noisy:

@@ -80,3 +80,14 @@ def test_nothing_is_counted_for_boxes_of_no_cells(monkeypatch: pytest.MonkeyPatc
     """Decisions of automata of thousands of states take long to count."""
     monkeypatch.setattr(refinement_levels, "count_of_decisions", lambda problem: pytest.fail("counted"))
     assert refinement_levels.box_work(cg.make_problem("reach-avoid-v0"), {}) == 0.0
+
+
+@pytest.mark.parametrize("dynamics", [["0.9*x + 0.8*u", "0.9*y + 0.5*x"], ["0.9*x + 0.8*u", "0.9*y + 0.5*sin(x)"]])
+def test_correlated_noise_which_no_grid_knows_gets_a_path(dynamics: list[str]) -> None:
+    agent = cg.Agent(
+        states=["x", "y"], inputs=["u"], dynamics=dynamics, noise_covariance=[[7e-4, 3e-4], [3e-4, 7e-4]],
+        state_space=(-4, 4), input_space=(-1, 1), start=(1.46, 0.21),
+    )  # fmt: skip
+    goal = {"goal": {"low": [-0.4, 0.1], "high": [0.9, 1.6]}}
+    found = cg.synthesize(cg.Problem(agents=agent, horizon=4, propositions=goal, specification="F goal"))
+    assert found.certificate.proof.kind == "path" and found.lower_bound > 0.9 and cg.check(found).valid
