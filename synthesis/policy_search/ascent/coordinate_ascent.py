@@ -15,6 +15,7 @@ occupancy, too, so that ``dropped`` is an upper bound on the loss at the start (
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -122,6 +123,7 @@ def sweep(
     loss: Loss | None = None,
     watch: Callable[[Stage], None] | None = None,
     climb: float | None = 0.0,
+    until: float = math.inf,
 ) -> Sweep:
     """Make one pass: alive mass forward under ``policies``, value backward; every agent answers if ``improve``.
 
@@ -144,6 +146,8 @@ def sweep(
     climb : float or None
         Share that uniting two terms from below may lose where steps are not additive (``pruning_schedules``); None: no
         terms are united.
+    until : float
+        Terms of a state at which the pass is left, with policies as they are by then.
     """
     mass = None if start is None else AliveMass(joint, policies, start, limits)
     policies = tuple(policy.copy() for policy in policies) if improve else policies
@@ -181,6 +185,8 @@ def sweep(
                 watch(stage)
             # The prices of dropped terms add up (docs/theory/tree.md, "Dropping terms").
             keep, charge = stage.prune(limits)
+            if len(keep) >= until:
+                return Sweep(policies, terms, 0.0, dropped, len(keep), ())
             dropped += charge
             parts.append(stage.part(keep))
             kept.append(options.row[q][keep])

@@ -170,7 +170,8 @@ def find_policies(
         first_limits = Limits(**{**vars(search.limits), "rank": min(search.limits.rank, many_terms)})
     naive, uses_trains = None, search.value == "train"
     if not given:
-        naive = sweep(joint, resting_policies(joint), None, first_limits, improve=True)
+        ends = many_terms if may_use_trains else math.inf
+        naive = sweep(joint, resting_policies(joint), None, first_limits, improve=True, until=ends)
         uses_trains = uses_trains or (naive.rank >= many_terms and may_use_trains)
         if len(joint.models) == 1 and start_value(start, naive.terms) <= 0.0:
             # Of one agent this sweep was dynamic programming: others find nothing, either.
