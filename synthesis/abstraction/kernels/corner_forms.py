@@ -56,32 +56,32 @@ class SubLattice:
 
 
 def best_below(values: FloatArray, corners: FloatArray, bend: FloatArray, interpolation: FloatArray) -> FloatArray:
-    """Return lower bounds (n, C, 2^d) at the corners of cells, of which the interpolants are below f everywhere.
+    """Return lower bounds (n, 2^d, C) at the corners of cells, of which the interpolants are below f everywhere.
 
     Parameters
     ----------
-    values : (n, C, K) array
+    values : (n, K, C) array
         f at the points of the sub-lattice.
-    corners : (n, C, 2^d) array
+    corners : (n, 2^d, C) array
         f at the corners.
     bend : (n, C) array
         How far f may be below the interpolation between neighbouring points of the sub-lattice.
     interpolation : (2^d, K) array
     """
-    between = corners @ interpolation
-    least = np.maximum(values - bend[..., None], 0.0)
-    constant = least.min(axis=2)
+    between = interpolation.T @ corners
+    least = np.maximum(values - bend[:, None], 0.0)
+    constant = least.min(axis=1)
     # Additive: admissible only if all corners stay nonnegative.
-    shift = np.maximum(between - values, 0.0).max(axis=2) + bend
-    additive = corners - shift[..., None]
-    fits = np.all(additive >= 0.0, axis=2)
+    shift = np.maximum((between - values).max(axis=1), 0.0) + bend
+    fits = corners.min(axis=1) >= shift
     # Multiplicative: the smallest ratio. Where I is 0 any theta will do, unless f may be below 0 - bend there: f could
     # be 0 up to the next point, and theta I is not.
-    ratio = np.divide(least, between, out=(values >= bend[..., None]).astype(float), where=between > 0.0)
-    theta = np.minimum(ratio.min(axis=2), 1.0) * (1.0 - 1e-15)
-    mean = corners.mean(axis=2)
+    ratio = np.divide(least, between, out=(values >= bend[:, None]).astype(float), where=between > 0.0)
+    theta = np.minimum(ratio.min(axis=1), 1.0) * (1.0 - 1e-15)
+    mean = corners.mean(axis=1)
     by_shift = np.where(fits, mean - shift, -1.0)
     by_theta = theta * mean
     # Where the worst point is the centre, two forms have the same mean: rounding must not decide between them.
-    best = np.where((by_theta >= DRAW * constant)[..., None], theta[..., None] * corners, constant[..., None])
-    return np.where((by_shift >= DRAW * np.maximum(by_theta, constant))[..., None], additive, best)
+    best = np.where((by_theta >= DRAW * constant)[:, None], theta[:, None] * corners, constant[:, None])
+    chosen = (by_shift >= DRAW * np.maximum(by_theta, constant))[:, None]
+    return np.where(chosen, corners - shift[:, None], best)

@@ -145,12 +145,14 @@ class MultilinearKernel:
 
     def corners(self, images: Images) -> NDArray[np.int32]:
         """Return the lattice points (n, 2^d) nearest to the images of corners, moved into the lattice."""
-        sides = 2.0 * corner_sides(len(self.shape)) - 1.0
-        away = np.einsum("sij,sj,cj->sci", images.gain, images.half, sides)
-        position = (images.middles[:, None] + away - self.origin) / self.lattice_spacing
-        index = np.clip(np.nan_to_num(position), 0, np.array(self.shape) - 1)
-        index = np.rint(index).astype(np.int64)
-        return np.ravel_multi_index(tuple(np.moveaxis(index, 2, 0)), self.shape).astype(np.int32)
+        sides, flat = 2.0 * corner_sides(len(self.shape)) - 1.0, np.zeros(1, dtype=np.int64)
+        middles, moved = images.middles, images.gain * images.half[:, None, :]
+        for k, n in enumerate(self.shape):
+            with np.errstate(invalid="ignore"):  # where nothing is known of images
+                away = sum(moved[:, k, j, None] * side for j, side in enumerate(sides.T))
+                position = (middles[:, k, None] + away - self.origin[k]) / self.lattice_spacing[k]
+            flat = flat * n + np.rint(np.clip(np.nan_to_num(position), 0, n - 1)).astype(np.int64)
+        return flat.astype(np.int32)
 
     def backup_lower(
         self, table: FloatArray, images: Images, inside: NDArray[np.bool_], rough: bool = False
@@ -180,15 +182,15 @@ class MultilinearKernel:
         moved = images.gain * images.half[:, None, :] / self.lattice_spacing[:, None]  # (n, i, k) in lattice steps
         moved = np.where(inside[:, None, None], moved, 0.0)
         values = self._interpolant(
-            table, [middle[:, i, None] + moved[:, i] @ sub_lattice.points.T for i in range(len(self.shape))]
+            table, [middle[:, i] + sub_lattice.points @ moved[:, i].T for i in range(len(self.shape))]
         )
         parts = round(len(sub_lattice.points) ** (1.0 / len(self.shape))) - 1
         lacking = self._lacking(table, middle, 2.0 * np.abs(moved) / parts, rest)
-        lower = best_below(values, values[:, :, sub_lattice.corners], lacking, sub_lattice.interpolation)
-        return lower * inside[:, None]
+        lower = best_below(values, values[:, sub_lattice.corners], lacking, sub_lattice.interpolation)
+        return np.moveaxis(lower * inside, 1, 2)
 
     def _interpolant(self, table: FloatArray, position: list[FloatArray]) -> FloatArray:
-        """Return the interpolant (n, C, K) of values; positions, one (C, K) per axis, are in lattice steps."""
+        """Return the interpolant (n, K, C) of values; positions, one (K, C) per axis, are in lattice steps."""
         base = [np.clip(np.floor(x), 0.0, n - 2.0) for x, n in zip(position, self.shape, strict=True)]
         share = [x - low for x, low in zip(position, base, strict=True)]
         strides = [int(np.prod(self.shape[k + 1 :])) for k in range(len(self.shape))]
@@ -199,7 +201,7 @@ class MultilinearKernel:
             weight = math.prod(factors[1:], start=factors[0])
             places = first + int(np.dot(corner, strides))
             for row, own in zip(total, table, strict=True):
-                row += weight * own.take(places)
+                row += weight * own.take(places, mode="clip")  # none is clipped, which takes less time
         return total
 
     def _lacking(self, table: FloatArray, middle: FloatArray, steps: FloatArray, rest: FloatArray) -> FloatArray:
@@ -227,7 +229,7 @@ class MultilinearKernel:
         for row, own in zip(lacking, table, strict=True):
             row[:] = own[-1]
             for number, weight in enumerate(weights):
-                row += weight * own.take(self.n_points + number * math.prod(blocks) + flat)
+                row += weight * own.take(self.n_points + number * math.prod(blocks) + flat, mode="clip")
         return lacking
 
 

@@ -218,7 +218,7 @@ class CornerChoices(ActionTable):
         best, score = current.copy(), self._score(here, table, cells, current) * (1.0 + PREFERENCE)
         score = np.where(self.targets(current), score * (1.0 - self.handicap), score)
         for candidate in finalists:
-            value = self._score(here, table, cells, candidate)
+            value = self._score(here, table, cells, np.where(candidate == current, -1, candidate))
             value = np.where(self.targets(candidate), value * (1.0 - self.handicap), value)
             better = (candidate >= 0) & ((best < 0) | (value > score))
             best, score = np.where(better, candidate, best), np.where(better, value, score)
@@ -346,23 +346,28 @@ class CornerChoices(ActionTable):
         """Return the inputs (C,) of the largest weighted values at the corners' images, losses aside, best first."""
         names = np.full((FINALISTS, len(cells)), -1)
         scores = np.full((FINALISTS, len(cells)), -np.inf)
+        of_corners = np.ascontiguousarray(np.moveaxis(weights, 2, 1))
         for a in range(self.n_inputs):
-            corners, value = self._corner_table[a][cells], np.zeros(len(cells))
-            for own, weight in zip(table, weights, strict=True):
-                value += (weight * own.take(corners)).sum(axis=1)
-            name, value = np.full(len(cells), a), np.where(self._admissible[cells, a], value, -np.inf)
-            # Into the list of the best, which stays in order.
+            corners, value = self._corner_table[a][:, cells], np.zeros(len(cells))
+            for own, weight in zip(table, of_corners, strict=True):
+                pairs = zip(weight, corners, strict=True)
+                value += sum(share * own.take(corner, mode="clip") for share, corner in pairs)
+            # Into the list of the best, which stays in order, where it gets there.
+            rows = np.flatnonzero(self._admissible[cells, a] & (value > scores[-1]))
+            name, value = np.full(len(rows), a), value[rows]
             for k in range(FINALISTS):
-                better = value > scores[k]
-                names[k], name = np.where(better, name, names[k]), np.where(better, names[k], name)
-                scores[k], value = np.where(better, value, scores[k]), np.where(better, scores[k], value)
+                was, best = names[k, rows], scores[k, rows]
+                better = value > best
+                names[k, rows], name = np.where(better, name, was), np.where(better, was, name)
+                scores[k, rows], value = np.where(better, value, best), np.where(better, best, value)
         return list(names)
 
     @cached_property
     def _corner_table(self) -> list[NDArray[np.int32]]:
-        """Lattice points (S, 2^d) nearest to the images of corners, for every input."""
-        cells = np.arange(self.grid.n_cells)
-        return [self.multilinear.corners(self.images(cells, np.full(len(cells), a))) for a in range(self.n_inputs)]
+        """Lattice points (2^d, S) nearest to the images of corners, for every input."""
+        cells, inputs = np.arange(self.grid.n_cells), range(self.n_inputs)
+        images = (self.images(cells, np.full(len(cells), a)) for a in inputs)
+        return [np.ascontiguousarray(self.multilinear.corners(own).T) for own in images]
 
     @cached_property
     def resting_choice(self) -> StepPolicy:
