@@ -267,14 +267,16 @@ class _Levels:
         """Make levels from cells of this width on, until they gain little, or take too much work."""
         gained, taken = None, 0.0
         for _ in range(MOST_LEVELS):
-            found = self.next(width, self.effort.for_levels(self.bound, taken))
+            found = self.next(width, self.effort.for_levels(self.bound, taken), gained)
             if found is None:
                 return
             abstraction, finer, work = found
             if self.has_cells_of(abstraction):
                 width /= finer  # boundaries of regions, or the fewest cells, ask for as many as there are
                 continue
-            if gained is not None and expected_gain(*gained, finer) < self.least_gain and work > CHEAP:
+            # Boundaries of regions may leave fewer cells than were wanted.
+            grown = finer if self.before is None else min(finer, self.grows_by(abstraction))
+            if gained is not None and expected_gain(*gained, grown) < self.least_gain and work > CHEAP:
                 return
             if self.is_hopeless:
                 self.effort.left_out[self.rest] = NO_HOPE
@@ -298,7 +300,7 @@ class _Levels:
             taken -= unused
             self.effort.spent -= unused
             # Where little is to be gained, further levels are made only if they cost next to nothing.
-            gained = None if is_first or result.certificate.lower_bound <= 0.0 else (self.bound - bound, finer)
+            gained = None if is_first or result.certificate.lower_bound <= 0.0 else (self.bound - bound, grown)
             bound = result.certificate.lower_bound
             if bound >= self.solved or self.effort.suffices(bound) or (not is_first and finer < FINER[0]):
                 return
@@ -354,8 +356,10 @@ class _Levels:
         """The largest bound so far."""
         return 0.0 if self.best is None else float(self.best.certificate.lower_bound)
 
-    def next(self, width: float, most: float) -> tuple[Abstraction, float, float] | None:
-        """Return finite models twice as fine, or as fine as the effort allows for, by how much, and their work."""
+    def next(
+        self, width: float, most: float, gained: tuple[float, float] | None
+    ) -> tuple[Abstraction, float, float] | None:
+        """Return finite models twice as fine, or as fine as pays and the effort allows, by how much, and their work."""
         if self.before is None:
             abstraction = self.models(width)
             return abstraction, 1.0, self.work(abstraction)
@@ -375,8 +379,16 @@ class _Levels:
             if self.is_linear and finer > FINER[0] and self.grows_by(abstraction) > MOST_FINER:
                 continue
             work = self.work(abstraction)
-            if work <= most:
-                return abstraction, finer, work
+            if work > most:
+                continue
+            if gained is not None and not goes_on:
+                # What the finest cells gain beside a few less need not be worth their time, either.
+                gain = max(expected_gain(*gained, finer) - self.least_gain, self.least_gain)
+                enough = min(fewer for fewer in LAST if fewer == finer or expected_gain(*gained, fewer) > gain)
+                if enough < finer:
+                    abstraction = self.models(width / enough)
+                    return abstraction, enough, self.work(abstraction)
+            return abstraction, finer, work
         self.effort.left_out[self.rest] = self.effort.too_much(work, most)
         return None
 
