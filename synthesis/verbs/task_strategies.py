@@ -52,7 +52,7 @@ from ..trajectories.planning import refuse_without_path
 MOST_GRID_STATES = 3
 """States of an agent up to which it has a grid by default; certificates along a path need none."""
 
-PATH = 1.0 / 300.0
+PATH = 1.0 / 150.0
 """Work of a path for each agent, state and input, and for each pair of steps: it is a linear program after another."""
 
 MOST_STEPS_OF_PROGRAM = 12
@@ -82,13 +82,14 @@ FEW_AGENTS = 2
 """Agents up to which linear cells are tried unless others solve the task; in larger teams each pays for all terms."""
 
 NEAR_PATH = 0.5
-"""Share of the bound of a path from which the cells of other relations are made finer all the same."""
+"""Share of the bound of a path from which the cells of other relations are made finer all the same; and bound of these
+beside which a path need not be tried for long."""
 
 MOST_CELLS_OF_LOST = 100_000
 """Cells of an agent up to which a task that is out of reach has a grid, where no run comes near."""
 
 PATIENCE = 2.0
-"""Core seconds after which a path that proves nothing is left for a grid of vertices."""
+"""Core seconds after which a path that proves nothing is left: for a grid of vertices, or beside a good bound."""
 
 MANY_TOGETHER = 8
 """Automaton states of a team above which independent tasks are certified one by one."""
@@ -224,7 +225,9 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
     strategies = [] if linear and has_linear_cells_only(problem) else [_others(problem, kinds, plan, linear)]
     exact = 0.0
     if any(agent.n_states > 1 for agent in problem.agents) and all(map(reaches_every_mean, problem.agents)):
-        strategies.append(_exact(problem, plan))
+        # Linear cells lose less of what these leave: another start is for where these do not do well.
+        share = min(plan.search.good_share, GOOD if linear and problem.n_agents == FEW_AGENTS else 1.0)
+        strategies.append(_exact(problem, replace(plan, search=replace(plan.search, good_share=share))))
         exact = strategies[-1].work
     if linear:
         # The first level alone costs less than exact cells do, but it is the first of many.
@@ -255,7 +258,8 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
 
     def run(results: Results) -> Synthesis:
         along = plan.along_paths
-        if has_vertices:
+        best = leading(results)
+        if has_vertices or (best is not None and best.certificate.lower_bound > NEAR_PATH):
             seconds_over = along.is_broken_off
             along.is_broken_off = lambda: seconds_over() or (along.largest <= 0.0 and along.spent > PATIENCE)
         return along_path(problem, along)
