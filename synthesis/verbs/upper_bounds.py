@@ -19,7 +19,7 @@ from ...envs.systems.backends import on_one_thread
 from ...envs.tasks.problem import Problem, complement_inside, complement_of
 from ..abstraction.models import Abstraction, Policies, Settings, abstraction_of, join, start_of, surrounded
 from ..certificates.proofs import OnGrid, Synthesis, certificate_from, changed, with_claims
-from ..extended_check.claims import check
+from ..extended_check.claims import check, checked_once
 from ..policy_search.ascent import FINAL, Limits, Stage, sweep
 from ..policy_search.cell_certificates import certificate_of
 from ..policy_search.portfolio import Effort, OutOfTime, policies_from, settings_of
@@ -71,7 +71,7 @@ def _ended(certificate: Any, most: float) -> Any:
     What pairs may spoil counts the runs that the cells follow: where a cell has several classes others may succeed.
     """
     ended = with_claims(certificate, lambda one: _with_end(one, most))
-    return ended if not ended.proof.parts or ended.gap == certificate.gap or check(ended) else certificate
+    return ended if not ended.proof.parts or ended.gap == certificate.gap or checked_once(ended) else certificate
 
 
 def _with_end(certificate: OnGrid, most: float = math.inf) -> OnGrid:
