@@ -63,15 +63,27 @@ class ErrorSystem:
 
         With ``earlier`` (J, D) the rows are ``c e_t + earlier e_(t-1)``. Forms are linear in c, to the last bit.
         """
-        t, d = len(self.steps), c.shape[1]
-        y, most = self._pulled(c, earlier)
+        ends, t, (y, most) = self.besides(c, earlier), len(self.steps), self._pulled(c, earlier)
+        if not t:
+            still, nothing = np.zeros(len(c)), np.zeros((len(c), 0, self.n_sources))
+            return ends, Forms(still, still, np.zeros(nothing.shape[::2], bool), nothing, nothing)
+        moved, off = self._moved(y[1:], most[1:])
+        size = np.abs(moved) + off
+        # What each step adds to the variance; the largest one matters for long tails.
+        each = np.einsum("sjw,sjw->sj", size, size)
+        more = 1.0 + 4.0 * U * (len(y) * c.shape[1] + 64.0) + 4.0 * U * t * moved.shape[2]
+        sources: Truth = np.any(size > 0.0, axis=0)
+        variances = each.sum(axis=0) * more, each.max(axis=0) * more
+        return ends, Forms(*variances, sources, moved.swapaxes(0, 1), size.swapaxes(0, 1))
+
+    def besides(self, c: Array, earlier: Array | None = None) -> Array:
+        """Return the ends (2, J) alone of what such rows are besides g."""
+        t, d, (y, most) = len(self.steps), c.shape[1], self._pulled(c, earlier)
         # sums of so many numbers of one sign are rounded by less
         counted = 1.0 + 4.0 * U * (len(y) * d + 64.0)
         spare = (np.abs(y[0]) + (d + 2.0) * U * most[0]) @ self.spread * counted
         if not t:
-            still = np.zeros(len(c))
-            nothing = np.zeros((len(c), 0, self.n_sources))
-            return np.stack([-spare, spare]), Forms(still, still, np.zeros(nothing.shape[::2], bool), nothing, nothing)
+            return np.stack([-spare, spare])
         before, after, size = y[:-1].copy(), y[1:], most[1:]
         if earlier is not None:
             before[-1] -= earlier
@@ -86,15 +98,7 @@ class ErrorSystem:
         each = np.abs(after) + (d + 2.0) * U * size
         spare += np.einsum("sjd,sd->j", each, half + 2 * U * np.abs(middle)) * counted
         spare += (d * t + d + 8.0) * U * shifted + 1e-290
-        moved, off = self._moved(after, size)
-        size = np.abs(moved) + off
-        # What each step adds to the variance; the largest one matters for long tails.
-        each = np.einsum("sjw,sjw->sj", size, size)
-        more = counted + 4.0 * U * t * moved.shape[2]
-        sources: Truth = np.any(size > 0.0, axis=0)
-        variances = each.sum(axis=0) * more, each.max(axis=0) * more
-        forms = Forms(*variances, sources, moved.swapaxes(0, 1), size.swapaxes(0, 1))
-        return np.stack([shift - spare, shift + spare]), forms
+        return np.stack([shift - spare, shift + spare])
 
     def _pulled(self, c: Array, earlier: Array | None) -> tuple[Array, Array]:
         """Return all ``y_s = c F_(t-1) .. F_s`` (t + 1, J, D) as they are rounded, and sizes of their roundings."""

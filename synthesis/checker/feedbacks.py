@@ -91,7 +91,7 @@ class _Tube:
         places, far = {name: k for k, name in enumerate(self.agent.states)}, np.abs(self.ends).max(axis=0)
         matrix, ends = expanded((tree,), self.at, places, self.ends, self.t, len(places))
         middle = 0.5 * (ends[0] + ends[1])
-        return Layer(middle, matrix, ((None, add(ends, neg(interval(middle)))),), np.abs(middle), far)
+        return Layer(middle, matrix, (), add(ends, neg(interval(middle))), np.abs(middle), far)
 
 
 def _has_kink(tree: Tree) -> bool:
@@ -107,4 +107,4 @@ def _largest(layer: Layer) -> Array:
 def _joined(layers: list[Layer]) -> Layer:
     """Return layers of one number each as one of several."""
     h, C, size = (np.concatenate([getattr(own, key) for own in layers]) for key in ("h", "C", "size"))
-    return Layer(h, C, ((None, np.concatenate([own.rest() for own in layers], axis=1)),), size, layers[0].far)
+    return Layer(h, C, (), np.concatenate([own.rest() for own in layers], axis=1), size, layers[0].far)

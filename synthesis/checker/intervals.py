@@ -23,8 +23,8 @@ from .rigorous import LARGEST_ANGLE, Array, Ends, Truth, U
 
 def interval(low: Any, high: Any = None) -> Array:
     """Return the array (2, ..) of these ends; with one argument, of points."""
-    ends = np.broadcast_arrays(np.asarray(low, float), np.asarray(low if high is None else high, float))
-    return np.stack(ends)
+    low = np.asarray(low, float)
+    return np.array([low, low] if high is None else np.broadcast_arrays(low, np.asarray(high, float)))
 
 
 def down(x: Any) -> Array:
@@ -50,7 +50,7 @@ def add(a: Array, b: Array) -> Array:
     """Return sums; what is exactly 0 adds nothing and rounds nothing."""
     low, high = a[0] + b[0], a[1] + b[1]
     exact = _is(a, 0.0) | _is(b, 0.0)
-    return np.stack([np.where(exact, low, down(low)), np.where(exact, high, up(high))])
+    return np.where(exact, np.array([low, high]), np.array([down(low), up(high)]))
 
 
 def neg(a: Array) -> Array:
@@ -64,14 +64,14 @@ def mul(a: Array, b: Array) -> Array:
     So a slope that is exactly 0 stays 0; whether a *value* is defined is asked apart (``jets.Jet``).
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        p = np.stack(np.broadcast_arrays(a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1]))
+        p, q, r, s = a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1]
     # the least and the largest product are among those of ends: a bilinear form has its extrema at corners
-    least, most = p.min(axis=0), p.max(axis=0)
+    least, most = np.minimum(np.minimum(p, q), np.minimum(r, s)), np.maximum(np.maximum(p, q), np.maximum(r, s))
     low, high = down(least), up(most)
     low = np.where((a[0] >= 0) & (b[0] >= 0), np.maximum(low, 0.0), low)
     one = _is(a, 1.0) | _is(b, 1.0)
     zero = _is(a, 0.0) | _is(b, 0.0)
-    return np.where(zero, 0.0, np.where(one, np.stack([least, most]), np.stack([low, high])))
+    return np.where(zero, 0.0, np.where(one, np.array([least, most]), np.array([low, high])))
 
 
 def total(a: Array, axis: int) -> Array:

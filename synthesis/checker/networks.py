@@ -129,54 +129,56 @@ def enclosed(
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Numbers ``h + C e + sum G q`` of a layer; q between ends; no larger than ``size``, with errors up to ``far``."""
+    """Numbers ``h + C e + sum G q + own`` of a layer, q and own (2, n) between ends that hold 0.
+
+    They are no larger than ``size``, with errors up to ``far``.
+    """
 
     h: Array
     C: Array
-    parts: tuple[tuple[Array | None, Array], ...]  # no matrix: the identity
+    parts: tuple[tuple[Array, Array], ...]
+    own: Array
     size: Array
     far: Array
 
     def off_by(self, off: Array) -> Layer:
         """Return the layer with something more, no larger than ``off`` (n,)."""
-        return replace(self, parts=(*self.parts, (None, np.stack([-off, off]))))
+        return replace(self, own=add(self.own, np.stack([-off, off])))
 
     def rest(self) -> Array:
         """Return ends (2, n) of the sum of all parts."""
-        total = np.zeros((2, len(self.h)))
+        total = self.own
         for matrix, ends in self.parts:
-            if matrix is not None:
-                middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
-                most = half + 4.0 * U * np.abs(ends).max(axis=0)
-                spread = (np.abs(matrix) @ most) * (1.0 + 4.0 * U * len(half))
-                spread += (len(half) + 4.0) * U * (np.abs(matrix) @ np.abs(middle)) + 1e-290
-                ends = matrix @ middle + np.stack([-spread, spread])
-            total = add(total, ends)
+            middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
+            most, size = half + 4.0 * U * np.abs(ends).max(axis=0), np.abs(matrix)
+            spread = (size @ most) * (1.0 + 4.0 * U * len(half))
+            spread += (len(half) + 4.0) * U * (size @ np.abs(middle)) + 1e-290
+            total = add(total, matrix @ middle + np.stack([-spread, spread]))
         return total
 
     def times(self, weight: Array, bias: Array, unit: float = 0.0) -> Layer:
         """Return ``weight @ self + bias``, with what the sums are rounded by here, and by a network of this unit."""
         n, size = weight.shape[1], np.abs(weight)
-        parts = tuple((weight if g is None else weight @ g, q) for g, q in self.parts)
-        here = size @ (np.abs(self.h) + np.abs(self.C) @ self.far) + np.abs(bias)
-        for g, q in self.parts:
-            most = np.abs(q).max(axis=0)
-            here = here + size @ (most if g is None else np.abs(g) @ most)
+        parts = (*((weight @ g, q) for g, q in self.parts), (weight, self.own))
+        here = np.abs(self.h) + np.abs(self.C) @ self.far + np.abs(self.own).max(axis=0)
+        here = size @ (here + sum(np.abs(g) @ np.abs(q).max(axis=0) for g, q in self.parts)) + np.abs(bias)
         off = 1.01 * (n + 2.0) * unit * (size @ self.size + np.abs(bias)) + 4.0 * (n + 8.0) * U * here + 1e-40
-        return Layer(weight @ self.h + bias, weight @ self.C, parts, here, self.far).off_by(off)
+        return Layer(weight @ self.h + bias, weight @ self.C, parts, np.stack([-off, off]), here, self.far)
 
     def through(self, activation: str, low: Array, high: Array, reach: Callable[[Array], Array]) -> Layer:
         """Return the layer after an activation; ``clip`` cuts off at ``low`` and ``high`` (n,)."""
-        ends = add(reach(self.C), self.rest())
+        others = self.rest()
+        ends = add(reach(self.C), others)
         ends = np.stack([np.minimum(ends[0], 0.0), np.maximum(ends[1], 0.0)])
         slope, value, rest = _line(activation, self.h, ends, low, high)
-        # slopes are multiplied into matrices, and round
-        lost = 4.0 * U * np.abs(slope) * (np.abs(self.C) @ self.far + np.abs(self.rest()).max(axis=0)) + 1e-290
+        # slopes are multiplied into matrices and intervals, and round
+        lost = 4.0 * U * np.abs(slope) * (np.abs(self.C) @ self.far + np.abs(others).max(axis=0)) + 1e-290
         rest = rest + np.stack([-lost, lost])
         moved = np.sort(slope * ends, axis=0)
-        size = np.abs(value + moved + rest).max(axis=0)
-        parts = tuple((slope[:, None] * (np.eye(len(slope)) if g is None else g), q) for g, q in self.parts)
-        return Layer(value, slope[:, None] * self.C, (*parts, (None, rest)), size * (1.0 + 8.0 * U), self.far)
+        size = np.abs(value + moved + rest).max(axis=0) * (1.0 + 8.0 * U)
+        parts = tuple((slope[:, None] * g, q) for g, q in self.parts)
+        own = add(np.sort(slope * self.own, axis=0), rest)
+        return Layer(value, slope[:, None] * self.C, parts, own, size, self.far)
 
 
 def row_seen(network: Network, at: Array, row: tuple[int, int, float], far: Array) -> Layer:
@@ -187,7 +189,7 @@ def row_seen(network: Network, at: Array, row: tuple[int, int, float], far: Arra
     reach = np.abs(network.view) @ far
     most = reach + np.abs(network.view) @ np.abs(at) + np.abs(network.offset) + 1.0
     off = 1.01 * SINGLE * (np.abs(h) + reach) + (64.0 + 4.0 * len(at)) * U * most + 1e-45
-    return Layer(h, network.view, (), np.abs(h) + reach + off, far).off_by(off)
+    return Layer(h, network.view, (), np.stack([-off, off]), np.abs(h) + reach + off, far)
 
 
 def _logistic(x: Array) -> Array:

@@ -263,7 +263,7 @@ def _move_by_network(joint: Joint, network: Network | Feedback, tube: Tube, i: i
         box = np.stack([products.min(axis=0).sum(axis=1) - spare, products.max(axis=0).sum(axis=1) + spare])
         if own is None:
             return box
-        drift = joint.errors.rows(joint.rows(here, rows))[0]
+        drift = joint.errors.besides(joint.rows(here, rows))
         most = own.reach(rows, up(far + np.abs(tube.drift[:, here]).max(axis=0)))
         return np.stack([np.maximum(box[0], down(drift[0] - most)), np.minimum(box[1], up(drift[1] + most))])
 

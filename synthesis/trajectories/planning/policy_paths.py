@@ -7,7 +7,7 @@ word asks for as few, and as safe ones, as the automaton accepts. What every cho
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,9 @@ DIRECTIONS = 16
 HALVINGS = 4
 """Radii that are tried between two of these."""
 
+SURE = 8.0
+"""Deviations by which all that the run is accepted by is held, after which it is not followed any more."""
+
 FAR = 40.0
 """Deviations beyond which a demand costs nothing."""
 
@@ -81,11 +84,15 @@ class _Run:
 
 @dataclass(frozen=True, eq=False)
 class _Margins:
-    """How many deviations each literal is away (T + 1, P), and by which side or direction of what is kept away from."""
+    """How many deviations each literal is away (T + 1, P), and by which side or direction of what is kept away from.
+
+    Times are known up to ``last``.
+    """
 
     deviations: FloatArray
     faces: NDArray[np.int64]
     normals: FloatArray
+    last: int
 
 
 def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: float = 0.0) -> AlongPath:
@@ -324,7 +331,7 @@ def _margins(
     """Return how far all literals of the run are away, in deviations, on the tube of some radii."""
     joint = _joint(problem, known, run, policies, lost)
     shape, size = run.letters.shape, sum(pair.size for pair in problem.labeling.pairs)
-    found = _Margins(np.full(shape, np.inf), np.full(shape, -1), np.zeros((shape[0], size)))
+    found = _Margins(np.full(shape, np.inf), np.full(shape, -1), np.zeros((shape[0], size)), shape[0] - 1)
     for tube in walk(joint):
         if (t := tube.t) == 0:
             continue
@@ -348,6 +355,8 @@ def _margins(
                 found.deviations[t, p], found.faces[t, p] = far, face
                 if normal is not None:
                     found.normals[t, _columns(problem, p)] = normal
+        if t in run.accepted and np.min(found.deviations[t], where=run.letters[t] > 0, initial=np.inf) >= SURE:
+            return replace(found, last=t)
     return found
 
 
@@ -401,7 +410,9 @@ def _words(
     """Return words of the run that are accepted and ask for little, and about how they fail, the least first."""
     held = np.where(run.letters > 0, margins.deviations, np.inf).min(axis=1, initial=np.inf)
     # Times at which what then holds is held most surely; all of them if there are few.
-    times = sorted(run.accepted, key=lambda t: -float(np.minimum(held[t], FAR)))[:MOST_TIMES]
+    times = sorted((t for t in run.accepted if t <= margins.last), key=lambda t: -float(np.minimum(held[t], FAR)))[
+        :MOST_TIMES
+    ]
     found, count = [], run.letters.shape[1]
     for last in times:
         order = np.argsort(margins.deviations[: last + 1], axis=None, kind="stable")

@@ -75,13 +75,13 @@ def _of_network(known: CheckedProblem, joint: Joint, tube: Tube, i: int, network
         wide.append(float(np.max(ends[1] - ends[0])) / 2.0)
         return ends
 
-    # Every layer adds a part for what it rounds, and one for what its activations leave out of a line.
+    # Every layer adds a part, what it rounds and what its activations leave out of a line; the first one is the row.
     for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
         forms = forms.times(weight, bias).through(network.activation, np.zeros(0), np.zeros(0), reach)
     m, half = len(agent.inputs), 0.5 * (agent.input_box[1] - agent.input_box[0])
     last = forms.times(network.weights[-1][:m], network.biases[-1][:m])
     scale = np.ones(m) if network.output == "box" else half
-    bent = [scale * (np.abs(matrix) @ (0.5 * (q[1] - q[0]))) for matrix, q in last.parts[2:-1:2] if matrix is not None]
+    bent = [scale * (np.abs(matrix) @ (0.5 * (q[1] - q[0]))) for matrix, q in last.parts[1:]]
     if not bent or not np.all(np.isfinite(bent)) or not np.all(half > 0.0):
         return None
     layer, k = np.unravel_index(int(np.argmax(np.array(bent) / half)), (len(bent), m))
@@ -94,6 +94,6 @@ def _reach(joint: Joint, tube: Tube, own: CheckedTrajectory, i: int, rows: Float
     found, box = tube.ellipsoids[i], np.abs(rows) @ far
     if found is None:
         return np.stack([-box, box])
-    drift = joint.errors.rows(joint.rows(own.places, rows))[0]
+    drift = joint.errors.besides(joint.rows(own.places, rows))
     spread = found.reach(rows, far + np.abs(tube.drift[:, own.places]).max(axis=0))
     return np.stack([np.maximum(-box, drift[0] - spread), np.minimum(box, drift[1] + spread)])

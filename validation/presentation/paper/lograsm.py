@@ -18,6 +18,7 @@ import numpy as np
 
 from ....envs.systems.agents import Agent
 from ....envs.systems.arguments import write_json, write_text
+from ....envs.systems.backends import on_one_thread
 from ....envs.tasks.problem import Problem, Specification
 from ....envs.tasks.regions import Proposition
 from ....synthesis.certificates.proofs import canonical_bytes, significant_up
@@ -149,6 +150,7 @@ def certified_networks(folder: Path) -> Iterator[NetworkRow]:
         yield certified_network(file)
 
 
+@on_one_thread
 def certified_network(file: Path) -> NetworkRow:
     """Certify one network from all boxes of starts, and prove every certificate by its file."""
     benchmark, worst, cells, why = BENCHMARKS[file.stem.rpartition("_")[0]], 0.0, 0, ""
