@@ -2,8 +2,8 @@
 
 Definitions are those of the stochastic category of the friendly competition (reports of 2019 and 2020, and the formal
 definitions of the group, repository ArchCompStochasticModels.jl). Where one name stands for several systems, each
-reading is a row. Run ``python benchmarks/arch/write_problems.py`` to write them again, and ``certigym reproduce arch``
-to certify them.
+reading is a row. ``verified.json`` holds rows of tools that verify (StochasticBarrier.jl, PRoTECT) or train (logRASM).
+Run ``python benchmarks/arch/write_problems.py`` to write files again, and ``certigym reproduce arch`` to certify them.
 """
 
 from __future__ import annotations
@@ -150,8 +150,8 @@ def toml(content: dict[str, Any]) -> str:
 def written(value: Any) -> str:
     """Return a value as TOML: JSON, but for tables."""
     if isinstance(value, dict):
-        return f"{{ {', '.join(f'{key} = {json.dumps(entry)}' for key, entry in value.items())} }}"
-    return json.dumps(value)
+        return f"{{ {', '.join(f'{key} = {written(entry)}' for key, entry in value.items())} }}"
+    return f"[{', '.join(map(written, value))}]" if isinstance(value, list) else json.dumps(value)
 
 
 CAP = "the published .9999 is the cap of the solver, not a difference between methods"
@@ -187,7 +187,8 @@ def rows() -> list[dict[str, Any]]:
     note = CAP + "; noise of rank four; start at 20"
     result.append(row(seven_states(), note, 0.9999, reach, 1.33, aws))
     result += [row(almost_identity(n), "") for n in (5, 20)]
-    return [*result, *(row(**entry) for entry in grid_rows.entries())]
+    others = json.loads((Path(__file__).parent / "verified.json").read_text(encoding="utf-8"))
+    return [*result, *(row(**entry) for entry in (*grid_rows.entries(), *others))]
 
 
 def row(

@@ -74,7 +74,7 @@ def _written(rows: Sequence[Row], out: Path) -> list[Row]:
 def _found(entry: Row, folder: Path, episodes: int) -> PieceResult:
     """Return the row of an entry, and how it is told of."""
     row = _certified(entry, folder, episodes)
-    beside = "" if row["published"] is None else f", published {row['published']:g}"
+    beside = "" if row["published"] is None else f", published {row['published']:.10g}"
     return PieceResult(row, f"{significant_down(row['certified'], 6)}{beside}")
 
 
@@ -135,7 +135,7 @@ def _page(rows: Sequence[Row]) -> str:
     ]
     for row in rows:
         seconds = "" if row["published_seconds"] is None else f", {row['published_seconds']:g} s, {row['machine']}"
-        published = "-" if row["published"] is None else f"{row['published']:g}"
+        published = "-" if row["published"] is None else f"{row['published']:.10g}"
         cells = [row["row"], published, f"{row['tool'] or '-'}{seconds}", row["asked"]]
         cells += [significant_down(row["certified"], 6), significant_up(row["failure"], 3)]
         cells += [f"{row['seconds']:g}", row["check"], f"{row['rollouts']:.5f}", row["outcome"]]
