@@ -15,7 +15,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from cell_forgeries import forgeries_of
-from certigym.synthesis.certificates.proofs import GridProof, PathProof, ProductProof, changed
+from certigym.synthesis.certificates.proofs import GridProof, PathProof, ProductProof, StartsProof, changed
 from certigym.synthesis.relations.kinds import Network
 from certigym.synthesis.verbs.raw_networks import certify_network, differences
 from certigym.synthesis.verbs.upper_bounds import bound_above
@@ -85,11 +85,7 @@ def trial(kind: str, seed: int, level: float, more: int = 15) -> dict[str, Any]:
                 row["visible"] |= seen
                 estimates.append(estimate)
     except Refuted as error:
-        return row | {
-            "outcome": "REFUTED",
-            "lower": lower,
-            "finding": f"refuted: {error}; check: {refusals or 'valid'}",
-        }
+        return row | {"outcome": "REFUTED", "lower": lower, "finding": f"{error}; check: {refusals or 'valid'}"}
     outcome = "certified" if LEAST < lower < MOST else "trivial"
     row |= {"outcome": outcome, "lower": lower, "estimate": min(estimates, default=np.nan)}
     return row | ({"finding": f"true, and refused: {refusals}"} if refusals else {})
@@ -122,19 +118,27 @@ def _of_path(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
 def _of_nonlinear(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """The same, against disturbances that jump at random, and against those that push outward or inward."""
     claims, refusals = _of_path(problem, spec)
-    if any(agent.get("winds") for agent in spec["agents"]):
-        (own, act, bound), *_ = claims
-        claims += [({**own, "blowing": way}, act, bound) for way in ("outward", "inward")]
-    return claims, refusals
+    return [*claims, *_blown(*claims[0])], refusals
+
+
+def _blown(spec: Spec, act: Any, bound: float) -> Claims:
+    """The same claim, under disturbances that push outward or inward if there are any."""
+    ways = ("outward", "inward") if any(agent.get("winds") for agent in spec["agents"]) else ()
+    return [({**spec, "blowing": way}, act, bound) for way in ways]
 
 
 def _of_networks(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
-    """A random network as it is, whose actions are computed by other code."""
-    actor = SharedActor(problem, random_network(problem, spec))
-    found = certify_network(problem, actor, spec["options"]["cells"])
-    certificate: Any = found.certificate
-    refusals = "; ".join(filter(None, [_refused(certificate), *differences(certificate, actor)]))
-    return [(spec, lambda n, seed: Networked(spec, problem, actor.network, n), certificate.lower_bound)], refusals
+    """A random network as it is, on cells or along its run, whose actions are computed by other code."""
+    actor, certificate = _moved_by_network(problem, spec)
+    others = [] if isinstance(certificate.proof, PathProof | StartsProof) else differences(certificate, actor)
+    claim = spec, lambda n, seed: Networked(spec, problem, actor.network, n), certificate.lower_bound
+    return [claim, *_blown(*claim)], "; ".join(filter(None, [_refused(certificate), *others]))
+
+
+def _moved_by_network(problem: cg.Problem, spec: Spec) -> tuple[SharedActor, Any]:
+    actor, cells = SharedActor(problem, random_network(problem, spec)), spec["options"].get("cells")
+    found = certify_network(problem, actor, cells) if cells else cg.certify(problem, actor, relation="path")
+    return actor, found.certificate
 
 
 def random_network(problem: cg.Problem, spec: Spec) -> Network:
@@ -169,6 +173,7 @@ CLAIMS: dict[str, Callable[[cg.Problem, Spec], tuple[Claims, str]]] = {
     "nonlinear": _of_nonlinear,
     "fleets": _of_nonlinear,
     "networks": _of_networks,
+    "network_runs": _of_networks,
     "upper": _of_upper_end,
 }
 """How claims are made; all other kinds are certificates of ``synthesize``."""
@@ -198,8 +203,7 @@ def forged_cells(kind: str, seed: int, each: int, level: float) -> list[tuple[st
 def _honest(problem: cg.Problem, spec: Spec) -> tuple[Any, Callable[[Any], Any]]:
     """A claim that a forger begins with, and its check."""
     if "network" in spec:
-        actor = SharedActor(problem, random_network(problem, spec))
-        return certify_network(problem, actor, spec["options"]["cells"]).certificate, cg.check
+        return _moved_by_network(problem, spec)[1], cg.check
     certificate: Any = cg.synthesize(problem, **arguments_of(spec)).certificate
     if isinstance(certificate.proof, ProductProof):
         return None, cg.check

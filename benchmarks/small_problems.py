@@ -401,12 +401,18 @@ def _networks(rng: np.random.Generator) -> Spec:
     agents = [_linear(rng, f"agent_{i}", d, (0.1, 0.25)) for i in range(1 + int(d == 1 and rng.random() < 0.3))]
     cells = {agent["name"]: [int(rng.integers(*((50, 120) if d == 1 else (10, 16)))) for _ in range(d)]
              for agent in agents}  # fmt: skip
-    spec = _problem(rng, agents, {"cells": cells}, (1, 2, 3))
+    return _with_network(rng, _problem(rng, agents, {"cells": cells}, (1, 2, 3)))
+
+
+def _network_runs(rng: np.random.Generator) -> Spec:
+    """The problems of ``paths`` and ``nonlinear``, moved by one random network."""
+    return _with_network(rng, (_path, _nonlinear)[int(rng.integers(2))](rng))
+
+
+def _with_network(rng: np.random.Generator, spec: Spec) -> Spec:
     hidden = [int(n) for n in rng.integers(3, 9, rng.integers(3))]
-    spec["network"] = {"seed": int(rng.integers(2**31)), "hidden": hidden,
-                       "activation": str(rng.choice(["tanh", "relu"])),
-                       "squashed": bool(rng.random() < 0.4)}  # fmt: skip
-    return spec
+    network = {"seed": int(rng.integers(2**31)), "hidden": hidden, "activation": str(rng.choice(["tanh", "relu"]))}
+    return spec | {"network": network | {"squashed": bool(rng.random() < 0.4)}}
 
 
 def _above(rng: np.random.Generator) -> Spec:
@@ -437,6 +443,7 @@ MAKERS: dict[str, Callable[[np.random.Generator], Spec]] = {
     "nonlinear": _nonlinear,
     "fleets": _fleet,
     "networks": _networks,
+    "network_runs": _network_runs,
     "upper": _above,
 }
 """How problems of each kind are drawn."""
