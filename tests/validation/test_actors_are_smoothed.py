@@ -59,7 +59,7 @@ def test_smoother_actors_are_certified_and_succeed() -> None:
     found = smoothed(actor)
     assert isinstance(found.tried["as trained"], str) or found.tried["as trained"] < 0.9
     assert found.certified is not None and found.certified.certificate.lower_bound > 0.9
-    assert len(found.actor.network.biases[0]) == 24  # type: ignore[union-attr]
+    assert len(found.actor.network.biases[0]) in (24, 12, 8)  # type: ignore[union-attr]
     assert cg.check(found.certified.certificate, problem)
     rate = cg.rollout(problem, found.actor, episodes=EPISODES, seed=0).successes / EPISODES
     assert rate >= found.certified.certificate.lower_bound - 0.01

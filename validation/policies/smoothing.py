@@ -1,7 +1,7 @@
 """Actors that are smoothed until something is certified of them: imitation with a penalty on how much a network bends.
 
-A student of half the width learns what the actor does where more noise than there is leads it, and pays for second
-differences on the scale of what noise moves rows by: these are what a tube along its run is lost by
+A student of half the width learns what the best actor so far does where more noise than there is leads it, and pays
+for second differences on the scale of what noise moves rows by: these are what a tube along its run is lost by
 (docs/theory/paths.md, "Networks"). The student carries no promise but its certificate.
 """
 
@@ -23,10 +23,10 @@ from .views import CentralView, SharedView, View
 
 Array = NDArray[Any]
 
-BENDS = (0.1, 1.0, 3.0, 10.0)
-"""Weights of the penalty that are tried, in turn."""
+BENDS = (1.0, 10.0, 10.0)
+"""Weights of the penalty that are tried, in turn, each on the best actor so far."""
 
-ENOUGH = 0.99
+ENOUGH = 0.999999
 """Bound from which on nothing more is tried."""
 
 EPISODES, NOISES = 400, (1.0, 2.0, 4.0)
@@ -70,12 +70,12 @@ def smoothed(actor: Actor, bends: Sequence[float] = BENDS, seed: int = 0) -> Smo
     tried: dict[str, float | str] = {}
     best = SmoothActor(actor, _certified(actor, "as trained", tried), tried)
     view: View = CentralView(actor.problem) if actor.view == "central" else SharedView(actor.problem)
-    data = _demonstrated(view, actor, seed)
-    for bend in bends:
+    for k, bend in enumerate(bends, start=1):
         if best.certified is not None and best.certified.certificate.lower_bound >= ENOUGH:
             break
-        student = actor_of(view, (_student(networks_of(actor)[0], data, bend, seed),))
-        found = _certified(student, f"smoothed, {bend:g}", tried)
+        data = _demonstrated(view, best.actor, seed)
+        student = actor_of(view, (_student(networks_of(best.actor)[0], data, bend, seed),))
+        found = _certified(student, f"{k}, smoothed, {bend:g}", tried)
         if found is not None and (
             best.certified is None or found.certificate.lower_bound > best.certified.certificate.lower_bound
         ):
