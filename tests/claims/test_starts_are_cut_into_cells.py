@@ -15,6 +15,7 @@ from certigym.synthesis.certificates.proofs.canonical import canonical_bytes
 from certigym.synthesis.checker import check_contents, parse_file
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED
 from certigym.synthesis.checker.networks import length_tail
+from certigym.synthesis.trajectories.planning.policy_paths import networks_along
 
 EPISODES = 50_000
 
@@ -66,6 +67,12 @@ def test_both_bounds_hold_in_rollouts(found: Any) -> None:
         problem = swing(list(start))
         runs.append(cg.rollout(problem, given(problem), episodes=EPISODES // 10, seed=1))
     assert all(run.successes == len(run.success) for run in runs)
+
+
+def test_starts_outside_of_the_workspace_are_refused_in_words() -> None:
+    problem = swing(([0.7, -0.1], [0.85, 0.1]))
+    with pytest.raises(ValueError, match="a start lies outside the workspace"):
+        networks_along(problem, [given(problem).agent_policy(0)])
 
 
 def test_files_hold_them(found: Any, tmp_path: Any) -> None:

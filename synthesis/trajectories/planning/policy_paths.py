@@ -131,7 +131,10 @@ def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: fl
             return _widest(problem, policies, run, margins, best, (before, lost))
     if best is None or best.proof.failure >= 1.0:
         why = why if best is None else _likeliest(best, known)
-        layer = widening_layer(known, _joint(problem, known, run, policies, LOST[-1]))
+        try:
+            layer = widening_layer(known, _joint(problem, known, run, policies, LOST[-1]))
+        except Refused as refused:  # there is no tube at all
+            raise RelationRefused(f"nothing is proved of these policies along their run: {refused}") from None
         why += "" if layer is None else f"; {layer}"
         raise RelationRefused(
             f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy, "
