@@ -66,7 +66,8 @@ HALVINGS = 4
 """Radii that are tried between two of these."""
 
 SURE = 8.0
-"""Deviations by which all that the run is accepted by is held, after which it is not followed any more."""
+"""Deviations by which all that the run is accepted by is held, after which it is not followed any more where enough is
+asked for: wider tubes may need later times."""
 
 FAR = 40.0
 """Deviations beyond which a demand costs nothing."""
@@ -151,7 +152,7 @@ def _soon(
     best, why = None, "nothing is known of the policies on any tube around their run"
     for lost in (1e-4 * enough, 0.3 * enough, 1e-4):
         try:
-            margins = _margins(problem, known, run, policies, lost)
+            margins = _margins(problem, known, run, policies, lost, SURE)
         except Refused as refused:
             why = str(refused)
             continue
@@ -329,7 +330,12 @@ def _joint(problem: Problem, known: CheckedProblem, run: _Run, policies: Sequenc
 
 
 def _margins(
-    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[GivenPolicy], lost: float
+    problem: Problem,
+    known: CheckedProblem,
+    run: _Run,
+    policies: Sequence[GivenPolicy],
+    lost: float,
+    sure: float = np.inf,
 ) -> _Margins:
     """Return how far all literals of the run are away, in deviations, on the tube of some radii."""
     joint = _joint(problem, known, run, policies, lost)
@@ -358,7 +364,7 @@ def _margins(
                 found.deviations[t, p], found.faces[t, p] = far, face
                 if normal is not None:
                     found.normals[t, _columns(problem, p)] = normal
-        if t in run.accepted and np.min(found.deviations[t], where=run.letters[t] > 0, initial=np.inf) >= SURE:
+        if t in run.accepted and np.min(found.deviations[t], where=run.letters[t] > 0, initial=np.inf) > sure:
             return replace(found, last=t)
     return found
 
