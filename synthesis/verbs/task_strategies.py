@@ -285,7 +285,8 @@ def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
 
     def run(results: Results) -> Synthesis:
         with work.within(SHARE_OF_VERTICES * work.limit):
-            found = vertex_grid_certificate(problem, work)
+            path = results.get("path")
+            found = vertex_grid_certificate(problem, work, path.controller if path else None)
         effort.is_interrupted |= work.is_interrupted
         effort.spent += work.spent
         return found

@@ -35,6 +35,8 @@ class VertexProof(FailureProof):
         Along which axes values may jump from cell to cell; along others they are made continuous.
     near : float
         Deviations of the noise that are looked at; what is further away costs its probability.
+    window : (2, d) array or None
+        Ends of the lattice on which second derivatives are bounded, where all noise is normal and of one size.
     failure : float
         Upper bound on the probability that the task is not satisfied.
     """
@@ -44,6 +46,7 @@ class VertexProof(FailureProof):
     laws: NDArray[np.int64]
     jumps: tuple[bool, ...]
     near: float
+    window: FloatArray | None
     failure: float
 
     kind = "vertex-grid"
@@ -72,6 +75,7 @@ class VertexProof(FailureProof):
             "laws": pool.put(self.laws),
             "jumps": list(self.jumps),
             "near": float(self.near),
+            **({} if self.window is None else {"window": pool.put(self.window)}),
         }
 
     @classmethod
@@ -98,4 +102,8 @@ class VertexProof(FailureProof):
         near = stored.entry["near"]
         if not isinstance(near, float):
             raise ValueError("it does not say how far it looks")
-        return cls(edges, inputs, laws.astype(np.int64), jumps, near, probability(stored.entry["failure"]))
+        window = stored.numbers(stored.entry["window"]) if "window" in stored.entry else None
+        if window is not None and (window.shape != (2, agent.n_states) or not np.all(np.isfinite(window))):
+            raise ValueError("its lattice has no ends along each axis")
+        failure = probability(stored.entry["failure"])
+        return cls(edges, inputs, laws.astype(np.int64), jumps, near, window, failure)

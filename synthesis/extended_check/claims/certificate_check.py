@@ -196,7 +196,9 @@ def _check_vertices(certificate: Certificate[VertexProof], problem: Problem) -> 
             with np.errstate(all="ignore"):
                 checked = read_problem({"problem": canonical_problem(problem)})
                 laws = problem.agents[0].laws
-                failure = failure_of(checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, laws)
+                failure = failure_of(
+                    checked, proof.edges, proof.inputs, proof.laws, proof.jumps, proof.near, laws, proof.window
+                )
         except (NotCanonicalError, Refused, Unreadable) as reason:
             failures.append(str(reason))
     if not failures and not failure <= proof.failure:

@@ -20,8 +20,11 @@ FAINT = 1e-280
 """What is taken off every mass: numbers near the smallest double have few digits, and relative errors miss that."""
 
 
-def normal_hats(axis: FloatArray, edges: FloatArray, sigma: float) -> tuple[FloatArray, float]:
-    """Masses (Z, 2 S) of both hats of every cell around every lattice point, from below, and what rows lack at most."""
+def normal_hats(axis: FloatArray, edges: FloatArray, sigma: float | FloatArray) -> tuple[FloatArray, float]:
+    """Masses (Z, 2 S) of both hats of every cell around every point, from below, and what rows lack at most.
+
+    Deviations may be other ones for every point: (Z, 1).
+    """
     t = (edges - axis[:, None]) / sigma
     width = np.diff(edges) / sigma
     phi = np.exp(-0.5 * t**2) * (1.0 / math.sqrt(2.0 * math.pi))

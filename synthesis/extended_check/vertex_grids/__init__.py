@@ -3,6 +3,7 @@
 from .backups import FARTHEST, NEAR, Backups, failure_of
 from .closed_loops import corners_of, images_at, names_time, vertices_of
 from .images import Images, hats_at
+from .lattices import Lattice, LatticeImages
 from .noise_bounds import Noise
 
 __all__ = [
@@ -10,6 +11,8 @@ __all__ = [
     "NEAR",
     "Backups",
     "Images",
+    "Lattice",
+    "LatticeImages",
     "corners_of",
     "failure_of",
     "hats_at",

@@ -49,8 +49,9 @@ from ...checker.intervals import up
 from ...checker.motions import cell_labels
 from ...checker.rigorous import Array, Truth, U, Whole, wrong_arithmetic
 from ...checker.tree import finished
-from .closed_loops import closed_loop, corners_of, names_time
+from .closed_loops import closed_loop, corners_of, images_at, names_time, vertices_of
 from .images import Images
+from .lattices import Lattice, LatticeImages, deviations_of
 from .noise_bounds import Noise, noise_of
 
 KEPT = 4e7  # numbers of images that are kept
@@ -67,10 +68,11 @@ def failure_of(
     jumps: tuple[bool, ...],
     near: float,
     noise_laws: Sequence[Law] | None,
+    window: Array | None = None,
 ) -> float:
     """Return an upper bound on the probability that the task fails; ``Refused`` if none follows.
 
-    The law of time t and automaton state q is ``inputs[laws[t, q]]``, inputs (V, m) at vertices of ``edges``. Values
+    Second derivatives are bounded on a lattice around a ``window`` (2, d), or feature by feature (None). The law of time t and automaton state q is ``inputs[laws[t, q]]``, inputs (V, m) at vertices of ``edges``. Values
     that are more than ``near`` deviations of the noise away are left out, which is charged. Noise has the laws
     ``noise_laws`` of its sources, or is normal (None).
     """
@@ -79,7 +81,7 @@ def failure_of(
         raise ArithmeticError(f"nothing can be proved on this machine: {wrong}")
     if problem.formula is not None and (wrong := wrong_automaton(problem.automaton, problem.formula)):
         raise Refused(f"the automaton is not that of the formula: {wrong}")
-    steps = Backups(problem, edges, jumps, near, noise_laws)
+    steps = Backups(problem, edges, jumps, near, noise_laws, window)
     every = problem.horizon, len(problem.automaton.accepting)
     if laws.shape != every or np.any((laws < 0) | (laws >= len(inputs))):
         raise Refused("it does not say which law acts at every time and in every automaton state")
@@ -98,7 +100,8 @@ class Backups:
     jumps: tuple[bool, ...]
     near: float = NEAR
     noise_laws: Sequence[Law] | None = None
-    images: dict[tuple[int, bytes], Images] = field(default_factory=dict)
+    window: Array | None = None
+    images: dict[tuple[int, bytes], Images | LatticeImages] = field(default_factory=dict)
     letters: dict[int, list[tuple[dict[int, bool], Truth]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -195,7 +198,7 @@ class Backups:
                 below[q], nothing[q] = memory[key]
         return below, nothing
 
-    def images_of(self, inputs: Array, t: int) -> Images:
+    def images_of(self, inputs: Array, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead, made once where that does not depend on the time."""
         key = t if names_time(self.agent) else 0, inputs.tobytes()
         if key not in self.images:
@@ -207,9 +210,25 @@ class Backups:
             self.images[key] = self.image_of(inputs, t)
         return self.images[key]
 
-    def image_of(self, inputs: Array, t: int) -> Images:
+    def image_of(self, inputs: Array, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead at a time."""
-        return Images.of(closed_loop(self.agent, self.edges, inputs, t), self.edges, self.noises, self.near)
+        loop = closed_loop(self.agent, self.edges, inputs, t)
+        if self.window is None:
+            return Images.of(loop, self.edges, self.noises, self.near)
+        return LatticeImages.of(loop, self.lattice, self.noises, self.near)
+
+    @cached_property
+    def deviations(self) -> Array:
+        """Deviations (d,) of the noise along each axis; ``Refused`` where it is of another law, or its size varies."""
+        at, (low, high) = vertices_of(self.edges), self.agent.input_box
+        middle = np.repeat((0.5 * low + 0.5 * high)[None], at.shape[1], axis=0)
+        return deviations_of(np.abs(images_at(self.agent, at, middle, 0)[0][len(at) :]), self.noises)
+
+    @cached_property
+    def lattice(self) -> Lattice:
+        """The lattice around the window."""
+        assert self.window is not None
+        return Lattice.of(self.edges, self.deviations, self.window)
 
     def after_letter(self, values: Array, given_up: Truth, q: int, t: int) -> Array:
         """Return V in the state that the letter of a time leads q to: numbers (2 n_1, ..) at both ends of intervals.
@@ -238,12 +257,12 @@ class Backups:
             values = np.take(values, range(1, values.shape[k] - 1), axis=k)
         return np.where(doubled(given_up), 0.0, values)
 
-    def below(self, W: Array, images: Images) -> tuple[Array, Truth]:
+    def below(self, W: Array, images: Images | LatticeImages) -> tuple[Array, Truth]:
         """Return numbers (n_1 + 1, ..) at vertices of a function that is at most F, and the cells on which it is 0."""
         for k, jumps in enumerate(self.jumps):
             if not (jumps and self.noisy[k]):
                 W = _continuous(W, k)
-        at, d = images.means(W), len(self.shape)
+        at, d = images.vertices.below(W), len(self.shape)
         always, bends = self.charge(W, images)
         low = corners_of(at.reshape(tuple(n + 1 for n in self.shape)), d).reshape(-1, *(2,) * d)
         low = low - always.reshape(-1, *(1,) * d)
@@ -258,9 +277,9 @@ class Backups:
             np.minimum(result[here], table[(slice(None),) * d + corner], out=result[here])
         return np.where(np.isinf(result), 0.0, result), nothing.reshape(self.shape)
 
-    def charge(self, W: Array, images: Images) -> tuple[Array, Array]:
+    def charge(self, W: Array, images: Images | LatticeImages) -> tuple[Array, Array]:
         """Return what is taken off all corners of each cell (S,), and what F may bend along each axis (d, S)."""
-        return images.cost(W, self.edges)
+        return images.cost(W)
 
     def failure(self, values: Array, given_up: Truth) -> float:
         """Return an upper bound on the failure: 1 less the mean of V_0 over the start, after the letter of time 0."""

@@ -33,8 +33,8 @@ INPUT_OFF = 1e-9  # of the size of an input: by how much controllers may differ 
 class ClosedLoop:
     """Images, means first and sizes after.
 
-    ``centre`` and ``rho`` (2 d, V) are of vertices; of cells ``ends`` (2, 2 d, S), and ``slopes`` and ``bends``
-    (d, 2 d, S) along each axis.
+    ``centre`` and ``rho`` (2 d, V) are of vertices; of cells ``ends`` (2, 2 d, S), and along each axis ends of ``slopes``
+    (d, 2, 2 d, S), and the size of ``bends`` (d, 2 d, S).
     """
 
     centre: Array
@@ -88,7 +88,7 @@ def closed_loop(agent: Agent, edges: tuple[Array, ...], inputs: Array, t: int) -
             way = neg(slope) if side else slope
             reached = add(reached, np.stack([np.minimum(way[0], 0.0), np.maximum(way[1], 0.0)]))
         on_cells = np.stack([np.maximum(on_cells[0], reached[0]), np.minimum(on_cells[1], reached[1])])
-    return ClosedLoop(centre, rho, on_cells, np.abs(np.stack(slopes)).max(axis=1), np.stack(bends))
+    return ClosedLoop(centre, rho, on_cells, np.stack(slopes), np.stack(bends))
 
 
 def images_at(agent: Agent, states: Array, inputs: Array, t: int) -> tuple[Array, Array]:

@@ -173,6 +173,11 @@ class Means:
             result[places] = contracted(_part(W, windows), weights)
         return result
 
+    def below(self, W: Array) -> Array:
+        """Return means of W around the images of all vertices (V,), less what they may be above."""
+        off = 1.01 * self.lack + 4.0 * U * (self.count + 8.0) * 2**W.ndim
+        return self.around(W, math.prod(k // 2 + 1 for k in W.shape)) - float(np.abs(W).max()) * off
+
 
 @dataclass(frozen=True, eq=False)
 class Weights:
@@ -210,6 +215,8 @@ class Images:
 
     Attributes
     ----------
+    edges : d arrays (n + 1,)
+        Those of the grid.
     vertices : Means
         Of W around the images of vertices.
     blocks : list of (places, windows, d of Weights)
@@ -220,6 +227,7 @@ class Images:
         Cells whose images are known.
     """
 
+    edges: tuple[Array, ...]
     vertices: Means
     blocks: list[tuple[Whole, tuple[slice, ...], list[Weights]]]
     beyond: Array
@@ -230,12 +238,14 @@ class Images:
         """How many numbers it holds."""
         return self.vertices.size + sum(own.size for _, _, weights in self.blocks for own in weights)
 
-    @property
-    def products(self) -> float:
-        """How many pairs of a cell and of another one near its image there are."""
-        return sum(
+    def work(self) -> float:
+        """Return about how many products means at vertices and bounds on cells take."""
+        d = len(self.edges)
+        pairs = sum(
             len(places) * math.prod(own.stop - own.start for own in windows) for places, windows, _ in self.blocks
         )
+        # of a cell with another one: its mean and all that F may bend
+        return self.vertices.products + 2.0**d * (1.0 + 4.0 * d + 4.5 * d * (d - 1)) * pairs
 
     @classmethod
     def of(cls, loop: ClosedLoop, edges: tuple[Array, ...], noises: Sequence[Noise | None], near: float) -> Images:
@@ -245,7 +255,8 @@ class Images:
         for k, noise in enumerate(noises, d):
             if noise is not None and noise.is_even:
                 ends[:, k] = np.where(ends[0, k] < 0.0, -ends[::-1, k], ends[:, k])
-        known = np.all(np.isfinite(ends), axis=(0, 1)) & np.all(np.isfinite(loop.slopes + loop.bends), axis=(0, 1))
+        slopes = np.abs(loop.slopes).max(axis=1)
+        known = np.all(np.isfinite(ends), axis=(0, 1)) & np.all(np.isfinite(slopes + loop.bends), axis=(0, 1))
         # What is read at a vertex, and where it may lead, belongs to the images of cells, too.
         shape, at = tuple(len(axis) for axis in edges), loop.centre.copy()
         at[d:] = size
@@ -263,7 +274,7 @@ class Images:
         for k, axis in enumerate(edges):
             # y and sigma of cells, and how both move in each direction
             moves = [
-                [np.where(known, own[n, j], 0.0)[:, None] for own in (loop.slopes, loop.bends) for j in (k, d + k)]
+                [np.where(known, own[n, j], 0.0)[:, None] for own in (slopes, loop.bends) for j in (k, d + k)]
                 for n in range(d)
             ]
             moved.append(moves)
@@ -286,20 +297,14 @@ class Images:
                 if noise is not None and own.stop < cells[k]:
                     beyond[some] += noise.beyond(axis[-1] - y[1], sigma[1], 1)
             blocks.append((some, windows, weights))
-        return cls(Means.of(loop.centre, edges, noises, near), blocks, beyond, known)
+        return cls(edges, Means.of(loop.centre, edges, noises, near), blocks, beyond, known)
 
-    def means(self, W: Array) -> Array:
-        """Return means of W around the images of vertices (V,), less what they may be above."""
-        n = math.prod(k // 2 + 1 for k in W.shape)
-        off = 1.01 * self.vertices.lack + 4.0 * U * (self.vertices.count + 8.0) * 2**W.ndim
-        return self.vertices.around(W, n) - float(np.abs(W).max()) * off
-
-    def cost(self, W: Array, edges: tuple[Array, ...]) -> tuple[Array, Array]:
+    def cost(self, W: Array) -> tuple[Array, Array]:
         """Return what ``rho`` and what is far may cost on each cell (S,), and bounds on second derivatives (d, S)."""
         d, largest = W.ndim, float(np.abs(W).max())
         always, bends = np.zeros(len(self.known)), np.zeros((d, len(self.known)))
         for places, windows, weights in self.blocks:
-            near = [axis[own.start : own.stop + 1] for axis, own in zip(edges, windows, strict=True)]
+            near = [axis[own.start : own.stop + 1] for axis, own in zip(self.edges, windows, strict=True)]
             always[places], bends[:, places] = _cost(_part(W, windows), near, weights, largest)
         return (always + largest * self.beyond) * ROUNDED, bends * ROUNDED
 

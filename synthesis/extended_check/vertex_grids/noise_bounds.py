@@ -26,7 +26,7 @@ from ....envs.systems.distributions import Gaussian, Law, is_own_law
 from ...certificates.cell_probabilities import law_error, law_height, probability_below
 from ...checker import Refused, rigorous
 from ...checker.rigorous import Array, U
-from ...checker.tables import normal_table
+from ..steps.linear_tables import normal_hats
 
 FAR = 38.0  # deviations beyond which normal densities count as at them
 FINE = 2048  # intervals of a deviation for which they and tails are tabled
@@ -71,7 +71,7 @@ class Normal:
 
     def hats(self, points: Array, sizes: Array, axis: Array) -> tuple[Array, float]:
         """Return means (V, 2 n) of both hats of all intervals around points, and what a row lacks at most."""
-        return normal_table(points, axis, sizes[:, None], True)
+        return normal_hats(points, axis, sizes[:, None])
 
     def reach(self, probability: float) -> float:
         """Return beyond which number noise has about a probability, to either side."""

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...extended_check.vertex_grids import Backups, Images, corners_of
+from ...extended_check.vertex_grids import Backups, Images, LatticeImages, corners_of
 from ...relations.grids import FloatArray
 from ...trajectories.planning import CountedWork
 
@@ -44,26 +44,22 @@ class Counted(Backups):
         super().__post_init__()
         self.bent = np.full(len(self.edges), 1e-300)  # what is charged along each axis where values are high
 
-    def image_of(self, inputs: FloatArray, t: int) -> Images:
+    def image_of(self, inputs: FloatArray, t: int) -> Images | LatticeImages:
         """Return where inputs (V, m) lead at a time."""
         images = super().image_of(inputs, t)
         self.count(WEIGHT * images.size)
         return images
 
-    def below(self, W: FloatArray, images: Images) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def below(self, W: FloatArray, images: Images | LatticeImages) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return numbers at vertices of a function that is at most F, and the cells on which it is 0."""
-        self.count(ONCE + PRODUCT * (images.vertices.products + _per_cell(W.ndim) * images.products))
+        self.count(ONCE + PRODUCT * images.work())
         values, nothing = super().below(W, images)
         here = np.where(nothing, 0.0, corners_of(values, W.ndim).reshape(*nothing.shape, -1).mean(axis=-1)).ravel()
         self.bent = self.bent + self._bends @ here
         return values, nothing
 
-    def charge(self, W: FloatArray, images: Images) -> tuple[FloatArray, FloatArray]:
+    def charge(self, W: FloatArray, images: Images | LatticeImages) -> tuple[FloatArray, FloatArray]:
         """Return what is taken off all corners of each cell (S,), and what F may bend along each axis (d, S)."""
         always, self._bends = super().charge(W, images)
         return always, self._bends
 
-
-def _per_cell(d: int) -> float:
-    """Return products of a cell with another one: its mean and all that F may bend."""
-    return 2.0**d * (1.0 + 4.0 * d + 4.5 * d * (d - 1))

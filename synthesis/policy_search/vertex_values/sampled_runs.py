@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....envs.simulation import Dynamics, batch_simulator
+from ....envs.tasks.problem import Problem
 from ...certificates.controllers import interpolated
 from ...checker import CheckedProblem, followed, value_on
 from ...extended_check.vertex_grids import Backups, images_at
@@ -49,6 +51,21 @@ class Runs:
             states.append(x)
             each.append(q)
         return cls(np.stack(states), np.stack(each), failure)
+
+    @classmethod
+    def under(cls, problem: Problem, controller: Any) -> Runs:
+        """Return runs under a controller of one agent, with the failure that is seen in them."""
+        dynamics, rng = Dynamics.of(problem), np.random.default_rng(20261128)
+        policy, worlds = controller.batch(dynamics), batch_simulator.initial(dynamics, rng, RUNS)
+        memory, states, each = policy.begin(worlds, np.random.default_rng(20261129)), list[Any](), list[Any]()
+        for t in range(problem.horizon + 1):
+            states.append(worlds.states[0][:, 0])
+            each.append(worlds.q)
+            if t < problem.horizon:
+                inputs, memory = policy.act(worlds, memory)
+                noise = batch_simulator.noise(dynamics, rng, RUNS)
+                worlds = batch_simulator.transition(dynamics, worlds, inputs, noise)
+        return cls(np.stack(states), np.stack(each), 1.0 - float(batch_simulator.satisfied(dynamics, worlds).mean()))
 
     def window(self, problem: CheckedProblem, spreads: FloatArray) -> FloatArray:
         """Return a window (2, d) of states in which nearly all runs stay."""

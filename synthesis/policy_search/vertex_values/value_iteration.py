@@ -13,7 +13,7 @@ from ....envs.systems.distributions import Law
 from ....envs.tasks.problem import Problem
 from ...certificates.proofs import Certificate, NotCanonicalError, Synthesis, VertexProof, canonical_problem
 from ...checker import CheckedProblem, Refused, Unreadable, read_problem
-from ...extended_check.vertex_grids import FARTHEST, NEAR, Backups, images_at, vertices_of
+from ...extended_check.vertex_grids import FARTHEST, NEAR, Backups, Lattice, images_at, vertices_of
 from ...relations.grids import FloatArray, RelationRefused
 from ...trajectories.planning import CountedWork
 from .axis_edges import grid_of, spreads_of
@@ -49,8 +49,17 @@ GROWS = 1.45
 MOST_ADJUSTED = 0.5, 2.0
 """By how much the share of cells of an axis changes from one grid to the next, at most."""
 
+BEYOND = 3.0
+"""Deviations by which a lattice goes beyond the window where runs pass."""
+
 ENOUGH = 1e-5
 """Failure from which no finer grid is tried."""
+
+POOR_GUESS = 0.5
+"""Failure of a controller from which its runs say nothing of where cells have to be narrow."""
+
+FIRST_WIDTH = 2.5
+"""Deviations that cells of the first grid are wide where runs pass, at least."""
 
 GAINS = 0.02
 """Share of the failure that the last grid has to have taken off for a finer one to be tried, once there is a bound."""
@@ -84,17 +93,23 @@ def refuse_vertex_grid(problem: Problem) -> None:
         len(steps.noises)
     except (Refused, Unreadable, NotCanonicalError) as reason:
         raise RelationRefused(str(reason)) from reason
-    low, high = checked.agents[0].state_box
-    cells = float(np.prod((high - low) / (NARROW * spreads_of(checked)).mean(axis=1)))
+
+
+def refuse_small_noise(problem: CheckedProblem, spreads: FloatArray, window: FloatArray) -> None:
+    """Raise RelationRefused where a window (2, d) has too many cells that are as wide as the noise."""
+    cells = float(np.prod((window[1] - window[0]) / (NARROW * spreads).mean(axis=1)))
     if cells > MOST_NARROW:
         raise RelationRefused(f"the noise is small: {cells:.2g} cells of a grid would be as wide as it")
 
 
-def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
-    """Return the certificate of the best grid that the work allows; RelationRefused where there is none."""
+def vertex_grid_certificate(problem: Problem, work: CountedWork, guess: Any = None) -> Synthesis:
+    """Return the certificate of the best grid that the work allows; RelationRefused where there is none.
+
+    Runs under the controller ``guess`` say where cells have to be narrow, if many of them satisfy the task.
+    """
     refuse_vertex_grid(problem)
     began = time.perf_counter()
-    best, levels = _refined(problem, work)
+    best, levels = _refined(problem, work, guess)
     certificate = Certificate(problem, best, {"relation": "vertex grid", "levels": levels})
     seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
@@ -102,12 +117,18 @@ def vertex_grid_certificate(problem: Problem, work: CountedWork) -> Synthesis:
     return Synthesis(certificate, certificate.controller, stats)
 
 
-def _refined(problem: Problem, work: CountedWork) -> tuple[VertexProof, dict[str, float]]:
+def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexProof, dict[str, float]]:
     """Return the best proof on finer and finer grids, and the bound of each of them."""
     checked, noise_laws = read_problem({"problem": canonical_problem(problem)}), problem.agents[0].laws
     spreads, states = spreads_of(checked), problem.agents[0].n_states
     vertices, most = float(FIRST[states]), MOST_VERTICES[states]
     alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
+    runs = None if guess is None else Runs.under(problem, guess)
+    if runs is not None and runs.failure < POOR_GUESS:
+        alive = _within(alive, runs.window(checked, spreads))
+        narrow = np.prod(1.0 + (alive[1] - alive[0]) / (FIRST_WIDTH * np.median(spreads, axis=1)))
+        vertices = float(np.clip(narrow, vertices, most))
+    refuse_small_noise(checked, spreads, alive)
     best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
     try:
         runs = _coarse(checked, noise_laws, vertices, alive, work)
@@ -117,7 +138,7 @@ def _refined(problem: Problem, work: CountedWork) -> tuple[VertexProof, dict[str
             edges = grid_of(checked, spreads, round(vertices), window, finer)
             runs.failure = max(hoped, aim)
             steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
-            steps.near = _near(steps, runs.failure)
+            steps.near, steps.window = _near(steps, runs.failure), _lattice_around(steps, window)
             inputs, laws, failure = iterated(steps, runs)
             levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
@@ -125,7 +146,9 @@ def _refined(problem: Problem, work: CountedWork) -> tuple[VertexProof, dict[str
             runs, aim = Runs.of(steps, inputs, laws, hoped), min(aim, AIMS[1] * failure)
             slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
             if best is None or failure < best.failure:
-                best = VertexProof(edges, inputs, laws, steps.jumps, steps.near, min(1.0, failure * CLAIMED))
+                best = VertexProof(
+                    edges, inputs, laws, steps.jumps, steps.near, steps.window, min(1.0, failure * CLAIMED)
+                )
                 work.tell(failure)
             each = FINER_STEPS if failure > POOR else FINER_STEPS[FINER_STEPS <= 2.5]
             more = next((own for own in each if work.allows(steps.spent * min(own, most / vertices) ** GROWS)), None)
@@ -168,6 +191,18 @@ def _near(steps: Backups, failure: float) -> float:
     sides = 4.0 * len(problem.agents[0].states) * problem.horizon
     reach = [noise.reach(LEFT_OUT * failure / sides) for noise in steps.noises if noise is not None]
     return float(np.clip(max(reach, default=NEAR), LEAST_NEAR, FARTHEST))
+
+
+def _lattice_around(steps: Backups, window: FloatArray) -> FloatArray | None:
+    """Return the ends (2, d) of a lattice around a window of states; None where the noise has none."""
+    box = steps.agent.state_box
+    try:
+        beyond = np.outer([-BEYOND, BEYOND], steps.deviations)
+        ends = np.clip(window + beyond, *(box + beyond))
+        Lattice.of(steps.edges, steps.deviations, ends)
+    except Refused:
+        return None
+    return ends
 
 
 def jumps_of(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> tuple[bool, ...]:
