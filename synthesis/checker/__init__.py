@@ -2,13 +2,14 @@
 
 Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``problem`` (with
 ``distributions``); ``automaton``, ``formula``; ``letters``, ``angles``, ``crossings``, ``constraints``,
-``error_system``, ``steps``, ``trajectories``; ``tables``, ``motions``, ``cells``,
-``tree``, ``trains``, ``cell_proofs``; ``starts``, ``verdict``. Each file begins with its theorem.
+``error_system``, ``steps``, ``trajectories``; ``tables``, ``motions``, ``cells``, ``tree``, ``trains``,
+``cell_proofs``; ``starts``, ``verdict``. Each file begins with its theorem.
 """
 
 from .angles import check_angles
 from .automaton import followed
 from .crossings import check_words
+from .expressions import plain_sum
 from .fields import Refused, Unreadable
 from .file import FORMAT, MOST_BYTES, VERSION, Contents, parse_file, read_file
 from .jets import value_on

@@ -94,6 +94,9 @@ PATIENCE = 2.0
 MANY_TOGETHER = 8
 """Automaton states of a team above which independent tasks are certified one by one."""
 
+MOST_STILL_STATES = 2
+"""States up to which grids of vertices are tried where some have no noise, by default."""
+
 SHARE_OF_VERTICES = 0.9
 """Share of the effort that is left, which grids of vertices may take before others are tried."""
 
@@ -148,7 +151,7 @@ def still_problem(problem: Problem) -> Problem:
 def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synthesis]) -> list[Strategy]:
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
-    ways = [vertex_strategy(problem, plan)] if has_other_noise(problem) else []
+    ways = [vertex_strategy(problem, plan)] if has_vertices_only(problem) else []
     return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS, why_not=_beside_vertices)]
 
 
@@ -235,7 +238,7 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
         # Trees of many terms take long whatever the cells are.
         strategies.append(replace(levels, work=max(levels.work, exact, _tree_work(problem))))
     # A task written out in time had its grid of vertices as it was written.
-    if plan.paths and has_other_noise(problem):
+    if plan.paths and has_vertices_only(problem):
         strategies.insert(0, vertex_strategy(problem, plan))
     if is_scalar(problem) and problem.n_agents > FEW_AGENTS:
         strategies.append(_doubled(problem, kinds, plan))
@@ -271,6 +274,13 @@ def has_other_noise(problem: Problem) -> bool:
     """Return whether the problem is of one agent with noise that linear cells do not know: of other laws or sizes."""
     agent = problem.agents[0]
     return problem.n_agents == 1 and (agent.noise_scale is not None or agent.laws is not None)
+
+
+def has_vertices_only(problem: Problem) -> bool:
+    """Return whether no cells but vertices know the noise of one agent closely: of other laws, or partly none."""
+    agent = problem.agents[0]
+    is_still = agent.n_states <= MOST_STILL_STATES and bool(np.any(agent.still_axes)) and not reaches_every_mean(agent)
+    return has_other_noise(problem) or (problem.n_agents == 1 and is_still)
 
 
 def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:

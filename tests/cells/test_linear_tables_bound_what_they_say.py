@@ -13,7 +13,7 @@ import certigym as cg
 from certigym.synthesis.abstraction.kernels import second_derivative_bounds
 from certigym.synthesis.abstraction.kernels.kernel import Kernel
 from certigym.synthesis.abstraction.kernels.linear_kernel import hat_masses, hat_table
-from certigym.synthesis.extended_check.steps import linear_tables
+from certigym.synthesis.certificates.cell_probabilities import normal_hats
 from certigym.synthesis.relations.grids import Grid
 from kinds import mostly_thorough
 from problems import linear
@@ -52,7 +52,7 @@ def backed_up(
 
 def hats_of(code: str, means: NDArray, edges: NDArray, std: float) -> NDArray:
     """Masses by the code of the search, or by that of the check."""
-    return hat_masses(means, edges, std)[0] if code == "search" else linear_tables.normal_hats(means, edges, std)[0]
+    return hat_masses(means, edges, std)[0] if code == "search" else normal_hats(means, edges, std)[0]
 
 
 @pytest.mark.parametrize("code", ["search", "check"])

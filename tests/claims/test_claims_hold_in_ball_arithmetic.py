@@ -16,12 +16,11 @@ import certigym as cg
 from balls import check_rigorous, rigorous
 from balls.ball_laws import ExactLaw
 from certigym.envs.systems.distributions import Gaussian, Law
-from certigym.synthesis.certificates.cell_probabilities import checked_kernel, checked_laws
+from certigym.synthesis.certificates.cell_probabilities import checked_kernel, checked_laws, hat_tables
 from certigym.synthesis.certificates.proofs import GridProof, changed
 from certigym.synthesis.extended_check.claims import pairs_check
 from certigym.synthesis.extended_check.steps import (
     execution_of,
-    linear_tables,
     map_enclosures,
     mean_enclosures,
     network_enclosures,
@@ -268,7 +267,7 @@ SABOTAGE: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None], str]] = {
     "masses of boxes": ("boxes Laplace", times(checked_laws, "probability_below", UP), "a cell mass"),
     "masses of scales": ("boxes noise scale", times(checked_laws, "probability_below", UP), "a cell mass"),
     "another law": ("exact Laplace", another_law, "a cell mass"),
-    "hats": ("linear expressions", times(linear_tables, "erfc", UP), "a mass of a hat"),
+    "hats": ("linear expressions", times(hat_tables, "erfc", UP), "a mass of a hat"),
     "charges of laws": ("boxes Laplace", lower_charges, "a charge"),
     "boxes of expressions": ("boxes disturbance", shrunk, "were not shown to hold"),
     "maps of expressions": ("linear expressions", flat_maps, "were not shown to hold"),

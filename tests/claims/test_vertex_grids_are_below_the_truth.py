@@ -16,7 +16,16 @@ from scipy.stats import beta
 import certigym as cg
 from certigym.synthesis.certificates.proofs import canonical_problem
 from certigym.synthesis.checker import CheckedProblem, Refused, read_problem
-from certigym.synthesis.extended_check.vertex_grids import Backups, Images, backups, failure_of, images, noise_bounds
+from certigym.synthesis.extended_check.vertex_grids import (
+    Backups,
+    Lattice,
+    LatticeImages,
+    backups,
+    failure_of,
+    images,
+    lattices,
+    noise_bounds,
+)
 from certigym.synthesis.extended_check.vertex_grids.images import Planes
 from certigym.synthesis.extended_check.vertex_grids.noise_bounds import Normal, Tabled
 from certigym.synthesis.policy_search.vertex_values import value_iteration
@@ -42,6 +51,10 @@ DYNAMICS: dict[str, dict[str, Any]] = {
     "a state without noise": {
         "states": ["x", "y"], "dynamics": ["0.6*x + 0.25*y", "0.9*y - 0.2*x + 0.4*u"], "noise_std": [0.0, 0.2],
         "state_low": [-2, -1], "state_high": [2, 1],
+    },
+    "two states that bend": {
+        "states": ["x", "y"], "dynamics": ["0.4*x + 0.9*y*y", "0.5*y + 0.6*sin(3*x) + 0.3*u"], "noise_std": [0.1, 0.1],
+        "state_low": [-1.2, -1.2], "state_high": [1.2, 1.2],
     },
     "three states": {
         "states": ["x", "y", "z"], "dynamics": ["x + 0.1*y", "y + 0.2*z - 0.1*x*y", "0.8*z + 0.5*u"],
@@ -165,7 +178,7 @@ def test_backups_are_below_the_truth(name: str, seed: int) -> None:
     assert len(found) > 100 and np.all(found <= true + 1e-13)
 
 
-OF_ONE_SIZE = ["two states", "a state without noise", "three states"]
+OF_ONE_SIZE = ["two states", "two states that bend", "a state without noise", "three states"]
 
 
 @pytest.mark.parametrize("name", OF_ONE_SIZE)
@@ -174,7 +187,66 @@ OF_ONE_SIZE = ["two states", "a state without noise", "three states"]
 def test_backups_on_a_lattice_are_below_the_truth(name: str, seed: int, saddle: bool) -> None:
     found, true = below_and_true(name, seed, saddle, on_lattice=True)
     assert len(found) > 100 and np.all(found <= true + 1e-13)
-    print(name, saddle, np.quantile(true - found, [0, .1, .5, .9]))
+
+
+@pytest.mark.parametrize("part", ["kinks", "terms", "slopes", "varies", "bends"])
+def test_what_a_lattice_leaves_out_is_noticed(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if part == "kinks":
+        monkeypatch.setattr(LatticeImages, "_kinks", lambda self, W, k: 0.0 * self._planes(k))
+    elif part == "terms":  # no second derivatives along single axes
+        whole = Lattice.orders
+        monkeypatch.setattr(Lattice, "orders", lambda self: [own for own in whole(self) if max(own) < 2])
+    else:  # images that stand still, or move as in the middle of cells
+        of, key = LatticeImages.of, {"slopes": "p", "varies": "q", "bends": "bends"}[part]
+        still = lambda loop, *more: replace(own := of(loop, *more), **{key: 0.0 * getattr(own, key)})  # noqa: E731
+        monkeypatch.setattr(LatticeImages, "of", still)
+    name = {"kinks": "a state without noise", "bends": "two states that bend"}.get(part, "two states")
+    monkeypatch.setattr(LatticeImages, "_between", lambda self, orders: 0.0)
+    pairs = [below_and_true(name, seed, saddle, on_lattice=True) for seed in range(8) for saddle in (False, True)]
+    assert any(np.any(found > true + 1e-13) for found, true in pairs)
+
+
+@pytest.mark.parametrize("is_whole", [True, False])
+def test_what_lies_between_points_is_noticed(is_whole: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Points far apart: second derivatives at them alone are too few.
+    monkeypatch.setattr(lattices, "STEPS", (2.0,))
+    monkeypatch.setattr(lattices, "MOST_LOOKED", 10**9)
+    if not is_whole:
+        monkeypatch.setattr(LatticeImages, "_between", lambda self, orders: 0.0)
+    pairs = [below_and_true("two states", seed, seed % 2 == 0, on_lattice=True) for seed in range(10)]
+    assert is_whole != any(np.any(found > true + 1e-13) for found, true in pairs)
+
+
+@pytest.mark.parametrize("name", OF_ONE_SIZE)
+def test_second_derivatives_are_bounded_by_those_on_a_lattice(name: str) -> None:
+    problem, edges, rng = on_grid(name, 3)
+    window = np.array([[axis[0] - 0.5, axis[-1] + 0.5] for axis in edges]).T
+    steps = Backups(problem, edges, (True,) * len(edges), 6.8, None, window)
+    at, d = np.stack(np.meshgrid(*edges, indexing="ij")).reshape(len(edges), -1), len(edges)
+    inputs = np.clip(np.cos(rng.normal(size=(1, d)) @ at).T, -1.0, 1.0)
+    W = rng.random(tuple(2 * n for n in steps.shape)) ** 4
+    for k in range(d):
+        W = W if steps.noisy[k] else backups._continuous(W, k)
+    seen = steps.images_of(inputs, 0)
+    assert isinstance(seen, LatticeImages)
+    bends, cells = seen.cost(W)[1], np.stack(np.unravel_index(seen.cells, steps.shape))
+    for k in [k for k in range(d) if steps.noisy[k]]:
+        # differences along axis k inside of cells; where an axis has no noise kinks make them larger than they are
+        low, high = (np.stack([axis[own + side] for axis, own in zip(edges, cells, strict=True)]) for side in (0, 1))
+        share, h = rng.uniform(0.1, 0.9, low.shape), 1e-3
+        each = [low + (share + side * h * (np.arange(d) == k)[:, None]) * (high - low) for side in (-1, 0, 1)]
+        F = [truth(steps, W, inputs, x) for x in each]
+        if all(steps.noisy):
+            assert np.all((F[0] - 2.0 * F[1] + F[2]) / h**2 <= bends[k, seen.cells] + 1e-5)
+    assert np.all(bends[:, ~seen.known] == 0.0)
+
+
+def test_edges_lie_where_dynamics_have_corners() -> None:
+    more = {"dynamics": ["x + 0.2*y", "0.9*y - 0.3*max(2*y, 0.7) + 0.5*u - 0.1*y*abs(0.2 - x)"]}
+    problem = read_problem({"problem": canonical_problem(problem_of("two states", **more))})
+    spreads = value_iteration.spreads_of(problem)
+    edges = value_iteration.grid_of(problem, spreads, 400, problem.agents[0].state_box)
+    assert 0.2 in edges[0] and 0.35 in edges[1]
 
 
 LAWS: dict[str, dict[str, Any]] = {
@@ -278,8 +350,8 @@ def test_backups_are_not_much_below_where_cells_are_narrow(name: str) -> None:
 def test_what_is_left_out_is_noticed(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # Sabotage: bends, mixed derivatives, or the letter of axes forgotten; some seed shows it.
     if part == "means":
-        means = Images.means
-        monkeypatch.setattr(Images, "means", lambda self, W: means(self, W) + 1e-3)
+        means = images.Means.below
+        monkeypatch.setattr(images.Means, "below", lambda self, W: means(self, W) + 1e-3)
     else:
         whole = getattr(Planes, part)
         monkeypatch.setattr(Planes, part, lambda *arguments: 0.02 * whole(*arguments))

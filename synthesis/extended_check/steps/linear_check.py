@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent
-from ...certificates.cell_probabilities import AgentRecord
+from ...certificates.cell_probabilities import UNIT, AgentRecord
 from ...relations.grids import FloatArray
-from .linear_tables import UNIT
 from .symbolic_linear import SymbolicTables, image_values, written_values
 
 RELATIVE = 1e-11

@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....envs.systems.agents import AnyAgent, LinearAgent, with_expressions
-from ...certificates.cell_probabilities import AgentRecord, state
+from ...certificates.cell_probabilities import UNIT, AgentRecord, applied, normal_hats, state
 from ...relations.grids import FloatArray, linear_agent
 from .geometry import cell_boxes
-from .linear_tables import UNIT, applied, normal_hats
 from .map_enclosures import Maps, maps_of
 from .mean_enclosures import Enclosed
 from .network_enclosures import network_maps

@@ -72,9 +72,10 @@ def failure_of(
 ) -> float:
     """Return an upper bound on the probability that the task fails; ``Refused`` if none follows.
 
-    Second derivatives are bounded on a lattice around a ``window`` (2, d), or feature by feature (None). The law of time t and automaton state q is ``inputs[laws[t, q]]``, inputs (V, m) at vertices of ``edges``. Values
-    that are more than ``near`` deviations of the noise away are left out, which is charged. Noise has the laws
-    ``noise_laws`` of its sources, or is normal (None).
+    The law of time t and automaton state q is ``inputs[laws[t, q]]``, inputs (V, m) at vertices of ``edges``. Values
+    that are more than ``near`` deviations of the noise away are left out, which is charged. Second derivatives are
+    bounded on a lattice around a ``window`` (2, d), or feature by feature (None). Noise has the laws ``noise_laws`` of
+    its sources, or is normal (None).
     """
     # As the small checker does: first the machine, then the automaton against the formula.
     if wrong := wrong_arithmetic():

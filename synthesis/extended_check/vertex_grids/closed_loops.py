@@ -33,8 +33,8 @@ INPUT_OFF = 1e-9  # of the size of an input: by how much controllers may differ 
 class ClosedLoop:
     """Images, means first and sizes after.
 
-    ``centre`` and ``rho`` (2 d, V) are of vertices; of cells ``ends`` (2, 2 d, S), and along each axis ends of ``slopes``
-    (d, 2, 2 d, S), and the size of ``bends`` (d, 2 d, S).
+    ``centre`` and ``rho`` (2 d, V) are of vertices; of cells ``ends`` (2, 2 d, S), and along each axis ends of
+    ``slopes`` (d, 2, 2 d, S), and sizes of ``bends`` (d, 2 d, S).
     """
 
     centre: Array

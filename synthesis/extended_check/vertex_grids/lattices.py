@@ -4,22 +4,28 @@ Let G(z) = E W(z + w), w normal and independent along each axis; along axes with
 and continuous. Lengths count in deviations of the noise. Points of the *lattice* are h apart along axes with noise;
 along others they are both ends of every interval. Derivatives there are products of tables, one for each axis.
 
-**Theorem.** Let z be in a box of the lattice, p any vector, and let i and j run over axes, but not twice over one without
-noise. Then ``sum p_i p_j G_ij(z)`` is at most its largest value at the corners of the box, plus, for each of its terms,
+**Theorem.** Let z be in a box of the lattice, p any vector, and let i and j run over axes, but not twice over one
+without noise. Then ``sum p_i p_j G_ij(z)`` is at most its largest value at the corners of the box, plus, for each of
+its terms,
 
     |p_i p_j| sum_k h^2 / 8 N_k B,    k over the axes with noise.
 
-B^2 is the mean, around the corner nearest to z, of the square of W less a number (of slopes of W along those of i and j
-that have no noise), and N_k^2 = exp(n h^2 / 4) prod_e q(o_e), n axes with noise, o_e how often G_ij, and twice
-more along k, is differentiated along axis e, and ``q(o) = sum_m binom(o, m)^2 (h / 2)^(2 (o - m)) m!``.
+B^2 is the mean, around a corner, of the square of W (of slopes of W along those of i and j that have no noise), less
+any polynomial of fewer degrees than G is differentiated along axes with noise; and N_k^2 = exp(n h^2 / 4) prod_e
+q(o_e), n axes with noise, o_e how often G_ij, and twice more along k, is differentiated along axis e, and ``q(o) =
+sum_m binom(o, m)^2 (h / 2)^(2 (o - m)) m!``. First derivatives of G are at most N B, too.
 
 *Proof.* Along an axis without noise all is linear. Along others a function is at most its multilinear interpolation,
-and an eighth of the square of the step times what it bends downward (``backups``, one cell). Derivatives of order o are
-means of W times the Hermite polynomials He_o of the noise, of mean 0 if o > 0. With z = c + d, |d_e| <= h / 2, the integral
-of |W - number| |He| phi(x - d) is at most, by Cauchy and Schwarz, B times the root of that of He(x - d)^2 phi(x - d)^2 /
-phi(x), which is exp(|d|^2) E He(v + d)^2, v standard normal; and He_o(v + d) is the sum of binom(o, m) d^(o-m) He_m(v),
-which are orthogonal with the squares m!. QED Squares of functions that are multilinear on cells are at most the
-interpolation of those at corners. First derivatives are at most N B, too (``bent``).
+and an eighth of the square of the step times what it bends downward (``backups``, one cell). A derivative of order o is
+the mean of W times the Hermite polynomials He_o of the noise, and that of polynomials of lower degree is 0. Let c be
+the corner nearest to z = c + d, |d_e| <= h / 2. The integral of |W - polynomial| |He(x - d)| phi(x - d) is at most, by
+Cauchy and Schwarz, B times the root of that of He(x - d)^2 phi(x - d)^2 / phi(x), which is exp(|d|^2) E He(v + d)^2, v
+standard normal; and He_o(v + d) is the sum of binom(o, m) d^(o - m) He_m(v), which are orthogonal with the squares m!.
+QED
+
+Squares of what is multilinear on a cell are at most the interpolation of those at its corners. The best polynomial of
+degree 2 takes the squares of G, of first and mixed derivatives, and halves of those of second ones from the mean
+square.
 
 *Kinks.* Across an edge e of an axis k without noise W bends by a jump of its slope, whose mean kappa counts where it is
 upward: if y moves by y', y'' along a side of a cell, it leaves at most kappa (|y'| + |y''|) s (1 - s) (``backups``).
@@ -68,7 +74,7 @@ def _norm(orders: Sequence[int], noisy: Sequence[bool], step: float) -> float:
 
 
 def _tables(points: Array, edges: Array) -> list[Array]:
-    """Return weights (N, 2 n) of both ends of all intervals in means around points, and in two derivatives, by order."""
+    """Return weights (N, 2 n) of both ends of intervals in means around points, and in their derivatives, by order."""
     t = edges - points[:, None]
     phi, tail = np.exp(-0.5 * t * t) / math.sqrt(2.0 * math.pi), ndtr(-np.abs(t))
     # probabilities as differences of the smaller tails
@@ -144,9 +150,7 @@ class Lattice:
         if np.prod(shape) > MOST_POINTS:
             raise Refused(f"a lattice of more than {MOST_POINTS} points")
         counts = tuple(int(count) for count in shape)
-        tables = [
-            _tables(ends[0, k] + step * np.arange(counts[k]), own[k]) if noisy[k] else [] for k in range(d)
-        ]
+        tables = [_tables(ends[0, k] + step * np.arange(counts[k]), own[k]) if noisy[k] else [] for k in range(d)]
         return cls(edges, deviation, ends[0], tables, counts, step, GRAIN / finest**2)
 
     @property
@@ -170,25 +174,29 @@ class Lattice:
         return W
 
     def mean_squares(self, W: Array) -> dict[tuple[int, ...], Array]:
-        """Return B at all points, by which axes without noise slopes are taken along (none, one or two)."""
+        """Return B at all points for first derivatives, by which axes without noise slopes are taken along."""
         still, result = [k for k, has in enumerate(self.noisy) if not has], {}
         none = (0,) * W.ndim
         for chosen in (some for count in range(3) for some in itertools.combinations(still, count)):
-            own = tuple(int(k in chosen) for k in range(W.ndim))
             slopes = W
             for k in chosen:
                 slopes = _slopes(slopes, k, np.diff(self.edges[k]))
             square = self.mean(slopes * slopes, none)
-            if not chosen:  # less the mean: any number would do
+            if not chosen:  # polynomials of degree 0
                 square = square - self.mean(W, none) ** 2
-                noisy = [k for k, has in enumerate(self.noisy) if has]
-                for k in noisy:
-                    square = square - self.mean(W, tuple(int(e == k) for e in range(W.ndim))) ** 2
-                    square = square - self.mean(W, tuple(2 * int(e == k) for e in range(W.ndim))) ** 2 / 2
-                for i, j in itertools.combinations(noisy, 2):
-                    square = square - self.mean(W, tuple(int(e in (i, j)) for e in range(W.ndim))) ** 2
-            result[own] = np.sqrt(np.maximum(square, 0.0) + self.grain * float(np.abs(slopes).max()) ** 2)
+            square = np.maximum(square, 0.0) + 8.0 * self.grain * float(np.abs(slopes).max()) ** 2
+            result[tuple(int(k in chosen) for k in range(W.ndim))] = np.sqrt(square)
         return result
+
+    def rest_of_square(self, W: Array, root: Array) -> Array:
+        """Return B at all points for third and further derivatives without slopes, from that for first ones."""
+        noisy, square, d = [k for k, has in enumerate(self.noisy) if has], root**2, W.ndim
+        for k in noisy:
+            square = square - self.mean(W, tuple(int(e == k) for e in range(d))) ** 2
+            square = square - self.mean(W, tuple(2 * int(e == k) for e in range(d))) ** 2 / 2.0
+        for pair in itertools.combinations(noisy, 2):
+            square = square - self.mean(W, tuple(int(e in pair) for e in range(d))) ** 2
+        return np.asarray(np.sqrt(np.maximum(square, 0.0) + 8.0 * self.grain * float(np.abs(W).max()) ** 2))
 
     def kinks(self, W: Array, k: int) -> Array:
         """Return kappa (.., n - 1, ..) at the inner edges of axis k, which has no noise."""
@@ -289,6 +297,7 @@ class LatticeImages:
         grain = lattice.grain * float(np.abs(W).max())
         table = np.stack([lattice.mean(W, own).ravel() for own in orders], axis=1)
         largest = {own: self._largest(root) for own, root in roots.items()}
+        rest = largest | {(0,) * d: self._largest(lattice.rest_of_square(W, roots[(0,) * d]))}
         # p_i p_j of each term, and what it varies by
         terms, varies, spare = np.empty((M, d, len(orders))), np.empty((M, d, len(orders))), np.zeros((d, M))
         far = np.abs(self.p) + self.q
@@ -298,7 +307,7 @@ class LatticeImages:
             terms[:, :, n] = both * (self.p[:, i] * self.p[:, j]).T
             most = both * far[:, i] * far[:, j]
             varies[:, :, n] = most.T - np.abs(terms[:, :, n]) + 1e-15 * most.T
-            spare += most * (self._between(own) * largest[self._still(own)] + grain)
+            spare += most * (self._between(own) * rest[self._still(own)] + grain)
         places, begins = self._points
         own = table[places]
         size, bends = np.abs(own), np.zeros((d, M))

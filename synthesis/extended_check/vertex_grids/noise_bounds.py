@@ -23,10 +23,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from ....envs.systems.distributions import Gaussian, Law, is_own_law
-from ...certificates.cell_probabilities import law_error, law_height, probability_below
+from ...certificates.cell_probabilities import law_error, law_height, normal_hats, probability_below
 from ...checker import Refused, rigorous
 from ...checker.rigorous import Array, U
-from ..steps.linear_tables import normal_hats
 
 FAR = 38.0  # deviations beyond which normal densities count as at them
 FINE = 2048  # intervals of a deviation for which they and tails are tabled

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
-from ...checker import CheckedProblem
+from ...checker import CheckedProblem, plain_sum
 from ...extended_check.vertex_grids import images_at
 from ...relations.grids import FloatArray
 
@@ -91,10 +92,12 @@ def _axis(problem: CheckedProblem, k: int, density: FloatArray, cells: int) -> F
         np.linspace(0.0, 1.0, cells + 1), np.concatenate([[0.0], np.cumsum(density)]) / density.sum(), grid
     )
     edges[0], edges[-1] = low, high
-    for face in _faces(problem, k):
+    faces = _faces(problem, k)
+    for face in faces:
         width = np.interp(face, 0.5 * (edges[1:] + edges[:-1]), np.diff(edges))
         nearest = int(np.argmin(np.abs(edges - face)))
-        if 0 < nearest < len(edges) - 1 and abs(edges[nearest] - face) <= NEAREST * width:
+        is_free = 0 < nearest < len(edges) - 1 and edges[nearest] not in faces
+        if is_free and abs(edges[nearest] - face) <= NEAREST * width:
             edges[nearest] = face
         elif np.abs(edges - face).min() > 0.0:
             edges = np.sort(np.append(edges, face))
@@ -105,15 +108,34 @@ def _axis(problem: CheckedProblem, k: int, density: FloatArray, cells: int) -> F
 
 
 def _faces(problem: CheckedProblem, k: int) -> Sequence[float]:
-    """Return the faces of regions across axis k that lie inside of the workspace."""
+    """Return the faces of regions across axis k that lie inside of the workspace, and where the dynamics have corners.
+
+    On a cell that has a corner inside nothing is known of second derivatives.
+    """
     agent = problem.agents[0]
     faces = set[float]()
     for region in problem.regions:
         for column, output in enumerate(region.outputs[0]):
             if agent.outputs[output] == agent.states[k]:
                 faces |= {*region.low[:, column].tolist(), *region.high[:, column].tolist()}
+    corners = {at for tree in (*agent.dynamics, *agent.scale) for at in _corners(tree, agent.states[k])}
     low, high = agent.state_box[:, k].tolist()
-    return sorted(face for face in faces if low < face < high)[:MOST_FACES]
+    inside = [sorted(at for at in own if low < at < high)[:MOST_FACES] for own in (faces, corners)]
+    return sorted({*inside[0], *inside[1]})
+
+
+def _corners(tree: Any, name: str) -> Iterator[float]:
+    """Yield values of a state at which an expression has a corner (abs, min, max), whatever other states are."""
+    if isinstance(tree, tuple):
+        for argument in tree[1:]:
+            yield from _corners(argument, name)
+        if tree[0] in ("abs", "min", "max"):
+            difference = tree[1] if tree[0] == "abs" else ("-", tree[1], tree[2])
+            terms = plain_sum(difference) or []
+            if {own for _, own in terms if own} == {name}:
+                factor = sum(f for f, own in terms if own)
+                if factor:
+                    yield -sum(f for f, own in terms if not own) / factor
 
 
 MOST_FACES = 24

@@ -62,4 +62,3 @@ class Counted(Backups):
         """Return what is taken off all corners of each cell (S,), and what F may bend along each axis (d, S)."""
         always, self._bends = super().charge(W, images)
         return always, self._bends
-

@@ -1,4 +1,4 @@
-"""Tables of the relation ``linear`` by code of the check's own: masses of hats.
+"""Masses of hats under normal noise, by code of the check's own.
 
 What is computed is the same as in the search, to the last rounding, and in other words: unions from below take small
 differences of factors, so that a stored factor can only be proved by what agrees with it (docs/theory/linear.md,
