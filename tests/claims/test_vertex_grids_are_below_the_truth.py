@@ -198,7 +198,11 @@ def test_what_a_lattice_leaves_out_is_noticed(part: str, monkeypatch: pytest.Mon
         monkeypatch.setattr(Lattice, "orders", lambda self: [own for own in whole(self) if max(own) < 2])
     else:  # images that stand still, or move as in the middle of cells
         of, key = LatticeImages.of, {"slopes": "p", "varies": "q", "bends": "bends"}[part]
-        still = lambda loop, *more: replace(own := of(loop, *more), **{key: 0.0 * getattr(own, key)})  # noqa: E731
+
+        def still(*arguments: Any) -> LatticeImages:
+            own = of(*arguments)
+            return replace(own, **{key: 0.0 * getattr(own, key)})
+
         monkeypatch.setattr(LatticeImages, "of", still)
     name = {"kinks": "a state without noise", "bends": "two states that bend"}.get(part, "two states")
     monkeypatch.setattr(LatticeImages, "_between", lambda self, orders: 0.0)
@@ -401,6 +405,7 @@ def test_blocks_change_nothing_but_rounding(name: str, monkeypatch: pytest.Monke
         monkeypatch.setattr(images, "BESIDE", beside)
         steps = Backups(problem, edges, (True,) * len(edges), 8.0)
         seen = steps.images_of(inputs, 0)
+        assert isinstance(seen, images.Images)
         each.append((seen.vertices.below(W), *seen.cost(W), seen.known, len(seen.blocks)))
     many, one = each
     assert many[-1] > 4 and one[-1] == 1 and np.array_equal(many[-2], one[-2]) and many[-2].any()

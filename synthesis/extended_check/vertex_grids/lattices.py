@@ -274,10 +274,10 @@ class LatticeImages:
         slopes = loop.slopes[:, :, :d, cells] / unit[:, None]
         p = 0.5 * slopes[:, 0] + 0.5 * slopes[:, 1]
         q = np.maximum(up(slopes[:, 1] - p), up(p - slopes[:, 0])) + 1e-15 * np.abs(p)
-        whole = (own[:, cells].astype(np.int64) for own in (start, count))
+        whole = [own[:, cells].astype(np.int64) for own in (start, count)]
         vertices = Means.of(loop.centre, edges, noises, near)
         bends, rho = loop.bends[:, :d, cells] / unit[:, None], rho[:, cells] / unit[:, None]
-        return cls(lattice, vertices, known, cells, *whole, p, q, bends, rho)
+        return cls(lattice, vertices, known, cells, whole[0], whole[1], p, q, bends, rho)
 
     @property
     def size(self) -> int:
@@ -309,12 +309,12 @@ class LatticeImages:
             varies[:, :, n] = most.T - np.abs(terms[:, :, n]) + 1e-15 * most.T
             spare += most * (self._between(own) * rest[self._still(own)] + grain)
         places, begins = self._points
-        own = table[places]
-        size, bends = np.abs(own), np.zeros((d, M))
+        looked = table[places]
+        size, bends = np.abs(looked), np.zeros((d, M))
         for k in range(d if M else 0):
             found = np.zeros(len(places))
             for n in range(len(orders)):
-                found += np.repeat(terms[:, k, n], self._looked) * own[:, n]
+                found += np.repeat(terms[:, k, n], self._looked) * looked[:, n]
                 found += np.repeat(varies[:, k, n], self._looked) * size[:, n]
             bends[k] = np.maximum(np.maximum.reduceat(found, begins), 0.0)
         bends += spare

@@ -131,7 +131,7 @@ def _corners(tree: Any, name: str) -> Iterator[float]:
             yield from _corners(argument, name)
         if tree[0] in ("abs", "min", "max"):
             difference = tree[1] if tree[0] == "abs" else ("-", tree[1], tree[2])
-            terms = plain_sum(difference) or []
+            terms = plain_sum(difference) or ()
             if {own for _, own in terms if own} == {name}:
                 factor = sum(f for f, own in terms if own)
                 if factor:
