@@ -99,7 +99,7 @@ def test_runs_without_noise_are_judged_as_the_simulator_does() -> None:
     [("F goal", 3, "it takes 4 at least"), ("!wall U goal", 8, "something is in the way")],
 )
 def test_a_task_that_cannot_be_done_is_to_blame(formula: str, horizon: int, blamed: str) -> None:
-    found = cg.synthesize(problem(formula, horizon, 0.05), effort=1)
+    found = cg.synthesize(problem(formula, horizon, 0.05), effort=2)
     assert found.certificate.lower_bound == 0.0
     why = found.stats["nothing"]
     assert isinstance(why, str) and blamed in why
