@@ -47,20 +47,23 @@ import numpy as np
 from scipy.special import ndtr
 
 from ...checker import Refused
-from ...checker.intervals import down, up
+from ...checker.intervals import up
 from ...checker.rigorous import Array, Truth, Whole
-from .closed_loops import ClosedLoop, corners_of
-from .images import Means
+from .closed_loops import ClosedLoop
+from .images import Means, with_vertices
 from .noise_bounds import Noise, Normal
 
 STEPS = 0.2, 0.25, 0.3, 0.4, 0.5  # of a lattice, in deviations: the first one with few points, or the last
 FEW_POINTS = 250_000
-GRAIN = 1e-14  # of the largest value, by which means and their derivatives are off where cells are a deviation wide
+GRAIN = 2e-13  # of the largest value, by which means and their derivatives are off where cells are a deviation wide
 FINEST = 0.02  # deviations that a cell is wide at least
-MOST_POINTS = 3_000_000  # of a lattice
-MOST_LOOKED = 3000  # points that a cell looks at: those that ask for more are given up
+MOST_POINTS, MOST_NUMBERS = 3_000_000, 30_000_000  # of a lattice, and of its tables
+MOST_LOOKED, MOST_IN_ALL = (
+    3000,
+    15_000_000,
+)  # points that a cell looks at, and all of them: what asks for more is given up
 GATHERED = 100.0  # products that take as long as one with a number that is looked up
-SAME = 1e-12  # share of its size by which noise may vary and still count as of one size
+SAME = 1e-15  # share of its size by which noise may vary and still count as of one size: what its bounds are rounded by
 
 
 def _norm(orders: Sequence[int], noisy: Sequence[bool], step: float) -> float:
@@ -147,8 +150,9 @@ class Lattice:
             shape = [lengths[k] if noisy[k] else 2.0 * len(edges[k]) - 2.0 for k in range(d)]
             if np.prod(shape) <= FEW_POINTS:
                 break
-        if np.prod(shape) > MOST_POINTS:
-            raise Refused(f"a lattice of more than {MOST_POINTS} points")
+        numbers = sum(3.0 * shape[k] * 2.0 * len(edges[k]) for k in np.flatnonzero(noisy))
+        if np.prod(shape) > MOST_POINTS or numbers > MOST_NUMBERS:
+            raise Refused(f"a lattice of more than {MOST_POINTS} points, or of more than {MOST_NUMBERS} numbers")
         counts = tuple(int(count) for count in shape)
         tables = [_tables(ends[0, k] + step * np.arange(counts[k]), own[k]) if noisy[k] else [] for k in range(d)]
         return cls(edges, deviation, ends[0], tables, counts, step, GRAIN / finest**2)
@@ -241,17 +245,9 @@ class LatticeImages:
     def of(cls, loop: ClosedLoop, lattice: Lattice, noises: Sequence[Noise | None], near: float) -> Self:
         """Return the images of a closed loop, of whose noise ``near`` deviations are looked at around vertices."""
         d, edges, noisy = len(lattice.edges), lattice.edges, lattice.noisy
-        shape = tuple(len(axis) for axis in edges)
         known = np.all(np.isfinite(loop.ends), axis=(0, 1)) & np.all(np.isfinite(loop.bends), axis=(0, 1))
         known &= np.all(np.isfinite(loop.slopes), axis=(0, 1, 2))
-
-        def at_corners(table: Array) -> Array:
-            return np.stack([corners_of(own.reshape(shape), d).reshape(len(known), -1).max(axis=1) for own in table])
-
-        # What is read at a vertex, and where it may lead, belongs to the images of cells, too.
-        rho = at_corners(loop.rho[:d])
-        least, most = at_corners(loop.rho[:d] - loop.centre[:d]), at_corners(loop.rho[:d] + loop.centre[:d])
-        ends = np.stack([np.minimum(loop.ends[0, :d], down(-least)), np.maximum(loop.ends[1, :d], up(most))])
+        rho, ends = with_vertices(loop.ends[:, :d], loop.centre[:d], loop.rho[:d], edges)
         known &= np.all(np.isfinite(rho), axis=0) & np.all(np.isfinite(ends), axis=(0, 1))
         sizes = loop.ends[:, d:][:, noisy]
         known &= np.all(np.abs(sizes - lattice.deviation[noisy, None]) <= SAME * sizes[1], axis=(0, 1))
@@ -269,7 +265,10 @@ class LatticeImages:
                 stop = 2.0 * np.searchsorted(axis, high, side="right") - 1.0
             each.append((start, stop - start + 1.0))
         start, count = (np.where(known, np.stack(own), 1.0) for own in zip(*each, strict=True))
-        known &= np.prod(count, axis=0) <= MOST_LOOKED
+        looked = np.where(known, np.prod(count, axis=0), 0.0)
+        order = np.argsort(looked, kind="stable")
+        known &= looked <= MOST_LOOKED
+        known[order[np.cumsum(looked[order]) > MOST_IN_ALL]] = False
         cells = np.flatnonzero(known)
         slopes = loop.slopes[:, :, :d, cells] / unit[:, None]
         p = 0.5 * slopes[:, 0] + 0.5 * slopes[:, 1]
@@ -306,7 +305,7 @@ class LatticeImages:
             both = 1.0 if i == j else 2.0
             terms[:, :, n] = both * (self.p[:, i] * self.p[:, j]).T
             most = both * far[:, i] * far[:, j]
-            varies[:, :, n] = most.T - np.abs(terms[:, :, n]) + 1e-15 * most.T
+            varies[:, :, n] = most.T - np.abs(terms[:, :, n]) + 4e-15 * most.T
             spare += most * (self._between(own) * rest[self._still(own)] + grain)
         places, begins = self._points
         looked = table[places]

@@ -95,7 +95,7 @@ def refuse_vertex_grid(problem: Problem) -> None:
         raise RelationRefused(str(reason)) from reason
 
 
-def refuse_small_noise(problem: CheckedProblem, spreads: FloatArray, window: FloatArray) -> None:
+def refuse_small_noise(spreads: FloatArray, window: FloatArray) -> None:
     """Raise RelationRefused where a window (2, d) has too many cells that are as wide as the noise."""
     cells = float(np.prod((window[1] - window[0]) / (NARROW * spreads).mean(axis=1)))
     if cells > MOST_NARROW:
@@ -123,12 +123,12 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
     spreads, states = spreads_of(checked), problem.agents[0].n_states
     vertices, most = float(FIRST[states]), MOST_VERTICES[states]
     alive = _alive(checked, grid_of(checked, spreads, round(vertices), checked.agents[0].state_box))
-    runs = None if guess is None else Runs.under(problem, guess)
+    full, runs = checked.agents[0].state_box, None if guess is None else Runs.under(problem, guess)
     if runs is not None and runs.failure < POOR_GUESS:
         alive = _within(alive, runs.window(checked, spreads))
         narrow = np.prod(1.0 + (alive[1] - alive[0]) / (FIRST_WIDTH * np.median(spreads, axis=1)))
-        vertices = float(np.clip(narrow, vertices, most))
-    refuse_small_noise(checked, spreads, alive)
+        full, vertices = alive, float(np.clip(narrow, vertices, most))
+    refuse_small_noise(spreads, full)
     best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
     try:
         runs = _coarse(checked, noise_laws, vertices, alive, work)
