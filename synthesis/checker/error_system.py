@@ -63,7 +63,8 @@ class ErrorSystem:
 
         With ``earlier`` (J, D) the rows are ``c e_t + earlier e_(t-1)``. Forms are linear in c, to the last bit.
         """
-        ends, t, (y, most) = self.besides(c, earlier), len(self.steps), self._pulled(c, earlier)
+        t, pulled = len(self.steps), self._pulled(c, earlier)
+        ends, (y, most) = self.besides(c, earlier, pulled), pulled
         if not t:
             still, nothing = np.zeros(len(c)), np.zeros((len(c), 0, self.n_sources))
             return ends, Forms(still, still, np.zeros(nothing.shape[::2], bool), nothing, nothing)
@@ -76,9 +77,9 @@ class ErrorSystem:
         variances = each.sum(axis=0) * more, each.max(axis=0) * more
         return ends, Forms(*variances, sources, moved.swapaxes(0, 1), size.swapaxes(0, 1))
 
-    def besides(self, c: Array, earlier: Array | None = None) -> Array:
-        """Return the ends (2, J) alone of what such rows are besides g."""
-        t, d, (y, most) = len(self.steps), c.shape[1], self._pulled(c, earlier)
+    def besides(self, c: Array, earlier: Array | None = None, pulled: tuple[Array, Array] | None = None) -> Array:
+        """Return the ends (2, J) alone of what such rows are besides g; they may have been ``pulled`` back already."""
+        t, d, (y, most) = len(self.steps), c.shape[1], pulled or self._pulled(c, earlier)
         # sums of so many numbers of one sign are rounded by less
         counted = 1.0 + 4.0 * U * (len(y) * d + 64.0)
         spare = (np.abs(y[0]) + (d + 2.0) * U * most[0]) @ self.spread * counted
