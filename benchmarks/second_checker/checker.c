@@ -1824,9 +1824,9 @@ static double beyond_both(double a, double b, double rho) {
 }
 
 /* What a row adds to the failure of earlier ones at one end: it fails, and one of them holds. Of each of three times it
-   is the one that leaves the row farthest from its end. */
+   is the one that holds least often where the row fails. */
 static double first_failure(size_t number, int above, double plain) {
-    const Row *row = (Row *)rows.data + number; double best = plain, away = -INFINITY, a = 0, b = 0, rho = 0;
+    const Row *row = (Row *)rows.data + number; double best = plain, held = INFINITY, a = 0, b = 0, rho = 0;
     if (plain <= 1e-8) return plain;
     for (size_t k = number; k-- > 0;) {
         const Row *old = (Row *)rows.data + k; I together = ZERO, alone = ZERO;
@@ -1841,11 +1841,11 @@ static double first_failure(size_t number, int above, double plain) {
             end = same == above ? old->above : old->below, own = dn((above ? row->above : row->below) / row->deviation),
             r = least(dn(dn(size / up(row->deviation * old->deviation)) * (1 - 0x1p-50)), 1 - 1e-9);
         if (r > 0.1 && isfinite(end) && end >= 0 && own >= 0 && deviation > 0) {
-            double far = (own - r * up(end / deviation)) / sqrt(1 - r * r);
-            if (far > away) away = far, a = own, b = up(end / deviation), rho = r;
+            double z = (up(end / deviation) - r * (own + 1 / (1 + own))) / sqrt(1 - r * r);
+            if (z < held) held = z, a = own, b = up(end / deviation), rho = r;
         }
-        if (away > -INFINITY && (k == 0 || ((Row *)rows.data + k - 1)->t < old->t))
-            best = least(best, beyond_both(a, b, rho)), away = -INFINITY;
+        if (held < INFINITY && (k == 0 || ((Row *)rows.data + k - 1)->t < old->t))
+            best = least(best, beyond_both(a, b, rho)), held = INFINITY;
     }
     return best;
 }

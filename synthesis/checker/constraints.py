@@ -125,8 +125,9 @@ def _first_failures(ends: Array, forms: Forms, before: Array, earlier: Forms) ->
         for side, end in enumerate(ends):
             b = np.where((covariance > 0.0) == bool(side), before[1], before[0]) / least * (1.0 + 8.0 * U)
             a = end[:, None] / own * (1.0 - 8.0 * U) + 0.0 * rho
-            away = (a - rho * b) / np.sqrt(1.0 - rho * rho)
-            best = np.where(np.isfinite(away), away, -np.inf).argmax(axis=1)[:, None]
+            # the one that is kept least often where a form is beyond a, and there somewhat, as it mostly is
+            kept = (b - rho * (a + 1.0 / (1.0 + a))) / np.sqrt(1.0 - rho * rho)
+            best = np.where(np.isfinite(kept), kept, np.inf).argmin(axis=1)[:, None]
             # without an earlier one these are nan, of which nothing is known
             found.append(beyond(*(np.take_along_axis(part, best, axis=1) for part in (a, b, rho))))
     return np.array(found)

@@ -55,6 +55,10 @@ _BOXES = "the workspace is `state_low` and `state_high`, and the box of the inpu
 _SHAPE = "it stands in the table of a shape, such as `disc = { centre = [0, 0], radius = 1 }`"
 _WINDOW = 'times stand in the formula, such as `F[3,8] goal`; corners in quotes may name the time, such as `"0.1*t"`'
 _OF = '`of` names the states that a region is about: `of = ["x", "y"]`'
+_PAIR = (
+    'a pair is a region of two agents: `[propositions.near]` with `agents = ["a", "b"]`, `distance = 1` and the states '
+    'that are compared, `of = ["x", "y"]`'
+)
 _MEASURED = dict.fromkeys(
     (
         *(
@@ -93,6 +97,7 @@ _ELSEWHERE = {
     "the problem": {
         **_MEASURED,
         **dict.fromkeys(("regions", "region", "obstacles", "labels"), "regions are tables [propositions.NAME]"),
+        **dict.fromkeys(("pairs", "pair", "distance", "collisions"), _PAIR),
         "agent": "agents are tables, each under its own [[agents]]",
         "formula": "it stands in the table `[specification]`, or above all tables as `specification`",
         **dict.fromkeys(("probability", "threshold"), _PROBABILITY),

@@ -240,6 +240,7 @@ class _Walk:
         self.forms, self.centres = self._derivatives()
         self.rows, self.parts = self._rows()
         self.found: tuple[FloatArray, ...] = ()
+        self.carried: FloatArray | None = None  # covariances (N, d, d) of deviations with those a step earlier
 
     def _derivatives(self) -> tuple[FloatArray, FloatArray]:
         """Return matrices (S, d, v, N) of the linear forms of steps, and what derivatives are off from them."""
@@ -284,6 +285,15 @@ class _Walk:
         linearization_error = linearization_error + np.sqrt(t * self.d * faint)
         return shift, linearization_error * OUTWARD, np.sum(np.matmul(rows, self.covariance) * rows, axis=2)
 
+    def _together(self, t: int, earlier: FloatArray | None) -> FloatArray:
+        """Return the correlations (N, J) of rows at time t with themselves one step earlier, about."""
+        rows, variance = self.rows[t], self.found[-1]
+        if earlier is None or self.carried is None:
+            return np.zeros(variance.shape)
+        covariance = np.sum(np.matmul(rows, self.carried) * self.rows[t - 1][:, : rows.shape[1]], axis=2)
+        size = np.sqrt(np.maximum(variance * earlier[:, : rows.shape[1]], 1e-300))
+        return np.asarray(np.clip(covariance / size, -1.0, 1.0))
+
     def products_to(self, count: int, first: int = 0) -> FloatArray:
         """Return the closed loops since some remainders, side by side (N, d, .. d)."""
         return self.products[:, :, first:count].reshape(self.n, self.d, -1)
@@ -317,7 +327,9 @@ class _Walk:
         eye = np.eye(d)
         for t in range(steps + 1):
             x = self.x[t]
+            earlier = self.found[-1] if t else None
             self.found = self.of_rows(t, self.rows[t])
+            self.together = self._together(t, earlier)
             shift, linearization_error, variance = self.known("states")
             sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
             asked = bent[:d] if t < steps else self.model.bent_outputs
@@ -339,7 +351,8 @@ class _Walk:
                 names = [f"{name} at step {t}" for name in self.model.names[:d]]
                 below = x + shift - low - size - linearization_error
                 above = high - x - shift - size - linearization_error
-                self.worth.add(below, above, strip, sd**2, names, self.largest(t, eye))
+                correlation = self.together[:, self.parts["states"]]
+                self.worth.add(below, above, strip, sd**2, names, self.largest(t, eye), correlation)
                 self._ask(t, eye)
                 outputs[:, t] = self._outputs(t, reach)
                 self._land(t, reach)
@@ -384,7 +397,8 @@ class _Walk:
                 (high - y - shift - size - linearization_error)[:, here],
             )
             nothing, largest = np.full((self.n, len(here)), np.inf), self.largest(t, self.C[t][:, here])
-            self.worth.add(*rows, nothing, sd[:, here] ** 2, names, largest)
+            correlation = self.together[:, self.parts["outputs"]][:, here]
+            self.worth.add(*rows, nothing, sd[:, here] ** 2, names, largest, correlation)
             self._ask(t, self.C[t][:, here])
         return sd, linearization_error, shift
 
@@ -506,7 +520,7 @@ class _Walk:
         low = np.where(moved, u + shift - agent.input_low - spare, np.inf)
         high = np.where(moved, agent.input_high - u - shift - spare, np.inf)
         names = [f"{name} at step {t}" for name in self.model.names[d : d + self.m]]
-        self.worth.add(low, high, strip, sd**2, names, self.largest(t, gain))
+        self.worth.add(low, high, strip, sd**2, names, self.largest(t, gain), self.together[:, self.parts["inputs"]])
         self._ask(t, gain)
         return (sd, linearization_error, shift), strip, (below, above)
 
@@ -539,6 +553,7 @@ class _Walk:
             self.shifts[:, k], self.linearization_errors[:, k], self.each_noise[:, t] = middle, off, noise
             self.count += 1
         self.faint = _moved(self.faint, closed) + self.rounded
+        self.carried = np.matmul(closed, self.covariance)
         self.covariance = _moved(self.covariance, closed) + noise
         if self.moments is not None:
             self.moments.advance(closed)

@@ -5,14 +5,14 @@ The mathematics is that of docs/theory/paths.md, "Agents of any dynamics", in pl
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfc, log_ndtr
+from scipy.special import erfc, log_ndtr, ndtr
 
 from ....envs.systems.distributions import Tail
 from ...relations.grids import FloatArray
@@ -23,11 +23,17 @@ OUTWARD = 1.0 + 1e-7
 INWARD = 1e-9
 """Share of the size of a number by which distances are shortened."""
 
+LEAST_CORRELATION = 0.1
+"""Correlation with what was asked a step earlier from which on that counts."""
+
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
 """Probabilities of all strips for which rows are chosen to be strips or tails."""
 
-PARTS = ("low", "high", "strip", "variance", "largest", "below", "above")
+PARTS = ("low", "high", "strip", "variance", "largest", "below", "above", "correlation")
 """Lists of rows that are kept side by side."""
+
+NODES, WEIGHTS = np.polynomial.laguerre.laggauss(6)
+"""Where a normal number is that is beyond an end, in units of about what it is beyond it by, and how much of it."""
 
 PAIR = "pair"
 """Beginning of the names of rows about two agents."""
@@ -38,7 +44,8 @@ class Worth:
     """Rows of inequalities of N candidates: distances, strips and variances, lists of arrays (N, J).
 
     ``largest`` is what the step that adds most adds to each variance, or all of it where nothing is known; ``below``
-    and ``above`` are further bounds on both tails, infinite where there are none.
+    and ``above`` are further bounds on both tails, infinite where there are none. ``correlation`` is that with the same
+    row one step earlier, of which the names tell, 0 where there is none.
     """
 
     low: list[FloatArray] = field(default_factory=list)
@@ -48,6 +55,7 @@ class Worth:
     largest: list[FloatArray] = field(default_factory=list)
     below: list[FloatArray] = field(default_factory=list)
     above: list[FloatArray] = field(default_factory=list)
+    correlation: list[FloatArray] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
     shared: list[bool] = field(default_factory=list)
     """Whether rows are about this agent and another one."""
@@ -78,12 +86,14 @@ class Worth:
         variance: FloatArray,
         names: list[str],
         largest: FloatArray | None = None,
+        correlation: FloatArray | float = 0.0,
     ) -> None:
         """Add rows (N, J)."""
         self.shared.append(bool(names) and names[0].startswith(PAIR))
         shape = variance.shape
         unknown = np.full(shape, np.inf)
         values = (low, high, strip, variance, variance if largest is None else largest, unknown, unknown)
+        values = (*values, np.asarray(correlation))
         for kept, new in zip(self._parts, values, strict=True):
             kept.append(new if new.shape == shape else np.broadcast_to(new, shape))
         self.names += names
@@ -132,7 +142,7 @@ class Worth:
 
     def _by_moments(self) -> tuple[FloatArray, FloatArray]:
         """Return both tails (N, J) of each row by exponential moments."""
-        low, high, strip, variance, largest, *others = self._all
+        low, high, strip, variance, largest, *others, _ = self._all
         ends = (np.minimum(side, strip) for side in (low, high))
         each = (_by_moments(end, variance, self.tail, largest) for end in ends)
         below, above = (np.minimum(one, other) for one, other in zip(each, others, strict=True))
@@ -140,12 +150,49 @@ class Worth:
 
     def scores(self) -> FloatArray:
         """Return numbers (N,) that grow with the failure, also where that is 1: logarithms of sums of soft tails."""
-        return np.log(np.maximum(self._soft.sum(axis=1), 1e-300))
+        total = self._soft.sum(axis=1)
+        if self._is_normal:
+            total = np.minimum(total, self._first(_soft).sum(axis=1))
+        return np.log(np.maximum(total, 1e-300))
+
+    @property
+    def _is_normal(self) -> bool:
+        """Whether what is known of earlier rows counts."""
+        return not self.tail and self.stopped is None
+
+    def _first(self, tails: Callable[[FloatArray, FloatArray], FloatArray]) -> FloatArray:
+        """Return about what each row (N, J) adds to the failure of the one before it: it fails, and that one does not.
+
+        The check has a bound for the best of more earlier rows (docs/theory/paths.md, Theorem Paths.12).
+        """
+        low, high, strip, variance, *_, correlation = self._all
+        earlier = self._earlier
+        sd, total = np.sqrt(np.maximum(variance, 1e-300)), np.zeros(low.shape)
+        known = (earlier >= 0) & (correlation > LEAST_CORRELATION)
+        for side in (low, high):
+            end = np.minimum(side, strip)
+            z = np.where(np.isfinite(end), end, 1e3) / sd
+            share = np.ones(z.shape)
+            at = np.nonzero(known & (z > 0.0) & (z < 38.0) & (z[:, earlier] > 0.0))
+            if len(at[0]):
+                share[at] = _kept_before(z[at], z[at[0], earlier[at[1]]], correlation[at])
+            total += tails(end, variance) * share
+        return total
+
+    @cached_property
+    def _earlier(self) -> NDArray[np.int64]:
+        """Of each row (J,) the place of the same one a step earlier, or -1."""
+        place, earlier = dict[tuple[str, int], int](), []
+        for k, name in enumerate(self.names):
+            what, _, t = name.rpartition(" ")
+            earlier.append(place.get((what, int(t) - 1), -1))
+            place[what, int(t)] = k
+        return np.array(earlier, dtype=np.int64)
 
     @cached_property
     def _soft(self) -> FloatArray:
         """What each row (N, J) adds to the failure; where the limit is broken it goes on to grow."""
-        low, high, strip, variance, _, below, above = self._all
+        low, high, strip, variance, _, below, above, _ = self._all
         if self.tail:
             return np.add(*self._by_moments())
         one, other, inner = (_soft(distance, variance) for distance in (low, high, strip))
@@ -159,8 +206,8 @@ class Worth:
         return np.where(self.stopped[:, None], sides, found)
 
     def failures(self) -> FloatArray:
-        """Return upper bounds (N,) on the probabilities that an inequality fails, up to rounding."""
-        low, high, strip, variance, _, *others = self._all
+        """Return estimates (N,) of the probabilities that an inequality fails, mostly from above."""
+        low, high, strip, variance, _, *others, _ = self._all
         if self.tail:
             below, above = (np.sum(np.minimum(side, 1.0), axis=1) for side in self._by_moments())
             return np.asarray(np.minimum(1.0, (below + above + self.lost) * OUTWARD))
@@ -178,6 +225,8 @@ class Worth:
             sides = (2.0 * _tails(np.minimum(end, strip), variance) for end in (low, high))
             each = [np.minimum(side, other).sum(axis=1) for side, other in zip(sides, others, strict=True)]
             best = np.where(self.stopped, np.add(*each), best)
+        if self._is_normal:
+            best = np.minimum(best, self._first(_tails).sum(axis=1))
         return np.minimum(1.0, best * OUTWARD)
 
 
@@ -203,6 +252,16 @@ def _quotient(distance: FloatArray, variance: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         z = distance / np.sqrt(np.maximum(variance, 1e-300))
     return np.clip(np.where(distance == np.inf, np.inf, np.where(np.isnan(z), -1e3, z)), -1e3, 1e3)
+
+
+def _kept_before(a: FloatArray, b: FloatArray, correlation: FloatArray) -> FloatArray:
+    """Return about P(Y <= b | X > a) of standard normal numbers, all (K,): what is beyond a is so by steps of 1 / a."""
+    rate = a + 1.0 / (1.0 + a)
+    beyond = NODES[:, None] / rate
+    weights = WEIGHTS[:, None] * np.exp(NODES[:, None] - a * beyond - 0.5 * beyond * beyond)
+    r = np.sqrt(np.maximum(1.0 - correlation * correlation, 1e-12))
+    kept = ndtr((b - correlation * (a + beyond)) / r)
+    return np.asarray(np.sum(weights * kept, axis=0) / np.sum(weights, axis=0))
 
 
 def _soft(distance: FloatArray, variance: FloatArray) -> FloatArray:
