@@ -215,7 +215,8 @@ def test_words_of_many_pairs_are_found() -> None:
 
 def test_rows_of_a_team_are_counted_once() -> None:
     one, total = Worth(), Worth()
-    one.add(np.full((2, 3), 2.0), np.full((2, 3), np.inf), np.full((2, 3), np.inf), np.ones((2, 3)), ["a at 1", "b at 1", "c at 1"])
+    far, nothing = np.full((2, 3), 2.0), np.full((2, 3), np.inf)
+    one.add(far, nothing, nothing, np.ones((2, 3)), ["a at 1", "b at 1", "c at 1"])
     total.extend(one.flattened(["first", "second"]))
     assert total.failures()[0] == pytest.approx(6.0 * norm.sf(2.0), rel=1e-5)
     assert total.weakest() == "agent `first`, a at 1"
