@@ -38,6 +38,9 @@ MOST_PER_CELL = {1: 64, 2: 16, 3: 4}
 MOST_LATTICE = 8_000_000
 """Most lattice points of an agent: 64 MB for each of some ten columns of a factor."""
 
+MOST_MASSES = 2**25
+"""Most masses of cells around the lattice points of one axis, which the check holds at once: 270 MB."""
+
 MOST_MAPS = 10_000_000
 """Most maps of an agent, cells times choices: 1 GB in three dimensions."""
 
@@ -107,6 +110,8 @@ def lattice_model(
         points = _points_beside_targets(grid, laws)
     else:
         points = _points_per_cell(grid, laws, per_cell)
+    if per_cell is None:
+        points = tuple(min(k, max(2, MOST_MASSES // (2 * n * n))) for k, n in zip(points, grid.shape, strict=True))
     n_maps = grid.n_cells * len(relation.input_set)
     count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
     if n_maps > MOST_MAPS or count > MOST_LATTICE:
