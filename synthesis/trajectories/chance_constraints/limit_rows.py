@@ -92,8 +92,8 @@ class Worth:
         self.shared.append(bool(names) and names[0].startswith(PAIR))
         shape = variance.shape
         unknown = np.full(shape, np.inf)
-        values = (low, high, strip, variance, variance if largest is None else largest, unknown, unknown)
-        values = (*values, np.asarray(correlation))
+        most = variance if largest is None else largest
+        values = (low, high, strip, variance, most, unknown, unknown, np.broadcast_to(correlation, shape))
         for kept, new in zip(self._parts, values, strict=True):
             kept.append(new if new.shape == shape else np.broadcast_to(new, shape))
         self.names += names
