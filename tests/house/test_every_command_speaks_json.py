@@ -40,6 +40,7 @@ COMMANDS: dict[str, list[list[str]]] = {
     "validate-field": [["c.npz", "--random", "3", *FEW]],
     "audit": [["c.npz", *FEW]],
     "stress": [["c.npz", *FEW]],
+    "sweep": [[*TASK, *FEW, "--over", "noise=1,2"]],
     "report": [["c.npz", "--out", "r.html", *FEW]],
     "plot": [["automaton", "task.toml", "--out", "a.svg"]],
     "record": [["task.toml", *FEW, "--policy", "random", "--out", "d.npz"]],

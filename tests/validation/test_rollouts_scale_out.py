@@ -28,7 +28,7 @@ from certigym.validation.statistical_tests.rollouts import NUMBERS_SIDE_BY_SIDE,
 from certigym.validation.statistical_tests.spread import in_order
 from certigym.validation.statistical_tests.step_tests import audit
 from certigym.validation.statistical_tests.stress_test import stress
-from certigym.validation.statistical_tests.sweeps import each_report
+from certigym.validation.statistical_tests.sweeps import each_report, sweep
 from problems import two_agents
 
 EPISODES, CHUNK = 21_300, 500
@@ -124,6 +124,46 @@ def test_sweeps_run_on_executors(certificate: OnGrid) -> None:
 
 
 @pytest.mark.thorough
+def test_rows_of_a_sweep_are_the_same_bits_on_workers_and_those_of_each_setting() -> None:
+    problem, over = (
+        two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]]),
+        {"noise": [1.0, 0.5], "horizon": [3, 4]},
+    )
+
+    def rows(executor: Any = None) -> list[dict[str, Any]]:
+        found = [row.to_dict() for row in sweep(problem, over, 400, {"cells": 20}, seed=3, executor=executor)]
+        assert all(row.pop("seconds") > 0.0 for row in found)
+        return found
+
+    here = rows()
+    with processes(2) as pool:
+        assert rows(pool) == here
+    assert [row["changes"] for row in here] == [{"noise": s, "horizon": t} for s in (1.0, 0.5) for t in (3, 4)]
+    alone = cg.synthesize(problem.replace(horizon=4, disturbance_scale=0.5), 20)
+    assert here[-1]["lower_bound"] == alone.lower_bound
+    assert here[-1]["successes"] == cg.validate(alone, 400, seed=3).successes
+
+
+@pytest.mark.parametrize(
+    ("over", "words"),
+    [
+        ({}, "expected values of some of noise, horizon"),
+        ({"noises": [1.0]}, "did you mean `noise`"),
+        ({"horizon": [1.5, "x"]}, "expected whole numbers for `horizon`"),
+        ({"noise": [-1.0]}, "expected a number of at least 0"),
+    ],
+)
+def test_sweeps_over_what_is_not_there_are_refused_before_anything_is_computed(over: Any, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        next(sweep(two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]]), over))
+
+
+def test_a_setting_without_models_is_a_row_and_the_others_go_on() -> None:
+    problem = cg.make_problem("invariance-v0")
+    rows = [*sweep(problem, {"cells": [0, 10], "horizon": [1]}, 100, {"relation": "exact"})]
+    assert [row.verdict == "refused" for row in rows] == [True, False] and "cells" in rows[0].method
+
+
 def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: OnGrid) -> None:
     loop = Loop(certificate.problem, certificate.controller, 0, CHUNK)
 

@@ -27,7 +27,7 @@ from .starts import corner_starts, random_starts, slice_axes, slice_starts, star
 from .step_tests import audit
 from .stress_test import LADDERS, StressReport, stress
 from .success_rate import MEANINGS, NOT_CERTIFIED, ValidationReport, told_of, tried_lines, validate
-from .sweeps import each_report
+from .sweeps import CHANGES, SweepRow, checked_changes, each_report, sweep
 from .task_paths import task_tracks
 from .trials import Plan, TrialOptions, TrialPlan, names_plan, planned
 from .value_at import bound_by_steps_left

@@ -43,6 +43,7 @@ MODULES = {
     "validate-field": "validation_commands",
     "audit": "validation_commands",
     "stress": "validation_commands",
+    "sweep": "validation_commands",
     "report": "validation_commands",
     "train": "learning_commands",
     "probe": "learning_commands",
@@ -76,7 +77,7 @@ POLICIES = (
 
 GROUPS = {
     "certify": ("run", "synthesize", "certify"),
-    "check": ("check", "canonical", "validate", "validate-field", "audit", "stress"),
+    "check": ("check", "canonical", "validate", "validate-field", "audit", "stress", "sweep"),
     "learn": ("train", "compare", "leaderboard", "probe", "record", "save-policy"),
     "see": ("describe", "report", "plot", "studio"),
     "reproduce": ("reproduce",),
@@ -93,6 +94,7 @@ EXAMPLES = {
     "validate-field": "validate-field my-task.npz --axes 0 1 --points 9",
     "audit": "audit my-task.npz",
     "stress": "stress my-task.npz",
+    "sweep": "sweep my-task.toml --over noise=0.5,1,2 horizon=10,20",
     "train": "train reach-avoid-v0 --steps 100000 --out ppo",
     "compare": "compare reach-avoid-v0 --policies certified,ppo,random",
     "leaderboard": "leaderboard reach-avoid-v0 --out board.html",
@@ -256,6 +258,21 @@ def _add_validation(commands: Any) -> None:
     stress = commands.add_parser("stress", help="test how far a bound survives noise, actuator and observation faults")
     add_certificate(stress)
     add_trials(stress, 20_000, " per mismatch")
+
+    sweep = commands.add_parser("sweep", help="certify and test a problem for every combination of some changes")
+    add_problem(sweep)
+    sweep.add_argument(
+        "--over",
+        nargs="+",
+        required=True,
+        metavar="NAME=VALUES",
+        help="what is changed, such as noise=0.5,1,2 horizon=10,20: noise (a factor on its standard deviations), "
+        "horizon, effort, cells",
+    )
+    add_cells(sweep)
+    add_effort(sweep)
+    add_trials(sweep, 10_000, " per row")
+    sweep.set_defaults(**{name: USUAL[name] for name in ("delta", "targets", "restarts", "stationary")})
 
     report = commands.add_parser("report", help="write one self-contained HTML page about a saved certificate")
     add_certificate(report)

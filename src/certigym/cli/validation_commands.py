@@ -1,4 +1,4 @@
-"""The commands that test: ``validate``, ``validate-field``, ``audit``, ``stress``, ``report``."""
+"""The commands that test: ``validate``, ``validate-field``, ``audit``, ``stress``, ``sweep``, ``report``."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from ..envs.tasks.problem import Problem
 from ..synthesis.certificates.proofs import Certificate, CheckReport, load_certificate, rounded_down, shown_bound
 from ..validation.presentation.reports import report as write_report
 from ..validation.statistical_tests import (
+    CHANGES,
     LABEL_WIDTH,
     LADDERS,
     NOT_CERTIFIED,
     Mismatch,
+    SweepRow,
     ValidationReport,
+    checked_changes,
     corner_starts,
     each_report,
     find_weakest,
@@ -27,6 +30,7 @@ from ..validation.statistical_tests import (
 )
 from ..validation.statistical_tests import audit as audit_certificate
 from ..validation.statistical_tests import stress as stress_certificate
+from ..validation.statistical_tests import sweep as swept
 from ..validation.statistical_tests import validate as validate_certificate
 from ..validation.statistical_tests import validate_field as field_of
 from .given import budget_of, cells_of, limit_of, problem_of, relation_of, say, show, state_of, write_json
@@ -120,6 +124,48 @@ def print_horizons(options: Namespace, horizons: Sequence[int]) -> int:
             interrupted = True
     write_json(options, [report.to_dict() for report in reports])
     return 130 if interrupted else int(any(report.refuted or report.is_invalid for report in reports))
+
+
+def sweep(options: Namespace) -> int:
+    """Synthesize and validate at every combination of some changes, and print each row when it is ready.
+
+    Ctrl-C keeps the rows that are finished.
+    """
+    problem, over = problem_of(options), _changes(options.over)
+    settings = {"cells": cells_of(options), **relation_of(options), **budget_of(options)}
+    settings = {name: value for name, value in settings.items() if name not in over}
+    say(options, problem.name)
+    rows, interrupted = list[SweepRow](), False
+    with trials(options) as plan:
+        try:
+            for row in swept(problem, over, plan, settings):
+                rows.append(row)
+                say(options, _told_row(row))
+        except KeyboardInterrupt:
+            interrupted = True
+        write_json(options, [row.to_dict() for row in rows])
+    return 130 if interrupted else int(any(row.verdict in ("refuted", "check failed") for row in rows))
+
+
+def _changes(words: Sequence[str]) -> dict[str, list[float | int]]:
+    """Return the values by what is changed: words ``noise=0.5,1,2``."""
+    over = dict[str, list[str]]()
+    for word in words:
+        name, equals, values = word.partition("=")
+        if not equals or name in over:
+            raise ValueError(f"`--over`: expected NAME=VALUE,VALUE of each of {', '.join(CHANGES)} once, got {word!r}")
+        over[name] = [value for value in values.split(",") if value]
+    return checked_changes(over)
+
+
+def _told_row(row: SweepRow) -> str:
+    """Return a row of a sweep as a line."""
+    changed = "  ".join(f"{name} {value:<6g}" for name, value in row.changes.items())
+    if row.verdict == "refused":
+        return f"{changed}  refused: {row.method}"
+    rate = row.successes / row.episodes
+    measured = f"MEASURED {rate:.5f} [{row.low:.5f}, {row.high:.5f}]"
+    return f"{changed}  P >= {rounded_down(row.lower_bound)}   {measured}   {row.verdict}   {row.seconds:.1f} s"
 
 
 def validate_field(options: Namespace) -> int:
