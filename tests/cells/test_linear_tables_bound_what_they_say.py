@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import tracemalloc
 from itertools import product
 
 import mpmath
@@ -13,6 +15,7 @@ import certigym as cg
 from certigym.synthesis.abstraction.kernels import second_derivative_bounds
 from certigym.synthesis.abstraction.kernels.kernel import Kernel
 from certigym.synthesis.abstraction.kernels.linear_kernel import hat_masses, hat_table
+from certigym.synthesis.abstraction.models.corner_model import MOST_MASSES
 from certigym.synthesis.certificates.cell_probabilities import normal_hats
 from certigym.synthesis.relations.grids import Grid
 from kinds import mostly_thorough
@@ -222,3 +225,24 @@ def test_bends_hold_for_factors_that_bend_most_between_lattice_points(lattice_sp
             ratios.append(gap / allowed)
     # The bound is not idle, also where second differences alone would say too little.
     assert np.max(ratios) > 0.15
+
+
+def test_what_a_check_holds_at_once_does_not_grow_with_the_square_of_the_cells() -> None:
+    """A line of 2,000 cells had 16 lattice points to a cell, and its check took 18 GB."""
+    agent = cg.LinearAgent(
+        name="a", A=[[1.0]], B=[[1.0]], noise_std=[0.1], state_low=[-10.0], state_high=[10.0], input_low=[-1.0],
+        input_high=[1.0], initial_state=[0.0],
+    )  # fmt: skip
+    problem = cg.Problem(
+        name="line", horizon=1, agents=[agent], propositions={"p": cg.Proposition("a", [1.0], [2.0])},
+        specification=cg.Specification("F p", "finite-trace"),
+    )  # fmt: skip
+    points = math.prod(cg.abstract(problem, 2000, relation="linear").models[0].kernel.lattice_shape)
+    assert points > 2 * 2000  # there is something to interpolate
+    assert points * 2 * 2000 <= 1.05 * MOST_MASSES
+    axis, edges = np.linspace(-1.0, 1.0, 3000), np.linspace(-1.0, 1.0, 2001)
+    tracemalloc.start()
+    normal_hats(axis, edges, 0.1)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 3.0 * 8 * 3000 * 4000

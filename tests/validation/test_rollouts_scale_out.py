@@ -123,12 +123,9 @@ def test_sweeps_run_on_executors(certificate: OnGrid) -> None:
     assert [r.horizon for r in spread] == [1, 2, 3]
 
 
-@pytest.mark.thorough
 def test_rows_of_a_sweep_are_the_same_bits_on_workers_and_those_of_each_setting() -> None:
-    problem, over = (
-        two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]]),
-        {"noise": [1.0, 0.5], "horizon": [3, 4]},
-    )
+    problem = two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]])
+    over: dict[str, list[float]] = {"noise": [1.0, 0.5], "horizon": [3, 4]}
 
     def rows(executor: Any = None) -> list[dict[str, Any]]:
         found = [row.to_dict() for row in sweep(problem, over, 400, {"cells": 20}, seed=3, executor=executor)]
@@ -164,6 +161,7 @@ def test_a_setting_without_models_is_a_row_and_the_others_go_on() -> None:
     assert [row.verdict == "refused" for row in rows] == [True, False] and "cells" in rows[0].method
 
 
+@pytest.mark.thorough
 def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: OnGrid) -> None:
     loop = Loop(certificate.problem, certificate.controller, 0, CHUNK)
 

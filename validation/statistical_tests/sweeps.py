@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 from itertools import product
-from typing import Any
+from typing import Any, Unpack
 
 from ...envs.systems.arguments import shown
 from ...envs.tasks.problem import Problem
@@ -16,7 +16,7 @@ from ...synthesis.composition import each_horizon
 from ...synthesis.verbs.synthesize import synthesize
 from .spread import in_order
 from .success_rate import ValidationReport, validate
-from .trials import Plan, TrialPlan, names_plan, planned
+from .trials import Plan, TrialOptions, TrialPlan, names_plan, planned
 
 CHANGES = {"noise": float, "horizon": int, "effort": float, "cells": int}
 """What a sweep may change: a factor on the standard deviations of all noise, and arguments of the search."""
@@ -93,7 +93,7 @@ def sweep(
     over: Mapping[str, Sequence[float]],
     plan: TrialPlan | int | None = None,
     settings: Mapping[str, Any] | None = None,
-    **trial: Any,
+    **trial: Unpack[TrialOptions],
 ) -> Iterator[SweepRow]:
     """Synthesize, check and validate a problem for every combination of some changes; yield a row for each, in order.
 
