@@ -486,7 +486,10 @@ MUTANTS = [
         ("float(np.max(np.sum(mass[1] - mass[0], axis=1))) * 1.001", "0.0"),
         ("np.stack([falling, rising], axis=-1)", "np.stack([rising, falling], axis=-1)"),
         ("falling = np.clip(add(mass, neg(rising)), 0.0, None)", "falling = mass"),
-        ("if not (0.0 < deviation < np.inf and np.all(np.diff(edges) > 0)):", "if False:"),
+        (
+            "if not (np.all(np.greater(deviation, 0) & np.less(deviation, np.inf)) and np.all(np.diff(edges) > 0)):",
+            "if False:",
+        ),
     ),
     *_in(
         "cells",

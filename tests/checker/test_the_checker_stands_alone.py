@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import shutil
 import subprocess
 import sys
@@ -35,6 +36,17 @@ def test_it_can_be_read_in_a_day() -> None:
     lines = {path.name: path.read_text(encoding="utf-8").count("\n") for path in FILES}
     assert sum(lines.values()) <= MOST_LINES
     assert max(lines.values()) <= MOST_IN_A_FILE, lines
+
+
+def test_every_sabotage_changes_a_line_that_is_there() -> None:
+    """Mutants (``benchmarks/checker_mutants.py``) whose line was written anew would sabotage nothing."""
+    place = Path(__file__).parents[2] / "benchmarks" / "checker_mutants.py"
+    spec = importlib.util.spec_from_file_location(place.stem, place)
+    assert spec is not None and spec.loader is not None
+    benchmark = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(benchmark)
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in FILES}
+    assert [mutant for mutant in benchmark.MUTANTS if mutant.old not in texts[mutant.file]] == []
 
 
 def test_no_statement_of_it_vanishes_under_optimisation() -> None:
