@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..relations.kinds import Network
-from .detected import Detected, agreed, origins
+from .detected import REMEMBERS, Detected, agreed, origins
+from .layers import of_relus
 
 SAYS = "ONNX (.onnx)"
 
@@ -22,6 +23,9 @@ KEY = "certigym"
 
 FUNCTIONS = {"Tanh": "tanh", "Relu": "relu", "Sigmoid": "sigmoid", "Elu": "elu"}
 """Activations by their operators; silu is a product with the sigmoid of the same numbers."""
+
+LEAKY = ("LeakyRelu", "PRelu")
+"""Activations that are lines on both sides of 0, of which relus are made."""
 
 
 def recognises(model: Any) -> bool:
@@ -109,6 +113,9 @@ def _read(content: bytes, name: str) -> Detected:
 
 def _of_session(session: Any, name: str, network: Network | None, why: str) -> Detected:
     """Return what a session answers, and the network that it is."""
+    if len(session.get_inputs()) != 1:
+        told = ", ".join(own.name for own in session.get_inputs())
+        raise ValueError(f"`policy`: expected one input of {name}, rows of numbers, got {told}: if {REMEMBERS}")
     (rows,), answers = session.get_inputs(), session.get_outputs()
     sizes = [shape[-1] if shape and isinstance(shape[-1], int) else None for shape in (rows.shape, answers[0].shape)]
     kind = np.float64 if "double" in rows.type else np.float32
@@ -126,7 +133,7 @@ def _chain(onnx: Any, graph: Any) -> Network | str:
     constants = [node for node in graph.node if node.op_type == "Constant"]
     stored |= {node.output[0]: onnx.numpy_helper.to_array(node.attribute[0].t) for node in constants}
     weights, biases, kinds, ends, name = list[Any](), list[Any](), list[str](), "", graph.input[0].name
-    before = ""  # what the last activation was taken of
+    before, below = "", dict[int, Any]()  # what the last activation was taken of, and slopes of lines with a kink
     for node in (node for node in graph.node if node.op_type != "Constant"):
         if node.op_type == "Mul" and {*node.input} == {before, name} and kinds[-1:] == ["sigmoid"]:
             name, before, kinds[-1] = node.output[0], "", "silu"
@@ -152,6 +159,10 @@ def _chain(onnx: Any, graph: Any) -> Network | str:
             if any(onnx.helper.get_attribute_value(own) != 1.0 for own in node.attribute):
                 return f"its {node.op_type} has another alpha than 1"
             kinds.append(FUNCTIONS[node.op_type])
+        elif node.op_type in LEAKY:
+            alpha = [onnx.helper.get_attribute_value(own) for own in node.attribute] or [0.01]
+            below[len(kinds)] = np.float32(alpha[0]) if node.op_type == "LeakyRelu" else others[0].ravel()
+            kinds.append("relu")
         elif node.op_type == "Clip":
             least, most = (float(end) for end in others) if len(others) == 2 else (0.0, 0.0)
             if (least, most) != (-1.0, 1.0):
@@ -168,4 +179,7 @@ def _chain(onnx: Any, graph: Any) -> Network | str:
     if any(array.dtype != np.float32 for array in (*weights, *biases)):
         return "its numbers are not of single precision (float32)"
     activation = inner.pop() if inner else "relu"
+    if below:
+        slopes = [np.broadcast_to(below.get(k, np.float32(0.0)), bias.shape) for k, bias in enumerate(biases[:-1])]
+        weights, biases = of_relus(weights, biases, slopes)
     return Network(tuple(weights), tuple(biases), activation, squashed, "unit" if ends or squashed else "box")

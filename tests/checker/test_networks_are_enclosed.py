@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from certigym.synthesis.checker.feedbacks import enclosed_feedback, read_feedbac
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.intervals import interval
 from certigym.synthesis.checker.networks import SMOOTH, Ellipsoid, Network, automaton_states, enclosed, length_tail
+from certigym.synthesis.interop.layers import of_relus
 from certigym.synthesis.relations.kinds import ACTIVATIONS as SINGLE
 from certigym.synthesis.relations.kinds import Network as Layers
 from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicPolicy, seen_jointly
@@ -27,7 +28,26 @@ from certigym.synthesis.trajectories.planning import networks_along
 KINDS = [
     *((act, out, sees) for act in ("tanh", "relu") for out in ("clip", "tanh", "box") for sees in ("scaled", "raw")),
     *((act, "clip", "scaled") for act in SMOOTH if act != "tanh"),
+    *(("leaky", out, "scaled") for out in ("clip", "tanh")),
 ]
+
+
+@dataclass(frozen=True, eq=False)
+class Leaky(Layers):
+    """Layers with lines that have a kink at 0 between them, and their slopes below it, in single precision."""
+
+    slopes: tuple[np.ndarray, ...] = ()
+
+    def actions(self, rows: np.ndarray) -> np.ndarray:
+        hidden = np.asarray(rows, dtype=np.float32)
+        for weight, bias, slope in zip(self.weights, self.biases, self.slopes, strict=False):
+            hidden = hidden @ weight.T + bias
+            hidden = np.where(hidden > 0.0, hidden, slope * hidden)
+        last = hidden @ self.weights[-1].T + self.biases[-1]
+        return np.asarray(np.tanh(last) if self.squashed else np.clip(last, -1.0, 1.0))
+
+    def relus(self, stretched: float = 1.0) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        return of_relus(self.weights, self.biases, [np.float32(stretched) * slope for slope in self.slopes])
 
 
 def layers_of(rng: np.random.Generator, sizes: list[int], size: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -56,15 +76,22 @@ def test_answers_are_enclosed(activation: str, output: str, sees: str, size: flo
     problem, agent = an_agent(d, m)
     view = OwnView(0, 1, d + 1, states, problem.horizon, scale="raw" if sees == "raw" else "unit")
     weights, biases = layers_of(rng, [view.size, 16, 16, m], size)
-    plain = Layers(tuple(weights), tuple(biases), activation, output == "tanh", "box" if output == "box" else "unit")
+    form = activation, output == "tanh", "box" if output == "box" else "unit"
+    plain = Layers(tuple(weights), tuple(biases), *form)
+    if activation == "leaky":
+        slopes = (np.full(16, 0.01, np.float32), rng.uniform(-0.5, 1.5, 16).astype(np.float32))
+        plain = Leaky(tuple(weights), tuple(biases), *form, slopes)
+        weights, biases = plain.relus()
     policy = NetworkPolicy(plain, view, problem.agents[0].workspace, problem.agents[0].input_box)
     exact = (tuple(w.astype(float) for w in weights), tuple(b.astype(float) for b in biases))
     row = seen_jointly(policy, 0, d)
-    network = Network(*exact, activation, output, row.matrix, row.offset, row.told)
-    for _ in range(6):
-        at, q, t = rng.uniform(-1.0, 1.5, d), int(rng.integers(states)), int(rng.integers(7))
-        root, radius = 0.1 * rng.standard_normal((d, d)), 2.0
-        low, high = -rng.uniform(0.0, 0.05, d), rng.uniform(0.0, 0.05, d)
+    kind = "relu" if activation == "leaky" else activation
+    network = Network(*exact, kind, output, row.matrix, row.offset, row.told)
+    for trial in range(8):
+        # of the last ones no error is possible, so that what is left out is what rounds
+        at, q, t, wide = rng.uniform(-1.0, 1.5, d), int(rng.integers(states)), int(rng.integers(7)), trial < 6
+        root, radius = 0.1 * wide * rng.standard_normal((d, d)), 2.0
+        low, high = -rng.uniform(0.0, 0.05 * wide, d), rng.uniform(0.0, 0.05 * wide, d)
         g = rng.standard_normal((4000, d))
         g *= (radius * rng.uniform(0.0, 1.0, (len(g), 1)) ** 0.2) / np.linalg.norm(g, axis=1, keepdims=True)
         e = g @ root.T + np.where(rng.random((len(g), d)) < 0.5, low, high)
@@ -90,11 +117,32 @@ def test_answers_are_enclosed(activation: str, output: str, sees: str, size: flo
 
 def shuffled(plain: Layers, rng: np.random.Generator) -> Layers:
     """The same network with its hidden numbers in another order: its sums round otherwise."""
-    weights, biases = list(plain.weights), list(plain.biases)
+    weights, biases, slopes = list(plain.weights), list(plain.biases), list[np.ndarray]()
     for k in range(len(weights) - 1):
         order = rng.permutation(len(biases[k]))
         weights[k], biases[k], weights[k + 1] = weights[k][order], biases[k][order], weights[k + 1][:, order]
-    return replace(plain, weights=tuple(weights), biases=tuple(biases))
+        slopes += [plain.slopes[k][order]] if isinstance(plain, Leaky) else []
+    more: dict[str, Any] = {"slopes": tuple(slopes)} if slopes else {}
+    return replace(plain, weights=tuple(weights), biases=tuple(biases), **more)
+
+
+def test_another_slope_below_zero_is_another_network() -> None:
+    """What makes the cases of leaky layers: a slope that is off by a thousandth leaves what is enclosed."""
+    rng = np.random.default_rng(5)
+    problem, agent = an_agent(1, 1)
+    view = OwnView(0, 1, 1, 2, problem.horizon)
+    weights, biases = layers_of(rng, [view.size, 16, 16, 1], 0.5)
+    plain = Leaky(tuple(weights), tuple(biases), "leaky", False, "unit", (np.full(16, 0.2, np.float32),) * 2)
+    policy = NetworkPolicy(plain, view, problem.agents[0].workspace, problem.agents[0].input_box)
+    row, at, left = seen_jointly(policy, 0, 1), np.array([0.3]), float(np.float32(1.0 - 2 / problem.horizon))
+    answer = policy.inputs(at[:, None], np.zeros(1, dtype=int), 2)[:, 0]
+    inside = []
+    for stretched in (1.0, 1.001):
+        layers, shifts = (tuple(own.astype(float) for own in each) for each in plain.relus(stretched))
+        network = Network(layers, shifts, "relu", "clip", row.matrix, row.offset, row.told)
+        u, _, rest = enclosed(network, agent, at, (0, 2, left), lambda rows: np.zeros((2, len(rows))), np.zeros(1))
+        inside.append(bool(np.all(rest[0] <= answer - u) and np.all(answer - u <= rest[1])))
+    assert inside == [True, False]
 
 
 @pytest.mark.parametrize("activation", [*SMOOTH, "relu", "clip"])
