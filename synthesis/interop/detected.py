@@ -14,6 +14,15 @@ from ..relations.kinds import Network
 
 Array = NDArray[Any]
 
+REMEMBERS = (
+    "it remembers earlier observations, and is measured by rollouts (`compare`, `rollout`), not certified, because a "
+    "proof follows a function of the present observation"
+)
+"""Why policies with a memory are not certified, and what to do with them."""
+
+ELSE = "measure it by rollouts (`compare`, `rollout`), or certify what it becomes on cells (`wrap=True`, `--wrap`)"
+"""What to do with networks that are not certified as they are."""
+
 Act = Callable[[Array], Any]
 """Rows (N, n) to actions (N, m), as the library itself computes them in evaluation."""
 

@@ -14,12 +14,14 @@ from ...envs.suite import as_problem
 from ...envs.tasks.problem import Problem
 from ..certificates.controllers import InputTable, Vectorized, decentralised, vectorized
 from ..certificates.proofs import certificate_from
+from ..relations.grids import RelationRefused
 from . import onnx_files, stable_baselines3, torch_modules, weight_arrays
 from .actor_files import NotAnActor, read_actor
-from .detected import Detected, Reader
+from .detected import ELSE, REMEMBERS, Detected, Reader
 from .environments import matched
 from .local_policies import LocalController
 from .model_policies import Model, OwnModels, TeamModels, policy_of
+from .observation_maps import ObservationMap
 from .written_feedback import is_written, symbolic_policies
 
 READERS: tuple[Reader, ...] = (stable_baselines3, torch_modules, onnx_files, weight_arrays)
@@ -155,14 +157,22 @@ def is_model(model: Any) -> bool:
 def certifiable(problem: Problem, policy: Any, along: bool = False) -> Any:
     """Return what ``decentralised`` takes of a policy in any form, or raise ValueError if it cannot be certified.
 
-    Models that see other agents can be only ``along`` their run.
+    Models that see other agents can be only ``along`` their run, and so can models whose layers are known.
     """
     policy = brought(policy, problem)
-    if isinstance(policy, TeamModels) and not (along and not policy.why_not_as_it_is):
+    if not isinstance(policy, OwnModels | TeamModels):
+        return policy
+    name, why = policy.models[0].found.name, policy.why_not_as_it_is
+    if any(model.found.memory is not None for model in policy.models):
+        raise ValueError(f"`policy`: {name}: {REMEMBERS}; or put it behind a shield")
+    if isinstance(policy, TeamModels) and (why or not along):
         raise ValueError(
-            f"`policy`: expected a policy of own state, automaton state and time, got {policy.models[0].found.name}: "
-            f"{policy.why_not_certified}; judge it by rollouts (`compare`, `rollout`), or put it behind a shield"
+            f"`policy`: expected a policy of own state, automaton state and time, got {name}: "
+            f"{why if along else policy.why_not_certified}; judge it by rollouts (`compare`, `rollout`), or put it "
+            "behind a shield"
         )
+    if why and along:
+        raise RelationRefused(f"`policy`: expected a network that can be certified as it is, got {name}: {why}; {ELSE}")
     return policy
 
 
@@ -236,7 +246,17 @@ def _made(problem: Problem, found: list[Detected], env: Any) -> OwnModels | Team
     """Return models as a policy: matched with what they see."""
     everyone = range(problem.n_agents)
     moved = [everyone] if len(found) == 1 else [range(i, i + 1) for i in everyone]
-    models = tuple(Model(each, matched(problem, each, env, agents)) for each, agents in zip(found, moved, strict=True))
+    models = tuple(Model(each, _seen(problem, each, env, agents)) for each, agents in zip(found, moved, strict=True))
     if len(found) > 1 and any(model.observation_map.central for model in models):
         raise ValueError("`policy`: expected models of one agent each, got one that moves all of them")
     return policy_of(problem, models)
+
+
+def _seen(problem: Problem, found: Detected, env: Any, agents: range) -> ObservationMap:
+    """Return what a model sees that moves these agents; of one that remembers the message says first what it is for."""
+    try:
+        return matched(problem, found, env, agents)
+    except ValueError as error:
+        if found.memory is None:
+            raise
+        raise ValueError(f"`policy`: {found.name}: {REMEMBERS}; to roll it out: {error}") from error

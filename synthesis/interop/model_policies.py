@@ -13,7 +13,7 @@ from ...envs.simulation import Dynamics, Worlds
 from ...envs.systems.arguments import tree_text
 from ...envs.tasks.problem import Problem
 from ..relations.kinds import JointNetworkPolicy, Network, NetworkPolicy, OwnView, inputs_of
-from .detected import Detected
+from .detected import ELSE, Detected
 from .local_policies import LocalBatch
 from .observation_maps import ObservationMap
 
@@ -104,7 +104,7 @@ class OwnModels:
         if why:
             raise ValueError(
                 f"`policy`: expected a network that can be certified as it is, got {self.models[0].found.name}: {why}; "
-                "it is certified wrapped on cells (`wrap=True`)"
+                f"{ELSE}"
             )
         return self._networks[agent]
 

@@ -1,8 +1,9 @@
 """Modules of torch: chains of layers, modules with an actor inside (CleanRL), and any other that maps rows to actions.
 
-A module answers with actions, which environments clip, or with what a tanh at its end makes of them. These members are
-taken for the deterministic actor, the first that there is: ``actor_mean`` and ``actor`` (PPO of CleanRL), ``fc_mean``
-and ``fc_mu`` behind ``fc1``, ``fc2`` (its SAC, DDPG and TD3), ``mean_net``, ``mu``, ``pi``.
+A module answers with actions, which environments clip, or with what a tanh at its end makes of them. One with recurrent
+layers takes rows and what it remembers, and answers with actions and what it remembers next. The first member of these
+that there is is taken for the deterministic actor: ``actor_mean`` and ``actor`` (PPO of CleanRL), ``fc_mean`` and
+``fc_mu`` behind ``fc1``, ``fc2`` (its SAC, DDPG and TD3), ``mean_net``, ``mu``, ``pi``.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ SAYS = "modules of torch (.pt)"
 ACTORS = ("actor_mean", "actor", "mean_net", "mu", "pi")
 """Members that are the deterministic actor of a module."""
 
+RECURRENT = {"RNNBase", "RNNCellBase"}
+"""Classes of torch from which recurrent layers are made: RNN, GRU, LSTM, and their cells."""
+
 
 def recognises(model: Any) -> bool:
     """Return whether a model is a module of torch."""
@@ -38,6 +42,9 @@ def read(model: Any, facts: dict[str, Any]) -> Detected:
         if recognises(getattr(model, member, None)):
             actor = getattr(model, member)
             break
+    for own in (actor, model):
+        if any(_is_recurrent(layer) for layer in own.modules()):
+            return _of_recurrent(own, name)
     layers = [layer for layer in actor.modules() if hasattr(layer, "in_features")]
     sizes = {"observed": layers[0].in_features, "answered": layers[-1].out_features} if layers else {}
 
@@ -91,8 +98,36 @@ def _of_clean_rl(model: Any, name: str) -> Detected:
     return agreed(Detected(name, act=act, networks=(network_of(layers, squashed=True),), action_space=space, **sizes))
 
 
-def _asked(module: Any, rows: Any) -> Any:
-    """Return the answer of a module in evaluation, the first one if there are several."""
+def _is_recurrent(layer: Any) -> bool:
+    return bool(RECURRENT & {kind.__name__ for kind in type(layer).__mro__})
+
+
+def _of_recurrent(model: Any, name: str) -> Detected:
+    """Return a module with recurrent layers, which rollouts judge: it is told rows and what it remembers."""
+    layers = [layer for layer in model.modules() if _is_recurrent(layer) or hasattr(layer, "in_features")]
+    first, last = layers[0], layers[-1]
+    sizes = {"observed": getattr(first, "in_features", None) or first.input_size}
+    sizes["answered"] = getattr(last, "out_features", None) or last.hidden_size
+    # Sequences of one row for each world have an axis of time; cells have none.
+    sequences = [layer for layer in layers if hasattr(layer, "batch_first")]
+    axis = int(sequences[0].batch_first) if sequences else None
+
+    def step(rows: Any, remembered: Any) -> tuple[Any, Any]:
+        told = np.asarray(rows) if axis is None else np.expand_dims(rows, axis)
+        answer = _answer_of(model, told, *(() if remembered is None else (remembered,)))
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise ValueError(
+                f"`model`: expected recurrent layers to answer with actions and what they remember, got "
+                f"{type(answer).__name__} from {name}"
+            )
+        actions, kept = answer
+        return (actions if axis is None else actions.squeeze(axis)).cpu().numpy(), kept
+
+    return Detected(name, memory=step, why_not="it remembers earlier observations", **sizes)
+
+
+def _answer_of(module: Any, rows: Any, *more: Any) -> Any:
+    """Return all that a module answers in evaluation."""
     import torch
 
     first = next(module.parameters(), torch.zeros(0))
@@ -100,8 +135,13 @@ def _asked(module: Any, rows: Any) -> Any:
     module.eval()
     try:
         with torch.no_grad():
-            answer = module(torch.as_tensor(np.asarray(rows)).to(first))
+            return module(torch.as_tensor(np.asarray(rows)).to(first), *more)
     finally:
         module.train(was)
+
+
+def _asked(module: Any, rows: Any) -> Any:
+    """Return the answer of a module in evaluation, the first one if there are several."""
+    answer = _answer_of(module, rows)
     answer = answer[0] if isinstance(answer, tuple) else answer
     return answer.cpu().numpy()

@@ -311,9 +311,29 @@ def _wrapped(
 ) -> _Wrapped:
     """Put a policy on the cells of finite models."""
     raw = decentralised(problem, policy)
+    _check_answers_alike(problem, raw)
     check_names("cells", cells, problem)
     abstraction = abstraction_of(problem, cells, relations_of(problem, relation), Settings(**settings))
     return _Wrapped(abstraction, join(problem, abstraction), wrap(problem, abstraction, raw))
+
+
+ASKED = 4
+"""States of each agent at which a policy is asked twice."""
+
+
+def _check_answers_alike(problem: Problem, policy: Decentralised) -> None:
+    """Raise ValueError if a policy, asked again about the same states, answers otherwise than before."""
+    rng = np.random.default_rng(0)
+    for i, agent in enumerate(problem.agents):
+        low, high = agent.state_low[:, None], agent.state_high[:, None]
+        states, others = (low + (high - low) * rng.random((agent.n_states, ASKED)) for _ in range(2))
+        first, _, again = (_inputs(policy, i, problem.automaton.initial, 0, each) for each in (states, others, states))
+        if not np.allclose(first, again, rtol=1e-5, atol=1e-5 * float(np.max(agent.input_box.half_width))):
+            raise ValueError(
+                f"`policy`: expected a function of the present state, automaton state and time, got one that answers "
+                f"otherwise when it is asked again about agent `{agent.name}`: it remembers, or draws numbers; measure "
+                "it by rollouts (`compare`, `rollout`)"
+            )
 
 
 class _Clock:

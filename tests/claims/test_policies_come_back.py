@@ -7,6 +7,7 @@ import pickle
 import shutil
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import certigym as cg
 from certigym.baselines import central_vec_env, load_actor, shared_vec_env
 from certigym.cli.main import main
 from certigym.envs.simulation import Dynamics, Worlds
+from certigym.synthesis.interop import onnx_files
 from certigym.synthesis.relations.kinds import Network
 from certigym.validation.policies.actors import SharedActor, save_actor
 from certigym.validation.policies.competitors import given
@@ -308,6 +310,7 @@ def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None
     double = chain(n, 1).double()
     for module, words in (
         (strange, "GELU"),
+        (torch.nn.Sequential(torch.nn.Linear(n, 4), torch.nn.LayerNorm(4), *chain(4, 1)), "LayerNorm"),
         (steep, "alpha = 1"),
         (mixed, "one kind of activation"),
         (double, "float64"),
@@ -315,6 +318,8 @@ def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None
         policy = cg.as_policy(module, problem, "team_env")
         assert words in policy.why_not_as_it_is and words in repr(policy)
         assert cg.certify(problem, policy, 20).certificate.lower_bound >= 0.0  # wrapped
+        with pytest.raises(ValueError, match=rf"as it is.*{words}.*measure it by rollouts.*`--wrap`"):
+            cg.certify(problem, policy)
     torn = torch.nn.Sequential(torch.nn.Linear(n, 4), torch.nn.Tanh(), torch.nn.Linear(5, 1))
     with pytest.raises(ValueError, match="layers that fit together, got 4 outputs before 5 inputs"):
         cg.as_policy(torn, problem, "team_env")
@@ -326,9 +331,9 @@ def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None
         cg.certify(problem, central, 20)
 
 
-@pytest.mark.parametrize("kind", ["Sigmoid", "ELU", "SiLU"])
-def test_networks_with_smooth_activations_are_certified_along_their_run(kind: str, tmp_path: Path) -> None:
-    """A module that was trained to steer, and its graph of ONNX: cells refuse it, and its run proves it."""
+@pytest.mark.parametrize("kind", ["Sigmoid", "ELU", "SiLU", "LeakyReLU", "PReLU"])
+def test_networks_with_other_activations_are_certified_along_their_run(kind: str, tmp_path: Path) -> None:
+    """A module that was trained to steer, and its graph of ONNX: its run proves it, and cells refuse smooth ones."""
     one = reach(scalar_agent("a"))
     n = 1 + one.automaton.n_states + 1
     torch.manual_seed(1)
@@ -348,11 +353,18 @@ def test_networks_with_smooth_activations_are_certified_along_their_run(kind: st
         learner.step()
     policy = cg.as_policy(module, one, "team_env")
     assert policy.why_not_as_it_is == ""
-    found = cg.certify(one, policy)
+    found = cg.certify(one, policy, relation="path")
     assert "as they are, along" in found.certificate.proof.method
     assert cg.check(found.certificate)
     ran = cg.rollout(one, found.controller, 4000, seed=0)
     assert 0.5 < found.certificate.lower_bound <= ran.successes / 4000 + 0.04  # false alarm: below 1e-6 (Hoeffding)
+    x = RNG.uniform(-4.0, 4.0, (1, 30))
+    rows = torch.as_tensor(aim.agent_policy(0).view.rows(one.agents[0].workspace, x, np.zeros(30, dtype=int), 1)[:, :n])
+    answers = box.low + 0.5 * (module(rows).clamp(-1.0, 1.0).detach().numpy() + 1.0) * (box.high - box.low)
+    assert np.allclose(policy.inputs(0, x, np.zeros(30, dtype=int), 1).T, answers, atol=1e-5)
+    if kind in ("LeakyReLU", "PReLU"):  # made of relus, which have cells
+        assert cg.check(cg.certify(one, policy, 20))
+        return
     with pytest.raises(ValueError, match=r"on cells have tanh or relu, got .* along its trajectory"):
         cg.certify(one, policy, 20)
     pytest.importorskip("onnx")
@@ -362,6 +374,34 @@ def test_networks_with_smooth_activations_are_certified_along_their_run(kind: st
     assert back.why_not_as_it_is == ""
     states, q = RNG.uniform(-4.0, 4.0, (1, 30)), np.zeros(30, dtype=int)
     assert np.allclose(back.inputs(0, states, q, 1), policy.inputs(0, states, q, 1), atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["LeakyRelu", "PRelu"])
+def test_graphs_of_onnx_with_kinks_are_read_as_relus(kind: str) -> None:
+    """Nodes as ONNX writes them, stood in for where it is not installed."""
+    stub: Any = SimpleNamespace(
+        numpy_helper=SimpleNamespace(to_array=lambda stored: stored.array),
+        helper=SimpleNamespace(get_attribute_value=lambda own: own.value),
+    )
+    slopes = np.array([0.1, 0.1] if kind == "LeakyRelu" else [0.1, -0.3], dtype=np.float32)
+    arrays: dict[str, Any] = {
+        "w": RNG.normal(size=(2, 3)),
+        "b": RNG.normal(size=2),
+        "s": slopes,
+        "v": RNG.normal(size=(1, 2)),
+    }
+    stored = [SimpleNamespace(name=name, array=own.astype(np.float32)) for name, own in arrays.items()]
+    turned = [SimpleNamespace(name="transB", value=1)]
+    leaky = (["h"], [SimpleNamespace(name="alpha", value=0.1)]) if kind == "LeakyRelu" else (["h", "s"], [])
+    steps = [("Gemm", ["x", "w", "b"], turned, "h"), (kind, *leaky, "z"), ("Gemm", ["z", "v"], turned, "u")]
+    nodes = [SimpleNamespace(op_type=op, input=told, attribute=own, output=[name]) for op, told, own, name in steps]
+    graph = SimpleNamespace(initializer=stored, node=nodes, input=[SimpleNamespace(name="x")])
+    network = onnx_files._chain(stub, graph)
+    assert isinstance(network, Network) and network.activation == "relu"
+    rows = RNG.normal(size=(50, 3)).astype(np.float32)
+    hidden = rows @ stored[0].array.T + stored[1].array
+    wanted = np.where(hidden > 0.0, hidden, slopes * hidden) @ stored[3].array.T
+    assert np.allclose(network.actions(rows), wanted, atol=1e-5)
 
 
 class Wrong(Module):
@@ -415,6 +455,57 @@ def test_models_that_remember_are_judged_by_rollouts(problem: cg.Problem) -> Non
     first, memory = batch.act(worlds, batch.begin(worlds, np.random.default_rng(0)))
     second, _ = batch.act(worlds, memory)
     assert np.allclose(second[0][0, 1], np.maximum(2.0 * first[0][0, 1], -problem.agents[1].input_high))
+
+
+class Recurrent(Module):
+    """A recurrent layer, and actions of what it answers."""
+
+    def __init__(self, kind: str, n: int, first: bool) -> None:
+        super().__init__()
+        torch.manual_seed(0)
+        self.layer, self.last = getattr(torch.nn, kind)(n, 4, batch_first=first), torch.nn.Linear(4, 1)
+
+    def forward(self, rows: Any, memory: Any = None) -> Any:
+        answer, memory = self.layer(rows, memory)
+        return self.last(answer), memory
+
+
+@pytest.mark.parametrize(("kind", "first"), [("LSTM", True), ("GRU", False)])
+def test_recurrent_modules_are_rolled_out_and_not_certified(problem: cg.Problem, kind: str, first: bool) -> None:
+    """Also where nobody has said in which environment they were trained: the message begins with what counts."""
+    model = Recurrent(kind, 1 + problem.automaton.n_states + 1, first)
+    for policy in (model, cg.as_policy(model, problem, "team_env")):
+        with pytest.raises(ValueError, match=r"^`policy`: the torch module Recurrent: it remembers .* not certified"):
+            cg.certify(problem, policy)
+    # Three steps in a row are one sequence of the module, in each of two worlds.
+    policy, dynamics, no = cg.as_policy(model, problem, "team_env"), Dynamics.of(problem), np.zeros(2, dtype=bool)
+    x = RNG.uniform(-2.0, 2.0, (3, 1, 2, 2))
+    batch, told, found = policy.batch(dynamics), [], []
+    memory = batch.begin(Worlds((x[0],), np.zeros(2, dtype=np.int32), 0, no, no), np.random.default_rng(0))
+    for t, states in enumerate(x):
+        answer, memory = batch.act(Worlds((states,), np.zeros(2, dtype=np.int32), t, no, no), memory)
+        found.append(answer[0][0, 0])
+        sight = policy.models[0].observation_map
+        told.append(sight.rows(problem, 0, [states[:, 0], states[:, 1]], np.zeros(2, dtype=np.int32), t))
+    rows = torch.as_tensor(np.stack(told, axis=1 if first else 0)).float()
+    wanted, agent = model(rows)[0].detach().numpy(), problem.agents[0]
+    wanted = (wanted[..., 0].T if first else wanted[..., 0]).clip(-1.0, 1.0)
+    middle = 0.5 * (agent.input_low + agent.input_high)
+    assert np.allclose(np.array(found), middle + wanted * agent.input_box.half_width, atol=1e-5)
+    assert cg.rollout(problem, policy, 50).episodes == 50
+
+
+@pytest.mark.parametrize("draws", [False, True])
+def test_functions_that_remember_are_not_certified(problem: cg.Problem, draws: bool) -> None:
+    rng, before = np.random.default_rng(0), [0.0]
+
+    def act(x: Any, q: int, time: int) -> Any:
+        before[0] = rng.random() if draws else 0.9 * before[0] + float(x[0])
+        return np.array([before[0]])
+
+    for verb in (cg.certify, cg.improve):
+        with pytest.raises(ValueError, match=r"answers otherwise when it is asked again.*rollouts"):
+            verb(problem, act, 20)
 
 
 def test_files_that_cannot_be_read_say_so(problem: cg.Problem, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from ..envs.tasks.problem import policy_in_file
 from ..synthesis.certificates.proofs import save_certificate, shown_bound
 from ..synthesis.extended_check.claims import standing
 from ..synthesis.extended_check.shields import shield_of
-from ..synthesis.interop import as_policy
+from ..synthesis.interop import as_policy, is_model
 from ..synthesis.interop import save_policy as save_for_others
 from ..synthesis.verbs.certify import certify as certify_policy
 from ..synthesis.verbs.certify import improve as improve_policy
@@ -281,6 +281,7 @@ def certify(options: Namespace) -> int:
     else:
         problem, file = problem_of(options), options.policy
     policy = policy_of_file(problem, file, options.trust) if file else as_policy(written, problem)
+    policy = as_policy(policy, problem) if is_model(policy) else policy
     wraps = options.wrap or options.improve or is_wrapping(options)
     if is_certified_as_given(policy, cells_of(options)) and not wraps:
         return certify_raw(options, problem, policy)
@@ -288,7 +289,7 @@ def certify(options: Namespace) -> int:
     # All forms of the policy are simulated beside each other; the last one is saved.
     policies: dict[str, Any] = {"raw": policy}
     last = policies["certified"] = certify_policy(
-        problem, policy, cells, wrap=True, above=options.above, **relation_of(options)
+        problem, policy, cells, wrap=wraps, above=options.above, **relation_of(options)
     )
     if options.improve:
         last = policies["improved"] = improve_policy(problem, policy, cells, **relation_of(options))
