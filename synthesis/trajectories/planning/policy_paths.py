@@ -66,8 +66,12 @@ HALVINGS = 4
 """Radii that are tried between two of these."""
 
 SURE = 8.0
-"""Deviations by which all that the run is accepted by is held, after which it is not followed any more where enough is
-asked for: wider tubes may need later times."""
+"""Deviations by which all that the run is accepted by is held, after which it is not followed any more: what is lost
+there is far less than the least of ``LOST``. Wider tubes may need later times."""
+
+LOST_BY = 2.0
+"""Deviations by which what errors are besides noise leaves the workspace, after which a tube is not followed any more:
+the state stays inside with less than .03."""
 
 FAR = 40.0
 """Deviations beyond which a demand costs nothing."""
@@ -125,6 +129,8 @@ def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: fl
         for _, letters in _words(problem, known, run, margins)[:TRIED]:
             found = _proved(problem, policies, run, letters, margins, lost)
             best = found if best is None or found.proof.failure < best.proof.failure else best
+            if best.proof.failure <= 2.0 * lost:  # ellipsoids alone, which other words need as well
+                break
         # Narrower tubes are for policies that bend: what is proved with room is hardly proved better without.
         if best is None or best.proof.failure >= 1.0:
             before = lost
@@ -152,7 +158,7 @@ def _soon(
     best, why = None, "nothing is known of the policies on any tube around their run"
     for lost in (1e-4 * enough, 0.3 * enough, 1e-4):
         try:
-            margins = _margins(problem, known, run, policies, lost, SURE)
+            margins = _margins(problem, known, run, policies, lost)
         except Refused as refused:
             why = str(refused)
             continue
@@ -335,15 +341,24 @@ def _margins(
     run: _Run,
     policies: Sequence[GivenPolicy],
     lost: float,
-    sure: float = np.inf,
 ) -> _Margins:
-    """Return how far all literals of the run are away, in deviations, on the tube of some radii."""
+    """Return how far all literals of the run are away, in deviations, on the tube of some radii.
+
+    ``Refused`` if the tube is lost before the run is accepted.
+    """
     joint = _joint(problem, known, run, policies, lost)
     shape, size = run.letters.shape, sum(pair.size for pair in problem.labeling.pairs)
     found = _Margins(np.full(shape, np.inf), np.full(shape, -1), np.zeros((shape[0], size)), shape[0] - 1)
     for tube in walk(joint):
         if (t := tube.t) == 0:
             continue
+        outside = np.maximum(
+            joint.box[0] - joint.states[t] - tube.drift[0], joint.states[t] + tube.drift[1] - joint.box[1]
+        )
+        if np.any(outside > LOST_BY * np.sqrt(tube.forms.variance)):
+            if t <= run.accepted[0]:
+                raise Refused(f"the tube leaves the workspace at time {t}")
+            return replace(found, last=t - 1)
         literals = [literal for p in range(shape[1]) for literal in _literals(problem, run, t, p)]
         asked = [(p, face, normal, part) for p, face, normal in literals
                  for part in _demands(known, run, t, p, face, normal, size)]  # fmt: skip
@@ -364,7 +379,7 @@ def _margins(
                 found.deviations[t, p], found.faces[t, p] = far, face
                 if normal is not None:
                     found.normals[t, _columns(problem, p)] = normal
-        if t in run.accepted and np.min(found.deviations[t], where=run.letters[t] > 0, initial=np.inf) > sure:
+        if t in run.accepted and np.min(found.deviations[t], where=run.letters[t] > 0, initial=np.inf) > SURE:
             return replace(found, last=t)
     return found
 
