@@ -24,6 +24,7 @@ from certigym.synthesis.relations.kinds import ACTIVATIONS as SINGLE
 from certigym.synthesis.relations.kinds import Network as Layers
 from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicPolicy, seen_jointly
 from certigym.synthesis.trajectories.planning import networks_along
+from certigym.synthesis.trajectories.planning.policy_paths import _may_have_cells
 
 KINDS = [
     *((act, out, sees) for act in ("tanh", "relu") for out in ("clip", "tanh", "box") for sees in ("scaled", "raw")),
@@ -304,6 +305,17 @@ def test_what_a_network_leaves_out_is_charged_where_products_follow_errors(monke
     monkeypatch.setattr(steps, "expanded", spied)
     assert len([*walk(Joint.of(known, read.trajectories, read.letters))]) == len(offsets) + 1 > 3
     assert all(off[3] > 1e-8 and not off[:3].any() for off in offsets)
+
+
+def test_messages_speak_of_cells_only_where_there_are_some() -> None:
+    """Cells under networks have linear dynamics; what is certified along a run has any."""
+    problem, policies = glider()
+    linear, _ = an_agent(3, 1)
+    wide, _ = an_agent(4, 1)
+    smooth = [replace(policies[0], network=replace(policies[0].network, activation="silu"))]
+    found = [_may_have_cells(*each) for each in
+             ((linear, policies), (problem, policies), (wide, policies), (linear, smooth))]  # fmt: skip
+    assert found == [True, False, False, False]
 
 
 def some_noise(rng: np.random.Generator, n: int) -> np.ndarray:

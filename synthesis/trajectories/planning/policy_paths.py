@@ -73,6 +73,9 @@ LOST_BY = 2.0
 """Deviations by which what errors are besides noise leaves the workspace, after which a tube is not followed any more:
 the state stays inside with less than .03."""
 
+FEW_STATES = 3
+"""States of an agent up to which messages speak of cells."""
+
 FAR = 40.0
 """Deviations beyond which a demand costs nothing."""
 
@@ -146,7 +149,7 @@ def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: fl
         raise RelationRefused(
             f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy, "
             "as `certigym.baselines.smoothed` and `train --certify` make it"
-            + (", or cells (`cells=`)" if all(map(_may_have_cells, policies)) else "")
+            + (", or cells (`cells=`)" if _may_have_cells(problem, policies) else "")
         )
     return best
 
@@ -209,10 +212,14 @@ def _widest(
     return best
 
 
-def _may_have_cells(policy: GivenPolicy) -> bool:
-    if isinstance(policy, NetworkPolicy):
-        return policy.network.activation in ON_CELLS
-    return not policy.sees_all
+def _may_have_cells(problem: Problem, policies: Sequence[GivenPolicy]) -> bool:
+    """Return whether `certify` may be asked for cells, which few states have."""
+    networks = [policy for policy in policies if isinstance(policy, NetworkPolicy)]
+    if networks and (problem.labeling.pairs or problem.names_time or not all(a.is_affine for a in problem.agents)):
+        return False
+    is_known = all(policy.network.activation in ON_CELLS for policy in networks)
+    is_small = all(agent.n_states <= FEW_STATES for agent in problem.agents)
+    return is_known and is_small and not any(policy.sees_all for policy in policies)
 
 
 def _likeliest(certificate: AlongPath, known: CheckedProblem) -> str:
