@@ -238,7 +238,7 @@ def _run_of(problem: Problem, known: CheckedProblem, policies: Sequence[GivenPol
     for t in range(T):
         seen = [np.concatenate(x) if policy.sees_all else own for policy, own in zip(policies, x, strict=True)]
         u = [policy.inputs(own[:, None], np.array([q]), t)[:, 0] for policy, own in zip(policies, seen, strict=True)]
-        x = _moved(known, x, u, t)
+        x = _moved(problem, known, x, u, t)
         if not all(
             np.all((a.state_low <= own) & (own <= a.state_high)) for a, own in zip(problem.agents, x, strict=True)
         ):
@@ -280,10 +280,15 @@ def _first_state(known: CheckedProblem) -> int:
     return min(undecided or reached)
 
 
-def _moved(known: CheckedProblem, x: Sequence[FloatArray], u: Sequence[FloatArray], t: int) -> list[FloatArray]:
+def _moved(
+    problem: Problem, known: CheckedProblem, x: Sequence[FloatArray], u: Sequence[FloatArray], t: int
+) -> list[FloatArray]:
     """Return the next states without noise, disturbances in the middle of their ranges."""
     result = []
-    for i, agent in enumerate(known.agents):
+    for i, (given, agent) in enumerate(zip(problem.agents, known.agents, strict=True)):
+        if not given.unknowns:
+            result.append(given.at(t).mean(x[i][:, None], u[i][:, None])[:, 0])
+            continue
         names = dict(zip((*agent.states, *agent.inputs), (*x[i], *u[i]), strict=True))
         names |= {name: 0.5 * (low + high) for name, (low, high) in agent.disturbances.items()}
         names |= {name: x[j][k] for name, (j, k) in agent.states_of_others.items()}
