@@ -244,9 +244,9 @@ def agree(files: Iterator[tuple[str, bytes]], program: Second) -> tuple[int, lis
 
 @MADE_BY_HAND
 def test_no_file_of_a_sample_is_proved_by_the_second_checker_alone(made: Any, second: Second) -> None:
-    both, wrong = agree(forged_files(made, 17), second)
+    both, wrong = agree(forged_files(made, 41), second)
     assert wrong == [] and both > 0
-    _, wrong = agree(damaged_files(made, 40), second)
+    _, wrong = agree(damaged_files(made, 15), second)
     assert wrong == []
 
 

@@ -20,6 +20,7 @@ from certigym.synthesis.checker import tree
 from certigym.synthesis.checker.automaton import CO_SAFE, FINITE_TRACE, Automaton
 from certigym.synthesis.checker.fields import Refused
 from certigym.synthesis.checker.tree import Guards, Team, Tree, check_guards, value_at_start
+from kinds import mostly_thorough
 
 
 @dataclass
@@ -272,9 +273,10 @@ def from_one_start(world: World) -> tuple[list[np.ndarray], Guards, Fraction]:
     return shares, guard, world.truth_at(q, start)
 
 
-def test_the_value_is_at_most_that_of_the_joint_chain() -> None:
-    rng, positive, united = np.random.default_rng(0), 0, 0
-    for _ in range(120):
+@mostly_thorough("seed", [0, 4, 5])
+def test_the_value_is_at_most_that_of_the_joint_chain(seed: int) -> None:
+    rng, positive, united = np.random.default_rng(seed), 0, 0
+    for _ in range(40):
         world = World(rng, complete=False)
         own = random_tree(world, complete=False)
         shares, start, exact = from_one_start(world)
@@ -282,13 +284,14 @@ def test_the_value_is_at_most_that_of_the_joint_chain() -> None:
         assert Fraction(got) <= exact, (float(got - exact), world.automaton)
         positive += 0 < got < 1
         united += len(own.unions)
-    assert positive > 30 and united > 150
+    assert positive > 10 and united > 50
 
 
-def test_a_tree_with_all_vertices_is_worth_what_the_joint_chain_says() -> None:
+@mostly_thorough("seed", [1, 6])
+def test_a_tree_with_all_vertices_is_worth_what_the_joint_chain_says(seed: int) -> None:
     """Nothing is lost but rounding; a box of starts is worth the mean of its points."""
-    rng, positive = np.random.default_rng(1), 0
-    for _ in range(60):
+    rng, positive = np.random.default_rng(seed), 0
+    for _ in range(30):
         world = World(rng, complete=True)
         own = random_tree(world, complete=True)
         if len(own.vertices) > 3000:
@@ -308,13 +311,14 @@ def test_a_tree_with_all_vertices_is_worth_what_the_joint_chain_says() -> None:
         got = value_at_start(Team(world.automaton, world.T, world.cells([half, *shares[1:]]), world.guards, both), own)
         mean = sum(world.truth_at(q, (c, *others)) for q, c in zip(targets, ends, strict=True)) / 2
         assert mean * (1 - Fraction(1, 10**9)) <= Fraction(got) <= mean
-    assert positive > 20
+    assert positive > 10
 
 
-def test_guards_are_refused_unless_they_are_disjoint_and_lead_where_they_say() -> None:
+@mostly_thorough("seed", [2, 7])
+def test_guards_are_refused_unless_they_are_disjoint_and_lead_where_they_say(seed: int) -> None:
     """Sound against all joint cells and letters; sabotaged ones are seen."""
-    rng, refused, passed = np.random.default_rng(2), 0, 0
-    for _ in range(80):
+    rng, refused, passed = np.random.default_rng(seed), 0, 0
+    for _ in range(40):
         world = World(rng, complete=bool(rng.random() < 0.5))
         assert world.is_right(world.guards, world.sets)
         G, Q = len(world.guards.source), len(world.automaton.accepting)
@@ -342,7 +346,7 @@ def test_guards_are_refused_unless_they_are_disjoint_and_lead_where_they_say() -
         sets[i][k, c] ^= True
         if world.passes(world.guards, sets):
             assert world.is_right(world.guards, sets)
-    assert refused > 130 and passed > 10
+    assert refused > 60 and passed > 5
 
 
 @pytest.fixture
