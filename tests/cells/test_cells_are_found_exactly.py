@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from certigym.synthesis.relations.grids.grid import Grid, aligned_edges
@@ -56,7 +56,6 @@ def test_two_axes_are_numbered_in_c_order() -> None:
     np.testing.assert_array_equal(cell_finder(grid)(points), grid.cell_of(points))
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=12, unique=True))
 def test_any_axis_is_searched_exactly(corners: list[float]) -> None:
     edges = np.sort(np.array(corners)) + 0.0

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import certigym as cg
@@ -80,7 +80,6 @@ def label_sets_of(draw: Any) -> tuple[cg.Problem, list[np.ndarray]]:
     return problem, sets
 
 
-@settings(max_examples=120, deadline=None)
 @given(label_sets_of())
 def test_each_combination_of_label_sets_has_the_guard_of_its_robust_successor(
     case: tuple[cg.Problem, list[np.ndarray]],

@@ -98,7 +98,7 @@ def tree_value(problem: Problem, models: list[AgentModel], policies: tuple[np.nd
     return terms
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(exact_problems())
 def test_the_tree_is_the_dense_value_in_exact_rationals(
     case: tuple[Problem, list[AgentModel], tuple[np.ndarray, ...]],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from certigym.envs.tasks.automata.hoa import automaton_from_hoa
@@ -117,7 +117,6 @@ def test_everything_else_is_refused_with_its_reason(name: str) -> None:
     assert str(caught.value).startswith("`hoa`") and "\n" not in str(caught.value)
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_damaged_texts_are_read_or_refused(data: st.DataObject) -> None:
     source = data.draw(st.sampled_from([UNTIL, VARIANTS["aliases"], VARIANTS["implicit labels"], VARIANTS["comments"]]))

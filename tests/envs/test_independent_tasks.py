@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import certigym as cg
@@ -74,7 +74,6 @@ PARTS = ("F a", "G[0,2] b", "a U b", "G !b", "F (c & d)", "d R c", "X X c", "F (
 
 
 @given(st.lists(st.sampled_from(PARTS), min_size=2, max_size=4), st.data())
-@settings(max_examples=60, deadline=None)
 def test_a_word_satisfies_the_whole_exactly_if_it_satisfies_every_part(parts: list[str], data: st.DataObject) -> None:
     formula = " & ".join(f"({part})" for part in parts)
     found = independent_groups(formula, "finite-trace", NAMES, FAMILIES, OWNERS, 3)
@@ -92,7 +91,6 @@ CO_SAFE = ("F a", "b U a", "F (c & d)", "X c", "!d U c", "F e", "F[0,2] f", "G[0
 
 
 @given(st.lists(st.sampled_from(CO_SAFE), min_size=2, max_size=4), st.data())
-@settings(max_examples=60, deadline=None)
 def test_parts_of_co_safe_tasks_ask_for_the_whole(parts: list[str], data: st.DataObject) -> None:
     """Judged at the end, accepting states are absorbing: the same words satisfy the parts and the whole."""
     formula = " & ".join(f"({part})" for part in parts)

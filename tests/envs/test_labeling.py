@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import certigym as cg
@@ -85,7 +85,6 @@ def boxes(draw: st.DrawFn, axes: int) -> tuple[list[float], list[float]]:
     return [pair[0] for pair in corners], [pair[1] for pair in corners]
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_box_classes_are_exactly_the_classes_of_the_points_for_identity_output(data: st.DataObject) -> None:
     agent = planar()
@@ -101,7 +100,6 @@ def test_box_classes_are_exactly_the_classes_of_the_points_for_identity_output(d
     assert seen == expected
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_box_classes_hold_the_classes_of_all_points_for_general_output(data: st.DataObject) -> None:
     entries = st.integers(-3, 3).map(lambda n: n / 3.0)

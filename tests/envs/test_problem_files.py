@@ -193,7 +193,7 @@ values = st.recursive(
     max_leaves=8,
 )
 bases: list[dict[str, Any]] = [tomllib.loads(text) for text in (TOML, HEAD + BY_HAND, HEAD + f"hoa = '''{HOA}'''")]
-fuzz = settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+fuzz = settings(suppress_health_check=list(HealthCheck))
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
