@@ -16,7 +16,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import CheckReport
-from certigym.validation.presentation.reports.explorer import EPISODES, UNIT, _down, explored
+from certigym.validation.presentation.reports.explorer import EPISODES, UNIT, _down, bounds_of_starts, explored
 from certigym.validation.presentation.reports.other_starts import begun_at, bounds_from
 from certigym.validation.statistical_tests import task_tracks
 
@@ -104,7 +104,7 @@ def test_the_explorer_says_what_the_certificate_says(
 
 
 def test_the_episodes_of_a_point_begin_there_and_end_as_is_said(synthesized: Callable[..., cg.Synthesis]) -> None:
-    certificate: Any = synthesized("patrol-robot-v0", 24).certificate
+    certificate: Any = synthesized("patrol-robot-v0", 12).certificate
     shown = explored(certificate, seed=3)
     count = len(shown.starts)
     assert shown.axes == (0, 1) and shown.states.shape[1] == EPISODES * count
@@ -114,6 +114,16 @@ def test_the_episodes_of_a_point_begin_there_and_end_as_is_said(synthesized: Cal
     read, _ = task_tracks(certificate.problem, shown.states)
     assert np.array_equal(certificate.problem.automaton.accepting[read[-1]], shown.success)
     assert shown.success.any() and not shown.success.all()
+
+
+def test_starts_around_that_of_a_path_have_bounds_of_their_own() -> None:
+    """One state and three steps: the certificate's own start is among the points, and none is worth more."""
+    agent = cg.LinearAgent(name="a", A=0.9, B=0.5, noise=0.1, state_space=(-4, 4), input_space=(-1, 1), start=[-1.0])
+    problem = cg.Problem(horizon=3, agents=agent, propositions={"g": (-0.5, 1.0)}, specification="F g")
+    certificate: Any = cg.synthesize(problem, relation="path").certificate
+    starts, shape, own, bounds = bounds_of_starts(certificate, (0,), 24.0)
+    assert own is not None and starts[own] == -1.0 and shape == (len(starts),)
+    assert certificate.lower_bound <= bounds[own] <= 1.0 and len(np.unique(bounds)) > 2
 
 
 def test_bounds_are_rounded_down_also_where_products_are_rounded_up() -> None:
