@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from certigym.synthesis.certificates.proofs import canonical_problem, changed, c
 from certigym.synthesis.checker import Joint, read_problem, read_trajectories, walk
 from certigym.synthesis.interop.environments import sight_of
 from certigym.synthesis.verbs.as_it_is import WORDS, as_it_is
+from kinds import mostly_thorough
 
 EPISODES = 20_000
 ENVS = {
@@ -64,11 +67,16 @@ def given(env: str, law: Any = 0.03, seed: int = 0, activation: str = "relu") ->
     return problem, cg.as_policy(fitted(problem, env, seed, activation), problem, env=env, activation=activation)
 
 
-@pytest.mark.parametrize("env", ENVS)
+@cache
+def certified(env: str) -> tuple[cg.Problem, Any, cg.Synthesis]:
+    problem, policy = given(env)
+    return problem, policy, cg.certify(problem, policy)
+
+
+@mostly_thorough("env", sorted(ENVS, key=lambda env: "relative" not in env and env != "central_env"), first=2)
 def test_what_is_certified_is_what_was_given(env: str) -> None:
     """With the same noise the controller of the certificate succeeds as often as the model, and often enough."""
-    problem, policy = given(env)
-    found = cg.certify(problem, policy)
+    problem, policy, found = certified(env)
     assert policy.why_not_as_it_is == "" and found.certificate.lower_bound > 0.3
     assert cg.check(found.certificate, problem)
     runs = [cg.rollout(problem, own, episodes=EPISODES, seed=1) for own in (policy, found.controller)]
@@ -78,8 +86,8 @@ def test_what_is_certified_is_what_was_given(env: str) -> None:
 
 
 def test_files_hold_them_and_forgeries_are_refused(tmp_path: Any) -> None:
-    problem, policy = given("central_env")
-    certificate = cg.certify(problem, policy).certificate
+    problem, _, found = certified("central_env")
+    certificate: Any = found.certificate
     again: Any = cg.load(cg.save(certificate, tmp_path / "c.npz") or tmp_path / "c.npz")
     assert cg.check(again, problem) and again.lower_bound == certificate.lower_bound
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (problem.n_states, 50))
@@ -97,8 +105,8 @@ def test_files_hold_them_and_forgeries_are_refused(tmp_path: Any) -> None:
 
 
 def test_agents_of_a_team_are_told_the_states_of_all() -> None:
-    problem, policy = given("central_env")
-    controller: Any = cg.certify(problem, policy).controller
+    problem, _, found = certified("central_env")
+    controller: Any = found.controller
     env = cg.parallel_env(problem)
     observations, infos = env.reset(seed=0)
     actions = controller.act(observations, infos)
@@ -131,15 +139,11 @@ def test_tubes_of_noise_that_is_not_normal_hold() -> None:
     assert share >= found.certificate.lower_bound - 0.02
 
 
-def test_failures_name_the_layer_that_leaves_out_most() -> None:
-    """Large noise bends a network of one hidden layer: the message says when, and by how much."""
-    problem, policy = given("central_env", 0.25, activation="tanh")
-    with pytest.raises(ValueError, match=r"widens at step \d+: layer 1, whose neurons get \+-[\d.]+, leaves"):
-        cg.certify(problem, policy)
-
-
 def test_a_table_has_a_bound_or_a_word() -> None:
-    """For every policy of a leaderboard: a number where it is certified as it is, and else why not, in a word."""
+    """For every policy of a leaderboard: a number where it is certified as it is, and else why not, in a word.
+
+    Large noise bends a network of one hidden layer: the message says when, and by how much.
+    """
     env = "parallel_env(observation=neighbours;actions=unit;automaton=number)"
     crowd, calm, wild = team(3), given("central_env"), given("central_env", 0.25, activation="tanh")
     away = cg.as_policy([(np.zeros((7, 2), np.float32), np.zeros(2, np.float32))], calm[0], env="central_env")
@@ -151,7 +155,8 @@ def test_a_table_has_a_bound_or_a_word() -> None:
         as_it_is(crowd, lambda x, q, time: np.zeros(1)),
     ]
     assert [own.word for own in found] == ["", "off course", "wide tube", "neighbours", "layers"]
-    assert found[0].bound == cg.certify(*calm).certificate.lower_bound and str(found[0]).startswith("P >= ")
+    assert found[0].bound == certified("central_env")[2].certificate.lower_bound and str(found[0]).startswith("P >= ")
+    assert re.search(r"widens at step \d+: layer 1, whose neurons get \+-[\d.]+, leaves", str(found[2].why))
     assert all(own.word in WORDS and own.why and own.bound is None for own in found[1:])
 
 

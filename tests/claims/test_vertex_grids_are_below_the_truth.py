@@ -324,7 +324,7 @@ def test_tables_of_laws_bound_what_they_say(law: str) -> None:
         for p in range(3):
             assert np.all((np.abs(tau) ** p * dens <= seen.dens[p] + 1e-4)[smooth])
         assert np.all(above[1][:, 0] - above[1][:, 1] <= seen.mass[:, 0] + 1e-15)
-    t = rng.uniform(-6.0, 6.0, 400)
+    t = rng.uniform(-6.0, 6.0, 100)
     fine = np.linspace(-30.0, 30.0, 120_001)
     dens = -np.gradient(own.tails(fine * table.unit)[1], fine)
     slope = np.abs(np.gradient(dens, fine))
@@ -337,12 +337,12 @@ def test_tables_of_laws_bound_what_they_say(law: str) -> None:
         # differences of differences: seen from both sides of corners, and rounded
         assert np.all(np.abs(fine) ** p * slope <= at.slope[p][:, 0] * (1.0 + 1e-3) + 2e-3 * (1.0 + np.abs(fine) ** p))
     assert np.all(np.abs(rest) <= at.rest[:, 0] + 1e-3)
-    assert np.all(table.beyond(np.abs(t), np.ones(400), 1) >= own.tails(np.abs(t) * table.unit)[1])
-    assert np.all(table.beyond(np.abs(t), np.ones(400), -1) >= own.tails(-np.abs(t) * table.unit)[0])
+    assert np.all(table.beyond(np.abs(t), np.ones(100), 1) >= own.tails(np.abs(t) * table.unit)[1])
+    assert np.all(table.beyond(np.abs(t), np.ones(100), -1) >= own.tails(-np.abs(t) * table.unit)[0])
     edges = np.linspace(-5.0, 5.0, 30) + 0.1 * rng.uniform(-1.0, 1.0, 30)
-    hats, lack = table.hats(t / 2.0, np.full(400, 0.7), edges)
+    hats, lack = table.hats(t / 2.0, np.full(100, 0.7), edges)
     mass, rising = hats_of(table, (edges - t[:, None] / 2.0) / 0.7, 1000)
-    true = np.stack([mass - rising, rising], axis=-1).reshape(400, -1)
+    true = np.stack([mass - rising, rising], axis=-1).reshape(100, -1)
     assert np.all(hats <= true + 2e-7) and np.all(true.sum(axis=1) - hats.sum(axis=1) <= lack + 1e-6) and lack < 1e-6
 
 
@@ -397,7 +397,7 @@ def test_what_is_far_from_images_costs_its_probability(
     name: str, deviations: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(images, "BESIDE", 100.0)  # blocks of a few cells
-    pairs = [below_and_true(name, seed, near=deviations) for seed in range(3)]
+    pairs = [below_and_true(name, seed, near=deviations) for seed in range(1 if name == "three states" else 3)]
     assert all(np.all(found <= true + 1e-13) for found, true in pairs)
     assert deviations < 1.0 or any(len(found) > 100 for found, _ in pairs)
 
@@ -477,7 +477,7 @@ def test_certificates_are_checked_and_stand_rollouts(certificate: cg.Certificate
 
 def test_noise_of_other_laws_is_certified_checked_and_stands_rollouts() -> None:
     problem = cg.load(Path(__file__).parents[2] / "examples" / "own" / "inventory.toml")
-    found = cg.synthesize(problem, relation="vertices", effort=3.0)
+    found = cg.synthesize(problem, relation="vertices", effort=1.0)
     proof: Any = found.certificate.proof
     assert proof.kind == "vertex-grid" and proof.failure < 1e-3 and cg.check(found.certificate)
     rollouts, alarm = 20_000, 1e-6

@@ -25,7 +25,7 @@ REGIONS = ("lane", -1.0, 1.0), ("far", 3.0, 3.5)
 def task(formula: str) -> cg.Problem:
     return cg.Problem(
         name="cart",
-        horizon=30,
+        horizon=16,
         agents=[
             cg.Agent(
                 name="cart",

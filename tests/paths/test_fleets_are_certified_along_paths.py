@@ -25,7 +25,7 @@ FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""
 
 
-PROBLEMS = {"two": swap(), "three": swap(3, 0.02, 0.4), "mixed": mixed()}
+PROBLEMS = {"two": swap(std=0.04, horizon=10), "three": swap(3, 0.02, 0.4), "mixed": mixed()}
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ FORGERIES = {
 @pytest.mark.parametrize("name", sorted(FORGERIES))
 def test_forgeries_are_refused(name: str, certificates: dict[str, AlongPath]) -> None:
     certificate = certificates["two"]
-    assert 1e-6 < certificate.proof.failure
+    assert 1e-9 < certificate.proof.failure
     assert not cg.check(FORGERIES[name](certificate))
 
 
@@ -200,8 +200,7 @@ def test_files_keep_fleets(certificates: dict[str, AlongPath], tmp_path: Path) -
     again: Any = cg.load(tmp_path / "fleet.npz")
     assert certificate.proof.normals is not None and np.array_equal(again.proof.normals, certificate.proof.normals)
     assert cg.check(again, certificate.problem).valid
-    content = cg.report(certificate, tmp_path / "fleet.html", episodes=200)
-    assert content
+    assert cg.report(certificate, tmp_path / "fleet.html", episodes=200)
 
 
 def test_words_of_many_pairs_are_found() -> None:

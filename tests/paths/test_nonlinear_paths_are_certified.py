@@ -190,9 +190,9 @@ def noisy() -> cg.Problem:
     return bend(noise_covariance=noise, input_low=[-1, -1], input_high=[1, 1])
 
 
-def along(problem: cg.Problem) -> tuple[FeedbackTrajectory, AlongPath]:
-    """What little work finds along a path, and its certificate."""
-    certificate = path_of(problem)
+def along(problem: cg.Problem, calm: cg.Problem | None = None) -> tuple[FeedbackTrajectory, AlongPath]:
+    """What little work finds along a path, as in a calm world, and its certificate."""
+    certificate = replace(path_of(calm or problem), problem=problem)
     found = NonlinearSearch(problem, 0, CountedWork()).quick(certificate.proof.letters)
     assert found is not None
     return found, changed(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
@@ -248,7 +248,7 @@ def bowl() -> cg.Problem:
 @cache
 def honest(bowled: bool) -> tuple[FeedbackTrajectory, AlongPath]:
     """What is found for the ball, or for noisy agents; the check accepts it."""
-    found, certificate = along(bowl() if bowled else noisy())
+    found, certificate = along(bowl()) if bowled else along(noisy(), bend(input_low=[-1, -1], input_high=[1, 1]))
     return found, agreed_path(certificate)
 
 
