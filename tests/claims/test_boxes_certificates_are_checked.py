@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,9 +14,8 @@ import certigym as cg
 from certigym.synthesis.abstraction.kernels.box_kernel import BoxKernel
 from certigym.synthesis.abstraction.kernels.kernel import Kernel
 from certigym.synthesis.abstraction.models import box_choices
-from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.certificates.value_functions import Terms
 from certigym.synthesis.relations.kinds import BoxRelation, MeanBoxes, box_relation
+from forged_cells import CLAIMS, MENU, Forge, inputs_of, one_choice, part_changed, relation_changed
 from kinds import mostly_thorough
 from problems import cart, cart_reach, scalar_agent, two_agents
 
@@ -38,29 +35,6 @@ def of_team() -> cg.Certificate:
 CERTIFICATES = {"cart": of_cart, "team": of_team}
 
 
-def part_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
-    """The certificate with another first agent."""
-    return changed(certificate, agents=(replace(certificate.proof.agents[0], **changes), *certificate.proof.agents[1:]))
-
-
-def relation_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
-    return part_changed(certificate, relation=certificate.proof.agents[0].relation | changes)
-
-
-def times(certificate: cg.Certificate, name: str, factor: float) -> cg.Certificate:
-    return relation_changed(
-        certificate, **{name: (factor * np.array(certificate.proof.agents[0].relation[name])).tolist()}
-    )
-
-
-def raised_factor(certificate: cg.Certificate) -> cg.Certificate:
-    """The largest number of a stored factor, a thousandth larger."""
-    terms = certificate.proof.tree
-    factors, row = terms.factors[0].copy(), int(terms.index[certificate.problem.automaton.initial][0, 0])
-    factors[row, np.argmax(factors[row])] += 1e-3
-    return changed(certificate, terms=Terms((factors, *terms.factors[1:]), terms.index))
-
-
 def shifted(certificate: cg.Certificate, steps: float) -> cg.Certificate:
     lattice = tuple(axis + steps * (axis[1] - axis[0]) for axis in certificate.proof.agents[0].lattice)
     return part_changed(certificate, lattice=lattice)
@@ -77,29 +51,15 @@ def uneven(certificate: cg.Certificate) -> cg.Certificate:
     return part_changed(certificate, lattice=tuple(axes))
 
 
-FORGERIES: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
-    "a stored factor raised": raised_factor,
-    "inputs outside their box": lambda c: times(c, "menu", 1.5),
-    "inputs exchanged": lambda c: relation_changed(c, menu=c.proof.agents[0].relation["menu"][::-1]),
-    "no inputs": lambda c: relation_changed(c, menu=[]),
-    "feedback inside cells": lambda c: relation_changed(c, gains=[[[1.0]]] * len(c.proof.agents[0].relation["menu"])),
-    "an input that is not there": lambda c: part_changed(
-        c, policy=np.full_like(c.proof.agents[0].policy, len(c.proof.agents[0].relation["menu"]))
-    ),
-    "one input everywhere": lambda c: part_changed(c, policy=np.zeros_like(c.proof.agents[0].policy)),
+FORGERIES: dict[str, Forge] = {
+    **CLAIMS,
+    **MENU,
+    "feedback inside cells": lambda c: relation_changed(c, gains=[[[1.0]]] * len(inputs_of(c))),
+    "one input everywhere": lambda c: one_choice(c, 0),
     "a coarser lattice": coarser,
     "a lattice that does not reach": lambda c: shifted(c, 200.0),
     "an uneven lattice": uneven,
-    "a gap": lambda c: changed(c, gap=0.01),
-    "called exact": lambda c: changed(c, gap=0.0),
-    "the bound raised": lambda c: changed(
-        c, lower_bound=c.lower_bound + 1e-6, bounds={"nominal": c.lower_bound + 1e-6}
-    ),
-    "another bound": lambda c: changed(c, bound="robust tree", bounds={"robust tree": c.lower_bound}),
-    "called an exact relation": lambda c: part_changed(c, relation={"kind": "exact"}),
-    "called linear": lambda c: part_changed(
-        c, relation={"kind": "linear", "menu": c.proof.agents[0].relation["menu"], "parts": 2}
-    ),
+    "called linear": lambda c: part_changed(c, relation={"kind": "linear", "menu": inputs_of(c).tolist(), "parts": 2}),
 }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import struct
 import subprocess
@@ -19,9 +18,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certificate_archives import contents, packed
 from certigym.cli.main import main
 from certigym.synthesis.certificates.proofs import OnGrid
-from certigym.synthesis.certificates.proofs.archive import _digest
 from certigym.synthesis.extended_check.claims.regrown_tree import regrow
 from certigym.synthesis.relations.grids import Grid
 from problems import two_agents
@@ -40,21 +39,6 @@ def raw(certificate: OnGrid, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("certificates") / "c.npz"
     cg.save(certificate, path)
     return path.read_bytes()
-
-
-def contents(raw: bytes) -> tuple[dict[str, Any], list[np.ndarray]]:
-    with np.load(io.BytesIO(raw)) as archive:
-        header = json.loads(bytes(archive["header"]).decode())
-        return header, [archive[str(k)] for k in range(len(archive.files) - 1)]
-
-
-def packed(header: dict[str, Any], arrays: list[np.ndarray], path: Path, renew: bool = True) -> Path:
-    """Write a file, by default as a forger would: with a digest that fits."""
-    if renew:
-        header["digest"] = _digest(header, arrays)
-    text = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    np.savez_compressed(path, allow_pickle=False, header=text, **{str(k): a for k, a in enumerate(arrays)})
-    return path
 
 
 @pytest.mark.thorough

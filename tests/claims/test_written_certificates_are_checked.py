@@ -16,7 +16,7 @@ from scipy.stats import norm
 import certigym as cg
 from certigym.envs.systems.agents import Agent
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.relations.kinds import MeanBoxes, SymbolicMeans
+from certigym.synthesis.relations.kinds import SymbolicMeans
 from kinds import mostly_thorough
 from written_problems import bent_team, oscillator, oscillator_reach
 
@@ -249,10 +249,3 @@ def test_cells_where_a_mean_is_not_defined_are_given_up() -> None:
     part = certificate.proof.agents[0]
     left = part.grid.high[:, 0] <= 0.0
     assert left.any() and np.all(part.policy[:, 0, left] < 0)
-
-
-def test_boxes_are_mean_boxes() -> None:
-    """What the relation hands to the kernel is what the protocol asks for."""
-    controller: Any = of_oscillator().controller.agents[0]
-    boxes = controller.relation.mean_boxes(np.array([[0.0, 0.0]]), np.array([[0.1, 0.1]]))
-    assert isinstance(boxes, MeanBoxes) and boxes.low.shape == (1, 7, 2) and boxes.admissible.all()
