@@ -93,3 +93,23 @@ safe = { agent = "drone_*", low = [-5.0], high = [5.0] }
 formula = "all(safe) U p1"
 semantics = "co-safe"
 """
+
+HOP = """
+name = "hop"
+horizon = 3
+[[agents]]
+name = "left"
+A = [[0.9]]
+B = [[0.5]]
+noise_covariance = [[0.25]]
+state_low = [-4.0]
+state_high = [4.0]
+input_low = [-4.0]
+input_high = [4.0]
+initial_state = [-1.0]
+[propositions]
+goal = { agent = "left", low = [2.0], high = [4.0] }
+[specification]
+formula = "F goal"
+semantics = "co-safe"
+"""

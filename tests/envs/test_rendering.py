@@ -19,27 +19,8 @@ from certigym.envs.interfaces.palette import rgb
 from certigym.envs.interfaces.scene import figure, panels
 from certigym.envs.tasks.problem import problem_from_toml
 from kinds import ALL_IDS, mostly_thorough
+from sample_problems import HOP as TASK
 from sample_problems import mixed_problem
-
-TASK = """
-name = "hop"
-horizon = 3
-[[agents]]
-name = "left"
-A = [[0.9]]
-B = [[0.5]]
-noise_covariance = [[0.25]]
-state_low = [-4.0]
-state_high = [4.0]
-input_low = [-4.0]
-input_high = [4.0]
-initial_state = [-1.0]
-[propositions]
-goal = { agent = "left", low = [2.0], high = [4.0] }
-[specification]
-formula = "F goal"
-semantics = "co-safe"
-"""
 
 
 def step(env: Any) -> None:
@@ -78,17 +59,6 @@ def test_scalar_agents_are_tracks_and_planar_ones_share_a_map() -> None:
     assert (plane.curves[2].rows @ joint).tolist() == [4.0, 5.0]
     lost = [region for region in plane.regions if region.name == "column"]
     assert lost[0].low == (-10.0, -20.0) and lost[0].high == (-5.0, 5.0)
-
-
-def test_regions_that_cover_everything_have_no_hatches() -> None:
-    """Bands over bands on the map of a delivery: between their rims there is one tint, and the robots can be seen."""
-    assert not any(panel.is_crowded(12) for panel in panels(cg.make_problem("door-formation-v0")))
-    problem = cg.make_problem("package-delivery-v0")
-    assert all(panel.is_crowded(problem.horizon) for panel in panels(problem))
-    env = cg.parallel_env(problem, render_mode="rgb_array")
-    env.reset(seed=0)
-    frame = np.asarray(env.render())
-    assert len(np.unique(frame[410:430, 300:325].reshape(-1, 3), axis=0)) == 1
 
 
 def test_the_marker_of_an_agent_is_where_the_agent_is() -> None:

@@ -17,6 +17,7 @@ from certigym.cli.main import main
 from certigym.cli.parser import MODULES, build_parser
 from certigym.validation.policies import Probe
 from certigym.validation.presentation.studio import Studio
+from sample_problems import HOP
 
 PAGE = Path(__file__).parents[2] / "docs" / "command_line.md"
 
@@ -63,28 +64,11 @@ def policy(*seen):
     return [0.0]
 """
 
-TEXT = """
-name = "hop"
-horizon = 3
-specification = "F goal"
-[agents.left]
-A = [[0.9]]
-B = [[0.5]]
-noise_std = [0.2]
-state_low = [-4.0]
-state_high = [4.0]
-input_low = [-4.0]
-input_high = [4.0]
-initial_state = [-1.0]
-[propositions]
-goal = { agent = "left", low = [2.0], high = [4.0] }
-"""
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("json")
-    (place / "task.toml").write_text(TEXT)
+    (place / "task.toml").write_text(HOP)
     (place / "mine.py").write_text(MINE)
     problem = cg.load(place / "task.toml")
     cg.save(cg.synthesize(problem, 20), place / "c.npz")
