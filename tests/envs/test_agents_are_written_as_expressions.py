@@ -82,36 +82,6 @@ def test_what_is_not_defined_is_outside_the_workspace() -> None:
     assert not rollouts.success.any()  # the logarithm of the start, -2, is not a number
 
 
-def test_linear_agents_written_as_expressions_move_alike() -> None:
-    """The same matrices as expressions: equal up to rounding, with the same draws, beside agents of both kinds."""
-    written = bent("one", dynamics=["0.9*x + 0.5*u"])
-    matrices = cg.LinearAgent(
-        name="one",
-        A=[[0.9]],
-        B=[[0.5]],
-        noise_covariance=written.noise_covariance,
-        state_low=[-4],
-        state_high=[4],
-        input_low=[-1.5],
-        input_high=[1.5],
-        initial_state=[-2.0],
-    )
-    goal = {"a": cg.Proposition("one", [3.9], [4.0])}
-    found = []
-    for agent in (written, matrices):
-        problem = cg.Problem(
-            name="p", horizon=6, agents=[agent], propositions=goal, specification=cg.Specification("F a", "co-safe")
-        )
-        env = cg.central_env(problem)
-        observation, _ = env.reset(seed=3)
-        path = [observation]
-        for _ in range(6):
-            observation, *_ = env.step(np.array([0.7]))
-            path.append(observation)
-        found.append(np.array(path))
-    assert np.allclose(found[0], found[1], rtol=0, atol=1e-13) and found[0][:, 0].std() > 0.1
-
-
 def test_outputs_may_be_expressions() -> None:
     """A ring in the plane is an interval of the distance; labels of points and of boxes agree with it."""
     agent = oscillator(outputs=["sqrt(x**2 + y**2)", "x"])

@@ -183,13 +183,6 @@ def test_a_path_goes_on_where_a_turn_ends(on_path: Any) -> None:
     assert report.ci_high >= on_path.certificate.lower_bound
 
 
-def test_certificates_with_angles_travel(on_path: Any, on_grid: Any, tmp_path: Any) -> None:
-    for number, result in enumerate((on_path, on_grid)):
-        file = tmp_path / f"{number}.npz"
-        cg.save(result.certificate, file)
-        assert cg.check(file)
-
-
 # Sabotage: the check refuses what is not so.
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from certigym.envs.interfaces import automaton_to_dot
@@ -110,18 +110,6 @@ def test_other_proposition_orders_keep_the_language() -> None:
     with pytest.raises(ValueError, match=r"`order`: expected all propositions .* 'c' is missing"):
         over_propositions(REACH, ["a", "b"])
     assert over_propositions(translate("F a", ABC, "co-safe"), ["a"]).propositions == ("a",)
-
-
-# --- given by hand --------------------------------------------------------------------------------------------------
-def test_automata_by_hand_equal_the_translation() -> None:
-    automaton = by_hand(
-        [("start", "a", "done"), ("start", "!a & (b -> c)", "start"), ("start", "!a & b & !c", "lost")],
-        "lost",
-        propositions=["a", "b", "c"],
-        states=["start", "done", "lost"],
-    )
-    assert automaton.state_names == ("start", "done", "lost")
-    assert minimal(automaton).to_dict() == translate("(!b | c) U a", ABC, "co-safe").to_dict()
 
 
 def test_random_automata_by_hand_equal_the_translation() -> None:
@@ -226,7 +214,6 @@ VALUES = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.dictionaries(st.sampled_from([*FIELDS, "other"]), VALUES, min_size=1, max_size=2))
 def test_hostile_dictionaries_give_an_automaton_or_a_value_error(changes: dict[str, Any]) -> None:
     try:

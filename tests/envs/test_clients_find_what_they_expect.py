@@ -126,13 +126,6 @@ def test_unknown_keys_of_reset_are_refused(form: str) -> None:
     env.reset(seed=0, options={"options": 1})  # PettingZoo's conformance tests pass this to every environment
 
 
-def test_verbs_take_an_id() -> None:
-    name = "reach-avoid-v0"
-    controller = cg.as_controller(name, lambda x, q, t: -0.5 * x)
-    assert cg.rollout(name, controller, 50).successes == cg.rollout(cg.make_problem(name), controller, 50).successes
-    assert cg.compare(name, {"mine": controller}, 50).problem == name
-
-
 def test_the_vec_envs_of_stable_baselines_are_public_and_can_be_filmed() -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
     from certigym import baselines

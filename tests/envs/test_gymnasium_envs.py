@@ -15,7 +15,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
-from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
@@ -74,14 +73,6 @@ def test_two_processes_tell_the_same_story() -> None:
     environment = {"PYTHONPATH": os.pathsep.join(map(str, paths))}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == episode(cg.central_env("meeting-v0"), 0)
-
-
-def test_make_takes_arguments_and_matches_the_class() -> None:
-    made = gymnasium.make("certigym/ReachAvoid-v0", horizon=5, initial_state=[-10.0, -4.0])
-    assert made.unwrapped.problem.horizon == 5  # type: ignore[attr-defined]
-    check_environments_match(
-        made.unwrapped, cg.central_env("reach-avoid-v0", horizon=5, initial_state=[-10.0, -4.0]), 40
-    )
 
 
 @each_kind

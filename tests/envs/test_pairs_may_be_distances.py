@@ -91,10 +91,6 @@ def test_boxes_of_pairs_may_name_states_too() -> None:
     )
 
 
-def test_a_file_without_a_name_has_one() -> None:
-    assert _from_toml(FILE).name == "problem-file"
-
-
 def _from_toml(text: str) -> cg.Problem:
     return problem_from_toml(text)
 
@@ -111,28 +107,6 @@ def test_distances_are_judged_as_they_are() -> None:
             states = [np.append(own[:, k], [0.0] * (3 - size)) for own in (first, second)]
             assert problem.labeling.letter(states)[-1] == there[k]
         assert region.is_round
-
-
-@pytest.mark.parametrize("planar", [True, False])
-def test_environments_judge_them_alike(planar: bool) -> None:
-    problem = meeting("F near_0_1", planar=planar, horizon=7)
-    env, worlds = cg.parallel_env(problem), cg.vector_env(problem, 1)
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        env.reset(seed=seed)
-        worlds.reset(seed=seed)
-        while env.agents:
-            action = {name: rng.uniform(-1.0, 1.0, env.action_space(name).shape) for name in env.agents}
-            env.step(action)
-            states = [np.asarray(x) for x in _states(env)]
-            size = 2 if planar else 3
-            is_near = math.dist(states[0][:size], states[1][:size]) < 0.9
-            assert bool(problem.labeling.letter(states)[-1]) == is_near
-
-
-def _states(env: Any) -> list[np.ndarray]:
-    state = np.asarray(env.state())[:6]
-    return [state[:3], state[3:6]]
 
 
 def test_in_one_dimension_it_is_an_open_interval() -> None:

@@ -16,7 +16,7 @@ from certigym.envs import reach_avoid_v0
 from certigym.envs.interfaces.problem_env import ProblemEnv
 from certigym.envs.simulation import batch_simulator as core
 from kinds import IDS_OF_KINDS
-from sample_problems import mixed_problem, scalar
+from sample_problems import mixed_problem
 
 PROBLEMS: dict[str, Any] = {**{id: id for id in cg.problem_ids()}, "mixed": mixed_problem()}
 each_kind = pytest.mark.parametrize("name", [*IDS_OF_KINDS, "mixed"])
@@ -208,19 +208,3 @@ def test_rendering() -> None:
         ValueError, match=r"`render_mode`: expected None or 'ansi' or 'rgb_array' or 'human', got 'gif'"
     ):
         cg.parallel_env("reach-avoid-v0", render_mode="gif")
-
-
-def test_spaces_are_equal_where_agents_are_and_the_same_object_each_time() -> None:
-    env = cg.parallel_env("invariance-4-v0")
-    assert env.action_space("agent_0") == env.action_space("agent_3")
-    assert env.observation_space("agent_0") == env.observation_space("agent_3")
-    assert env.action_space("agent_0") is env.action_space("agent_0")
-    with pytest.raises(RuntimeError, match="reset"):
-        env.step({})
-
-
-def test_a_problem_takes_no_arguments_beside_it() -> None:
-    with pytest.raises(ValueError, match=r"`horizon`: expected only with a problem id; use `problem.replace`"):
-        cg.parallel_env(cg.make_problem("reach-avoid-v0"), horizon=3)
-    with pytest.raises(ValueError, match=r"`problem`: expected a Problem or the id of one, got LinearAgent"):
-        cg.parallel_env(scalar())  # type: ignore[arg-type]

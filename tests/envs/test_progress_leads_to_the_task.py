@@ -12,7 +12,6 @@ import certigym as cg
 from certigym.envs.interfaces.shaping import DEATH, EASE, SURVIVAL, Potential
 from certigym.envs.interfaces.tour import CELLS, Tour, cells_of, detours
 from certigym.envs.simulation import batch_simulator as core
-from kinds import mostly_thorough
 
 IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "building-automation-v0"]
 
@@ -186,26 +185,6 @@ def test_a_charged_battery_is_worth_more_than_an_empty_one() -> None:
         envs.reset(seed=0)
         totals[action] = float(envs.step(np.tile([action, 0.0], (300, 1)))[1].mean())
     assert totals[-1.0] > totals[0.0] > 0.0
-
-
-@mostly_thorough("id", IDS, first=4)
-def test_all_forms_pay_progress_alike(id: str) -> None:
-    options: dict[str, Any] = {"reward": "progress", "horizon": 5}
-    envs, central = cg.vector_env(id, 1, **options), cg.central_env(id, **options)
-    parallel = cg.parallel_env(id, actions="unit", **options)
-    envs.reset(seed=2), central.reset(seed=2), parallel.reset(seed=2)
-    slices = np.cumsum([agent.n_inputs for agent in central.problem.agents])[:-1]
-    rng, ends = np.random.default_rng(0), 0
-    while ends < 4:
-        action = rng.uniform(-1.0, 1.0, central.action_space.shape)
-        _, rewards, terminated, truncated, _ = envs.step(action[None])
-        _, reward, *_ = central.step(action)
-        split = dict(zip(parallel.possible_agents, np.split(action, slices)))
-        assert rewards[0] == reward and set(parallel.step(split)[1].values()) == {reward}
-        if terminated[0] or truncated[0]:
-            ends += 1
-            central.reset(), parallel.reset()
-            assert envs.step(action[None])[1][0] == 0.0
 
 
 @pytest.mark.parametrize("id", ["car-slalom-v0", "package-delivery-single-v0"])

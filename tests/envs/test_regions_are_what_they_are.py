@@ -265,12 +265,6 @@ def test_problems_remember_shapes_as_they_were_written() -> None:
     assert problem_from_dict(moved.to_dict()).fingerprint == moved.fingerprint != problem.fingerprint
 
 
-def test_problems_with_other_shapes_have_other_fingerprints() -> None:
-    """Their boxes may be the same: what differs are the outputs."""
-    here, there = (problem_of(linear(), p={"disc": {"centre": c, "radius": 1}}) for c in ([0, 0], [0.5, 0]))
-    assert here.fingerprint != there.fingerprint
-
-
 def test_names_of_information_are_those_that_were_written() -> None:
     problem = problem_of(
         linear(initial_state=[1, -2]), formula="F p", p={"union": [DISC, {"polygon": {"corners": TRIANGLE}}]}
@@ -427,13 +421,6 @@ def test_pairs_compare_what_agents_have_without_shapes() -> None:
     near = cg.Pair(["robot", "second"], [-1, -1], [1, 1])
     problem = problem_of([linear(), linear("second")], "F near", p={"polygon": {"corners": TRIANGLE}}, near=near)
     assert problem.labeling.pairs[0].outputs == ((0, 1), (0, 1))
-
-
-def test_shapes_of_pairs_are_refused_in_words() -> None:
-    data = problem_of([linear(), linear("second")], p=DISC).to_dict()
-    data["propositions"]["near"] = {"agents": ["robot", "second"], **DISC}
-    with pytest.raises(ValueError, match=r"a shape with flat faces .*, got `disc`"):
-        problem_from_dict(data)
 
 
 def test_automata_by_hand_read_unions() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.tasks.problem import problem_from_dict, problem_from_toml
+from certigym.envs.tasks.problem import problem_from_dict
 
 NAMES = ["x", "y", "vx", "vy", "heading", "fuel"]
 LOW, HIGH = [-9.0, -9.0, -3.0, -3.0, -4.0, 0.0], [9.0, 9.0, 3.0, 3.0, 4.0, 1.0]
@@ -153,40 +153,6 @@ def test_outputs_have_their_expressions_as_names() -> None:
     round_one = problem_of(agent, p={"disc": {"centre": [0, 1], "radius": 2}, "of": ["x*y", "vy"]})
     assert np.array_equal(held(round_one, POINTS), np.hypot(X * Y, VY - 1) < 2)
     assert round_one.agents[0].n_outputs == 4
-
-
-@pytest.mark.thorough
-def test_files_say_it_and_describe_repeats_it(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    from certigym.cli.main import main
-
-    text = """
-horizon = 12
-specification = "!pile U berth"
-[agents.craft]
-states = ["x", "y", "vx", "vy", "yaw", "spin"]
-inputs = ["ax", "ay", "turn"]
-dynamics = ["x + 0.5*vx", "y + 0.5*vy", "vx + 0.5*ax", "vy + 0.5*ay", "yaw + 0.5*spin", "spin + 0.2*turn"]
-noise_std = [0.02, 0.02, 0.02, 0.02, 0.02, 0.02]
-state_low = [-9, -9, -3, -3, -4, -2]
-state_high = [9, 9, 3, 3, 4, 2]
-input_low = [-1, -1, -1]
-input_high = [1, 1, 1]
-initial_state = [0, 0, 0, 0, 0, 0]
-[propositions]
-berth = { agent = "craft", of = ["x", "y"], low = [4, 1], high = [7, 3] }
-pile = { agent = "craft", of = ["x", "y"], disc = { centre = [2, 0.5], radius = 0.8 } }
-"""
-    file = tmp_path / "craft.toml"
-    file.write_text(text)
-    assert main(["describe", str(file)]) == 0
-    said = capsys.readouterr().out
-    assert "proposition berth: agent craft in [4, 1] to [7, 3] of (x, y)" in said
-    assert "proposition pile: agent craft in disc(centre=(2, 0.5), radius=0.8) of (x, y)" in said
-    problem = problem_from_toml(text)
-    result = cg.synthesize(problem)
-    assert cg.check(result.certificate, problem)
-    assert result.certificate.lower_bound > 0.999
-    assert cg.rollout(problem, result.controller, 300).success.mean() > 0.98
 
 
 def test_certificates_of_other_states_are_refused() -> None:

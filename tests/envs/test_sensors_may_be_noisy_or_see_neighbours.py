@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
+from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import certigym as cg
 from certigym.envs.interfaces.nearest import nearest_seen
@@ -51,10 +51,6 @@ def actions_of(env: Any, seed: int) -> Any:
 def test_pettingzoo_accepts_every_sight(name: str, sight: str) -> None:
     parallel_api_test(cg.parallel_env(WHOLE[name], **SIGHTS[sight]), num_cycles=20)
     parallel_seed_test(lambda: cg.parallel_env(WHOLE[name], **SIGHTS[sight]), num_cycles=10)
-
-
-def test_pettingzoo_accepts_the_other_form() -> None:
-    api_test(cg.aec_env("meeting-v0", observation="neighbours", sensor_noise=0.1), num_cycles=20)
 
 
 @pytest.mark.parametrize(

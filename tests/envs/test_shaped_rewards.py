@@ -77,10 +77,11 @@ def test_a_potential_that_outlives_the_episode_would_favour_some_policies() -> N
     assert abs(broken[0] - broken[1]) > 0.01
 
 
+@pytest.mark.parametrize("reward", ["shaped", "progress"])
 @mostly_thorough("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-@mostly_thorough("id", IDS)
-def test_batch_parallel_and_centralised_environments_pay_alike(id: str, mode: AutoresetMode) -> None:
-    options: dict[str, Any] = {"reward": "shaped", "discount": 0.95, "horizon": 5}
+@mostly_thorough("id", [*IDS, "building-automation-v0"], first=2)
+def test_batch_parallel_and_centralised_environments_pay_alike(id: str, mode: AutoresetMode, reward: str) -> None:
+    options: dict[str, Any] = {"reward": reward, "horizon": 5, **({"discount": 0.95} if reward == "shaped" else {})}
     envs = cg.vector_env(id, 1, autoreset_mode=mode, **options)
     central, parallel = cg.central_env(id, **options), cg.parallel_env(id, actions="unit", **options)
     envs.reset(seed=2), central.reset(seed=2), parallel.reset(seed=2)

@@ -101,17 +101,6 @@ def test_weak_inputs_are_not_called_exact() -> None:
     assert not cg.validate(chosen, 20_000, confidence=1 - FALSE_ALARM / 2).refuted and cg.check(chosen.certificate)
 
 
-def test_slivers_at_the_edge_of_the_workspace_do_no_harm() -> None:
-    problem = cg.Problem(
-        name="sliver",
-        horizon=2,
-        agents=[two_agents().agents[0]],
-        propositions={"a": cg.Proposition("one", [1.0], [4.0 - 4e-16]), "b": cg.Proposition("one", [-4.0], [0.0])},
-        specification=cg.Specification("F a", "co-safe"),
-    )
-    assert cg.check(cg.synthesize(problem, 40).certificate)
-
-
 def test_bounds_at_other_starts_hold() -> None:
     result = cg.synthesize(EXACT["reach-avoid"][0], 100)
     for state in ([1.5, 0.0], [-3.9, 2.0], [-1.0, -2.0], [3.9, -3.9]):
