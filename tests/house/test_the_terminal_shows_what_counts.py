@@ -80,7 +80,7 @@ def pages_of(environment: dict[str, str]) -> str:
     environment = {"PATH": os.environ["PATH"], "PYTHONPATH": os.pathsep.join(sys.path), **environment}
     leader, follower = os.openpty()
     fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    command = [sys.executable, "-m", "certigym", "run", "reach-avoid-v0", "--cells", "60", "--episodes", "100"]
+    command = [sys.executable, "-m", "certigym", "run", "reach-avoid-v0", "--cells", "10", "--episodes", "10"]
     with subprocess.Popen(command, stdout=follower, stderr=follower, env=environment) as running:
         os.close(follower)
         written = b""
