@@ -29,10 +29,10 @@ def test_a_counter_is_in_one_state_at_a_time() -> None:
 def test_bounds_are_those_of_all_states(formula: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """States that do not occur add nothing to the value at the start, nor to the bound for any policy."""
     problem = two_agents(formula, horizon=6)
-    found = cg.synthesize(problem, 24, relation="exact")
+    found = cg.synthesize(problem, 16, relation="exact")
     assert cg.check(found.certificate) and found.certificate.lower_bound > 0.01
     monkeypatch.setattr(joint_module, "MOST_OCCURRING", -1.0)
-    whole = cg.synthesize(problem, 24, relation="exact")
+    whole = cg.synthesize(problem, 16, relation="exact")
     assert found.certificate.lower_bound == pytest.approx(whole.certificate.lower_bound, rel=1e-9)
     most, above = (float(one.stats["abstract_upper_bound"]) for one in (found, whole))  # type: ignore[arg-type]
     assert found.certificate.lower_bound <= most == pytest.approx(above, rel=1e-9)

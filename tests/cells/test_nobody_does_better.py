@@ -80,8 +80,8 @@ def test_without_the_curvature_one_step_would_be_too_low(monkeypatch: pytest.Mon
 @mostly_thorough(
     ("problem_id", "horizon", "coarse", "fine"),
     [
-        ("reach-avoid-v0", 6, (60, 120, 250, 500), 1000),
         ("reach-avoid-v0", 3, (60, 250), 500),
+        ("reach-avoid-v0", 6, (60, 120, 250, 500), 1000),
         ("car-park-v0", 20, (60, 200), 600),
         ("invariance-4-v0", 7, (40, 100), 200),
         ("reach-avoid-n-v0", 3, (40, 80), 160),

@@ -166,7 +166,7 @@ def test_the_check_follows_every_word_that_agrees(formula: str, semantics: str) 
     certificate = cg.synthesize(problem, relation="path").certificate
     here, lane = (automaton.propositions.index(name) for name in ("here", "lane"))
     words_of_four = list(product(product((False, True), repeat=n), repeat=4))
-    for _ in range(80):
+    for _ in range(40):
         letters = rng.choice([-1, 0, 0, 1], size=(5, n)).astype(np.int8)
         letters[0] = certificate.proof.letters[0]
         # Both regions are apart: where one is said to hold the other one does not.
