@@ -133,12 +133,12 @@ def middle_only(boxes: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
 
 
 def windy() -> cg.Problem:
-    problem = oscillator_reach(12)
+    problem = oscillator_reach(8)
     dynamics = ["x + step*y + wind", "y + step*(-x + (1 - x**2)*y) + u"]
     agent = problem.agents[0].replace(dynamics=dynamics, disturbances={"wind": [-0.05, 0.05]})
     return cg.Problem(
         name="windy",
-        horizon=12,
+        horizon=8,
         agents=[agent],
         propositions=problem.declared,
         specification=problem.specification,
@@ -156,11 +156,11 @@ SABOTAGE: dict[str, Callable[..., Any]] = {
 @mostly_thorough("name", SABOTAGE)
 def test_certificates_of_wrong_enclosures_are_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = windy()
-    honest = cg.synthesize(problem, 25, relation="boxes")
+    honest = cg.synthesize(problem, 20, relation="boxes")
     assert cg.check(honest)
     with monkeypatch.context() as patch:
         patch.setattr(SymbolicMeans, "around", SABOTAGE[name](SymbolicMeans.around))
-        broken = cg.synthesize(problem, 25, relation="boxes").certificate
+        broken = cg.synthesize(problem, 20, relation="boxes").certificate
     assert broken.lower_bound > 0.0
     report = cg.check(broken)
     assert not report and "exceed" in str(report)
@@ -170,18 +170,18 @@ def test_a_variance_taken_for_a_deviation_is_refused(monkeypatch: pytest.MonkeyP
     """The search believes in less noise than there is."""
     from certigym.synthesis.abstraction.models import box_model
 
-    problem = oscillator_reach(12)
+    problem = oscillator_reach(8)
     truth = box_model.grid_laws
     with monkeypatch.context() as patch:
         patch.setattr(box_model, "grid_laws", lambda agent: [law.scaled(law.std) for law in truth(agent)])
-        broken = cg.synthesize(problem, 25, relation="boxes").certificate
+        broken = cg.synthesize(problem, 20, relation="boxes").certificate
     report = cg.check(broken)
     assert not report and "exceed" in str(report)
 
 
 def test_targets_that_inputs_do_not_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search believes in inputs half as large again; the controller's saturate."""
-    problem = oscillator_reach(12)
+    problem = oscillator_reach(8)
     around = SymbolicMeans.around
 
     def generous(self: SymbolicMeans, low: NDArray, high: NDArray, input_set: NDArray) -> Any:
@@ -190,10 +190,10 @@ def test_targets_that_inputs_do_not_reach_are_refused(monkeypatch: pytest.Monkey
 
     with monkeypatch.context() as patch:
         patch.setattr(SymbolicMeans, "around", generous)
-        broken = cg.synthesize(problem, 25, relation="boxes").certificate
+        broken = cg.synthesize(problem, 20, relation="boxes").certificate
     assert (
         not cg.check(broken)
-        and broken.lower_bound > cg.synthesize(problem, 25, relation="boxes").certificate.lower_bound
+        and broken.lower_bound > cg.synthesize(problem, 20, relation="boxes").certificate.lower_bound
     )
 
 
