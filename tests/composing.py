@@ -63,16 +63,6 @@ def expressions(name: str = "one", **changes: Any) -> cg.Agent:
     return cg.Agent(name=name, **{**arguments, **changes})
 
 
-def cart(**changes: Any) -> LinearAgent:
-    """Position and velocity, one input."""
-    arguments: dict[str, Any] = {
-        "A": [[1.0, 0.5], [0.0, 0.8]], "B": [[0.1], [0.5]], "noise_covariance": 0.03 * np.eye(2),
-        "state_low": [-3.0, -2.0], "state_high": [3.0, 2.0], "input_low": [-1.5], "input_high": [1.5],
-        "initial_state": [-0.6, 0.2],
-    }  # fmt: skip
-    return LinearAgent(name="one", **{**arguments, **changes})
-
-
 def task(*agents: Any, formula: str | None = None, horizon: int = 3) -> cg.Problem:
     """Every agent is to come to its goal at the same time, the first one past a hole."""
     regions: dict[str, Any] = {}

@@ -115,7 +115,6 @@ SAME_END = "where something is lost, the opposite task is asked by the column `o
 ROUNDED_OUTWARD = (
     "along a path the checker rounds every operation outward, which `tests/checker` compares with 300 bits"
 )
-OTHER_ROWS = "cells are chosen by the relation, the noise and the neighbours, of which other rows have each"
 
 NOTHING_LOST = ["exact matrices", "exact Laplace", "exact expressions", "exact in time", "subtraction", "train"]
 """Rows whose certificates know what their policies attain at most without the opposite task."""

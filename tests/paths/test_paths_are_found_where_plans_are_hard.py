@@ -32,7 +32,7 @@ def noise(std: float) -> dict[str, Any]:
     return {"law": "gaussian", "std": std}
 
 
-def chase(horizon: int = 8) -> cg.Problem:
+def chase(horizon: int = 10) -> cg.Problem:
     """Return a hare on its way to its burrow, and a wolf that runs after it."""
     hare = cg.Agent(
         name="hare", inputs=["u", "v"], dynamics=["x + u", "y + v"], noise=[noise(0.05)] * 2, input_low=[-0.9, -0.9],
