@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +111,8 @@ def expert(x: np.ndarray, q: int, t: int) -> np.ndarray:
 
 def test_tiers_are_random_inputs_half_of_the_gain_and_the_expert(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "HALVINGS", 5)
-    found = record_tiers(TIERED, expert, 400, seed=5)
+    monkeypatch.setattr(recording, "rollout", partial(cg.rollout, chunk=500))
+    found = record_tiers(TIERED, expert, 400, seed=5, chunk=400)
     rates = {tier: float(data.satisfied.mean()) for tier, data in found.items()}
     assert list(rates) == ["random", "medium", "expert"]
     # The share is found with 1,000 episodes: three deviations of a rate on 400 are .075.
@@ -123,7 +125,7 @@ def test_tiers_are_random_inputs_half_of_the_gain_and_the_expert(monkeypatch: py
 def test_noisy_controllers_draw_as_many_inputs_as_they_say(share: float) -> None:
     """Within five deviations of the share of inputs that are not the expert's."""
     problem = cg.make_problem(TIERED)
-    found = cg.record(problem, NoisyController(as_controller(problem, expert), share, "x"), 200, seed=3)
+    found = cg.record(problem, NoisyController(as_controller(problem, expert), share, "x"), 200, seed=3, chunk=200)
     own = np.isclose(found.inputs, np.clip(-found.states[:, :-1], -2.0, 2.0))[np.isfinite(found.inputs)]
     assert abs((1.0 - own.mean()) - share) <= 5.0 * np.sqrt(share * (1.0 - share) / own.size)
 
