@@ -13,6 +13,7 @@ import pytest
 import certigym as cg
 from certigym.synthesis.policy_search.portfolio import Effort, Results, Strategy, best_of, leading
 from certigym.synthesis.relations.grids import RelationRefused
+from certigym.synthesis.policy_search.cell_certificates.agreement import agreed
 from certigym.synthesis.trajectories.planning import CountedWork, path_certificate
 from kinds import mostly_thorough
 
@@ -189,7 +190,7 @@ def test_ctrl_c_keeps_the_best_level() -> None:
 
 
 def slalom(work: CountedWork) -> tuple[CountedWork, cg.Synthesis]:
-    return work, path_certificate(cg.make_problem("car-slalom-v0"), work)
+    return work, agreed(path_certificate(cg.make_problem("car-slalom-v0"), work))
 
 
 TOLD: list[float] = []

@@ -148,10 +148,13 @@ class Worth:
         below, above = (np.minimum(one, other) for one, other in zip(each, others, strict=True))
         return below, above
 
-    def scores(self) -> FloatArray:
-        """Return numbers (N,) that grow with the failure, also where that is 1: logarithms of sums of soft tails."""
+    def scores(self, first: bool = False) -> FloatArray:
+        """Return numbers (N,) that grow with the failure, also where that is 1: logarithms of sums of soft tails.
+
+        With ``first`` rows count for what they add to the failure of the row before them.
+        """
         total = self._soft.sum(axis=1)
-        if self._is_normal:
+        if first and self._is_normal:
             total = np.minimum(total, self._first(_soft).sum(axis=1))
         return np.log(np.maximum(total, 1e-300))
 
@@ -205,8 +208,11 @@ class Worth:
         sides = sides + np.minimum(2.0 * _soft(np.minimum(high, strip), variance), above)
         return np.where(self.stopped[:, None], sides, found)
 
-    def failures(self) -> FloatArray:
-        """Return estimates (N,) of the probabilities that an inequality fails, mostly from above."""
+    def failures(self, first: bool = False) -> FloatArray:
+        """Return upper bounds (N,) on the probabilities that an inequality fails, up to rounding.
+
+        With ``first`` an estimate of them if rows count for what they add to the failure of the row before them.
+        """
         low, high, strip, variance, _, *others, _ = self._all
         if self.tail:
             below, above = (np.sum(np.minimum(side, 1.0), axis=1) for side in self._by_moments())
@@ -225,7 +231,7 @@ class Worth:
             sides = (2.0 * _tails(np.minimum(end, strip), variance) for end in (low, high))
             each = [np.minimum(side, other).sum(axis=1) for side, other in zip(sides, others, strict=True)]
             best = np.where(self.stopped, np.add(*each), best)
-        if self._is_normal:
+        if first and self._is_normal:
             best = np.minimum(best, self._first(_tails).sum(axis=1))
         return np.minimum(1.0, best * OUTWARD)
 

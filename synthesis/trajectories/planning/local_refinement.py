@@ -7,7 +7,7 @@ certificate itself. Inputs are moved under feedback, so that an agent that is un
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,11 @@ MOVED = 0.1
 ENOUGH, HOPELESS = 1e-5, 0.9999
 """Failures below and above which nothing is touched any more."""
 
+LARGE = 1e-3
+"""Failure from which on limits count for what they add to the failure of the same one a step earlier, as in the check.
+
+Smaller ones are those of few limits, and the plain sum leads searches better."""
+
 
 @dataclass(frozen=True, eq=False)
 class Moves:
@@ -62,7 +67,11 @@ class Moves:
 
 def polished(search: NonlinearSearch, found: FeedbackTrajectory, generations: int) -> FeedbackTrajectory:
     """Return a path that fails at most as often, after small moves of all that is free."""
-    spread, last, work, before = FIRST_SPREAD, None, search.work, found.failure
+    worth, _ = found.nominal.worth(found.feedback)
+    first, begun = bool(worth.failures()[0] > LARGE), found
+    if first:
+        found = replace(found, score=float(worth.scores(first)[0]), failure=float(worth.failures(first)[0]))
+    started, spread, last, work, before = found, FIRST_SPREAD, None, search.work, found.failure
     each = work_of_walk(len(found.nominal.inputs), search.agent.n_states, BATCH)
     for generation in range(generations):
         if not ENOUGH < found.failure < HOPELESS or spread < LEAST_SPREAD or not work.allows(each):
@@ -74,12 +83,12 @@ def polished(search: NonlinearSearch, found: FeedbackTrajectory, generations: in
         moves = _drawn(search, found, spread)
         # What helped may help again, and farther.
         moves = moves if last is None else last.beside(moves)
-        best, c = _best_moved(search, found, moves)
+        best, c = _best_moved(search, found, moves, first)
         is_better = best.score < found.score
         last = moves.scaled(c, np.array([0.5, 1.0, 2.0])) if is_better else None
         found = best if is_better else found
         spread = min(MOST_SPREAD, spread * (WIDER if is_better else NARROWER))
-    return found
+    return begun if found is started else found
 
 
 def _drawn(search: NonlinearSearch, found: FeedbackTrajectory, spread: float) -> Moves:
@@ -104,7 +113,9 @@ def _smooth(search: NonlinearSearch, shape: tuple[int, int], knots: int, times: 
     return (1.0 - share) * values[..., first] + share * values[..., first + 1]
 
 
-def _best_moved(search: NonlinearSearch, found: FeedbackTrajectory, moves: Moves) -> tuple[FeedbackTrajectory, int]:
+def _best_moved(
+    search: NonlinearSearch, found: FeedbackTrajectory, moves: Moves, first: bool
+) -> tuple[FeedbackTrajectory, int]:
     """Return the best of some candidates, and which it is."""
     states, inputs = _rolled(search, found, moves.inputs)
     fine = np.flatnonzero(np.isfinite(states).all(axis=(1, 2)))
@@ -118,9 +129,10 @@ def _best_moved(search: NonlinearSearch, found: FeedbackTrajectory, moves: Moves
     search.work.walk(len(paths[0].inputs), search.agent.n_states, len(paths))
     worth, spreads = worth_of(paths, feedback, which)
     search.tried += len(paths)
-    scores = np.where(np.isfinite(worth.scores()), worth.scores(), np.inf)
+    scores = worth.scores(first)
+    scores = np.where(np.isfinite(scores), scores, np.inf)
     c = int(np.argmin(scores))
-    judged, values = (worth, spreads, feedback), (float(scores[c]), float(worth.failures()[c]))
+    judged, values = (worth, spreads, feedback), (float(scores[c]), float(worth.failures(first)[c]))
     best = found_of(judged, c, values, paths[c], found.theta + moves.weights[fine[c]], found.faces)
     return best, int(fine[c])
 
