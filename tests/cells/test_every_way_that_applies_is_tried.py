@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.policy_search.cell_certificates.agreement import agreed
 from certigym.synthesis.policy_search.portfolio import Effort, Results, Strategy, best_of, leading
 from certigym.synthesis.relations.grids import RelationRefused
-from certigym.synthesis.policy_search.cell_certificates.agreement import agreed
 from certigym.synthesis.trajectories.planning import CountedWork, path_certificate
 from kinds import mostly_thorough
 
