@@ -1,9 +1,8 @@
 """What a stranger's models get without any option: certify, check and simulate every file of ``examples/own``.
 
-``python benchmarks/own_models.py [--by-hand] [FILE ...]`` prints a line for each file; without files, all of them. Rows
-of files in ``examples/own`` are written to the page ``docs/own_models.md``, beside those of earlier runs. Seconds are
-processor seconds of search and check. What is done by hand is measured where it is not known; with ``--by-hand`` that
-column alone, anew.
+``python benchmarks/own_models.py [FILE ...]`` prints a line for each file (default: all). Rows of ``examples/own`` are
+written to the page ``docs/own_models.md``, beside those of earlier runs. Seconds are processor seconds of search and
+check. What is done by hand is measured where ``own_models.json`` has no such key.
 """
 
 from __future__ import annotations
@@ -118,16 +117,11 @@ def _lines(rows: list[dict[str, Any]]) -> str:
 
 
 if __name__ == "__main__":
-    only_by_hand = "--by-hand" in sys.argv
-    files = [Path(name) for name in sys.argv[1:] if name != "--by-hand"] or sorted(FOLDER.glob("*.toml"))
+    files = [Path(name) for name in sys.argv[1:]] or sorted(FOLDER.glob("*.toml"))
     rows = {row["file"]: row for row in json.loads(NUMBERS.read_text(encoding="utf-8"))}
     known = {file.name for file in FOLDER.glob("*.toml")}
     for file in files:
-        found = (
-            rows[file.name] | {"by_hand": by_hand(cg.load(file), SEED)}
-            if only_by_hand
-            else measured(file, rows.get(file.name, {}))
-        )
+        found = measured(file, rows.get(file.name, {}))
         print(json.dumps(found), flush=True)
         rows |= {file.name: found} if file.resolve().parent == FOLDER else {}
         # After each file: what was measured stays if the rest is broken off.
