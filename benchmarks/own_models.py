@@ -78,11 +78,10 @@ def _way(certificate: Any) -> str:
 def _what(problem: cg.Problem) -> str:
     """Return agents, states, inputs and steps in a few words."""
     sizes = [f"{agent.n_states}/{agent.n_inputs}" for agent in problem.agents]
-    n = len(sizes)
     kinds = ", ".join(
         f"{sizes.count(size)} x {size}" if sizes.count(size) > 1 else size for size in dict.fromkeys(sizes)
     )
-    return f"{n} agent{'s' * (n > 1)} (states/inputs {kinds}), {problem.horizon} steps"
+    return f"{len(sizes)} agent{'s' * (len(sizes) > 1)} (states/inputs {kinds}), {problem.horizon} steps"
 
 
 def _short(what: str) -> str:
