@@ -240,7 +240,7 @@ def test_what_multiplies_over_agents_refuses_it() -> None:
     with pytest.raises(ValueError, match="joint_noise"):
         cg.synthesize(problem, cells=20)
     with pytest.raises(ValueError, match="joint_noise"):
-        cg.certify(problem, lambda states, q, time: np.zeros(2), cells=20)
+        cg.certify(problem, lambda states, q, time: np.zeros(1), cells=20)
 
 
 def test_the_check_refuses_grids_of_teams_that_share_noise() -> None:
