@@ -127,6 +127,19 @@ def test_chains_fail_no_more_often_than_is_said(f: float, s: float, low: float, 
         assert apart >= bound and failure_of_a_chain(LIGHT, f, s, low, high, steps) >= bound
 
 
+def test_a_limit_that_says_little_does_not_take_the_place_of_the_one_that_fails_together() -> None:
+    """Beside a slow chain a state that shares little of its noise, far from its ends: the chain fails as if alone."""
+    f, s, end, steps = 0.97, 0.2, 2.0, 20
+    system, constraints = ErrorSystem(np.zeros(2), 2), Constraints(np.array([NORMAL, NORMAL]))
+    for t in range(1, steps + 1):
+        system.step(np.diag([f, f]), np.zeros((2, 2)), np.zeros(2), s * np.array([[1.0, 0.0], [0.2, 0.98]]))
+        _, forms = system.rows(np.eye(2))
+        ends = np.array([end, 3.0 * end])
+        constraints.add(ends, ends, np.inf, forms, [f"x at time {t}", f"z at time {t}"])
+    alone = failure_of_a_chain(NORMAL, f, s, end, end, steps)
+    assert 1.0 - kept_by_a_chain(f, s, end, end, steps) <= constraints.failure() <= 1.001 * alone
+
+
 def test_only_normal_forms_are_looked_at_together() -> None:
     """A form that holds a source of other noise says nothing of later ones, nor do others say something of it."""
     for kind in (STOPPED, LIGHT, LONG):
