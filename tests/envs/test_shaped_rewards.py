@@ -91,8 +91,8 @@ def test_batch_parallel_and_centralised_environments_pay_alike(id: str, mode: Au
         action = rng.uniform(-1.0, 1.0, central.action_space.shape)
         _, rewards, terminated, truncated, _ = envs.step(action[None])
         split = dict(zip(parallel.possible_agents, np.split(action, slices)))
-        _, reward, *_ = central.step(action)
-        assert rewards[0] == reward and set(parallel.step(split)[1].values()) == {reward}
+        _, paid, *_ = central.step(action)
+        assert rewards[0] == paid and set(parallel.step(split)[1].values()) == {paid}
         if terminated[0] or truncated[0]:
             ends += 1
             central.reset(), parallel.reset()

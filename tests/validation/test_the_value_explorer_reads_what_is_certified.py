@@ -119,7 +119,9 @@ def test_the_episodes_of_a_point_begin_there_and_end_as_is_said(synthesized: Cal
 def test_starts_around_that_of_a_path_have_bounds_of_their_own() -> None:
     """One state and three steps: the certificate's own start is among the points, and none is worth more."""
     agent = cg.LinearAgent(name="a", A=0.9, B=0.5, noise=0.1, state_space=(-4, 4), input_space=(-1, 1), start=[-1.0])
-    problem = cg.Problem(horizon=3, agents=agent, propositions={"g": (-0.5, 1.0)}, specification="F g")
+    problem = cg.Problem(
+        horizon=3, agents=agent, propositions={"g": cg.Proposition("a", -0.5, 1.0)}, specification="F g"
+    )
     certificate: Any = cg.synthesize(problem, relation="path").certificate
     starts, shape, own, bounds = bounds_of_starts(certificate, (0,), 24.0)
     assert own is not None and starts[own] == -1.0 and shape == (len(starts),)
