@@ -10,6 +10,7 @@ import sys
 import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates.proofs import OnGrid
+from certigym.synthesis.certificates.proofs import BROKEN_OFF, OnGrid
 from certigym.validation.presentation.reports.gathering import report
-from certigym.validation.statistical_tests import TrialPlan
+from certigym.validation.statistical_tests import TrialPlan, sweeps
 from certigym.validation.statistical_tests.cluster import dask_cluster, executor_for, processes
 from certigym.validation.statistical_tests.fields import find_weakest, validate_field
 from certigym.validation.statistical_tests.loop import Loop
@@ -159,6 +160,26 @@ def test_a_setting_without_models_is_a_row_and_the_others_go_on() -> None:
     problem = cg.make_problem("invariance-v0")
     rows = [*sweep(problem, {"cells": [0, 10], "horizon": [1]}, 100, {"relation": "exact"})]
     assert [row.verdict == "refused" for row in rows] == [True, False] and "cells" in rows[0].method
+
+
+@pytest.mark.parametrize("over", [{"horizon": [1, 2]}, None], ids=["sweep", "horizons"])
+def test_a_search_that_is_broken_off_ends_a_sweep_and_is_no_row(over: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search returns what it has after Ctrl-C, and the next setting would begin."""
+    asked = list[int]()
+
+    def broken_off(problem: cg.Problem, **settings: Any) -> cg.Synthesis:
+        asked.append(problem.horizon)
+        result = cg.synthesize(problem, cells=10, relation="exact")
+        told = {"exact": 0.5, "path": f"skipped: {BROKEN_OFF}"} if problem.horizon == 2 else {}
+        return replace(result, stats={**result.stats, "tried": told})
+
+    monkeypatch.setattr(sweeps, "synthesize", broken_off)
+    problem = cg.make_problem("invariance-v0")
+    rows: Any = sweep(problem, over, 100) if over else each_report(problem, [1, 2, 3], TrialPlan(100), {})
+    assert next(rows).verdict
+    with pytest.raises(KeyboardInterrupt):
+        next(rows)
+    assert asked == [1, 2]
 
 
 @pytest.mark.thorough

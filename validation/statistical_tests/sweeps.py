@@ -46,7 +46,7 @@ def each_report(
         return synthesize(task, start=None if anew else begun, **settings)
 
     for result in each_horizon(problem, horizons, once):
-        yield validate(result, plan)
+        yield validate(_whole(result), plan)
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,8 @@ def sweep(
     """Synthesize, check and validate a problem for every combination of some changes; yield a row for each, in order.
 
     Each combination is a job of its own, so rows are the same bits on every executor but for ``seconds``, and jobs of
-    a worker that is killed run again (``spread.in_order``).
+    a worker that is killed run again (``spread.in_order``). Ctrl-C ends the sweep: a row is about all of its search,
+    check and episodes, or is left out.
 
     Parameters
     ----------
@@ -162,16 +163,28 @@ def _changed(problem: Problem, changes: Mapping[str, Any]) -> Problem:
     return problem.replace(horizon=changes.get("horizon"), disturbance_scale=changes.get("noise"))
 
 
+def _whole(result: Synthesis) -> Synthesis:
+    """Return a synthesis whose search and check came to their ends; raise KeyboardInterrupt if Ctrl-C ended them.
+
+    A search that is broken off returns what it has, which is not what this setting gives.
+    """
+    if result.is_broken_off:
+        raise KeyboardInterrupt
+    return result
+
+
 def _row(shared: tuple[Problem, dict[str, Any], TrialPlan], changes: dict[str, float | int]) -> SweepRow:
     """Return the row of one setting: a job that any process can do."""
     (problem, settings, plan), began = shared, time.process_time()
     searched = {name: value for name, value in changes.items() if name in ("effort", "cells")}
     try:
-        result = synthesize(_changed(problem, changes), **{**settings, **searched})
+        result = _whole(synthesize(_changed(problem, changes), **{**settings, **searched}))
     except ValueError as error:  # this one has no models of the kind that was asked for; others may
         return SweepRow(changes, 0.0, str(error), 0, 0, 0.0, 1.0, "refused", time.process_time() - began)
     report = validate(result, plan)
-    method = result.stats.get("nothing") or result.certificate.proof.method
+    if report.interrupted:
+        raise KeyboardInterrupt
+    method = str(result.stats.get("nothing") or result.certificate.proof.method)
     verdict = "check failed" if report.is_invalid else report.verdict
     return SweepRow(
         changes, report.lower_bound, method, report.successes, report.episodes, report.ci_low, report.ci_high, verdict,

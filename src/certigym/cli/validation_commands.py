@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -136,10 +137,11 @@ def sweep(options: Namespace) -> int:
     settings = {name: value for name, value in settings.items() if name not in over}
     say(options, problem.name)
     rows, interrupted = list[SweepRow](), False
-    with trials(options) as plan:
+    with trials(options, math.prod(map(len, over.values())), "settings") as plan:
         try:
             for row in swept(problem, over, plan, settings):
                 rows.append(row)
+                plan.tell(1)
                 say(options, _told_row(row))
         except KeyboardInterrupt:
             interrupted = True

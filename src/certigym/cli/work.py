@@ -112,21 +112,24 @@ def checked_again(certificate: Any) -> CheckReport:
 
 
 @contextmanager
-def trials(options: Namespace, total: int | None = None) -> Iterator[TrialPlan]:
-    """Open the plan of rollouts that the options ask for, on its executor, with a bar of ``total`` episodes."""
+def trials(options: Namespace, total: int | None = None, unit: str = "episodes") -> Iterator[TrialPlan]:
+    """Open the plan of rollouts that the options ask for, on its executor, with a bar of ``total`` episodes.
+
+    Where rows of a sweep are counted, their rollouts are not: whoever asks for ``unit`` tells the plan of each.
+    """
     with (
         executor_for(options.dask, options.workers) as executor,
-        tqdm(total=total, unit=" episodes", disable=None, leave=False) as bar,
+        tqdm(total=total, unit=f" {unit}", disable=None, leave=False) as bar,
         ticking(bar),
     ):
-        bar.set_description("rollouts")
+        bar.set_description("rollouts" if unit == "episodes" else unit)
         done = 0
 
         def progress(count: int) -> None:
             nonlocal done
             done += count
             if bar.disable:  # a bar shows it as it is
-                bar.set_postfix_str(f"{done} episodes")
+                bar.set_postfix_str(f"{done} {unit}")
             bar.update(count)
 
         numbers = options.episodes, options.seed, options.confidence

@@ -51,7 +51,7 @@ from .path_tube import KEPT, Tube, tube_along
 from .product_proof import ProductProof, product_certificate, split
 from .projection import RunProjection
 from .proof import Capability
-from .result import Synthesis
+from .result import BROKEN_OFF, Synthesis
 from .starts_proof import Cut, OfStarts, StartsProof
 from .timed_proof import TimedProof, timed_certificate
 from .union_bound_proof import UnionBoundProof

@@ -19,6 +19,10 @@ BOUNDS_FROM_ABOVE = {
 """Bounds from above in the statistics, and what they bound, in words."""
 
 
+BROKEN_OFF = "broken off by Ctrl-C"
+"""What is said of what the user had no time for."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Synthesis:
     """A certificate, the controllers it belongs to, and how they were found.
@@ -52,6 +56,12 @@ class Synthesis:
     def policy(self) -> Controller:
         """The controllers that the certificate is about."""
         return self.controller
+
+    @property
+    def is_broken_off(self) -> bool:
+        """Whether Ctrl-C ended the search or the check: then this is what there was by then."""
+        tried: Any = self.stats.get("tried") or {}
+        return self.checked is None or any(BROKEN_OFF in str(told) for told in tried.values())
 
     @property
     def claim(self) -> str:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from ...certificates.proofs import rounded_up
+from ...certificates.proofs import BROKEN_OFF, rounded_up
 from .search_bar import BEGINS, Way
 
 EFFORT = 80.0
@@ -34,9 +34,6 @@ FOR_LOST = 2.0
 
 GIVEN_UP = 0.5
 """Share of what is left of the effort that a way that gave nothing takes from it."""
-
-BROKEN_OFF = "broken off by Ctrl-C"
-"""What is said of what the user had no time for."""
 
 
 class OutOfTime(Exception):

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ....envs.tasks.problem import why_unsatisfiable
-from ...certificates.proofs import Synthesis, rounded_up
+from ...certificates.proofs import BROKEN_OFF, Synthesis, rounded_up
 from ...relations.grids import NoRunFound, RelationRefused, to_who_asked_for_none
-from .effort import BROKEN_OFF, GIVEN_UP, Effort, OutOfTime
+from .effort import GIVEN_UP, Effort, OutOfTime
 
 SOLVED, GOOD = 0.9995, 0.9
 """Bounds from which nothing is worth its work, and from which ways that take long and rarely gain are left out."""
