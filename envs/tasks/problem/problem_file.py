@@ -92,6 +92,7 @@ _ELSEWHERE = {
         **dict.fromkeys(("normals", "offsets"), "half-spaces together are `polytope = { normals = .., offsets = .. }`"),
         **dict.fromkeys(("axes", "dims", "dimensions", "states", "state", "variables", "indices"), _OF),
         **dict.fromkeys(("t", "time", "window", "steps", "start", "end", "until"), _WINDOW),
+        **dict.fromkeys(("pair", "pairs", "distance", "robots", "between"), _PAIR),
     },
     "[specification]": dict.fromkeys(("probability", "threshold", "p", "at_least", "confidence"), _PROBABILITY),
     "the problem": {
