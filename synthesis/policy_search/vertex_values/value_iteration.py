@@ -43,8 +43,9 @@ FINER_STEPS, POOR = np.array([5.0, 4.2, 3.5, 3.0, 2.5, 2.2, 1.9, 1.7, 1.5]), 0.0
 MOST_VERTICES = {1: 2e3, 2: 3e4, 3: 3e4, 4: 3e4}
 """Vertices of the finest grid, by the number of states: on a line each looks at all others."""
 
-GROWS = 1.45
-"""Power of the number of vertices with which work grows, about."""
+GROWS, MARGIN, MOST_GROWS = 1.25, 0.1, 1.45
+"""Power of the number of vertices with which work grows, before it is known; how much more than from the grid before to
+the last one it grows by, and the most."""
 
 MOST_ADJUSTED = 0.5, 2.0
 """By how much the share of cells of an axis changes from one grid to the next, at most."""
@@ -130,6 +131,7 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
         full, vertices = alive, float(np.clip(narrow, vertices, most))
     refuse_small_noise(spreads, full)
     best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
+    power, before = GROWS, None
     try:
         runs = _coarse(checked, noise_laws, vertices, alive, work)
         hoped, aim = runs.failure, AIMS[0]
@@ -151,7 +153,11 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
                 )
                 work.tell(failure)
             each = FINER_STEPS if failure > POOR else FINER_STEPS[FINER_STEPS <= 2.5]
-            more = next((own for own in each if work.allows(steps.spent * min(own, most / vertices) ** GROWS)), None)
+            if before is not None:
+                grown = np.log(steps.spent / before[0]) / np.log(vertices / before[1])
+                power = float(np.clip(grown + MARGIN, 1.0, MOST_GROWS))
+            before = steps.spent, vertices
+            more = next((own for own in each if work.allows(steps.spent * min(own, most / vertices) ** power)), None)
             if failure < ENOUGH or slow or more is None or vertices >= most:
                 break
             vertices = min(vertices * float(more), most)
