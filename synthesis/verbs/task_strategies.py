@@ -45,7 +45,7 @@ from ..policy_search.portfolio import (
     with_settings,
     work_of,
 )
-from ..policy_search.vertex_values import refuse_vertex_grid, vertex_grid_certificate
+from ..policy_search.vertex_values import refuse_vertex_grid, refuse_without_guess, vertex_grid_certificate
 from ..relations.grids import CellCounts, RelationRefused, cells_of_agent, fewest_cells
 from ..trajectories.planning import refuse_without_path
 
@@ -285,8 +285,10 @@ def has_vertices_only(problem: Problem) -> bool:
 
 def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
     """Return the way on grids whose vertices have inputs: one agent with few states, noise of any size."""
+    # Where the size of noise varies, or its law is another one, what a path keeps to says little.
+    alone = has_other_noise(problem)
     try:
-        refuse_vertex_grid(problem)
+        (refuse_without_guess if alone else refuse_vertex_grid)(problem)
     except RelationRefused as error:
         return refused("vertices", error)
     effort = plan.effort
@@ -295,8 +297,7 @@ def vertex_strategy(problem: Problem, plan: Plan) -> Strategy:
 
     def run(results: Results) -> Synthesis:
         with work.within(SHARE_OF_VERTICES * work.limit):
-            # Where the size of noise varies, or its law is another one, what a path keeps to says little.
-            path = None if has_other_noise(problem) else results.get("path")
+            path = None if alone else results.get("path")
             found = vertex_grid_certificate(problem, work, path.controller if path else None)
         effort.is_interrupted |= work.is_interrupted
         effort.spent += work.spent

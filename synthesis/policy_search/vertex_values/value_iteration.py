@@ -103,6 +103,15 @@ def refuse_small_noise(spreads: FloatArray, window: FloatArray) -> None:
         raise RelationRefused(f"the noise is small: {cells:.2g} cells of a grid would be as wide as it")
 
 
+def refuse_without_guess(problem: Problem) -> None:
+    """Raise RelationRefused where the noise is small beside all that a task leaves of the workspace."""
+    refuse_vertex_grid(problem)
+    checked = read_problem({"problem": canonical_problem(problem)})
+    spreads = spreads_of(checked)
+    first = grid_of(checked, spreads, FIRST[problem.agents[0].n_states], checked.agents[0].state_box)
+    refuse_small_noise(spreads, _alive(checked, first))
+
+
 def vertex_grid_certificate(problem: Problem, work: CountedWork, guess: Any = None) -> Synthesis:
     """Return the certificate of the best grid that the work allows; RelationRefused where there is none.
 
