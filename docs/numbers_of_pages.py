@@ -32,7 +32,7 @@ FAILURE_FROM = 0.99
 """Bounds from here on are shown as failures."""
 
 PARTS = re.compile(r"(<!-- numbers: ([^\n]+?) -->\n).*?(<!-- end of numbers -->)", re.DOTALL)
-CHANGING = re.compile(r"^times .*$|   \d+\.\d s$| \(exact to [^)]*\)|(?<=\.\d{6})\d+|(?<=, rank )\d+", re.MULTILINE)
+CHANGING = re.compile(r"^times .*$|  \d+\.\d s$| \(exact to [^)]*\)|(?<=\.\d{6})\d+|(?<=, rank )\d+", re.MULTILINE)
 """What a command prints that differs from run to run or from machine to machine: times, and what rounding decides."""
 
 

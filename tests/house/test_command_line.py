@@ -43,7 +43,7 @@ def task(tmp_path: Path) -> str:
 
 def test_run_synthesizes_validates_and_reports(task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "r.json"
-    assert main(["run", task, "--cells", "80", "--episodes", "5000", "--seed", "3", "--json", str(out)]) == 0
+    assert main(["run", task, "-v", "--cells", "80", "--episodes", "5000", "--seed", "3", "--json", str(out)]) == 0
     printed = capsys.readouterr().out
     report = json.loads(out.read_text())
     assert set(report) >= KEYS

@@ -45,6 +45,9 @@ MEANINGS = {
 }
 """What each verdict says."""
 
+IN_SHORT = ("invalid", "method", "why", "mismatch", "disturbance", "inputs", "interrupted", "advice")
+"""Labels of the lines of a report in short, beside the problem, and the verdict where it refutes."""
+
 STARTS = {"point": "from the initial state", "mean": "mean over the initial box"}
 """The start that a bound speaks of, in words."""
 
@@ -149,6 +152,13 @@ class ValidationReport(Saved):
 
     def __str__(self) -> str:
         return labelled_lines([("problem", self._title()), *self._rows()])
+
+    @property
+    def in_short(self) -> str:
+        """What was certified and how, and what there is to do about it: lines for the terminal."""
+        labels = (*IN_SHORT, *(["verdict"] if self.refuted else []))
+        rows = [(label, text) for label, text in self._rows() if label in labels]
+        return labelled_lines([("problem", self._title()), *rows])
 
     def __repr__(self) -> str:
         rows = [(label, text) for label, text in self._rows() if label not in ("tried", "times")]

@@ -38,6 +38,8 @@ def colored(text: str) -> str:
 
 def _line(line: str) -> str:
     """Return one line of a report with colours."""
+    if proved := re.match(r"PROVED P >= \S+", line):
+        return _painted(proved[0], _BOLD) + line[proved.end() :]
     label = _LABEL.match(line)
     if label is None or not label[0].strip():
         return re.sub(r"(?<=: )(valid|invalid)(?=:)", lambda m: _painted(m[0], _WORDS[m[0]]), line)

@@ -206,6 +206,9 @@ def _add_synthesis(commands: Any) -> None:
     add_effort(run)
     add_rollouts(run, 100_000)
     run.add_argument("--out", metavar="CERT", help="also save the certificate (.npz)")
+    run.add_argument(
+        "-v", "--verbose", action="store_true", help="also say what was tried, what limits the bound, and the verdict"
+    )
     run.set_defaults(**USUAL)
 
     synthesize = commands.add_parser("synthesize", help="synthesize controllers and save the certificate")

@@ -38,7 +38,10 @@ from .given import budget_of, cells_of, limit_of, problem_of, relation_of, say, 
 from .work import checked_again, trials
 
 NOTES = (("checker", "checker"), ("no deadline", "no_deadline"), ("note", "note"))
-"""Lines below a report, and the keys of what they say."""
+"""Lines below a report, and the keys of what they say; the first is a detail."""
+
+DETAILS = "-v shows what was tried, what limits the bound, and how it was checked"
+"""What `run` says below a report in short."""
 
 INVALID = "invalid: it fails its check"
 """What a row says of a certificate that its check refuses."""
@@ -72,7 +75,7 @@ def validate_result(
     """Validate, print and write the report; after Ctrl-C it is about the finished episodes, and the status is 130.
 
     A check that failed is its headline, and the status is 1 whatever the rollouts say. ``more`` is told besides, also
-    what holds without a deadline.
+    what holds without a deadline. Where the command has an option for details they are told only if it is given.
     """
     with trials(options, options.episodes) as plan:
         report = validate_certificate(
@@ -84,25 +87,27 @@ def validate_result(
             disturbance=options.disturbance,
         )
     report = report if checked is None else report.with_check(checked)
-    said = {label: (more or {}).get(key) for label, key in NOTES}
-    lines = [_headline(report), str(report)]
+    is_short = not getattr(options, "verbose", True)
+    said = {label: (more or {}).get(key) for label, key in NOTES[is_short:]}
+    said |= {"details": DETAILS} if is_short else {}
+    lines = [_headline(report), report.in_short if is_short else str(report)]
     lines += [f"{label:<{LABEL_WIDTH}}{text}" for label, text in said.items() if text]
     show(options, "\n".join(lines), {**report.to_dict(), **(more or {})})
     return 130 if report.interrupted else int(report.refuted or report.is_invalid)
 
 
 def _headline(report: ValidationReport) -> str:
-    """Return the claim, what rollouts show, and what the check says, on one line."""
+    """Return the claim, what rollouts show, and what the check says, on one line of 80 characters."""
     check = report.details.get("check")
-    checked = "not asked" if check is None else "valid" if check["valid"] else "NOT valid"
+    checked = "CHECKED" if check and check["valid"] else "NOT CHECKED" if check is None else "CHECK FAILED"
     word = "CLAIMED" if report.is_invalid else "CERTIFIED" if check is None else "PROVED"
     seconds = sum(value for value in report.seconds.values() if value is not None)
     if report.lower_bound <= 0.0 and not report.is_invalid:
         estimate = f"ESTIMATE {report.estimate:.5f} [{report.ci_low:.5f}, {report.ci_high:.5f}] by rollouts"
-        return f"{word} nothing   {estimate}   CHECKED {checked}   {seconds:.1f} s"
+        return f"{word} nothing  {estimate}  {checked}  {seconds:.1f} s"
     measured = f"MEASURED {report.estimate:.5f} [{report.ci_low:.5f}, {report.ci_high:.5f}]"
-    bound = shown_bound(report.lower_bound, report.gap if report.exact else None)
-    return f"{word} {bound}   {measured}   CHECKED {checked}   {seconds:.1f} s"
+    bound = shown_bound(report.lower_bound, report.gap if report.exact else None).partition(" (")[0]
+    return f"{word} {bound}  {measured}  {checked}  {seconds:.1f} s"
 
 
 def print_horizons(options: Namespace, horizons: Sequence[int]) -> int:
