@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -45,7 +46,7 @@ from ..policy_search.portfolio import (
     with_settings,
     work_of,
 )
-from ..policy_search.vertex_values import refuse_vertex_grid, refuse_without_guess, vertex_grid_certificate
+from ..policy_search.vertex_values import has_corners, refuse_vertex_grid, refuse_without_guess, vertex_grid_certificate
 from ..relations.grids import CellCounts, RelationRefused, cells_of_agent, fewest_cells
 from ..trajectories.planning import refuse_without_path
 
@@ -152,7 +153,8 @@ def strategies_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synt
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
     path = replace(path_strategy(problem, plan), work=0.0, ends=PATH_ENDS)
     ways = [vertex_strategy(problem, plan)] if has_vertices_only(problem) else []
-    return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS, why_not=_beside_vertices)]
+    beside = partial(_beside_vertices, problem)
+    return [path, *ways, Strategy("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS, why_not=beside)]
 
 
 def are_better_apart(problem: Problem) -> bool:
@@ -388,7 +390,7 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
     def why_not(results: Results) -> str | None:
         if "path" in results and results["path"].certificate.lower_bound > 0.0 and _is_for_paths(problem):
             return f"skipped: boxes of {MOST_GRID_STATES} states do not come near a path that proves something"
-        return _beside_vertices(results)
+        return _beside_vertices(problem, results)
 
     enough = SOLVED if scalar or not linear else GOOD
     # Boxes of three states take a minute, and are for where no path proves anything.
@@ -401,9 +403,12 @@ def _is_for_paths(problem: Problem) -> bool:
     return any(agent.n_states >= MOST_GRID_STATES and not reaches_every_mean(agent) for agent in problem.agents)
 
 
-def _beside_vertices(results: Results) -> str | None:
-    """Return why boxes are left out beside a grid of vertices."""
-    return None if "vertices" not in results else "skipped: vertices bound values more closely than boxes do"
+def _beside_vertices(problem: Problem, results: Results) -> str | None:
+    """Return why boxes are left out beside a grid of vertices, which knows little where dynamics have corners."""
+    found = results.get("vertices")
+    if found is None or (found.certificate.lower_bound < GOOD and has_corners(problem)):
+        return None
+    return "skipped: vertices bound values more closely than boxes do"
 
 
 def _tree_work(problem: Problem) -> float:

@@ -15,6 +15,7 @@ from certigym.synthesis.policy_search.cell_certificates.agreement import agreed
 from certigym.synthesis.policy_search.portfolio import Effort, Results, Strategy, best_of, leading
 from certigym.synthesis.relations.grids import RelationRefused
 from certigym.synthesis.trajectories.planning import CountedWork, path_certificate
+from certigym.synthesis.verbs.synthesize import strategies_ahead
 from kinds import mostly_thorough
 
 
@@ -261,3 +262,41 @@ def test_where_nothing_else_gives_anything_it_may_take_what_it_takes(table: Tabl
     found = best_of([overdrawn(table, effort, "long", 5000.0, 0.9), table.strategy("path", "no path", 2.0)], effort)
     assert table.run == ["long begins", "path", "long begins", "long"]
     assert found.certificate.lower_bound == 0.9
+
+
+def with_heavy_noise(dynamics: str, scale: float = 0.2) -> cg.Problem:
+    """Return a task of one agent whose noise only vertices, boxes and paths know."""
+    agent = cg.Agent(
+        name="tank", states=["a", "b"], inputs=["u"], dynamics=[dynamics, "0.9*b + 0.1*a"],
+        noise=[{"law": "laplace", "scale": scale}] * 2, state_low=[-4, -4], state_high=[4, 4],
+        input_low=[-1], input_high=[1], initial_state=[1, 0],
+    )  # fmt: skip
+    return cg.Problem(
+        agents=[agent],
+        propositions={"low": cg.Proposition("tank", [-4, -4], [3, 4])},
+        specification="G low",
+        horizon=10,
+    )
+
+
+def ways(problem: cg.Problem) -> list[Strategy]:
+    return [own for _, strategies in strategies_ahead(problem) for own in strategies]
+
+
+@pytest.mark.parametrize(("dynamics", "bound", "are_left_out"), [
+    ("0.9*a + u", 0.1, True), ("max(0.9*a + u, 0)", 0.1, False), ("clip(0.9*a + u, 0, 3)", 0.999, True),
+])  # fmt: skip
+def test_boxes_are_left_out_beside_vertices_but_for_corners(dynamics: str, bound: float, are_left_out: bool) -> None:
+    """Nothing is known of how values bend where cells hold a corner; boxes do not ask."""
+    others = next(own for own in ways(with_heavy_noise(dynamics)) if own.name == "others")
+    assert others.why_not is not None
+    reason = others.why_not({"vertices": result(bound)}) or ""
+    assert ("vertices bound values" in reason) == are_left_out
+
+
+def test_a_path_may_take_what_it_takes_where_noise_is_too_small_for_vertices() -> None:
+    refusals = [
+        next(own.refusal for own in ways(with_heavy_noise("0.9*a + u", scale)) if own.name == "vertices")
+        for scale in (0.2, 1e-3)
+    ]
+    assert not refusals[0] and "the noise is small" in refusals[1]

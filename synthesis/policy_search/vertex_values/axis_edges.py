@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ...checker import CheckedProblem, plain_sum
+from ....envs.tasks.problem import Problem
+from ...certificates.proofs import canonical_problem
+from ...checker import CheckedProblem, plain_sum, read_problem
 from ...extended_check.vertex_grids import images_at
 from ...relations.grids import FloatArray
 
@@ -19,6 +21,9 @@ FEWEST = 4
 
 OUTSIDE = 0.1
 """How dense cells are where no run came, as a share of how dense they are elsewhere."""
+
+CORNERS = ("abs", "min", "max")
+"""Functions that have a corner; ``clip`` is read as two of them."""
 
 NEAREST = 0.35
 """Share of a cell from which an edge is moved to a face of a region."""
@@ -124,12 +129,22 @@ def _faces(problem: CheckedProblem, k: int) -> Sequence[float]:
     return sorted({*inside[0], *inside[1]})
 
 
+def has_corners(problem: Problem) -> bool:
+    """Return whether dynamics of the agents have corners (abs, min, max, clip) anywhere."""
+    agents = read_problem({"problem": canonical_problem(problem)}).agents
+    return any(_turns(tree) for agent in agents for tree in (*agent.dynamics, *agent.scale))
+
+
+def _turns(tree: Any) -> bool:
+    return isinstance(tree, tuple) and (tree[0] in CORNERS or any(map(_turns, tree[1:])))
+
+
 def _corners(tree: Any, name: str) -> Iterator[float]:
     """Yield values of a state at which an expression has a corner (abs, min, max), whatever other states are."""
     if isinstance(tree, tuple):
         for argument in tree[1:]:
             yield from _corners(argument, name)
-        if tree[0] in ("abs", "min", "max"):
+        if tree[0] in CORNERS:
             difference = tree[1] if tree[0] == "abs" else ("-", tree[1], tree[2])
             terms = plain_sum(difference) or ()
             if {own for _, own in terms if own} == {name}:
