@@ -34,6 +34,9 @@ SWEEPS = 20
 FINE_SIZES = 0.4
 """Logarithm of the ratio of sizes of the noise between which means are interpolated, at most."""
 
+AS_NONE = 0.2
+"""Share of the narrowest cell below which noise counts as so small, where inputs are looked for."""
+
 FINE_CELLS = 0.7
 """Deviations that cells are wide at least where means are interpolated between the middle of a cell and its ends."""
 
@@ -226,14 +229,19 @@ class Reading:
         self.smoothing, places, parts = list[FloatArray](), list[NDArray[np.int64]](), list[FloatArray]()
         for k, axis in enumerate(edges):
             # Sizes of the noise, as many as their range asks for, and points of a lattice, beyond the edges, too.
-            least, most = max(sizes[k].min(), 1e-9), max(sizes[k].max(), 1e-9)
+            # Noise that is small beside the narrowest cell is as good as none.
+            least = max(sizes[k].min(), AS_NONE * np.diff(axis).min())
+            most = max(sizes[k].max(), least)
             levels = np.geomspace(least, most, 1 + math.ceil(math.log(most / least) / FINE_SIZES))
             away = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0]) * most * noisy[k]
             # where cells are wide, in the middle of them, too
             middles = (0.5 * axis[1:] + 0.5 * axis[:-1])[np.diff(axis) > FINE_CELLS * least]
             lattice = np.unique(np.concatenate([axis[0] - away, axis, middles, axis[-1] + away]))
-            self.smoothing.append(np.stack([_hats(lattice, axis, own, noises[k]) for own in levels]))
-            for numbers, points in ((np.log(np.maximum(sizes[k], 1e-9)), np.log(levels)), (y[k], lattice)):
+            tables = np.empty((len(levels), len(lattice), 2 * (len(axis) - 1)))
+            for table, own in zip(tables, levels, strict=True):
+                table[:] = _hats(lattice, axis, own, noises[k])
+            self.smoothing.append(tables)
+            for numbers, points in ((np.log(np.maximum(sizes[k], least)), np.log(levels)), (y[k], lattice)):
                 below = np.clip(np.searchsorted(points, numbers, side="right") - 1, 0, max(len(points) - 2, 0))
                 above = np.minimum(below + 1, len(points) - 1)
                 width = np.maximum(points[above] - points[below], 1e-300)
