@@ -6,7 +6,7 @@ word asks for as few, and as safe ones, as the automaton accepts. What every cho
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -57,7 +57,10 @@ MOST_ACCEPTED = 12
 """Steps for which a run goes on after it has been accepted: later times are hardly ever better."""
 
 TRIED = 2
-"""How many of these are tried with every radius."""
+"""How many words are tried with every radius, and how many of all certificates are proved."""
+
+LITTLE = 1e-7
+"""Probability of failing below which radii are not chosen with more care."""
 
 DIRECTIONS = 16
 """Directions of half-spaces that keep two agents apart, in a plane."""
@@ -94,13 +97,24 @@ class _Run:
 class _Margins:
     """How many deviations each literal is away (T + 1, P), and by which side or direction of what is kept away from.
 
-    Times are known up to ``last``.
+    So are the workspaces (T + 1, D). Times are known up to ``last``.
     """
 
     deviations: FloatArray
+    inside: FloatArray
     faces: NDArray[np.int64]
     normals: FloatArray
     last: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A word along the run, on the tube of radii that ``lost`` stands for, and about what fails of it."""
+
+    failure: float
+    letters: NDArray[np.int8]
+    margins: _Margins
+    lost: float
 
 
 def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: float = 0.0) -> AlongPath:
@@ -119,97 +133,75 @@ def networks_along(problem: Problem, policies: Sequence[GivenPolicy], enough: fl
     run = _run_of(problem, known, policies)
     if not run.accepted:
         raise NoRunFound("the run of the policies without noise does not satisfy the task: train on, or elsewhere")
-    if enough > 0.0:
-        return _soon(problem, known, run, policies, enough)
-    best: AlongPath | None = None
-    why, before = "nothing is known of the policies on any tube around their run", 0.0
-    for lost in LOST:
+    found, why = list[_Candidate](), "nothing is known of the policies on any tube around their run"
+
+    def look(lost: float) -> bool:
+        """Add what words seem to lose with these radii; return whether none seemed to lose less before."""
+        margins = _margins(problem, known, run, policies, lost)
+        more = [_Candidate(lost + fails, word, margins, lost) for fails, word in _words(problem, known, run, margins)]
+        found.extend(more[:TRIED])
+        found.sort(key=lambda one: one.failure)
+        return bool(more) and found[0] is more[0]
+
+    # Wide tubes first; narrow ones are for policies that bend.
+    tried = (1e-4 * enough, 0.3 * enough, 1e-4) if enough > 0.0 else LOST
+    for lost, later in zip(tried, (*tried[1:], 1.0), strict=True):
         try:
-            margins = _margins(problem, known, run, policies, lost)
+            look(lost)
         except Refused as refused:
-            why, before = str(refused), lost
-            continue
-        for _, letters in _words(problem, known, run, margins)[:TRIED]:
-            found = _proved(problem, policies, run, letters, margins, lost)
-            best = found if best is None or found.proof.failure < best.proof.failure else best
-            if best.proof.failure <= 2.0 * lost:  # ellipsoids alone, which other words need as well
-                break
-        # Narrower tubes are for policies that bend: what is proved with room is hardly proved better without.
-        if best is None or best.proof.failure >= 1.0:
-            before = lost
-        elif best.proof.failure < 1e3 * lost:
-            return _widest(problem, policies, run, margins, best, (before, lost))
+            why = str(refused)
+        if found and found[0].failure <= max(enough, later):
+            break
+    if enough == 0.0 and found and found[0].failure > LITTLE:
+        _look_between(look, max((lost for lost in tried if lost < found[0].lost), default=0.0), found[0])
+    best = _proved(problem, policies, run, found)
     if best is None or best.proof.failure >= 1.0:
-        why = why if best is None else _likeliest(best, known)
-        try:
-            layer = widening_layer(known, _joint(problem, known, run, policies, LOST[-1]))
-        except Refused as refused:  # there is no tube at all
-            raise RelationRefused(f"nothing is proved of these policies along their run: {refused}") from None
-        why += "" if layer is None else f"; {layer}"
-        raise RelationRefused(
-            f"nothing is proved of these policies along their run: {why}; noise of this size needs a smoother policy, "
-            "as `certigym.baselines.smoothed` and `train --certify` make it"
-            + (", or cells (`cells=`)" if _may_have_cells(problem, policies) else "")
+        why = "nothing is proved of these policies along their run: " + (
+            why if best is None else _likeliest(best, known)
         )
+        raise RelationRefused(why if enough > 0.0 else f"{why}{_in_words(problem, known, run, policies)}")
     return best
 
 
-def _soon(
-    problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[GivenPolicy], enough: float
-) -> AlongPath:
-    """Return the certificate for the radii of which most may be expected, the first ones that seem to be enough."""
-    best, why = None, "nothing is known of the policies on any tube around their run"
-    for lost in (1e-4 * enough, 0.3 * enough, 1e-4):
+def _look_between(look: Callable[[float], bool], low: float, best: _Candidate) -> None:
+    """Look at radii between those that were too wide and those that were not."""
+    high = best.lost
+    if best.failure >= 10.0 * high:  # rows fail more than ellipsoids: a narrower tube may help
+        look(10.0 * high)
+        return
+    for _ in range(HALVINGS if low > 0.0 else 0):
+        middle = float(np.sqrt(low * high))
         try:
-            margins = _margins(problem, known, run, policies, lost)
-        except Refused as refused:
-            why = str(refused)
-            continue
-        for fails, letters in _words(problem, known, run, margins)[:1]:
-            if best is None or lost + fails < best[0]:
-                best = lost + fails, letters, margins, lost
-        if best is not None and best[0] <= enough:
-            break
-    found = None if best is None else _proved(problem, policies, run, *best[1:])
-    if found is None or found.proof.failure >= 1.0:
-        raise RelationRefused(
-            f"nothing is proved along their run: {why if found is None else _likeliest(found, known)}"
-        )
-    return found
+            low, high = (low, middle) if look(middle) else (middle, high)
+        except Refused:
+            low = middle
 
 
 def _proved(
-    problem: Problem,
-    policies: Sequence[GivenPolicy],
-    run: _Run,
-    letters: NDArray[np.int8],
-    margins: _Margins,
-    lost: float,
-) -> AlongPath:
-    """Return the certificate of a word, which claims what the checker proves."""
-    found = _certificate(problem, policies, run, letters, margins, lost)
-    return changed(found, failure=min(1.0, verdict_of(found).recomputed * (1.0 + 1e-9)))
-
-
-def _widest(
-    problem: Problem,
-    policies: Sequence[GivenPolicy],
-    run: _Run,
-    margins: _Margins,
-    best: AlongPath,
-    between: tuple[float, float],
-) -> AlongPath:
-    """Return what radii between those that were too wide and those that were not prove of the same word."""
-    low, high = between
-    if best.proof.failure >= 10.0 * high:  # rows fail more than ellipsoids: a narrower tube may help
-        found = _proved(problem, policies, run, best.proof.letters, margins, 10.0 * high)
-        return found if found.proof.failure < best.proof.failure else best
-    for _ in range(HALVINGS if low > 0.0 else 0):
-        middle = float(np.sqrt(low * high))
-        found = _proved(problem, policies, run, best.proof.letters, margins, middle)
-        low, high = (low, middle) if found.proof.failure < best.proof.failure else (middle, high)
-        best = found if found.proof.failure < best.proof.failure else best
+    problem: Problem, policies: Sequence[GivenPolicy], run: _Run, found: Sequence[_Candidate]
+) -> AlongPath | None:
+    """Return the best certificate of those that seem to lose least, each of which claims what the checker proves."""
+    best: AlongPath | None = None
+    for one in found[:TRIED]:
+        if best is not None and best.proof.failure <= one.failure:
+            break
+        own = _certificate(problem, policies, run, one.letters, one.margins, one.lost)
+        own = changed(own, failure=min(1.0, verdict_of(own).recomputed * (1.0 + 1e-9)))
+        best = own if best is None or own.proof.failure < best.proof.failure else best
     return best
+
+
+def _in_words(problem: Problem, known: CheckedProblem, run: _Run, policies: Sequence[GivenPolicy]) -> str:
+    """Return which layer leaves out most on narrow tubes, and what would help."""
+    try:
+        layer = widening_layer(known, _joint(problem, known, run, policies, LOST[-1]))
+    except Refused:  # there is no tube at all
+        return ""
+    return (
+        ("" if layer is None else f"; {layer}")
+        + "; noise of this size needs a smoother policy, as `certigym.baselines.smoothed` and `train --certify` make it"
+        + (", or cells (`cells=`)" if _may_have_cells(problem, policies) else "")
+    )
 
 
 def _may_have_cells(problem: Problem, policies: Sequence[GivenPolicy]) -> bool:
@@ -360,14 +352,17 @@ def _margins(
     """
     joint = _joint(problem, known, run, policies, lost)
     shape, size = run.letters.shape, sum(pair.size for pair in problem.labeling.pairs)
-    found = _Margins(np.full(shape, np.inf), np.full(shape, -1), np.zeros((shape[0], size)), shape[0] - 1)
+    away, inside = np.full(shape, np.inf), np.full((shape[0], len(joint.spread)), np.inf)
+    found = _Margins(away, inside, np.full(shape, -1), np.zeros((shape[0], size)), shape[0] - 1)
     for tube in walk(joint):
         if (t := tube.t) == 0:
             continue
-        outside = np.maximum(
-            joint.box[0] - joint.states[t] - tube.drift[0], joint.states[t] + tube.drift[1] - joint.box[1]
+        rooms = np.minimum(
+            joint.states[t] + tube.drift[0] - joint.box[0], joint.box[1] - joint.states[t] - tube.drift[1]
         )
-        if np.any(outside > LOST_BY * np.sqrt(tube.forms.variance)):
+        sigmas = np.sqrt(tube.forms.variance)
+        found.inside[t] = np.where((sigmas > 0.0) | (rooms < 0.0), rooms / np.maximum(sigmas, 1e-300), np.inf)
+        if np.any(found.inside[t] < -LOST_BY):
             if t <= run.accepted[0]:
                 raise Refused(f"the tube leaves the workspace at time {t}")
             return replace(found, last=t - 1)
@@ -456,7 +451,9 @@ def _words(
         if letters is None or not _is_accepted(known, letters, margins.faces):
             continue
         asked = margins.deviations[: last + 1][letters != 0]
-        found.append((float(np.sum(2.0 * ndtr(-np.minimum(asked, FAR)))), last, letters))
+        fails = float(np.sum(2.0 * ndtr(-np.minimum(asked, FAR))))
+        fails += float(np.sum(ndtr(-np.minimum(margins.inside[: last + 1], FAR))))
+        found.append((fails, last, letters))
     return [(fails, letters) for fails, _, letters in sorted(found, key=lambda one: one[:2])]
 
 
