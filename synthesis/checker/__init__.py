@@ -1,19 +1,18 @@
 """The checker: reads a certificate file and proves its claim, with numpy alone and nothing else of the package.
 
-Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``problem`` (with
-``distributions``); ``automaton``, ``formula``; ``letters``, ``angles``, ``crossings``, ``constraints``,
-``error_system``, ``steps``, ``trajectories``; ``tables``, ``motions``, ``cells``, ``tree``, ``trains``,
-``cell_proofs``; ``starts``, ``verdict``. Each file begins with its theorem.
+Read it in this order: ``rigorous``, ``intervals``, ``expressions``, ``jets``; ``fields``, ``file``, ``distributions``,
+``problem``; ``automaton``, ``formula``; ``letters``, ``angles``, ``constraints``, ``error_system``, ``networks``,
+``feedbacks``, ``steps``, ``trajectories``; ``motions``, ``cells``, ``tree``, ``trains``, ``cell_proofs``; ``verdict``.
+Each file begins with its theorem.
 """
 
 from .angles import check_angles
 from .automaton import followed
-from .crossings import check_words
 from .expressions import plain_sum
 from .fields import Refused, Unreadable
 from .file import FORMAT, MOST_BYTES, VERSION, Contents, parse_file, read_file
 from .jets import value_on
-from .letters import demands, known_at, known_at_start
+from .letters import check_words, demands, known_at, known_at_start
 from .motions import affine_dynamics
 from .networks import Network, automaton_states, row_seen
 from .problem import Agent as CheckedAgent

@@ -8,9 +8,7 @@ with whole j, and the same outputs. Then a proof of the agent whose angles are n
 if the tube of every angle is within half a turn, where workspaces limit no angle, a region that is to hold is one copy
 of its interval, and one that is not to hold, along an angle, is avoided between one copy and the next.
 
-*Proof.* Let X be the run of numbers under the same noise and inputs. By induction x is X less whole turns: on the tube
-the nearest number is that of X, so inputs agree; f agrees up to whole turns. An interval holds of x if and only if X is
-in a copy of it. QED
+*Proof.* docs/theory/angles.md, Theorem Angles.2.
 
 That f is so is proved by its form: an expression is c times the angle, c a rational number, plus what repeats.
 """
@@ -24,7 +22,7 @@ import numpy as np
 from .expressions import Tree
 from .fields import Refused
 from .letters import Demand
-from .problem import TURN, Agent, Problem
+from .problem import TURN, Problem
 from .rigorous import Array
 
 OFF = 1e-13  # what angles are off by at most: where they wrap, where copies are, and where the nearest number is taken
@@ -47,20 +45,15 @@ def check_angles(problem: Problem) -> None:
             if any(_slope(tree, named) != 0 for other in problem.agents for tree in other.dynamics):
                 raise Refused(f"another agent's dynamics are not the same a turn further on along `{named}`")
         compared = {k for pair in problem.pairs for j, axes in zip(pair.agents, pair.outputs) if i == j for k in axes}
-        if compared & set(angle_outputs(agent)):
+        if compared & set(agent.angle_outputs):
             raise Refused(f"a pair compares an angle of `{agent.name}`")
-
-
-def angle_outputs(agent: Agent) -> list[int]:
-    """Return the outputs of an agent that are angles themselves."""
-    return [k for k, tree in enumerate(agent.outputs) if tree in agent.angles]
 
 
 def of_copies(problem: Problem, demand: Demand, states: Array) -> Demand:
     """Return what is asked of an output, near nominal ``states`` (D,), with limits of the nearest copy of a region."""
     i, k, _ = demand.parts[0]
     agent = problem.agents[i]
-    if len(demand.parts) > 1 or k not in angle_outputs(agent):
+    if len(demand.parts) > 1 or k not in agent.angle_outputs:
         return demand
     axis = agent.states.index(str(agent.outputs[k]))
     value = float(states[problem.slices[i].start + axis])

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from .cells import Cells, Grid, Kernel, spread, start_weights
+from .distributions import normal_table
 from .expressions import names_in
 from .fields import Entry, Refused
 from .file import Contents
 from .motions import cell_labels, check_targets, maps_of_inputs
 from .problem import STANDARD, Agent, Problem
 from .rigorous import Array, Truth, Whole
-from .tables import normal_table
 from .trains import value_at_start as by_trains
 from .tree import Guards, Team, Tree, check_guards, value_at_start
 

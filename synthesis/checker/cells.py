@@ -2,17 +2,14 @@
 
 Factors are constant on cells, or linear along each axis of a cell, with a number at each of its 2^d corners. With
 V(y) = E l(y + w) for a factor l and normal noise w that is independent along the axes, a choice that maps a cell by
-``z + G (x - c) + r`` (``motions``) is worth V there. V is known at the points of a lattice (``tables``).
+``z + G (x - c) + r`` (``motions``) is worth V there. V is known at the points of a lattice (``distributions``).
 
 **Theorem** (interpolation). Let I interpolate V on an even lattice with the spacing h_k, and r_k = h_k / s_k. Then
 
     V >= I - 1/8 sum_k D_k - L sum_k [1.40031 r_k^4 / 96 + sum_e c_ke r_k^2 r_e^2 / 64],   L the largest number of l,
 
-D_k the largest second difference around (0 if negative), c_kk = 1.40031 and c_ke = .4684. *Proof.* Interpolating along
-one axis after the other is above V by at most an eighth of the largest second derivative each (times h_k^2). A second
-difference is a mean of second derivatives, which misses a twelfth of a fourth one, and between lattice points second
-derivatives exceed those at them by an eighth of fourth ones; these are at most half the L1 norms of phi'''' and of
-phi'' phi'' times L. QED
+D_k the largest second difference around (0 if negative), c_kk = 1.40031 and c_ke = .4684, half the L1 norms of phi''''
+and of phi'' phi''. *Proof.* docs/theory/boxes.md, Lemma Boxes.7 and Lemma Boxes.3. QED
 
 **Theorem** (images). Read I at the points of a cell that cut its sides into ``parts``, n_ki lattice steps apart along
 axis i. Between them ``I(z + G (x - c) + r)`` is below its interpolation by at most

@@ -9,22 +9,24 @@ Each constraint is about a linear form g of the noise, of mean 0: ``-low <= g <=
 Statistical Association 62, 1967: each strip is about one normal number). A larger variance only lowers the product. QED
 
 **Theorem** (first failures). For events A_1, A_2, .., and for any of them an earlier one, ``e(k) < k``, or none,
-P(some A_k) <= sum_k P(A_k and not A_e(k)). *Proof.* If some of them happen there is a first one, A_k, and no earlier
-one happens, A_e(k) among them. QED
+P(some A_k) <= sum_k P(A_k and not A_e(k)).
 
 **Theorem** (``beyond``). Let X and Y be standard normal with a correlation of at least rho, 0 < rho < 1. With
 Q(z) = P(X > z), c(y) = (a - rho y) / r, r^2 = 1 - rho^2, and any numbers b = y_0 > y_1 > .. > y_n,
 
     P(X > a, Y <= b) <= sum_i P(y_(i+1) < Y <= y_i) q_i + P(Y <= y_n) Q(c(y_n)),
 
-where q_i = Q(c(y_i)), or the mean of that and Q(c(y_(i+1))) where y_(i+1) >= 0 and c(y_i) >= 0. *Proof.* It falls as
-the correlation grows (Slepian, Bell System Technical Journal 41, 1962). If that is rho, it is the integral of
-phi(y) Q(c(y)) up to b, where Q(c(y)) grows with y. For c >= 0 it is convex, below its chord; for y >= 0 phi falls, so
-that the mean of the chord, which grows, is at most that of its ends (Chebyshev). QED It grows with b, and as a falls.
+where q_i = Q(c(y_i)), or the mean of that and Q(c(y_(i+1))) where y_(i+1) >= 0 and c(y_i) >= 0. It grows with b, and
+as a falls. *Proofs.* docs/theory/paths.md, Theorem Paths.12 and Lemma Paths.13.
 
 Where the size of normal noise depends on the past, g is a Brownian motion read at a random time of at most V: it
 exceeds d with at most twice the tail of a normal number with the variance V (reflection principle). Other noise has the
 tails of its exponential moments. In both cases all tails are added up.
+
+**Theorem** (``sized``). Let n = N w be the noise of an agent before it is scaled, and s the size of component k on the
+tube, which may depend on states, inputs, disturbances or the time. The component adds a form with at most the factor
+``sup |s|`` to the error, and s times the mean of n. If s depends on more than the time, the form is a martingale whose
+size depends on the past (STOPPED); else its factor is known, up to what s is rounded by. QED
 """
 
 from __future__ import annotations
@@ -37,7 +39,11 @@ import numpy as np
 from . import rigorous
 from .distributions import LIGHT, NORMAL, STOPPED
 from .error_system import Forms, covariance_of
-from .intervals import down, up
+from .expressions import names_in
+from .fields import Refused
+from .intervals import add, down, interval, mul, up
+from .jets import value_on
+from .problem import Agent, Problem
 from .rigorous import Array, Truth, U, Whole
 
 EARLIER, LEAST = 4, 1e-8  # last times that some were asked for before; tails that count as they are
@@ -210,3 +216,47 @@ def _long_tail(z: Array, variance: Array, largest: Array) -> Array:
 def _where_it_is(z: Array, tail: Array) -> Array:
     """Return a tail beyond z > 0 deviations; 1 below, also where nothing is known, and 0 where nothing is beyond."""
     return np.where(z <= 0.0, 1.0, np.where(z == np.inf, 0.0, np.minimum(tail, 1.0)))
+
+
+def kinds_of(problem: Problem) -> Whole:
+    """Return what is known of the tails of each source (W,)."""
+    kinds = list[int]()
+    for agent in problem.agents:
+        for column, envelope in zip(agent.noise.T, agent.envelopes, strict=True):
+            stopped = envelope.tail == NORMAL and _varies(agent) and np.any(column != 0.0)
+            kinds.append(STOPPED if stopped else envelope.tail)
+    return np.array([*kinds, *[NORMAL] * problem.agents[0].shared_noise.shape[1]], dtype=np.int64)
+
+
+def _varies(agent: Agent) -> bool:
+    """Return whether sizes are other than numbers at each time."""
+    return bool(names_in(agent.scale) & {*agent.states, *agent.inputs, *agent.disturbances})
+
+
+def sized(agent: Agent, factor: Array, leaves: dict[str, Array], t: int) -> tuple[Array, Array, Array]:
+    """Return factors (d, W) of the noise of a step, what they may be off by, and ends (2, d) of what else it adds.
+
+    ``factor`` (d, W) is that before it is scaled, ``leaves`` are ends (2, 1) of names on the tube. ``Refused`` if a
+    size is not known, or if a source may cancel where sizes are not.
+    """
+    ends = np.concatenate([value_on(tree, leaves) for tree in agent.scale], axis=1)
+    if not np.all(np.isfinite(ends)):
+        raise Refused(f"the size of the noise of `{agent.name}` is not known on the tube at time {t}")
+    own = slice(0, factor.shape[1] - agent.shared_noise.shape[1])  # shared sources are not scaled
+    if _varies(agent) and np.any((factor[:, own] != 0.0).sum(axis=0) > 1):
+        raise Refused(f"a source of the noise of `{agent.name}` that has a scale moves several states")
+    scaled, off, size = factor.copy(), np.zeros(factor.shape), up(np.abs(ends).max(axis=0))[:, None]
+    scaled[:, own] *= np.where(ends.sum(axis=0)[:, None] < 0.0, -size, size)
+    if not _varies(agent):
+        off[:, own] = np.abs(factor[:, own]) * (up(ends[1] - ends[0])[:, None] + 8.0 * U * size)
+    return scaled, off, mul(ends, mean_of(agent))
+
+
+def mean_of(agent: Agent) -> Array:
+    """Return ends (2, d) of the mean of the noise of an agent, before it is scaled."""
+    mean = np.zeros((2, len(agent.states)))
+    for column, own in zip(agent.noise.T, agent.envelopes, strict=True):
+        if own.mean or own.off:
+            ends = np.stack([down(own.mean - np.full(len(column), own.off)), up(own.mean + own.off + 0.0 * column)])
+            mean = add(mean, mul(interval(column), ends))
+    return mean

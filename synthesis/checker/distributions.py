@@ -1,22 +1,21 @@
-"""Noise that is not normal, along trajectories: distributions whose exponential moments are above those of the noise.
+"""Noise: distributions with exponential moments above those of the noise, and tables of normal noise on cells.
 
 A number e of mean m is *sub-Gaussian* with the deviation s if ``E exp(a (e - m)) <= exp(a^2 s^2 / 2)`` for every a, and
 *sub-exponential* if ``E exp(a (e - m)) <= 1 / (1 - a^2 s^2 / 2)`` where a^2 s^2 < 2. Such bounds multiply over steps,
 also where the size of the noise depends on the past. So a linear form with the variance V of these deviations exceeds d
 with a probability of at most ``exp(-d^2 / (2 V))``, or ``((1 + r)/2 exp(1 - r))^(V/v)``, r^2 = 1 + 2 v d^2 / V^2, where
-no step adds more than v to V (Chernoff; docs/theory/paths.md, "Noise of other laws").
+no step adds more than v to V (Chernoff). Which s a distribution has, and why: docs/theory/paths.md, "Noise of other
+laws". What Student's distribution gives up rests on ``scipy.special``; nothing else here does.
 
-| distribution | s | because |
-|---|---|---|
-| uniform, half width h | h / sqrt 3 | sinh(x)/x <= exp(x^2/6), term by term |
-| even triangle, half width h | h / sqrt 6 | the sum of two uniform numbers |
-| normal, cut to +-b | the smaller of its deviation and b | the cut is largest around 0; Hoeffding |
-| on an interval of half width h | h | Hoeffding's lemma |
-| mixture | sqrt(r^2 + max s_k^2), r half the range of means | the part is drawn first |
-| Laplace, logistic | their deviation (sub-exponential) | their moments, factor by factor |
-| Student, given up beyond b | b sqrt(2 max_j ((S/b^2)^(1/j) / (2j)!^(1/j))) | even moments, S the variance |
+For a mean y on a lattice, noise w with the deviation s, and cells [a, b) of an axis, with u = (a - y)/s, v = (b - y)/s:
 
-What Student's distribution gives up rests on ``scipy.special``; nothing else here does.
+    P(y + w in [a, b)) = Phi(v) - Phi(u),
+    E (y + w - a) / (b - a) on it = (phi(u) - phi(v) - u (Phi(v) - Phi(u))) / (v - u).
+
+The second number is the mean of the *hat* that rises from a to b; the other hat has the rest of the first. A function
+that is linear on cells is a sum of hats, so its mean is a sum of these numbers.
+
+**Theorem** (``normal_table``). Each entry is at most the true number, and a row lacks at most ``lack`` in all.
 """
 
 from __future__ import annotations
@@ -28,8 +27,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .fields import Entry, Unreadable
-from .tables import normal_table
+from . import rigorous
+from .fields import Entry, Refused, Unreadable
+from .intervals import add, interval, mul, neg
+from .rigorous import Array, Truth, U
 
 # What is known of tails, the heavier ones last: normal; normal, of a size that depends on the past; sub-Gaussian;
 # sub-exponential. A sum of several kinds is of the last one of them.
@@ -40,6 +41,8 @@ ROUNDED = 1e-12  # share of the size of a distribution by which its mean may be 
 GIVEN_UP, TAILS_OFF = 1e-7, 1e-12
 LOGISTIC = math.pi / math.sqrt(3.0)  # deviation of the logistic distribution of scale 1
 ORDERS = 40  # half the orders up to which moments are compared one by one; from there on (S/b^2)^(1/j) counts as 1
+# Beyond ten deviations a tail is between 0 and 1e-23, and a density between 0 and 1e-21.
+FAR, FAR_TAIL, FAR_DENSITY = 10.0, 1e-23, 1e-21
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ def _cut_normal(spread: float, low: float, high: float) -> Envelope:
     if low == -high:
         return Envelope(0.0, 0.0, min(_positive(spread, "spread"), _positive(high, "high")) * OUTWARD, LIGHT)
     half, found = 0.5 * (high - low), _bounded(low, high, 0.0, 0.5 * (high - low))
-    # Means of both hats of the interval share its mass as the mean divides it (``tables``).
+    # Means of both hats of the interval share its mass as the mean divides it.
     table, lack = normal_table(np.zeros(1), np.array([low, high]), _positive(spread, "spread"), hats=True)
     fall, rise = table[0]
     least, most = (share / (fall + rise + lack) for share in (rise, rise + lack))
@@ -138,3 +141,41 @@ LAWS: dict[str, tuple[tuple[str, ...], Callable[..., Envelope] | None]] = {
     "mixture": (("parts",), None),
 }
 """Distributions by their names: the keys of their tables, and their envelopes (a mixture is made of others)."""
+
+
+def normal_table(points: Array, edges: Array, deviation: float | Array, hats: bool) -> tuple[Array, float]:
+    """Return probabilities (Z, S) of cells, or means (Z, 2 S) of their hats, and what a row lacks at most."""
+    if not (np.all(np.greater(deviation, 0) & np.less(deviation, np.inf)) and np.all(np.diff(edges) > 0)):
+        raise Refused("cells need noise along every axis, and edges that increase")
+    # Faces of cells as seen from the lattice points, in deviations.
+    x = (edges - points[:, None]) / deviation
+    near = np.abs(x) < FAR
+    tail = np.zeros((2, *x.shape))
+    tail[1] = FAR_TAIL
+    low, high = rigorous.tail(np.abs(x[near]))
+    # x is rounded twice, by 2 U of itself, which moves a tail by at most 2 U x phi(x) < U / 2
+    tail[0][near], tail[1][near] = np.maximum(low - U, 0.0), high + U
+    # Tails on either side; that of the far side is 1 less the near one.
+    complement = add(interval(np.ones(x.shape)), neg(tail))
+    right, left = np.where(x >= 0, tail, complement), np.where(x <= 0, tail, complement)
+    # the difference of the smaller tails: of those to the right where the cell lies on the right
+    on_right = x[:, :-1] + x[:, 1:] > 0
+    from_right, from_left = add(right[..., :-1], neg(right[..., 1:])), add(left[..., 1:], neg(left[..., :-1]))
+    mass = np.maximum(np.where(on_right, from_right, from_left), 0.0)
+    if hats:
+        mass = _hats(x, near, mass, np.diff(edges) / deviation)
+    return mass[0], float(np.max(np.sum(mass[1] - mass[0], axis=1))) * 1.001
+
+
+def _hats(x: Array, near: Truth, mass: Array, width: Array) -> Array:
+    """Return ends (2, Z, 2 S) of the means of both hats of every cell."""
+    density = np.zeros((2, *x.shape))
+    density[1] = FAR_DENSITY
+    density[:, near] = rigorous.density_at(x[near], 4.0)  # x is off by 2 U of itself
+    # E (y + w - a)^+ on the cell, in deviations, divided by its width.
+    a = x[:, :-1]
+    first = add(density[..., :-1], neg(density[..., 1:]))
+    first = add(first, neg(mul(np.stack([a - 4 * U * np.abs(a), a + 4 * U * np.abs(a)]), mass)))
+    rising = np.clip(np.stack([first[0] / (width * (1 + 8 * U)), first[1] / (width * (1 - 8 * U))]), 0.0, None)
+    falling = np.clip(add(mass, neg(rising)), 0.0, None)
+    return np.stack([falling, rising], axis=-1).reshape(2, len(x), -1)

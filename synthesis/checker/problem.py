@@ -62,6 +62,11 @@ class Agent:
     states_of_others: dict[str, tuple[int, int]]
     inputs_of_others: dict[str, tuple[int, int]]
 
+    @property
+    def angle_outputs(self) -> list[int]:
+        """Return the outputs that are angles themselves."""
+        return [k for k, tree in enumerate(self.outputs) if tree in self.angles]
+
 
 @dataclass(frozen=True, eq=False)
 class Proposition:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .angles import HALF_TURN, OFF
-from .constraints import ROUNDED, Constraints
+from .constraints import ROUNDED, Constraints, kinds_of, mean_of, sized
 from .error_system import ErrorSystem, Forms
 from .expressions import names_in
 from .feedbacks import Feedback, enclosed_feedback
@@ -30,7 +30,6 @@ from .fields import Refused
 from .intervals import add, down, interval, neg, up
 from .jets import expanded
 from .networks import Ellipsoid, Network, automaton_states, enclosed
-from .noise_sizes import kinds_of, mean_of, sized
 from .problem import Problem
 from .rigorous import Array, Truth, U, Whole
 

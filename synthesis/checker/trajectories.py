@@ -9,7 +9,11 @@ agrees with the letters is accepted, then P(task) >= 1 - P(a constraint fails), 
 
 *Proof.* While all constraints up to a time hold, errors are in the tube, no input is clipped, and so the next step is
 the one above; hence at the first failure a constraint on the forms g fails (``constraints``). If none fails no agent
-leaves its workspace, and the word agrees with the letters (``letters``, ``crossings``, ``automaton``). QED
+leaves its workspace, and the word agrees with the letters (``letters``, ``automaton``). QED
+
+**Theorem** (cells of starts). If the task fails with a probability of at most f_i from every start in cell i of a box,
+then with at most max f_i from every start, and with at most the mean of f_i by volumes from one that is drawn
+uniformly. *Proof.* A cut, ``x_k <= a`` and ``x_k >= a``, covers the box by two, which share a face of volume 0. QED
 
 Reference: docs/theory/paths.md, "Agents of any dynamics", "Teams".
 """
@@ -24,14 +28,12 @@ import numpy as np
 
 from .angles import check_angles, of_copies
 from .constraints import ROUNDED
-from .crossings import SOMETIME, check_words, crossed, jumps
-from .error_system import Forms
 from .feedbacks import Feedback, read_feedback
 from .fields import Entry
 from .file import Contents
 from .intervals import add, down, interval, mul, neg
 from .jets import expanded
-from .letters import Demand, demands
+from .letters import SOMETIME, Demand, check_words, crossed, demands, jumps
 from .networks import Network, read_network
 from .problem import Problem
 from .rigorous import Array, U, Whole
@@ -147,9 +149,7 @@ def _ask_states(joint: Joint, tube: Tube, asked: Sequence[Demand]) -> None:
     own = np.array([place.setdefault(row.tobytes(), len(place)) for row in rows])
     first = np.unique(own, return_index=True)[1]
     # What rows are besides g moves their values: of states it is what the tube is made of.
-    drift, forms = joint.errors.rows(rows[first[D:]])
-    together: list[Any] = [np.concatenate(pair) for pair in zip(tube.forms, forms)]
-    drift, forms = np.concatenate([tube.drift, drift], axis=1), Forms(*together)
+    drift, forms = joint.errors.rows(rows[first])
     value = add(np.concatenate([interval(joint.states[t]), values], axis=1), drift[:, own])
     room = np.stack([down(value[0] - low), down(high - value[1])])
     # The narrowest limits say it all; what is nan is nowhere kept, and stays so.
@@ -198,3 +198,40 @@ def linear_forms(joint: Joint, tube: Tube, asked: Sequence[Demand]) -> tuple[Arr
             spare = (len(owners) + 3.0) * U * size @ far * ROUNDED + 1e-290
             values[:, n] = add(values[:, n], np.array([-spare, spare]))
     return rows, values
+
+
+# Share of the volume, the problem with starts in the cell, and its proof; nothing is claimed where there is none.
+Cell = tuple[float, Problem, TrajectoryProof | None]
+
+
+def read_starts(contents: Contents, problem: Problem) -> list[Cell]:
+    """Return the cells of the box of starts in a file; raise ``Unreadable`` if there is no proof of this kind."""
+    return [*_cells(contents, contents.entry("proof"), problem, 1.0)]
+
+
+def _cells(contents: Contents, entry: Entry, problem: Problem, share: float) -> Iterator[Cell]:
+    if entry.value is None or entry.entries_by_name().get("kind", entry).value != "starts":
+        yield share, problem, None if entry.value is None else read_proof(contents, problem, entry)
+        return
+    own = entry.table(("kind", "agent", "state", "cut", "below", "above"))
+    i, cut, agents = own["agent"].whole(0, len(problem.agents)), own["cut"].number(), list(problem.agents)
+    start, k = agents[i].start, own["state"].whole(0, len(agents[i].states))
+    low, high = start[:, k].tolist()
+    if not low < cut < high:
+        raise own["cut"].wrong("it does not lie inside the box of starts")
+    for side, key, width in ((1, "below", cut - low), (0, "above", high - cut)):
+        box = start.copy()
+        box[side, k] = cut
+        agents[i] = replace(agents[i], start=box)
+        part = replace(problem, agents=tuple(agents))
+        yield from _cells(contents, own[key], part, share * width / (high - low) * (1.0 + 8.0 * U))
+
+
+def failure_of_starts(problem: Problem, cells: list[Cell]) -> tuple[float, str, list[tuple[float, str, Array]]]:
+    """Return an upper bound on the probability that the task fails, its largest part, and what fails from each cell."""
+    total, found = 0.0, list[tuple[float, str, Array]]()
+    for share, part, own in cells:
+        failure, worst = (1.0, "; nothing") if own is None else failure_of(part, own)[:2]
+        total += share * failure * (1.0 + 4.0 * U * len(cells))
+        found.append((failure, worst, part.agents[0].start))
+    return min(1.0, total), max(found, key=lambda one: one[0])[1], found

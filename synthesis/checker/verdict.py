@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from . import cell_proofs, starts, trajectories
+from . import cell_proofs, trajectories
 from .fields import Entry, Refused
 from .file import MOST_BYTES, Contents, read_file
 from .formula import wrong_automaton
@@ -24,8 +24,8 @@ from .rigorous import Array, wrong_arithmetic
 
 KINDS: dict[str, tuple[tuple[str, ...], Callable[..., Any], Callable[..., tuple[float, str, Any]]]] = {
     "trajectory": (("trajectories", "letters", "constraints"), trajectories.read_proof, trajectories.failure_of),
-    "starts": (("starts", "trajectories", "networks", "feedbacks"), starts.read_proof, starts.failure_of),
-    "cells": (("cells", "motions", "tables", "tree"), cell_proofs.read_proof, cell_proofs.failure_of),
+    "starts": (("trajectories", "networks", "feedbacks"), trajectories.read_starts, trajectories.failure_of_starts),
+    "cells": (("cells", "motions", "distributions", "tree"), cell_proofs.read_proof, cell_proofs.failure_of),
 }
 """Kinds of proofs: the modules of the checker that prove them, how they are read, and what follows from them."""
 

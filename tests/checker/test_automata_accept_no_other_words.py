@@ -19,10 +19,9 @@ import pytest
 from certificate_files import one_crane, two_carts, two_tanks
 from certigym.synthesis.checker import automaton_states, read_problem
 from certigym.synthesis.checker.automaton import CO_SAFE, FINITE_TRACE, Automaton, followed
-from certigym.synthesis.checker.crossings import SOMETIME, check_words
 from certigym.synthesis.checker.fields import Refused
 from certigym.synthesis.checker.formula import parse, wrong_automaton
-from certigym.synthesis.checker.letters import known_at
+from certigym.synthesis.checker.letters import SOMETIME, check_words, known_at
 
 NAMES = ("a", "b")
 LETTERS = [frozenset(names) for k in range(3) for names in itertools.combinations(NAMES, k)]

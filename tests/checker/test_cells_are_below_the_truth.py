@@ -21,10 +21,10 @@ from scipy.special import ndtr
 from canonical_simulator import FUNCTIONS
 from certigym.synthesis.checker import cells, read_problem
 from certigym.synthesis.checker.cells import Kernel, start_weights
+from certigym.synthesis.checker.distributions import normal_table
 from certigym.synthesis.checker.fields import Refused
 from certigym.synthesis.checker.motions import cell_labels, check_targets, maps_of_inputs
 from certigym.synthesis.checker.problem import Agent, Problem
-from certigym.synthesis.checker.tables import normal_table
 from kinds import mostly_thorough
 
 ACCEPTS = {"initial": 0, "accepting": [True], "root": [-1], "variable": [], "low": [], "high": []}

@@ -16,10 +16,16 @@ from scipy.stats import truncnorm
 from canonical_simulator import Simulator
 from certificate_files import file_of, one_crane, two_carts, two_tanks
 from certigym.synthesis.checker import Unreadable, check_contents, parse_file, read_problem
-from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED, read_distribution
+from certigym.synthesis.checker.constraints import kinds_of, mean_of, sized
+from certigym.synthesis.checker.distributions import (
+    LIGHT,
+    LONG,
+    NORMAL,
+    STOPPED,
+    read_distribution,
+)
 from certigym.synthesis.checker.fields import Entry
 from certigym.synthesis.checker.intervals import mul
-from certigym.synthesis.checker.noise_sizes import kinds_of, mean_of, sized
 from certigym.synthesis.checker.verdict import Verdict
 
 Change = Callable[[dict[str, Any], list[np.ndarray]], None]

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from flint import arb
 
-from certigym.synthesis.checker import constraints, rigorous, tables
+from certigym.synthesis.checker import constraints, distributions, rigorous
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED
 from certigym.synthesis.checker.fields import Refused
 
@@ -250,7 +250,7 @@ def axes() -> list[tuple[np.ndarray, np.ndarray, float]]:
 def test_tables_are_below_masses_and_lack_no_more_than_they_say(hats: bool) -> None:
     with mpmath.workdps(50):
         for lattice, edges, s in axes():
-            table, lack = tables.normal_table(lattice, edges, s, hats)
+            table, lack = distributions.normal_table(lattice, edges, s, hats)
             assert lack < 1e-4  # hats of cells that are narrow among deviations lose digits
             for row, y in zip(table, lattice.tolist(), strict=True):
                 truths = [part for cell in masses(y, edges, s) for part in (cell[1:] if hats else cell[:1])]
@@ -276,7 +276,7 @@ def test_tables_refuse_cells_without_noise_or_width() -> None:
     bad += [([0.0, 1.0], math.nan), ([0.0, 0.0, 1.0], 1.0), ([1.0, 0.0], 1.0)]
     for edges, deviation in bad:
         with pytest.raises(Refused):
-            tables.normal_table(np.array([0.0]), np.array(edges), deviation, False)
+            distributions.normal_table(np.array([0.0]), np.array(edges), deviation, False)
 
 
 def test_inverses_are_proved_on_both_sides() -> None:

@@ -17,9 +17,8 @@ import pytest
 from certificate_files import file_of, one_crane
 from certigym.synthesis.checker import affine_dynamics, check_contents, parse_file, read_problem
 from certigym.synthesis.checker.angles import check_angles, of_copies
-from certigym.synthesis.checker.crossings import SOMETIME, crossed, jumps
 from certigym.synthesis.checker.fields import Refused, Unreadable
-from certigym.synthesis.checker.letters import Demand, demands, known_at, known_at_start
+from certigym.synthesis.checker.letters import SOMETIME, Demand, crossed, demands, jumps, known_at, known_at_start
 from certigym.synthesis.checker.problem import TURN, Problem
 from certigym.synthesis.checker.steps import _Reads
 

@@ -19,9 +19,9 @@ import pytest
 from canonical_simulator import FUNCTIONS, Simulator
 from certificate_files import file_of, one_crane
 from certigym.synthesis.checker import check_contents, parse_file, read_problem, trajectories
-from certigym.synthesis.checker.crossings import crossed, jumps
 from certigym.synthesis.checker.error_system import ErrorSystem
 from certigym.synthesis.checker.fields import Refused
+from certigym.synthesis.checker.letters import crossed, jumps
 
 RUNS, COMPARISONS = 8000, 1000
 ALARM = math.log(COMPARISONS / 1e-6)

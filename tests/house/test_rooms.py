@@ -102,7 +102,7 @@ OPEN = ("synthesis.verbs",)
 """Rooms whose files are entered directly: a verb is a file, which loads what it needs."""
 
 LEMMAS = {"synthesis.extended_check.vertex_grids": "synthesis.checker"}
-"""Chapters that are written on the checker's own files, as its modules are: intervals, jets, tables."""
+"""Chapters that are written on the checker's own files, as its modules are: intervals, jets."""
 
 
 WORDS = (
