@@ -11,14 +11,36 @@ others lie between the ends that are returned, while each e_s is within its reac
 *Proof.* The identity holds for any y: here those that are the products c P_s without any rounding, P_s being doubles.
 What is computed differs by less than sizes ``|c| |P_s|`` times a unit, and the last sum charges what y misses. QED So g
 is linear in c. A row ``c e_t + b e_(t-1)`` is the same with y_(t-1) moved by b.
+
+**Theorem** (``Ellipsoid``). Let W be a matrix, V the covariance of W g in d dimensions, v at least its largest
+eigenvalue, and y = R^2 / v. Then ``P(|W g| > R)`` is at most ``P(chi2_d > y)``, or, of sub-Gaussian noise, also where
+its size depends on the past, ``(y / d)^(d/2) exp((d - y) / 2)`` for y > d. Where ``|W g| <= R`` every row c satisfies
+``|c g| <= R |a| + |c - a W| |g|``, for any a. Eigenvalues are bounded by absolute sums of rows (Gershgorin); W is about
+the inverse of a root of the covariance of g, so that v is 1 up to rounding, and a is c times that root.
+
+**Theorem** (``Seen.forms``). Let e = g + d with |P g| <= r and |p_k d| <= b_k, p_k the rows of a matrix P, Q symmetric,
+l any numbers, and l+ = max(l, 0). Then
+
+    e Q e <= r^2 max_k l+_k + 2 r |(l+_k b_k)_k| + sum_k l+_k b_k^2 + |e| |Q - P' diag(l) P| |e|.
+
+From below it is the same of -Q. Here l and V are about the eigenvalues and eigenvectors of L' Q L, L about the inverse
+of W, and P = V' W. *Proofs.* docs/theory/paths.md, Theorem Paths.11 and Lemma Paths.15.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from . import rigorous
+from .distributions import LIGHT, NORMAL
+from .intervals import add, down, interval, up
+from .jets import quadratic
 from .rigorous import Array, Truth, U, Whole
 
 
@@ -122,3 +144,145 @@ def covariance_of(first: Forms, second: Forms) -> tuple[Array, Array]:
     pairs = [(getattr(first, key)[:, :t], getattr(second, key)[:, :t]) for key in ("moved", "size")]
     found, inner, outer = (np.einsum("isw,jsw->ij", *pair) for pair in (pairs[0], map(np.abs, pairs[0]), pairs[1]))
     return found, (outer - inner) + (t * first.moved.shape[2] + 16.0) * 4.0 * U * outer + 1e-290
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """``|W g| <= radius`` for the errors of one agent; ``root`` is about the inverse of W."""
+
+    root: Array
+    white: Array
+    radius: float
+    lost: float
+
+    @classmethod
+    def of(cls, errors: ErrorSystem, places: Whole, radius: float, kinds: Whole) -> Ellipsoid:
+        """Return the ellipsoid of errors now, and the probability that they are outside; ``kinds`` of sources."""
+        D = len(errors.spread)
+        (_, now), d = errors.rows(np.eye(D)[places]), len(places)
+        covariance = covariance_of(now, now)[0]
+        # Any root will do: states that no noise has reached get a little of their own.
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+        root = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-10 * np.eye(d)) * scale[:, None]
+        rows = np.zeros((d, D))
+        rows[:, places] = np.linalg.inv(root)
+        _, white = errors.rows(rows)
+        found, off = covariance_of(white, white)
+        largest = float(np.max(np.sum(np.abs(found) + off, axis=1))) * (1.0 + 4.0 * U * d)
+        kind = int(np.where(white.sources, kinds, NORMAL).max(initial=NORMAL))
+        return cls(root, rows[:, places], radius, length_tail(radius, d, largest, kind))
+
+    @property
+    def widths(self) -> Array:
+        """Upper bounds (d,) on |g|."""
+        # g = root h + (1 - root W) g: what the root misses is small, and g is hardly more than root h
+        d, most = len(self.root), 1.01 * self.radius * np.sqrt(np.max(np.sum(self.root**2, axis=1)))
+        off = np.abs(np.eye(d) - self.root @ self.white) + (d + 4.0) * U * np.abs(self.root) @ np.abs(self.white)
+        known = np.max(off.sum(axis=1)) <= 1e-3
+        return self.reach(np.eye(d), np.full(d, most)) if known else np.full(d, np.inf)
+
+    def reach(self, rows: Array, most: Array) -> Array:
+        """Return upper bounds (n,) on ``|c g|`` for rows (n, d), where ``|g| <= most`` (d,)."""
+        a = rows @ self.root
+        size, d = np.abs(a), len(most)
+        missed = np.abs(rows - a @ self.white) + (d + 4.0) * U * (np.abs(rows) + size @ np.abs(self.white))
+        length = np.sqrt(np.sum(a * a, axis=1)) * (1.0 + (d + 8.0) * U)
+        return np.asarray(up(self.radius * length) + (missed @ most) * (1.0 + (d + 4.0) * U) + 1e-290)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Errors e of some states at a time: in a box with ends (2, d), and in an ellipsoid once there is noise.
+
+    ``besides`` takes rows (n, d) to ends (2, n) of what they are besides g.
+    """
+
+    ends: Array
+    ellipsoid: Ellipsoid | None
+    besides: Callable[[Array], Array]
+
+    @cached_property
+    def far(self) -> Array:
+        """Upper bounds (d,) on |e|."""
+        return np.asarray(np.abs(self.ends).max(axis=0))
+
+    @cached_property
+    def most(self) -> Array:
+        """Upper bounds (d,) on |g|."""
+        return np.asarray(up(self.far + np.abs(self.besides(np.eye(len(self.far)))).max(axis=0)))
+
+    def rows(self, C: Array) -> Array:
+        """Return ends (2, n) of C e for rows C (n, d)."""
+        spare = (len(self.far) + 4.0) * U * (np.abs(C) @ self.far) + 1e-290
+        products = C * self.ends[:, None]
+        box = np.stack([products.min(axis=0).sum(axis=1) - spare, products.max(axis=0).sum(axis=1) + spare])
+        if self.ellipsoid is None:
+            return box
+        drift, most = self.besides(C), self.ellipsoid.reach(C, self.most)
+        return np.stack([np.maximum(box[0], down(drift[0] - most)), np.minimum(box[1], up(drift[1] + most))])
+
+    def forms(self, Q: Array) -> Array:
+        """Return ends (2, n) of e' Q e for matrices Q (n, d, d)."""
+        n, d, own = *Q.shape[:2], self.ellipsoid
+        if not Q.any():
+            return np.zeros((2, n))
+        box = quadratic(interval(Q.transpose(1, 2, 0)), self.ends[..., None])
+        half = 0.5 * (Q + Q.swapaxes(1, 2))
+        if own is None or not np.all(np.isfinite(turned := own.root.T @ half @ own.root)):
+            return box
+        values, V = np.linalg.eigh(turned)
+        P = V.swapaxes(1, 2) @ own.white
+        # |P g| <= |V| |W g|, and what P is rounded by; V is about orthogonal
+        size, far, most = np.abs(V).swapaxes(1, 2), self.far, self.most
+        gram = np.abs(V.swapaxes(1, 2) @ V) + (d + 4.0) * U * size @ size.swapaxes(1, 2)
+        lost = (d + 4.0) * U * size @ (np.abs(own.white) @ most)
+        length = own.radius * np.sqrt(gram.sum(axis=2).max(axis=1)) + np.sqrt(np.sum(lost * lost, axis=1))
+        beside = np.abs(self.besides(P.reshape(-1, d))).max(axis=0).reshape(n, d)
+        # what P' diag(l) P is not, and rounds
+        size = np.abs(P).swapaxes(1, 2) @ (np.abs(values)[:, :, None] * np.abs(P)) + np.abs(half)
+        missed = np.abs(half - P.swapaxes(1, 2) @ (values[:, :, None] * P)) + (d + 8.0) * U * size
+        ends, rounded = [], 1.0 + (d * d + 64.0) * U
+        for sign in (-1.0, 1.0):
+            up_to = np.maximum(sign * values, 0.0)
+            total = length * (length * up_to.max(axis=1) + 2.0 * np.sqrt(np.sum((up_to * beside) ** 2, axis=1)))
+            total += np.sum(up_to * beside**2, axis=1) + (missed @ far) @ far
+            ends.append(sign * (total * rounded + 1e-290))
+        return np.stack([np.maximum(box[0], ends[0]), np.minimum(box[1], ends[1])])
+
+    def followed(self, which: Truth, transform: Array, off: Array, box: Array, free: list[int], bend: Array) -> Array:
+        """Return ends (2, 1) of v' H v for variables in a box (2, v), all of which follow those that are free.
+
+        They are ``transform @ z`` and no more than ``off`` (v,), z (k,) the free ones; ``which`` (d, k) of these are
+        seen. H (v, v, 1) is the ``bend``.
+        """
+        far, seen, moves, H = np.abs(box).max(axis=0), which.any(axis=0), which.astype(float), bend[..., 0]
+        moved, size, M = np.abs(transform) @ far[free], np.abs(H), transform.T @ H @ transform
+        rest = quadratic(interval(np.where(np.outer(seen, seen), 0.0, M))[..., None], box[:, free, None])
+        # v' H v differs from z' T'H T z by off' |H| (|v| + |T z|) <= off' |H| (2 |v| + off), and T'H T rounds
+        spare = off @ size @ (2.0 * far + off) + (2.0 * len(far) + 8.0) * U * (moved @ size @ moved)
+        spare = spare * (1.0 + 2.0**-30) + 1e-290
+        return add(add(self.forms((moves @ M @ moves.T)[None]), rest), np.array([[-spare], [spare]]))
+
+
+def length_tail(radius: float, d: int, largest: float, kind: int = NORMAL) -> float:
+    """Return an upper bound on P(|W g| > radius) for noise of a kind of tails, by the theorems above.
+
+    For normal noise, and x = radius^2 / (2 largest), it is ``exp(-x)`` times the sum of ``x^k / k!`` for k < d / 2 if d
+    is even; else twice the normal tail at sqrt(2 x), and ``exp(-x)`` times the sum of ``x^(k + 1/2) / Gamma(k + 3/2)``.
+    """
+    if not (radius > 0.0 and 0.0 < largest < np.inf) or kind > LIGHT:
+        return 1.0
+    y = min(radius * radius / largest, 1360.0) * (1.0 - 8.0 * U)
+    if kind != NORMAL:
+        exponent = 0.5 * (d * (float(rigorous.log(np.full(1, up(y / d)))[1][0]) + 1.0) - y) + 16.0 * U * (d + y)
+        return min(1.0, float(rigorous.exp(np.full(1, exponent))[1][0])) if y > d else 1.0
+    # The first term, and what each is more than the one before: half-odd powers if d is odd; 1 / Gamma(3/2) = 1.128..
+    x, half = 0.5 * y, 0.5 * (d % 2)
+    term, total = float(rigorous.exp(np.full(1, -x))[1][0]), 0.0
+    if half:
+        term *= math.sqrt(x) * 1.1283791670955128
+        total = 2.0 * float(rigorous.tail(min(math.sqrt(2.0 * x) * (1.0 - 4.0 * U), 37.0))[1])
+    for k in range(d // 2):
+        total += term
+        term *= x / (k + 1.0 + half)
+    return min(1.0, total * (1.0 + (4.0 * d + 64.0) * U))

@@ -2,19 +2,19 @@
 
 **Theorem** (``enclosed_feedback``). The input is within ``u + J e + rho`` for every error e of the tube. *Proof.* An
 expression is a row, and something between ends, on the tube (``jets.expanded``); what is cut off, inside of it
-or last of all, leaves a line by no more than ``networks._line`` says. QED
+or last of all, leaves a parabola by no more than ``networks._parabola`` says. QED
 
 The claim is for every controller within ``OFF * (1 + |u|)`` of the expressions, before it is cut off.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from .error_system import Seen
 from .expressions import Tree, read_expression
 from .fields import Entry
 from .intervals import add, interval, neg, up
@@ -48,25 +48,22 @@ def read_feedback(entry: Entry, agent: Agent) -> Feedback:
     return Feedback(tuple(trees), ends)
 
 
-def enclosed_feedback(
-    feedback: Feedback, agent: Agent, at: Array, t: int, ends: Array, reach: Callable[[Array], Array]
-) -> tuple[Array, Array, Array]:
-    """Return u (m,), J (m, d) and ends (2, m) of rho, for errors between ends (2, d) around a state ``at`` (d,)."""
-    plain = _joined([_Tube(agent, at, t, ends, reach).layer(tree) for tree in feedback.inputs])
-    plain = plain.off_by(OFF * (1.0 + _largest(plain)))
-    cut = plain.through("clip", feedback.ends[0], feedback.ends[1], reach)
+def enclosed_feedback(feedback: Feedback, agent: Agent, at: Array, t: int, seen: Seen) -> tuple[Array, Array, Array]:
+    """Return u (m,), J (m, d) and ends (2, m) of rho, for the errors around a state ``at`` (d,) that are seen."""
+    plain = _joined([_Tube(agent, at, t, seen).layer(tree) for tree in feedback.inputs])
+    plain = plain.off_by(OFF * (1.0 + plain.size))
+    cut = plain.through("clip", feedback.ends[0], feedback.ends[1])
     return cut.h, cut.C, cut.rest()
 
 
 @dataclass(frozen=True, eq=False)
 class _Tube:
-    """Where expressions are looked at: around a state at a time, for errors between ends (2, d)."""
+    """Where expressions are looked at: around a state at a time, for the errors that are seen."""
 
     agent: Agent
     at: Array
     t: int
-    ends: Array
-    reach: Callable[[Array], Array]
+    seen: Seen
 
     def layer(self, tree: Tree) -> Layer:
         """Return an expression as a layer of one number: kinks by lines, as in networks, all else by jets."""
@@ -82,16 +79,18 @@ class _Tube:
                 a, b = (b, a) if np.any(b.C) else (a, b)  # b is the factor without errors, if there is one
                 if not np.any(b.C):  # a number at this time, which is between ends
                     low, high = add(interval(b.h), b.rest())
-                    return a.times(0.5 * (low + high)[None], none).off_by(up(_largest(a) * up(high - low)))
+                    return a.times(0.5 * (low + high)[None], none).off_by(up(a.size * up(high - low)))
             case (("min" | "max") as name, inner, float(end)) | (("min" | "max") as name, float(end), inner):
                 low, high = (none - np.inf, none + end) if name == "min" else (none + end, none + np.inf)
-                return self.layer(inner).through("clip", low, high, self.reach)
+                return self.layer(inner).through("clip", low, high)
             case ("tanh", inner):
-                return self.layer(inner).through("tanh", none, none, self.reach)
-        places, far = {name: k for k, name in enumerate(self.agent.states)}, np.abs(self.ends).max(axis=0)
-        matrix, ends = expanded((tree,), self.at, places, self.ends, self.t, len(places))
+                return self.layer(inner).through("tanh")
+        places, d = {name: k for k, name in enumerate(self.agent.states)}, len(self.at)
+        matrix, ends = expanded((tree,), self.at, places, self.seen.ends, self.t, d)
         middle = 0.5 * (ends[0] + ends[1])
-        return Layer(middle, matrix, (), add(ends, neg(interval(middle))), np.abs(middle), far)
+        own = add(ends, neg(interval(middle)))
+        size = np.abs(middle) + np.abs(matrix) @ self.seen.far + np.abs(own).max(axis=0)
+        return Layer(middle, matrix, np.zeros((1, d, d)), (), own, size, self.seen)
 
 
 def _has_kink(tree: Tree) -> bool:
@@ -99,12 +98,8 @@ def _has_kink(tree: Tree) -> bool:
     return isinstance(tree, tuple) and (tree[0] in ("min", "max", "tanh") or any(map(_has_kink, tree[1:])))
 
 
-def _largest(layer: Layer) -> Array:
-    """Return what the numbers (n,) of a layer are at most in size, up to rounding."""
-    return np.asarray(np.abs(layer.h) + np.abs(layer.C) @ layer.far + np.abs(layer.rest()).max(axis=0))
-
-
 def _joined(layers: list[Layer]) -> Layer:
     """Return layers of one number each as one of several."""
-    h, C, size = (np.concatenate([getattr(own, key) for own in layers]) for key in ("h", "C", "size"))
-    return Layer(h, C, (), np.concatenate([own.rest() for own in layers], axis=1), size, layers[0].far)
+    h, C, Q, size = (np.concatenate([getattr(own, key) for own in layers]) for key in ("h", "C", "Q", "size"))
+    rest = np.concatenate([replace(own, Q=0.0 * own.Q).rest() for own in layers], axis=1)
+    return Layer(h, C, Q, (), rest, size, layers[0].seen)

@@ -15,7 +15,7 @@ lies in the hull of the slopes on both sides, which is what is returned there.
 
 1. sum_i (S_i(W) - M_i) W_i, S(W) the slopes on W (mean value theorem),
 2. sum_i (S_i(0) - M_i) W_i + 1/2 sum_ij H_ij(W) W_i W_j (Taylor's theorem; squares are squares),
-3. the same with W replaced by T z + offset, |offset| <= off: products of what follows one z are squares of z.
+3. the same with the middle of H apart, whose form is bounded by who asks, who may know more of e than W.
 
 The narrowest one that is known is returned. Form 1 needs no second derivatives, so it holds at kinks, too.
 """
@@ -31,12 +31,11 @@ from . import intervals
 from .expressions import Tree, plain_sum
 from .fields import Refused
 from .intervals import add, interval, known, mul, neg, power, recip, sine, square, total
-from .rigorous import Array, U
+from .rigorous import Array
 
 Places = dict[str, int]
 Around = tuple[Array, Array, Array]
-# T (v, k), the places (k,) of z among the directions, and bounds (v,) on the offsets.
-Follow = tuple[Array, list[int], Array]
+Bounded = Callable[[Array], Array] | None  # from H (v, v, n) to ends (2, n) of e' H e, for all possible e
 
 
 @dataclass(eq=False)
@@ -52,6 +51,10 @@ class Jet:
         """Return a variable with values (2, n) that moves with v directions by numbers (v, n)."""
         v, n = slope.shape
         return cls(value, interval(slope), np.zeros((2, v, v, n)))
+
+    def of(self, some: slice) -> Jet:
+        """Return the jet on some of the boxes."""
+        return Jet(self.value[:, some], self.slope[..., some], self.bend[..., some])
 
     @property
     def moves(self) -> bool:
@@ -191,33 +194,27 @@ def _operation(tree: tuple[Tree, ...], leaves: Mapping[str, Jet], memory: Memory
     return _maximum(a, b) if name == "max" else -_maximum(-a, -b)
 
 
-def off_linear(centre: Jet, around: Jet, box: Array, matrix: Array, follow: Follow | None = None) -> Array:
+def off_linear(centre: Jet, around: Jet, box: Array, matrix: Array, bounded: Bounded = None) -> Array:
     """Return intervals (2, n) around f(e) - f(0) - matrix e for e in a box (2, v, n), by the theorem above.
 
-    Jets are those at e = 0, and on the box; with ``follow`` e is ``T @ z`` up to offsets, z its own entries at places.
+    Jets are those at e = 0, and on the box; ``bounded`` are forms of e.
     """
-    # Taylor at the centre, the mean value theorem on the box, and Taylor along what directions follow.
-    row = interval(matrix)
+    # Taylor at the centre, the mean value theorem on the box, and Taylor with forms that are bounded as such.
+    row, half = interval(matrix), _number(0.5)
     at_centre = total(mul(add(centre.slope, neg(row)), box), 0)
     mean_value = total(mul(add(around.slope, neg(row)), box), 0)
-    forms = [mean_value, add(at_centre, mul(_number(0.5), _quadratic(around.bend, box)))]
-    if follow is not None:
-        transform, places, off = interval(follow[0])[..., None], follow[1], follow[2][:, None]
-        # T' H T, in two steps.
-        half = total(mul(around.bend[:, :, :, None], transform[:, None]), 1)  # (v, k)
-        bend = total(mul(transform[:, :, :, None], half[:, :, None]), 0)  # (k, k)
-        # e' H e differs from z' T'H T z by at most off' |H| (|e| + |T z|) <= off' |H| (2 |e| + off)
-        size, far = np.abs(around.bend).max(axis=0), np.abs(box).max(axis=0)
-        spare = np.einsum("in,ijn,jn->n", off, size, far + 0.5 * off) * (1.0 + 2.0**-30) + 1e-300
-        taylor = add(at_centre, mul(_number(0.5), _quadratic(bend, box[:, places])))
-        forms.append(add(taylor, np.stack([-spare, spare])))
+    forms = [mean_value, add(at_centre, mul(half, quadratic(around.bend, box)))]
+    if bounded is not None:
+        middle = 0.5 * (around.bend[0] + around.bend[1])
+        curve = add(bounded(middle), quadratic(add(around.bend, -interval(middle)), box))
+        forms.append(add(at_centre, mul(half, curve)))
     # where f is not defined on all of the box nothing is known
     candidates = np.array([np.where(known(around.value), form, np.nan) for form in forms])
     widths = np.where(np.isnan(candidates).any(axis=1), np.inf, candidates[:, 1] - candidates[:, 0])
     return np.take_along_axis(candidates, widths.argmin(axis=0)[None, None], axis=0)[0]
 
 
-def _quadratic(bend: Array, box: Array) -> Array:
+def quadratic(bend: Array, box: Array) -> Array:
     """Return intervals (2, n) around e' H e for e in a box (2, v, n)."""
     v = box.shape[1]
     products = mul(box[:, :, None], box[:, None])
@@ -231,12 +228,12 @@ def value_on(tree: Tree, names: Mapping[str, Array]) -> Array:
 
 
 def expanded(
-    trees: Sequence[Tree], point: Array, places: Places, box: Array, t: int, free: int, follow: Follow | None = None
+    trees: Sequence[Tree], point: Array, places: Places, box: Array, t: int, free: int, bounded: Bounded = None
 ) -> tuple[Array, Array]:
     """Return a matrix (p, v), and ends (2, p) of what trees are besides it, for deviations in a box (2, v) of a point.
 
     ``places`` says which of the v variables a name is, ``t`` the time, unless a variable is called so. The matrix has
-    zeros beyond the first ``free`` variables; ``follow`` is how variables follow one another (``off_linear``).
+    zeros beyond the first ``free`` variables; forms of them may be ``bounded`` (``off_linear``).
     ``Refused`` if an expression is not defined on the box.
     """
     matrix, ends = np.zeros((len(trees), len(point))), np.zeros((2, len(trees)))
@@ -248,7 +245,7 @@ def expanded(
     if bent:
         some, still = [trees[p] for p in bent], {"t": interval(np.full(1, float(t)))}
         ranges = add(interval(point), box)[..., None]
-        found = on_boxes(some, places, still, (point[:, None], box[..., None], ranges), free, follow)
+        found = on_boxes(some, places, still, (point[:, None], box[..., None], ranges), free, bounded)
         matrix[bent], ends[:, bent] = found[0][..., 0], found[1][..., 0]
     for tree, row, own in zip(trees, matrix, ends.T):
         if not np.all(np.isfinite(row)) or not np.all(np.isfinite(own)):
@@ -260,30 +257,20 @@ def _of_sum(
     terms: Sequence[tuple[float, str]], point: Array, places: Places, box: Array, t: int, free: int
 ) -> tuple[Array, Array]:
     """Return the row of a sum of multiples of names, which leaves out nothing but what is not among the free ones."""
-    row, values, exact = np.zeros(len(point)), [], len(terms) == 1
+    row, ends = np.zeros(len(point)), np.zeros(2)
     for factor, name in terms:
-        if name in places:
-            row[places[name]] = factor
-        at = point[places[name]] if name in places else float(t) if name else 1.0
-        values.append(factor * at)
-        exact &= abs(factor) == 1.0 or not name
-    # sums of n products are rounded by at most n + 1 units of their sizes
-    spare = 0.0 if exact else (len(terms) + 3.0) * U * float(np.abs(values).sum()) + 1e-290
-    value, rest, row = float(np.sum(values)), row[free:], np.append(row[:free], np.zeros(len(point) - free))
-    reach = np.where(rest > 0.0, rest * box[:, free:], rest * box[::-1, free:]).sum(axis=1)
-    spare += (len(rest) + 3.0) * U * float((np.abs(rest) * np.abs(box[:, free:])).sum()) + 1e-290 * bool(rest.any())
-    total = value + reach
-    spare += 2.0 * U * float(np.abs(total).max()) if spare else 0.0
-    return row, np.array([total[0] - spare, total[1] + spare])
+        k = places.get(name)
+        value = interval(float(t) if name else 1.0) if k is None else interval(point[k])
+        if k is not None and k >= free:
+            value = add(value, box[:, k])
+        elif k is not None:
+            row[k] = factor
+        ends = add(ends, mul(interval(factor), value))
+    return row, ends
 
 
 def on_boxes(
-    trees: Sequence[Tree],
-    places: Places,
-    still: dict[str, Array],
-    around: Around,
-    free: int,
-    follow: Follow | None = None,
+    trees: Sequence[Tree], places: Places, still: dict[str, Array], around: Around, free: int, bounded: Bounded = None
 ) -> tuple[Array, Array]:
     """Return matrices (p, v, n) and ends (2, p, n) of any expressions on n boxes, by their jets at points and on boxes.
 
@@ -292,15 +279,17 @@ def on_boxes(
     """
     point, box, ranges = around
     v, n = point.shape
-    leaves = [{name: Jet.variable(ends, np.zeros((v, n))) for name, ends in still.items()} for _ in range(2)]
-    for named, ends in zip(leaves, (interval(point), ranges)):
-        for name, k in places.items():
-            named[name] = Jet.variable(ends[:, k], np.repeat(np.eye(v)[k][:, None], n, axis=1))
+    # At points and on boxes at once: a jet of 2 n boxes, the first ones points.
+    both = np.concatenate([interval(point), ranges], axis=2)
+    leaves = {name: Jet.variable(np.tile(ends, 2), np.zeros((v, 2 * n))) for name, ends in still.items()}
+    for name, k in places.items():
+        leaves[name] = Jet.variable(both[:, k], np.repeat(np.eye(v)[k][:, None], 2 * n, axis=1))
     matrix, rest = np.zeros((len(trees), v, n)), np.zeros((2, len(trees), n))
-    memories: tuple[Memory, Memory] = {}, {}
+    memory: Memory = {}
     for p, tree in enumerate(trees):
-        centre, on_box = (jet(tree, own, memory) for own, memory in zip(leaves, memories))
+        found = jet(tree, leaves, memory)
+        centre, on_box = (found.of(part) for part in (slice(n), slice(n, None)))
         matrix[p] = 0.5 * (centre.slope[0] + centre.slope[1])
         matrix[p, free:] = 0.0
-        rest[:, p] = add(centre.value, off_linear(centre, on_box, box, matrix[p], follow))
+        rest[:, p] = add(centre.value, off_linear(centre, on_box, box, matrix[p], bounded))
     return matrix, rest

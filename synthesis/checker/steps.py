@@ -18,18 +18,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from .angles import HALF_TURN, OFF
 from .constraints import ROUNDED, Constraints, kinds_of, mean_of, sized
-from .error_system import ErrorSystem, Forms
+from .error_system import Ellipsoid, ErrorSystem, Forms, Seen
 from .expressions import names_in
 from .feedbacks import Feedback, enclosed_feedback
 from .fields import Refused
 from .intervals import add, down, interval, neg, up
 from .jets import expanded
-from .networks import Ellipsoid, Network, automaton_states, enclosed
+from .networks import Network, automaton_states, enclosed
 from .problem import Problem
 from .rigorous import Array, Truth, U, Whole
 
@@ -181,6 +182,11 @@ class Tube:
             raise Refused(f"an angle may be half a turn from the trajectory at time {t}")
         return cls(t, ends, drift, forms, [shared.get(key) for key in keys])
 
+    def seen(self, joint: Joint, i: int) -> Seen:
+        """Return the errors that the network of agent i sees, if there is one, or its own."""
+        here = joint.trajectories[i].places
+        return Seen(self.ends[:, here], self.ellipsoids[i], lambda rows: joint.errors.besides(joint.rows(here, rows)))
+
 
 @dataclass(frozen=True, eq=False)
 class _Moves:
@@ -205,7 +211,11 @@ def advance(joint: Joint, tube: Tube) -> None:
         matrix[here, joint.reads[i].columns] = rows
         mean = mean_of(agent)
         if agent.scale:
-            noise[here], off[here], mean = sized(agent, noise[here], _leaves(joint, moves, tube, i), t)
+            point, box = _around(joint, moves, tube, i)
+            on_tube, own = add(interval(point), box), joint.reads[i].places.items()
+            # it may have something of its own that is called t
+            leaves = {"t": interval(np.full(1, float(t)))} | {name: on_tube[:, k : k + 1] for name, k in own}
+            noise[here], off[here], mean = sized(agent, noise[here], leaves, t)
         pushed[:, here] = add(add(ends, neg(interval(joint.states[t + 1, here]))), mean)
     # angles wrap at the double next to a turn
     pushed = add(pushed, np.array([[-OFF], [OFF]]) * joint.turning)
@@ -252,25 +262,12 @@ def _inputs(joint: Joint, tube: Tube) -> _Moves:
 
 def _move_by_network(joint: Joint, network: Network | Feedback, tube: Tube, i: int, moves: _Moves) -> None:
     """Say what the inputs of a network may be: in their box, whatever it answers."""
-    agent, here, own, t = joint.problem.agents[i], joint.trajectories[i].places, tube.ellipsoids[i], tube.t
-    ends, far = tube.ends[:, here], np.abs(tube.ends[:, here]).max(axis=0)
-
-    def reach(rows: Array) -> Array:
-        """Rows of the errors: on the box of the tube, and on the ellipsoid and what rows are besides."""
-        spare = (len(far) + 4.0) * U * (np.abs(rows) @ far) + 1e-290
-        products = rows * ends[:, None]
-        box = np.stack([products.min(axis=0).sum(axis=1) - spare, products.max(axis=0).sum(axis=1) + spare])
-        if own is None:
-            return box
-        drift = joint.errors.besides(joint.rows(here, rows))
-        most = own.reach(rows, up(far + np.abs(tube.drift[:, here]).max(axis=0)))
-        return np.stack([np.maximum(box[0], down(drift[0] - most)), np.minimum(box[1], up(drift[1] + most))])
-
+    agent, here, seen, t = joint.problem.agents[i], joint.trajectories[i].places, tube.seen(joint, i), tube.t
     if isinstance(network, Feedback):
-        u, gains, rest = enclosed_feedback(network, agent, joint.states[t, here], t, ends, reach)
+        u, gains, rest = enclosed_feedback(network, agent, joint.states[t, here], t, seen)
     else:
         row = joint.seen[t], len(joint.problem.automaton.accepting), float(np.float32(1.0 - t / joint.problem.horizon))
-        u, gains, rest = enclosed(network, agent, joint.states[t, here], row, reach, far)
+        u, gains, rest = enclosed(network, agent, joint.states[t, here], row, seen)
     if not np.all(np.isfinite(rest)):
         raise Refused(f"nothing is known of the network of `{agent.name}` at time {t}")
     # around a nominal input in the box, what the gains leave out is as wide on both sides
@@ -278,7 +275,7 @@ def _move_by_network(joint: Joint, network: Network | Feedback, tube: Tube, i: i
     nominal = np.clip(u + 0.5 * (rest[0] + rest[1]), low, high)
     off = add(add(interval(u), rest), neg(interval(nominal)))
     spare = np.abs(off).max(axis=0)
-    moved = reach(gains) + np.stack([-spare, spare])
+    moved = seen.rows(gains) + np.stack([-spare, spare])
     least = np.maximum(np.minimum(moved[0], 0.0), down(low - nominal))
     most = np.minimum(np.maximum(moved[1], 0.0), up(high - nominal))
     mine = joint.problem.input_slices[i]
@@ -296,14 +293,6 @@ def _around(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[Array, Arr
     return point, np.concatenate([tube.ends[:, reads.columns], moves.deviation[:, reads.inputs], away], axis=1)
 
 
-def _leaves(joint: Joint, moves: _Moves, tube: Tube, i: int) -> dict[str, Array]:
-    """Return ends (2, 1) of the names of an agent on the tube; it may have something of its own that is called t."""
-    point, box = _around(joint, moves, tube, i)
-    ends = add(interval(point), box)
-    own = {name: ends[:, k : k + 1] for name, k in joint.reads[i].places.items()}
-    return {"t": interval(np.full(1, float(tube.t)))} | own
-
-
 def _step(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[Array, Array]:
     """Return rows (d, n) of F at the columns that agent i reads, and ends (2, d) of the rest of its step."""
     reads, chosen = joint.reads[i], joint.reads[i].inputs
@@ -313,9 +302,11 @@ def _step(joint: Joint, moves: _Moves, tube: Tube, i: int) -> tuple[Array, Array
     free = [*range(n), *range(n + m, len(point))]
     transform = np.eye(len(point))[:, free]
     transform[n : n + m, :n] = gains
-    follow = transform, free, np.concatenate([np.zeros(n), rounding, np.zeros(len(point) - n - m)])
+    off = np.concatenate([np.zeros(n), rounding, np.zeros(len(point) - n - m)])
+    which = joint.trajectories[i].places[:, None] == [*reads.columns, *[-1] * (len(free) - n)]
+    bounded = partial(tube.seen(joint, i).followed, which, transform, off, box, free)
     # The matrix leaves out disturbances, so that they count with their whole range.
-    slopes, ends = expanded(joint.problem.agents[i].dynamics, point, reads.places, box, tube.t, n + m, follow)
+    slopes, ends = expanded(joint.problem.agents[i].dynamics, point, reads.places, box, tube.t, n + m, bounded)
     A, B = slopes[:, :n], slopes[:, n : n + m]
     # A + B K is rounded, and inputs are off by their rounding
     spare = (m + 3.0) * U * (np.abs(A) + np.abs(B) @ np.abs(gains)) @ np.abs(box[:, :n]).max(axis=0)

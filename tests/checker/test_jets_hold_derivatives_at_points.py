@@ -6,12 +6,14 @@ its own. Points are corners, faces and inner ones; kinks and ties of two argumen
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 from certigym.synthesis.checker import jets
+from certigym.synthesis.checker.error_system import Seen
 from certigym.synthesis.checker.expressions import Tree
 from certigym.synthesis.checker.intervals import add, interval
 from certigym.synthesis.checker.jets import Jet, off_linear
@@ -129,6 +131,11 @@ def points_of(tree: Tree, at: np.ndarray) -> Derivatives:
     return value.reshape(shape), slope.reshape(3, *shape), bend.reshape(3, 3, *shape)
 
 
+def in_a_box(ends: np.ndarray) -> Seen:
+    """Errors of which no more is known than their box (2, d)."""
+    return Seen(ends, None, lambda rows: np.zeros((2, len(rows))))
+
+
 class Boxes:
     """Boxes (2, 3, N) around 0 at centres (3, N), whose input follows the states, and points (3, N, P) in them."""
 
@@ -155,10 +162,15 @@ class Boxes:
         follows = Long(self.gain[0]) * e[0] + Long(self.gain[1]) * e[1] + Long(self.off) * offset
         self.e = np.concatenate([e, follows[None]])
 
-    @property
-    def follow(self) -> tuple[np.ndarray, list[int], np.ndarray]:
-        transform = np.array([[1.0, 0.0], [0.0, 1.0], self.gain])
-        return transform, [0, 1], np.array([0.0, 0.0, self.off])
+    def followed(self, centre: Jet, around: Jet, row: np.ndarray) -> np.ndarray:
+        """What is left of the row, box by box, where the third variable follows the others."""
+        transform, off = np.array([[1.0, 0.0], [0.0, 1.0], self.gain]), np.array([0.0, 0.0, self.off])
+        found = []
+        for n in range(BOXES):
+            some, box = slice(n, n + 1), self.box[..., n]
+            bounded = partial(in_a_box(box[:, :2]).followed, np.eye(2, dtype=bool), transform, off, box, [0, 1])
+            found.append(off_linear(centre.of(some), around.of(some), self.box[..., some], row[:, some], bounded))
+        return np.concatenate(found, axis=1)
 
     def jets(self, tree: Tree) -> tuple[Jet, Jet]:
         """At the centres, and on the boxes."""
@@ -208,8 +220,9 @@ def test_random_expressions_stay_within_their_jets(seed: int) -> None:
         )
         spare = 1e-17 * (1.0 + size + np.nan_to_num(np.abs(moved)).sum(axis=0) + inner)
         defined = ~np.isnan(centre.value).any(axis=0) & np.isfinite(row).all(axis=0)
-        for key, follow in (("rest", None), ("followed", boxes.follow)):
-            ends = np.where(defined, off_linear(centre, around, boxes.box, row, follow), np.nan)
+        rests = {"rest": off_linear(centre, around, boxes.box, row), "followed": boxes.followed(centre, around, row)}
+        for key, left in rests.items():
+            ends = np.where(defined, left, np.nan)
             assert not outside(rest, ends, spare).any(), (key, tree)
             assert not undefined(rest, ends).any(), (key, tree)
             known[key] += int((~np.isnan(ends).any(axis=0)).sum())
@@ -334,8 +347,9 @@ def test_the_narrowest_of_three_forms_is_taken() -> None:
     low, high = off_linear(centre, around, box, zero)[:, 0]
     assert -0.0101 < low < -0.01 < 0.01 < high < 0.0101
     for offset in (0.0, 1e-3):
-        follow = np.array([[1.0], [-1.0]]), [0], np.array([0.0, offset])
-        low, high = off_linear(centre, around, box, zero, follow)[:, 0]
+        follow = np.array([[1.0], [-1.0]]), np.array([0.0, offset])
+        bounded = partial(in_a_box(box[:, :1, 0]).followed, np.eye(1, dtype=bool), *follow, box[..., 0], [0])
+        low, high = off_linear(centre, around, box, zero, bounded)[:, 0]
         most = 0.1 * offset
         assert -0.01 - 3 * most - 1e-9 <= low <= -0.01 - most and most <= high <= 3 * most + 1e-9
     # a slope that is asked of a kink: form 1 alone

@@ -14,7 +14,7 @@ from certigym.synthesis.certificates.proofs import Cut, PathProof, StartsProof, 
 from certigym.synthesis.certificates.proofs.canonical import canonical_bytes
 from certigym.synthesis.checker import check_contents, parse_file
 from certigym.synthesis.checker.distributions import LIGHT, LONG, NORMAL, STOPPED
-from certigym.synthesis.checker.networks import length_tail
+from certigym.synthesis.checker.error_system import length_tail
 from certigym.synthesis.trajectories.planning.policy_paths import networks_along
 
 EPISODES = 20_000
@@ -81,7 +81,7 @@ def test_files_hold_them(found: Any, tmp_path: Any) -> None:
     assert cg.check(again, found.problem)
     assert (again.proof.failure, again.proof.worst) == (found.proof.failure, found.proof.worst)
     verdict = check_contents(parse_file(canonical_bytes(found)))
-    assert verdict.proved and "starts" in verdict.modules
+    assert verdict.proved and "networks" in verdict.modules
     # the worst of its cells, and as many of them as are cut
     assert max(failure for failure, *_ in verdict.steps) <= found.proof.worst
     assert len(verdict.steps) == len([*found.proof.paths])

@@ -1,7 +1,7 @@
 """Why nothing is proved of a network along its run: at which step, and which layer of it leaves out most.
 
-A network is a feedback and what is left out of it (the checker's ``networks``): each layer adds what its activations
-bend on the tube. Numbers here are estimates, on which no proof rests.
+A network is a feedback and what is left out of it (the checker's ``networks``): what its activations bend on the tube,
+and each layer what these leave out of parabolas. Numbers here are estimates, on which no proof rests.
 """
 
 from __future__ import annotations
@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...checker import CheckedProblem, Joint, Network, Refused, Tube, row_seen, walk
-from ...checker import Trajectory as CheckedTrajectory
-from ...relations.grids import FloatArray
 
 NOTICED = 0.1
 """Share of half the range of an input from which on what is left out of a network widens the tube."""
@@ -64,36 +62,24 @@ def _share(found: WideLayer) -> float:
 
 def _of_network(known: CheckedProblem, joint: Joint, tube: Tube, i: int, network: Network) -> WideLayer | None:
     """Return the layer of the network of agent i that leaves out most at a time."""
-    own, agent = joint.trajectories[i], known.agents[i]
-    at, far = joint.states[tube.t, own.places], np.abs(tube.ends[:, own.places]).max(axis=0)
+    agent, seen = known.agents[i], tube.seen(joint, i)
     left = float(np.float32(1.0 - tube.t / known.horizon))
-    forms = row_seen(network, at, (joint.seen[tube.t], len(known.automaton.accepting), left), far)
-    wide = []
-
-    def reach(rows: FloatArray) -> FloatArray:
-        ends = _reach(joint, tube, own, i, rows, far)
-        wide.append(float(np.max(ends[1] - ends[0])) / 2.0)
-        return ends
-
-    # Every layer adds a part, what it rounds and what its activations leave out of a line; the first one is the row.
-    for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
-        forms = forms.times(weight, bias).through(network.activation, np.zeros(0), np.zeros(0), reach)
+    row = joint.seen[tube.t], len(known.automaton.accepting), left
+    forms, wide = row_seen(network, joint.states[tube.t, joint.trajectories[i].places], row, seen), []
     m, half = len(agent.inputs), 0.5 * (agent.input_box[1] - agent.input_box[0])
+    for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
+        forms = forms.times(weight, bias)
+        ends = seen.rows(forms.C) + forms.rest()
+        wide.append(float(np.max(ends[1] - ends[0])) / 2.0)
+        forms = forms.through(network.activation)
+    # Every layer adds a part: what it rounds, and what its activations leave out of a parabola.
     last = forms.times(network.weights[-1][:m], network.biases[-1][:m])
     scale = np.ones(m) if network.output == "box" else half
     bent = [scale * (np.abs(matrix) @ (0.5 * (q[1] - q[0]))) for matrix, q in last.parts[1:]]
+    if bent:  # what they bend together counts where neurons get most
+        bent[int(np.argmax(wide))] += scale * np.abs(seen.forms(last.Q)).max(axis=0)
     if not bent or not np.all(np.isfinite(bent)) or not np.all(half > 0.0):
         return None
     layer, k = np.unravel_index(int(np.argmax(np.array(bent) / half)), (len(bent), m))
     numbers = float(bent[layer][k]), float(half[k]), wide[layer]
     return WideLayer(agent.name, tube.t, int(layer) + 1, *numbers)
-
-
-def _reach(joint: Joint, tube: Tube, own: CheckedTrajectory, i: int, rows: FloatArray, far: FloatArray) -> FloatArray:
-    """Return about between which ends (2, n) rows of errors lie, on the tube and its ellipsoid."""
-    found, box = tube.ellipsoids[i], np.abs(rows) @ far
-    if found is None:
-        return np.stack([-box, box])
-    drift = joint.errors.besides(joint.rows(own.places, rows))
-    spread = found.reach(rows, far + np.abs(tube.drift[:, own.places]).max(axis=0))
-    return np.stack([np.maximum(-box, drift[0] - spread), np.minimum(box, drift[1] + spread)])
