@@ -43,6 +43,7 @@ LOGISTIC = math.pi / math.sqrt(3.0)  # deviation of the logistic distribution of
 ORDERS = 40  # half the orders up to which moments are compared one by one; from there on (S/b^2)^(1/j) counts as 1
 # Beyond ten deviations a tail is between 0 and 1e-23, and a density between 0 and 1e-21.
 FAR, FAR_TAIL, FAR_DENSITY = 10.0, 1e-23, 1e-21
+AT_ONCE = 2**20  # entries of a table that are formed at once
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,10 @@ def normal_table(points: Array, edges: Array, deviation: float | Array, hats: bo
     """Return probabilities (Z, S) of cells, or means (Z, 2 S) of their hats, and what a row lacks at most."""
     if not (np.all(np.greater(deviation, 0) & np.less(deviation, np.inf)) and np.all(np.diff(edges) > 0)):
         raise Refused("cells need noise along every axis, and edges that increase")
+    # Rows do not depend on each other, and dozens of numbers stand beside each entry while it is formed.
+    if (count := min(len(points), len(points) * len(edges) // AT_ONCE + 1)) > 1:
+        parts = [normal_table(part, edges, deviation, hats) for part in np.array_split(points, count)]
+        return np.concatenate([table for table, _ in parts]), float(np.max([lack for _, lack in parts]))
     # Faces of cells as seen from the lattice points, in deviations.
     x = (edges - points[:, None]) / deviation
     near = np.abs(x) < FAR

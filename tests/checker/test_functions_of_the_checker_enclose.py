@@ -286,3 +286,14 @@ def test_inverses_are_proved_on_both_sides() -> None:
         ends = rigorous._proved_inverse(np.log(x) + off, rigorous.exp, x, np.full(3, 1e-9))
         assert tuple(bool(np.all(np.isfinite(end))) for end in ends) == known
         assert all(np.all(np.isnan(end)) for end, is_known in zip(ends, known, strict=True) if not is_known)
+
+
+@pytest.mark.parametrize("hats", [False, True])
+def test_tables_are_formed_in_blocks_of_rows(monkeypatch: pytest.MonkeyPatch, hats: bool) -> None:
+    """What a block holds is bounded, and entries and what a row lacks are those of the whole table."""
+    points, edges = np.linspace(-3.0, 3.0, 41), np.linspace(-2.0, 2.0, 18)
+    table, lack = distributions.normal_table(points, edges, 0.4, hats)
+    for most in (1, 100, 300):
+        monkeypatch.setattr(distributions, "AT_ONCE", most)
+        again, most_lack = distributions.normal_table(points, edges, 0.4, hats)
+        assert np.array_equal(table, again) and lack == most_lack
