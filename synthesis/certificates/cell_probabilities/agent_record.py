@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,14 @@ class AgentRecord:
         Agents that differ in none of it may share what is computed from it.
         """
         return (*agent.model_key, json.dumps(self.relation, sort_keys=True))
+
+    def content_digest(self) -> bytes:
+        """Return the SHA-256 of cells, lattice, policy and inputs, types and shapes included."""
+        digest, inputs = sha256(), [] if self.input_set is None else [self.input_set]
+        for array in (*self.grid.edges, *self.lattice, self.policy, *inputs):
+            digest.update(f"{array.dtype.str}{array.shape}".encode())
+            digest.update(np.ascontiguousarray(array).data)
+        return digest.digest()
 
     def points(self, t: int, q: int) -> NDArray[Any]:
         """Return the lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""

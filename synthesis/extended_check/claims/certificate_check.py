@@ -292,14 +292,7 @@ def _check_agents(certificate: OnGrid) -> tuple[list[str], list[FloatArray | Non
     except ValueError as error:  # a relation that cannot be made from its numbers
         return [str(error)], margins, loss
     for agent, part, controller in zip(certificate.problem.agents, certificate.proof.agents, controllers, strict=True):
-        arrays = [part.policy, *part.lattice, *([] if part.input_set is None else [part.input_set])]
-        key = (
-            *part.sharing_key(agent),
-            *agent.output_key,
-            repr(lattice_axes(agent)),
-            id(part.grid),
-            *((own.shape, own.dtype.str, own.tobytes()) for own in arrays),
-        )
+        key = (*part.sharing_key(agent), *agent.output_key, repr(lattice_axes(agent)), part.content_digest())
         if key not in verified:
             relation = controller.relation
             execution = execution_of(agent, part, relation)

@@ -145,9 +145,13 @@ def _aimed(s: _Setting, part: AgentRecord, relation: SymbolicTargets) -> Executi
 
 
 def targets_alone(part: AgentRecord) -> AgentRecord:
-    """The targets of policies that have inputs as well, as lattice points; -1 where they choose something else."""
-    first = len(part.relation["menu"])
-    return replace(part, policy=np.where(part.policy >= first, part.policy - first, -1).astype(part.policy.dtype))
+    """The targets of policies that have inputs as well, as lattice points; -1 where they choose something else.
+
+    Rows of the policy that are alike are one: a deadline makes states of which few can be met at a time.
+    """
+    first, rows = len(part.relation["menu"]), part.policy.reshape(-1, part.policy.shape[-1])
+    alone = np.stack(list({row.tobytes(): row for row in rows}.values()))
+    return replace(part, policy=np.where(alone >= first, alone - first, -1).astype(alone.dtype))
 
 
 def _mapped(s: _Setting, agent: AnyAgent, part: AgentRecord, relation: MapRelation) -> Execution:

@@ -116,8 +116,7 @@ def step_backups_of(certificate: OnGrid) -> list[StepBackup]:
     is_robust, tables = certificate.proof.bound == "robust tree", dict[tuple[bytes, ...], list[FloatArray]]()
     known, found = dict[object, StepBackup](), list[StepBackup]()
     for agent, part in zip(certificate.problem.agents, certificate.proof.agents, strict=True):
-        arrays = (*part.grid.edges, *part.lattice, part.policy)
-        key = (*part.sharing_key(agent), *((a.shape, a.dtype.str, a.tobytes()) for a in arrays))
+        key = (*part.sharing_key(agent), part.content_digest())
         if key not in known:
             known[key] = step_backup_of(agent, part, tables, is_robust)
         found.append(known[key])

@@ -49,10 +49,9 @@ def wrong_targets(agent: Agent, part: AgentRecord, relation: SymbolicTargets) ->
     """Targets of the policies that some state of their cell does not reach with inputs of the box."""
     low, high = cell_boxes(part)
     n_points = int(np.prod([len(axis) for axis in part.lattice]))
-    rows = part.policy.reshape(-1, part.policy.shape[-1])
-    chosen = np.where(rows >= 0, rows.astype(np.int64) + np.arange(rows.shape[1]) * n_points, -1)
-    pairs = np.unique(chosen)
-    pairs = pairs[pairs >= 0]
+    pairs, first = np.zeros(0, dtype=np.int64), np.arange(part.policy.shape[-1]) * n_points
+    for row in part.policy.reshape(-1, part.policy.shape[-1]):
+        pairs = np.union1d(pairs, (first + row)[row >= 0])
     lost = inner_losses(relation, low, high)
     for some in np.array_split(pairs, len(pairs) // AT_ONCE + 1):
         cells, points = np.divmod(some, n_points)
