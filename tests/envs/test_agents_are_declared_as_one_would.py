@@ -72,14 +72,6 @@ def test_scaled_noise_is_a_mapping() -> None:
     assert agent.to_dict() == cg.Agent(**WRITTEN, **KEYS, noise=[law, law], noise_scale=scale).to_dict()
 
 
-def test_copies_take_them_too() -> None:
-    agent = cg.LinearAgent(**TWO, **SPACES, noise=0.1, start=([0, 0], [1, 1]))
-    assert agent.replace(start=[0, 1]).initial.is_point
-    moved = agent.replace(state_space=(-5, 5), noise=[0.3, 0.4])
-    assert moved.state_high.tolist() == [5.0, 5.0] and np.diag(moved.noise_covariance) == pytest.approx([0.09, 0.16])
-    assert np.diag(agent.replace(noise_std=0.5).noise_covariance).tolist() == [0.25, 0.25]
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 import certigym as cg
 from boiler_problems import boiler, boiler_problem, room
 from certigym.envs.simulation import Dynamics, SingleSimulator, batch_simulator
-from certigym.envs.tasks.problem import problem_from_dict
 
 
 def test_simulation_is_that_of_an_independent_step() -> None:
@@ -59,18 +57,6 @@ def test_what_moves_the_rooms_is_the_input_that_is_applied() -> None:
     vector.reset(seed=0)
     state = vector.step(np.full(vector.action_space.shape, 99.0))[4]["state"]
     np.testing.assert_allclose(state[:, 1], 19.0 - 0.7 + 1.8 + 0.3, rtol=1e-12)
-
-
-def test_files_and_pickles_keep_the_coupling() -> None:
-    problem = boiler_problem(2)
-    again = problem_from_dict(problem.to_dict())
-    assert again.fingerprint == problem.fingerprint == pickle.loads(pickle.dumps(problem)).fingerprint
-    assert boiler_problem(2, dynamics=["warmth + 0.1*(12 - warmth) + trim"]).fingerprint != problem.fingerprint
-    for copy in (again, pickle.loads(pickle.dumps(problem)), problem.replace(disturbance_scale=0.5)):
-        first = copy.agents[1]
-        assert isinstance(first, cg.Agent) and first.neighbour_inputs == (True,)
-        assert first.unknowns == {"neighbour 0": (0.0, 3.0)}
-    assert "boiler.heat" in repr(problem.agents[1])
 
 
 @pytest.mark.parametrize(

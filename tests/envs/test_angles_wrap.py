@@ -10,10 +10,8 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.envs.interfaces import edges
 from certigym.envs.systems.agents import expression_agent, wrapped
 from certigym.envs.systems.expressions import read_expression, turns
-from certigym.envs.tasks.problem import problem_from_dict
 from certigym.synthesis.abstraction.kernels import box_kernel
 from certigym.synthesis.certificates.controllers import path_controller
 from certigym.synthesis.certificates.proofs import changed
@@ -266,30 +264,3 @@ def test_what_knows_no_windings_says_so(on_grid: Any, around: cg.Problem) -> Non
         shield_of(on_grid, 0.5)
     with pytest.raises(ValueError, match="which wraps; ask for `boxes` or `path`"):
         cg.synthesize(around, 40, relation="linear")
-
-
-def test_matrices_have_no_angles_and_say_what_to_do() -> None:
-    agent = {"name": "a", "angles": [0], "A": [[1.0]], "state_low": [-1], "state_high": [1]}
-    data = {"horizon": 2, "agents": [agent], "propositions": {}, "specification": "F p"}
-    with pytest.raises(ValueError, match="write the agent as expressions, with `states` and `dynamics`"):
-        problem_from_dict({"name": "matrices", **data})
-
-
-def yard(heading: float, turning: bool = True) -> cg.Problem:
-    """A car on a map that is wider than high, with a heading through pi."""
-    car = cg.Agent(
-        name="car", states=["x", "y", "theta"], angles=["theta"] if turning else [], inputs=["turn"],
-        dynamics=["x + 0.1*cos(theta)", "y + 0.1*sin(theta)", "theta + turn"],
-        noise=[{"law": "gaussian", "std": 0.01}] * 3, state_low=[-4, -2, -np.pi], state_high=[4, 2, np.pi],
-        input_low=[-0.1], input_high=[0.1], initial_state=[0, 0, heading],
-    )  # fmt: skip
-    propositions = {"bay": cg.Proposition("car", disc={"centre": [2, 0], "radius": 1})}
-    propositions |= {"west": cg.Proposition("car", heading=WEST)} if turning else {}
-    formula = "F (bay & west)" if turning else "F bay"
-    specification = cg.Specification(formula, "co-safe")
-    return cg.Problem(name="yard", horizon=3, agents=[car], propositions=propositions, specification=specification)
-
-
-def test_guards_name_headings_as_they_were_written() -> None:
-    guards = {edge.guard for edge in edges(yard(0.0))}
-    assert guards == {"bay & west", "otherwise", "any letter"}

@@ -12,12 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from certigym.envs.interfaces import automaton_to_dot
 from certigym.envs.tasks.automata.automaton import Automaton
 from certigym.envs.tasks.automata.by_hand import automaton_from_transitions
 from certigym.envs.tasks.automata.decision_diagram import DecisionDiagrams, DiagramSizeError
 from certigym.envs.tasks.automata.minimal import StateGraph, minimal_automaton
-from certigym.envs.tasks.automata.parser import FormulaError
 from certigym.envs.tasks.automata.rebuilt import over_propositions
 from certigym.envs.tasks.automata.translation import translate
 from temporal_oracle import all_words, random_formula, text
@@ -163,12 +161,6 @@ def test_mistakes_by_hand_are_named(transitions: Any, changes: dict[str, Any], m
         by_hand(transitions, **changes)
 
 
-def test_the_caret_of_a_guard_points_into_the_guard() -> None:
-    with pytest.raises(FormulaError) as caught:
-        by_hand([("start", "a & X b", "done")])
-    assert (caught.value.start, caught.value.end) == (4, 7)
-
-
 def minimal(automaton: Any) -> Any:
     """The minimal automaton of the same language."""
     diagrams, roots = automaton.diagrams()
@@ -252,13 +244,6 @@ def test_inconsistent_fields_are_named(changes: dict[str, Any], message: str | N
     del data["root"]
     with pytest.raises(ValueError, match=r"`(data|version)`"):
         Automaton.from_dict(data)
-
-
-def test_pictures_name_states_and_guards() -> None:
-    picture = automaton_to_dot(REACH)
-    assert '0 -> 2 [label="a"];' in picture and "doublecircle" in picture and picture.startswith("digraph")
-    parity = " <-> ".join(f"a{i}" for i in range(12))
-    assert "..." in automaton_to_dot(translate(f"F ({parity})", [f"a{i}" for i in range(12)], "co-safe"))
 
 
 # --- decision diagrams ------------------------------------------------------------------------------------------------

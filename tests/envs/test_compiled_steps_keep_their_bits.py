@@ -39,9 +39,9 @@ def same(one: Any, other: Any) -> bool:
     return bool((unknown | ((a == b) & (np.signbit(a) == np.signbit(b)))).all())
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(12))
 def test_compiled_expressions_are_those_of_the_walk(seed: int) -> None:
-    """60 times 3 expressions at 144 points, among them infinity, no numbers and both zeros."""
+    """12 times 3 expressions at 144 points, among them infinity, no numbers and both zeros."""
     rng = np.random.default_rng([20261201, seed])
     leaves: list[Tree] = [Name("a"), Name("b"), Number(2.0), Number(0.0), Number(-0.0), Number(0.3)]
     trees = [random_tree(rng, 4, leaves) for _ in range(3)]

@@ -14,7 +14,6 @@ from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.simulation.batch_simulator import Dynamics
 from certigym.synthesis.certificates.controllers.controller import Controller
 from certigym.synthesis.relations.kinds.coupled import CoupledRelation, couple
-from certigym.validation.statistical_tests.rollouts import rollout
 from certigym.validation.statistical_tests.streams import Streams
 from problems import scalar_agent, two_agents
 
@@ -155,22 +154,6 @@ def test_streams_draw_what_their_chunks_would_draw_alone() -> None:
             np.testing.assert_array_equal(getattr(streams, name)((*lead, len(left))), whole[..., left])
 
 
-class Restless:
-    """Inputs drawn by lot, from the auxiliary stream."""
-
-    def batch(self, dynamics: Dynamics) -> Restless:
-        return self
-
-    def begin(self, worlds: core.Worlds, rng: core.Draws) -> core.Draws:
-        return rng
-
-    def selected(self, memory: core.Draws, which: np.ndarray) -> core.Draws:
-        return memory
-
-    def act(self, worlds: core.Worlds, memory: core.Draws) -> tuple[tuple[np.ndarray, ...], core.Draws]:
-        return tuple(4.0 * memory.random((1, *x.shape[1:])) - 2.0 for x in worlds.states), memory
-
-
 def test_mirrored_noise_is_that_of_the_definition() -> None:
     rng = np.random.default_rng(2)
     w, move = rng.standard_normal((2, 3, 4000)), rng.normal(scale=0.7, size=(2, 3, 4000))
@@ -180,13 +163,3 @@ def test_mirrored_noise_is_that_of_the_definition() -> None:
     expected = np.where(accepted, w + move, w - 2 * move * (w * move).sum(axis=0) / length)
     np.testing.assert_allclose(couple(w, move, uniform), expected, rtol=1e-12, atol=1e-12)
     assert 0.1 < np.mean(~accepted) < 0.5
-
-
-def test_coupled_rollouts_depend_on_seed_and_chunk_only() -> None:
-    for name in ("paper", "three agents, F = 0"):
-        problem, controller = case(name)
-        first = rollout(problem, controller, 900, seed=2, chunk=100)
-        again = rollout(problem, controller, 400, seed=2, chunk=100)
-        other = rollout(problem, controller, 900, seed=3, chunk=100)
-        np.testing.assert_array_equal(first.success[:400], again.success)
-        assert not np.array_equal(first.success, other.success)

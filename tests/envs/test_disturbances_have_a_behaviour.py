@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.envs.simulation import BEHAVIOURS, Dynamics, SingleSimulator, batch_simulator
 from certigym.synthesis.extended_check.claims import greedy_disturbance
 from certigym.synthesis.relations.kinds import SymbolicMeans
@@ -105,14 +103,3 @@ def test_environments_take_behaviours_by_name() -> None:
         cg.central_env(problem, disturbance="wild")
     with pytest.raises(ValueError, match="`disturbance`"):
         cg.rollout(problem, certified(), 10, disturbance=3)  # type: ignore[arg-type]
-
-
-@pytest.mark.thorough
-def test_the_command_line_names_a_behaviour(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    calm, windy = tmp_path / "calm.npz", tmp_path / "windy.npz"
-    cg.save(cg.synthesize("reach-avoid-v0", 20).certificate, calm)
-    cg.save(cg.synthesize("windy-delivery-v0", 12, relation="boxes").certificate, windy)
-    assert main(["validate", str(windy), "--disturbance", "greedy", "--episodes", "200"]) == 0
-    assert "disturbance   greedy" in capsys.readouterr().out
-    assert main(["validate", str(calm), "--disturbance", "greedy", "--episodes", "200"]) == 2
-    assert "without any" in capsys.readouterr().err

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.cli.main import main
 
 
 def robot() -> cg.LinearAgent:
@@ -24,17 +22,6 @@ def test_a_problem_says_what_it_must_and_no_more() -> None:
     same = cg.Problem(name="problem", horizon=6, agents=[robot()], specification=cg.Specification("F goal"),
                       propositions={"goal": cg.Proposition("robot", [0.5], [2])})  # fmt: skip
     assert problem.fingerprint == same.fingerprint
-
-
-def test_results_and_controllers_have_the_names_of_others() -> None:
-    result = cg.synthesize("reach-avoid-v0", 40, relation="exact")
-    assert result.lower_bound == result.certificate.lower_bound and result.policy is result.controller
-    env = cg.parallel_env("reach-avoid-v0")
-    observations, infos = env.reset(seed=0)
-    result.controller.reset(observations, infos)
-    acted = result.controller.act(observations)
-    actions, state = result.policy.predict(observations, deterministic=True)
-    assert state is None and all(np.array_equal(actions[name], acted[name]) for name in acted)
 
 
 def test_make_is_that_of_gymnasium() -> None:
@@ -126,29 +113,3 @@ def test_unknown_keywords_name_the_verb_and_nothing_inside_it(verb: str) -> None
             ValueError, match=rf"^`{name}`: expected an argument of `{verb}`, got .*; (did you|the arg)"
         ):
             call(**{name: 1})
-
-
-@pytest.mark.parametrize("verb", SIMULATE)
-def test_what_others_call_episodes_and_progress_is_named(verb: str) -> None:
-    for name, meant in (("verbose", "progress"), ("n_episodes", "episodes"), ("random_state", "seed"), ("sed", "seed")):
-        with pytest.raises(ValueError, match=f"did you mean `{meant}`"):
-            SIMULATE[verb](**{name: 1})
-
-
-@pytest.mark.parametrize(
-    ("name", "meant"),
-    [("timeout", "seconds"), ("method", "algorithm"), ("n_envs", "worlds"), ("batch_sise", "batch_size")],
-)
-def test_settings_that_no_learner_has_are_refused_before_anything_is_learned(name: str, meant: str) -> None:
-    if importlib.util.find_spec("stable_baselines3") is None:
-        pytest.skip("needs the extra `rl`")
-    named: Any = {name: 1}
-    with pytest.raises(ValueError, match=rf"^`{name}`: expected an argument of `train`, got .*did you mean `{meant}`"):
-        cg.train(PROBLEM, **named)
-
-
-def test_options_of_the_command_line_are_guessed_too(capsys: pytest.CaptureFixture[str]) -> None:
-    for option, meant in (("--timeout", "--seconds"), ("--n-episodes", "--episodes"), ("--method", "--relation")):
-        with pytest.raises(SystemExit):
-            main(["run", PROBLEM, option, "3"])
-        assert f"did you mean `{meant}`?" in capsys.readouterr().err

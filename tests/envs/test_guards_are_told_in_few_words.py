@@ -25,7 +25,7 @@ def _covered(cubes: list[dict[int, bool]], bits: tuple[int, ...]) -> bool:
     return any(all(bool(bits[k]) == value for k, value in cube.items()) for cube in cubes)
 
 
-@pytest.mark.parametrize("variables", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("variables", [1, 3, 5])
 def test_covers_lie_between_both_functions_and_no_part_can_be_left_out(variables: int) -> None:
     rng = np.random.default_rng(variables)
     for _ in range(40):

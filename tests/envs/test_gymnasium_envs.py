@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import pickle
-import subprocess
-import sys
-from pathlib import Path
 from statistics import NormalDist
 from typing import Any
 
@@ -16,7 +12,6 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import certigym as cg
 import fake_pygame
@@ -64,15 +59,6 @@ def test_whole_episodes_repeat_with_a_seed_also_with_seed_zero(id: str) -> None:
     assert episode(env, None) not in digests
     twin = pickle.loads(pickle.dumps(cg.central_env(id)))
     assert episode(twin, 0) == digests[0]
-
-
-def test_two_processes_tell_the_same_story() -> None:
-    program = "import test_gymnasium_envs as t, certigym as cg; print(t.episode(cg.central_env('meeting-v0'), 0))"
-    root = Path(__file__).parents[2]
-    paths = (root / "src", root / "tests", Path(__file__).parent)
-    environment = {"PYTHONPATH": os.pathsep.join(map(str, paths))}
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == episode(cg.central_env("meeting-v0"), 0)
 
 
 @each_kind
@@ -155,22 +141,6 @@ def test_pickled_batches_go_on_alike(id: str) -> None:
         action = envs.action_space.sample()
         for mine, theirs in zip(envs.step(action)[:4], twin.step(action)[:4]):
             assert np.array_equal(mine, theirs)
-
-
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_wrappers_of_gymnasium_count_episodes(mode: AutoresetMode) -> None:
-    envs = RecordEpisodeStatistics(gymnasium.make_vec("certigym/Invariance4-v0", num_envs=3, autoreset_mode=mode))
-    envs.reset(seed=0)
-    returns = []
-    for _ in range(30):
-        *_, infos = envs.step(np.zeros((3, 4)))
-        if "episode" in infos:
-            returns += infos["episode"]["r"][infos["_episode"]].tolist()
-            assert (infos["episode"]["l"][infos["_episode"]] == 7).all()
-    assert len(returns) >= 9 and set(returns) == {1.0}
-    synced = gymnasium.make_vec("certigym/Invariance4-v0", num_envs=2, vectorization_mode="sync")
-    assert isinstance(synced, SyncVectorEnv)
-    assert synced.reset(seed=0)[0].shape == (2, 7)
 
 
 def test_after_an_exit_observation_and_info_are_the_true_state() -> None:
@@ -309,24 +279,6 @@ def test_observations_are_local_or_full_in_either_precision() -> None:
         for env, observations in zip((local, full, small), seen):
             assert env.observation_space(name).contains(observations[name])
     assert small.state_space.contains(small.state()) and small.state().dtype == np.float32
-
-
-def test_start_and_disturbance_are_options_of_every_problem(tmp_path: Path) -> None:
-    box: dict[str, Any] = {"initial_low": [-9.0, -4.0], "initial_high": [-8.0, -4.0]}
-    _, infos = cg.vector_env("reach-avoid-v0", 500, **box).reset(seed=0)
-    assert ((-9.0 <= infos["state"][:, 0]) & (infos["state"][:, 0] < -8.0)).all()
-    assert (infos["state"][:, 1] == -4.0).all() and infos["state"][:, 0].std() > 0.2
-    still = cg.make_problem("reach-avoid-kinematic-v0", disturbance_scale=0.5)
-    assert still.agents[0].noise_covariance.tolist() == [[0.0625, 0.0], [0.0, 0.0625]]
-    assert still.fingerprint != cg.make_problem("reach-avoid-kinematic-v0").fingerprint
-    path = tmp_path / "task.toml"
-    path.write_text(
-        (Path(__file__).parents[1] / "sample_problems.py").read_text().split('TOML = """')[1].split('"""')[0]
-    )
-    for env in (cg.parallel_env(path), cg.central_env(str(path)), cg.vector_env(path, 3)):
-        assert env.problem.name == "my-task"
-    with pytest.raises(ValueError, match="`horizon`: expected only with a problem id"):
-        cg.vector_env(str(path), 3, horizon=2)
 
 
 def test_reset_options_replace_the_start_of_every_form() -> None:

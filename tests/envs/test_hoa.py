@@ -135,8 +135,3 @@ def test_damaged_texts_are_read_or_refused(data: st.DataObject) -> None:
         assert str(error).startswith("`hoa`")
         return
     assert automaton.semantics == "co-safe"
-
-
-def test_only_texts_are_read() -> None:
-    with pytest.raises(ValueError, match="`hoa`: expected a string"):
-        automaton_from_hoa(None, AB)  # type: ignore[arg-type]

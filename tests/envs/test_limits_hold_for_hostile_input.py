@@ -147,13 +147,9 @@ def test_write_bytes_is_the_only_way_to_a_file() -> None:
 NAMES = [f"p{i}" for i in range(12)]
 EXPLODING = {
     "windows of always": (" & ".join(f"F[0,40] G[0,{5 + i}] p{i}" for i in range(4)), "co-safe"),
-    "chained windows": (" & ".join(f"G[{i},{i + 30}] F[0,{i + 3}] p{i % 3}" for i in range(10)), "finite-trace"),
-    "choices of windows": (" & ".join(f"(p{i} | F[0,50] p{i + 1})" for i in range(11)), "co-safe"),
     "nested windows": ("F[0,60] (p0 & F[0,60] (p1 & F[0,60] p2))", "co-safe"),
     "equivalences": (" <-> ".join(f"F p{i}" for i in range(12)), "finite-trace"),
-    "untils of windows": (" & ".join(f"(p{i} U F[{i},{30 + i}] p{i + 1})" for i in range(5)), "co-safe"),
     "memory": ("G (p0 -> X[40] p1)", "finite-trace"),
-    "releases": (" & ".join(f"(p{i} R F[0,20] p{i + 1})" for i in range(5)), "finite-trace"),
 }
 """Formulas with automata of thousands of states, or large diagrams; some took a minute and a half to be refused."""
 
@@ -180,8 +176,7 @@ def test_the_limit_is_a_count_and_leaves_room_for_large_tasks(monkeypatch: pytes
 
 # --- noise that is scaled to nothing, or beyond all numbers ----------------------------------------------------
 @pytest.mark.parametrize("scale", ["1e-300", "exp(900*x)", "exp(-900*x)", "x*1e-200", "1e-160", "1e-320"])
-@pytest.mark.parametrize("law", [{"law": "gaussian", "std": 0.1}, {"law": "uniform", "low": -0.1, "high": 0.1},
-                                 {"law": "laplace", "scale": 0.1}], ids=lambda law: law["law"])  # fmt: skip
+@pytest.mark.parametrize("law", [{"law": "gaussian", "std": 0.1}, {"law": "laplace", "scale": 0.1}])
 def test_scaled_noise_out_of_range_is_refused_by_name(scale: str, law: dict[str, Any]) -> None:
     """They ended in a division by zero, or in a certificate that failed its check."""
     agent = cg.Agent(
