@@ -238,13 +238,6 @@ def test_hostile_texts_are_refused_at_once(text: str) -> None:
     assert len(str(caught.value)) < 500
 
 
-def test_carets_stand_under_the_mistake() -> None:
-    with pytest.raises(ExpressionError) as caught:
-        read_expression("  x + 0.1*(y +\n zeta*2)", ["x", "y"])
-    _, text, caret = str(caught.value).split("\n")
-    assert text[caret.index("^") :].startswith("zeta")
-
-
 def test_infinite_and_undefined_ends_are_not_taken_for_numbers() -> None:
     """Poles, overflow and domain errors: the mean is unknown, and no warning is shown."""
     one = {"x": Affine(np.zeros(1), {0: np.ones(1)})}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from pathlib import Path
 
 import pytest
 
@@ -68,40 +67,3 @@ def test_families_and_limits() -> None:
     assert ours.to_dict() == theirs.to_dict()
     with pytest.raises(FormulaError, match="max_states"):
         mona.translated("F[0,30] a", ABC, "co-safe", max_states=10)
-
-
-def test_a_missing_program_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mona.shutil, "which", lambda name: None)
-    assert not mona.mona_available()
-    with pytest.raises(ValueError, match="expected the program mona on the path"):
-        mona.translated("F a", ABC, "co-safe")
-
-
-FAKES = [
-    ("exit 3", "mona failed with status 3"),
-    ("echo Transitions:", "cannot read the answer"),
-    (
-        "printf 'Accepting states: 1\\nAutomaton has 2 states\\nTransitions:\\nState 0: X -> state 1\\n'",
-        "not deterministic and complete",
-    ),
-]
-
-
-@pytest.mark.parametrize(("script", "message"), FAKES)
-def test_strange_answers_are_errors(script: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    program = tmp_path / "mona"
-    program.write_text(f"#!/bin/sh\n{script}\n")
-    program.chmod(0o755)
-    monkeypatch.setattr(mona.shutil, "which", lambda name: str(program))
-    with pytest.raises(ValueError, match=message):
-        mona.translated("F a", ABC, "co-safe")
-
-
-def test_a_program_that_hangs_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    program = tmp_path / "mona"
-    program.write_text("#!/bin/sh\nexec sleep 30\n")
-    program.chmod(0o755)
-    monkeypatch.setattr(mona.shutil, "which", lambda name: str(program))
-    monkeypatch.setattr(mona, "_TIMEOUT", 0.2)
-    with pytest.raises(FormulaError, match="mona took more than"):
-        mona.translated("F a", ABC, "co-safe")

@@ -12,7 +12,6 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.envs.interfaces.shaping import _joined
 from certigym.envs.tasks.problem.problem_file import problem_from_toml
 from certigym.envs.tasks.regions.pair import PairRegion, pair_region
 from certigym.synthesis.certificates.proofs import AlongPath, changed
@@ -81,14 +80,6 @@ def test_files_and_python_say_the_same() -> None:
     assert [(p.outputs, p.radius) for p in again.labeling.pairs] == [(((0, 1), (0, 1)), 0.7)] * 3
     assert pickle.loads(pickle.dumps(problem)).fingerprint == problem.fingerprint
     assert problem.fingerprint != _from_toml(FILE.replace("0.7", "0.8")).fingerprint
-
-
-def test_boxes_of_pairs_may_name_states_too() -> None:
-    problem = _from_toml(FILE.replace('distance = 0.7, of = ["x", "y"]', 'low = [-1], high = [1], of = "y"'))
-    assert [p.outputs for p in problem.labeling.pairs] == [((1,), (1,))] * 3
-    assert (
-        _from_toml(FILE.replace("distance = 0.7", "low = [-1, -1], high = [1, 1]")).labeling.pairs[0].radius == math.inf
-    )
 
 
 def _from_toml(text: str) -> cg.Problem:
@@ -230,42 +221,3 @@ def test_subtraction_uses_a_box_around_and_a_box_within() -> None:
 def test_mistakes_are_named(value: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         cg.Pair("car_*", **value)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ((', of = ["x", "y"]', ""), 'say which to compare with `of = \\["x", "y"\\]`'),
-        (('["x", "y"]', '["x", "z"]'), "expected states, got 'z'"),
-        (("distance = 0.7", "distances = 0.7"), "distance"),
-        (("distance = 0.7", "disc = { centre = [0, 0], radius = 1 }"), "a shape with flat faces .*, got `disc`"),
-        (("distance = 0.7", "distance = 700"), None),
-    ],
-)
-def test_mistakes_in_files_are_named(change: tuple[str, str], message: str | None) -> None:
-    head, propositions = FILE.split("[propositions]")
-    text = f"{head}[propositions]{propositions.replace(*change)}"
-    if message is None:
-        assert _from_toml(text)
-        return
-    with pytest.raises(ValueError, match=message):
-        _from_toml(text)
-
-
-def test_outputs_that_are_compared_go_by_name() -> None:
-    """Agents whose states have different names; numbers and names mean the same."""
-    first = FILE.replace('of = ["x", "y"]', "outputs = [[0], [1]]")
-    second = FILE.replace('of = ["x", "y"]', 'outputs = [["x"], ["y"]]')
-    assert first != second
-    regions = [next(iter(_from_toml(text).labeling.pairs)) for text in (first, second)]
-    assert regions[0].outputs == regions[1].outputs == ((0,), (1,))
-    with pytest.raises(ValueError, match="expected states, got 'z'"):
-        _from_toml(FILE.replace('of = ["x", "y"]', 'outputs = [["x"], ["z"]]'))
-
-
-def test_rewards_know_how_far_is_left() -> None:
-    """The share of the way grows as agents come nearer in the plane, and not only along one axis."""
-    low, high, scales = (np.array([[[value]], [[value]]]) for value in (-1.0, 1.0, 0.05))
-    gaps = [_joined(np.array([[[x]], [[x]]]), low, high, scales, np.array([[1.0]])).item() for x in (0.6, 0.9, 3.0)]
-    assert gaps[0] == 0.0 and 0.0 < gaps[1] < gaps[2]
-    assert gaps[1] == pytest.approx((0.9 * math.sqrt(2) - 1.0) / math.sqrt(2) / 10.0)

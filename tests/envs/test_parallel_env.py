@@ -7,12 +7,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import pettingzoo
 import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import certigym as cg
-from certigym.envs import reach_avoid_v0
 from certigym.envs.interfaces.problem_env import ProblemEnv
 from certigym.envs.simulation import batch_simulator as core
 from kinds import IDS_OF_KINDS
@@ -52,13 +50,6 @@ def digest(record: list[Any]) -> bytes:
 def test_pettingzoo_takes_agents_of_several_sizes_that_no_id_has() -> None:
     parallel_api_test(cg.parallel_env(PROBLEMS["mixed"]), num_cycles=60)
     parallel_seed_test(lambda: cg.parallel_env(PROBLEMS["mixed"]))
-
-
-def test_modules_offer_the_three_functions() -> None:
-    assert isinstance(reach_avoid_v0.parallel_env(horizon=2), pettingzoo.ParallelEnv)
-    for make in (reach_avoid_v0.env, reach_avoid_v0.raw_env):
-        assert isinstance(make(), pettingzoo.AECEnv)
-    assert reach_avoid_v0.parallel_env(render_mode="ansi").render_mode == "ansi"
 
 
 @each_kind
@@ -112,17 +103,6 @@ def test_the_environment_is_the_core_with_one_world(name: str) -> None:
             assert not (terminations[agent] and truncations[agent])
         if not env.agents:
             return
-
-
-@each_kind
-def test_the_return_is_satisfaction(name: str) -> None:
-    env = cg.parallel_env(PROBLEMS[name])
-    for seed in range(20):
-        record = episode(env, seed)
-        total = sum(step[1][env.possible_agents[0]] for step in record[1:])
-        last = record[-1][4][env.possible_agents[0]]
-        assert total == float(last["satisfied"])
-        assert len(record) - 1 <= env.problem.horizon
 
 
 def test_observations_hold_state_automaton_and_time() -> None:
@@ -188,23 +168,3 @@ def test_the_horizon_truncates_and_pays_finite_traces() -> None:
         _, rewards, terminations, truncations, infos = env.step({agent: np.zeros(1) for agent in env.agents})
     assert all(truncations.values()) and not any(terminations.values())
     assert set(rewards.values()) == {1.0} and infos["agent_0"]["time"] == 3
-
-
-def test_reset_options_replace_the_start() -> None:
-    env = cg.parallel_env("reach-avoid-v0")
-    _, infos = env.reset(seed=0, options={"initial_state": {"agent_0": [-7.5]}})
-    assert infos["agent_0"]["state"].tolist() == [-7.5] and -5.0 <= infos["agent_1"]["state"][0] < -2.5
-    assert env.reset(seed=0)[1]["agent_0"]["state"].tolist() != [-7.5]
-
-
-def test_rendering() -> None:
-    env = cg.parallel_env("reach-avoid-v0", render_mode="ansi", initial_state=[-10.0, -4.0])
-    env.reset(seed=0)
-    assert env.render() == f"t=0/7 q={env.problem.automaton.state_names[env.problem.initial_q or 0]}: " + (
-        "agent_0 [-10.0], agent_1 [-4.0]"
-    )
-    assert cg.parallel_env("reach-avoid-v0").render() is None
-    with pytest.raises(
-        ValueError, match=r"`render_mode`: expected None or 'ansi' or 'rgb_array' or 'human', got 'gif'"
-    ):
-        cg.parallel_env("reach-avoid-v0", render_mode="gif")

@@ -70,11 +70,6 @@ def test_deviations_that_name_states_or_the_time_are_scales() -> None:
         problem_from_toml(FILE.replace('"pi / 100"', '"0.01*level"'))
 
 
-def test_copies_may_be_named_as_they_are_elsewhere() -> None:
-    problem = problem_from_toml(FILE.replace('name = "pump"', 'name = "pump_*"'))
-    assert problem.to_dict() == problem_from_toml(FILE).to_dict()
-
-
 def test_inputs_beyond_a_box_that_moves_count_as_its_end() -> None:
     """A full input at every step, against a loop of ten lines without noise."""
     text = FILE.replace('"pi / 100"', "0.0").replace("copies = 2\n", "").replace('[[0.0], ["pi / 2"]]', "[0.0]")
@@ -202,19 +197,6 @@ def test_states_and_inputs_of_matrices_have_names() -> None:
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ('["place"]', "`states`: expected 2 different names"),
-        ('["place", "place"]', "`states`: expected 2 different names"),
-        ('["place", "2nd"]', "`states`: expected letters"),
-    ],
-)
-def test_wrong_names_of_states_are_refused(wrong: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        problem_from_toml(CART.replace('states = ["place", "speed"]', f"states = {wrong}"))
-
-
 @mostly_thorough(
     ("task", "steps"),
     [
@@ -233,18 +215,3 @@ def test_a_task_may_have_no_horizon(task: str, steps: int) -> None:
             problem.fingerprint
             == problem_from_toml(FILE.replace("12", str(steps)).replace("F all(full)", task)).fingerprint
         )
-
-
-def test_a_promise_until_the_end_needs_a_horizon() -> None:
-    text = FILE.replace("horizon = 12", "").replace("F all(full)", "G all(full)")
-    with pytest.raises(
-        ValueError, match=r"`horizon` is missing; write how many control steps .* such as `horizon = 20`"
-    ):
-        problem_from_toml(text)
-
-
-def test_both_kinds_of_headings_in_one_file_are_told_apart() -> None:
-    """TOML takes the second agent for a part of the first one."""
-    second = '[agents.drain]\nstates = ["level"]\ndynamics = ["level"]\nnoise_std = [0.1]\n'
-    with pytest.raises(ValueError, match=r"number 1 .*: a heading \[agents.drain\] .* write \[\[agents\]\]"):
-        problem_from_toml(FILE.replace("[propositions]", second + "[propositions]"))

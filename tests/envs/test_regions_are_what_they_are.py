@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.interfaces import Drawer, Picture
 from certigym.envs.simulation import Dynamics, SingleSimulator
 from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.tasks.problem import problem_from_dict
@@ -265,39 +264,7 @@ def test_problems_remember_shapes_as_they_were_written() -> None:
     assert problem_from_dict(moved.to_dict()).fingerprint == moved.fingerprint != problem.fingerprint
 
 
-def test_names_of_information_are_those_that_were_written() -> None:
-    problem = problem_of(
-        linear(initial_state=[1, -2]), formula="F p", p={"union": [DISC, {"polygon": {"corners": TRIANGLE}}]}
-    )
-    assert set(problem.propositions) == {"p_1", "p_2"}
-    env = cg.parallel_env(problem)
-    _, info = env.reset(seed=0)
-    assert info["robot"]["satisfied"]
-
-
 # --- the bounds
-
-
-def certified(problem: cg.Problem, at_least: float, **options: Any) -> Any:
-    """Certify, with no options where none are given, and check against the problem read again from its own text."""
-    result = cg.synthesize(problem, **options)
-    again = problem_from_dict(json.loads(json.dumps(problem.to_dict())))
-    assert cg.check(result.certificate, again)
-    assert result.certificate.lower_bound >= at_least
-    return result
-
-
-def test_tasks_of_a_team_split_with_their_shapes() -> None:
-    agents = [linear(f"robot_{k}") for k in range(12)]
-    problem = problem_of(
-        agents, " & ".join(f"F[0,{5 + k % 3}] p_{k}" for k in range(12)), 9,
-        p=cg.Proposition("robot_*", union=[DISC, {"box": {"low": [2], "high": [5]}}]),
-    )  # fmt: skip
-    assert len(problem.tasks) == 12
-    task = problem.tasks[3]
-    assert isinstance(own := task.declared["p_3"], cg.Proposition) and own.shape is not None
-    assert set(task.propositions) == {"p_3_1", "p_3_2"}
-    assert problem_from_dict(task.to_dict()).fingerprint == task.fingerprint
 
 
 SABOTAGES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
@@ -340,29 +307,6 @@ def test_geometry_notices_wrong_shapes(name: str) -> None:
         classes, names = problem.labeling.class_at(0, points), problem.labeling.names
         held.append([bool(problem.told(n for n, yes in zip(names, c, strict=True) if yes)) for c in classes.T])
     assert np.mean(np.array(held[0]) != np.array(held[1])) > 0.005
-
-
-# --- what is drawn
-
-
-@pytest.mark.parametrize("name", [name for name, (_, d, _) in SHAPED.items() if d == 2])
-def test_every_shape_is_drawn_where_it_holds(name: str) -> None:
-    """Points of a frame are coloured inside, and white outside."""
-    table, _, inside = SHAPED[name]
-    problem = problem_of(linear(), p=table, q={"box": {"low": [-4.9, -4.9], "high": [-4.8, -4.8]}})
-    drawer = Drawer(problem, 0, [0, 1], np.full(2, -5.0), np.full(2, 5.0))
-    outline = drawer.outline("p", 0)
-    assert outline is not None
-    from matplotlib.path import Path
-
-    points = np.random.default_rng(8).uniform(-5, 5, (800, 2))
-    drawn = np.zeros(800, dtype=bool)
-    for polygon in outline.fill:
-        drawn |= Path(polygon).contains_points(points)
-    wanted = np.array([inside(p) for p in points])
-    # Discs are polygons there.
-    assert (drawn != wanted).mean() < 0.01
-    assert Picture(problem).frame(np.zeros((1, 2)), 0, ["p"], "").std() > 0
 
 
 # --- what is refused
@@ -415,12 +359,6 @@ def test_what_cannot_be_is_refused_in_words(table: dict[str, Any], said: str) ->
         )  # fmt: skip
     assert said in str(caught.value)
     assert "\n" not in str(caught.value) or str(caught.value).endswith("^")
-
-
-def test_pairs_compare_what_agents_have_without_shapes() -> None:
-    near = cg.Pair(["robot", "second"], [-1, -1], [1, 1])
-    problem = problem_of([linear(), linear("second")], "F near", p={"polygon": {"corners": TRIANGLE}}, near=near)
-    assert problem.labeling.pairs[0].outputs == ((0, 1), (0, 1))
 
 
 def test_automata_by_hand_read_unions() -> None:

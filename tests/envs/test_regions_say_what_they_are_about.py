@@ -135,16 +135,6 @@ def test_where_states_are_outputs_nothing_changes() -> None:
         assert problem_of(agent, p={"low": [1], "high": [2], "of": 1}).agents[0] is agent
 
 
-def test_regions_of_one_agent_may_be_about_different_states() -> None:
-    problem = problem_of(
-        cart(), "!fast U berth", 14, berth={"low": [3, 2], "high": [5, 4], "of": [0, 1]},
-        fast={"disc": {"centre": [0, 0], "radius": 1.6}, "of": [2, 3]},
-        outside={"complement": "fast"},
-    )  # fmt: skip
-    assert problem.propositions["berth"].low[:2].tolist() == [3, 2]
-    assert problem.agents[0].n_outputs == 5
-
-
 def test_outputs_have_their_expressions_as_names() -> None:
     agent = craft(outputs=["x", "x*y", "sin(heading)"])
     problem = problem_of(agent, p={"low": [0.5], "high": [30.0], "of": ["x*y"]})

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-import pickle
 from statistics import NormalDist
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import certigym as cg
 from certigym.envs.interfaces.nearest import nearest_seen
 from certigym.envs.interfaces.problem_env import ProblemEnv
 from certigym.envs.interfaces.sensors import READING
-from certigym.envs.tasks.problem import groups as independent
 from certigym.synthesis.certificates.controllers import communicated
 from certigym.synthesis.certificates.controllers.path_controller import PathController
 from certigym.synthesis.certificates.controllers.product_controller import ProductController
 from sample_problems import mixed_problem
-from team_problems import pairs
 
 WHOLE: dict[str, Any] = {
     "reach-avoid": "reach-avoid-v0",
     "meeting": "meeting-v0",
-    "swarm": "swarm-v0",
     "mixed": mixed_problem(),
 }
 each = pytest.mark.parametrize("name", WHOLE)
@@ -51,13 +46,6 @@ def actions_of(env: Any, seed: int) -> Any:
 def test_pettingzoo_accepts_every_sight(name: str, sight: str) -> None:
     parallel_api_test(cg.parallel_env(WHOLE[name], **SIGHTS[sight]), num_cycles=20)
     parallel_seed_test(lambda: cg.parallel_env(WHOLE[name], **SIGHTS[sight]), num_cycles=10)
-
-
-@pytest.mark.parametrize(
-    "sight", [{"sensor_noise": 0.2}, {"scale": "unit", "automaton": "number"}, {"automaton": "hidden"}]
-)
-def test_gymnasium_accepts_every_sight(sight: dict[str, Any]) -> None:
-    check_env(gymnasium.make("certigym/meeting-v0", **sight).unwrapped, skip_render_check=True)
 
 
 def test_neighbours_are_the_nearest_ones() -> None:
@@ -109,29 +97,6 @@ def test_neighbours_are_the_same_in_one_world_and_in_many(name: str) -> None:
             return
 
 
-def test_noisy_readings_are_the_same_in_one_world_and_in_many() -> None:
-    noise = [0.3, 0.0]
-    one, many = (make("reach-avoid-v0", sensor_noise=noise, scale="unit") for make in (cg.central_env, cg.vector_env))
-    again = (
-        cg.vector_env("reach-avoid-v0", 50, sensor_noise=noise),
-        cg.vector_env("reach-avoid-v0", 50, sensor_noise=noise),
-    )
-    first, infos = one.reset(seed=2), many.reset(seed=2)[1]
-    assert np.array_equal(first[1][READING], infos[READING][0])
-    ended = False
-    while not ended:
-        seen, _, terminated, truncated, info = one.step(np.zeros(2))
-        batch, *_, infos = many.step(np.zeros((1, 2)))
-        assert np.array_equal(seen, batch[0]) and np.array_equal(info[READING], infos[READING][0])
-        # The second agent is read exactly, the first is not; the true state is told beside the reading.
-        assert info[READING][0] != info["state"][0] and info[READING][1] == info["state"][1]
-        ended = bool(terminated or truncated)
-    starts = [env.reset(seed=7)[0] for env in again]
-    steps = [env.step(np.zeros((50, 2)))[0] for env in again]
-    assert np.array_equal(starts[0], starts[1]) and np.array_equal(steps[0], steps[1])
-    assert not np.array_equal(again[0].reset(seed=8)[0], starts[0])
-
-
 def test_noise_of_sensors_moves_nothing_and_has_the_stated_size() -> None:
     problem, worlds, sigma = cg.make_problem("integrator-chain-v0"), 20_000, 0.25
     exact, noisy = cg.vector_env(problem, worlds), cg.vector_env(problem, worlds, sensor_noise=sigma)
@@ -147,15 +112,6 @@ def test_noise_of_sensors_moves_nothing_and_has_the_stated_size() -> None:
     limit = NormalDist().inv_cdf(1.0 - 1e-6 / 4.0)
     assert abs(errors.mean()) <= limit / np.sqrt(errors.size)
     assert abs(errors.var() - 1.0) <= limit * np.sqrt(2.0 / errors.size)
-
-
-def test_noisy_worlds_that_are_pickled_go_on_alike() -> None:
-    env = cg.parallel_env("meeting-v0", sensor_noise=0.2)
-    env.reset(seed=0)
-    copy = pickle.loads(pickle.dumps(env))
-    for _, actions in zip(range(3), actions_of(env, 1)):
-        seen, same = env.step(actions)[0], copy.step(actions)[0]
-        assert all(np.array_equal(seen[name], same[name]) for name in seen)
 
 
 def test_certified_controllers_and_shields_refuse_noisy_sensors() -> None:
@@ -176,18 +132,6 @@ def test_certified_controllers_and_shields_refuse_noisy_sensors() -> None:
     for make in (cg.parallel_env, cg.central_env, cg.vector_env, cg.team_env):
         with pytest.raises(ValueError, match="`guarded`: expected exact sensors"):
             cg.shield(make(problem, sensor_noise=0.1), result, probability=0.1)
-
-
-def test_the_sensors_of_independent_tasks_are_told_for_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(independent, "MOST_STATES", 0)
-    problem = pairs(2, horizon=5)
-    assert len(problem.groups) == 2
-    env = cg.parallel_env(problem, sensor_noise=[0.1, 0.0, 0.2, 0.0])
-    _, infos = env.reset(seed=0)
-    exact = [bool(infos[name][READING] == infos[name]["state"]) for name in problem.agent_names]
-    assert exact == [False, True, False, True]
-    with pytest.raises(ValueError, match="`sensor_noise`: expected"):
-        cg.parallel_env(problem, sensor_noise=[0.1, 0.2])
 
 
 @pytest.mark.parametrize("kind", ["path", "product"])

@@ -15,12 +15,13 @@ from gymnasium.envs.registration import EnvSpec
 import certigym as cg
 from certigym.envs.suite.certified_bounds import CERTIFIED
 from certigym.envs.suite.ids import gymnasium_id
+from kinds import IDS_OF_KINDS
 
 DEFAULTS = Path(__file__).parents[2] / "docs" / "defaults.json"
 
 
-@pytest.mark.parametrize("id", cg.problem_ids())
-def test_every_id_says_how_long_episodes_are_and_what_can_be_reached(id: str) -> None:
+@pytest.mark.parametrize("id", IDS_OF_KINDS)
+def test_ids_say_how_long_episodes_are_and_what_can_be_reached(id: str) -> None:
     problem = cg.make_problem(id)
     doors: list[Any] = [gymnasium.make(f"certigym/{id}"), gymnasium.make(gymnasium_id(id)), cg.central_env(id)]
     doors += [cg.vector_env(id, 2), gymnasium.make_vec(gymnasium_id(id), num_envs=2)]
@@ -51,16 +52,6 @@ def test_a_specification_makes_the_same_environment_again() -> None:
     assert again.observation_space == env.observation_space
     many = gymnasium.make_vec(EnvSpec.from_json(env.spec.to_json()), num_envs=2)
     assert many.single_observation_space == env.observation_space
-
-
-def test_problems_of_one_s_own_have_no_specification() -> None:
-    assert cg.central_env(cg.make_problem("reach-avoid-v0")).spec is None
-
-
-def test_batches_end_at_the_horizon_alone() -> None:
-    assert cg.vector_env("reach-avoid-v0", 2, max_episode_steps=7).problem.horizon == 7
-    with pytest.raises(ValueError, match="`max_episode_steps`: expected the horizon, 7"):
-        cg.vector_env("reach-avoid-v0", 2, max_episode_steps=5)
 
 
 def test_one_preset_gives_learners_the_same_spaces_by_every_door() -> None:

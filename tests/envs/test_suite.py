@@ -349,10 +349,3 @@ def test_patrols_go_west_then_east_then_home() -> None:
         ([west, east, home, pillar], True),
     ):
         assert word(problem, np.array(places)) is holds
-
-
-@pytest.mark.parametrize("id", ["dubins-team-v0", "room-network-v0", "platoon-v0", "windy-delivery-v0"])
-def test_new_families_take_a_number_of_agents(id: str) -> None:
-    assert [cg.make_problem(id, n_agents=n).n_agents for n in (3, 8)] == [3, 8]
-    with pytest.raises(ValueError, match="`n_agents`"):
-        cg.make_problem(id, n_agents=0)

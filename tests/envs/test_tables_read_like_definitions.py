@@ -22,7 +22,7 @@ from kinds import mostly_thorough
 from problems import two_agents
 from sample_problems import mixed_problem, planar
 
-SMALL = ["reach-avoid-v0", "package-delivery-v0", "door-formation-v0", "reach-avoid-planar-v0", "patrol-recharge-v0"]
+SMALL = ["reach-avoid-v0", "reach-avoid-planar-v0"]
 
 
 def planar_pair() -> cg.Problem:

@@ -111,18 +111,3 @@ def test_controllers_act_in_the_environment_as_in_rollouts() -> None:
     assert binom.cdf(wins, 300, result.certificate.lower_bound) > 1e-6
     slack = 5.0 * np.sqrt(0.25 / 20_000)
     assert binom.cdf(wins, 300, estimate - slack) > 1e-6 and binom.sf(wins - 1, 300, estimate + slack) > 1e-6
-
-
-def test_mistakes_are_answered(monkeypatch: pytest.MonkeyPatch) -> None:
-    env = cg.parallel_env(pairs(10))
-    with pytest.raises(RuntimeError, match="reset"):
-        env.step({})
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="got 'nobody'"):
-        env.step({name: np.zeros(1) for name in [*env.agents, "nobody"]})
-    with pytest.raises(ValueError, match="got none for 'left_0'"):
-        env.step({})
-    with pytest.raises(ValueError, match=r"show one of `problem\.tasks`"):
-        cg.parallel_env(pairs(10), "rgb_array")
-    with pytest.raises(ValueError, match="expected independent tasks"):
-        TasksEnv(cg.make_problem("reach-avoid-v0"))

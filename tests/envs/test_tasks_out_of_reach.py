@@ -196,7 +196,7 @@ goal = { agent = "ship", of = ["theta"], low = [-3.1], high = [-2.8] }
         (('"x + u"', '"x + 0.01*theta + u"'), False),
         (("dynamics =", 'angles = ["theta"]\\ndynamics ='), False),
     ],
-    first=6,
+    first=3,
 )
 def test_states_that_may_be_angles_are_told_where_that_would_help(change: tuple[str, str], is_told: bool) -> None:
     before, after = (text.replace("\\n", "\n") for text in change)

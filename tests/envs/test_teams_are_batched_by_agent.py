@@ -10,7 +10,7 @@ import pytest
 import certigym as cg
 from kinds import mostly_thorough
 
-IDS = ["reach-avoid-v0", "meeting-v0", "patrol-recharge-v0", "cyclic-delivery-v0", "package-delivery-single-v0"]
+IDS = ["reach-avoid-v0", "patrol-recharge-v0"]
 WORLDS = 60
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.interfaces import panels
 from certigym.envs.simulation import Dynamics, SingleSimulator, split_joint
 from certigym.envs.simulation import batch_simulator as core
 from certigym.envs.tasks.problem import states_in_time, unrolled_in_time
@@ -115,16 +114,6 @@ def test_team_environments_begin_anew_at_time_zero() -> None:
         env.step({"robot": torch.zeros((4, 1))})
 
 
-@pytest.mark.parametrize("make", [cg.parallel_env, cg.central_env, lambda p, **o: cg.vector_env(p, 3, **o)])
-@pytest.mark.parametrize("reward", ["sparse", "progress", "shaped"])
-def test_environments_run_and_shape_rewards(make: Any, reward: str) -> None:
-    env = make(follow(robot(), band(width=6.0), horizon=4), reward=reward)
-    env.reset(seed=0)
-    for _ in range(4):
-        actions = {"robot": np.array([-0.1])} if make is cg.parallel_env else 0.0 * env.action_space.sample()
-        env.step(actions)
-
-
 def test_batches_read_the_regions_of_their_time() -> None:
     env = cg.vector_env(follow(robot(), horizon=6), 64)
     env.reset(seed=0)
@@ -219,22 +208,6 @@ def test_nothing_passes_the_time_over() -> None:
 def test_other_expressions_are_other_problems() -> None:
     others = [follow(robot(), band(shift=1)), follow(robot(dynamics=["x + u + 0.4*sin(0.9*t + 0.1)"]))]
     assert len({problem.fingerprint for problem in (follow(robot()), *others)}) == 3
-
-
-def test_families_move_for_every_member() -> None:
-    region = cg.Proposition("d_*", ["sin(t) - 1"], ["sin(t) + 1"])
-    problem = cg.Problem(
-        name="fleet", horizon=4, agents=still("d").copies(3), propositions={"safe": region},
-        specification=cg.Specification("G all(safe)", "finite-trace"),
-    )  # fmt: skip
-    assert [p.moves for p in problem.propositions.values()] == [True] * 3
-
-
-def test_scenes_show_where_regions_are() -> None:
-    (panel,) = panels(follow(robot()))
-    assert [region.time for region in panel.regions] == list(range(7))
-    assert panel.regions[2].low[0] == pytest.approx(1.6 * math.sin(1.6) - 0.9)
-    assert len(panel.named) == 1
 
 
 def test_problems_written_out_read_the_same_words() -> None:

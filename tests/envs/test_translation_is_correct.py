@@ -109,7 +109,7 @@ def path_order(table: np.ndarray, initial: int, path: dict[int, list[int]]) -> l
     return order
 
 
-@mostly_thorough("seed", range(20), first=6)
+@mostly_thorough("seed", range(10), first=3)
 def test_finite_trace_automata_agree_with_the_definition_on_all_words(seed: int) -> None:
     rng = random.Random(seed)
     for _ in range(30):
@@ -119,7 +119,7 @@ def test_finite_trace_automata_agree_with_the_definition_on_all_words(seed: int)
         assert is_minimal(automaton), text(f)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_finite_trace_automata_over_three_propositions(seed: int) -> None:
     rng = random.Random(100 + seed)
     for _ in range(15):
@@ -129,7 +129,7 @@ def test_finite_trace_automata_over_three_propositions(seed: int) -> None:
         assert is_minimal(automaton), text(f)
 
 
-@mostly_thorough("seed", range(20), first=5)
+@mostly_thorough("seed", range(10), first=3)
 def test_co_safe_automata_accept_exactly_the_good_prefixes(seed: int) -> None:
     rng = random.Random(200 + seed)
     for _ in range(25):
@@ -233,27 +233,6 @@ def test_negations_are_read_over_infinite_words(formula: str) -> None:
     automaton = translate(formula, AB, "co-safe")
     assert wrong_lasso(automaton, trees[formula]) is None
     assert every_waiting_state_can_still_be_spoiled(automaton, trees[formula])
-
-
-def test_names_are_declared() -> None:
-    families = {"safe": ["safe_0", "safe_1"]}
-    names = ["safe_0", "safe_1", "target"]
-    for formula, advice in [
-        ("F safe", "all(safe), any(safe)"),
-        ("Ftarget", "F target"),
-        ("F targt", "did you mean target"),
-        ("F (target & not safe_0)", "write ! for not"),
-        ("eventually target", "write F for eventually"),
-        ("F target > 2", "numbers are compared in `[propositions]`"),
-        ("F[<=10] target", "at most 10 is F[0,10]"),
-        ("all(sofe)", "unknown family 'sofe'; declared families: safe"),
-        ("all(target)", "unknown family 'target'"),
-    ]:
-        with pytest.raises(FormulaError) as caught:
-            translate(formula, names, "co-safe", families)
-        assert advice in str(caught.value)
-        assert str(caught.value).splitlines()[-1].strip("^ ") == ""
-    assert translate("Fa & F Fa", ["Fa"], "co-safe").n_states == 3
 
 
 @pytest.mark.parametrize(

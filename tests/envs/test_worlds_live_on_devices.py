@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 import os
-import subprocess
-import sys
 from types import ModuleType
 from typing import Any
 
@@ -158,7 +155,7 @@ def same_worlds(there: Worlds, here: Worlds) -> None:
         np.testing.assert_array_equal(to_host(getattr(there, name)), getattr(here, name))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_random_problems_move_and_pay_alike(seed: int, device: str) -> None:
     problem, put, rng = random_problem(seed), device_put(device, LIBRARIES), np.random.default_rng(seed)
     behaviour = ("zero", "random", "periodic")[seed % 3]
@@ -211,7 +208,7 @@ class Fixed:
         return [self] * count
 
 
-@mostly_thorough(("id", "options"), OPTIONS, first=5)
+@mostly_thorough(("id", "options"), OPTIONS, first=3)
 def test_steps_of_teams_tell_the_same(id: str, options: dict[str, Any], device: str) -> None:
     """Observations, rewards, ends, new episodes: step by step those of numpy where no noise differs."""
     here, there = cg.team_env(id, 6, **options), cg.team_env(id, 6, device=device, **options)
@@ -271,20 +268,6 @@ def test_random_numbers_are_made_on_the_device_and_follow_the_seed(device: str) 
     assert abs(drawn[0].mean()) < 5.1 / np.sqrt(1e5) and abs(drawn[0].var() - 1.0) < 5.1 * np.sqrt(2.0 / 1e5)
 
 
-REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"device": "abacus"}, "`device`: expected `numpy`"),
-    ({"device": "torch:cpu", "disturbance": lambda *_: ()}, "`disturbance`: expected the name"),
-    ({"device": "torch:cpu", "reward": "gold"}, "`reward`: expected"),
-]
-
-
-@pytest.mark.parametrize(("options", "message"), REFUSED)
-def test_what_devices_do_not_do_is_refused(options: dict[str, Any], message: str) -> None:
-    pytest.importorskip("torch")
-    with pytest.raises(ValueError, match=message):
-        cg.team_env("meeting-v0", 4, **options)
-
-
 def test_noise_without_quantiles_on_devices_is_refused() -> None:
     pytest.importorskip("torch")
     agent = cg.make_problem("reach-avoid-v0").agents[0].replace(noise=[{"law": "student-t", "scale": 0.1, "df": 5.0}])
@@ -297,19 +280,3 @@ def test_noise_without_quantiles_on_devices_is_refused() -> None:
     )
     with pytest.raises(ValueError, match="`device`: expected noise with quantiles on devices, got student-t"):
         cg.team_env(problem, 4, device="torch:cpu")
-
-
-def test_steps_before_a_reset_are_refused() -> None:
-    pytest.importorskip("torch")
-    env = cg.team_env("meeting-v0", 4, device="torch:cpu")
-    with pytest.raises(RuntimeError, match="call `reset` first"):
-        env.step({})
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"`actions`: expected numbers of shape \(4, "):
-        env.step({})
-
-
-def test_numpy_worlds_need_no_other_library() -> None:
-    text = "import sys, certigym as cg; cg.team_env('meeting-v0', 3).reset(seed=0); print('torch' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False" and importlib.util.find_spec("certigym") is not None
