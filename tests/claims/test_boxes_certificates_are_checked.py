@@ -14,10 +14,10 @@ import certigym as cg
 from certigym.synthesis.abstraction.kernels.box_kernel import BoxKernel
 from certigym.synthesis.abstraction.kernels.kernel import Kernel
 from certigym.synthesis.abstraction.models import box_choices
-from certigym.synthesis.relations.kinds import BoxRelation, MeanBoxes, box_relation
+from certigym.synthesis.relations.kinds import BoxRelation, MeanBoxes
 from forged_cells import CLAIMS, MENU, Forge, inputs_of, one_choice, part_changed, relation_changed
 from kinds import mostly_thorough
-from problems import cart, cart_reach, scalar_agent, two_agents
+from problems import cart, cart_reach, two_agents
 
 
 @cache
@@ -137,9 +137,3 @@ def test_boxes_stand_beside_relations_that_are_never_lost() -> None:
         assert cg.check(certificate) and certificate.lower_bound > 0.5 and certificate.gap is None
     with pytest.raises(ValueError, match="never lost beside `boxes`"):
         cg.synthesize(problem, 40, relation={"one": "boxes", "two": "paper"})
-
-
-def test_inputs_that_mean_boxes_need_are_asked_for_in_words() -> None:
-    agent = scalar_agent("one")
-    with pytest.raises(ValueError, match="inputs inside their box"):
-        box_relation(agent, np.array([[3.0]]))

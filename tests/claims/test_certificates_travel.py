@@ -182,10 +182,9 @@ def test_hostile_headers_are_refused_in_one_line(
         path = packed(header, arrays, tmp_path / "c.npz")
     except ValueError:  # no number in JSON: write it without a digest
         path = packed(header, arrays, tmp_path / "c.npz", renew=False)
-    for command in ("check", "validate", "audit"):
-        assert main([command, str(path)]) == 2
-        said = capsys.readouterr().err.strip().splitlines()
-        assert len(said) == 1 and REFUSED in said[0], said
+    assert main(["check", str(path)]) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 1 and REFUSED in said[0], said
     if "version" in name:
         with pytest.raises(ValueError, match="its version is"):
             cg.load(path)
@@ -282,12 +281,6 @@ def test_two_arrays_of_one_name_are_refused(raw: bytes, tmp_path: Path) -> None:
         archive.writestr("0.npy", archive.read("1.npy"))
     with pytest.raises(ValueError, match="two arrays of one name"):
         cg.load(path)
-
-
-def test_directories_and_missing_files_are_no_surprise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for path in (tmp_path, tmp_path / "none.npz"):
-        assert main(["check", str(path)]) == 2
-        assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
 def test_grids_that_leave_a_part_of_the_workspace_out_do_not_check() -> None:

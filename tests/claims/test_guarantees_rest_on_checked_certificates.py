@@ -12,7 +12,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.proofs import changed
-from certigym.synthesis.extended_check.claims import invariance_rate, standing
+from certigym.synthesis.extended_check.claims import invariance_rate
 from certigym.synthesis.extended_check.shields import shield_of
 from problems import scalar_agent
 
@@ -83,20 +83,3 @@ def test_other_guarantees_from_forged_guards_are_refused(verb: str, exact: cg.Ce
     assert VERBS[verb](exact)
     with pytest.raises(ValueError, match="`check` verifies, got one that it refuses"):
         VERBS[verb](with_other_guards(exact))
-
-
-def test_the_check_is_asked_once(exact: cg.Certificate, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[Any] = []
-
-    def counted(certificate: Any) -> Any:
-        calls.append(certificate)
-        return cg.check(certificate)
-
-    fresh = replace(exact)
-    monkeypatch.setitem(standing.__globals__, "check", counted)
-    for _ in range(3):
-        assert standing(fresh) is fresh
-    assert len(calls) == 1
-    with pytest.raises(ValueError, match="refuses"):
-        standing(with_other_guards(exact))
-    assert len(calls) == 2

@@ -168,7 +168,7 @@ def test_forged_menus_are_refused(name: str, tmp_path: Path) -> None:
     assert refused(MENUS[name], of_menu(), tmp_path / "forged.npz")
 
 
-@mostly_thorough("sliver", [0.0, 1e-13, 3e-12, 1e-11, 1e-10, 3e-9, 1e-7], first=6)
+@mostly_thorough("sliver", [0.0, 3e-12, 1e-10, 1e-7], first=3)
 def test_cells_that_are_nearly_even_are_accepted(sliver: float) -> None:
     """A region boundary next to a lattice of even cells: search and check agree on whether images lie on it."""
     agents = [scalar_agent("one"), scalar_agent("two")]
@@ -217,7 +217,7 @@ def test_stored_factors_leave_room_for_the_rounding_of_means() -> None:
     assert certificate.lower_bound > 0.1
 
 
-@mostly_thorough("cells", [33, 118, 260, 261, 401], first=2)
+@mostly_thorough("cells", [33, 118, 261], first=2)
 def test_cells_that_are_equal_up_to_the_rounding_of_edges_are_read_alike_by_the_check(cells: int) -> None:
     """Edges have eleven decimals here: whether cells count as equal must not depend on which code asks."""
     problem = cg.make_problem("reach-avoid-n-v0", n_agents=1, horizon=2)

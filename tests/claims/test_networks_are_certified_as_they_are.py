@@ -11,7 +11,6 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.synthesis.certificates.proofs import changed
 from certigym.synthesis.relations.kinds import Network
 from certigym.synthesis.relations.kinds.network_bounds import line_around
@@ -114,12 +113,6 @@ def test_other_weights_are_refused(certified: tuple[cg.Problem, SharedActor, cg.
     assert differences(wrong, actor) != []
 
 
-def test_squashing_matters(certified: tuple[cg.Problem, SharedActor, cg.Synthesis]) -> None:
-    """A network that is squashed where the certificate was made for one that is clipped."""
-    _, _, synthesis = certified
-    assert not cg.check(with_network(synthesis.certificate, squashed=True))
-
-
 def test_the_wrong_time_is_refused(certified: tuple[cg.Problem, SharedActor, cg.Synthesis]) -> None:
     """What the network does at another time, and a view of another horizon, of another agent or of fewer states."""
     problem, _, synthesis = certified
@@ -143,30 +136,6 @@ def test_what_is_not_certified_is_refused_in_words(certified: tuple[cg.Problem, 
     double = Network(tuple(w.astype(float) for w in actor.network.weights), actor.network.biases, "tanh", False)
     with pytest.raises(ValueError, match="single precision"):
         cg.certify(problem, SharedActor(problem, double), 50)
-
-
-@pytest.mark.thorough
-def test_the_command_line_certifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """An actor beside its problem, and in the place of it; bounds as in Python."""
-    problem = cg.make_problem("reach-avoid-v0", horizon=2)
-    actor = proportional(problem)
-    save_actor(actor, tmp_path / "a.npz")
-    file, out = str(tmp_path / "a.npz"), str(tmp_path / "c.npz")
-    common = ["--cells", "60", "--episodes", "100", "--horizon", "2"]
-    assert main(["certify", file, "--above", "--out", out, *common]) == 0
-    printed = capsys.readouterr().out
-    assert "holds for the deployed policy" in printed and "succeeds with P <= " in printed
-    stored = cg.load(out)
-    assert stored.lower_bound == cg.certify(problem, actor, 60).certificate.lower_bound
-    assert main(["certify", "reach-avoid-v0", "--policy", file, *common]) == 0
-    assert "holds for the deployed policy" in capsys.readouterr().out
-    # Mistakes are one line and status 2.
-    assert main(["certify", "reach-avoid-v0", *common]) == 2
-    assert "--policy" in capsys.readouterr().err
-    assert main(["certify", file, "--above", *common]) == 0
-    assert "P >=" in capsys.readouterr().out
-    assert main(["certify", file, "--relation", "exact", *common]) == 0
-    assert "wrapped on the cells" in capsys.readouterr().out
 
 
 @pytest.mark.thorough
