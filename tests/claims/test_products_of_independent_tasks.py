@@ -72,14 +72,12 @@ def test_joint_episodes_have_the_verdicts_of_the_parts(monkeypatch: pytest.Monke
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("semantics", ["finite-trace", "co-safe"])
-def test_a_hundred_agents_are_certified_checked_and_simulated(semantics: str, tmp_path: Path) -> None:
-    problem = pairs(50, 6, semantics)
+def test_a_hundred_agents_are_certified_checked_and_simulated(tmp_path: Path) -> None:
+    problem = pairs(50, 6)
     result = cg.synthesize(problem, 40, relation="exact")
     certificate = result.certificate
     assert isinstance(certificate.proof, ProductProof)
     assert result.stats["tasks"] == 50 and result.stats["distinct_tasks"] == 1
-    assert certificate.gap is None or semantics != "co-safe"
     report = cg.validate(result, 20_000, seed=1, confidence=1 - FALSE_ALARM)
     assert report.verdict != REFUTED and report.details["inadmissible"] == 0
     assert abs(report.estimate - certificate.lower_bound) < 0.02
@@ -129,23 +127,6 @@ def test_other_starts_multiply(monkeypatch: pytest.MonkeyPatch) -> None:
     assert cg.synthesize(moved, 40, relation="exact").certificate.lower_bound > 0.0
     with pytest.raises(ValueError, match="expected shape"):
         certificate.at([[0.0, 0.0]])
-
-
-@pytest.mark.thorough
-def test_groups_that_differ_are_synthesized_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = pairs(12, 3, starts=(-2.0, -1.2, -1.5))
-    assert cg.synthesize(problem, 20, relation="exact").stats["distinct_tasks"] == 3
-    one_finer = cg.synthesize(
-        problem, {name: 40 if name == "left_0" else 20 for name in problem.agent_names}, relation="exact"
-    )
-    assert one_finer.stats["distinct_tasks"] == 4
-    assert isinstance(one_finer.certificate.proof, ProductProof)
-    assert (
-        one_finer.certificate.proof.parts[0].proof.agents[0].grid.n_cells
-        > one_finer.certificate.proof.parts[3].proof.agents[0].grid.n_cells
-    )
-    with pytest.raises(ValueError, match="expected names of agents"):
-        cg.synthesize(problem, {"nobody": 20})
 
 
 def test_parts_have_to_be_those_of_the_whole_in_order(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,7 +65,7 @@ def made(kind: str, share: float = 0.8) -> Shield:
 
 
 @pytest.mark.parametrize("name", list(LAWS))
-@pytest.mark.parametrize("scale", [1.0, 0.3, 2.5])
+@pytest.mark.parametrize("scale", [1.0, 2.5])
 def test_masses_are_below_those_of_the_law_and_near_them(name: str, scale: float) -> None:
     """Against the tails by which the search computes, which are formulas of their own."""
     (law,) = laws_of([LAWS[name]], 1)
@@ -89,7 +89,7 @@ def test_a_state_without_noise_is_in_the_cell_of_its_mean() -> None:
 
 
 @pytest.mark.parametrize("name", list(LAWS))
-@mostly_thorough("widths", [(0.0, 1.0), (1e-12, 1.0), (0.3, 1.0), (0.0, 1.4), (0.3, 1.2), (1.5, 1.05)])
+@mostly_thorough("widths", [(0.3, 1.2), (1e-12, 1.0), (0.0, 1.4)])
 def test_least_values_hold_all_over_the_box(name: str, widths: tuple[float, float]) -> None:
     """Means and scales between those that are read, three axes at once: a law, normal noise, none."""
     rng, count = np.random.default_rng(7), 30

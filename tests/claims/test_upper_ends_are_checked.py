@@ -15,7 +15,6 @@ import certigym as cg
 from certigym.synthesis.abstraction.models.joint import JointModel, join, start_of
 from certigym.synthesis.certificates.cell_probabilities.checked_kernel import lost_to_rounding
 from certigym.synthesis.certificates.proofs import OnGrid, changed, start_of_claim
-from certigym.synthesis.certificates.proofs.digits import shown_bound
 from certigym.synthesis.certificates.value_functions.terms import Occupancy, Terms
 from certigym.synthesis.certificates.value_functions.train_values import Rounding, Trains, start_above, start_value
 from certigym.synthesis.extended_check.claims.forward_occupancy import TooManyProducts, masses
@@ -96,7 +95,7 @@ def a_team() -> tuple[cg.Problem, JointModel, Any]:
     return problem, joint, policies
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_cells_left_out_are_counted_from_above(seed: int) -> None:
     """Whatever cells trains leave out, the closed loop lies between both sides; choices are random, some missing."""
     problem, joint, policies = a_team()
@@ -335,8 +334,3 @@ def test_a_single_agent_has_trains_too() -> None:
     assert (
         certificate.lower_bound <= truth(certificate, 16) <= report.above <= certificate.lower_bound + certificate.gap
     )
-
-
-def test_printed_claims_are_rounded_away_from_what_is_claimed() -> None:
-    assert shown_bound(1.2399e-13, None) == "P >= 1.23e-13" and shown_bound(0.0, None) == "P >= 0"
-    assert shown_bound(0.2499999, 0.01) == "P >= 0.249999, P <= 0.260000"

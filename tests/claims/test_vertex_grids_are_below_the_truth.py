@@ -175,7 +175,7 @@ def below_and_true(
 
 
 @pytest.mark.parametrize("name", DYNAMICS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_backups_are_below_the_truth(name: str, seed: int) -> None:
     found, true = below_and_true(name, seed)
     assert len(found) > 100 and np.all(found <= true + 1e-13)
@@ -186,7 +186,7 @@ OF_ONE_SIZE = ["two states", "two states that bend", "a state without noise", "t
 
 @pytest.mark.parametrize("name", OF_ONE_SIZE)
 @pytest.mark.parametrize("saddle", [False, True])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_backups_on_a_lattice_are_below_the_truth(name: str, seed: int, saddle: bool) -> None:
     found, true = below_and_true(name, seed, saddle, on_lattice=True)
     assert len(found) > 100 and np.all(found <= true + 1e-13)
@@ -209,7 +209,8 @@ def test_what_a_lattice_leaves_out_is_noticed(part: str, monkeypatch: pytest.Mon
         monkeypatch.setattr(LatticeImages, "of", still)
     name = {"kinks": "a state without noise", "bends": "two states that bend"}.get(part, "two states")
     monkeypatch.setattr(LatticeImages, "_between", lambda self, orders: 0.0)
-    pairs = [below_and_true(name, seed, saddle, on_lattice=True) for seed in range(8) for saddle in (False, True)]
+    # until one of them shows it
+    pairs = (below_and_true(name, seed, saddle, on_lattice=True) for seed in range(8) for saddle in (False, True))
     assert any(np.any(found > true + 1e-13) for found, true in pairs)
 
 
@@ -220,7 +221,7 @@ def test_what_lies_between_points_is_noticed(is_whole: bool, monkeypatch: pytest
     monkeypatch.setattr(lattices, "MOST_LOOKED", 10**9)
     if not is_whole:
         monkeypatch.setattr(LatticeImages, "_between", lambda self, orders: 0.0)
-    pairs = [below_and_true("two states", seed, seed % 2 == 0, on_lattice=True) for seed in range(10)]
+    pairs = (below_and_true("two states", seed, seed % 2 == 0, on_lattice=True) for seed in range(10))
     assert is_whole != any(np.any(found > true + 1e-13) for found, true in pairs)
 
 
@@ -360,7 +361,7 @@ def test_what_is_left_out_of_a_law_is_noticed(part: str, monkeypatch: pytest.Mon
     monkeypatch.setattr(Tabled, "seen", less)
     name = "one state, other noise" if part == "leaps" else "two states"
     states = len(DYNAMICS[name]["states"])
-    pairs = [below_and_true(name, seed, near=12.0, noise=[law] * states) for seed in range(8)]
+    pairs = (below_and_true(name, seed, near=12.0, noise=[law] * states) for seed in range(8))
     assert any(np.any(found > true + 1e-3) for found, true in pairs)
 
 
@@ -388,7 +389,7 @@ def test_what_is_left_out_is_noticed(part: str, monkeypatch: pytest.MonkeyPatch)
     else:
         whole = getattr(Planes, part)
         monkeypatch.setattr(Planes, part, lambda *arguments: 0.02 * whole(*arguments))
-    pairs = [below_and_true("two states", seed, saddle=part == "first") for seed in range(6)]
+    pairs = (below_and_true("two states", seed, saddle=part == "first") for seed in range(6))
     assert any(np.any(found > true + 1e-13) for found, true in pairs)
 
 
@@ -399,7 +400,7 @@ def test_what_is_left_out_is_noticed(part: str, monkeypatch: pytest.MonkeyPatch)
         ("three states", 2.0),
         ("three states", 0.8),
     ],
-    first=5,
+    first=2,
 )
 def test_what_is_far_from_images_costs_its_probability(
     name: str, deviations: float, monkeypatch: pytest.MonkeyPatch
@@ -430,7 +431,7 @@ def test_probabilities_beyond_are_noticed_when_they_are_left_out(monkeypatch: py
     assert np.any(interpolated(edges, values.reshape(-1, 1), x)[0] > truth(steps, W, inputs, x) + 1e-13)
 
 
-@pytest.mark.parametrize("name", ["two states", "a state without noise", "three states"])
+@pytest.mark.parametrize("name", ["two states", "a state without noise"])
 def test_blocks_change_nothing_but_rounding(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     quiet = [0.04 * (std > 0.0) for std in DYNAMICS[name]["noise_std"]]
     problem, edges, rng = on_grid(name, 5, noise_std=quiet)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.synthesis.relations.kinds import Network
-from certigym.validation.policies import load_actor, smoothed, smoothing
+from certigym.validation.policies import smoothed, smoothing
 from certigym.validation.policies.actors import CentralActor, SharedActor, TeamActor
 
 torch = pytest.importorskip("torch", reason="needs the extra `rl`")
@@ -51,6 +48,7 @@ def few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(smoothing, "EPISODES", 150)
 
 
+@pytest.mark.thorough
 def test_smoother_actors_are_certified_and_succeed() -> None:
     """A central network of two carts whose neurons cancel, which the enclosure does not know."""
     problem = carts(2)
@@ -73,27 +71,3 @@ def test_what_is_certified_stays_as_it_is() -> None:
     assert found.actor is actor and list(found.tried) == ["as trained"]
     with pytest.raises(ValueError, match="one network for all agents"):
         smoothed(TeamActor(carts(2), (actor.network, actor.network)))
-
-
-@pytest.mark.thorough
-def test_the_command_saves_an_actor_and_its_certificate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "trained"
-    arguments = [
-        "train",
-        "quadrotor-v0",
-        "--steps",
-        "64",
-        "--worlds",
-        "8",
-        "--horizon",
-        "12",
-        "--out",
-        str(out),
-        "--certify",
-    ]
-    assert main(arguments) == 0
-    printed = capsys.readouterr().out
-    assert "certified as it is: " in printed
-    if (out / "certificate.npz").exists():
-        name = "smooth_actor.npz" if (out / "smooth_actor.npz").exists() else "actor.npz"
-        assert load_actor(out / name, cg.load(out / "certificate.npz").problem)

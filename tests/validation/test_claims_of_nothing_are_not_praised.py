@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import certigym as cg
 from certigym.cli.colors import colored
-from certigym.cli.main import main
 from certigym.synthesis.certificates.proofs import CheckReport, OnGrid, changed
 from certigym.validation.statistical_tests import CONFIRMED, REFUTED, VACUOUS, stress, validate_field, verdict
 
@@ -80,28 +78,3 @@ def test_a_failed_check_is_the_headline_of_reports_and_pages(broken: OnGrid, tmp
     assert content.refuted and content.verdict == "invalid"
     assert "is-invalid" in page and "Not certified" in page and "proved for the model" not in page
     assert page.index("Not certified") < page.index("Separate check")
-
-
-def test_the_command_fails_with_the_check(broken: OnGrid, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "c.npz"
-    cg.save(broken, file)
-    assert main(["report", str(file), "--out", str(tmp_path / "p.html"), "--episodes", "300"]) == 1
-    assert "nothing is certified" in capsys.readouterr().out
-
-
-def test_advice_speaks_of_cells_only_where_there_are_some() -> None:
-    """Certificates along a path have none; with few cells a grid is advised to have more."""
-    agent = cg.LinearAgent(
-        name="robot", A=[[1.0]], B=[[1.0]], noise_covariance=[[0.04]], state_low=[-3.0], state_high=[3.0],
-        input_low=[-1.0], input_high=[1.0], initial_state=[-1.0],
-    )  # fmt: skip
-    problem = cg.Problem(
-        name="one", horizon=3, agents=[agent], propositions={"g": cg.Proposition("robot", [0.4], [1.6])},
-        specification=cg.Specification("X[3] g", "finite-trace"),
-    )  # fmt: skip
-    for relation, has_cells in (("path", False), ("exact", True)):
-        certificate = cg.synthesize(problem, None if relation == "path" else 9, relation=relation).certificate
-        report = cg.validate(certificate, 5000)
-        loose = replace(report, lower_bound=0.1, gap=None, verdict="confirmed")
-        assert report.details["has_cells"] is has_cells
-        assert ("--cells" in str(loose)) is has_cells

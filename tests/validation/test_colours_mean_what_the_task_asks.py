@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 import certigym as cg
 from certigym.envs.interfaces import AVOIDED, FREE, KEPT, MIXED, REACHED, SHARED, roles
-from certigym.envs.interfaces.palette import rgb
 from certigym.envs.interfaces.scene import panels
 from certigym.envs.interfaces.task_roles import proposition_roles
 from certigym.envs.tasks.automata import translate
@@ -65,32 +63,3 @@ def test_letters_that_no_point_has_do_not_tell() -> None:
 def test_every_region_that_is_drawn_has_a_role(id: str) -> None:
     for panel in panels(cg.make_problem(id)):
         assert {region.role for region in panel.regions} <= {REACHED, AVOIDED, KEPT}
-
-
-# Machado, Oliveira and Fernandes (2009), severity 1, on linear rgb.
-BLINDNESS = {
-    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
-    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
-    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
-    "none": np.eye(3),
-}
-TO_XYZ = np.array(
-    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
-)
-
-
-def linear(color: str) -> np.ndarray:
-    share = np.array(rgb(color)) / 255.0
-    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-
-
-def lab(light: np.ndarray) -> np.ndarray:
-    x = TO_XYZ @ np.clip(light, 0.0, 1.0) / np.array([0.95047, 1.0, 1.08883])
-    f = np.where(x > 216 / 24389, np.cbrt(x), (24389 / 27 * x + 16) / 116)
-    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
-
-
-def apart(a: str, b: str) -> float:
-    """The smallest distance in CIELAB that two colours have for any reader; about 2 can just be seen."""
-    views = [np.array(matrix) for matrix in BLINDNESS.values()]
-    return min(float(np.linalg.norm(lab(view @ linear(a)) - lab(view @ linear(b)))) for view in views)

@@ -97,19 +97,6 @@ def test_bounds_seconds_and_information_are_stated() -> None:
     assert len(result.pairs) == 10
 
 
-def test_wrong_comparisons_are_refused() -> None:
-    other = cg.synthesize(PROBLEM.replace(horizon=2), 20, search=cg.SearchOptions(max_sweeps=0))
-    cases: list[tuple[dict[str, Any], str]] = [
-        ({}, "at least one policy"),
-        ({"other": other}, "is about another problem"),
-        ({"a (seed 0)": head, "a": [head, head]}, "names that differ"),
-        ({"nothing": None}, "function or a table"),
-    ]
-    for policies, message in cases:
-        with pytest.raises(ValueError, match=message):
-            cg.compare(PROBLEM, policies, 10)
-
-
 @pytest.fixture
 def task(tmp_path: Path) -> str:
     path = tmp_path / "task.toml"

@@ -53,10 +53,6 @@ def test_batches_keep_the_probability_over_many_episodes(problem: cg.Problem, sh
     assert refuted(successes, ended, 0.95)  # the test would notice
 
 
-def test_unshielded_batches_do_not(problem: cg.Problem, shield: Shield) -> None:
-    assert cg.rollout(problem, RandomController(), 2000).successes < 100
-
-
 def test_one_world_is_a_batch_of_one(problem: cg.Problem, shield: Shield) -> None:
     """The centralised environment and the batched one move alike, shield and budget included."""
     env = cg.shield(cg.central_env(problem), shield)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +21,7 @@ from certigym.validation.statistical_tests.binomial import (
     p_at_least,
     p_at_most,
 )
-from certigym.validation.statistical_tests.fields import FieldReport, find_weakest, validate_field
+from certigym.validation.statistical_tests.fields import find_weakest, validate_field
 from certigym.validation.statistical_tests.sequential import (
     SequentialState,
     confidence_sequence,
@@ -114,14 +112,6 @@ def test_starts_lie_where_they_should(certificate: OnGrid) -> None:
         slice_starts(certificate.problem, (2,), (4,))
     with pytest.raises(ValueError, match="`shape`"):
         validate_field(certificate, line, 10, shape=(3,))
-
-
-def test_field_reports_are_json(certificate: OnGrid, tmp_path: Path) -> None:
-    field = validate_field(certificate, corner_starts(certificate.problem), 50)
-    field.save(tmp_path / "f.json")
-    data = json.loads((tmp_path / "f.json").read_text())
-    assert data["verdict"] == field.verdict and len(data["states"]) == 4
-    assert isinstance(field, FieldReport) and data["weakest"]["state"] == data["states"][field.weakest]
 
 
 @pytest.mark.parametrize(("k", "n", "bound"), [(0, 1, 0.5), (3, 9, 0.6), (40, 50, 0.9), (49, 50, 0.9)])

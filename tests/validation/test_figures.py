@@ -13,23 +13,12 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.validation.presentation.figures import certificate_figures as figures
-from certigym.validation.presentation.figures import figure_scenes as scenes
-from certigym.validation.presentation.figures.figure_style import new_figure, save_figure
 from certigym.validation.statistical_tests import OddsScale
 
 
 @pytest.fixture(scope="module")
 def certificate() -> cg.Certificate:
     return cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=3), cells=50).certificate
-
-
-def test_a_slice_shows_the_bounds_of_the_certificate(certificate: cg.Certificate) -> None:
-    figure = figures.value_figure(certificate, axes=[0], at=[-10.0, -4.0], points=60)
-    (plot,) = figure.axes
-    x, y = plot.lines[0].get_data()
-    states = np.column_stack([x, np.full(60, -4.0)])
-    assert np.array_equal(y, certificate.at(states))
-    assert "agent_0" in plot.get_xlabel() and "units" in plot.get_xlabel() and "at least" in plot.get_ylabel()
 
 
 def test_a_map_shows_the_bounds_of_the_certificate(certificate: cg.Certificate) -> None:
@@ -43,13 +32,6 @@ def test_a_map_shows_the_bounds_of_the_certificate(certificate: cg.Certificate) 
     assert values[3, 7] == odds.at(bounds[3, 7]) and 0.0 < odds.at(bounds[3, 7]) < 1.0
     assert "lower bound" in figure.axes[1].get_ylabel()
     assert [label.get_text() for label in figure.axes[1].get_yticklabels()] == [name for name, _ in odds.ticks]
-
-
-def test_nines_are_as_far_apart_as_tenths() -> None:
-    odds = OddsScale.of([0.5, 0.9, 0.99, 0.9999])
-    steps = np.diff([odds.at(p) for p in (0.9, 0.99, 0.999, 0.9999)])
-    assert np.allclose(steps, steps[0], rtol=0.1) and steps[0] > 0.2
-    assert OddsScale.of([]).at(0.0) == 0.0 and OddsScale.of([1.0]).at(1.0) == 1.0
 
 
 def test_a_bound_against_the_horizon_is_drawn_as_a_bound(certificate: cg.Certificate) -> None:
@@ -66,14 +48,6 @@ def test_a_bound_against_the_horizon_is_drawn_as_a_bound(certificate: cg.Certifi
     assert np.max(np.asarray(tinted)[:, 1]) == 1.0, "what a lower bound leaves open is tinted up to 1"
 
 
-def test_rollouts_mark_failures() -> None:
-    problem = cg.make_problem("package-delivery-v0", horizon=2)
-    certificate = cg.synthesize(problem, cells=10, relation="quick").certificate
-    figure = scenes.rollouts_figure(certificate, episodes=3)
-    crosses = [line for plot in figure.axes for line in plot.lines if line.get_marker() == "X"]
-    assert crosses and "0 of 3 rollouts satisfied" in figure.get_suptitle()
-
-
 @pytest.mark.thorough
 def test_drawing_leaves_pyplot_alone(tmp_path: Path) -> None:
     program = (
@@ -87,18 +61,6 @@ def test_drawing_leaves_pyplot_alone(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "<svg" in (tmp_path / "a.svg").read_text(encoding="utf-8")
-
-
-def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(ValueError, match=r'figures need matplotlib; install it with `pip install "certigym\[viz\]"`'):
-        new_figure()
-
-
-def test_formats_are_checked(certificate: cg.Certificate, tmp_path: Path) -> None:
-    figure = scenes.automaton_figure(certificate.problem)
-    with pytest.raises(ValueError, match=r"`path`: expected a file name that ends in .png, .svg, .pdf, got .*a.bmp"):
-        save_figure(figure, tmp_path / "a.bmp")
 
 
 @pytest.mark.thorough

@@ -14,9 +14,6 @@ pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
 from certigym.baselines import shared_vec_env
 from certigym.envs.interfaces.shaping import LOSS
 from certigym.validation.policies.scattered_batches import ScatteredVectorEnv
-from certigym.validation.policies.settings import Phase, settings_for
-from certigym.validation.policies.training import _pieces
-from certigym.validation.policies.views import SharedView
 
 
 @pytest.mark.parametrize(("id", "stages"), [("patrol-robot-v0", {0, 1, 2}), ("swarm-v0", {0}), ("invariance-v0", None)])
@@ -56,16 +53,6 @@ def test_a_lost_task_costs_its_share() -> None:
         _, rewards, terminated, *_ = envs.step(np.ones((20, 1)))
         paid.append(rewards[terminated])
     assert paid[0].size > 10 and paid[0] == pytest.approx(-LOSS) and paid[1] == pytest.approx(-0.25 * LOSS)
-
-
-def test_spread_falls_and_care_rises_over_a_phase() -> None:
-    settings = settings_for("ppo", SharedView(cg.make_problem("reach-avoid-v0")), steps=100_000)
-    with pytest.raises(ValueError, match="`spread`: expected a number from 0 to 1"):
-        settings_for("ppo", SharedView(cg.make_problem("reach-avoid-v0")), spread=1.5)
-    pieces = _pieces(Phase(0.5, "progress", 1e-3, spread=0.3, care=0.25), settings)
-    spread, care = ([getattr(piece, name) for piece in pieces] for name in ("spread", "care"))
-    assert (spread[0], care[0]) == (0.3, 0.25) and falls(spread) and falls([-value for value in care])
-    assert 0.0 < spread[-1] < 0.1 and 0.8 < care[-1] < 1.0 and sum(piece.steps for piece in pieces) == 50_000
 
 
 def falls(values: Sequence[float]) -> bool:

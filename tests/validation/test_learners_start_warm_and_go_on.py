@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ import pytest
 import certigym as cg
 from certigym.validation.policies import imitation
 from certigym.validation.policies.actors import networks_of
-from certigym.validation.policies.settings import settings_for
 from certigym.validation.policies.views import SharedView
 
 pytestmark = pytest.mark.thorough
@@ -68,26 +66,3 @@ def test_the_learner_ends_with_the_numbers_of_its_best_actor(helped: Any) -> Non
     rows = np.random.default_rng(0).uniform(-1.0, 1.0, (20, SharedView(RA2).size)).astype(np.float32)
     expected, _ = helped.model.predict(rows, deterministic=True)
     assert networks_of(helped.actor)[0].actions(rows) == pytest.approx(np.clip(expected, -1, 1), abs=1e-5)
-
-
-def test_settings_come_from_the_file_and_can_be_changed_by_name() -> None:
-    view = SharedView(RA2)
-    plain, changed = settings_for("ppo", view), settings_for("ppo", view, learning_rate=1e-2, steps=2000)
-    assert [phase.reward for phase in plain.phases] == ["progress", "sparse"]
-    assert {phase.learning_rate for phase in changed.phases} == {1e-2}
-    assert changed.worlds < plain.worlds, "short trainings get by with fewer worlds"
-    single = settings_for("ppo", view, reward="shaped")
-    assert [(p.reward, p.share) for p in single.phases] == [("shaped", 1.0)]
-    assert json.loads(json.dumps(plain.to_dict()))["steps"] == plain.steps
-    assert [phase.fixed for phase in settings_for("ppo", view, warm=True).phases] == [True]
-
-
-def test_mistakes_are_answered(certificate: Any, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="`warm_start`: expected only with learners of PPO"):
-        cg.train(RA2, "sac", warm_start=certificate)
-    with pytest.raises(ValueError, match="`deviation`: expected only with"):
-        cg.train(RA2, "sac", 100, deviation=0.1)
-    with pytest.raises(ValueError, match="`resume`: expected without `warm_start`"):
-        cg.train(RA2, "ppo", warm_start=certificate, resume=tmp_path)
-    with pytest.raises(ValueError, match="certificate of 'meeting-v0', got one about another problem"):
-        cg.train("meeting-v0", warm_start=certificate)

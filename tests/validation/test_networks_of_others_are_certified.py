@@ -33,14 +33,6 @@ def test_networks_are_certified_from_every_start(tmp_path: Path, capsys: pytest.
     assert [row["failure"] <= 1e-6 for row in rows] == [True, False] and rows[0]["cells"] == 2
 
 
-@pytest.mark.parametrize(
-    "arguments", [["lograsm"], ["lograsm", "--weights", "nowhere"], ["arch", "--weights", "nowhere"]]
-)
-def test_without_networks_it_says_what_is_missing(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["reproduce", *arguments]) == 2
-    assert "`--weights`: expected" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("name", BENCHMARKS)
 def test_models_move_as_they_were_published(name: str) -> None:
     """Beside definitions written out by hand, at random states and inputs of the workspace."""

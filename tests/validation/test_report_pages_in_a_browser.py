@@ -54,7 +54,7 @@ def seen(page: Path, folder: Path, width: int, *flags: str) -> dict[str, Any]:
     return dict(json.loads(html.unescape(found.group(1))))
 
 
-@pytest.mark.parametrize(("id", "cells"), [("reach-avoid-v0", 40), ("meeting-v0", 16), ("invariance-20-v0", 20)])
+@pytest.mark.parametrize(("id", "cells"), [("meeting-v0", 16)])
 def test_pages_have_no_errors_and_fit_wide_and_narrow_windows(id: str, cells: int, tmp_path: Path) -> None:
     problem = cg.make_problem(id)
     problem = problem.replace(horizon=min(problem.horizon, 10))
@@ -65,11 +65,3 @@ def test_pages_have_no_errors_and_fit_wide_and_narrow_windows(id: str, cells: in
         view = seen(page, tmp_path, width)
         assert view["errors"] == [] and view["wide"] == [] and view["scroll"] <= view["width"]
         assert view["drawn"] >= min(curves, 6) and "satisfied" in view["said"] and view["here"] >= (not problem.groups)
-
-
-def test_the_page_follows_the_colours_of_the_system(tmp_path: Path) -> None:
-    page = tmp_path / "r.html"
-    cg.report(cg.synthesize(cg.make_problem("reach-avoid-v0"), 40), page, 400)
-    light = seen(page, tmp_path, 800)["background"]
-    dark = seen(page, tmp_path, 800, "--blink-settings=preferredColorScheme=0")["background"]
-    assert light != dark

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ import certigym as cg
 from certigym.synthesis.certificates.proofs import BROKEN_OFF, OnGrid
 from certigym.validation.presentation.reports.gathering import report
 from certigym.validation.statistical_tests import TrialPlan, sweeps
-from certigym.validation.statistical_tests.cluster import dask_cluster, executor_for, processes
+from certigym.validation.statistical_tests.cluster import dask_cluster, processes
 from certigym.validation.statistical_tests.fields import find_weakest, validate_field
 from certigym.validation.statistical_tests.loop import Loop
 from certigym.validation.statistical_tests.rollouts import NUMBERS_SIDE_BY_SIDE, stream
@@ -114,16 +114,6 @@ def test_dask_gives_the_same_bits_and_a_killed_worker_loses_nothing(certificate:
         np.testing.assert_array_equal(field.successes, same.successes)
 
 
-@pytest.mark.thorough
-def test_sweeps_run_on_executors(certificate: OnGrid) -> None:
-    with ThreadPoolExecutor(2) as pool:
-        plan = TrialPlan(500, executor=pool)
-        spread = [*each_report(certificate.problem, [3, 1, 2], plan, {"cells": 30})]
-    here = [*each_report(certificate.problem, [1, 2, 3], TrialPlan(500), {"cells": 30})]
-    assert [r.successes for r in spread] == [r.successes for r in here]
-    assert [r.horizon for r in spread] == [1, 2, 3]
-
-
 def test_rows_of_a_sweep_are_the_same_bits_on_workers_and_those_of_each_setting() -> None:
     problem = two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]])
     over: dict[str, list[float]] = {"noise": [1.0, 0.5], "horizon": [3, 4]}
@@ -140,20 +130,6 @@ def test_rows_of_a_sweep_are_the_same_bits_on_workers_and_those_of_each_setting(
     alone = cg.synthesize(problem.replace(horizon=4, disturbance_scale=0.5), 20)
     assert here[-1]["lower_bound"] == alone.lower_bound
     assert here[-1]["successes"] == cg.validate(alone, 400, seed=3).successes
-
-
-@pytest.mark.parametrize(
-    ("over", "words"),
-    [
-        ({}, "expected values of some of noise, horizon"),
-        ({"noises": [1.0]}, "did you mean `noise`"),
-        ({"horizon": [1.5, "x"]}, "expected whole numbers for `horizon`"),
-        ({"noise": [-1.0]}, "expected a number of at least 0"),
-    ],
-)
-def test_sweeps_over_what_is_not_there_are_refused_before_anything_is_computed(over: Any, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        next(sweep(two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]]), over))
 
 
 def test_a_setting_without_models_is_a_row_and_the_others_go_on() -> None:
@@ -260,11 +236,9 @@ if __name__ == "__main__":
 
 @pytest.mark.thorough
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
-@pytest.mark.parametrize("place", [[], ["--workers", "2"], ["--dask", "local", "--workers", "2"]], ids=str)
+@pytest.mark.parametrize("place", [[], ["--workers", "2"]], ids=str)
 def test_control_c_leaves_a_report(certificate: OnGrid, tmp_path: Path, place: list[str]) -> None:
     """SIGINT to the whole process group, as a terminal sends it."""
-    if "--dask" in place:
-        pytest.importorskip("distributed")
     cg.save(certificate, tmp_path / "c.npz")
     (tmp_path / "driver.py").write_text(DRIVER)
     out = tmp_path / "r.json"
@@ -335,10 +309,3 @@ def test_errors_of_jobs_are_raised_and_the_rest_cancelled() -> None:
     with pytest.raises(ValueError, match="bad job"):
         list(in_order(_plus, 1, range(100), Slow(), ahead=8))
     assert len(cancelled) == 8
-
-
-def test_executors_are_asked_for_sensibly() -> None:
-    with executor_for(None, None) as nothing:
-        assert nothing is None
-    with pytest.raises(ValueError, match="`workers`"), executor_for(None, 0):
-        pass

@@ -104,13 +104,6 @@ def test_helped_teams_are_good_at_once_and_travel(
     assert cg.rollout(RA2, resumed.actor, 2000, seed=9).successes > 1800
 
 
-def test_a_team_can_be_certified(certificate: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(imitation, "ROUNDS", 400)
-    training = cg.train(RA2, "ippo", 128, 1, warm_start=certificate, **SMALL)
-    assert isinstance(training.actor, TeamActor)
-    assert cg.certify(RA2, training.actor, 60, relation="exact").certificate.lower_bound > 0.9
-
-
 def test_a_budget_ends_a_training_in_its_last_phase() -> None:
     began = time.perf_counter()
     training = cg.train(RA2, "ppo", 10_000_000, seconds=2.0, worlds=16, n_steps=16, batch_size=256)

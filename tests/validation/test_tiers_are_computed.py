@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +9,6 @@ import pytest
 
 import certigym as cg
 import rate_problems
-from certigym.cli.main import main
 from certigym.envs.suite.tiers import NAMES, TIERS
 from certigym.synthesis.interop import stored
 from certigym.validation.policies import Leaderboard, Standing, page_of, tier_of
@@ -67,23 +65,3 @@ def test_what_is_left_and_the_middle_of_seeds_by_hand() -> None:
     assert replace(seeds, successes=(0, 900, 600)).middle_rate == pytest.approx(0.5)
     page = page_of(Leaderboard((certified, seeds)))
     assert "| 0.5600 | [0.0000, 1.0000] | 0.6000 |" in page and "| 0.9500 | [0.9200, 1.0000] | - |" in page
-
-
-def test_older_versions_of_a_problem_do_not_count() -> None:
-    board = Leaderboard.load(rate_problems.RECORDED)
-    old = Leaderboard(tuple(replace(row, fingerprint="of another version") for row in board.rows))
-    assert tier_of(row for row in old.rows if row.fingerprint == "now") == "unrated"
-
-
-def test_ids_are_listed_by_tier() -> None:
-    parts = [cg.problem_ids(tier) for tier in NAMES]
-    assert sorted(id for part in parts for id in part) == list(cg.problem_ids())
-    with pytest.raises(ValueError, match="`tier`: expected 'solved', 'open', 'hard', 'unrated', got 'easy'"):
-        cg.problem_ids("easy")
-
-
-def test_the_command_line_lists_a_tier(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["describe", "--tier", "hard", "--json", "-"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert tuple(entry["id"] for entry in found) == cg.problem_ids("hard")
-    assert {entry["tier"] for entry in found} == {"hard"}

@@ -10,13 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.certificates.proofs import OnGrid, changed
-from certigym.validation.presentation.reports.svg import ticks
 from certigym.validation.statistical_tests.success_rate import ValidationReport
 from certigym.validation.statistical_tests.sweeps import each_report
 from problems import two_agents
@@ -39,39 +37,12 @@ def run(*arguments: str, out: Path) -> tuple[int, Any]:
     return status, json.loads(out.read_text())
 
 
-def test_every_command_speaks_json(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "r.json"
-    status, field = run("validate-field", file, "--axes", "0", "1", "--points", "4", "--episodes", "50", out=out)
-    assert status == 0 and field["shape"] == [4, 4] and len(field["states"]) == 16
-    box = ("--low=-1,-1", "--high", "1,1")
-    status, field = run("validate-field", file, "--random", "5", *box, "--episodes", "50", out=out)
-    assert status == 0 and len(field["states"]) == 9 and np.abs(field["states"]).max() <= 1
-    status, field = run("validate-field", file, "--search", "--random", "20", "--episodes", "4000", out=out)
-    assert status == 0 and len(field["states"]) == 8
-    status, audit = run("audit", file, "--episodes", "3000", out=out)
-    assert status == 0 and audit["verdict"] == "consistent" and audit["findings"] == []
-    status, stress = run("stress", file, "--episodes", "200", out=out)
-    assert status == 0 and set(stress["survives"]) >= {"noise scale", "noise family", "delay", "dropout"}
-    status, quick = run("validate", file, "--sequential", "--episodes", "3000", out=out)
-    assert status == 0 and quick["sequential"] and quick["episodes"] <= 3000
-    printed = capsys.readouterr().out
-    assert "weakest" in printed and "audit" in printed and "noise_scale=2.0" in printed
-
-
 def test_mismatch_on_the_command_line(file: str, tmp_path: Path) -> None:
     out = tmp_path / "r.json"
     status, report = run("validate", file, "--episodes", "4000", "--mismatch", "noise_scale=3", "delay=1", out=out)
     assert status == 1 and report["verdict"] == "refuted" and report["mismatch"] == "noise_scale=3.0, delay=1"
     for wrong in ("noise=3", "delay=x", "dropout=7"):
         assert main(["validate", file, "--mismatch", wrong]) == 2
-
-
-def test_runs_go_over_horizons(tmp_path: Path) -> None:
-    out = tmp_path / "r.json"
-    arguments = ("run", "reach-avoid-v0", "--horizon", "2", "4", "--cells", "50", "--episodes", "500")
-    status, rows = run(*arguments, out=out)
-    assert status == 0 and [row["horizon"] for row in rows] == [2, 4]
-    assert rows[0]["lower_bound"] <= rows[1]["lower_bound"]
 
 
 def test_interrupted_runs_over_horizons_leave_what_is_finished(
@@ -175,10 +146,3 @@ def test_a_refuted_certificate_is_reported_as_such(certificate: OnGrid, tmp_path
     out = tmp_path / "r.html"
     assert main(["report", str(path), "--out", str(out), "--episodes", "2000"]) == 1
     assert 'class="verdict refuted"' in out.read_text()
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-20.0, 5.0), (0.0, 1e-7), (3.0, 3.0), (-1e9, 1e9)])
-def test_ticks_are_few_and_inside(low: float, high: float) -> None:
-    found = ticks(low, high, 6)
-    assert 1 <= len(found) <= 12
-    assert all(low - 1e-9 * abs(low) <= t <= high + 1e-9 * abs(high) for t in found)
