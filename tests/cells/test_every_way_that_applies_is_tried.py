@@ -111,8 +111,7 @@ def test_what_is_no_bound_is_enough_for_nothing(until: Any) -> None:
 @pytest.mark.full_search
 @mostly_thorough(
     ("name", "relation", "until", "most"),
-    [("car-park-planar-v0", "linear", 0.9, 0.993), ("car-slalom-v0", "path", 0.3, 0.9999999),
-     ("car-park-planar-v0", "auto", 0.98, 0.99)], first=2,
+    [("car-park-planar-v0", "linear", 0.9, 0.993), ("car-slalom-v0", "path", 0.3, 0.9999999)], first=0,
 )  # fmt: skip
 def test_searches_on_cells_and_along_paths_end_with_the_bound(
     name: str, relation: str, until: float, most: float

@@ -30,7 +30,7 @@ def random_terms(rng: np.random.Generator, n_agents: int, count: int) -> list[ND
 
 
 @pytest.mark.parametrize("n_agents", [1, 2, 3])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_union_and_its_remainder_are_below_the_two_terms(n_agents: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     rests = [sign * (j + 1) for j in range(1, n_agents) for sign in (1, -1)] or [0]
@@ -57,7 +57,7 @@ def test_a_remainder_of_the_wrong_term_would_be_caught() -> None:
 
 
 @pytest.mark.parametrize("n_agents", [2, 3])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("spent", [0.0, 0.05])
 def test_whole_ladders_stay_below(n_agents: int, seed: int, spent: float) -> None:
     rng, count = np.random.default_rng(100 + seed), 6

@@ -83,13 +83,10 @@ def test_a_refuted_certificate_gives_status_1(task: str, tmp_path: Path, monkeyp
     assert main(["validate", cert, "--episodes", "2000"]) == 1
 
 
-@pytest.mark.thorough
 def test_describe_lists_ids_first(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["describe"]) == 0
     ids = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert {"reach-avoid-v0", "invariance-4-v0", "invariance-20-v0", "package-delivery-v0"} <= set(ids)
-    for name in ids:
-        assert main(["describe", name]) == 0
 
 
 @pytest.mark.parametrize(

@@ -28,12 +28,10 @@ COMMANDS: dict[str, list[list[str]]] = {
     "run": [
         [*TASK, *FEW, "--out", "made.npz"],
         [*TASK, *FEW, "--horizon", "2", "3"],
-        [*TASK, *FEW, "--horizon", "none"],
     ],
     "synthesize": [
         [*TASK, "--out", "made.npz"],
         [*TASK, "--stationary", "--restarts", "1", "--out", "made.npz"],
-        ["task.toml", "--cells", "60", "--relation", "paper", "--delta", "0.9", "--out", "made.npz"],
     ],
     "check": [["c.npz"]],
     "canonical": [["task.toml"]],

@@ -167,12 +167,6 @@ def test_agents_that_a_relation_does_not_take(changes: dict[str, Any], relation:
     assert remedy in str(caught.value)
 
 
-@pytest.mark.parametrize("make", [cg.parallel_env, cg.central_env, cg.vector_env])
-def test_step_before_reset(make: Any) -> None:
-    with pytest.raises(RuntimeError, match="call `reset`"):
-        make(PROBLEM).step(np.zeros((1, 2)) if make is cg.vector_env else np.zeros(2))
-
-
 def test_a_certificate_for_another_problem_does_not_check() -> None:
     report = cg.check(result().certificate, PROBLEM.replace(horizon=4))
     assert not report and "made for another problem" in str(report)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import inspect
 import pickle
-from collections.abc import Callable
 from dataclasses import FrozenInstanceError, fields
 from typing import Any
 
-import numpy as np
 import pytest
 
 import certigym as cg
@@ -51,19 +49,6 @@ def test_old_keywords_work_warn_and_say_what_to_write(name: str) -> None:
     new = cg.synthesize(**arguments, search=cg.SearchOptions(**{name: OLD[name]}))
     assert old.lower_bound == new.lower_bound > 0.0
     assert old.certificate.settings == new.certificate.settings
-
-
-def test_old_keywords_of_given_policies_and_models() -> None:
-    problem = cg.make_problem("reach-avoid-v0", horizon=2)
-    stay = lambda x, q, t: np.zeros(1)  # noqa: E731
-    calls: tuple[Callable[[], Any], ...] = (
-        lambda: cg.certify(problem, stay, 16, relation="exact", targets_per_cell=3),
-        lambda: cg.improve(problem, stay, 16, relation="exact", max_sweeps=1),
-        lambda: cg.abstract(problem, 16, relation="paper", epsilon=1.0),
-    )
-    for call in calls:
-        with pytest.warns(DeprecationWarning, match="write search=cg.SearchOptions"):
-            call()
 
 
 @pytest.mark.parametrize(

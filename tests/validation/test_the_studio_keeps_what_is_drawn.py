@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 
 import certigym as cg
-from certigym.validation.presentation.studio import certifying, work
 from certigym.validation.presentation.studio.folder import place
 from certigym.validation.presentation.studio.looking import _MOVED, look
 from certigym.validation.presentation.studio.server import MOST_BYTES, Studio
@@ -330,25 +329,6 @@ def test_two_who_write_at_once_are_told(tmp_path: Path) -> None:
         assert (tmp_path / "task.toml").read_text() == "d = 4"
     finally:
         page.stop()
-
-
-@pytest.mark.thorough
-def test_what_is_stopped_keeps_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
-    ways: list[str] = []
-
-    def send(message: dict[str, Any]) -> None:
-        ways.extend([message["way"]] if message["way"] else [])
-        # Ctrl-C while the second level of cells is under way.
-        if sum(way.startswith("linear, ") for way in ways) == 2:
-            raise KeyboardInterrupt
-
-    problem = cg.make_problem("car-park-v0")
-    monkeypatch.setattr(certifying, "problem_from_toml", lambda *_: problem)
-    job = {"job": "certify", "number": 1, "text": "", "source": "", "folder": ".", "seconds": None}
-    answer = work.Desk(send).do(job)
-    assert answer["certificate"]["lower_bound"] > 0.0
-    assert "broken off by Ctrl-C" in str(answer["certificate"]["tried"])
-    assert answer["certificate"]["fingerprint"] == problem.fingerprint
 
 
 @pytest.mark.thorough
