@@ -170,7 +170,7 @@ def points_in(case: Case, cell: int, share: np.ndarray) -> np.ndarray:
     return np.array([e[k] + s * (e[k + 1] - e[k]) for e, k, s in zip(case.edges, place, share.T, strict=True)])
 
 
-@pytest.mark.parametrize("corners", [False, True], ids=["cells", "corners"])
+@mostly_thorough("corners", [False, True], ids=["cells", "corners"])
 @mostly_thorough("d", [1, 2, 3])
 def test_a_step_back_is_below_the_truth_on_all_of_a_cell(d: int, corners: bool) -> None:
     rng, positive, gaps = np.random.default_rng(10 * d + corners), 0, []

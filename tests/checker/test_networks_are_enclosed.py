@@ -25,6 +25,7 @@ from certigym.synthesis.relations.kinds import Network as Layers
 from certigym.synthesis.relations.kinds import NetworkPolicy, OwnView, SymbolicPolicy, seen_jointly
 from certigym.synthesis.trajectories.planning import networks_along
 from certigym.synthesis.trajectories.planning.policy_paths import _may_have_cells
+from kinds import mostly_thorough
 
 KINDS = [
     *((act, out, sees) for act in ("tanh", "relu") for out in ("clip", "tanh", "box") for sees in ("scaled", "raw")),
@@ -82,7 +83,7 @@ NOTHING = Seen(np.zeros((2, 1)), None, in_box(np.zeros(1), np.zeros(1)))
 
 
 @pytest.mark.parametrize(("activation", "output", "sees"), KINDS)
-@pytest.mark.parametrize("size", [0.5, 2.0, 6.0])
+@mostly_thorough("size", [0.5, 6.0, 2.0])
 def test_answers_are_enclosed(activation: str, output: str, sees: str, size: float) -> None:
     """At points of an ellipsoid with drift, in single precision and in another order of summation."""
     rng = np.random.default_rng(KINDS.index((activation, output, sees)) + int(100 * size))
@@ -477,7 +478,7 @@ SABOTAGE: dict[str, tuple[Any, str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", SABOTAGE)
+@mostly_thorough("name", SABOTAGE)
 def test_sabotage_claims_less_failure_or_another_network(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What makes these tests: that each sabotage changes what is proved of an honest certificate."""
     problem, policies = glider(0.05)

@@ -244,23 +244,23 @@ def agree(files: Iterator[tuple[str, bytes]], program: Second) -> tuple[int, lis
 
 @MADE_BY_HAND
 def test_no_file_of_a_sample_is_proved_by_the_second_checker_alone(made: Any, second: Second) -> None:
-    both, wrong = agree(forged_files(made, 41), second)
+    both, wrong = agree(forged_files(made, 61), second)
     assert wrong == [] and both > 0
-    _, wrong = agree(damaged_files(made, 15), second)
+    _, wrong = agree(damaged_files(made, 8), second)
     assert wrong == []
 
 
 @pytest.mark.thorough
 @MADE_BY_HAND
 def test_no_forged_file_is_proved_by_the_second_checker_alone(made: Any, second: Second) -> None:
-    both, wrong = agree(forged_files(made, 1), second)
-    assert wrong == [] and both > 50
+    both, wrong = agree(forged_files(made, 2), second)
+    assert wrong == [] and both > 25
 
 
 @pytest.mark.thorough
 @MADE_BY_HAND
 def test_no_forged_file_makes_the_second_checker_stumble(made: Any, watched: Second) -> None:
-    both, wrong = agree(forged_files(made, 5), watched)
-    assert wrong == [] and both > 10
-    _, wrong = agree(damaged_files(made, 150), watched)
+    both, wrong = agree(forged_files(made, 15), watched)
+    assert wrong == [] and both > 3
+    _, wrong = agree(damaged_files(made, 50), watched)
     assert wrong == []
