@@ -15,7 +15,7 @@ from kinds import mostly_thorough
 from small_problems import MAKERS, small_spec
 
 CLAIMS, WRITTEN, FIRST, EPISODES = 6, 3, 900_000, 10_000
-FORGERIES = 4
+FORGERIES = 3
 SMALL = 1
 """Small problems of every kind."""
 

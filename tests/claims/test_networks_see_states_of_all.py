@@ -128,6 +128,7 @@ def test_what_changes_places_or_lies_on_cells_is_refused_with_a_reason() -> None
             cg.certify(problem, policy, **options)
 
 
+@pytest.mark.thorough
 def test_tubes_of_noise_that_is_not_normal_hold() -> None:
     """Uniform noise, whose ellipsoids have sub-Gaussian tails."""
     problem, policy = given("central_env", {"law": "uniform", "low": -0.05, "high": 0.05}, activation="tanh")

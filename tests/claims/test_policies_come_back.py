@@ -360,32 +360,6 @@ def test_models_that_remember_are_judged_by_rollouts(problem: cg.Problem) -> Non
     assert np.allclose(second[0][0, 1], np.maximum(2.0 * first[0][0, 1], -problem.agents[1].input_high))
 
 
-class Recurrent(Module):
-    """A recurrent layer, and actions of what it answers."""
-
-    def __init__(self, kind: str, n: int, first: bool) -> None:
-        super().__init__()
-        torch.manual_seed(0)
-        self.layer, self.last = getattr(torch.nn, kind)(n, 4, batch_first=first), torch.nn.Linear(4, 1)
-
-    def forward(self, rows: Any, memory: Any = None) -> Any:
-        answer, memory = self.layer(rows, memory)
-        return self.last(answer), memory
-
-
-@pytest.mark.parametrize("draws", [False, True])
-def test_functions_that_remember_are_not_certified(problem: cg.Problem, draws: bool) -> None:
-    rng, before = np.random.default_rng(0), [0.0]
-
-    def act(x: Any, q: int, time: int) -> Any:
-        before[0] = rng.random() if draws else 0.9 * before[0] + float(x[0])
-        return np.array([before[0]])
-
-    for verb in (cg.certify, cg.improve):
-        with pytest.raises(ValueError, match=r"answers otherwise when it is asked again.*rollouts"):
-            verb(problem, act, 20)
-
-
 class Intruder:
     """An object whose reading makes a folder."""
 

@@ -86,8 +86,6 @@ def test_a_hundred_agents_are_certified_checked_and_simulated(tmp_path: Path) ->
     assert isinstance(loaded.proof, ProductProof) and loaded.lower_bound == certificate.lower_bound
     checked = cg.check(loaded, problem)
     assert checked and checked.recomputed == pytest.approx(certificate.lower_bound, abs=1e-6)
-    again = cg.validate(loaded, 20_000, seed=1, confidence=1 - FALSE_ALARM)
-    assert again.successes == report.successes
 
 
 @pytest.mark.thorough

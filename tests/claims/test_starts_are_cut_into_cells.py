@@ -56,6 +56,7 @@ def found() -> Any:
     return cg.certify(problem, given(problem)).certificate
 
 
+@pytest.mark.thorough
 def test_both_bounds_hold_in_rollouts(found: Any) -> None:
     """From starts in all of the box, and from its corners, its middle and other places."""
     assert isinstance(found.proof.cut, Cut) and cg.check(found, found.problem)

@@ -45,6 +45,7 @@ def found() -> Any:
     return cg.synthesize(team(), effort=1.0)
 
 
+@pytest.mark.thorough
 def test_the_product_is_proved_and_near_what_rollouts_of_the_whole_show(found: Any) -> None:
     certificate = found.certificate
     assert isinstance(certificate.proof, ProductProof) and certificate.problem.groups == ()
@@ -55,6 +56,7 @@ def test_the_product_is_proved_and_near_what_rollouts_of_the_whole_show(found: A
     assert certificate.lower_bound > successes / episodes - 0.08
 
 
+@pytest.mark.thorough
 def test_controllers_act_in_both_environments_of_the_whole(found: Any) -> None:
     """As often as in batches, up to chance, of 150 episodes: seen by infos, by observations, and as one vector."""
     problem, controller = found.certificate.problem, found.controller
@@ -80,6 +82,7 @@ def test_controllers_act_in_both_environments_of_the_whole(found: Any) -> None:
     assert np.all(np.abs(counts / 150.0 - share) < 0.2)
 
 
+@pytest.mark.thorough
 def test_parts_of_other_tasks_are_refused(found: Any) -> None:
     certificate = found.certificate
     easier = cg.synthesize(team("F goal & F[0,3] home").tasks_apart[0], relation="vertices", effort=0.5).certificate
@@ -118,6 +121,7 @@ def test_who_is_compared_or_shares_a_task_stays_together() -> None:
     assert team("F goal & F home & G !near", near=near).apart == ()
 
 
+@pytest.mark.thorough
 def test_there_is_no_shield_of_the_whole(found: Any) -> None:
     with pytest.raises(ValueError, match=r"independent tasks|values of all states"):
         cg.shield(None, found.certificate, probability=0.1)

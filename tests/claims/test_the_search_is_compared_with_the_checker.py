@@ -45,7 +45,7 @@ def test_examples_raise_no_alarm(file: Path) -> None:
     assert alarm_in(contents, check_contents(contents)) == ""
 
 
-@mostly_thorough("name", QUICK, first=3)
+@mostly_thorough("name", QUICK)
 def test_searches_and_the_checker_agree(name: str) -> None:
     certificate = cg.synthesize(name).certificate
     contents = parse_file(canonical_bytes(certificate))

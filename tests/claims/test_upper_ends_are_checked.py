@@ -26,7 +26,7 @@ from certigym.synthesis.policy_search.bounds.certified import deadlocked_mass, n
 from certigym.synthesis.policy_search.bounds.dense import dense_value
 from certigym.synthesis.verbs.abstract import abstract
 from kinds import mostly_thorough
-from problems import scalar_agent, two_agents
+from problems import two_agents
 
 WEAK: dict[str, Any] = {"input_low": [-0.2], "input_high": [0.2]}
 """Inputs too weak for some cells: no target is admissible there."""
@@ -318,19 +318,3 @@ def test_large_masses_are_left_unverified(certificate: OnGrid, monkeypatch: pyte
     monkeypatch.setattr("certigym.synthesis.extended_check.claims.upper_bound.MOST", 1)
     report = cg.check(certificate)
     assert report and report.above is None and "at most" not in str(report)
-
-
-def test_a_single_agent_has_trains_too() -> None:
-    problem = cg.Problem(
-        name="one",
-        horizon=4,
-        agents=[scalar_agent("a", **WEAK)],
-        propositions={"goal": cg.Proposition("a", [1.0], [3.0])},
-        specification=cg.Specification("F goal", "co-safe"),
-    )
-    certificate = cg.synthesize(problem, 16, search=cg.SearchOptions(value="train"), relation="exact").certificate
-    report = cg.check(certificate)
-    assert report and report.above is not None and certificate.gap is not None
-    assert (
-        certificate.lower_bound <= truth(certificate, 16) <= report.above <= certificate.lower_bound + certificate.gap
-    )

@@ -186,7 +186,7 @@ OF_ONE_SIZE = ["two states", "two states that bend", "a state without noise", "t
 
 @pytest.mark.parametrize("name", OF_ONE_SIZE)
 @pytest.mark.parametrize("saddle", [False, True])
-@pytest.mark.parametrize("seed", range(2))
+@mostly_thorough("seed", range(2))
 def test_backups_on_a_lattice_are_below_the_truth(name: str, seed: int, saddle: bool) -> None:
     found, true = below_and_true(name, seed, saddle, on_lattice=True)
     assert len(found) > 100 and np.all(found <= true + 1e-13)
@@ -484,6 +484,7 @@ def test_certificates_are_checked_and_stand_rollouts(certificate: cg.Certificate
     assert cg.check(again) and again.lower_bound == certificate.lower_bound
 
 
+@pytest.mark.thorough
 def test_noise_of_other_laws_is_certified_checked_and_stands_rollouts() -> None:
     problem = cg.load(Path(__file__).parents[2] / "examples" / "own" / "inventory.toml")
     found = cg.synthesize(problem, relation="vertices", effort=1.0)
@@ -576,6 +577,6 @@ def test_cells_are_narrow_wherever_a_region_comes_by() -> None:
 
 @pytest.mark.thorough
 def test_noise_by_state_gets_a_grid_of_vertices_by_default() -> None:
-    found = cg.synthesize(problem_of("one state, its noise grows with it", noise_std=[2.5]), effort=10.0)
+    found = cg.synthesize(problem_of("one state, its noise grows with it", noise_std=[2.5]), effort=3.0)
     tried: Any = found.stats["tried"]
     assert "vertices" in tried and found.certificate.proof.kind == "vertex-grid"
