@@ -79,7 +79,7 @@ def certificate_of(name: str) -> cg.Certificate:
     return result.certificate
 
 
-@mostly_thorough("name", AGENTS, first=2)
+@mostly_thorough("name", AGENTS)
 def test_claims_are_exact_checked_and_met_by_rollouts(name: str) -> None:
     """Both ends of the claim hold in simulations of their own: false alarm 1e-6; a gap of .03 would be seen."""
     certificate = certificate_of(name)
@@ -90,7 +90,7 @@ def test_claims_are_exact_checked_and_met_by_rollouts(name: str) -> None:
     assert outcome.ci_low <= certificate.lower_bound + certificate.gap and certificate.lower_bound <= outcome.ci_high
 
 
-@mostly_thorough("name", AGENTS, first=3)
+@mostly_thorough("name", AGENTS)
 def test_inputs_put_means_on_targets_from_everywhere_in_a_cell(name: str) -> None:
     """Every choice, at random points of its cell: inputs in their box, the mean on the lattice point."""
     certificate, rng = certificate_of(name), np.random.default_rng(1)

@@ -61,16 +61,6 @@ def test_splitting_guards_and_renaming_states_does_not_matter(problem: cg.Proble
     assert value(other) == pytest.approx(value(problem), rel=1e-9)
 
 
-@pytest.mark.thorough
-def test_values_are_probabilities_and_grow_with_cells_horizon_and_inputs(problem: cg.Problem) -> None:
-    by_cells = [value(problem, cells) for cells in (32, 64, 128)]
-    assert by_cells == sorted(by_cells) and 0 < by_cells[0] and by_cells[-1] < 1
-    by_horizon = [value(problem.replace(horizon=t)) for t in (2, 4, 6)]
-    assert by_horizon == sorted(by_horizon)
-    stronger = two_agents("F (a & F c)", horizon=4, **LOUD, input_low=[-4.0], input_high=[4.0])
-    assert value(stronger) > value(problem)
-
-
 def test_a_start_outside_the_workspace_is_worth_nothing_and_a_decided_one_everything() -> None:
     inside = two_agents(horizon=3)
     outside = inside.replace(initial_state=[9.0, 0.0])

@@ -125,20 +125,6 @@ def test_agents_keep_their_scales() -> None:
     assert pickle.loads(pickle.dumps(agent)).noise_scale == agent.noise_scale
 
 
-@pytest.mark.parametrize(
-    "changes, text",
-    [
-        ({"noise_scale": ["0.1"]}, "expected a list of 2 strings"),
-        ({"noise_scale": ["0.1 + y", "1"]}, r"`noise_scale\[0\]`"),
-        ({"noise_axes": [[1.0, 1.0], [0.0, 1.0]], "noise": [GAUSSIAN] * 2}, "without `noise_axes`"),
-        ({"noise": [{"law": scipy.stats.norm(), "cdf_error": 1e-12, "variation": 1.0}] * 2}, "that can be scaled"),
-    ],
-)
-def test_wrong_scales_are_refused_in_words(changes: dict[str, Any], text: str) -> None:
-    with pytest.raises(ValueError, match=text):
-        walker(**changes)
-
-
 def test_one_world_and_many_give_the_same_bits() -> None:
     """With a scale of state, input and disturbance; and the noise has the size that is declared."""
     agent = walker(scale="0.1 + 0.05*abs(x) + 0.02*u + wind", disturbances={"wind": [0.0, 0.05]})
@@ -353,7 +339,7 @@ SABOTAGE: dict[str, tuple[Any, str, Any]] = {
 }
 
 
-@mostly_thorough("sabotage", SABOTAGE, first=2)
+@mostly_thorough("sabotage", SABOTAGE)
 def test_the_check_refuses_what_a_wrong_search_claims(sabotage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = task(walker(LAWS[5] if "charges" in sabotage else GAUSSIAN))
     if (

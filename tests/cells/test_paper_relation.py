@@ -213,25 +213,6 @@ def of_steps(steps: Iterable[HeuristicStep]) -> Policies:
     return tuple(np.stack(own).astype(np.int32) for own in zip(*tables, strict=True))
 
 
-def test_bounds_fall_as_delta_grows_and_epsilon_grows() -> None:
-    problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
-    values = []
-    for delta in (None, 0.03, 0.2):
-        joint = join(
-            problem, abstract(problem, 64, relation="paper", search=cg.SearchOptions(epsilon=0.1, delta=delta))
-        )
-        start = start_of(problem, joint)
-        policies = of_steps(paper_steps(joint))
-        values.append(sweep(joint, policies, start, Limits(0, 0, 0, 10**6), improve=False, loss=robust_loss).value)
-    assert values[0] > values[1] > values[2] >= 0
-    nominal = []
-    for epsilon in (0.0625, 0.3, 0.6):
-        joint = join(problem, abstract(problem, 64, relation="paper", search=cg.SearchOptions(epsilon=epsilon)))
-        start = start_of(problem, joint)
-        nominal.append(sweep(joint, resting_policies(joint), start, Limits(0, 0, 0, 10**6), improve=False).value)
-    assert nominal[0] >= nominal[1] >= nominal[2]
-
-
 def test_heuristic_steps_are_evaluations_of_their_policies() -> None:
     """The value reported with t steps to go is what a frozen evaluation of the same policies gives."""
     problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
@@ -246,18 +227,3 @@ def test_joint_delta_rounds_up() -> None:
     assert joint_delta([0.0, 0.0]) == 0.0
     assert joint_delta([1.0, 0.5]) == 1.0
     assert joint_delta([0.1] * 20) >= 1 - 0.9**20
-
-
-def test_memory_of_a_batch_shows_lost_relations() -> None:
-    problem = two_agents(horizon=4, noise_covariance=[[0.6]])
-    controller = cg.synthesize(problem, 64, relation="paper", search=cg.SearchOptions(epsilon=0.1)).controller
-    dynamics = Dynamics.of(problem)
-    policy, rng = controller.batch(dynamics), np.random.default_rng(0)
-    worlds = core.initial(dynamics, rng, 5000)
-    memory = policy.begin(worlds, np.random.default_rng(1))
-    for _ in range(problem.horizon):
-        inputs, memory = policy.act(worlds, memory)
-        for block, own in zip(dynamics.blocks, inputs):
-            assert np.all((block.input_low <= own) & (own <= block.input_high))
-        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 5000))
-    assert memory.lost is not None and 0 < memory.lost.mean() < 0.3

@@ -208,7 +208,6 @@ _SECTORS_OF, _POLAR_INPUTS, _TURNED = input_cones.input_cones_of, input_cones.po
     "name, wrong",
     [
         ("narrow", wider),
-        ("wide", wider),
         ("both signs", longer),
         ("negative sizes", opposite),
         ("backwards, with a gap", gapless),

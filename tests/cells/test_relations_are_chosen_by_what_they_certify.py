@@ -79,16 +79,9 @@ def test_agents_of_one_team_have_different_relations(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_relations_that_may_be_lost_are_not_combined_with_others() -> None:
-    found = chosen()
-    assert "never lost beside `linear`, got `paper`" in str(tried_of(found)["paper for car, linear for cart"])
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("car", ["exact", "linear"])
-def test_bounds_from_above_hold_for_every_combination(car: str) -> None:
+def test_bounds_from_above_hold_for_combinations() -> None:
     """Also where cells have several labels, of which the worst counts."""
-    problem, cells, relation = team(), {"car": 40, "cart": 24}, {"car": car, "cart": "linear"}
+    problem, cells, relation = team(), {"car": 40, "cart": 24}, {"car": "exact", "cart": "linear"}
     found = cg.synthesize(problem, cells, relation=relation)
     joint = join(problem, abstract(problem, cells, relation=relation))
     most = upper_bound(joint, start_of(problem, joint), relax(problem, joint))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -15,14 +13,11 @@ from certigym.synthesis.certificates.proofs import changed
 from certigym.synthesis.certificates.value_functions.tensor_train import Diagram, Train, added, diagram, rounded
 from certigym.synthesis.certificates.value_functions.train_values import Rounding
 from certigym.synthesis.policy_search.ascent import multistart as policy_search
-from certigym.synthesis.policy_search.ascent.coordinate_ascent import resting_policies, sweep
-from certigym.synthesis.policy_search.ascent.multistart import FINAL
-from certigym.synthesis.policy_search.ascent.relaxation import relax, relaxed_policies, upper_bound
+from certigym.synthesis.policy_search.ascent.relaxation import relax, relaxed_policies
 from certigym.synthesis.policy_search.ascent.train_ascent import TrainLimits, sweep_trains
 from certigym.synthesis.policy_search.ascent.train_backward import evaluate
-from certigym.synthesis.policy_search.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.policy_search.bounds.dense import dense_value
 from certigym.synthesis.verbs.abstract import abstract
-from kinds import mostly_thorough
 from test_tree_equals_dense_programming import FORMULAS, problem_of
 
 SHAPE = (5, 4, 6, 3)
@@ -80,11 +75,6 @@ def test_sums_of_trains_are_sums(n_agents: int) -> None:
     assert added(one, None) is one
 
 
-def test_rounding_pays_in_columns() -> None:
-    ranks = [[rounded(random_parts(seed)[0], tolerance).rank for tolerance in (1e-13, 30.0)] for seed in range(20)]
-    assert sum(coarse for _, coarse in ranks) < 0.8 * sum(fine for fine, _ in ranks)
-
-
 def test_a_complement_needs_two_nodes_however_many_cubes_it_has() -> None:
     parts, _ = random_parts(0)
     assert [len(table) for table in parts[0][1].following] == [1, 2, 2, 2]
@@ -122,34 +112,6 @@ def test_leaving_cells_out_only_takes_away() -> None:
     for q in range(joint.n_states):
         assert np.all(value.at(q, cells) <= exact[q].astype(float).ravel())
     assert value.at(problem.automaton.initial, np.array([[0, 5]]))[0] == 0.0
-
-
-@pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
-@pytest.mark.parametrize("n_agents", [1, 2, 3])
-def test_no_policy_beats_the_product_of_relaxations(formula: str, semantics: str, n_agents: int) -> None:
-    problem = problem_of(n_agents, formula, semantics, 4)
-    joint = join(problem, abstract(problem, 12))
-    relaxations = relax(problem, joint)
-    best = dense_optimum(problem, list(joint.models))
-    for q in np.flatnonzero(~problem.automaton.dead):
-        product = np.ones(())
-        for one in relaxations:
-            product = np.multiply.outer(product, one.values[q])
-        assert np.all(best[q] <= product * (1 + 1e-12) + 1e-12)
-
-
-def test_for_invariance_the_product_of_relaxations_is_the_optimum() -> None:
-    problem = problem_of(2, "G (p1 & p3)", "finite-trace", 4)
-    joint = join(problem, abstract(problem, 24))
-    relaxations = relax(problem, joint)
-    best, q = dense_optimum(problem, list(joint.models)), problem.initial_q
-    assert q is not None
-    product = np.multiply.outer(relaxations[0].values[q], relaxations[1].values[q])
-    np.testing.assert_allclose(best[q], product, rtol=1e-12)
-    start = start_of(problem, joint)
-    found = cg.synthesize(problem, 24)
-    assert found.certificate.lower_bound <= upper_bound(joint, start, relaxations)
-    assert found.certificate.lower_bound == pytest.approx(upper_bound(joint, start, relaxations), rel=1e-9)
 
 
 def test_the_ascent_on_trains_finds_what_the_ascent_on_trees_finds() -> None:
@@ -212,20 +174,6 @@ def test_a_cyclic_task_is_certified_close_to_what_rollouts_show(certified: cg.Sy
     assert isinstance(upper, float) and certificate.lower_bound <= upper
 
 
-def test_certificates_on_trains_are_checked_and_travel(certified: cg.Synthesis, tmp_path: Path) -> None:
-    certificate = certified.certificate
-    assert cg.check(certificate)
-    cg.save(certificate, tmp_path / "c.npz")
-    loaded = cg.load(tmp_path / "c.npz")
-    assert cg.check(loaded) and loaded.lower_bound == certificate.lower_bound
-    start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
-    assert loaded.at(start)[0] >= certificate.lower_bound
-    smallest, mean = loaded.min(start, start + 0.2), loaded.mean(start, start + 0.2)
-    assert 0 < smallest <= mean <= 1
-    report = cg.audit(loaded, 2000, seed=5, confidence=1 - 1e-6)
-    assert report.findings == () and report.tests > 5
-
-
 @pytest.mark.parametrize("wrong", ["bound", "tolerance", "cells", "twice", "horizon"])
 def test_tampered_certificates_on_trains_are_refused(certified: cg.Synthesis, wrong: str) -> None:
     certificate = certified.certificate
@@ -257,36 +205,6 @@ def test_frozen_policies_keep_their_value_under_a_finer_rounding() -> None:
     fine = sweep_trains(joint, policies, start, TrainLimits(1e-6, share=0.0), improve=False)
     assert abs(coarse.value - fine.value) <= coarse.terms.error + fine.terms.error
     assert coarse.rank <= fine.rank
-
-
-@mostly_thorough(("formula", "semantics"), FORMULAS)
-@mostly_thorough("n_agents", [1, 2, 3])
-def test_what_one_agent_could_gain_is_what_it_is_on_trees(n_agents: int, formula: str, semantics: str) -> None:
-    problem, joint, policies = a_team(n_agents, formula, semantics)
-    compare_gains(problem, joint, policies)
-
-
-def test_on_cyclic_tasks_too() -> None:
-    problem = cyclic(2)
-    joint = join(problem, abstract(problem, 24))
-    assert compare_gains(problem, joint, resting_policies(joint)) > 1e-6
-
-
-def compare_gains(problem: cg.Problem, joint: JointModel, policies: Policies) -> float:
-    start = start_of(problem, joint)
-    on_trees, on_trains = [0.0], [0.0]
-    sweep(joint, policies, start, FINAL, improve=False, watch=lambda stage: on_trees.append(stage.gain()))
-    sweep_trains(joint, policies, start, TrainLimits(1e-9, share=0.0), improve=False, watch=on_trains.append)
-    assert max(on_trains) == pytest.approx(max(on_trees), rel=1e-2, abs=1e-9)
-    return max(on_trees)
-
-
-@pytest.mark.thorough
-def test_no_sweeps_leave_the_first_start() -> None:
-    result = cg.synthesize(
-        cg.make_problem("meeting-v0"), 12, search=cg.SearchOptions(value="train", max_sweeps=0, restarts=1)
-    )
-    assert cg.check(result.certificate) and result.stats["sweeps"] == []
 
 
 def test_trees_too_large_for_memory_become_trains(monkeypatch: pytest.MonkeyPatch) -> None:
