@@ -60,6 +60,7 @@ def without_feedback() -> cg.Synthesis:
     return cg.Synthesis(open_loop, open_loop.controller, {"nothing": "too much noise, with noise most is lost at v"})
 
 
+@pytest.mark.thorough
 def test_controllers_without_feedback_give_way_to_better_ones() -> None:
     found = without_feedback()
     chosen = with_textbook_feedback(found, plan())

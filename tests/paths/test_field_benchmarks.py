@@ -26,7 +26,7 @@ def test_files_are_those_that_are_written(tmp_path: Path, monkeypatch: pytest.Mo
         assert (tmp_path / row["problem"]).read_text() == (FOLDER / row["problem"]).read_text()
 
 
-@mostly_thorough("row", ["chain-20", "bas-7", "bas-4-deviation", "ba-4d", "package-delivery-0.2"])
+@mostly_thorough("row", ["chain-20", "bas-7", "ba-4d", "package-delivery-0.2"])
 def test_rows_are_not_below_what_is_published(row: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arch, "EPISODES", 2000)
     (result,) = arch.arch(row, FOLDER).rows(tmp_path)
@@ -46,9 +46,7 @@ def test_means_are_over_the_starts_that_count() -> None:
     assert entry["sure"] < whole < 1.0
 
 
-@mostly_thorough(
-    "row", ["rooms-3-all-heated", "rooms-100-all-heated", "rooms-5-two-heaters", "decoupled-2", "patrol-minimal"]
-)
+@mostly_thorough("row", ["rooms-3-all-heated", "rooms-5-two-heaters", "decoupled-2"])
 def test_rows_without_a_published_number_are_checked(row: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arch, "EPISODES", 2000)
     (result,) = arch.arch(row, FOLDER).rows(tmp_path)

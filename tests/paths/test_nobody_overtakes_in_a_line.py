@@ -45,7 +45,7 @@ def carts(number: int, order: bool = True) -> cg.Problem:
 
 @pytest.mark.thorough
 def test_carts_enter_one_after_the_other() -> None:
-    problem = carts(5)
+    problem = carts(4)
     certificate = cg.synthesize(problem, relation="path", effort=20).certificate
     assert certificate.lower_bound > 0.999 and cg.check(certificate)
 

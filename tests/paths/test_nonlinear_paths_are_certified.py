@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -317,28 +316,6 @@ def test_outputs_of_which_nothing_is_known_on_the_tube_certify_nothing() -> None
         assert not cg.check(cg.Certificate(problem, PathProof((path,), letters, faces, failure), {}))
 
 
-def test_files_keep_nonlinear_paths(certificates: dict[str, AlongPath], tmp_path: Path) -> None:
-    certificate = certificates["cart"]
-    cg.save(certificate, tmp_path / "path.npz")
-    again: Any = cg.load(tmp_path / "path.npz")
-    assert isinstance(again.proof, PathProof) and again.proof.failure == certificate.proof.failure
-    assert cg.check(again, certificate.problem).valid
-    states = np.random.default_rng(0).normal(size=(4, 5))
-    for t in range(3):
-        np.testing.assert_array_equal(
-            *(one.controller.inputs(0, states, np.zeros(states.shape[1], dtype=int), t) for one in (again, certificate))
-        )
-
-
-def test_reports_show_the_tube(certificates: dict[str, AlongPath], tmp_path: Path) -> None:
-    content = cg.report(certificates["cart"], tmp_path / "path.html", episodes=200)
-    assert content.checked is not None and content.checked.valid
-    page = (tmp_path / "path.html").read_text(encoding="utf-8")
-    assert page.count("<svg") >= 1
-    # Deviations that dynamics bend are not those of the tube: no probability is said of them.
-    assert "the tube that linear deviations" in page and "kept with probability" not in page
-
-
 def test_independent_agents_multiply() -> None:
     """Two carts, one of which has matrices, with one task about both."""
     second = cg.LinearAgent(
@@ -350,14 +327,6 @@ def test_independent_agents_multiply() -> None:
     assert cg.check(certificate) and certificate.lower_bound > 0.99
     verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
     assert verdict.verdict != "refuted"
-
-
-def test_what_nonlinear_paths_do_not_do_is_said() -> None:
-    law = [{"law": "scipy", "name": "gumbel_r", "scale": 0.01, "cdf_error": 1e-9, "variation": 80.0}] * 4
-    with pytest.raises(ValueError, match="exponential moments are known, got scipy"):
-        cg.synthesize(bend(noise=law, noise_covariance=None), relation="path")
-    with pytest.raises(ValueError, match="no nominal path"):
-        cg.synthesize(bend(2), relation="path")
 
 
 @pytest.mark.thorough

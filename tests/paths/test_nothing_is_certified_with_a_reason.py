@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.cli.main import main
 from certigym.envs.tasks.problem.problem_file import problem_from_toml
 from certigym.synthesis.certificates.proofs import changed
 from certigym.synthesis.trajectories.chance_constraints.noise_free_runs import most_missed, satisfies
@@ -45,32 +42,6 @@ def problem(
     formula: str = "F goal", horizon: int = 6, std: float = 0.05, high: float = 9.0, wall: float = 2.75
 ) -> cg.Problem:
     return problem_from_toml(FILE.format(name="try", formula=formula, horizon=horizon, std=std, high=high, wall=wall))
-
-
-def test_files_may_be_written_as_they_are_spoken() -> None:
-    asked = problem()
-    assert asked.agent_names == ("robot",) and asked.specification.semantics == "co-safe"
-    np.testing.assert_array_equal(asked.agents[0].noise_covariance, 0.05**2 * np.eye(2))
-    assert problem("G !wall").specification.semantics == "finite-trace"
-    assert problem("G[0,3] !wall").specification.semantics == "co-safe"
-    for wrong, words in (
-        ("noise_std = [0.05, 0.05]", "noise_std = [0.05, -0.05]"),
-        ("noise_std = [0.05, 0.05]", "noise_std = [0.05]"),
-        ("noise_std = [0.05, 0.05]", "noise_std = [0.1, 0.1]\nnoise_covariance = [[0.1, 0.0], [0.0, 0.1]]"),
-        ("[agents.robot]", '[agents.robot]\nname = "other"'),
-        ("[agents.robot]", "[agents]"),
-        ("noise_std = [0.05, 0.05]", "noise_std = [0.05, 0.05, 0.05]"),
-    ):
-        text = FILE.format(name="try", formula="F goal", horizon=6, std=0.05, high=9.0, wall=2.75).replace(wrong, words)
-        with pytest.raises(ValueError, match=r"noise_std|noise_covariance|agents"):
-            problem_from_toml(text)
-    # Semantics that are given are never guessed.
-    written = FILE.format(name="try", formula="F goal", horizon=6, std=0.05, high=9.0, wall=2.75)
-    for wrong in ('""', "false", '"soon"'):
-        table = f'[specification]\nformula = "F goal"\nsemantics = {wrong}\n'
-        text = written.replace('specification = "F goal"\n', "") + table
-        with pytest.raises(ValueError, match="`semantics`: expected 'co-safe' or 'finite-trace'"):
-            problem_from_toml(text)
 
 
 def test_runs_without_noise_are_judged_as_the_simulator_does() -> None:
@@ -132,14 +103,6 @@ def test_a_claim_of_nothing_along_a_path_cannot_be_made_one_of_something() -> No
     asked, found = narrow()
     certificate = found.certificate
     assert not cg.check(changed(certificate, failure=0.5), asked).valid
-
-
-@pytest.mark.thorough
-def test_the_terminal_says_why(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    file = tmp_path / "try.toml"
-    file.write_text(FILE.format(name="try", formula="F goal", horizon=2, std=0.02, high=9.0, wall=2.75))
-    assert main(["synthesize", str(file), "--out", str(tmp_path / "c.npz"), "--effort", "0.5"]) == 0
-    assert re.search(r"nothing was certified \(P >= 0.*\): `goal` is out of reach in 2 steps", capsys.readouterr().out)
 
 
 @pytest.mark.thorough

@@ -77,47 +77,11 @@ def test_without_options_a_path_or_a_grid_is_chosen() -> None:
     assert {"path", "linear"} <= set(dict[str, Any](rough.stats)["tried"])
 
 
-@mostly_thorough("way", ["exact", "written, linear", "written, boxes", "path", "written, path"], first=2)
-def test_files_are_read_back_and_checked(way: str, tmp_path: Path) -> None:
-    certificate, path = certified(way), tmp_path / "kept.npz"
-    cg.save(certificate, path)
-    again = cg.load(path)
-    assert type(again) is type(certificate) and again.lower_bound == certificate.lower_bound
-    assert cg.check(path) and cg.check(again, certificate.problem)
-    assert not cg.check(again, follow(still(), band(1)))
-
-
 @mostly_thorough("way", ["exact", "written, boxes", "written, linear"])
 def test_every_number_is_proved_in_balls(way: str) -> None:
     pytest.importorskip("flint")
     report = check_rigorous(certified(way))
     assert report and report.low >= certified(way).lower_bound
-
-
-@pytest.mark.parametrize("way", ["exact", "written, boxes", "path"])
-def test_controllers_act_alike_in_loops_and_in_batches(way: str) -> None:
-    certificate = certified(way)
-    controller, env = certificate.controller, cg.parallel_env(certificate.problem)
-    observations, infos = env.reset(seed=5)
-    controller.reset(observations, infos, seed=0)
-    from certigym.envs.simulation import Dynamics
-    from certigym.envs.simulation import batch_simulator as core
-
-    dynamics = Dynamics.of(certificate.problem)
-    batch, rng = controller.batch(dynamics), np.random.default_rng(0)
-    worlds = core.initial(dynamics, rng, 3)
-    memory = batch.begin(worlds, rng)
-    for _ in range(certificate.problem.horizon):
-        # From the info and from the observation alone.
-        actions = controller.act(observations, infos)
-        assert np.array_equal(actions["robot"], controller.act(observations)["robot"])
-        inputs, memory = batch.act(worlds, memory)
-        if np.array_equal(worlds.states[0][:, 0, 0], infos["robot"]["state"]):
-            assert np.allclose(inputs[0][:, 0, 0], actions["robot"], rtol=0.0, atol=1e-12)
-        observations, _, ended, _, infos = env.step(actions)
-        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 3))
-        if ended["robot"]:
-            break
 
 
 # --- sabotage --------------------------------------------------------------------------------------------------

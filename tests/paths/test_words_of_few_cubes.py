@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import groupby, islice, pairwise, product
+from itertools import groupby, islice, product
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,6 @@ from certigym.synthesis.trajectories.words import automaton_paths as words
 from certigym.synthesis.trajectories.words.accepted_words import is_accepted, without_needless
 from certigym.synthesis.trajectories.words.automaton_paths import automaton_paths_of
 from certigym.synthesis.trajectories.words.segments import segmented_ways
-from certigym.synthesis.trajectories.words.timed_words import timed_ways
 from fleet_problems import wrong_paths
 from kinds import mostly_thorough
 
@@ -96,31 +95,6 @@ def test_what_was_forbidden_up_to_a_jump_is_not_asked_for_after_it() -> None:
     less = without_needless(problem, letters)
     np.testing.assert_array_equal(less[:, lane], [0, -1, -1, -1, -1, 0, 0, 0, 0, 1])
     assert is_accepted(problem, less)
-
-
-@pytest.mark.thorough
-def test_visits_again_and_again_are_timed_by_how_far_it_is() -> None:
-    """A patrol whose automaton counts steps: no ways are looked for without end, and visits are told apart in time."""
-    problem = cg.Problem(
-        name="patrol",
-        horizon=30,
-        agents=[robot(input_low=[-2.0], input_high=[2.0])],
-        propositions={
-            "east": cg.Proposition("robot", low=[2.0], high=[4.0]),
-            "west": cg.Proposition("robot", low=[-4.5], high=[-2.5]),
-        },
-        specification=cg.Specification("G[0,20] F[0,10] east & G[0,20] F[0,10] west", semantics="finite-trace"),
-    )
-    assert list(islice(automaton_paths_of(problem), 1)) == []
-    (way, times), *_ = timed_ways(problem)
-    letters = way.letters(times, problem.horizon, 2)
-    assert letters is not None and is_accepted(problem, letters)
-    visits = [tuple(letter) for letter in letters[1:].tolist() if max(letter) > 0]
-    runs = [visit for visit, _ in groupby(visits)]
-    assert len(runs) >= 5 and all(a != b for a, b in pairwise(runs))
-    result = cg.synthesize(problem, relation="path")
-    assert result.certificate.lower_bound > 0.9999
-    assert cg.check(result.certificate, problem)
 
 
 FORMULAS = (
