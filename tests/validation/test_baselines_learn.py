@@ -12,9 +12,8 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.relations.kinds import inputs_of
-from certigym.validation.policies.actors import Network, SharedActor, load_actor, networks_of, save_actor
+from certigym.validation.policies.actors import load_actor, networks_of
 from certigym.validation.policies.views import CentralView, SharedView
-from problems import two_agents
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
 
@@ -76,19 +75,6 @@ def settled(env: WorldsVecEnv, info: dict[str, Any]) -> bool:
     states = last[: per_time(env) - RA2.automaton.n_states]
     q = int(np.argmax(last[per_time(env) - RA2.automaton.n_states : per_time(env)]))
     return bool(info["is_success"] or RA2.automaton.dead[q] or np.any(np.abs(states) == 1.0))
-
-
-def test_truncation_is_reported_and_can_be_an_end_like_any_other() -> None:
-    problem = cg.make_problem("invariance-4-v0", horizon=2)
-    for ends, reported in (("truncated", True), ("terminated", False)):
-        env = shared_vec_env(problem, worlds=3, horizon_ends=ends)
-        env.seed(0)
-        env.reset()
-        for _ in range(2):
-            _, _, dones, infos = env.step(np.zeros((12, 1)))
-        assert dones.all()
-        assert {info["TimeLimit.truncated"] for info in infos} == {reported}
-        assert all(info["is_success"] for info in infos)
 
 
 @pytest.mark.parametrize("make", MAKERS)
@@ -159,27 +145,3 @@ def test_ppo_learns_the_two_agent_task_and_its_certificate_holds() -> None:
     assert cg.check(certified.certificate, RA2)
     assert cg.validate(certified, 20_000, confidence=1 - 1e-6).verdict != "refuted"
     assert improved.certificate.lower_bound >= certified.certificate.lower_bound > 0.7
-
-
-def test_wrong_arguments_are_refused(tmp_path: Path) -> None:
-    cases: list[tuple[dict[str, Any], str]] = [
-        ({"algorithm": "dqn"}, "`algorithm`: expected 'ppo'"),
-        ({"steps": 0}, "`steps`"),
-        ({"worlds": True}, "`worlds`"),
-        ({"seed": -1}, "`seed`"),
-        ({"reward": "dense"}, "`reward`"),
-    ]
-    for arguments, message in cases:
-        with pytest.raises(ValueError, match=message):
-            cg.train(RA2, **arguments)
-    with pytest.raises(ValueError, match="`horizon_ends`"):
-        shared_vec_env(RA2, horizon_ends="never")
-    with pytest.raises(ValueError, match="no row has a method"):
-        shared_vec_env(RA2, worlds=1).env_method("jump")
-    network = Network((np.zeros((1, 7), np.float32),), (np.zeros(1, np.float32),), "tanh", False)
-    save_actor(SharedActor(RA2, network), tmp_path / "actor.npz")
-    with pytest.raises(ValueError, match="it was trained on 'reach-avoid-v0'"):
-        load_actor(tmp_path / "actor.npz", two_agents(formula="F a", semantics="co-safe"))
-    (tmp_path / "text.npz").write_text("nothing")
-    with pytest.raises(ValueError, match="expected the file of an actor"):
-        load_actor(tmp_path / "text.npz", RA2)

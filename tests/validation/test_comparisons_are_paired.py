@@ -1,9 +1,7 @@
-"""Comparisons: common random numbers, exact limits and tests, stated information; and their command line."""
+"""Comparisons: common random numbers, exact limits and tests, stated information."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,41 +10,10 @@ from scipy.stats import binomtest
 
 import certigym as cg
 from certigym.baselines import IdleController, RandomController
-from certigym.cli.main import main
 from certigym.validation.policies.comparison import mcnemar
 from problems import two_agents
 
 PROBLEM = two_agents(horizon=4, noise_covariance=[[0.8]])
-AGENT = """
-[[agents]]
-name = "{}"
-A = [[0.9]]
-B = [[0.5]]
-noise_covariance = [[0.8]]
-state_low = [-4.0]
-state_high = [4.0]
-input_low = [-2.0]
-input_high = [2.0]
-initial_state = [0.3]
-"""
-TASK = f"""
-name = "two"
-horizon = 4
-{AGENT.format("one")}{AGENT.format("two")}
-[propositions]
-a = {{ agent = "one", low = [1.0], high = [3.0] }}
-b = {{ agent = "one", low = [-2.0], high = [0.0] }}
-c = {{ agent = "two", low = [-3.0], high = [-1.0] }}
-[specification]
-formula = "(!b | !c) U a"
-semantics = "co-safe"
-"""
-SOURCE = """
-def head(x, q, time):
-    return (2.0 - 0.9 * x) / 0.5
-
-here = {"one": head, "two": lambda x, q, time: 0.0 * x}
-"""
 
 
 def head(x: Any, q: int, time: int) -> Any:
@@ -95,30 +62,3 @@ def test_bounds_seconds_and_information_are_stated() -> None:
     assert [entry.name for entry in seeds] == ["again (seed 0)", "again (seed 1)"]
     assert "again: mean" in str(result) and "over 2 training seeds" in str(result)
     assert len(result.pairs) == 10
-
-
-@pytest.fixture
-def task(tmp_path: Path) -> str:
-    path = tmp_path / "task.toml"
-    path.write_text(TASK)
-    (tmp_path / "mine.py").write_text(SOURCE)
-    return str(path)
-
-
-def test_the_command_line_compares_and_certifies(task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    mine, out = f"{tmp_path / 'mine.py'}:here", tmp_path / "r.json"
-    words = ["compare", task, "--policies", f"certified,random,idle,{mine}", "--cells", "40", "--episodes", "500"]
-    assert main([*words, "--json", str(out)]) == 0
-    assert [e["name"] for e in json.loads(out.read_text())["entries"]] == ["certified", "random", "idle", mine]
-    assert "common random numbers" in capsys.readouterr().out
-    saved = str(tmp_path / "c.npz")
-    words = ["certify", task, "--policy", mine, "--cells", "40", "--improve", "--episodes", "500", "--out", saved]
-    assert main([*words, "--json", str(out)]) == 0
-    raw, certified, improved = json.loads(out.read_text())["entries"]
-    assert raw["lower_bound"] is None and raw["inadmissible"] > 0
-    assert 0.0 < certified["lower_bound"] < improved["lower_bound"]
-    assert cg.load(saved).lower_bound == improved["lower_bound"]
-    assert main(["compare", task, "--policies", saved, "--episodes", "100"]) == 0
-    for wrong in ("nobody", f"{tmp_path / 'mine.py'}:nobody", "nowhere.py:here"):
-        assert main(["certify", task, "--policy", wrong]) == 2
-        assert "expected" in capsys.readouterr().err

@@ -12,7 +12,6 @@ import certigym as cg
 pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
 
 from certigym.baselines import shared_vec_env
-from certigym.envs.interfaces.shaping import LOSS
 from certigym.validation.policies.scattered_batches import ScatteredVectorEnv
 
 
@@ -41,18 +40,6 @@ def test_episodes_that_begin_anywhere_tell_no_success() -> None:
             assert ("is_success" in infos[world]) != before[world] and "episode" in infos[world]
             told[int(before[world])] += 1
     assert min(told) > 10
-
-
-def test_a_lost_task_costs_its_share() -> None:
-    """One agent that leaves its workspace, with all care and with a quarter of it."""
-    paid = []
-    for care in (1.0, 0.25):
-        envs = cg.vector_env("van-der-pol-v0", 20, reward="progress")
-        envs.care = care
-        envs.reset(seed=0, options={"initial_state": [2.99, 2.99]})
-        _, rewards, terminated, *_ = envs.step(np.ones((20, 1)))
-        paid.append(rewards[terminated])
-    assert paid[0].size > 10 and paid[0] == pytest.approx(-LOSS) and paid[1] == pytest.approx(-0.25 * LOSS)
 
 
 def falls(values: Sequence[float]) -> bool:

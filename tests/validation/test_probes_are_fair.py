@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from itertools import product
 from math import comb
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.cli.main import main
 from certigym.validation.policies import Probe, imitation
 from certigym.validation.policies.imitation import Demonstrations, demonstrate
 from certigym.validation.policies.views import CentralView, SharedView
@@ -104,3 +107,13 @@ def test_a_probe_is_judged_on_common_episodes(found: Probe, certificate: Any) ->
     assert found.cloned > 0.9, "an untrained network succeeds in fewer than half of the episodes"
     assert [attempt.deviation for attempt in found.attempts] == [0.2, 0.1, 0.05]
     assert all(300 <= attempt.steps <= 600 for attempt in found.attempts)
+
+
+@pytest.mark.thorough
+def test_the_command_prints_and_writes(certificate: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
+    cg.save(certificate, tmp_path / "c.npz")
+    words = ["probe", "reach-avoid-v0", "--certificate", str(tmp_path / "c.npz"), "--steps", "300", "--episodes", "500"]
+    assert main([*words, "--json", str(tmp_path / "probe.json")]) == 0
+    assert "gain" in capsys.readouterr().out
+    assert json.loads((tmp_path / "probe.json").read_text())["episodes"] == 500

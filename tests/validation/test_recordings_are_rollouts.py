@@ -108,6 +108,7 @@ def expert(x: np.ndarray, q: int, t: int) -> np.ndarray:
     return np.clip(-x, -2.0, 2.0)
 
 
+@pytest.mark.thorough
 def test_tiers_are_random_inputs_half_of_the_gain_and_the_expert(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "HALVINGS", 5)
     monkeypatch.setattr(recording, "rollout", partial(cg.rollout, chunk=500))

@@ -10,7 +10,6 @@ import sys
 import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificates.proofs import BROKEN_OFF, OnGrid
+from certigym.synthesis.certificates.proofs import OnGrid
 from certigym.validation.presentation.reports.gathering import report
-from certigym.validation.statistical_tests import TrialPlan, sweeps
 from certigym.validation.statistical_tests.cluster import dask_cluster, processes
 from certigym.validation.statistical_tests.fields import find_weakest, validate_field
 from certigym.validation.statistical_tests.loop import Loop
@@ -29,7 +27,7 @@ from certigym.validation.statistical_tests.rollouts import NUMBERS_SIDE_BY_SIDE,
 from certigym.validation.statistical_tests.spread import in_order
 from certigym.validation.statistical_tests.step_tests import audit
 from certigym.validation.statistical_tests.stress_test import stress
-from certigym.validation.statistical_tests.sweeps import each_report, sweep
+from certigym.validation.statistical_tests.sweeps import sweep
 from problems import two_agents
 
 EPISODES, CHUNK = 21_300, 500
@@ -114,6 +112,7 @@ def test_dask_gives_the_same_bits_and_a_killed_worker_loses_nothing(certificate:
         np.testing.assert_array_equal(field.successes, same.successes)
 
 
+@pytest.mark.thorough
 def test_rows_of_a_sweep_are_the_same_bits_on_workers_and_those_of_each_setting() -> None:
     problem = two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]])
     over: dict[str, list[float]] = {"noise": [1.0, 0.5], "horizon": [3, 4]}
@@ -138,26 +137,6 @@ def test_a_setting_without_models_is_a_row_and_the_others_go_on() -> None:
     assert [row.verdict == "refused" for row in rows] == [True, False] and "cells" in rows[0].method
 
 
-@pytest.mark.parametrize("over", [{"horizon": [1, 2]}, None], ids=["sweep", "horizons"])
-def test_a_search_that_is_broken_off_ends_a_sweep_and_is_no_row(over: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A search returns what it has after Ctrl-C, and the next setting would begin."""
-    asked = list[int]()
-
-    def broken_off(problem: cg.Problem, **settings: Any) -> cg.Synthesis:
-        asked.append(problem.horizon)
-        result = cg.synthesize(problem, cells=10, relation="exact")
-        told = {"exact": 0.5, "path": f"skipped: {BROKEN_OFF}"} if problem.horizon == 2 else {}
-        return replace(result, stats={**result.stats, "tried": told})
-
-    monkeypatch.setattr(sweeps, "synthesize", broken_off)
-    problem = cg.make_problem("invariance-v0")
-    rows: Any = sweep(problem, over, 100) if over else each_report(problem, [1, 2, 3], TrialPlan(100), {})
-    assert next(rows).verdict
-    with pytest.raises(KeyboardInterrupt):
-        next(rows)
-    assert asked == [1, 2]
-
-
 @pytest.mark.thorough
 def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: OnGrid) -> None:
     loop = Loop(certificate.problem, certificate.controller, 0, CHUNK)
@@ -172,21 +151,6 @@ def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: OnGrid) -
     peak(CHUNK)
     few, many = peak(NUMBERS_SIDE_BY_SIDE), peak(8 * NUMBERS_SIDE_BY_SIDE)
     assert many < 1.2 * few + 50_000
-
-
-def test_an_interrupted_validation_reports_what_was_finished(certificate: OnGrid, alone: np.ndarray) -> None:
-    done = []
-
-    def interrupt(count: int) -> None:
-        done.append(count)
-        if len(done) == 4:
-            raise KeyboardInterrupt
-
-    report = cg.validate(certificate, EPISODES, seed=3, chunk=CHUNK, progress=interrupt)
-    assert report.episodes == 4 * CHUNK and report.interrupted
-    assert report.successes == alone[: 4 * CHUNK].sum()
-    field = validate_field(certificate, [[0.3, 0.3], [1.0, 1.0]], 4000, chunk=CHUNK, progress=_interrupt_at_once())
-    assert field.interrupted and field.episodes.sum() == CHUNK
 
 
 def test_every_verb_keeps_what_was_finished(certificate: OnGrid, tmp_path: Path) -> None:

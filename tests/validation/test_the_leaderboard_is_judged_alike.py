@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import certigym as cg
@@ -123,17 +122,6 @@ def test_published_actors_are_read_and_judged_again(
     page.with_suffix(".json").write_text(json.dumps(table))
     assert main([*words, "--replay"]) == 1 and "OUTSIDE" in capsys.readouterr().out
     assert main([*words[:-1], str(tmp_path / "nowhere"), "--replay"]) == 2
-
-
-def test_actors_of_an_older_problem_are_refused(actors: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "reach-avoid-v0" / "ppo"
-    folder.mkdir(parents=True)
-    with np.load(actors / "reach-avoid-v0" / "ppo" / "seed-0.npz") as file:
-        arrays = dict(file)
-    header = json.loads(str(arrays.pop("header"))) | {"fingerprint": "0" * 64}
-    np.savez(folder / "seed-0.npz", header=np.array(json.dumps(header)), **arrays)
-    with pytest.raises(ValueError, match="another version"):
-        cg.leaderboard(["reach-avoid-v0"], ["ppo"], 300, sources=Sources(learners=tmp_path))
 
 
 def test_learners_are_made_within_their_budget_of_steps_and_kept(

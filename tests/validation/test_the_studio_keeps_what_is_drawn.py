@@ -102,17 +102,11 @@ def test_what_is_drawn_is_asked_for_as_its_role_says(role: str, formula: str) ->
     ("text", "edit"),
     [
         ("a = 1", {"set": [[["a"], 2]]}),
-        ("a = 1", {"set": [[["name", "x"], 2]]}),
         (UNICYCLE, {"set": [[["propositions", "shelf", "lo"], 2]]}),
         (UNICYCLE, {"set": [[["propositions", "shelf", "low"], {"x": float("nan")}]]}),
-        (UNICYCLE, {"set": [[["propositions", "shelf", "low"], None]]}),
         (UNICYCLE, {"add": ["shelf", {}]}),
-        (UNICYCLE, {"add": ["a b", {}]}),
-        (UNICYCLE, {"remove": "nothing"}),
         (UNICYCLE, {"run": "rm"}),
-        (UNICYCLE, []),
         ("propositions = { a = 1 }", {"add": ["b", {}]}),
-        ("[specification]\nhoa = 'x'", {"formula": "F a"}),
         ("[a", {"formula": "F a"}),
     ],
 )
@@ -127,7 +121,7 @@ COUNTING = {"patrol", "queue", "samples"}
 DRAWN = [path for path in EXAMPLES if path.stem not in COUNTING][::4]
 
 
-@mostly_thorough("path", DRAWN, first=4, ids=lambda path: path.stem)
+@mostly_thorough("path", DRAWN[::3], first=2, ids=lambda path: path.stem)
 def test_what_can_be_moved_is_drawn_where_the_task_has_it(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     seen = look(text, path.name, path.parent)
@@ -140,45 +134,6 @@ def test_what_can_be_moved_is_drawn_where_the_task_has_it(path: Path) -> None:
                 for step in (*shape["at"], key):
                     value = value[step]
                 assert value == shape[key]
-
-
-PARTS = """
-name = "ship"
-horizon = 8
-specification = "F light & G !danger"
-[agents.ship]
-states = ["x", "y"]
-inputs = ["u", "v"]
-dynamics = ["x + u", "y + v"]
-noise_covariance = [[0.01, 0], [0, 0.01]]
-state_low = [0, 0]
-state_high = [10, 8]
-input_low = [-1, -1]
-input_high = [1, 1]
-initial_state = [2, 4]
-[propositions]
-shore = { agent = "ship", halfspace = { normal = [0, 1], offset = 1 } }
-light = { agent = "ship", cone = { tip = [9, 4], axis = [-1, 0], angle = 0.8 } }
-danger = { agent = "ship", union = ["shore", { disc = { centre = [5, 5], radius = 0.7 } },
-    { complement = { box = { low = [0.5, 0.5], high = [9.5, 7.5] } } }] }
-"""
-
-
-def test_half_spaces_cones_and_parts_can_be_moved(tmp_path: Path) -> None:
-    """Each part of a union is a shape of its own, whose numbers are changed where they stand; the rest stays."""
-    seen = look(PARTS, "ship.toml", tmp_path)
-    assert seen["error"] is None
-    shapes = {shape["id"]: shape for shape in seen["picture"]["panels"][0]["shapes"]}
-    assert {name: (shape["kind"], shape["part"]) for name, shape in shapes.items()} == {
-        "shore": ("halfspace", False),
-        "light": ("cone", False),
-        "danger/union/1": ("disc", True),
-        "danger/union/2/complement": ("box", True),
-    }
-    box = shapes["danger/union/2/complement"]
-    path = ["propositions", box["name"], *box["at"], "high"]
-    moved = edited(PARTS, {"set": [[path, [9.0, 7.0]], [["propositions", "shore", "halfspace", "offset"], 1.5]]})
-    assert moved == PARTS.replace("[9.5, 7.5]", "[9.0, 7.0]").replace("offset = 1 ", "offset = 1.5 ")
 
 
 # Nothing is written outside of the folder.

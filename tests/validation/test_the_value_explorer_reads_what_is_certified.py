@@ -102,6 +102,7 @@ def test_the_explorer_says_what_the_certificate_says(
         assert units / UNIT <= bound < (units + 2) / UNIT
 
 
+@pytest.mark.thorough
 def test_the_episodes_of_a_point_begin_there_and_end_as_is_said(synthesized: Callable[..., cg.Synthesis]) -> None:
     certificate: Any = synthesized("patrol-robot-v0", 12).certificate
     shown = explored(certificate, seed=3)
