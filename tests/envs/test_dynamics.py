@@ -105,28 +105,6 @@ def test_rounding_never_carries_a_start_onto_the_upper_corner() -> None:
     assert (start < [3.0, -2.5]).all() and (start > [2.9, -2.6]).all()
 
 
-@pytest.mark.parametrize("semantics", ["co-safe", "finite-trace"])
-def test_a_batch_is_bitwise_its_worlds_one_by_one(semantics: str) -> None:
-    problem = mixed_problem(semantics=semantics)
-    dynamics = core.Dynamics.of(problem)
-    rng = np.random.default_rng(11)
-    n = 37
-    batch = core.initial(dynamics, rng, n)
-    alone = [core.initial_at(dynamics, core.joint(dynamics, batch)[[k]]) for k in range(n)]
-    for _ in range(problem.horizon):
-        normals = core.noise(dynamics, rng, n)
-        inputs = [rng.normal(size=u.shape) for u in zeros(dynamics, n)]
-        batch = core.transition(dynamics, batch, inputs, normals)
-        for k in range(n):
-            alone[k] = core.transition(
-                dynamics, alone[k], [u[..., [k]] for u in inputs], [z[..., [k]] for z in normals]
-            )
-            assert (core.joint(dynamics, alone[k])[0] == core.joint(dynamics, batch)[k]).all()
-            assert alone[k].q[0] == batch.q[k]
-            assert alone[k].failed[0] == batch.failed[k] and alone[k].accepted[0] == batch.accepted[k]
-            assert core.satisfied(dynamics, alone[k])[0] == core.satisfied(dynamics, batch)[k]
-
-
 def test_joint_states_stand_in_agent_order() -> None:
     dynamics = core.Dynamics.of(mixed_problem())
     joint = np.arange(12.0).reshape(2, 6)

@@ -1,8 +1,7 @@
-"""What a user writes first works: a formula as text, one agent outside a list, and what other libraries call things."""
+"""What a user writes first works: a formula as text, and one agent outside a list."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -72,44 +71,3 @@ def test_controllers_predict_in_the_environment_of_make(id: str) -> None:
         over = ended or cut
     with pytest.raises(ValueError, match="`observation`: expected a mapping by agents, or"):
         controller.predict(np.zeros(2))
-
-
-def stay(x: Any, q: Any, t: Any) -> Any:
-    return np.zeros(1)
-
-
-PROBLEM = "reach-avoid-v0"
-SIMULATE: dict[str, Callable[..., Any]] = {
-    "rollout": lambda **named: cg.rollout(PROBLEM, stay, **named),
-    "compare": lambda **named: cg.compare(PROBLEM, {"idle": stay}, **named),
-    "validate": lambda **named: cg.validate("c.npz", **named),
-    "stress": lambda **named: cg.stress("c.npz", **named),
-    "audit": lambda **named: cg.audit("c.npz", **named),
-    "validate_field": lambda **named: cg.validate_field("c.npz", [], **named),
-    "report": lambda **named: cg.report("c.npz", "page.html", **named),
-    "probe": lambda **named: cg.probe(PROBLEM, **named),
-    "leaderboard": lambda **named: cg.leaderboard([], **named),
-}
-OTHERS: dict[str, Callable[..., Any]] = {
-    "synthesize": lambda **named: cg.synthesize(PROBLEM, **named),
-    "certify": lambda **named: cg.certify(PROBLEM, stay, **named),
-    "improve": lambda **named: cg.improve(PROBLEM, stay, **named),
-    "abstract": lambda **named: cg.abstract(PROBLEM, **named),
-    "check": lambda **named: cg.check("c.npz", **named),
-    "save": lambda **named: cg.save(None, "c.npz", **named),
-    "load": lambda **named: cg.load("c.npz", **named),
-    "record": lambda **named: cg.record(PROBLEM, stay, **named),
-    "shield": lambda **named: cg.shield(PROBLEM, "c.npz", **named),
-    "Problem": lambda **named: cg.Problem(**named),
-    "Specification": lambda **named: cg.Specification("F a", **named),
-}
-
-
-@pytest.mark.parametrize("verb", [*SIMULATE, *OTHERS])
-def test_unknown_keywords_name_the_verb_and_nothing_inside_it(verb: str) -> None:
-    call = (SIMULATE | OTHERS)[verb]
-    for name in ("verbose", "timeout", "n_episodes", "method", "qwertz"):
-        with pytest.raises(
-            ValueError, match=rf"^`{name}`: expected an argument of `{verb}`, got .*; (did you|the arg)"
-        ):
-            call(**{name: 1})

@@ -154,7 +154,8 @@ EXPLODING = {
 """Formulas with automata of thousands of states, or large diagrams; some took a minute and a half to be refused."""
 
 
-@mostly_thorough("name", EXPLODING)
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", EXPLODING)
 def test_exploding_formulas_are_refused_within_seconds(name: str) -> None:
     """By a count of steps, not by a clock; the clock of this test has room for machines with other work."""
     text, semantics = EXPLODING[name]

@@ -14,26 +14,17 @@ from sample_problems import planar, scalar
 
 AGENT = [
     ({"name": "2nd"}, r"`name`: expected letters.*got '2nd'"),
-    ({"name": 7}, r"`name`: expected letters"),
     ({"A": [[0.9, 0.1]]}, r"`A`: expected a square matrix, got shape 1 x 2"),
-    ({"A": [["x"]]}, r"`A`: expected numbers.*got 'x'; give plain numbers"),
-    ({"A": [[True]]}, r"`A`: .*got True; give plain numbers"),
-    ({"A": [[1j]]}, r"`A`: .*got 1j; give plain numbers"),
     ({"A": [[float("nan")]]}, r"`A`: expected finite numbers.*got nan"),
     ({"A": [[10**400]]}, r"`A`: expected finite numbers"),
-    ({"A": [[1.0], [1.0, 2.0]]}, r"`A`: .*rows of unequal length"),
-    ({"A": []}, r"`A`: expected numbers"),
     ({"B": [[0.5], [0.5]]}, r"`B`: expected numbers of shape \(1, any\)"),
     ({"noise_covariance": [[-0.25]]}, r"`noise_covariance`: expected a positive semidefinite matrix.*-0.25"),
     ({"state_low": [5.0]}, r"`state_low`: expected numbers less than `state_high`, got 5.0 and 5.0 on axis 0"),
     ({"state_high": [float("inf")]}, r"`state_high`: expected finite numbers.*got inf"),
-    ({"input_low": [6.0]}, r"`input_low`: expected numbers at most `input_high`, got 6.0 and 5.0"),
-    ({"input_low": [-1.0, -1.0]}, r"`input_low`: expected numbers of shape \(1\)"),
     ({"initial_low": [0.0]}, r"`initial_state`: expected a point or a box.*got both"),
     ({"initial_state": None, "initial_low": [0.0]}, r"`initial_high`: expected both corners"),
     ({"initial_state": [0.0, 0.0]}, r"`initial_state`: expected numbers of shape \(1\)"),
     ({"output_matrix": [[1.0, 0.0]]}, r"`output_matrix`: expected numbers of shape \(any, 1\)"),
-    ({"offset": [0.0, 0.0]}, r"`offset`: expected numbers of shape \(1\)"),
 ]
 
 
@@ -54,22 +45,16 @@ GOOD: dict[str, Any] = {"name": "task", "horizon": 3}
 GOAL = {"goal": cg.Proposition("left", [0.0], [5.0])}
 PROBLEM = [
     ({"name": ""}, r"`name`: expected a line of 1 to 200"),
-    ({"name": "a\nb"}, r"`name`: expected a line"),
     ({"horizon": 0}, r"`horizon`: expected a whole number from 1 to 1000000 \(control steps\), got 0"),
-    ({"horizon": 3.0}, r"`horizon`: .*got 3.0"),
-    ({"horizon": True}, r"`horizon`: .*got True"),
     ({"agents": []}, r"`agents`: expected a list of at least one LinearAgent"),
     ({"agents": [scalar(), scalar()]}, r"`agents`: expected different names, got 'left' twice; rename one"),
     ({"agents": [scalar(initial_state=None)]}, r"`agents`: expected a start for every agent, got none for 'left'"),
     ({"propositions": [1]}, r"`propositions`: expected a mapping"),
-    ({"propositions": {"2": GOAL["goal"]}}, r"`propositions`: expected letters, digits"),
     ({"propositions": {"F": GOAL["goal"]}}, r"`propositions.F`: .*a word of the formula language"),
-    ({"propositions": {"goal": {"agent": "left"}}}, r"`propositions.goal`: expected a Proposition, a Pair, or a dict"),
     ({"propositions": {"goal": cg.Proposition("lefd", [0], [1])}}, r"got 'lefd'; did you mean 'left'\?"),
     ({"propositions": {"goal": cg.Proposition("d_*", [0], [1])}}, r"expected a pattern that matches an agent, got 'd_"),
     ({"propositions": {"goal": cg.Proposition("left", [0, 0], [1, 1])}}, r"expected corners of length 1"),
     ({"propositions": {"goal": cg.Proposition("left", [5.0], [6.0])}}, r"expected a region that meets the workspace"),
-    ({"propositions": {"goal": cg.Proposition("left", [-30], [-20])}}, r"expected a region that meets the workspace"),
     ({"specification": cg.Specification("F gaol", "co-safe")}, r"gaol"),
     ({"specification": cg.Specification("G goal", "co-safe")}, r"G"),
 ]
@@ -120,19 +105,6 @@ def test_members_of_families_must_be_new_names() -> None:
 )
 def test_a_formula_says_its_semantics(formula: str, semantics: str) -> None:
     assert cg.Specification(formula).semantics == semantics
-
-
-def test_specification() -> None:
-    with pytest.raises(ValueError, match=r"`formula`: expected exactly one of a formula and an automaton, got none"):
-        cg.Specification()
-    with pytest.raises(ValueError, match=r"`semantics`: .*got 'LTL'"):
-        cg.Specification("F a", "LTL")
-    automaton = cg.translate("F a", ["a"], "co-safe")
-    assert cg.Specification(automaton=automaton).semantics == "co-safe"
-    with pytest.raises(ValueError, match=r"`semantics`: expected 'co-safe', as the automaton says"):
-        cg.Specification(semantics="finite-trace", automaton=automaton)
-    with pytest.raises(ValueError, match=r"`automaton`: expected propositions among \['goal'\], got 'a'; declare it"):
-        cg.Problem(agents=[scalar()], propositions=GOAL, specification=cg.Specification(automaton=automaton), **GOOD)
 
 
 def test_arrays_are_read_only_and_copied() -> None:

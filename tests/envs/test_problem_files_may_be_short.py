@@ -99,15 +99,9 @@ def test_a_box_that_moves_is_certified_and_met() -> None:
     ("old", "new", "said"),
     [
         ('"-2*pi"', '"-2*t"', "`state_low`"),
-        ('"-2*pi"', '"-2*"', "`state_low`"),
         ('"max(0, sin(0.5*t))"', '"1/t"', "`input_high`: expected numbers at all steps"),
-        ('"max(0, sin(0.5*t))"', '"level"', "`input_high`"),
         ('"-0.1*t"', '"0.1"', "expected at most `input_high` at all steps, got more at step 0"),
-        ('"-0.1*t"', "0.1", "expected at most `input_high` at all steps, got more at step 0"),
-        ('"-0.1*t"', '"many"', "`input_low`"),
-        ('["-0.1*t"]', "[[0.0]]", "`input_low`"),
         ('[[0.0], ["pi / 2"]]', "[[0.0]]", "one for each of 2 copies, got 1"),
-        ('inputs = ["flow"]', 'inputs = ["flow", "other"]', "expected numbers of shape (2)"),
     ],
 )
 def test_what_is_wrong_in_shorthand_is_named(old: str, new: str, said: str) -> None:

@@ -1,15 +1,15 @@
-"""The reward "progress" tells a good failure from a bad one, leads along the shortest tour, and keeps the task."""
+"""The reward "progress" pays a success more than any failure, each agent for its own share, and leads around walls."""
 
 from __future__ import annotations
 
-from itertools import permutations, product
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.interfaces.shaping import DEATH, EASE, SURVIVAL, Potential
+from certigym.envs.interfaces.shaping import EASE, SURVIVAL, Potential
 from certigym.envs.interfaces.tour import CELLS, Tour, cells_of, detours
 from certigym.envs.simulation import batch_simulator as core
 
@@ -28,38 +28,6 @@ def returns(envs: Any, policy: Any, seed: int) -> tuple[np.ndarray, np.ndarray, 
         satisfied[ended], last[~over] = infos["satisfied"][ended], infos["state"][~over]
         over |= ended
     return total, satisfied, last
-
-
-def test_progress_tells_a_good_failure_from_a_bad_one() -> None:
-    """One step towards the goal and one away from it: "shaped" pays the same for both, "progress" does not."""
-    problem = cg.make_problem("reach-avoid-v0", initial_state=[-10.0, -4.0], horizon=1)
-    paid: dict[str, list[float]] = {}
-    for reward in ("shaped", "progress"):
-        envs = cg.vector_env(problem, 200, reward=reward)
-        for action in (-1.0, 1.0):
-            total, satisfied, _ = returns(envs, lambda o, a=action: np.tile([a, 0.0], (200, 1)), 0)
-            assert not satisfied.any()
-            paid.setdefault(reward, []).append(float(total.mean()))
-    assert paid["shaped"][0] == pytest.approx(paid["shaped"][1])
-    assert paid["progress"][1] > paid["progress"][0] + 0.05
-
-
-def test_a_lost_task_keeps_its_level() -> None:
-    """Survival counts for tasks that are judged at the horizon: whoever fails later has the larger return."""
-    problem = cg.make_problem("invariance-v0", n_agents=1)
-    envs = cg.vector_env(problem, 300, reward="progress")
-    assert not problem.automaton.is_co_safe
-    envs.reset(seed=0)
-    total, over, times = np.zeros(300), np.zeros(300, dtype=bool), np.zeros(300)
-    while not over.all():
-        _, rewards, terminated, truncated, infos = envs.step(np.ones((300, 1)))
-        total += np.where(over, 0.0, rewards)
-        times[~over] = infos["time"][~over]
-        over |= terminated | truncated
-    lost = ~infos["satisfied"]
-    assert lost.any()
-    # Every step survived pays a share of the horizon; the step that loses costs, wherever it is.
-    assert total[lost] == pytest.approx(SURVIVAL * (times[lost] - 1) / problem.horizon - DEATH)
 
 
 def test_agents_earn_half_of_what_they_do_themselves_and_half_of_what_the_team_does() -> None:
@@ -105,36 +73,6 @@ def test_a_success_earns_more_than_any_failure(id: str) -> None:
 
 def potential(id: str) -> Potential:
     return Potential.of(core.Dynamics.of(cg.make_problem(id)))
-
-
-def test_the_route_is_the_shortest_tour() -> None:
-    """Against all orders of the four customers, with ways through the pond counted twice.
-
-    Ways lead from the middle of home to that point of each square that is nearest to it.
-    """
-    problem = cg.make_problem("courier-v0")
-    found, names = potential("courier-v0"), problem.automaton.propositions
-    order, q = [], problem.automaton.initial
-    while found.route[q].size:
-        letter = np.isin(np.arange(len(names)), found.route[q])[:, None]
-        order.append(names[int(found.route[q][0])])
-        q = int(problem.automaton.next_state(np.array([q]), letter)[0])
-    assert order[-1] == "home"
-
-    pond = problem.propositions["pond"]
-
-    def length(customers: tuple[str, ...]) -> float:
-        total, at = 0.0, np.zeros(2)
-        for name in (*customers, "home"):
-            region = problem.propositions[name]
-            there = np.clip(np.zeros(2), region.low, region.high)
-            points = at + np.linspace(0.0, 1.0, 1001)[:, None] * (there - at)
-            wet = ((pond.low < points) & (points < pond.high)).all(axis=1).any()
-            total += (2.0 if wet else 1.0) * float((np.abs(there - at) / [12.0, 10.0]).mean())
-            at = there
-        return total
-
-    assert length(tuple(order[:-1])) == pytest.approx(min(map(length, permutations(order[:-1]))))
 
 
 @pytest.mark.parametrize("id", ["patrol-recharge-v0", "building-automation-v0"])

@@ -144,22 +144,3 @@ def test_all_controllers_look_for_readings_first(kind: str) -> None:
     for call in (controller.reset, controller.act):
         with pytest.raises(ValueError, match="exact sensors"):
             call(dict.fromkeys(names, np.zeros(6)), infos)
-
-
-@pytest.mark.parametrize(
-    ("make", "arguments", "name"),
-    [
-        (cg.parallel_env, {"sensor_noise": -0.1}, "sensor_noise"),
-        (cg.central_env, {"sensor_noise": [0.1, 0.1, 0.1]}, "sensor_noise"),
-        (cg.vector_env, {"sensor_noise": np.nan}, "sensor_noise"),
-        (cg.team_env, {"sensor_noise": "much"}, "sensor_noise"),
-        (cg.parallel_env, {"neighbours": 1}, "neighbours"),
-        (cg.team_env, {"observation": "neighbours", "neighbours": 2}, "neighbours"),
-        (cg.parallel_env, {"observation": "neighbours", "neighbours": 0}, "neighbours"),
-        (cg.central_env, {"scale": "large"}, "scale"),
-        (cg.vector_env, {"automaton": "shown"}, "automaton"),
-    ],
-)
-def test_options_are_checked(make: Any, arguments: dict[str, Any], name: str) -> None:
-    with pytest.raises(ValueError, match=f"`{name}`: expected"):
-        make("reach-avoid-v0", **arguments)

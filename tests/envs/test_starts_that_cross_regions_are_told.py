@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
-import certigym as cg
-from certigym.cli.main import main
 from certigym.envs.tasks.problem import crossed_starts, problem_from_toml
 from certigym.envs.tasks.problem.start_boxes import _pieces, _share
 
@@ -71,23 +66,3 @@ def test_regions_that_the_task_does_not_ask_about_cut_nothing() -> None:
     problem = problem_from_toml(CROSSED.replace("F goal", "F goal & F away") + away)
     assert len(_pieces(problem)) > 5
     assert len(_pieces(problem_from_toml(CROSSED + away))) == 5
-
-
-def test_a_search_says_it_before_it_begins(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import certigym.cli.work as work
-
-    def searched(*arguments: Any, **options: Any) -> None:
-        assert "instead" in capsys.readouterr().err
-        raise ValueError("the search began")
-
-    monkeypatch.setattr(work, "synthesize", searched)
-    file = tmp_path / "crossed.toml"
-    file.write_text(CROSSED)
-    assert main(["run", str(file)]) == 2
-    assert "the search began" in capsys.readouterr().err
-    assert main(["describe", str(file)]) == 0
-    assert "instead" in capsys.readouterr().out
-    with pytest.raises(ValueError, match="instead"):
-        cg.synthesize(cg.load(file), relation="path")

@@ -62,16 +62,6 @@ def test_package_delivery_follows_its_table(id: str) -> None:
     assert set(read(problem, "done", points)) == {"done"} and set(read(problem, "failed", points)) == {"failed"}
 
 
-def test_package_delivery_begins_as_published() -> None:
-    problem = cg.make_problem("package-delivery-v0")
-    assert problem.horizon == 20 and problem.automaton.semantics == "co-safe"
-    assert problem.automaton.state_names[problem.initial_q or 0] == "carrying"
-    third = [-18.0875, -7.2875, -16.8625, -7.2875, -13.5375, -7.2875, -11.8625, -7.2875]
-    assert problem.automaton.state_names[problem.replace(initial_state=third).initial_q or 0] == "init"
-    assert problem.agents[0].noise_covariance.tolist() == [[0.25]]
-    assert cg.make_problem("package-delivery-eased-v0").agents[7].noise_covariance.tolist() == [[0.01]]
-
-
 def test_invariance_has_two_settings_and_two_states() -> None:
     problem = cg.make_problem("invariance-20-v0")
     assert problem.n_agents == 20 and problem.automaton.n_states == 2 and problem.automaton.semantics == "finite-trace"
@@ -79,21 +69,6 @@ def test_invariance_has_two_settings_and_two_states() -> None:
     values = {s: [float(m[0, 0]) for m in (linear(a).A, linear(a).B, a.noise_covariance)] for s, a in agents.items()}
     assert values == {"A": [0.9, 0.5, 0.25], "B": [1.0, 1.0, 1.0]}
     assert cg.make_problem("invariance-v0", n_agents=4).fingerprint == cg.make_problem("invariance-4-v0").fingerprint
-
-
-def test_reach_avoid_accepts_what_its_formula_says() -> None:
-    problem = cg.make_problem("reach-avoid-v0")
-    assert problem.automaton.n_states == 3 and problem.horizon == 7
-    dynamics = core.Dynamics.of(problem)
-    for point, verdict in (
-        ([0.0, -20.0], "accepted"),
-        ([-5.0, -15.0], "open"),
-        ([-5.0, -15.5], "dead"),
-        ([-5.5, -20.0], "open"),
-    ):
-        worlds = core.initial_at(dynamics, np.array([point]))
-        dead = bool(problem.automaton.dead[worlds.q[0]])
-        assert ("accepted" if worlds.accepted[0] else "dead" if dead else "open") == verdict
 
 
 @pytest.mark.parametrize("n_agents", [1, 2, 1000])
@@ -336,16 +311,3 @@ def test_vehicles_are_pulled_by_the_one_ahead() -> None:
     pull = 0.1 * (place[:-1] - place[1:]) + 0.1 * (speed[:-1] - speed[1:])
     np.testing.assert_allclose(after[:, 0], place + 0.5 * speed, rtol=1e-13, atol=1e-13)
     np.testing.assert_allclose(after[:, 1], speed + np.append(0.0, pull) + 0.25, rtol=1e-13, atol=1e-13)
-
-
-def test_patrols_go_west_then_east_then_home() -> None:
-    problem = cg.make_problem("patrol-robot-v0")
-    west, east, home, pillar = [-3.0, 3.0], [3.0, 3.0], [0.0, -4.0], [0.0, 0.0]
-    for places, holds in (
-        ([home, west, east, home], True),
-        ([west, home, east, home], True),
-        ([east, west, home], False),
-        ([west, pillar, east, home], False),
-        ([west, east, home, pillar], True),
-    ):
-        assert word(problem, np.array(places)) is holds

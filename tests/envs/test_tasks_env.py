@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import pickle
 from typing import Any
 
 import numpy as np
 import pytest
-from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from scipy.stats import binom
 
 import certigym as cg
 from certigym.envs.interfaces.problem_env import ProblemEnv
 from certigym.envs.interfaces.tasks_env import TasksEnv
 from certigym.envs.tasks.problem import groups as independent
-from kinds import mostly_thorough
 from team_problems import pairs
 
 
@@ -60,39 +57,6 @@ def test_rewards_and_ends_are_those_of_the_whole(monkeypatch: pytest.MonkeyPatch
     assert apart.step({}) == whole.step({})
     satisfied = (1.0, semantics == "co-safe", semantics != "co-safe")
     assert seen == {(0.0, False, False), (0.0, True, False), satisfied} | ({(0.0, False, True)} & seen)
-
-
-@mostly_thorough("discount", [1.0, 0.9])
-def test_shaped_returns_differ_by_the_first_potential_only(monkeypatch: pytest.MonkeyPatch, discount: float) -> None:
-    apart, _ = both(monkeypatch, "finite-trace", reward="shaped", discount=discount)
-    rng = np.random.default_rng(1)
-    for pull in (1.0, -1.0) * 20:
-        observations, _ = apart.reset(seed=1, options={"initial_state": rng.uniform(-1.0, 1.0, 4)})
-        first = np.mean([task.potential for task in apart.tasks])
-        total, factor = 0.0, 1.0
-        while apart.agents:
-            actions = {name: np.clip(-pull * rng.uniform(0, 4) * x[:1], -2, 2) for name, x in observations.items()}
-            observations, rewards, _, _, infos = apart.step(actions)
-            total += factor * rewards["left_0"]
-            last, factor = factor, factor * discount
-        assert first > 0
-        assert total == pytest.approx(last * infos["left_0"]["satisfied"] - first)
-
-
-def test_many_pairs_keep_the_contract_of_pettingzoo() -> None:
-    problem = pairs(10)
-    env = cg.parallel_env(problem, "ansi")
-    assert isinstance(env, TasksEnv) and len(env.tasks) == 10
-    parallel_api_test(env, num_cycles=30)
-    parallel_seed_test(lambda: cg.parallel_env(problem), num_cycles=20)
-    api_test(cg.aec_env(problem), num_cycles=30)
-    env.reset(seed=3)
-    assert env.state() in env.state_space and str(env.render()).count("\n") == 9
-    copied = pickle.loads(pickle.dumps(env))
-    actions = {name: np.zeros(1) for name in env.agents}
-    np.testing.assert_array_equal(env.step(actions)[0]["right_7"], copied.step(actions)[0]["right_7"])
-    one, other = env.reset(seed=3)[0], env.reset()[0]
-    assert one.keys() == other.keys() == set(env.possible_agents)
 
 
 @pytest.mark.thorough

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs.tasks.problem import out_of_reach, problem_from_toml
+from certigym.envs.tasks.problem import out_of_reach
 from kinds import mostly_thorough
 
 NOISE = {"law": "gaussian", "std": 0.05}
@@ -162,47 +162,3 @@ def test_what_is_named_is_what_is_needed() -> None:
     assert found is not None and "`goal`" in found.why and "`far`" not in found.why
     broken = out_of_reach(asked("G !here", 5, here=cg.Proposition("robot", [-4.5, -1], [-3, 1])))
     assert broken is not None and broken.why.startswith("the start itself breaks the task")
-
-
-SHIP = """
-name = "turn"
-horizon = 12
-specification = "F goal"
-[[agents]]
-name = "ship"
-states = ["x", "theta"]
-inputs = ["u", "turn"]
-dynamics = ["x + u", "theta + turn"]
-noise_std = [0.01, 0.02]
-state_low = [-5, -3.14]
-state_high = [5, 3.14]
-input_low = [-0.1, -0.1]
-input_high = [0.1, 0.1]
-initial_state = [0, 3.0]
-[propositions]
-goal = { agent = "ship", of = ["theta"], low = [-3.1], high = [-2.8] }
-"""
-
-
-@mostly_thorough(
-    ("change", "is_told"),
-    [
-        (("", ""), True),
-        (("-3.14]\\nstate_high = [5, 3.14]", "-4]\\nstate_high = [5, 4]"), False),  # nothing looks like an angle
-        # In a sine a state may be one whatever its workspace is.
-        (('"x + u"', '"x + u*cos(theta)"'), True),
-        (('of = ["theta"], low = [-3.1], high = [-2.8]', 'of = ["x"], low = [4], high = [5]'), False),
-        (('"theta + turn"', '"0.9*theta + turn"'), False),  # a turn further on it moves in another way
-        (('"x + u"', '"x + 0.01*theta + u"'), False),
-        (("dynamics =", 'angles = ["theta"]\\ndynamics ='), False),
-    ],
-    first=3,
-)
-def test_states_that_may_be_angles_are_told_where_that_would_help(change: tuple[str, str], is_told: bool) -> None:
-    before, after = (text.replace("\\n", "\n") for text in change)
-    text = SHIP.replace(before, after) if before else SHIP
-    if "angles" in text:
-        text = text.replace("-3.14]", '"-pi"]').replace("3.14]", '"pi"]')
-    lost = out_of_reach(problem_from_toml(text))
-    assert ('if `theta` is an angle, write `angles = ["theta"]`' in ("" if lost is None else lost.why)) == is_told
-    assert (lost is None) == ("angles" in text)

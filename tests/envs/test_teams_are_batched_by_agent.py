@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -74,18 +72,3 @@ def test_zero_actions_stand_for_the_middle_of_the_input_box() -> None:
     steps = unit.step({name: np.zeros((4, 1)) for name in unit.agents}), given.step(middles)
     for name in unit.agents:
         assert np.array_equal(steps[0].observations[name], steps[1].observations[name])
-
-
-@pytest.mark.parametrize(
-    ("actions", "message"),
-    [({}, "'agent_0', got"), ({"agent_0": np.zeros((3, 2))}, "shape"), ({"agent_0": np.full((3, 1), np.nan)}, "")],
-)
-def test_mistakes_are_answered(actions: dict[str, Any], message: str) -> None:
-    team = cg.team_env("reach-avoid-v0", 3)
-    team.reset(seed=0)
-    with pytest.raises(ValueError, match="`actions`: expected.*" + message):
-        team.step(dict.fromkeys(team.agents, np.zeros((3, 1))) | actions if actions else actions)
-    with pytest.raises(ValueError, match="`scale`: expected"):
-        cg.team_env("reach-avoid-v0", scale="large")
-    with pytest.raises(RuntimeError, match="reset"):
-        cg.team_env("reach-avoid-v0").step({"agent_0": [[0.0]], "agent_1": [[0.0]]})
