@@ -76,10 +76,6 @@ def rendered(env: Any) -> Any:
     return env.render()
 
 
-def wrapped(policy: Any) -> Any:
-    return cg.certify(PROBLEM, policy, cells=10)
-
-
 MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     # shapes and numbers of agents
     (lambda: agent(A=[0.9]), "A", "such as [[0.9]]"),

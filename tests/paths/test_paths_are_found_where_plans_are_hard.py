@@ -160,17 +160,6 @@ def test_inputs_from_which_an_agent_runs_away_cost_everything() -> None:
     assert Planner(model, aim, CountedWork()).improved(np.ones((steps, 1)), 3)[2] == np.inf
 
 
-def growing() -> cg.Problem:
-    """Return a stock whose noise grows with it, from next to nothing."""
-    agent = cg.Agent(
-        name="stock", states=["x"], inputs=["catch"], dynamics=["x + 0.3*x*(1 - x/10) - catch"], noise=[noise(1.0)],
-        noise_scale=["0.1*x"], state_low=[0], state_high=[16], input_low=[0], input_high=[1], initial_state=[6],
-    )  # fmt: skip
-    regions = {"alive": cg.Proposition("stock", [2], [16])}
-    task = cg.Specification("G alive", "finite-trace")
-    return cg.Problem(name="growing", horizon=3, agents=[agent], propositions=regions, specification=task)
-
-
 @pytest.mark.thorough
 def test_hopeless_plans_take_a_small_share_of_the_work() -> None:
     """Noise that grows with a stock leaves nothing along a path: that is seen long before the work is done."""
@@ -217,23 +206,3 @@ def test_who_is_in_the_way_of_everybody_leaves_no_runs_in_turn() -> None:
     )  # fmt: skip
     assert list(plans_of_runs(blocked, CountedWork())) == []
     assert list(plans_of_runs(chase(), CountedWork())) == []
-
-
-def roads() -> cg.Problem:
-    """Return two roads with two cars each, which keep a distance; the crossing is for one road at a time."""
-    cars = [
-        cg.LinearAgent(
-            name=f"{road}_{k}", A=[[1, 0.5], [0, 1]], B=[[0.125], [0.5]], noise_covariance=np.eye(2) * 0.0025,
-            state_low=[-30, -0.5], state_high=[60, 4], input_low=[-2], input_high=[1.5], initial_state=[-8 - 5 * k, 2],
-            output_matrix=[[1, 0]],
-        )
-        for road in "ne"
-        for k in range(2)
-    ]  # fmt: skip
-    regions: dict[str, Any] = {f"in_{car.name}": cg.Proposition(car.name, [-2], [2]) for car in cars}
-    for road in "ne":
-        regions[f"out_{road}"] = cg.Proposition(f"{road}_1", [3], [60])
-        regions[f"hit_{road}"] = cg.Pair([f"{road}_0", f"{road}_1"], [-60], [2])
-    alone = "!((in_n_0 | in_n_1) & (in_e_0 | in_e_1))"
-    task = cg.Specification(f"G (!hit_n & !hit_e & {alone}) & F (out_n & out_e)", "finite-trace")
-    return cg.Problem(name="roads", horizon=30, agents=cars, propositions=regions, specification=task)

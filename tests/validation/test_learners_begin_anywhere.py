@@ -1,8 +1,6 @@
-"""A share of the episodes of a learner begins anywhere, undecided, and tells no success; care rises, spread falls."""
+"""A share of the episodes of a learner begins anywhere, undecided, and tells no success."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -40,7 +38,3 @@ def test_episodes_that_begin_anywhere_tell_no_success() -> None:
             assert ("is_success" in infos[world]) != before[world] and "episode" in infos[world]
             told[int(before[world])] += 1
     assert min(told) > 10
-
-
-def falls(values: Sequence[float]) -> bool:
-    return bool((np.diff(values) < 0.0).all())

@@ -1,4 +1,4 @@
-"""Learners start from a clone and say so, go on where they stopped, keep their best actor, and follow their file."""
+"""Learners start from a clone and say so, go on where they stopped, and keep their best actor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A training behind a shield keeps what is promised, says so, and is offered on the command line."""
+"""A training behind a shield keeps what is promised, and says so."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Agents with own parameters share none, a central critic stays out of the actors, and budgets end trainings."""
+"""Agents with own parameters share none, and a central critic stays out of the actors."""
 
 from __future__ import annotations
 
