@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -183,28 +182,16 @@ def test_ctrl_c_keeps_the_best_level() -> None:
     assert "broken off by Ctrl-C" in str(tried_of(found))
 
 
-def slalom(work: CountedWork) -> tuple[CountedWork, cg.Synthesis]:
-    return work, agreed(path_certificate(cg.make_problem("car-slalom-v0"), work))
-
-
-TOLD: list[float] = []
-
-
-@cache
-def driven() -> tuple[CountedWork, cg.Synthesis]:
-    """A search without a limit, and what it tells."""
-    return slalom(CountedWork(told=TOLD.append))
-
-
 @pytest.mark.thorough
 def test_work_along_paths_is_counted_and_kept_to() -> None:
-    """Twice the same search takes the same work; less of it ends earlier, with a first certificate all the same."""
+    """Less of it ends earlier, with a first certificate all the same."""
     spent = list[tuple[float, float]]()
-    searches = [driven(), *(slalom(CountedWork(limit)) for limit in (np.inf, 1e-9))]
-    for work, found in searches:
+    for limit in (np.inf, 1e-9):
+        work = CountedWork(limit)
+        found = agreed(path_certificate(cg.make_problem("car-slalom-v0"), work))
         assert cg.check(found.certificate) and found.certificate.lower_bound > 0.0
         spent.append((work.spent, found.certificate.lower_bound))
-    assert spent[0] == spent[1] and spent[2][0] < spent[0][0] and spent[2][1] <= spent[0][1]
+    assert spent[1][0] < spent[0][0] and spent[1][1] <= spent[0][1]
     assert not CountedWork(2.0, spent=1.0).allows(1.5) and CountedWork(2.0, spent=1.0).allows(1.0)
 
 
