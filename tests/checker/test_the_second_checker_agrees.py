@@ -253,8 +253,8 @@ def test_no_file_of_a_sample_is_proved_by_the_second_checker_alone(made: Any, se
 @pytest.mark.thorough
 @MADE_BY_HAND
 def test_no_forged_file_is_proved_by_the_second_checker_alone(made: Any, second: Second) -> None:
-    both, wrong = agree(forged_files(made, 2), second)
-    assert wrong == [] and both > 25
+    both, wrong = agree(forged_files(made, 3), second)
+    assert wrong == [] and both > 15
 
 
 @pytest.mark.thorough

@@ -573,10 +573,3 @@ def test_cells_are_narrow_wherever_a_region_comes_by() -> None:
     checked = read_problem({"problem": canonical_problem(problem)})
     low, high = value_iteration._alive(checked, (np.linspace(-1.0, 9.0, 101),))
     assert low[0] <= -0.5 and 4.4 <= high[0] <= 4.7
-
-
-@pytest.mark.thorough
-def test_noise_by_state_gets_a_grid_of_vertices_by_default() -> None:
-    found = cg.synthesize(problem_of("one state, its noise grows with it", noise_std=[2.5]), effort=3.0)
-    tried: Any = found.stats["tried"]
-    assert "vertices" in tried and found.certificate.proof.kind == "vertex-grid"

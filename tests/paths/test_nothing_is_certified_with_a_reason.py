@@ -106,13 +106,6 @@ def test_a_claim_of_nothing_along_a_path_cannot_be_made_one_of_something() -> No
 
 
 @pytest.mark.thorough
-def test_levels_end_where_no_run_is_known() -> None:
-    tried = cg.synthesize(problem("F goal", 2, 0.1), effort=1).stats["tried"]
-    assert isinstance(tried, dict)
-    assert any("no run without noise was found" in str(told) for told in tried.values())
-
-
-@pytest.mark.thorough
 def test_what_a_path_certifies_stays_where_grids_hold_too_few_cells() -> None:
     """Nobody asked for cells, so that none are to be fewer: twelve states, one of them without noise."""
     chain = cg.LinearAgent(

@@ -160,22 +160,6 @@ def test_inputs_from_which_an_agent_runs_away_cost_everything() -> None:
     assert Planner(model, aim, CountedWork()).improved(np.ones((steps, 1)), 3)[2] == np.inf
 
 
-@pytest.mark.thorough
-def test_hopeless_plans_take_a_small_share_of_the_work() -> None:
-    """Noise that grows with a stock leaves nothing along a path: that is seen long before the work is done."""
-    stock = cg.Agent(
-        name="stock", states=["x"], inputs=["h"], dynamics=["x + 0.4*x*(1 - x) - h*x"],
-        noise=[{"law": "gaussian", "std": 1.0}], noise_scale=["0.1*x"], state_low=[0], state_high=[2],
-        input_low=[0], input_high=[0.3], initial_state=[0.4],
-    )  # fmt: skip
-    regions = {"poor": cg.Proposition("stock", [0], [0.2]), "rich": cg.Proposition("stock", [0.8], [2])}
-    task = cg.Specification("G !poor & F rich", "finite-trace")
-    problem = cg.Problem(name="stock", horizon=20, agents=[stock], propositions=regions, specification=task)
-    work = CountedWork(40.0)
-    assert path_certificate(problem, work).certificate.lower_bound == 0.0
-    assert work.spent < 0.2 * work.limit
-
-
 def crossing(count: int, semantics: str = "finite-trace") -> cg.Problem:
     """Return cars that come to a crossing at the same time: one may be in it, and all have to come through."""
     cars = [
