@@ -242,14 +242,6 @@ def agree(files: Iterator[tuple[str, bytes]], program: Second) -> tuple[int, lis
     return both, wrong
 
 
-@MADE_BY_HAND
-def test_no_file_of_a_sample_is_proved_by_the_second_checker_alone(made: Any, second: Second) -> None:
-    both, wrong = agree(forged_files(made, 61), second)
-    assert wrong == [] and both > 0
-    _, wrong = agree(damaged_files(made, 8), second)
-    assert wrong == []
-
-
 @pytest.mark.thorough
 @MADE_BY_HAND
 def test_no_forged_file_is_proved_by_the_second_checker_alone(made: Any, second: Second) -> None:

@@ -69,12 +69,14 @@ def chased() -> cg.Synthesis:
     return path_certificate(chase(), CountedWork(limit=1.0))
 
 
+@pytest.mark.thorough
 def test_teams_with_pairs_may_name_each_other(chased: cg.Synthesis) -> None:
     assert chased.certificate.lower_bound > 0.999
     assert cg.check(chased.certificate)
     assert cg.validate(chased, 2000, seed=0).verdict != "refuted"
 
 
+@pytest.mark.thorough
 def test_less_room_for_whom_others_name_is_refused(chased: cg.Synthesis) -> None:
     hare, wolf = chased.certificate.proof.paths
     narrow = type(hare)(hare.inputs, hare.gains, hare.states, 0.3 * hare.strips)
