@@ -31,6 +31,7 @@ from certigym.synthesis.extended_check.vertex_grids import (
 from certigym.synthesis.extended_check.vertex_grids.images import Planes
 from certigym.synthesis.extended_check.vertex_grids.noise_bounds import Normal, Tabled
 from certigym.synthesis.policy_search.vertex_values import value_iteration
+from certigym.synthesis.policy_search.vertex_values.counted_backups import Counted
 from certigym.synthesis.trajectories.planning import CountedWork
 from kinds import mostly_thorough
 
@@ -561,6 +562,20 @@ def test_what_was_found_is_returned_at_ctrl_c(monkeypatch: pytest.MonkeyPatch) -
     problem = problem_of("one state, its noise grows with it", noise_std=[2.5])
     result = value_iteration.vertex_grid_certificate(problem, work)
     assert len(calls) == 4 and work.is_interrupted and cg.check(result.certificate)
+
+
+def test_inputs_for_larger_noise_leave_room_for_what_is_charged() -> None:
+    """Where nearly all runs stay in a band, values say little of inputs, and much is charged near its ends."""
+    agent = cg.Agent(
+        name="a", states=["x"], inputs=["u"], dynamics=["x + 0.3*u"], noise_std=[1.0],
+        noise_scale=["0.06*(1 + 0.2*x^2)"], state_low=[-1.5], state_high=[1.5], input_low=[-1], input_high=[1],
+        initial_state=[0.6],
+    )  # fmt: skip
+    band = cg.Proposition("a", [-1.0], [1.0])
+    task = cg.Problem(name="p", agents=[agent], propositions={"band": band}, specification="G band", horizon=30)
+    checked, edges = read_problem({"problem": canonical_problem(task)}), (np.linspace(-1.5, 1.5, 17),)
+    narrow, wide = (value_iteration.iterated(Counted(checked, edges, (True,)), None, own)[2] for own in (1.0, 1.5))
+    assert wide < 0.5 * narrow
 
 
 def test_cells_are_narrow_wherever_a_region_comes_by() -> None:

@@ -63,11 +63,11 @@ class Choice:
     """Inputs at all vertices of a grid, in shares of their ranges, and values under them: good guesses, no bounds.
 
     Means around points of a lattice are sums along one axis after the other, for some sizes of the noise; in between
-    they are interpolated.
+    they are interpolated. The noise is taken to be ``larger`` than it is.
     """
 
-    def __init__(self, steps: Counted, runs: Runs | None) -> None:
-        self.steps, self.runs, agent = steps, runs, steps.agent
+    def __init__(self, steps: Counted, runs: Runs | None, larger: float = 1.0) -> None:
+        self.steps, self.runs, self.larger, agent = steps, runs, larger, steps.agent
         self.at, self.m = vertices_of(steps.edges), len(agent.inputs)
         self.low, high = agent.input_box
         self.range, self.count = np.maximum(high - self.low, 1e-300), INPUTS[self.m]
@@ -216,7 +216,9 @@ class Choice:
                 moved = self.count ** (self.m - 1 - j) * (self.count - 1)
                 way = np.abs(images[moved][:d] - images[0][:d]) / sizes
                 apart[:, j] = np.nan_to_num(way.max(axis=0)) ** 2
-            self.known = t, (Reading(np.concatenate(images, axis=1), steps.edges, steps.noises), apart)
+            where = np.concatenate(images, axis=1)
+            where[d:] *= self.larger
+            self.known = t, (Reading(where, steps.edges, steps.noises), apart)
         return self.known[1]
 
 

@@ -30,6 +30,11 @@ FIRST = {1: 60, 2: 400, 3: 1200, 4: 2000}
 COARSE = 1.0, 2.5
 """How many times as many vertices as the first grid coarse ones have."""
 
+SURE, LARGER, PLANNED = 1e-6, (1.5, 2.2), 1e-3
+"""Where less failure than this is hoped for, inputs are chosen for noise that is so many times as large, as long as the
+failure that is hoped for is at most the last number: values that are nearly 1 say little of inputs, and leave no room
+for what is charged."""
+
 AIMS = 0.01, 1e-3
 """Failure that the first grid aims at, unless no more is hoped for: laws that lose little beside it are not made anew.
 Later ones aim at a share of what the grid before failed by."""
@@ -142,7 +147,7 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
     best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
     power, before = GROWS, None
     try:
-        runs = _coarse(checked, noise_laws, vertices, alive, work)
+        runs, larger = _coarse(checked, noise_laws, vertices, alive, work)
         hoped, aim = runs.failure, AIMS[0]
         while True:
             window = _within(alive, runs.window(checked, spreads))
@@ -150,7 +155,7 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
             runs.failure = max(hoped, aim)
             steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
             steps.near, steps.window = _near(steps, runs.failure), _lattice_around(steps, window)
-            inputs, laws, failure = iterated(steps, runs)
+            inputs, laws, failure = iterated(steps, runs, larger)
             levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
             finer *= np.clip(np.sqrt(steps.bent / np.exp(np.log(steps.bent).mean())), *MOST_ADJUSTED)
@@ -185,19 +190,24 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
 
 def _coarse(
     problem: CheckedProblem, noise_laws: Sequence[Law] | None, vertices: float, alive: FloatArray, work: CountedWork
-) -> Runs:
-    """Return runs under coarse values, which nothing is charged for."""
-    spreads, window, runs = spreads_of(problem), alive, None
+) -> tuple[Runs, float]:
+    """Return runs under coarse values, which nothing is charged for, and how much larger inputs may take the noise."""
+    spreads, window, runs, larger = spreads_of(problem), alive, None, 1.0
     for more in COARSE:
         edges = grid_of(problem, spreads, round(vertices * more), window)
         steps = Counted(problem, edges, jumps_of(problem, edges), NEAR, noise_laws).within(work)
         inputs, laws, failure = iterated(steps, runs, is_coarse=True)
         if failure >= 1.0:
             raise RelationRefused("no inputs lead anywhere on coarse grids: is the task out of reach?")
+        for own in LARGER if failure < SURE and more == COARSE[-1] else ():
+            tried = iterated(steps, runs, own, is_coarse=True)
+            if tried[2] > PLANNED:
+                break
+            larger, (inputs, laws, _) = own, tried
         runs = Runs.of(steps, inputs, laws, failure)
         window = _within(alive, runs.window(problem, spreads))
     assert runs is not None
-    return runs
+    return runs, larger
 
 
 def _near(steps: Backups, failure: float) -> float:
@@ -230,12 +240,15 @@ def jumps_of(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> tuple[bo
     )
 
 
-def iterated(steps: Counted, runs: Runs | None, is_coarse: bool = False) -> tuple[FloatArray, NDArray[np.int64], float]:
+def iterated(
+    steps: Counted, runs: Runs | None, larger: float = 1.0, is_coarse: bool = False
+) -> tuple[FloatArray, NDArray[np.int64], float]:
     """Return tables of inputs (L, V, m), which one acts at what time and automaton state (T, Q), and the failure.
 
-    ``runs`` say where inputs matter. ``is_coarse``: nothing is charged, and the failure is hoped for.
+    ``runs`` say where inputs matter, which are chosen for noise that is ``larger``. ``is_coarse``: nothing is charged,
+    and the failure is hoped for.
     """
-    problem, choice = steps.problem, Choice(steps, runs)
+    problem, choice = steps.problem, Choice(steps, runs, larger)
     bounds, given_up = steps.at_end()
     values, nowhere = steps.at_end()
     laws = np.zeros((problem.horizon, len(values)), dtype=np.int64)
