@@ -192,3 +192,22 @@ def test_who_is_in_the_way_of_everybody_leaves_no_runs_in_turn() -> None:
     )  # fmt: skip
     assert list(plans_of_runs(blocked, CountedWork())) == []
     assert list(plans_of_runs(chase(), CountedWork())) == []
+
+
+def test_held_inputs_with_slack_feedback_are_found_where_stiff_plans_give_nothing() -> None:
+    """An epidemic under large noise: whoever shields everybody at once needs no feedback, and stiff ones bend much."""
+    town = cg.Agent(
+        name="town", states=["s", "i"], inputs=["v", "m"], initial_state=[0.95, 0.05],
+        dynamics=["s - 0.5*(1 - 0.7*m)*s*i - 0.03*v*s", "i + 0.5*(1 - 0.7*m)*s*i - 0.2*i"],
+        noise=[noise(0.01)] * 2, noise_scale=["0.2 + s*i", "0.2 + 3*i"], state_low=[0, -0.02], state_high=[1.1, 0.6],
+        input_low=[0, 0], input_high=[1, 1],
+    )  # fmt: skip
+    regions = {
+        "few": cg.Proposition("town", [0, -0.02], [1.05, 0.2]),
+        "over": cg.Proposition("town", [0, -0.02], [1.05, 0.03]),
+    }
+    problem = cg.Problem(
+        name="epidemic", horizon=50, agents=[town], propositions=regions, specification="G few & F[40,50] over"
+    )
+    found = cg.synthesize(problem, relation="path", effort=4)
+    assert found.lower_bound > 0.9 and cg.check(found.certificate, problem).valid

@@ -7,8 +7,8 @@ Seeds are fixed and work is counted, never time: the same problem gives the same
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from .candidate_runs import candidate_run
 from .coarse_routes import guesses
 from .counted_work import CountedWork
 from .feedback_gains import feedback_gains
+from .held_inputs import held_runs
 from .nominal_planner import Aim, Planner, rolled
 
 BATCH = 24
@@ -56,6 +57,13 @@ PURSUED, LOOK_AHEAD = 100, 3
 WELL = -4.0
 """Logarithm of the failure from which a guess is not followed from other inputs."""
 
+SLACK = (-12.0, -4.0)
+"""Logarithms of the weights of states in feedbacks along runs of held inputs: nearly none, and little."""
+
+BEGUN, FAR, OFTEN = 2, 3.0, 0.5
+"""Batches of candidates along the best run of held inputs before it is compared with another path; by how much it may
+score worse before that; and the failure of the other from which more work is spent on both."""
+
 ENOUGH, CERTAIN = 1e-9, 1e-15
 """Failures from which a nominal path is not improved, and from which nothing more is looked for at all."""
 
@@ -86,6 +94,10 @@ class FeedbackTrajectory:
         return AgentPath(self.nominal.inputs, self.feedback.gains[0], self.nominal.states, self.spreads.strips)
 
 
+Improved = Callable[[NDArray[np.int8], FeedbackTrajectory], FeedbackTrajectory]
+"""What makes a nominal path for letters better."""
+
+
 class NonlinearSearch:
     """Nominal paths of one agent of a problem; what they take is counted."""
 
@@ -96,6 +108,7 @@ class NonlinearSearch:
         self.model = NonlinearModel(self.agent, shared if np.any(shared) else None)
         self.rng = np.random.default_rng([20261123, i])
         self.narrowing = np.random.default_rng([20261126, i])
+        self.holding = tuple(np.random.default_rng([20261129, k, i]) for k in range(2))
         self.tried, self.tries_inputs = 0, False
         agent = self.agent
         self.width = agent.state_high - agent.state_low
@@ -133,8 +146,43 @@ class NonlinearSearch:
                 if best is not None and best.score < WELL:
                     break
             if best is not None and (best.score < np.log(0.5) or best.score > bar):
-                return best
-        return best
+                break
+        return best if best is None else self._or_held(letters, best, self._begun)
+
+    def _or_held(self, letters: NDArray[np.int8], found: FeedbackTrajectory, improved: Improved) -> FeedbackTrajectory:
+        """Return a nominal path whose inputs are held at first, improved, if it is better than one that fails often."""
+        if found.failure < RARE or self.work.is_over() or not self.agent.n_inputs:
+            return found
+        drawn = self.rng, self.narrowing
+        self.rng, self.narrowing = self.holding
+        held = self._held(letters)
+        held = found if held is None or held.score > found.score + FAR else improved(letters, held)
+        # What is drawn elsewhere is the same with this and without.
+        self.rng, self.narrowing = drawn
+        return held if held.score < found.score else found
+
+    def _begun(self, letters: NDArray[np.int8], found: FeedbackTrajectory) -> FeedbackTrajectory:
+        """Return a nominal path that is at most as bad as another one, after little work."""
+        found = self.searched(found, BEGUN)
+        again = None if found.failure <= CERTAIN else self._planned_anew(letters, found)
+        return again if again is not None and again.score < found.score else found
+
+    def _held(self, letters: NDArray[np.int8]) -> FeedbackTrajectory | None:
+        """Return the best nominal path whose inputs are held, with one of some slack feedbacks; None without any."""
+        agent, tasks, sides = self.agent, list[Candidates](), []
+        thetas = np.zeros((len(SLACK), self.n_numbers))
+        thetas[:, : agent.n_states] = np.array(SLACK)[:, None]
+        start = 0.5 * (agent.initial.low + agent.initial.high)
+        for u in held_runs(self.problem, self.model, letters, self.work, self.rng):
+            states = rolled(self.model, start, u)
+            faces = sides_of(self.problem, agent, letters, self.model.outputs(states)[0], self.spans)
+            if not limits_along(self.problem, agent, letters, faces).are_empty:
+                tasks.append((self, self.snapped(letters, states, u, faces), thetas))
+                sides.append(faces)
+        if not tasks:
+            return None
+        each = [replace(one, faces=own) for (one, _), own in zip(scored(tasks, sides[0]), sides, strict=True)]
+        return min(each, key=lambda one: one.score)
 
     def along_again(self, letters: NDArray[np.int8], found: FeedbackTrajectory) -> FeedbackTrajectory | None:
         """Return a nominal path for other letters, which may take more steps, from the inputs of one that was found."""
@@ -148,6 +196,11 @@ class NonlinearSearch:
         """Return a nominal path that is better than one that was found, if there is work left for one."""
         if self.work.is_over() or found.failure <= CERTAIN:
             return found
+        found = self._full(letters, found)
+        return self._or_held(letters, found, self._full) if found.failure > OFTEN else found
+
+    def _full(self, letters: NDArray[np.int8], found: FeedbackTrajectory) -> FeedbackTrajectory:
+        """Return a nominal path that is better than one that was found, in its own way."""
         found = self.searched(found, GENERATIONS)
         reserves = [*reserves_for(found.failure)]
         for count in range(REPLANS + MORE_REPLANS):
