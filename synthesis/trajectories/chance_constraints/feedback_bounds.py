@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ....envs.systems.distributions import Tail
 from ...relations.grids import FloatArray
-from .exponential_moments import ExponentialMoments
 from .limit_rows import INWARD, OUTWARD, PAIR, Worth
 from .nonlinear_model import Curved, NonlinearModel, Tube, remainders
 from .path_limits import Limits
@@ -210,8 +209,7 @@ class _Walk:
         self.jumps = each(lambda p: p.limits.jumps[0]), each(lambda p: p.limits.jumps[1])
         self.jumped: tuple[FloatArray, ...] | None = None
         if self.model.scale is not None:
-            self.scales, self.slopes = each(lambda p: p.scales[0]), each(lambda p: p.scales[1])
-            self.slope_forms = np.moveaxis(self.slopes, 1, 3)
+            self.slope_forms = np.moveaxis(each(lambda p: p.scales[1]), 1, 3)
         self.asked = _padded(paths, which)
         self.needs_outputs = any(len(path.limits.limited) or path.pairs for path in paths)
         self.needs_outputs |= any(bool(np.any(np.isfinite(ends))) for ends in self.jumps)
@@ -230,8 +228,6 @@ class _Walk:
         self.linearization_errors[:, 0] = np.array(starts)[which]
         self.count = int(self.keeps_all or bool(np.any(self.linearization_errors[:, 0])))
         self.covariance, self.each_noise = np.zeros((self.n, d, d)), np.zeros((self.n, steps, d, d))
-        varies = self.model.scale is not None and self.model.tail != Tail.LONG and self.shared is None
-        self.moments = ExponentialMoments(self.n, d) if varies else None
         self.worth = Worth(tail=self.model.tail, lost=steps * self.model.lost)
         width = agent.state_high - agent.state_low
         self.least = LEAST * np.concatenate([width, np.maximum(agent.input_high - agent.input_low, 1e-9)])
@@ -255,9 +251,6 @@ class _Walk:
         blocks = {"states": np.broadcast_to(np.eye(d), (steps + 1, n, d, d)), "outputs": self.C}
         gains = np.moveaxis(self.feedback.gains, 1, 0)
         moving = {"inputs": gains}
-        if self.moments is not None:
-            slopes = self.slopes
-            moving["scales"] = slopes[..., :d] + np.matmul(slopes[..., d : d + self.m], gains)
         ends = np.cumsum([0, *(block.shape[2] for block in (*blocks.values(), *moving.values()))])
         parts = {name: slice(a, b) for name, a, b in zip((*blocks, *moving), ends[:-1], ends[1:], strict=True)}
         last = np.concatenate([block[-1] for block in blocks.values()], axis=1)
@@ -344,7 +337,7 @@ class _Walk:
                 np.maximum(np.minimum(wide - shift, rest[0]), 0.0),
                 np.maximum(np.minimum(wide + shift, rest[1]), 0.0),
             )
-            states[:, t], strips[t, :, :d], self.strip_now = (sd, linearization_error, shift), strip, strip
+            states[:, t], strips[t, :, :d] = (sd, linearization_error, shift), strip
             if t:
                 low, high = (end[t] for end in self.limits_x)
                 size = INWARD * np.abs(x)
@@ -353,22 +346,14 @@ class _Walk:
                 above = high - x - shift - size - linearization_error
                 correlation = self.together[:, self.parts["states"]]
                 self.worth.add(below, above, strip, sd**2, names, self.largest(t, eye), correlation)
-                self._ask(t, eye)
                 outputs[:, t] = self._outputs(t, reach)
                 self._land(t, reach)
                 if t in self.asked:
                     pairs[t] = self._pairs(t, reach, self.asked[t])
             if t < steps:
                 *inputs[:, t], strips[t, :, d:] = self._step(t, reach)
-        if self.moments is not None and self.worth.stopped is not None:
-            self.moments.bound(self.worth, self.worth.stopped)
         spreads = [(each[0], each[1], each[2]) for each in (states, outputs, inputs)]
         return self.worth, Spreads(spreads[0], spreads[1], spreads[2], strips, pairs)
-
-    def _ask(self, t: int, rows: FloatArray) -> None:
-        """Ask for further bounds on the tails of the rows (J, d) or (N, J, d) that were added last."""
-        if self.moments is not None:
-            self.moments.ask(len(self.worth.low) - 1, t, rows)
 
     def _off_outputs(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray]:
         """Return what outputs (N, p) are off their linear forms: middles and half widths."""
@@ -399,7 +384,6 @@ class _Walk:
             nothing, largest = np.full((self.n, len(here)), np.inf), self.largest(t, self.C[t][:, here])
             correlation = self.together[:, self.parts["outputs"]][:, here]
             self.worth.add(*rows, nothing, sd[:, here] ** 2, names, largest, correlation)
-            self._ask(t, self.C[t][:, here])
         return sd, linearization_error, shift
 
     def _jump(
@@ -466,18 +450,6 @@ class _Walk:
         )
         return linearization_error, variance, largest, shared, shift
 
-    def _tilt(self, t: int, b: FloatArray, off: FloatArray, tube: tuple[Both, FloatArray]) -> None:
-        """Note what squares of deviations of a step's noise are below: the scale is b (N, d) + a (N, d, d) e, about."""
-        assert self.moments is not None
-        (below, above), noise = tube
-        a = self.rows[t][:, self.parts["scales"]]
-        shift, linearization_error, _ = self.known("scales")
-        own_shift, own_drift, _ = self.known("states")
-        sizes = np.maximum(below, above) + np.abs(own_shift) + own_drift
-        strip = np.minimum(self.strip_now, sizes) if t else np.zeros_like(sizes)
-        self.moments.tilt((b + shift, off + linearization_error, np.einsum("nkj,nj->nk", np.abs(a), strip), a),
-                          self.model.deviations, np.einsum("nkk->nk", noise))  # fmt: skip
-
     def _tube(self, t: int, reach: Both, around: Both) -> Tube:
         """Return the tube of a step: how far states (N, d) and inputs (N, m) reach below and above."""
         at = np.concatenate([self.x[t].T, self.u[t].T, self.model.known(self.n, t)])
@@ -493,7 +465,7 @@ class _Walk:
         tube = self._tube(t, reach, around)
         curved = tube.curved(self.model.step_parts)
         middle, off = (part.T for part in remainders(curved[: self.d], tube, self.forms[t], self.centres[t]))
-        noise = self._varied_noise(t, tube, curved[self.d :], reach)
+        noise = self._varied_noise(t, tube, curved[self.d :])
         # What is lost stays so; numbers remain finite, so that scores can be compared.
         is_known = np.isfinite(off) & np.isfinite(middle) & (np.abs(middle) < self.lost)
         middle = np.where(is_known, middle, 0.0)
@@ -521,10 +493,9 @@ class _Walk:
         high = np.where(moved, agent.input_high - u - shift - spare, np.inf)
         names = [f"{name} at step {t}" for name in self.model.names[d : d + self.m]]
         self.worth.add(low, high, strip, sd**2, names, self.largest(t, gain), self.together[:, self.parts["inputs"]])
-        self._ask(t, gain)
         return (sd, linearization_error, shift), strip, (below, above)
 
-    def _varied_noise(self, t: int, tube: Tube, curved: Curved, reach: Both) -> FloatArray:
+    def _varied_noise(self, t: int, tube: Tube, curved: Curved) -> FloatArray:
         """Return covariances (N, d, d) of the noise of a step: scales are anything up to the largest on the tube."""
         d, noise = self.d, self.noises[t]
         if self.model.scale is None:
@@ -536,11 +507,6 @@ class _Walk:
         own = np.where(is_varied, np.sqrt(np.einsum("nkk->nk", noise)) + varied * OUTWARD, 0.0)
         noise = np.where(is_varied[:, None] * np.eye(d, dtype=bool), own[:, :, None] ** 2, noise)
         self.worth.stop(np.full(self.n, bool(np.any(is_varied))))
-        if self.moments is not None:
-            own_rows = (np.arange(len(slopes[0])) < d + self.m)[:, None]
-            form, centre = np.where(own_rows, slopes, 0.0), np.where(own_rows, 0.0, np.abs(slopes))
-            curve, off_line = (part.T for part in remainders(curved, tube, form, centre))
-            self._tilt(t, self.scales[t] + curve, off_line, (reach, noise))
         return noise
 
     def _advance(self, t: int, closed: FloatArray, step: tuple[FloatArray, FloatArray, FloatArray]) -> None:
@@ -555,8 +521,6 @@ class _Walk:
         self.faint = _moved(self.faint, closed) + self.rounded
         self.carried = np.matmul(closed, self.covariance)
         self.covariance = _moved(self.covariance, closed) + noise
-        if self.moments is not None:
-            self.moments.advance(closed)
 
 
 def _moved(covariance: FloatArray, closed: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ LEAST_CORRELATION = 0.1
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
 """Probabilities of all strips for which rows are chosen to be strips or tails."""
 
-PARTS = ("low", "high", "strip", "variance", "largest", "below", "above", "correlation")
+PARTS = ("low", "high", "strip", "variance", "largest", "correlation")
 """Lists of rows that are kept side by side."""
 
 NODES, WEIGHTS = np.polynomial.laguerre.laggauss(6)
@@ -43,9 +43,8 @@ PAIR = "pair"
 class Worth:
     """Rows of inequalities of N candidates: distances, strips and variances, lists of arrays (N, J).
 
-    ``largest`` is what the step that adds most adds to each variance, or all of it where nothing is known; ``below``
-    and ``above`` are further bounds on both tails, infinite where there are none. ``correlation`` is that with the same
-    row one step earlier, of which the names tell, 0 where there is none.
+    ``largest`` is what the step that adds most adds to each variance, or all of it where nothing is known.
+    ``correlation`` is that with the same row one step earlier, of which the names tell, 0 where there is none.
     """
 
     low: list[FloatArray] = field(default_factory=list)
@@ -53,8 +52,6 @@ class Worth:
     strip: list[FloatArray] = field(default_factory=list)
     variance: list[FloatArray] = field(default_factory=list)
     largest: list[FloatArray] = field(default_factory=list)
-    below: list[FloatArray] = field(default_factory=list)
-    above: list[FloatArray] = field(default_factory=list)
     correlation: list[FloatArray] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
     shared: list[bool] = field(default_factory=list)
@@ -91,9 +88,8 @@ class Worth:
         """Add rows (N, J)."""
         self.shared.append(bool(names) and names[0].startswith(PAIR))
         shape = variance.shape
-        unknown = np.full(shape, np.inf)
         most = variance if largest is None else largest
-        values = (low, high, strip, variance, most, unknown, unknown, np.broadcast_to(correlation, shape))
+        values = (low, high, strip, variance, most, np.broadcast_to(correlation, shape))
         for kept, new in zip(self._parts, values, strict=True):
             kept.append(new if new.shape == shape else np.broadcast_to(new, shape))
         self.names += names
@@ -142,10 +138,8 @@ class Worth:
 
     def _by_moments(self) -> tuple[FloatArray, FloatArray]:
         """Return both tails (N, J) of each row by exponential moments."""
-        low, high, strip, variance, largest, *others, _ = self._all
-        ends = (np.minimum(side, strip) for side in (low, high))
-        each = (_by_moments(end, variance, self.tail, largest) for end in ends)
-        below, above = (np.minimum(one, other) for one, other in zip(each, others, strict=True))
+        low, high, strip, variance, largest, _ = self._all
+        below, above = (_by_moments(np.minimum(end, strip), variance, self.tail, largest) for end in (low, high))
         return below, above
 
     def scores(self, first: bool = False) -> FloatArray:
@@ -195,7 +189,7 @@ class Worth:
     @cached_property
     def _soft(self) -> FloatArray:
         """What each row (N, J) adds to the failure; where the limit is broken it goes on to grow."""
-        low, high, strip, variance, _, below, above, _ = self._all
+        low, high, strip, variance, *_ = self._all
         if self.tail:
             return np.add(*self._by_moments())
         one, other, inner = (_soft(distance, variance) for distance in (low, high, strip))
@@ -204,8 +198,7 @@ class Worth:
         found = np.minimum(both, apart)
         if self.stopped is None:
             return found
-        sides = np.minimum(2.0 * _soft(np.minimum(low, strip), variance), below)
-        sides = sides + np.minimum(2.0 * _soft(np.minimum(high, strip), variance), above)
+        sides = sum(2.0 * _soft(np.minimum(end, strip), variance) for end in (low, high))
         return np.where(self.stopped[:, None], sides, found)
 
     def failures(self, first: bool = False) -> FloatArray:
@@ -213,7 +206,7 @@ class Worth:
 
         With ``first`` an estimate of them if rows count for what they add to the failure of the row before them.
         """
-        low, high, strip, variance, _, *others, _ = self._all
+        low, high, strip, variance, *_ = self._all
         if self.tail:
             below, above = (np.sum(np.minimum(side, 1.0), axis=1) for side in self._by_moments())
             return np.asarray(np.minimum(1.0, (below + above + self.lost) * OUTWARD))
@@ -228,9 +221,8 @@ class Worth:
                 kept = np.sum(np.log1p(-chosen), axis=1)
             best = np.minimum(best, -np.expm1(kept) + np.sum(np.where(as_strip, 0.0, outer), axis=1))
         if self.stopped is not None:
-            sides = (2.0 * _tails(np.minimum(end, strip), variance) for end in (low, high))
-            each = [np.minimum(side, other).sum(axis=1) for side, other in zip(sides, others, strict=True)]
-            best = np.where(self.stopped, np.add(*each), best)
+            sides = sum(2.0 * _tails(np.minimum(end, strip), variance).sum(axis=1) for end in (low, high))
+            best = np.where(self.stopped, sides, best)
         if first and self._is_normal:
             best = np.minimum(best, self._first(_tails).sum(axis=1))
         return np.minimum(1.0, best * OUTWARD)
