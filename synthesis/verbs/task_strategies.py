@@ -65,9 +65,9 @@ PATH_ENDS = 0.99
 WRITTEN_ENOUGH = 0.999
 """Bound of grids of agents with expressions from which no path is tried beside them."""
 
-COMPARED, MANY_STATES = 30.0, 256
-"""Work of comparing relations of agents with several states, for so many automaton states at most; those of single
-states take next to nothing."""
+COMPARED, MANY_STATES, MANY_AGENTS = 30.0, 256, 4
+"""Work of comparing relations of agents with several states, for so many automaton states and agents at most; those of
+single states take next to nothing."""
 
 DOUBLED = 20.0
 """Work of comparing them on twice as many cells per axis."""
@@ -377,9 +377,9 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
         ]
     scalar = all(agent.n_states == 1 for agent in problem.agents)
     cells = first_cells(problem)
-    # Guards of thousands of automaton states alone take minutes.
-    states = problem.automaton.n_states / MANY_STATES
-    least = max(_tree_work(problem) if scalar else COMPARED, COMPARED * states if states > 1.0 else 0.0)
+    # Guards of thousands of automaton states alone take minutes, and so do trees of many agents.
+    many = max(problem.automaton.n_states / MANY_STATES, 0.0 if scalar else problem.n_agents / MANY_AGENTS)
+    least = max(_tree_work(problem) if scalar else COMPARED, COMPARED * many if many > 1.0 else 0.0)
     # Where linear cells do not apply boxes are compared on default cells, too.
     usual = {} if linear else {a.name: cells_of_agent(a, None) for a in problem.agents if isinstance(a, Agent)}
     work = least if is_scalar(problem) else max(least, box_work(problem, usual | (cells or {})))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -150,6 +151,13 @@ def test_a_path_that_leaves_hardly_anything_to_gain_spares_the_grids() -> None:
     assert cg.check(found.certificate)
     first, second = cg.synthesize("integrator-chain-v0", horizon=[4, 5])
     assert second.certificate.lower_bound == found.certificate.lower_bound < first.certificate.lower_bound
+
+
+def test_a_path_comes_before_trees_of_many_agents() -> None:
+    """Six robots and 32 automaton states: the path takes a second, and to compare other relations minutes."""
+    samples = cg.load(Path(__file__).parents[2] / "examples" / "own" / "samples.toml")
+    ((_, ways),) = strategies_ahead(samples)
+    assert next(own.name for own in ways) == "path"
 
 
 def broken_off(results: Results) -> cg.Synthesis:

@@ -248,14 +248,14 @@ class _Walk:
     def _rows(self) -> tuple[list[FloatArray], dict[str, slice]]:
         """Return rows (N, J, d) of which something is asked at each time, and which of them are about what."""
         n, d, steps = self.n, self.d, self.steps
-        blocks = {"states": np.broadcast_to(np.eye(d), (steps + 1, n, d, d)), "outputs": self.C}
         gains = np.moveaxis(self.feedback.gains, 1, 0)
-        moving = {"inputs": gains}
-        ends = np.cumsum([0, *(block.shape[2] for block in (*blocks.values(), *moving.values()))])
-        parts = {name: slice(a, b) for name, a, b in zip((*blocks, *moving), ends[:-1], ends[1:], strict=True)}
-        last = np.concatenate([block[-1] for block in blocks.values()], axis=1)
-        rows = np.concatenate([*(block[:-1] for block in blocks.values()), *moving.values()], axis=2)
-        return [*rows, last], parts
+        eye = np.broadcast_to(np.eye(d), (steps + 1, n, d, d))
+        blocks = {"states": eye, "outputs": self.C, "inputs": gains}
+        ends = np.cumsum([0, *(block.shape[2] for block in blocks.values())])
+        parts = {name: slice(a, b) for name, a, b in zip(blocks, ends[:-1], ends[1:], strict=True)}
+        # the last states and outputs have no inputs beside them
+        rows = np.concatenate([eye[:-1], self.C[:-1], gains], axis=2)
+        return [*rows, np.concatenate([eye[-1], self.C[-1]], axis=1)], parts
 
     def known(self, part: str) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return shifts, linearization errors and variances (N, J) of some rows at the time where the walk is."""
