@@ -121,6 +121,21 @@ def test_other_choices_are_refused(how: str, written: bool) -> None:
     assert not cg.check(forged(certified(written), FORGERIES[how]))
 
 
+@pytest.mark.parametrize("written", [False, True])
+def test_one_target_out_of_reach_is_refused_at_any_time(written: bool) -> None:
+    """Rows of a policy that are alike are verified once: one cell of any row makes another row of it."""
+    certificate = certified(written)
+    times, states, _ = certificate.proof.agents[0].policy.shape
+    for t, q in np.ndindex(times, states):
+
+        def far(policy: np.ndarray, n: int, row: tuple[int, int] = (t, q)) -> np.ndarray:
+            policy[(*row, 0)] = n + int(np.prod(certificate.proof.agents[0].lattice_shape)) - 1
+            return policy
+
+        report = cg.check(forged(certificate, far))
+        assert not report and "inputs beyond its input box" in report.failures[0]
+
+
 def test_files_without_the_word_have_no_targets(tmp_path: Any) -> None:
     """Choices beyond the menu are out of range where a relation does not offer targets."""
     certificate = certified(False)
