@@ -242,11 +242,23 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Strate
     # A task written out in time had its grid of vertices as it was written.
     if plan.paths and has_vertices_only(problem):
         strategies.insert(0, vertex_strategy(problem, plan))
+    elif plan.paths and _is_too_much_for_cells(problem, strategies, plan):
+        strategies.insert(0, replace(vertex_strategy(problem, plan), enough=GOOD))
     if is_scalar(problem) and problem.n_agents > FEW_AGENTS:
         strategies.append(_doubled(problem, kinds, plan))
     elif not is_scalar(problem) or not linear:
         strategies.append(_finer(problem, plan))
     return strategies
+
+
+def _is_too_much_for_cells(problem: Problem, strategies: Sequence[Strategy], plan: Plan) -> bool:
+    """Return whether the automaton of one agent with two states is so large that linear cells are out of reach.
+
+    Boxes would be next, which take as long. Vertices share inputs among automaton states.
+    """
+    if problem.n_agents > 1 or problem.agents[0].n_states != MOST_STILL_STATES:
+        return False
+    return any(way.name == "linear" and not way.refusal and way.work > plan.effort.left for way in strategies)
 
 
 def path_strategy(problem: Problem, plan: Plan) -> Strategy:

@@ -160,6 +160,13 @@ def test_a_path_comes_before_trees_of_many_agents() -> None:
     assert next(own.name for own in ways) == "path"
 
 
+def test_vertices_come_before_boxes_where_linear_cells_take_more_than_is_left() -> None:
+    """An automaton of 29 states: boxes take seven minutes."""
+    folder = Path(__file__).parents[2] / "examples" / "own"
+    names = [[own.name for own in ways(cg.load(folder / f"{name}.toml"))] for name in ("oscillator", "hopper")]
+    assert names[0].index("vertices") < names[0].index("others") and "vertices" not in names[1]
+
+
 def broken_off(results: Results) -> cg.Synthesis:
     """A way during which the user presses Ctrl-C."""
     raise KeyboardInterrupt

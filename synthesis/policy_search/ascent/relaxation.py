@@ -134,6 +134,8 @@ def _solve(
         # The favourable label is chosen before smoothing: inside the expectation.
         # Where automata count steps few states occur at a time, and the others are not smoothed.
         rows = np.flatnonzero(joint.occurs[t])
+        if joint.spend is not None:
+            joint.spend(len(rows) * model.n_cells / model.choices.read_per_second)
         arriving = _arriving(value, classes, rows)
         backed_up = model.kernel.backup(arriving if thinned is None else arriving * thinned[t + 1])
         place = dict(zip(rows.tolist(), range(len(rows)), strict=True))

@@ -67,6 +67,10 @@ POOR_GUESS = 0.5
 FIRST_WIDTH = 2.5
 """Deviations that cells of the first grid are wide where runs pass, at least."""
 
+SURE_WIDTH, CHARGED, DEAR = 1.6, 1.7, 0.1
+"""Deviations that cells are wide at most for a grid to prove something, as a rule; how much more work a grid is on
+which something is charged; share of the work that is left which is not spent on wider cells or for larger noise."""
+
 GAINS = 0.02
 """Share of the failure that the last grid has to have taken off for a finer one to be tried, once there is a bound."""
 
@@ -147,8 +151,9 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
     best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
     power, before = GROWS, None
     try:
-        runs, larger = _coarse(checked, noise_laws, vertices, alive, work)
+        runs, larger, spent = _coarse(checked, noise_laws, vertices, alive, work)
         hoped, aim = runs.failure, AIMS[0]
+        vertices = min(most, _first(vertices, _within(alive, runs.window(checked, spreads)), spreads, spent, work))
         while True:
             window = _within(alive, runs.window(checked, spreads))
             edges = grid_of(checked, spreads, round(vertices), window, finer)
@@ -190,16 +195,17 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
 
 def _coarse(
     problem: CheckedProblem, noise_laws: Sequence[Law] | None, vertices: float, alive: FloatArray, work: CountedWork
-) -> tuple[Runs, float]:
-    """Return runs under coarse values, which nothing is charged for, and how much larger inputs may take the noise."""
-    spreads, window, runs, larger = spreads_of(problem), alive, None, 1.0
+) -> tuple[Runs, float, float]:
+    """Return runs under coarse values, which nothing is charged for, how much larger noise may be taken, and work."""
+    spreads, window, runs, larger, spent = spreads_of(problem), alive, None, 1.0, 0.0
     for more in COARSE:
         edges = grid_of(problem, spreads, round(vertices * more), window)
         steps = Counted(problem, edges, jumps_of(problem, edges), NEAR, noise_laws).within(work)
         inputs, laws, failure = iterated(steps, runs, is_coarse=True)
         if failure >= 1.0:
             raise RelationRefused("no inputs lead anywhere on coarse grids: is the task out of reach?")
-        for own in LARGER if failure < SURE and more == COARSE[-1] else ():
+        is_cheap, spent = work.allows(steps.spent / DEAR), steps.spent
+        for own in LARGER if failure < SURE and more == COARSE[-1] and is_cheap else ():
             tried = iterated(steps, runs, own, is_coarse=True)
             if tried[2] > PLANNED:
                 break
@@ -207,7 +213,20 @@ def _coarse(
         runs = Runs.of(steps, inputs, laws, failure)
         window = _within(alive, runs.window(problem, spreads))
     assert runs is not None
-    return runs, larger
+    return runs, larger, spent
+
+
+def _first(vertices: float, window: FloatArray, spreads: FloatArray, spent: float, work: CountedWork) -> float:
+    """Return the vertices of the first grid on which something is charged, from those of coarse ones and their work.
+
+    Where automata have so many states that even a small grid takes a good share of the work, it is not spent on cells
+    that are too wide to prove anything.
+    """
+    sure = float(np.prod(1.0 + (window[1] - window[0]) / (SURE_WIDTH * np.median(spreads, axis=1))))
+    coarse, left = COARSE[-1] * vertices, work.limit - work.spent
+    if CHARGED * spent * (vertices / coarse) ** GROWS < DEAR * left:
+        return vertices
+    return max(vertices, min(sure, coarse * (left / (CHARGED * spent)) ** (1.0 / GROWS)))
 
 
 def _near(steps: Backups, failure: float) -> float:
