@@ -45,28 +45,14 @@ WHY_NOT = {
     "corridor-v0": "both robots are paid for going ahead and meet in the corridor; the one that has to wait must "
     "unlearn what it was paid for. Without walls, or if they may meet, they learn in 40 s; four times the time or "
     "a central critic changes nothing (tested).",
-    "cyclic-delivery-v0": "a load counts only if all four robots pick it up at the same time; one robot that strays "
-    "makes all start again.",
-    "invariance-b-100-v0": "a hundred agents that share one policy fail together as soon as one of them leaves, so an "
-    "episode hardly ever shows that a step was better than another.",
     "package-delivery-v0": _DELIVERY,
 }
 """Why the learner without help misses .8 of the certified share, where it does."""
 
 HARD: dict[str, str] = {
-    "courier-v0": "the mission is long. PPO learns one of two customers in 40 seconds, but not one of four, nor "
-    "without the pond, in a given order, or with four times the time (tested).",
-    "needle-v0": "a learner that keeps noise in its actions hardly ever passes all three gates. Twice the steps help "
-    "(tested).",
-    "fleet-6-v0": "all six have to be in their places at the same time. Two vehicles learn to pass one another in "
-    "40 seconds; six fail even if they may meet (tested).",
+    "needle-v0": "a learner that keeps noise in its actions hardly ever passes all three gates. Three times the "
+    "steps change nothing (tested).",
     "swarm-8-v0": "the reason is not known. Robots that may meet fail, too, and so do two in place of eight (tested).",
-    "rendezvous-3-v0": "three followers keep within reach of a leader that they do not see, and apart from each other. "
-    "PPO succeeds if they need not keep within reach, and fails if they need not keep apart (tested).",
-    "invariance-b-50-v0": "the first of fifty agents that leaves loses the task, so the return says little of what one "
-    "agent did. With 20 agents PPO succeeds, with 100 it fails (tested).",
-    "reach-avoid-20-rough-v0": "twenty agents have to succeed together, which takes time: PPO improves with four times "
-    "the steps (tested).",
     "car-park-rough-v0": "what is left is where a step of bad luck costs least. Four times the time helps a little, "
     "another reward does not (tested).",
 }
