@@ -49,6 +49,14 @@ def test_spaces_noise_and_start_say_what_keys_of_files_say(make: Any, own: dict[
     law = {"law": "laplace", "scale": 0.1}
     laws = make(**own, **KEYS, noise=[law, law])
     assert make(**own, **SPACES, noise=law).to_dict() == laws.to_dict()
+    both = [{"law": "uniform", "low": -0.1, "high": high} for high in (0.1, 0.2)]
+    in_one = {"law": "uniform", "low": -0.1, "high": [0.1, 0.2]}
+    assert make(**own, **SPACES, noise=in_one).to_dict() == make(**own, **KEYS, noise=both).to_dict()
+    with pytest.raises(ValueError, match=r"noise\.high"):
+        make(**own, **KEYS, noise={"law": "uniform", "low": -0.1, "high": [0.1, 0.2, 0.3]})
+    parts = [{"weight": 0.5, "law": "laplace", "scale": scale} for scale in (0.1, 0.2)]  # as many as states
+    mixture = {"law": "mixture", "parts": parts}
+    assert make(**own, **SPACES, noise=mixture).to_dict() == make(**own, **KEYS, noise=[mixture, mixture]).to_dict()
     turned = [[0.8, 0.6], [-0.6, 0.8]]
     assert (
         make(**own, **SPACES, noise={"laws": [law, law], "axes": turned}).to_dict()

@@ -99,8 +99,10 @@ def _start(start: Any, d: int) -> dict[str, Any]:
 
 def _noise(noise: Any, d: int, parts: Mapping[str, str]) -> dict[str, Any]:
     """Return the keys of noise that is given in any form."""
-    if isinstance(noise, Law) or (isinstance(noise, Mapping) and "law" in noise):
+    if isinstance(noise, Law):
         return {"noise": [noise] * d}
+    if isinstance(noise, Mapping) and "law" in noise:
+        return {"noise": noise}
     if isinstance(noise, Mapping):
         for part in noise:
             if part not in parts:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ def laws_of(noise: Any, d: int) -> tuple[Law, ...]:
     ----------
     noise : sequence of d mappings or laws
         Such as `{ law = "gaussian", std = 0.05 }`, one for each axis, or a single one for
-        all; numbers are in units of the state.
+        all, in which a number may be a list of d; numbers are in units of the state.
 
     Raises
     ------
@@ -53,7 +54,7 @@ def laws_of(noise: Any, d: int) -> tuple[Law, ...]:
         If a law is unknown, or a number is missing or makes no sense.
     """
     if isinstance(noise, Mapping):
-        noise = [noise] * d
+        noise = [{key: _of_axis(value, k, d) for key, value in noise.items()} for k in range(d)]
     if not isinstance(noise, Sequence) or isinstance(noise, str) or len(noise) != d:
         raise ValueError(
             f"`noise`: expected a list of {d} laws, one for each state, such as "
@@ -67,6 +68,12 @@ def laws_of(noise: Any, d: int) -> tuple[Law, ...]:
                 "of this package, with its formulas; give it another"
             )
     return laws
+
+
+def _of_axis(value: Any, k: int, d: int) -> Any:
+    """Return the number of axis k where a law of all axes has one for each."""
+    is_one_each = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) and len(value) == d
+    return value[k] if is_one_each and all(isinstance(number, Real) for number in value) else value
 
 
 def _law(entry: Any) -> Law:
