@@ -53,6 +53,10 @@ CURVE_POINTS = 50
 PIECES = 12
 """Parts of a training after each of which the actor is judged: often enough to catch a good one, and cheap."""
 
+PATIENCE = 3
+"""Parts without a success in episodes from the start, after which others begin anywhere: at once it costs more than it
+gains where the start alone is learned from."""
+
 JUDGED = 2000
 """Episodes that judge an actor while it is trained: a success rate to about .01, in a fraction of a second."""
 
@@ -266,19 +270,23 @@ def _best(model: Any, view: View, settings: Settings, watcher: Any, seed: int, s
     best, best_score, numbers = actor_now(model, view), -1.0, numbers_of(model)
     if start_counts:  # a clone may be best of all; an untrained network is none
         best_score = score(view.problem, best, judge)
-    share = 0.0
+    share, has_succeeded = 0.0, best_score > 0.0
     for number, phase in enumerate(settings.phases):
         # Time is shared out as steps are, so that the last phase, which learns the task itself, has its turn.
         share += phase.share
         if settings.seconds is not None:
             watcher.deadline = watcher.began + share * settings.seconds
         enter(model, view, settings, phase, seed + number, is_later=number > 0)
-        for piece in _pieces(phase, settings):
+        for k, piece in enumerate(_pieces(phase, settings)):
             if time.perf_counter() >= watcher.deadline:
                 break
+            if k < PATIENCE or has_succeeded:
+                piece = replace(piece, spread=0.0)
             learn(model, view, piece, watcher)
             actor = actor_now(model, view)
             now = score(view.problem, actor, judge)
+            # Once episodes begin anywhere they do so to the end of the phase, fewer and fewer.
+            has_succeeded |= now > 0.0 and not piece.spread
             if now >= best_score:
                 best, best_score, numbers = actor, now, numbers_of(model)
     model.policy.load_state_dict(numbers)
