@@ -278,7 +278,8 @@ def _checked_names(agents: Any) -> tuple[str, str] | str:
 def _checked_outputs(outputs: Any, length: int | None) -> tuple[tuple[str | int, ...], tuple[str | int, ...]]:
     """Return the numbers or names of the outputs compared, of both agents; raise ValueError if they are malformed."""
     if not isinstance(outputs, Sequence) or isinstance(outputs, str) or len(outputs) != 2:
-        raise ValueError(f"`outputs`: expected two lists of numbers of outputs, got {shown(outputs)}")
+        same = "; the same states of both are `of = [..]`"
+        raise ValueError(f"`outputs`: expected two lists of numbers of outputs, got {shown(outputs)}{same}")
     result = []
     for axes in outputs:
         numbers = list(axes) if isinstance(axes, Sequence) and not isinstance(axes, str) else [axes]
