@@ -89,8 +89,9 @@ beside which a path need not be tried for long."""
 MOST_CELLS_OF_LOST = 100_000
 """Cells of an agent up to which a task that is out of reach has a grid, where no run comes near."""
 
-PATIENCE = 2.0
-"""Core seconds after which a path that proves nothing is left: for a grid of vertices, or beside a good bound."""
+PATIENCE, LATER = 2.0, 15.0
+"""Core seconds after which a path is left that proves nothing, for a grid of vertices or beside a good bound; and one
+that has not come to PATH_ENDS, for a grid of vertices."""
 
 MANY_TOGETHER = 8
 """Automaton states of a team above which independent tasks are certified one by one."""
@@ -271,17 +272,32 @@ def path_strategy(problem: Problem, plan: Plan) -> Strategy:
     work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
     # Boxes and round regions cost grids of agents with expressions a hundredth that paths do not lose.
     enough = WRITTEN_ENOUGH if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
-    has_vertices = has_other_noise(problem) and not vertex_strategy(problem, plan).refusal
+    has_vertices = has_vertices_only(problem) and may_have_vertices(problem)
 
     def run(results: Results) -> Synthesis:
         along = plan.along_paths
         best = leading(results)
-        if has_vertices or (best is not None and best.certificate.lower_bound > NEAR_PATH):
-            seconds_over = along.is_broken_off
-            along.is_broken_off = lambda: seconds_over() or (along.largest <= 0.0 and along.spent > PATIENCE)
+        seconds_over, is_beside = along.is_broken_off, best is not None and best.certificate.lower_bound > NEAR_PATH
+
+        def is_left() -> bool:
+            has_nothing = along.largest <= 0.0 and along.spent > PATIENCE
+            if has_vertices and along.largest < PATH_ENDS and along.spent > LATER:
+                return True
+            return seconds_over() or (has_nothing and (is_beside or (has_vertices and has_other_noise(problem))))
+
+        along.is_broken_off = is_left
         return along_path(problem, along)
 
     return Strategy("path", run, work, enough=enough, ends=PATH_ENDS)
+
+
+def may_have_vertices(problem: Problem) -> bool:
+    """Return whether the noise is large enough for a grid of vertices, wherever runs are."""
+    try:
+        refuse_without_guess(problem)
+    except RelationRefused:
+        return False
+    return True
 
 
 def has_other_noise(problem: Problem) -> bool:

@@ -167,6 +167,26 @@ def test_vertices_come_before_boxes_where_linear_cells_take_more_than_is_left() 
     assert names[0].index("vertices") < names[0].index("others") and "vertices" not in names[1]
 
 
+@pytest.mark.parametrize(("name", "is_left"), [("spacecraft", True), ("mountain_car", False)])
+def test_a_path_makes_way_for_vertices_where_the_noise_is_large(
+    name: str, is_left: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = list[CountedWork]()
+
+    def along_path(problem: cg.Problem, along: CountedWork) -> cg.Synthesis:
+        seen.append(along)
+        raise RelationRefused("no path")
+
+    monkeypatch.setattr("certigym.synthesis.verbs.task_strategies.along_path", along_path)
+    ((_, ways),) = strategies_ahead(cg.load(Path(__file__).parents[2] / "examples" / "own" / f"{name}.toml"))
+    with pytest.raises(RelationRefused):
+        next(own for own in ways if own.name == "path").run({})
+    (along,) = seen
+    for spent, bound, is_over in ((1.0, 0.5, False), (16.0, 0.5, is_left), (16.0, 0.995, False)):
+        along.spent, along.largest = spent, bound
+        assert along.is_broken_off() == is_over
+
+
 def broken_off(results: Results) -> cg.Synthesis:
     """A way during which the user presses Ctrl-C."""
     raise KeyboardInterrupt

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ import certigym as cg
 pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
 
 from certigym.baselines import shared_vec_env
+from certigym.validation.policies import training
 from certigym.validation.policies.scattered_batches import ScatteredVectorEnv
 
 
@@ -38,3 +41,28 @@ def test_episodes_that_begin_anywhere_tell_no_success() -> None:
             assert ("is_success" in infos[world]) != before[world] and "episode" in infos[world]
             told[int(before[world])] += 1
     assert min(told) > 10
+
+
+@pytest.mark.parametrize("successes", [0.0, 0.5])
+def test_a_learner_without_success_begins_again_with_such_episodes(
+    successes: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spreads, weights = list[float](), list[np.ndarray]()
+
+    def learned(model: Any, view: Any, piece: Any, watcher: Any) -> None:
+        weights.append(training.networks_of(training.actor_now(model, view))[0].weights[0])
+        spreads.append(piece.spread)
+        learn(model, view, piece, watcher)
+
+    learn = training.learn
+    monkeypatch.setattr(training, "learn", learned)
+    monkeypatch.setattr(training, "score", lambda *_, **__: successes)
+    training.train("patrol-robot-v0", steps=7680, seed=3, worlds=4, n_steps=128, n_epochs=1)
+    alone = training.PATIENCE
+    assert not any(spreads[:alone])
+    if successes:
+        assert not any(spreads)
+    else:
+        assert spreads[alone] == 0.6 and all(np.diff(spreads[alone:-2]) < 0.0)
+        np.testing.assert_array_equal(weights[alone], weights[0])
+    assert not np.array_equal(weights[alone - 1], weights[0])

@@ -85,6 +85,12 @@ def enter(
         log_std.requires_grad_(not phase.fixed)
 
 
+def begin_again(model: Any, numbers: dict[str, Any]) -> None:
+    """Let a learner of PPO forget what it has learned: its networks have these numbers, and its optimizer no memory."""
+    model.policy.load_state_dict(numbers)
+    model.policy.optimizer.state.clear()
+
+
 def learn(model: Any, view: View, piece: Piece, watcher: Any) -> None:
     """Let a learner take (at least) the world steps of a piece."""
     model.env.worlds.spread, model.env.worlds.care = piece.spread, piece.care

@@ -35,7 +35,7 @@ from ...synthesis.verbs.synthesize import synthesize
 from ..statistical_tests import rollout
 from .actors import Actor, networks_of, save_actor
 from .imitation import clone, demonstrate
-from .learning import Progress, actor_now, check_settings, enter, learn, new_learner, new_watcher, numbers_of
+from .learning import Progress, actor_now, begin_again, check_settings, enter, learn, new_learner, new_watcher, numbers_of
 from .settings import Phase, Piece, Settings, settings_for
 from .views import CentralView, SharedView, TeamView, View
 
@@ -53,9 +53,9 @@ CURVE_POINTS = 50
 PIECES = 12
 """Parts of a training after each of which the actor is judged: often enough to catch a good one, and cheap."""
 
-PATIENCE = 3
-"""Parts without a success in episodes from the start, after which others begin anywhere: at once it costs more than it
-gains where the start alone is learned from."""
+PATIENCE, LITTLE = 3, 0.01
+"""Parts after which a learner begins again, with episodes that begin anywhere, if the best of its actors has had fewer
+successes than this: at once such episodes cost more than they gain where the start alone teaches enough."""
 
 JUDGED = 2000
 """Episodes that judge an actor while it is trained: a success rate to about .01, in a fraction of a second."""
@@ -270,25 +270,25 @@ def _best(model: Any, view: View, settings: Settings, watcher: Any, seed: int, s
     best, best_score, numbers = actor_now(model, view), -1.0, numbers_of(model)
     if start_counts:  # a clone may be best of all; an untrained network is none
         best_score = score(view.problem, best, judge)
-    share, has_succeeded = 0.0, best_score > 0.0
+    untrained, share = numbers, 0.0
     for number, phase in enumerate(settings.phases):
         # Time is shared out as steps are, so that the last phase, which learns the task itself, has its turn.
         share += phase.share
         if settings.seconds is not None:
             watcher.deadline = watcher.began + share * settings.seconds
         enter(model, view, settings, phase, seed + number, is_later=number > 0)
-        for k, piece in enumerate(_pieces(phase, settings)):
-            if time.perf_counter() >= watcher.deadline:
-                break
-            if k < PATIENCE or has_succeeded:
-                piece = replace(piece, spread=0.0)
-            learn(model, view, piece, watcher)
+        pieces, done = _pieces(replace(phase, spread=0.0), settings), 0
+        while pieces and time.perf_counter() < watcher.deadline:
+            learn(model, view, pieces.pop(0), watcher)
             actor = actor_now(model, view)
             now = score(view.problem, actor, judge)
-            # Once episodes begin anywhere they do so to the end of the phase, fewer and fewer.
-            has_succeeded |= now > 0.0 and not piece.spread
             if now >= best_score:
                 best, best_score, numbers = actor, now, numbers_of(model)
+            done += 1
+            if done == PATIENCE and phase.spread > 0.0 and best_score < LITTLE:
+                begin_again(model, untrained)
+                left = len(pieces) / (len(pieces) + done)
+                pieces = _pieces(replace(phase, share=left * phase.share), settings)
     model.policy.load_state_dict(numbers)
     return best
 
