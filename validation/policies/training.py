@@ -35,7 +35,17 @@ from ...synthesis.verbs.synthesize import synthesize
 from ..statistical_tests import rollout
 from .actors import Actor, networks_of, save_actor
 from .imitation import clone, demonstrate
-from .learning import Progress, actor_now, begin_again, check_settings, enter, learn, new_learner, new_watcher, numbers_of
+from .learning import (
+    Progress,
+    actor_now,
+    begin_again,
+    check_settings,
+    enter,
+    learn,
+    new_learner,
+    new_watcher,
+    numbers_of,
+)
 from .settings import Phase, Piece, Settings, settings_for
 from .views import CentralView, SharedView, TeamView, View
 
