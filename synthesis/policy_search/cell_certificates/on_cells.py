@@ -49,6 +49,7 @@ class Plan:
             self.effort.left,
             lambda: self.effort.is_over,
             told=told,
+            hoped=self.effort.tell_hoped,
             suffices=self.effort.suffices,
             counted=self.effort.tell_again,
             is_hopeless=bool(self.effort.lost),

@@ -140,6 +140,11 @@ class Effort:
         self.begun = self.begun[0], max(bound, self.begun[1])
         self.tell_again(self.under_way)
 
+    def tell_hoped(self, value: float) -> None:
+        """Say what the way under way hopes for, of which nothing is proved."""
+        if self.progress is not None:
+            self.progress("hoped for", value)
+
     def tell_again(self, more: float) -> None:
         """Say once more which way is under way, when it has taken so much work that is not counted as spent yet."""
         self.under_way, swept = more, self.spent_before + self.counted - self.counted_before

@@ -211,6 +211,7 @@ def _coarse(
                 break
             larger, (inputs, laws, _) = own, tried
         runs = Runs.of(steps, inputs, laws, failure)
+        work.hoped(1.0 - failure)
         window = _within(alive, runs.window(problem, spreads))
     assert runs is not None
     return runs, larger, spent

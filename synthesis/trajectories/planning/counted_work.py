@@ -36,6 +36,8 @@ class CountedWork:
         Whether what was found so far has to do for another reason, such as seconds that are over.
     told : callable
         Told each bound that is larger than all before.
+    hoped : callable
+        Told what a search hopes for, of which nothing is proved.
     counted : callable
         Told the work so far, once for each core second.
     is_hopeless : bool
@@ -50,6 +52,7 @@ class CountedWork:
     is_broken_off: Callable[[], bool] = lambda: False
     spent: float = 0.0
     told: Callable[[float], None] = lambda bound: None
+    hoped: Callable[[float], None] = lambda value: None
     counted: Callable[[float], None] = lambda spent: None
     largest: float = 0.0
     is_hopeless: bool = False
