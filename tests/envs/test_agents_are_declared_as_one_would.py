@@ -57,6 +57,8 @@ def test_spaces_noise_and_start_say_what_keys_of_files_say(make: Any, own: dict[
     parts = [{"weight": 0.5, "law": "laplace", "scale": scale} for scale in (0.1, 0.2)]  # as many as states
     mixture = {"law": "mixture", "parts": parts}
     assert make(**own, **SPACES, noise=mixture).to_dict() == make(**own, **KEYS, noise=[mixture, mixture]).to_dict()
+    beta = {"law": "scipy", "name": "beta", "args": [2.0, 3.0], "cdf_error": 1e-12, "variation": 4.0}
+    assert make(**own, **SPACES, noise=beta).to_dict() == make(**own, **KEYS, noise=[beta, beta]).to_dict()
     turned = [[0.8, 0.6], [-0.6, 0.8]]
     assert (
         make(**own, **SPACES, noise={"laws": [law, law], "axes": turned}).to_dict()

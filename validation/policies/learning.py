@@ -85,6 +85,11 @@ def enter(
         log_std.requires_grad_(not phase.fixed)
 
 
+def begins_anywhere(model: Any, phase: Phase) -> bool:
+    """Return whether episodes of a phase may begin anywhere: not behind a shield, and not in tasks of survival."""
+    return phase.spread > 0.0 and getattr(model.env.worlds, "has_stages", False)
+
+
 def begin_again(model: Any, numbers: dict[str, Any]) -> None:
     """Let a learner of PPO forget what it has learned: its networks have these numbers, and its optimizer no memory."""
     model.policy.load_state_dict(numbers)

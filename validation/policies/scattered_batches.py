@@ -43,12 +43,12 @@ class ScatteredVectorEnv(ProblemVectorEnv):
         super().__init__(problem, num_envs, **options)
         self.spread, self.scattered = spread, np.zeros(num_envs, dtype=bool)
         self._is_plain = False
-        self._has_stages = self._potential is None or not self._potential.is_survival
+        self.has_stages = self._potential is None or not self._potential.is_survival
 
     def _begun(self, worlds: Worlds, which: np.ndarray) -> Worlds:
         automaton, rng, horizon = self.problem.automaton, self.np_random, self.problem.horizon
         undecided = np.flatnonzero(~automaton.absorbing)
-        chosen = which & (rng.random(self.num_envs) < self.spread * self._has_stages)
+        chosen = which & (rng.random(self.num_envs) < self.spread * self.has_stages)
         states, q, time = tuple(x.copy() for x in worlds.states), worlds.q.copy(), np.array(worlds.time)
         left = np.flatnonzero(chosen)
         for _ in range(TRIES if left.size and undecided.size else 0):

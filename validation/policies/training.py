@@ -39,6 +39,7 @@ from .learning import (
     Progress,
     actor_now,
     begin_again,
+    begins_anywhere,
     check_settings,
     enter,
     learn,
@@ -295,7 +296,7 @@ def _best(model: Any, view: View, settings: Settings, watcher: Any, seed: int, s
             if now >= best_score:
                 best, best_score, numbers = actor, now, numbers_of(model)
             done += 1
-            if done == PATIENCE and phase.spread > 0.0 and best_score < LITTLE:
+            if done == PATIENCE and pieces and best_score < LITTLE and begins_anywhere(model, phase):
                 begin_again(model, untrained)
                 left = len(pieces) / (len(pieces) + done)
                 pieces = _pieces(replace(phase, share=left * phase.share), settings)

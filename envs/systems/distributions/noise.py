@@ -54,7 +54,11 @@ def laws_of(noise: Any, d: int) -> tuple[Law, ...]:
         If a law is unknown, or a number is missing or makes no sense.
     """
     if isinstance(noise, Mapping):
-        noise = [{key: _of_axis(value, k, d) for key, value in noise.items()} for k in range(d)]
+        # Parts of mixtures and arguments of scipy's laws are lists of their own.
+        has_numbers = isinstance(noise.get("law"), str) and noise["law"] in KINDS
+        noise = [
+            {key: _of_axis(value, k, d) if has_numbers else value for key, value in noise.items()} for k in range(d)
+        ]
     if not isinstance(noise, Sequence) or isinstance(noise, str) or len(noise) != d:
         raise ValueError(
             f"`noise`: expected a list of {d} laws, one for each state, such as "
