@@ -30,7 +30,7 @@ from certigym.synthesis.extended_check.vertex_grids import (
 )
 from certigym.synthesis.extended_check.vertex_grids.images import Planes
 from certigym.synthesis.extended_check.vertex_grids.noise_bounds import Normal, Tabled
-from certigym.synthesis.policy_search.vertex_values import value_iteration
+from certigym.synthesis.policy_search.vertex_values import input_choice, value_iteration
 from certigym.synthesis.policy_search.vertex_values.counted_backups import Counted
 from certigym.synthesis.trajectories.planning import CountedWork
 from kinds import mostly_thorough
@@ -567,7 +567,7 @@ def test_what_was_found_is_returned_at_ctrl_c(monkeypatch: pytest.MonkeyPatch) -
     assert len(calls) == 4 and work.is_interrupted and cg.check(result.certificate)
 
 
-def test_inputs_for_larger_noise_leave_room_for_what_is_charged() -> None:
+def test_inputs_for_larger_noise_leave_room_for_what_is_charged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where nearly all runs stay in a band, values say little of inputs, and much is charged near its ends."""
     agent = cg.Agent(
         name="a", states=["x"], inputs=["u"], dynamics=["x + 0.3*u"], noise_std=[1.0],
@@ -577,8 +577,45 @@ def test_inputs_for_larger_noise_leave_room_for_what_is_charged() -> None:
     band = cg.Proposition("a", [-1.0], [1.0])
     task = cg.Problem(name="p", agents=[agent], propositions={"band": band}, specification="G band", horizon=30)
     checked, edges = read_problem({"problem": canonical_problem(task)}), (np.linspace(-1.5, 1.5, 17),)
-    narrow, wide = (value_iteration.iterated(Counted(checked, edges, (True,)), None, own)[2] for own in (1.0, 1.5))
-    assert wide < 0.5 * narrow
+    failures = []
+    for crossed in (0.0, 1.0):
+        monkeypatch.setattr(input_choice, "CROSSED", crossed)
+        failures.append(value_iteration.iterated(Counted(checked, edges, (True,)), None)[2])
+    assert failures[1] < 0.5 * failures[0]
+
+
+def test_inputs_that_act_only_beside_others_do_not_jump_between_vertices() -> None:
+    """With a pump that is off its share moves nothing, and still it has to change little by little."""
+    agent = cg.Agent(
+        name="roof", states=["a", "b"], inputs=["pump", "share"],
+        dynamics=["0.9*a + 0.3*pump*share", "0.92*b + 0.3*pump*(1 - share)"],
+        noise_std=["0.03 + 0.05*a", "0.03 + 0.04*b"], state_low=[-0.5, -0.5], state_high=[3, 3],
+        input_low=[0, 0], input_high=[1, 1], initial_state=[1, 1],
+    )  # fmt: skip
+    alive, moist = cg.Proposition("roof", [0.5, 0.5], [2, 2]), cg.Proposition("roof", [0.9, 0.9], [1.5, 1.5])
+    task = cg.Problem(
+        name="p", agents=[agent], propositions={"alive": alive, "moist": moist},
+        specification="G alive & F[6,10] moist", horizon=10,
+    )  # fmt: skip
+    result = value_iteration.vertex_grid_certificate(task, CountedWork(2.0))
+    assert result.certificate.lower_bound >= 0.999 and cg.check(result.certificate)
+
+
+@pytest.mark.parametrize(("m", "shape"), [(1, (41, 23)), (2, (17, 30))])
+def test_where_values_say_nothing_inputs_are_smooth(m: int, shape: tuple[int, ...]) -> None:
+    """They join what is wanted at two ends of a grid without jumps, however fine it is."""
+    choice: Any = object.__new__(input_choice.Choice)
+    choice.m, choice.count, choice.axis = m, 5, np.linspace(0.0, 1.0, 5)
+    choice.levels = input_choice._levels(shape)
+    # no input loses anything inside; at the first and the last place of an axis one end of each input is much better
+    table = np.zeros((*[5] * m, *shape))
+    for j in range(m):
+        share = choice.axis.reshape(-1, *(1,) * (m - 1 - j + len(shape)))
+        table[..., 0, :] += np.broadcast_to(share, table.shape)[..., 0, :]
+        table[..., -1, :] -= np.broadcast_to(share, table.shape)[..., -1, :]
+    shares = choice._smooth(table.reshape(*[5] * m, -1), np.ones((math.prod(shape), m))).reshape(*shape, m)
+    assert np.all(shares[0] > 0.9) and np.all(shares[-1] < 0.1)
+    assert np.abs(np.diff(shares, axis=0)).max() < 0.2
 
 
 @pytest.mark.parametrize(

@@ -52,11 +52,24 @@ class Counted(Backups):
 
     def below(self, W: FloatArray, images: Images | LatticeImages) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return numbers at vertices of a function that is at most F, and the cells on which it is 0."""
+        if not W.any():
+            return np.zeros([n + 1 for n in self.shape]), np.ones(self.shape, dtype=bool)
         self.count(ONCE + PRODUCT * images.work())
         values, nothing = super().below(W, images)
-        here = np.where(nothing, 0.0, corners_of(values, W.ndim).reshape(*nothing.shape, -1).mean(axis=-1)).ravel()
-        self.bent = self.bent + self._bends @ here
+        self._add_bends(np.where(nothing, 0.0, self._corner_means(values)))
         return values, nothing
+
+    def measure(self, W: FloatArray, means: FloatArray, images: Images | LatticeImages) -> None:
+        """Look at what would be charged if numbers of which nothing was charged were bounds, as means (V,) are."""
+        self.count(ONCE + PRODUCT * images.work())
+        self.charge(W, images)
+        self._add_bends(self._corner_means(means))
+
+    def _corner_means(self, values: FloatArray) -> FloatArray:
+        return np.asarray(corners_of(values, len(self.shape)).reshape(*self.shape, -1).mean(axis=-1))
+
+    def _add_bends(self, weights: FloatArray) -> None:
+        self.bent = self.bent + self._bends @ weights.ravel()
 
     def charge(self, W: FloatArray, images: Images | LatticeImages) -> tuple[FloatArray, FloatArray]:
         """Return what is taken off all corners of each cell (S,), and what F may bend along each axis (d, S)."""

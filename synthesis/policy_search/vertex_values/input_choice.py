@@ -28,8 +28,10 @@ INPUTS = {1: 9, 2: 5, 3: 3}
 APART = 0.1
 """What inputs of neighbours cost that lead one deviation of the noise apart: the square of it, in probability."""
 
-SWEEPS = 20
-"""How often inputs are adjusted to those of their neighbours."""
+SWEEPS, COARSEST, LEVELLED = 20, 6, 0.01
+"""How often inputs are adjusted to those of their neighbours, on the coarsest level (of every eighth vertex, say), the
+next one, and so on; the fewest vertices of the longest axis on a level; and how much squares cost on all levels but the
+finest, as a share: enough where values say nothing."""
 
 FINE_SIZES = 0.4
 """Logarithm of the ratio of sizes of the noise between which means are interpolated, at most."""
@@ -47,7 +49,7 @@ SAME = 5e-3
 """A law that is known acts where new inputs take off at most this share of the failure at any vertex."""
 
 SAME_PASSING = 0.1
-"""The same where runs that pass there lose at most this share of the failure that is hoped for, over all steps."""
+"""The same where runs that pass there lose at most this share of the failure hoped for, or aimed at, in all steps."""
 
 MOST_TRIED = 40
 """Known laws that are tried, the newest ones."""
@@ -59,15 +61,24 @@ NO_DIFFERENCE = 1e-11
 """Differences of means that count as none."""
 
 
+CROSSED, CROSSED_SURE, SURE = 0.3, 2.0, 1e-3
+"""Square of the deviation of further noise that inputs are chosen for, in squares of what means move by across a cell;
+the same where less failure than the third number is hoped for. What is charged on a cell acts as such noise does, and
+the wider a cell the more; values that are nearly 1 say little of inputs, and leave no room for what is charged."""
+
+
 class Choice:
     """Inputs at all vertices of a grid, in shares of their ranges, and values under them: good guesses, no bounds.
 
     Means around points of a lattice are sums along one axis after the other, for some sizes of the noise; in between
-    they are interpolated. The noise is taken to be ``larger`` than it is.
+    they are interpolated. The noise is taken to be larger where cells are wide, but on coarse grids, on which nothing
+    is charged.
     """
 
-    def __init__(self, steps: Counted, runs: Runs | None, larger: float = 1.0) -> None:
-        self.steps, self.runs, self.larger, agent = steps, runs, larger, steps.agent
+    def __init__(self, steps: Counted, runs: Runs | None, aim: float = 0.0, is_coarse: bool = False) -> None:
+        self.steps, self.runs, self.aim, agent = steps, runs, aim, steps.agent
+        sure = runs is not None and runs.failure < SURE
+        self.crossed = 0.0 if is_coarse else CROSSED_SURE if sure else CROSSED
         self.at, self.m = vertices_of(steps.edges), len(agent.inputs)
         self.low, high = agent.input_box
         self.range, self.count = np.maximum(high - self.low, 1e-300), INPUTS[self.m]
@@ -78,14 +89,7 @@ class Choice:
         self.laws, self.between = list[FloatArray](), list[tuple[NDArray[np.int64], FloatArray]]()
         self._add(np.full((self.at.shape[1], self.m), 0.5))
         self.known: tuple[int, tuple[Reading, FloatArray]] | None = None
-        # Every vertex and the next one along each axis, both ways, and how many neighbours it has.
-        axes, every = range(len(steps.edges)), slice(None)
-        ways = [tuple(side if j == k else every for j in axes) for k in axes for side in (slice(1, None), slice(-1))]
-        self.beside = [(ways[i], ways[i ^ 1]) for i in range(len(ways))]
-        count = np.zeros([len(axis) for axis in steps.edges])
-        for _, here in self.beside:
-            count[here] += 1.0
-        self.neighbours = count.ravel()
+        self.levels = _levels([len(axis) for axis in steps.edges])
         # Widths of the cells beside a vertex.
         widths = [np.diff(axis) for axis in steps.edges]
         beside = [np.concatenate([own[:1], np.maximum(own[1:], own[:-1]), own[-1:]]) for own in widths]
@@ -132,9 +136,7 @@ class Choice:
         # The best inputs of all vertices without regard to neighbours are no worse than those that are looked for.
         law = self._alike(table.reshape(-1, table.shape[-1]).max(axis=0), means, passing)
         if law is None:
-            shares = self._best(table)
-            for _ in range(SWEEPS):
-                shares = 0.5 * shares + 0.5 * self._swept(table, shares, APART * apart)
+            shares = self._smooth(table, apart)
             worth = self._read(table, shares)
             law = self._alike(worth, means, passing)
         if law is None:
@@ -149,7 +151,7 @@ class Choice:
         little = np.all(loss <= SAME * (1.0 - worth) + NO_DIFFERENCE, axis=1)
         lost = loss @ passing + loss.max(axis=1) / RUNS
         if self.runs is not None:
-            failure = max(self.runs.failure, LEAST_FAILURE)
+            failure = max(self.runs.failure, self.aim, LEAST_FAILURE)
             little |= lost <= SAME_PASSING * failure / self.steps.problem.horizon
         return int(np.where(little, lost, np.inf).argmin()) if little.any() else None
 
@@ -184,16 +186,31 @@ class Choice:
                 table = (1.0 - part) * table[place, ..., at].T + part * table[place + 1, ..., at].T
         return table
 
-    def _swept(self, table: FloatArray, shares: FloatArray, cost: FloatArray) -> FloatArray:
+    def _smooth(self, table: FloatArray, apart: FloatArray) -> FloatArray:
+        """Return the best shares (V, m) beside those of neighbours, found on finer and finer levels.
+
+        Sweeps carry what neighbours have a few vertices far: on the finest level alone they would leave jumps of
+        inputs wherever values say little, and the more of them the finer a grid is.
+        """
+        shares, above = np.empty(0), None
+        for level in self.levels:
+            here = table[..., level.places]
+            shares = self._best(here) if above is None else level.between(shares, above)
+            cost = level.cost * APART * apart[level.places]
+            for _ in range(SWEEPS):
+                shares = 0.5 * shares + 0.5 * self._swept(here, shares, cost, level)
+            above = level
+        return shares
+
+    def _swept(self, table: FloatArray, shares: FloatArray, cost: FloatArray, level: Level) -> FloatArray:
         """Return the best shares (V, m) beside those of neighbours, each input on its own; squares cost (V, m)."""
-        shape, result = tuple(len(axis) for axis in self.steps.edges), np.empty_like(shares)
-        step = self.axis[1]
+        result, step = np.empty_like(shares), self.axis[1]
         for j in range(self.m):
-            means, own = self._read(table, shares, j), shares[:, j].reshape(shape)
-            total = np.zeros(shape)
-            for there, here in self.beside:
+            means, own = self._read(table, shares, j), shares[:, j].reshape(level.shape)
+            total = np.zeros(level.shape)
+            for there, here in level.beside:
                 total[here] += own[there]
-            total, count = total.ravel(), self.neighbours
+            total, count = total.ravel(), level.neighbours
             # Means are linear between inputs that are tried: on each piece a parabola, whose top is known.
             slopes = np.diff(means, axis=0) / step
             with np.errstate(all="ignore"):
@@ -212,14 +229,65 @@ class Choice:
             images = [images_at(agent, self.at, np.repeat(own[None], n, axis=0), t)[0] for own in self.tried]
             d, apart = len(self.at), np.zeros((n, self.m))
             sizes = np.maximum(np.abs(np.nan_to_num(images[len(images) // 2][d:])), self.widths)
+            means = np.stack([own[:d] for own in images]).reshape(*[self.count] * self.m, d, n)
             for j in range(self.m):
-                moved = self.count ** (self.m - 1 - j) * (self.count - 1)
-                way = np.abs(images[moved][:d] - images[0][:d]) / sizes
-                apart[:, j] = np.nan_to_num(way.max(axis=0)) ** 2
+                # from the least to the most of an input, whatever the others are
+                way = np.abs(np.take(means, -1, axis=j) - np.take(means, 0, axis=j)) / sizes
+                apart[:, j] = np.nan_to_num(way).reshape(-1, n).max(axis=0) ** 2
             where = np.concatenate(images, axis=1)
-            where[d:] *= self.larger
+            if self.crossed:
+                across = np.concatenate([_across(own[:d], steps.edges) for own in images], axis=1)
+                noisy = np.array(steps.noisy)
+                where[d:][noisy] = np.sqrt(where[d:][noisy] ** 2 + self.crossed * across[noisy])
             self.known = t, (Reading(where, steps.edges, steps.noises), apart)
         return self.known[1]
+
+
+class Level:
+    """Every vertex of a grid, every second, every fourth ..: places (d axes), neighbours, and what squares cost."""
+
+    def __init__(self, lengths: Sequence[int], stride: int) -> None:
+        self.axes = [np.unique(np.append(np.arange(0, n, stride), n - 1)) for n in lengths]
+        self.shape = tuple(len(own) for own in self.axes)
+        # a step of inputs over so many vertices is one of many small ones, at as many vertices along each axis
+        self.cost = 1.0 if stride == 1 else LEVELLED / stride**2
+        self.places = np.ravel_multi_index(np.meshgrid(*self.axes, indexing="ij"), tuple(lengths)).ravel()
+        # Every vertex and the next one along each axis, both ways, and how many neighbours it has.
+        axes, every = range(len(lengths)), slice(None)
+        ways = [tuple(side if j == k else every for j in axes) for k in axes for side in (slice(1, None), slice(-1))]
+        self.beside = [(ways[i], ways[i ^ 1]) for i in range(len(ways))]
+        count = np.zeros(self.shape)
+        for _, here in self.beside:
+            count[here] += 1.0
+        self.neighbours = count.ravel()
+
+    def between(self, shares: FloatArray, above: Level) -> FloatArray:
+        """Return shares (V, m) on this level, interpolated from those on a coarser one."""
+        table = shares.reshape(*above.shape, -1)
+        for k, (own, wide) in enumerate(zip(self.axes, above.axes, strict=True)):
+            at = np.interp(own, wide, np.arange(len(wide)))
+            low = np.minimum(at.astype(int), max(len(wide) - 2, 0))
+            part = (at - low).reshape(-1, *(1,) * (table.ndim - k - 1))
+            table = (1.0 - part) * table.take(low, axis=k) + part * table.take(low + 1, axis=k)
+        return table.reshape(len(self.places), -1)
+
+
+def _levels(lengths: Sequence[int]) -> list[Level]:
+    """Return levels from the coarsest, with COARSEST vertices along the longest axis at least, to the finest."""
+    count = max(0, math.floor(math.log2(max(lengths) / COARSEST)))
+    return [Level(lengths, 2**power) for power in range(count, -1, -1)]
+
+
+def _across(means: FloatArray, edges: tuple[FloatArray, ...]) -> FloatArray:
+    """Return sums of squares (d, V) of what means (d, V) move by across the cells beside a vertex, along all axes."""
+    d, table = len(means), np.nan_to_num(means).reshape(len(means), *(len(axis) for axis in edges))
+    result = np.zeros_like(table)
+    for k in range(1, d + 1):
+        moved = np.abs(np.diff(table, axis=k))
+        first, last = np.take(moved, [0], axis=k), np.take(moved, [-1], axis=k)
+        either = np.maximum(np.concatenate([first, moved], axis=k), np.concatenate([moved, last], axis=k))
+        result += either**2
+    return result.reshape(d, -1)
 
 
 class Reading:

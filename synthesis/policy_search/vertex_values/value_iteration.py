@@ -30,12 +30,7 @@ FIRST = {1: 60, 2: 400, 3: 1200, 4: 2000}
 COARSE = 1.0, 2.5
 """How many times as many vertices as the first grid coarse ones have."""
 
-SURE, LARGER, PLANNED = 1e-6, (1.5, 2.2), 1e-3
-"""Where less failure than this is hoped for, inputs are chosen for noise that is so many times as large, as long as the
-failure that is hoped for is at most the last number: values that are nearly 1 say little of inputs, and leave no room
-for what is charged."""
-
-AIMS = 0.01, 1e-3
+AIMS = 0.01, 0.01
 """Failure that the first grid aims at, unless no more is hoped for: laws that lose little beside it are not made anew.
 Later ones aim at a share of what the grid before failed by."""
 
@@ -52,8 +47,9 @@ GROWS, MARGIN, MOST_GROWS = 1.25, 0.1, 1.45
 """Power of the number of vertices with which work grows, before it is known; how much more than from the grid before to
 the last one it grows by, and the most."""
 
-MOST_ADJUSTED = 0.5, 2.0
-"""By how much the share of cells of an axis changes from one grid to the next, at most."""
+ADJUSTED, MOST_ADJUSTED = 0.25, (0.5, 2.0)
+"""Power of what is charged along an axis, beside the others, by which its share of cells changes from one grid to the
+next (1/2 would balance it at once, if it were known well), and by how much at most."""
 
 BEYOND = 3.0
 """Deviations by which a lattice goes beyond the window where runs pass."""
@@ -69,7 +65,7 @@ FIRST_WIDTH = 2.5
 
 SURE_WIDTH, CHARGED, DEAR = 1.6, 1.7, 0.1
 """Deviations that cells are wide at most for a grid to prove something, as a rule; how much more work a grid is on
-which something is charged; share of the work that is left which is not spent on wider cells or for larger noise."""
+which something is charged; share of the work that is left which is not spent on wider cells."""
 
 GAINS = 0.02
 """Share of the failure that the last grid has to have taken off for a finer one to be tried, once there is a bound."""
@@ -151,20 +147,20 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
     best, levels, finer = None, dict[str, float](), np.ones(len(spreads))
     power, before = GROWS, None
     try:
-        runs, larger, spent = _coarse(checked, noise_laws, vertices, alive, work)
-        hoped, aim = runs.failure, AIMS[0]
+        runs, spent = _coarse(checked, noise_laws, vertices, alive, work)
+        aim = AIMS[0]
         vertices = min(most, _first(vertices, _within(alive, runs.window(checked, spreads)), spreads, spent, work))
         while True:
             window = _within(alive, runs.window(checked, spreads))
             edges = grid_of(checked, spreads, round(vertices), window, finer)
-            runs.failure = max(hoped, aim)
             steps = Counted(checked, edges, jumps_of(checked, edges), NEAR, noise_laws).within(work)
-            steps.near, steps.window = _near(steps, runs.failure), _lattice_around(steps, window)
-            inputs, laws, failure = iterated(steps, runs, larger)
+            steps.near, steps.window = _near(steps, max(runs.failure, aim)), _lattice_around(steps, window)
+            inputs, laws, failure, hoped = iterated(steps, runs, aim)
             levels[" x ".join(str(len(axis) - 1) for axis in edges)] = 1.0 - failure
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
-            finer *= np.clip(np.sqrt(steps.bent / np.exp(np.log(steps.bent).mean())), *MOST_ADJUSTED)
-            runs, aim = Runs.of(steps, inputs, laws, hoped), min(aim, AIMS[1] * failure)
+            finer *= np.clip((steps.bent / np.exp(np.log(steps.bent).mean())) ** ADJUSTED, *MOST_ADJUSTED)
+            runs = Runs.of(steps, inputs, laws, min(runs.failure, hoped))
+            aim = min(aim, AIMS[1] * failure)
             slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
             if best is None or failure < best.failure:
                 best = VertexProof(
@@ -195,26 +191,20 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
 
 def _coarse(
     problem: CheckedProblem, noise_laws: Sequence[Law] | None, vertices: float, alive: FloatArray, work: CountedWork
-) -> tuple[Runs, float, float]:
-    """Return runs under coarse values, which nothing is charged for, how much larger noise may be taken, and work."""
-    spreads, window, runs, larger, spent = spreads_of(problem), alive, None, 1.0, 0.0
+) -> tuple[Runs, float]:
+    """Return runs under coarse values, which nothing is charged for, and the work of a grid."""
+    spreads, window, runs, spent = spreads_of(problem), alive, None, 0.0
     for more in COARSE:
         edges = grid_of(problem, spreads, round(vertices * more), window)
         steps = Counted(problem, edges, jumps_of(problem, edges), NEAR, noise_laws).within(work)
-        inputs, laws, failure = iterated(steps, runs, is_coarse=True)
+        inputs, laws, _, failure = iterated(steps, runs, is_coarse=True)
         if failure >= 1.0:
             raise RelationRefused("no inputs lead anywhere on coarse grids: is the task out of reach?")
-        is_cheap, spent = work.allows(steps.spent / DEAR), steps.spent
-        for own in LARGER if failure < SURE and more == COARSE[-1] and is_cheap else ():
-            tried = iterated(steps, runs, own, is_coarse=True)
-            if tried[2] > PLANNED:
-                break
-            larger, (inputs, laws, _) = own, tried
-        runs = Runs.of(steps, inputs, laws, failure)
-        work.hoped(1.0 - failure)
+        runs, spent = Runs.of(steps, inputs, laws, failure), steps.spent
+        work.hoped(1.0 - runs.failure)
         window = _within(alive, runs.window(problem, spreads))
     assert runs is not None
-    return runs, larger, spent
+    return runs, spent
 
 
 def _first(vertices: float, window: FloatArray, spreads: FloatArray, spent: float, work: CountedWork) -> float:
@@ -261,23 +251,28 @@ def jumps_of(problem: CheckedProblem, edges: tuple[FloatArray, ...]) -> tuple[bo
 
 
 def iterated(
-    steps: Counted, runs: Runs | None, larger: float = 1.0, is_coarse: bool = False
-) -> tuple[FloatArray, NDArray[np.int64], float]:
-    """Return tables of inputs (L, V, m), which one acts at what time and automaton state (T, Q), and the failure.
+    steps: Counted, runs: Runs | None, aim: float = 0.0, is_coarse: bool = False
+) -> tuple[FloatArray, NDArray[np.int64], float, float]:
+    """Return tables of inputs (L, V, m), which one acts at what time and automaton state (T, Q), and two failures.
 
-    ``runs`` say where inputs matter, which are chosen for noise that is ``larger``. ``is_coarse``: nothing is charged,
-    and the failure is hoped for.
+    The first one is proved, the second one is what inputs were chosen by. ``runs`` say where inputs matter, and
+    ``aim`` how little failure does. ``is_coarse``: nothing is charged, and nothing proved.
     """
-    problem, choice = steps.problem, Choice(steps, runs, larger)
+    problem, choice = steps.problem, Choice(steps, runs, aim, is_coarse)
     bounds, given_up = steps.at_end()
     values, nowhere = steps.at_end()
     laws = np.zeros((problem.horizon, len(values)), dtype=np.int64)
     for t in range(problem.horizon - 1, -1, -1):
-        laws[t], values = choice.of(values, t, laws[min(t + 1, problem.horizon - 1)])
+        later = values
+        laws[t], values = choice.of(later, t, laws[min(t + 1, problem.horizon - 1)])
         if not is_coarse:
             bounds, given_up = steps.backup(bounds, given_up, np.stack([choice.laws[k] for k in laws[t]]), t)
-    failure = steps.failure(*((values, nowhere) if is_coarse else (bounds, given_up)))
-    return np.stack(choice.laws), laws, failure
+            # where nothing is proved what is hoped for says along which axes cells are too wide
+            for q in np.flatnonzero(given_up.reshape(len(values), -1).all(axis=1) & steps.reached[t]).tolist():
+                W = steps.after_letter(later, nowhere, q, t + 1)
+                steps.measure(W, values[q], steps.images_of(choice.laws[laws[t, q]], t))
+    proved = 1.0 if is_coarse else steps.failure(bounds, given_up)
+    return np.stack(choice.laws), laws, proved, steps.failure(values, nowhere)
 
 
 def _within(outer: FloatArray, inner: FloatArray) -> FloatArray:
