@@ -80,3 +80,20 @@ def test_scaled_noise_is_a_mapping() -> None:
     agent = cg.Agent(**WRITTEN, **SPACES, noise={"std": 1.0, "scale": scale})
     law = {"law": "gaussian", "std": 1.0}
     assert agent.to_dict() == cg.Agent(**WRITTEN, **KEYS, noise=[law, law], noise_scale=scale).to_dict()
+
+
+def test_deviations_in_python_may_be_expressions_as_in_files() -> None:
+    more: Any = {
+        "states": ["a", "b"], "inputs": ["u"], "dynamics": ["0.9*a + u", "0.9*b"], "state_space": ([-1, -1], [3, 3]),
+        "input_space": (0, 1), "start": [1, 1],
+    }  # fmt: skip
+    plain = cg.Agent(noise={"std": [1.0, 0.02], "scale": ["0.03 + 0.05*a", "1"]}, **more)
+    for key in ("noise_std", "noise"):
+        given: Any = {key: ["0.03 + 0.05*a", 0.02]}
+        agent = cg.Agent(**given, **more)
+        assert agent.noise_scale == plain.noise_scale and agent.laws == plain.laws
+    assert cg.Agent(noise_std="0.1 + 0.05*t", **more).noise_scale == ("0.1 + 0.05*t",) * 2
+    with pytest.raises(ValueError, match="without `noise_scale`"):
+        cg.Agent(noise_std=["0.1*a", 0.1], noise_scale=["1", "a"], **more)
+    with pytest.raises(ValueError, match="written as expressions"):
+        cg.LinearAgent(A=1.0, B=1.0, noise_std=["0.1*x"], state_space=(-1, 1), input_space=(-1, 1), start=0)

@@ -108,7 +108,7 @@ def _noise(noise: Any, d: int, parts: Mapping[str, str]) -> dict[str, Any]:
             if part not in parts:
                 raise unknown_argument(str(part), "`noise`", parts)
         return {parts[part]: value for part, value in noise.items()}
-    if isinstance(noise, Real) or _depth(noise) == 1:
+    if isinstance(noise, Real | str) or _depth(noise) == 1:
         return {"noise_std": noise}
     return {"noise_covariance" if _depth(noise) == 2 else "noise": noise}
 
@@ -119,7 +119,7 @@ def _depth(value: Any) -> int:
         return value.ndim
     if not isinstance(value, Sequence) or isinstance(value, str) or not len(value):
         return 0
-    if all(isinstance(entry, Real) for entry in value):
+    if all(isinstance(entry, Real | str) for entry in value):
         return 1
     return 2 if all(_depth(entry) == 1 for entry in value) else 0
 
@@ -132,9 +132,26 @@ def with_covariance(given: Mapping[str, Any], d: int) -> dict[str, Any]:
     for other in ("noise_covariance", "noise"):
         if given.get(other) is not None:
             raise ValueError(f"`noise_std`: expected no `{other}` beside it; leave one of them out")
-    deviations = float_array(for_all_axes(value, d), "noise_std", (None,), "[0.1, 0.1]")
+    value, scales = _split([value] * d if isinstance(value, str) else for_all_axes(value, d))
+    if scales is not None:
+        if "noise_scale" not in given or given["noise_scale"] is not None:
+            raise ValueError(
+                f"`noise_std`: expected numbers, got {shown(given['noise_std'])}; noise that names states or the time "
+                "is for agents written as expressions, with `states` and `dynamics`, and without `noise_scale`"
+            )
+        given = {**given, "noise_scale": scales}
+        rest |= {"noise_scale": scales}
+    deviations = float_array(value, "noise_std", (None,), "[0.1, 0.1]")
     if len(deviations) != d or np.any(deviations < 0.0):
         raise ValueError(f"`noise_std`: expected numbers >= 0, one for each state, got {shown(value)}")
     if given.get("noise_scale") is not None:  # which multiplies laws
         return {**rest, "noise": [{"law": "gaussian", "std": deviation} for deviation in deviations.tolist()]}
     return {**rest, "noise_covariance": np.diag(deviations**2)}
+
+
+def _split(deviations: Any) -> tuple[Any, list[Any] | None]:
+    """Return standard deviations as numbers, and what those that are expressions scale; None where none is."""
+    if not isinstance(deviations, list | tuple) or not any(isinstance(own, str) for own in deviations):
+        return deviations, None
+    numbers = [1.0 if isinstance(own, str) else own for own in deviations]
+    return numbers, [own if isinstance(own, str) else "1" for own in deviations]

@@ -71,7 +71,8 @@ class Agent(AnyAgent):
         Bounded unknowns by name: anything in the closed interval, at every step anew. Certificates hold for all of
         them; environments say how they behave.
     noise : number, array_like, laws or mapping
-        Noise, independent over time. A number, or one for each state: **standard deviations** of Gaussian noise. A
+        Noise, independent over time. A number, or one for each state: **standard deviations** of Gaussian noise, also
+        as expressions (`["0.03 + 0.05*x", 0.1]`), as `scale` below has them. A
         matrix (d, d): its **covariance**, exactly symmetric and positive semidefinite. A law such as `{"law":
         "uniform", "low": -0.1, "high": 0.1}`, or one for each state. A mapping: `{"laws": ..., "axes": ...}`, where the
         columns of `axes`, shape (d, d), are the directions of the components with those laws; or `{"std": ...,
