@@ -48,7 +48,7 @@ READ = 6e-7
 SAME = 5e-3
 """A law that is known acts where new inputs take off at most this share of the failure at any vertex."""
 
-SAME_PASSING = 0.1
+SAME_PASSING = 0.2
 """The same where runs that pass there lose at most this share of the failure hoped for, or aimed at, in all steps."""
 
 MOST_TRIED = 40

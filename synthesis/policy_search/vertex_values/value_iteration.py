@@ -30,9 +30,10 @@ FIRST = {1: 60, 2: 400, 3: 1200, 4: 2000}
 COARSE = 1.0, 2.5
 """How many times as many vertices as the first grid coarse ones have."""
 
-AIMS = 0.01, 0.01
+AIMS, LOWERED = (0.005, 0.02), 0.3
 """Failure that the first grid aims at, unless no more is hoped for: laws that lose little beside it are not made anew.
-Later ones aim at a share of what the grid before failed by."""
+Later ones aim at a share of what the grid before failed by, and at this share of what it aimed at at least: with many
+more laws work would grow in a way that the grid before does not tell."""
 
 LEFT_OUT, LEAST_NEAR = 1e-3, 4.0
 """Share of the failure that noise may have which is not looked at, in all steps, and deviations that always are."""
@@ -160,7 +161,7 @@ def _refined(problem: Problem, work: CountedWork, guess: Any) -> tuple[VertexPro
             # Axes along which more is charged get more cells: what is charged falls with the square of their number.
             finer *= np.clip((steps.bent / np.exp(np.log(steps.bent).mean())) ** ADJUSTED, *MOST_ADJUSTED)
             runs = Runs.of(steps, inputs, laws, min(runs.failure, hoped))
-            aim = min(aim, AIMS[1] * failure)
+            aim = min(aim, max(AIMS[1] * failure, LOWERED * aim))
             slow = best is not None and best.failure < 1.0 and failure > (1.0 - GAINS) * best.failure
             if best is None or failure < best.failure:
                 best = VertexProof(
