@@ -7,6 +7,7 @@ from .agent import LinearAgent, with_matrices
 from .angles import TURN, wrapped
 from .any_agent import AnyAgent, checked_name
 from .box import Box
+from .declaration import split_deviations
 from .declared_names import MOST_OUTPUTS, TIME
 from .expression_agent import Agent, with_expressions
 from .neighbours import Place, neighbour, place_of, tied

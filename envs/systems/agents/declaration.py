@@ -132,16 +132,16 @@ def with_covariance(given: Mapping[str, Any], d: int) -> dict[str, Any]:
     for other in ("noise_covariance", "noise"):
         if given.get(other) is not None:
             raise ValueError(f"`noise_std`: expected no `{other}` beside it; leave one of them out")
-    value, scales = _split([value] * d if isinstance(value, str) else for_all_axes(value, d))
+    numbers, scales = split_deviations([value] * d if isinstance(value, str) else for_all_axes(value, d))
     if scales is not None:
         if "noise_scale" not in given or given["noise_scale"] is not None:
             raise ValueError(
-                f"`noise_std`: expected numbers, got {shown(given['noise_std'])}; noise that names states or the time "
+                f"`noise_std`: expected numbers, got {shown(value)}; noise that names states or the time "
                 "is for agents written as expressions, with `states` and `dynamics`, and without `noise_scale`"
             )
         given = {**given, "noise_scale": scales}
         rest |= {"noise_scale": scales}
-    deviations = float_array(value, "noise_std", (None,), "[0.1, 0.1]")
+    deviations = float_array(numbers, "noise_std", (None,), "[0.1, 0.1]")
     if len(deviations) != d or np.any(deviations < 0.0):
         raise ValueError(f"`noise_std`: expected numbers >= 0, one for each state, got {shown(value)}")
     if given.get("noise_scale") is not None:  # which multiplies laws
@@ -149,8 +149,8 @@ def with_covariance(given: Mapping[str, Any], d: int) -> dict[str, Any]:
     return {**rest, "noise_covariance": np.diag(deviations**2)}
 
 
-def _split(deviations: Any) -> tuple[Any, list[Any] | None]:
-    """Return standard deviations as numbers, and what those that are expressions scale; None where none is."""
+def split_deviations(deviations: Any) -> tuple[Any, list[Any] | None]:
+    """Return standard deviations as numbers, 1 where they are expressions, and these as scales; None if none is."""
     if not isinstance(deviations, list | tuple) or not any(isinstance(own, str) for own in deviations):
         return deviations, None
     numbers = [1.0 if isinstance(own, str) else own for own in deviations]

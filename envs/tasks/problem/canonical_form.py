@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...systems.agents import TIME
+from ...systems.agents import TIME, split_deviations
 from ...systems.arguments import shown
 from ...systems.expressions import ExpressionError, Tree, computed, names_in, read_expression
 
@@ -96,8 +96,8 @@ def _with_scales(table: dict[str, Any]) -> dict[str, Any]:
             f"`noise_std`: expected numbers, got {shown(given)}; noise that names states or the time is for agents "
             "written as expressions, with `states` and `dynamics`"
         )
-    deviations = [1.0 if moves else entry for entry, moves in zip(given, named, strict=True)]
-    scales = [entry if moves else "1" for entry, moves in zip(given, named, strict=True)]
+    plain = [entry if moves else _numbers(entry, "noise_std") for entry, moves in zip(given, named, strict=True)]
+    deviations, scales = split_deviations(plain)
     return {**table, "noise_std": deviations, "noise_scale": scales}
 
 

@@ -4,7 +4,7 @@ from .backups import FARTHEST, NEAR, Backups, failure_of
 from .closed_loops import corners_of, images_at, names_time, vertices_of
 from .images import Images, hats_at
 from .lattices import Lattice, LatticeImages
-from .noise_bounds import Noise
+from .noise_bounds import Noise, Normal
 
 __all__ = [
     "FARTHEST",
@@ -20,4 +20,5 @@ __all__ = [
     "names_time",
     "vertices_of",
     "Noise",
+    "Normal",
 ]

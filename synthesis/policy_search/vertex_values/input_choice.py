@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...extended_check.vertex_grids import Noise, hats_at, images_at, names_time, vertices_of
+from ...extended_check.vertex_grids import Noise, Normal, hats_at, images_at, names_time, vertices_of
 from ...relations.grids import FloatArray
 from .counted_backups import ONCE, Counted
 from .sampled_runs import RUNS, Runs
@@ -59,7 +59,6 @@ LEAST_FAILURE = 1e-7
 
 NO_DIFFERENCE = 1e-11
 """Differences of means that count as none."""
-
 
 CROSSED, CROSSED_SURE, SURE = 0.3, 2.0, 1e-3
 """Square of the deviation of further noise that inputs are chosen for, in squares of what means move by across a cell;
@@ -234,12 +233,13 @@ class Choice:
                 # from the least to the most of an input, whatever the others are
                 way = np.abs(np.take(means, -1, axis=j) - np.take(means, 0, axis=j)) / sizes
                 apart[:, j] = np.nan_to_num(way).reshape(-1, n).max(axis=0) ** 2
-            where = np.concatenate(images, axis=1)
+            where, noises = np.concatenate(images, axis=1), steps.noises
             if self.crossed:
                 across = np.concatenate([_across(own[:d], steps.edges) for own in images], axis=1)
-                noisy = np.array(steps.noisy)
-                where[d:][noisy] = np.sqrt(where[d:][noisy] ** 2 + self.crossed * across[noisy])
-            self.known = t, (Reading(where, steps.edges, steps.noises), apart)
+                where[d:] = np.sqrt(where[d:] ** 2 + self.crossed * across)
+                # what is charged at kinks along axes without noise is smeared, too
+                noises = [Normal() if own is None else own for own in noises]
+            self.known = t, (Reading(where, steps.edges, noises), apart)
         return self.known[1]
 
 
